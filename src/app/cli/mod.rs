@@ -1,0 +1,85 @@
+//! The command line: one file a verb. stdout is data, stderr is for people.
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use crate::error::Result;
+
+mod bench;
+mod collect;
+mod completions;
+mod config;
+mod dataset;
+mod predict;
+mod rig;
+
+/// Collect grasps with touch; predict before the lift whether they hold.
+#[derive(Debug, Parser)]
+#[command(
+    name = "gripcast",
+    version,
+    propagate_version = true,
+    max_term_width = 100
+)]
+struct Cli {
+    #[command(flatten)]
+    context: Context,
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+/// Flags of every verb.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Context {
+    /// Say more (repeat for more)
+    #[arg(short, long, global = true, action = clap::ArgAction::Count, conflicts_with = "quiet")]
+    pub(crate) verbose: u8,
+    /// Say nothing but errors
+    #[arg(short, long, global = true)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Verb {
+    /// Collect grasps: live cameras, triggers, prediction, crash-safe saving
+    Collect(collect::Args),
+    /// List cameras, write a rig file, check a rig
+    Rig(rig::Args),
+    /// Predict the stability of recorded grasps, or check a model
+    Predict(predict::Args),
+    /// Look at, verify, repair, index and split a dataset
+    Dataset(dataset::Args),
+    /// Measure gripcast on this machine
+    Bench(bench::Args),
+    /// Show the configuration and where each value comes from
+    Config(config::Args),
+    /// Print a completion script for a shell
+    Completions(completions::Args),
+}
+
+/// Runs the command line of this process.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    match run(cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("gripcast: {error}");
+            ExitCode::from(error.kind().exit_code())
+        }
+    }
+}
+
+fn run(cli: Cli) -> Result<()> {
+    let context = cli.context;
+    match cli.verb {
+        Verb::Collect(args) => collect::run(&context, args),
+        Verb::Rig(args) => rig::run(&context, args),
+        Verb::Predict(args) => predict::run(&context, args),
+        Verb::Dataset(args) => dataset::run(&context, args),
+        Verb::Bench(args) => bench::run(&context, args),
+        Verb::Config(args) => config::run(&context, args),
+        Verb::Completions(args) => completions::run(&context, &args),
+    }
+}

@@ -1,0 +1,205 @@
+//! What `grasp.json` holds.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::imaging::{PixelFormat, Role};
+
+/// Version of the dataset format that this build writes.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// Key of a grasp: `<utc>-<4 hex>`, for instance `2026-11-20T10-15-03Z-7f3a`. Never a position.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct GraspId(pub String);
+
+impl fmt::Display for GraspId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&self.0)
+    }
+}
+
+impl GraspId {
+    /// The last four characters: what people call the grasp.
+    #[must_use]
+    pub fn short(&self) -> &str {
+        let cut = self.0.len().saturating_sub(4);
+        self.0.get(cut..).unwrap_or(&self.0)
+    }
+}
+
+/// Whether the object stayed in the gripper during the lift.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Outcome {
+    /// It held.
+    Stable,
+    /// It slipped or fell.
+    Slip,
+    /// Not said yet.
+    #[default]
+    Unlabelled,
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Stable => "stable",
+            Self::Slip => "slip",
+            Self::Unlabelled => "unlabelled",
+        })
+    }
+}
+
+/// One grasp; keys are sorted in the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GraspRecord {
+    /// Version of the format.
+    pub schema: u32,
+    /// Key of the grasp; equals the directory's name.
+    pub id: GraspId,
+    /// What is grasped.
+    pub object: String,
+    /// Where.
+    pub scene: String,
+    /// Who holds the gripper.
+    pub operator: String,
+    /// Rig file's id.
+    pub rig: String,
+    /// `gripcast <version>` that wrote the record.
+    pub software: String,
+    /// Outcome of the lift.
+    pub outcome: Outcome,
+    /// When the outcome was given, RFC 3339 UTC.
+    pub labelled_at: Option<String>,
+    /// Before the gripper closed.
+    pub initial: StageRecord,
+    /// After it closed, before the lift.
+    pub grasp: StageRecord,
+    /// Gripper relative to the object, where annotated.
+    pub pose: Option<PoseRecord>,
+    /// Prediction shown at the grasp trigger, before the lift.
+    pub prediction: Option<PredictionRecord>,
+    /// Guards that refused and were overridden.
+    pub overridden_guards: Vec<OverriddenGuard>,
+    /// First 12 hex digits of the calibration's sha256, by role; file `calibration/<sha12>.toml`.
+    pub calibration: BTreeMap<Role, String>,
+    /// Digest of each image file of the grasp, by file name.
+    pub files: BTreeMap<String, FileDigest>,
+    /// Free text.
+    pub note: String,
+}
+
+/// Frames of all cameras at one trigger.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StageRecord {
+    /// Wall clock at the trigger, RFC 3339 UTC.
+    pub captured_at: String,
+    /// `CLOCK_MONOTONIC` at the trigger, ns.
+    pub trigger_time_ns: u64,
+    /// `keyboard`, `pedal`, `script`, …
+    pub trigger: String,
+    /// Largest difference between the driver times of the cameras, ms.
+    pub skew_ms: f64,
+    /// Cameras by role.
+    pub cameras: BTreeMap<Role, CameraRecord>,
+}
+
+/// One camera's frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraRecord {
+    /// File name inside the grasp's directory.
+    pub file: String,
+    /// USB product string.
+    pub product: String,
+    /// USB serial.
+    pub serial: String,
+    /// USB video-control interface.
+    pub interface: u8,
+    /// USB port path at that time.
+    pub port: String,
+    /// Format as sent by the camera.
+    pub format: PixelFormat,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Driver's capture time, `CLOCK_MONOTONIC`, ns.
+    pub driver_time_ns: u64,
+    /// Driver's frame counter.
+    pub sequence: u32,
+    /// Age of the frame at the trigger, ms.
+    pub age_ms: f64,
+    /// Control values read back from the camera (exposure, white balance, gain, …).
+    pub controls: BTreeMap<String, i64>,
+    /// Named crop profile, tactile cameras.
+    pub crop_profile: Option<String>,
+    /// Metres per count, depth cameras.
+    pub depth_unit_m: Option<f64>,
+}
+
+/// Gripper pose in the object's frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseRecord {
+    /// Translation, m.
+    pub t_m: [f64; 3],
+    /// Unit quaternion, w ≥ 0.
+    pub q_wxyz: [f64; 4],
+    /// `t_object_gripper`: maps gripper coordinates into the object frame.
+    pub frame: String,
+    /// 6×6 covariance (translation m, rotation rad), row-major.
+    pub covariance: Option<Vec<f64>>,
+    /// RMS reprojection error, px.
+    pub reprojection_px: Option<f64>,
+    /// True once a person has corrected it; programs never overwrite it then.
+    #[serde(default)]
+    pub corrected_by_hand: bool,
+}
+
+/// What the model said before the lift.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PredictionRecord {
+    /// Probability that the grasp is stable.
+    pub p_stable: f64,
+    /// Decision threshold of the model.
+    pub threshold: f64,
+    /// sha256 of the ONNX file.
+    pub model_sha256: String,
+    /// Name of the model.
+    pub model: String,
+    /// Time from the newest frame's driver time to the result, ms.
+    pub latency_ms: f64,
+    /// Time of the model alone, ms.
+    pub engine_ms: f64,
+}
+
+/// A guard that refused and was overridden by the operator.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OverriddenGuard {
+    /// Name of the guard (`stale_frame`, `skew`, …).
+    pub guard: String,
+    /// `initial` or `grasp`.
+    pub stage: String,
+    /// What it said.
+    pub reason: String,
+}
+
+/// Digest of a stored file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileDigest {
+    /// Size in bytes.
+    pub bytes: u64,
+    /// sha256, lower-case hex; `sha256sum` prints the same.
+    pub sha256: String,
+}

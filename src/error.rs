@@ -1,0 +1,210 @@
+//! The one error type of the crate: what failed, where, and how to mend it.
+//!
+//! Every message names the operation and the object, what was expected and what was found;
+//! the caller that knows the path, camera role or port adds it with [`Error::at`].
+
+use std::fmt;
+
+/// Result with the crate's [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// Class of an error; decides the process exit code.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// The command line asks for something that does not exist or contradicts itself.
+    Usage,
+    /// A configuration or rig file is wrong.
+    Config,
+    /// A file, model, mesh, image or record given by the user is wrong.
+    Input,
+    /// A path or item does not exist.
+    NotFound,
+    /// The operating system refuses access.
+    Permission,
+    /// The operating system reports an IO failure.
+    Io,
+    /// No space (or no inodes, or quota) is left on the disk that is written to.
+    DiskFull,
+    /// Another process holds the resource.
+    Busy,
+    /// A device is missing, unplugged, or offers nothing that is usable.
+    Device,
+    /// The work finished, but some of the data was lost or skipped.
+    Partial,
+    /// A check that the user asked for did not hold.
+    Check,
+    /// Stopped at a safe point; running the same command again continues.
+    Stopped,
+    /// Interrupted by the user.
+    Interrupted,
+    /// A defect of gripcast itself.
+    Internal,
+}
+
+impl ErrorKind {
+    /// Process exit code (design: 0 ok, 1 failed, 2 usage, 3 partial, 4 check, 69 no device,
+    /// 75 run again, 130 interrupted).
+    #[must_use]
+    pub fn exit_code(self) -> u8 {
+        match self {
+            Self::Usage | Self::Config => 2,
+            Self::Partial => 3,
+            Self::Check => 4,
+            Self::Device => 69,
+            Self::Stopped => 75,
+            Self::Interrupted => 130,
+            Self::Input
+            | Self::NotFound
+            | Self::Permission
+            | Self::Io
+            | Self::DiskFull
+            | Self::Busy
+            | Self::Internal => 1,
+        }
+    }
+}
+
+/// An error with its place and its remedy.
+pub struct Error(Box<Inner>);
+
+struct Inner {
+    kind: ErrorKind,
+    what: String,
+    place: Option<String>,
+    remedy: Option<String>,
+    source: Option<Box<dyn std::error::Error + Send + Sync>>,
+}
+
+impl Error {
+    /// An error of `kind`; `what` says which operation failed on which object, expected vs found.
+    pub fn new(kind: ErrorKind, what: impl Into<String>) -> Self {
+        Self(Box::new(Inner {
+            kind,
+            what: what.into(),
+            place: None,
+            remedy: None,
+            source: None,
+        }))
+    }
+
+    /// Wraps an IO error; the kind follows from the operating system's code.
+    pub fn io(what: impl Into<String>, source: std::io::Error) -> Self {
+        use std::io::ErrorKind as Io;
+        let kind = match source.kind() {
+            Io::NotFound => ErrorKind::NotFound,
+            Io::PermissionDenied | Io::ReadOnlyFilesystem => ErrorKind::Permission,
+            Io::StorageFull | Io::QuotaExceeded => ErrorKind::DiskFull,
+            Io::ResourceBusy => ErrorKind::Busy,
+            _ => ErrorKind::Io,
+        };
+        Self::new(kind, what).because(source)
+    }
+
+    /// Adds the place: a path, a camera role, a port. The outermost caller's place comes first.
+    #[must_use]
+    pub fn at(mut self, place: impl fmt::Display) -> Self {
+        self.0.place = Some(match self.0.place.take() {
+            Some(inner) => format!("{place}: {inner}"),
+            None => place.to_string(),
+        });
+        self
+    }
+
+    /// Adds what the user can do about it. The first remedy, nearest to the cause, is kept.
+    #[must_use]
+    pub fn remedy(mut self, remedy: impl Into<String>) -> Self {
+        self.0.remedy.get_or_insert_with(|| remedy.into());
+        self
+    }
+
+    /// Adds the underlying cause.
+    #[must_use]
+    pub fn because(mut self, source: impl std::error::Error + Send + Sync + 'static) -> Self {
+        self.0.source = Some(Box::new(source));
+        self
+    }
+
+    /// Class of the error.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        self.0.kind
+    }
+
+    /// What failed, without place and remedy.
+    #[must_use]
+    pub fn what(&self) -> &str {
+        &self.0.what
+    }
+
+    /// How to mend it, where known.
+    #[must_use]
+    pub fn remedy_text(&self) -> Option<&str> {
+        self.0.remedy.as_deref()
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let inner = &self.0;
+        if let Some(place) = &inner.place {
+            write!(f, "{place}: ")?;
+        }
+        f.write_str(&inner.what)?;
+        if let Some(source) = &inner.source {
+            write!(f, ": {source}")?;
+        }
+        if let Some(remedy) = &inner.remedy {
+            write!(f, "\n  → {remedy}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Debug for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}: {self}", self.0.kind)
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.0.source.as_deref().map(|s| s as _)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn message_reads_place_what_cause_remedy() {
+        let cause = std::io::Error::from(std::io::ErrorKind::StorageFull);
+        let error = Error::io("cannot write the grasp", cause)
+            .at("grasp.json")
+            .at("/data/kitchen")
+            .remedy("free some space")
+            .remedy("a later remedy does not replace the first");
+        assert_eq!(error.kind(), ErrorKind::DiskFull);
+        assert_eq!(
+            error.to_string(),
+            "/data/kitchen: grasp.json: cannot write the grasp: no storage space\n  → free some space"
+        );
+    }
+
+    #[test]
+    fn exit_codes_follow_the_contract() {
+        for (kind, code) in [
+            (ErrorKind::Usage, 2),
+            (ErrorKind::Config, 2),
+            (ErrorKind::Partial, 3),
+            (ErrorKind::Check, 4),
+            (ErrorKind::Device, 69),
+            (ErrorKind::Stopped, 75),
+            (ErrorKind::Interrupted, 130),
+            (ErrorKind::Io, 1),
+        ] {
+            assert_eq!(kind.exit_code(), code, "{kind:?}");
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! gripcast: collect grasps with touch, predict before the lift whether they hold.
+//!
+//! # Units and frames
+//! SI units everywhere (m, kg, s, N, Pa, rad); a suffix names the unit where a number crosses a
+//! boundary. `t_a_b` maps coordinates of frame b into frame a. Colour order is RGB. Pixel (0,0)
+//! is the centre of the top-left pixel. Tactile difference = grasp − initial, signed.
+//!
+//! # Areas
+//! Imports only point down this list; a test holds every `use crate::…` against it.
+//!
+//! | layer | area | job |
+//! | --- | --- | --- |
+//! | 0 | [`error`], [`imaging`] | errors; frames, decoding, crops, differences |
+//! | 1 | [`dataset`] | the crash-safe dataset on disk |
+//! | 2 | [`predict`] | model contract, preprocessing, ONNX engine |
+//! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
+//! | 5 | [`app`] | command line, engine, operator's screen |
+
+#![deny(unsafe_code)]
+
+pub mod app;
+pub mod dataset;
+pub mod error;
+pub mod imaging;
+pub mod predict;
+pub mod rig;
+pub mod session;

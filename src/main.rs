@@ -1,0 +1,7 @@
+//! `gripcast`: see `gripcast --help`.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    gripcast::app::cli::main()
+}

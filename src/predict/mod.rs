@@ -1,0 +1,1 @@
+//! Stability prediction: model contract, preprocessing, ONNX engine.

@@ -1,0 +1,1 @@
+//! Discovery, identity and access rights of USB cameras.

@@ -1,0 +1,11 @@
+//! Everything that touches USB, V4L2 or HID, or pretends to.
+//!
+//! * [`camera`]: frame sources (V4L2, replay, virtual) and their supervision
+//! * [`device`]: discovery and identity of USB cameras, access rights
+//! * [`trigger`]: keyboard, pedal and script, all ending in the same session commands
+//! * [`calibration`]: rig files, intrinsics, factory read-out
+
+pub mod calibration;
+pub mod camera;
+pub mod device;
+pub mod trigger;

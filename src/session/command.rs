@@ -1,0 +1,173 @@
+//! What an operator can ask for, whichever way it arrives.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::dataset::Outcome;
+
+/// A session command; keyboard, pedal, script and API all end here.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// The next step of the cycle: initial, then grasp. Nothing while a label is awaited.
+    Trigger,
+    /// Take the initial frame (again).
+    Initial,
+    /// Take the grasp frame.
+    Grasp,
+    /// Label the last grasp.
+    Label(Outcome),
+    /// Take back the last step.
+    Undo,
+    /// Do again what was taken back.
+    Redo,
+    /// Repeat the refused command although a guard refused it; recorded in the grasp.
+    Override,
+    /// Name of the object from now on.
+    Object(String),
+    /// Name of the scene from now on.
+    Scene(String),
+    /// Name of the operator from now on.
+    Operator(String),
+    /// End the session.
+    Quit,
+}
+
+/// Where a command came from; stored with each frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CommandSource {
+    /// A key in the terminal.
+    Keyboard,
+    /// A HID pedal or presenter.
+    Pedal,
+    /// A script file.
+    Script,
+    /// Another program.
+    Remote,
+}
+
+impl CommandSource {
+    /// Name in `grasp.json`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Keyboard => "keyboard",
+            Self::Pedal => "pedal",
+            Self::Script => "script",
+            Self::Remote => "remote",
+        }
+    }
+}
+
+/// A text that is no command.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ParseCommandError {
+    /// The text.
+    pub text: String,
+}
+
+impl fmt::Display for ParseCommandError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "`{}` is no command; expected one of trigger, initial, grasp, stable, slip, unlabel, \
+             undo, redo, override, object NAME, scene NAME, operator NAME, quit",
+            self.text
+        )
+    }
+}
+
+impl std::error::Error for ParseCommandError {}
+
+impl FromStr for Command {
+    type Err = ParseCommandError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let text = text.trim();
+        let (word, rest) = text.split_once(char::is_whitespace).unwrap_or((text, ""));
+        let rest = rest.trim();
+        let error = || ParseCommandError {
+            text: text.to_owned(),
+        };
+        let named = |make: fn(String) -> Self| {
+            if rest.is_empty() {
+                Err(error())
+            } else {
+                Ok(make(rest.to_owned()))
+            }
+        };
+        let plain = match word {
+            "object" => return named(Self::Object),
+            "scene" => return named(Self::Scene),
+            "operator" => return named(Self::Operator),
+            "trigger" => Self::Trigger,
+            "initial" => Self::Initial,
+            "grasp" => Self::Grasp,
+            "stable" => Self::Label(Outcome::Stable),
+            "slip" => Self::Label(Outcome::Slip),
+            "unlabel" => Self::Label(Outcome::Unlabelled),
+            "undo" => Self::Undo,
+            "redo" => Self::Redo,
+            "override" => Self::Override,
+            "quit" => Self::Quit,
+            _ => return Err(error()),
+        };
+        if rest.is_empty() {
+            Ok(plain)
+        } else {
+            Err(error())
+        }
+    }
+}
+
+impl fmt::Display for Command {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Trigger => f.write_str("trigger"),
+            Self::Initial => f.write_str("initial"),
+            Self::Grasp => f.write_str("grasp"),
+            Self::Label(Outcome::Stable) => f.write_str("stable"),
+            Self::Label(Outcome::Slip) => f.write_str("slip"),
+            Self::Label(Outcome::Unlabelled) => f.write_str("unlabel"),
+            Self::Undo => f.write_str("undo"),
+            Self::Redo => f.write_str("redo"),
+            Self::Override => f.write_str("override"),
+            Self::Object(name) => write!(f, "object {name}"),
+            Self::Scene(name) => write!(f, "scene {name}"),
+            Self::Operator(name) => write!(f, "operator {name}"),
+            Self::Quit => f.write_str("quit"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_command_reads_back() {
+        for text in [
+            "trigger",
+            "initial",
+            "grasp",
+            "stable",
+            "slip",
+            "unlabel",
+            "undo",
+            "redo",
+            "override",
+            "object mug blue",
+            "scene lab",
+            "operator Ada",
+            "quit",
+        ] {
+            assert_eq!(text.parse::<Command>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn nonsense_is_refused() {
+        for text in ["", "object", "grasp now", "jump"] {
+            assert!(text.parse::<Command>().is_err(), "{text:?}");
+        }
+    }
+}
