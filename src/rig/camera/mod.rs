@@ -1,7 +1,15 @@
 //! Frame sources and their supervision.
 
+mod clock;
 mod source;
+mod stream_monitor;
+mod supervised;
 
+pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
+pub use stream_monitor::{
+    CameraCounters, FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy,
+};
+pub use supervised::{CameraEvent, run_camera};
