@@ -1,9 +1,11 @@
 //! The command line: one file a verb. stdout is data, stderr is for people.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
+use crate::app::config as settings;
 use crate::error::Result;
 
 mod bench;
@@ -38,6 +40,21 @@ pub(crate) struct Context {
     /// Say nothing but errors
     #[arg(short, long, global = true)]
     pub(crate) quiet: bool,
+}
+
+/// Which configuration file is read.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct ConfigFlag {
+    /// Configuration file [default: ./gripcast.toml or ~/.config/gripcast/config.toml]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+impl ConfigFlag {
+    /// The file, if there is one.
+    pub(crate) fn path(&self) -> Option<PathBuf> {
+        self.config.clone().or_else(settings::default_file)
+    }
 }
 
 #[derive(Debug, Subcommand)]

@@ -195,7 +195,10 @@ fn jpeg_defect(data: &[u8]) -> Option<String> {
     let mut in_scan = false;
     loop {
         if in_scan {
-            match data.get(at..).and_then(|rest| rest.iter().position(|byte| *byte == 0xFF)) {
+            match data
+                .get(at..)
+                .and_then(|rest| rest.iter().position(|byte| *byte == 0xFF))
+            {
                 Some(step) => at += step,
                 None => return ends_early(data.len()),
             }
@@ -238,8 +241,14 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     enum Act {
-        Frame { after_ms: u64, sequence: u32, shade: u8 },
-        Short { sequence: u32 },
+        Frame {
+            after_ms: u64,
+            sequence: u32,
+            shade: u8,
+        },
+        Short {
+            sequence: u32,
+        },
         Driver(CaptureError),
         Exposure(i64),
         Refuse,
@@ -432,10 +441,7 @@ mod tests {
             })
             .collect();
         assert_eq!(damaged.len(), 2);
-        assert_eq!(
-            damaged[0],
-            (3, "GREY 2×1 needs 2 bytes, got 1".to_owned())
-        );
+        assert_eq!(damaged[0], (3, "GREY 2×1 needs 2 bytes, got 1".to_owned()));
         let frames = events
             .iter()
             .filter(|event| matches!(event, CameraEvent::Frame(_)))
