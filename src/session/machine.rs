@@ -240,6 +240,12 @@ impl Session {
         self.summary
     }
 
+    /// The initial frame that waits for its grasp.
+    #[must_use]
+    pub fn pending(&self) -> Option<&PendingFrame> {
+        self.pending.as_ref()
+    }
+
     /// Names that go into the next grasp.
     #[must_use]
     pub fn labels(&self) -> &Labels {
@@ -413,7 +419,7 @@ impl Session {
 
     fn nothing(&mut self, why: &str) -> Vec<Effect> {
         self.say(MessageLevel::Info, why);
-        Vec::new()
+        vec![Effect::Tone(Tone::Refused)]
     }
 
     fn store(&mut self, in_flight: InFlight, request: StoreRequest) -> Vec<Effect> {

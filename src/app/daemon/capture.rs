@@ -63,10 +63,10 @@ impl CaptureThreads {
 }
 
 /// A named thread.
-pub(super) fn spawn(
+pub(super) fn spawn<T: Send + 'static>(
     name: String,
-    body: impl FnOnce() + Send + 'static,
-) -> Result<JoinHandle<()>> {
+    body: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>> {
     std::thread::Builder::new()
         .name(name.clone())
         .spawn(body)

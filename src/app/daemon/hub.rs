@@ -227,6 +227,20 @@ impl CameraSlot {
         self.lock().ring.back().map(|held| held.frame.driver_time_ns)
     }
 
+    /// Whether everything is ending.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.lock().closed
+    }
+
+    /// Waits, unless everything is ending.
+    pub fn wait_closed(&self, pause: Duration) {
+        // Only whether it ended matters, and the caller asks for that anyway.
+        let _ = self
+            .arrived
+            .wait_timeout_while(self.lock(), pause, |state| !state.closed);
+    }
+
     fn close(&self) {
         self.lock().closed = true;
         self.arrived.notify_all();
