@@ -73,7 +73,7 @@ fn tactile(c: &mut Criterion) {
 
 fn colour(c: &mut Criterion) {
     let data: Vec<u8> = (0..1280 * 720 * 2_usize)
-        .map(|i| (i * 37 >> 3) as u8)
+        .map(|i| ((i * 37) >> 3) as u8)
         .collect();
     let frame = frame(PixelFormat::Yuyv, 1280, 720, data);
     let mut decoder = Decoder::new().unwrap();

@@ -411,6 +411,7 @@ fn a_real_press_stands_out_of_the_noise() {
         };
         let contact = strength(130, 80, 80, 80);
         let noise = strength(0, 180, 80, 60);
+        println!("ball {press}: contact {contact:.1}, noise {noise:.2}");
         assert!(
             contact > 4.0 * noise,
             "ball {press}: contact {contact}, noise {noise}"
