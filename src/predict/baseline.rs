@@ -12,8 +12,7 @@
 //! the outcome of a lift.
 
 use super::contract::{
-    ANY_CROP, INPUT_SHAPE, InputName, InputSpec, ModelContract, OUTPUT, OUTPUT_SHAPE, Origin,
-    Variant,
+    INPUT_SHAPE, InputName, InputSpec, ModelContract, OUTPUT, OUTPUT_SHAPE, Origin, Variant,
 };
 use super::onnx::{Attribute, OnnxGraphBuilder, Value};
 use crate::error::Result;
@@ -58,7 +57,7 @@ pub fn contract() -> ModelContract {
             .to_vec(),
         threshold: 0.5,
         temperature: 1.0,
-        crop_profile: ANY_CROP.to_owned(),
+        crop_profile: None,
         card: CARD.to_owned(),
         other: [("gripcast.licence", "MIT OR Apache-2.0")]
             .map(|(key, value)| (key.to_owned(), value.to_owned()))
@@ -140,41 +139,22 @@ fn strength(
 
 #[cfg(test)]
 mod tests {
-    use image::{Rgb, RgbImage};
-    use rand::{RngExt as _, SeedableRng as _};
-    use rand_pcg::Pcg64Mcg;
+    use image::RgbImage;
 
     use super::*;
+    use crate::imaging::{TactileDifference, synthetic_gel};
     use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
     use crate::predict::{Model, ModelInput};
 
-    /// A grey gel with noise; `offset` grey levels brighter than at rest.
-    fn gel(seed: u64, noise: i32, offset: i32) -> RgbImage {
-        let mut random = Pcg64Mcg::seed_from_u64(seed);
-        RgbImage::from_fn(IMAGE_WIDTH, IMAGE_HEIGHT, |_, _| {
-            Rgb([110, 120, 130].map(|level: i32| {
-                let level = level + offset + random.random_range(-noise..=noise);
-                u8::try_from(level).unwrap()
-            }))
-        })
+    fn gel(seed: u64, contact: f32) -> RgbImage {
+        synthetic_gel(IMAGE_WIDTH, IMAGE_HEIGHT, seed, contact)
     }
 
-    /// A ball of `radius` pixels pressed into the gel: shaded red one way, green another.
-    fn pressed(mut gel: RgbImage, radius: f32, depth: f32) -> RgbImage {
-        for (x, y, pixel) in gel.enumerate_pixels_mut() {
-            let (dx, dy) = (x as f32 - 150.0, y as f32 - 118.0);
-            if dx.hypot(dy) < radius {
-                let shade = |slope: f32, level: u8| {
-                    (f32::from(level) + depth * slope / radius).clamp(0.0, 255.0) as u8
-                };
-                *pixel = Rgb([
-                    shade(dx, pixel[0]),
-                    shade(dy, pixel[1]),
-                    shade(-dx - dy, pixel[2]),
-                ]);
-            }
+    fn brighter(mut picture: RgbImage, levels: i16) -> RgbImage {
+        for level in picture.iter_mut() {
+            *level = (i16::from(*level) + levels).clamp(0, 255) as u8;
         }
-        gel
+        picture
     }
 
     fn p_stable(left: &RgbImage, right: &RgbImage) -> f64 {
@@ -184,7 +164,8 @@ mod tests {
             (InputName::TactileLeft, left, 1),
             (InputName::TactileRight, right, 2),
         ] {
-            input.set_tactile(name, &gel(seed, 4, 0), grasp).unwrap();
+            let difference = TactileDifference::between(&gel(seed, 0.0), grasp).unwrap();
+            input.set_tactile(name, &difference).unwrap();
         }
         model.predict(&input).unwrap().p_stable
     }
@@ -222,39 +203,36 @@ mod tests {
 
     #[test]
     fn noise_alone_is_no_contact() {
-        let p = p_stable(&gel(3, 4, 0), &gel(4, 4, 0));
+        let p = p_stable(&gel(3, 0.0), &gel(4, 0.0));
         assert!(p < 0.06, "{p}");
     }
 
     #[test]
     fn an_even_change_of_brightness_is_no_contact() {
-        let p = p_stable(&gel(3, 4, 12), &gel(4, 4, -12));
+        let p = p_stable(&brighter(gel(3, 0.0), 12), &brighter(gel(4, 0.0), -12));
         assert!(p < 0.06, "{p}");
     }
 
     #[test]
     fn contact_on_both_sides_is_stable() {
-        let press = |seed| pressed(gel(seed, 4, 0), 40.0, 45.0);
-        let p = p_stable(&press(3), &press(4));
+        let p = p_stable(&gel(3, 0.6), &gel(4, 0.6));
         assert!(p > 0.6, "{p}");
     }
 
     #[test]
     fn contact_on_one_side_is_below_the_threshold() {
-        let press = |seed| pressed(gel(seed, 4, 0), 90.0, 80.0);
-        for (left, right) in [(press(3), gel(4, 4, 0)), (gel(3, 4, 0), press(4))] {
-            let p = p_stable(&left, &right);
+        for (left, right) in [(1.0, 0.0), (0.0, 1.0)] {
+            let p = p_stable(&gel(3, left), &gel(4, right));
             assert!(p < contract().threshold / 2.0, "{p}");
         }
     }
 
     #[test]
     fn a_stronger_contact_is_never_worse() {
-        let press = |seed, depth| pressed(gel(seed, 4, 0), 40.0, depth);
         let mut last = 0.0;
-        for depth in [0.0, 15.0, 30.0, 60.0] {
-            let p = p_stable(&press(3, depth), &press(4, depth));
-            assert!(p >= last, "{depth}: {p} after {last}");
+        for contact in [0.0, 0.1, 0.3, 0.6, 1.0] {
+            let p = p_stable(&gel(3, contact), &gel(4, contact));
+            assert!(p >= last, "{contact}: {p} after {last}");
             last = p;
         }
     }

@@ -31,6 +31,7 @@ use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
 
 use super::onnx::OnnxGraphBuilder;
 use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::CropProfile;
 
 /// Version of the contract that this build reads and writes.
 pub const SCHEMA: u32 = 1;
@@ -44,13 +45,11 @@ pub const INPUT_SHAPE: [i64; 4] = [1, 3, IMAGE_HEIGHT as i64, IMAGE_WIDTH as i64
 pub const OUTPUT: &str = "p_stable";
 /// Shape of the output.
 pub const OUTPUT_SHAPE: [i64; 2] = [1, 1];
-/// Crop profile of a model that does not depend on the crop.
-pub const ANY_CROP: &str = "any";
-/// Crop profiles that a model can ask for.
-pub const CROP_PROFILES: [&str; 2] = ["full-v1", "gsmini-seventh-v1"];
 
 /// Operator sets that the engine implements.
 const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
+/// Crop profile of a model that does not depend on the crop.
+const ANY_CROP: &str = "any";
 const NONE: &str = "none";
 const HOW_TO_EXPORT: &str = "export the model again with gripcast's contract, see models/README.md";
 
@@ -214,7 +213,7 @@ impl InputSpec {
             mean: Some(normalisation.mean),
             std: Some(normalisation.std),
             resize: Some("bilinear-antialias".to_owned()),
-            crop: Some("full-v1".to_owned()),
+            crop: Some(CropProfile::FULL.name().to_owned()),
             ..Self::tactile(InputName::Rgb)
         }
     }
@@ -280,7 +279,8 @@ pub struct RgbNormalisation {
 
 impl RgbNormalisation {
     fn is_usable(&self) -> bool {
-        self.mean.iter().all(|x| x.is_finite()) && self.std.iter().all(|&x| x > 0.0 && x.is_finite())
+        self.mean.iter().all(|x| x.is_finite())
+            && self.std.iter().all(|&x| x > 0.0 && x.is_finite())
     }
 }
 
@@ -299,8 +299,8 @@ pub struct ModelContract {
     pub threshold: f64,
     /// Calibration temperature, already part of the graph.
     pub temperature: f64,
-    /// Crop of the tactile pictures, or [`ANY_CROP`].
-    pub crop_profile: String,
+    /// Crop of the tactile pictures; `None` where the model does not depend on it.
+    pub crop_profile: Option<CropProfile>,
     /// Markdown: intended use, data, limits, licence.
     pub card: String,
     /// Other `gripcast.*` metadata.
@@ -313,9 +313,12 @@ impl ModelContract {
     /// # Errors
     /// When a key is missing or wrong, or the graph does not keep what the contract promises.
     pub fn of(model: &ModelProto) -> Result<Self> {
-        let contract = Self::from_metadata(model)?;
-        contract.check_graph(model)?;
-        Ok(contract)
+        let read = || {
+            let contract = Self::from_metadata(model)?;
+            contract.check_graph(model)?;
+            Ok(contract)
+        };
+        read().map_err(|error: Error| error.remedy(HOW_TO_EXPORT))
     }
 
     /// Writes the contract into a graph that is being built.
@@ -345,7 +348,7 @@ impl ModelContract {
         graph.metadata("gripcast.output", OUTPUT);
         graph.metadata("gripcast.threshold", self.threshold.to_string());
         graph.metadata("gripcast.temperature", self.temperature.to_string());
-        graph.metadata("gripcast.crop_profile", &self.crop_profile);
+        graph.metadata("gripcast.crop_profile", self.crop_profile_name());
         graph.metadata("gripcast.seed", seed);
         graph.metadata("gripcast.train.manifest_sha256", manifest);
         graph.metadata("gripcast.card", &self.card);
@@ -369,18 +372,25 @@ impl ModelContract {
     /// # Errors
     /// When the profiles differ.
     pub fn check_crop_profile(&self, rig_profile: &str) -> Result<()> {
-        if self.crop_profile == ANY_CROP || self.crop_profile == rig_profile {
-            return Ok(());
-        }
+        let wanted = match self.crop_profile {
+            Some(profile) if profile.name() != rig_profile => profile,
+            _ => return Ok(()),
+        };
         Err(refusal(format!(
-            "the model `{}` was made for the crop profile `{}`, the rig crops with `{rig_profile}`",
-            self.name, self.crop_profile
+            "the model `{}` was made for the crop profile `{wanted}`, the tactile pictures are \
+             cropped with `{rig_profile}`",
+            self.name
         ))
         .remedy(format!(
-            "set `crop_profile = \"{}\"` for the tactile cameras in the rig file, or use a model \
-             that was made for `{rig_profile}`",
-            self.crop_profile
+            "crop with `{wanted}` (`crop_profile` of the tactile cameras in the rig file), or use \
+             a model that was made for `{rig_profile}`"
         )))
+    }
+
+    /// Name of the crop profile, or `any`.
+    #[must_use]
+    pub fn crop_profile_name(&self) -> &'static str {
+        self.crop_profile.map_or(ANY_CROP, |profile| profile.name())
     }
 
     fn from_metadata(model: &ModelProto) -> Result<Self> {
@@ -442,7 +452,7 @@ impl ModelContract {
             inputs,
             threshold: metadata.parse("gripcast.threshold", "a number")?,
             temperature: metadata.parse("gripcast.temperature", "a number")?,
-            crop_profile: metadata.take("gripcast.crop_profile")?,
+            crop_profile: metadata.crop_profile()?,
             card: metadata.take("gripcast.card")?,
             other: metadata.rest(),
         };
@@ -477,7 +487,13 @@ impl ModelContract {
                  `{manifest_sha256}`"
             )));
         }
-        self.check_own_crop_profile()?;
+        if self.crop_profile.is_none() && !self.is_heuristic() && self.variant != Variant::V {
+            // What a network learned depends on the crop, whether or not its author knows.
+            return Err(refusal(format!(
+                "`gripcast.crop_profile`: a trained model with touch must name its crop profile, \
+                 found `{ANY_CROP}`"
+            )));
+        }
         let mut named: Vec<_> = self.inputs.iter().map(|input| input.name).collect();
         named.sort_unstable();
         if named != self.variant.inputs() {
@@ -489,27 +505,6 @@ impl ModelContract {
             )));
         }
         self.inputs.iter().try_for_each(InputSpec::check)
-    }
-
-    fn check_own_crop_profile(&self) -> Result<()> {
-        if self.crop_profile == ANY_CROP {
-            // What a network learned depends on the crop, whether or not its author knows.
-            if self.is_heuristic() || self.variant == Variant::V {
-                return Ok(());
-            }
-            return Err(refusal(format!(
-                "`gripcast.crop_profile`: a trained model with touch must name its crop profile, \
-                 found `{ANY_CROP}`"
-            )));
-        }
-        if CROP_PROFILES.contains(&self.crop_profile.as_str()) {
-            return Ok(());
-        }
-        Err(refusal(format!(
-            "`gripcast.crop_profile`: expected {}, found `{}`",
-            list(&CROP_PROFILES),
-            self.crop_profile
-        )))
     }
 
     fn check_graph(&self, model: &ModelProto) -> Result<()> {
@@ -583,7 +578,11 @@ fn check_operator_sets(model: &ModelProto) -> Result<()> {
 
 fn check_constants(graph: &GraphProto) -> Result<()> {
     let external = Some(DataLocation::External as i32);
-    match graph.initializer.iter().find(|t| t.data_location == external) {
+    match graph
+        .initializer
+        .iter()
+        .find(|t| t.data_location == external)
+    {
         None => Ok(()),
         Some(tensor) => Err(refusal(format!(
             "the weights `{}` are in another file; a gripcast model is one file",
@@ -616,10 +615,9 @@ fn check_tensor(role: &str, value: &ValueInfoProto, expected: &[i64]) -> Result<
             None => "?".to_owned(),
         })
         .collect();
-    if found.iter().eq(&expected
+    if found
         .iter()
-        .map(ToString::to_string)
-        .collect::<Vec<_>>())
+        .eq(&expected.iter().map(ToString::to_string).collect::<Vec<_>>())
     {
         return Ok(());
     }
@@ -664,6 +662,17 @@ impl Metadata {
         text.trim()
             .parse()
             .map_err(|_| refusal(format!("`{key}`: expected {expected}, found `{text}`")))
+    }
+
+    fn crop_profile(&mut self) -> Result<Option<CropProfile>> {
+        let name = self.take("gripcast.crop_profile")?;
+        if name == ANY_CROP {
+            return Ok(None);
+        }
+        CropProfile::by_name(&name).map(Some).map_err(|unknown| {
+            let error = refusal(format!("`gripcast.crop_profile`: {}", unknown.what()));
+            error.remedy(unknown.remedy_text().unwrap_or(HOW_TO_EXPORT))
+        })
     }
 
     fn rest(self) -> BTreeMap<String, String> {

@@ -6,9 +6,10 @@ use image::RgbImage;
 use tract_onnx::prelude::{TValue, Tensor};
 
 use super::contract::{
-    IMAGE_HEIGHT, IMAGE_WIDTH, InputName, ModelContract, RgbNormalisation, Variant,
+    IMAGE_HEIGHT, IMAGE_WIDTH, InputName, InputSpec, ModelContract, RgbNormalisation,
 };
 use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::TactileDifference;
 
 const PIXELS: usize = IMAGE_WIDTH as usize * IMAGE_HEIGHT as usize;
 
@@ -36,26 +37,20 @@ impl ModelInput {
                 .collect::<Result<_>>()?,
             normalisation: contract
                 .input(InputName::Rgb)
-                .and_then(super::contract::InputSpec::normalisation),
+                .and_then(InputSpec::normalisation),
         })
     }
 
     /// Writes a tactile difference, (grasp − initial) / 255. A model without touch ignores it.
     ///
     /// # Errors
-    /// When a picture is not 320×240.
-    pub fn set_tactile(
-        &mut self,
-        name: InputName,
-        initial: &RgbImage,
-        grasp: &RgbImage,
-    ) -> Result<()> {
-        check_size(name, "initial picture", initial)?;
-        check_size(name, "grasp picture", grasp)?;
-        if let Some(tensor) = self.tensor_mut(name) {
-            tensor.write(|planes| write_difference(initial.as_raw(), grasp.as_raw(), planes))?;
+    /// When the pictures were not 320×240.
+    pub fn set_tactile(&mut self, name: InputName, difference: &TactileDifference) -> Result<()> {
+        check_size(name, difference.width(), difference.height())?;
+        match self.tensor_mut(name) {
+            Some(tensor) => tensor.write(|planes| difference.write_chw(planes)),
+            None => Ok(()),
         }
-        Ok(())
     }
 
     /// Writes the colour picture, (x / 255 − mean) / std. A model without vision ignores it.
@@ -63,27 +58,19 @@ impl ModelInput {
     /// # Errors
     /// When the picture is not 320×240.
     pub fn set_rgb(&mut self, picture: &RgbImage) -> Result<()> {
-        check_size(InputName::Rgb, "picture", picture)?;
-        let Some(normalisation) = self.normalisation else {
-            return Ok(());
-        };
-        if let Some(tensor) = self.tensor_mut(InputName::Rgb) {
-            tensor.write(|planes| write_normalised(picture.as_raw(), normalisation, planes))?;
+        check_size(InputName::Rgb, picture.width(), picture.height())?;
+        match (self.normalisation, self.tensor_mut(InputName::Rgb)) {
+            (Some(normalisation), Some(tensor)) => tensor.write(|planes| {
+                write_normalised(picture.as_raw(), normalisation, planes);
+                Ok(())
+            }),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// Values of an input, 3·240·320 of them; `None` where the model does not use it.
     pub fn values(&self, name: InputName) -> Option<&[f32]> {
         self.tensor(name)?.values()
-    }
-
-    /// The senses these tensors serve.
-    pub fn serves(&self, variant: Variant) -> bool {
-        self.planes
-            .iter()
-            .map(|(name, _)| *name)
-            .eq(variant.inputs().iter().copied())
     }
 
     pub(super) fn tensor(&self, name: InputName) -> Option<&InputTensor> {
@@ -119,11 +106,10 @@ impl InputTensor {
     }
 
     /// Writes the memory; copied first if the engine still holds it.
-    fn write(&mut self, fill: impl FnOnce(&mut [f32])) -> Result<()> {
+    fn write(&mut self, fill: impl FnOnce(&mut [f32]) -> Result<()>) -> Result<()> {
         let tensor = Arc::make_mut(&mut self.0);
         let mut view = tensor.try_as_plain_ram_mut().map_err(defect)?;
-        fill(view.as_slice_mut().map_err(defect)?);
-        Ok(())
+        fill(view.as_slice_mut().map_err(defect)?)
     }
 }
 
@@ -134,37 +120,18 @@ fn defect(cause: impl std::fmt::Display) -> Error {
     )
 }
 
-fn check_size(name: InputName, what: &str, picture: &RgbImage) -> Result<()> {
-    let (width, height) = picture.dimensions();
+fn check_size(name: InputName, width: u32, height: u32) -> Result<()> {
     if (width, height) == (IMAGE_WIDTH, IMAGE_HEIGHT) {
         return Ok(());
     }
     Err(Error::new(
         ErrorKind::Input,
         format!(
-            "{what} of `{name}`: expected {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
+            "picture for `{name}`: expected {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
              {width}×{height}"
         ),
     )
     .remedy("crop and resize the picture with the model's crop profile first"))
-}
-
-/// Interleaved 8-bit RGB → planes.
-fn write_difference(initial: &[u8], grasp: &[u8], planes: &mut [f32]) {
-    let (red, rest) = planes.split_at_mut(PIXELS);
-    let (green, blue) = rest.split_at_mut(PIXELS);
-    let pairs = initial.as_chunks::<3>().0.iter().zip(grasp.as_chunks().0);
-    let planes = red.iter_mut().zip(green).zip(blue);
-    for ((before, after), ((r, g), b)) in pairs.zip(planes) {
-        let after: &[u8; 3] = after;
-        *r = scaled_difference(before[0], after[0]);
-        *g = scaled_difference(before[1], after[1]);
-        *b = scaled_difference(before[2], after[2]);
-    }
-}
-
-fn scaled_difference(before: u8, after: u8) -> f32 {
-    f32::from(i16::from(after) - i16::from(before)) / 255.0
 }
 
 /// Interleaved 8-bit RGB → standardised planes.
@@ -184,7 +151,7 @@ mod tests {
 
     use super::*;
     use crate::predict::baseline;
-    use crate::predict::contract::InputSpec;
+    use crate::predict::contract::Variant;
 
     fn picture(colour: [u8; 3]) -> RgbImage {
         RgbImage::from_pixel(IMAGE_WIDTH, IMAGE_HEIGHT, Rgb(colour))
@@ -208,8 +175,9 @@ mod tests {
         initial.put_pixel(7, 3, Rgb([0, 255, 10]));
         grasp.put_pixel(7, 3, Rgb([255, 0, 61]));
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
+        let difference = TactileDifference::between(&initial, &grasp).unwrap();
         input
-            .set_tactile(InputName::TactileRight, &initial, &grasp)
+            .set_tactile(InputName::TactileRight, &difference)
             .unwrap();
         let values = input.values(InputName::TactileRight).unwrap();
         let at = 3 * IMAGE_WIDTH as usize + 7;
@@ -219,16 +187,6 @@ mod tests {
         assert_eq!(values.iter().filter(|&&v| v != 0.0).count(), 3);
         let left = input.values(InputName::TactileLeft).unwrap();
         assert!(left.iter().all(|&v| v == 0.0), "the other sensor stays");
-    }
-
-    #[test]
-    fn every_difference_is_exact() {
-        for before in 0..=255_u8 {
-            for after in 0..=255_u8 {
-                let expected = (f32::from(after) - f32::from(before)) / 255.0;
-                assert_eq!(scaled_difference(before, after), expected);
-            }
-        }
     }
 
     #[test]
@@ -249,17 +207,18 @@ mod tests {
     #[test]
     fn pictures_of_another_size_are_refused() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
-        let small = RgbImage::new(240, 320);
-        let right = picture([0; 3]);
+        let turned = RgbImage::new(240, 320);
+        let difference = TactileDifference::between(&turned, &turned).unwrap();
         let error = input
-            .set_tactile(InputName::TactileLeft, &right, &small)
+            .set_tactile(InputName::TactileLeft, &difference)
             .unwrap_err();
         assert!(
             error
                 .to_string()
-                .contains("grasp picture of `tactile_left`: expected 320×240 pixels, found 240×320"),
+                .contains("`tactile_left`: expected 320×240 pixels, found 240×320"),
             "{error}"
         );
+        assert!(input.set_rgb(&turned).is_err());
     }
 
     #[test]
@@ -273,8 +232,9 @@ mod tests {
     fn memory_held_by_the_engine_is_not_written() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
         let held = input.tensor(InputName::TactileLeft).unwrap().share();
+        let difference = TactileDifference::between(&picture([0; 3]), &picture([255; 3]));
         input
-            .set_tactile(InputName::TactileLeft, &picture([0; 3]), &picture([255; 3]))
+            .set_tactile(InputName::TactileLeft, &difference.unwrap())
             .unwrap();
         let held = held.try_as_plain_ram().unwrap();
         assert!(held.as_slice::<f32>().unwrap().iter().all(|&v| v == 0.0));

@@ -8,7 +8,7 @@ use super::contract::{InputName, Variant};
 use super::engine::Model;
 use super::input::ModelInput;
 use crate::error::Result;
-use crate::imaging::Role;
+use crate::imaging::{Role, TactileDifference};
 
 /// Holds the model, the initial pictures and the newest picture of each role.
 ///
@@ -149,7 +149,8 @@ impl LivePredictor {
             if let (true, Some(initial), Some(picture)) =
                 (uses.contains(&name), &tactile.initial, &tactile.newest)
             {
-                self.input.set_tactile(name, initial, &picture.image)?;
+                let difference = TactileDifference::between(initial, &picture.image)?;
+                self.input.set_tactile(name, &difference)?;
                 used(picture);
             }
         }
@@ -218,7 +219,10 @@ mod tests {
         assert_eq!((closed.newest_frame_ns, closed.oldest_frame_ns), (80, 70));
         live.set_initial(picture(60), picture(60));
         let again = live.predict().unwrap().unwrap();
-        assert_eq!(again.p_stable, open.p_stable, "difference to the new initial");
+        assert_eq!(
+            again.p_stable, open.p_stable,
+            "difference to the new initial"
+        );
         live.forget(Role::Right);
         assert!(live.predict().is_none());
     }
@@ -230,7 +234,7 @@ mod tests {
         live.update(Role::Left, picture(0), 1);
         live.update(Role::Right, RgbImage::new(640, 480), 2);
         let error = live.predict().unwrap().unwrap_err();
-        assert!(error.to_string().contains("found 640×480"), "{error}");
+        assert!(error.to_string().contains("640×480"), "{error}");
     }
 
     #[test]

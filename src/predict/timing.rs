@@ -9,6 +9,7 @@ use super::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName};
 use super::engine::Model;
 use super::input::ModelInput;
 use crate::error::Result;
+use crate::imaging::TactileDifference;
 
 /// Loads per measurement; a load is far slower than a prediction.
 const LOADS: usize = 5;
@@ -50,7 +51,10 @@ pub fn measure(model: &[u8], runs: usize) -> Result<PredictFigures> {
         for &name in model.contract().variant.inputs() {
             match name {
                 InputName::Rgb => input.set_rgb(&grasp)?,
-                tactile => input.set_tactile(tactile, &initial, &grasp)?,
+                tactile => {
+                    let difference = TactileDifference::between(&initial, &grasp)?;
+                    input.set_tactile(tactile, &difference)?;
+                }
             }
         }
         let preprocess_ms = started.elapsed().as_secs_f64() * 1e3;

@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 use crate::error::Result;
 
 mod bench;
+mod bench_predict;
 mod collect;
 mod completions;
 mod config;

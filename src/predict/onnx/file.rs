@@ -116,7 +116,10 @@ fn recognise(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
         Some(("an HDF5 file", EXPORT))
     } else if starts(&[0x1f, 0x8b]) {
         Some(("a gzip archive", "unpack it first"))
-    } else if bytes.iter().all(|b| b.is_ascii_graphic() || b.is_ascii_whitespace()) {
+    } else if bytes
+        .iter()
+        .all(|b| b.is_ascii_graphic() || b.is_ascii_whitespace())
+    {
         Some(("a text file", NAME))
     } else {
         None
