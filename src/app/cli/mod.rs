@@ -9,6 +9,7 @@ use crate::app::config as settings;
 use crate::error::Result;
 
 mod bench;
+mod bench_predict;
 mod collect;
 mod completions;
 mod config;
