@@ -4,4 +4,4 @@
 
 mod frame;
 
-pub use frame::{Frame, FrameBytes, PixelFormat, Role};
+pub use frame::{Frame, FrameBytes, FramePool, PixelFormat, Role};

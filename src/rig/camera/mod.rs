@@ -1,7 +1,22 @@
 //! Frame sources and their supervision.
 
 mod source;
+mod v4l2;
+mod v4l2_controls;
+#[cfg(test)]
+mod v4l2_fake;
+mod v4l2_ioctl;
+mod v4l2_node;
 
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
+};
+pub use v4l2::{V4l2Opener, V4l2Source};
+pub(crate) use v4l2_controls::CONTROLS;
+#[cfg(test)]
+pub(crate) use v4l2_fake::FakeNodes;
+pub use v4l2_ioctl::KernelNodes;
+pub use v4l2_node::{
+    Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
+    VideoNode, VideoNodes,
 };
