@@ -14,7 +14,7 @@ pub use source::{
 pub use v4l2::{V4l2Opener, V4l2Source};
 pub(crate) use v4l2_controls::CONTROLS;
 #[cfg(test)]
-pub(crate) use v4l2_fake::FakeNodes;
+pub(crate) use v4l2_fake::{Camera as FakeCamera, FakeNodes};
 pub use v4l2_ioctl::KernelNodes;
 pub use v4l2_node::{
     Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,

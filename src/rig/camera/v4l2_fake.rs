@@ -82,6 +82,32 @@ impl Default for Camera {
     }
 }
 
+impl Camera {
+    /// A node that carries metadata instead of pictures.
+    pub(crate) fn metadata() -> Self {
+        Self {
+            video_capture: false,
+            ..Self::default()
+        }
+    }
+
+    /// A camera with these modes: format, width, height, rates in 1/s.
+    pub(crate) fn with_modes(modes: &[([u8; 4], u32, u32, Vec<u32>)]) -> Self {
+        Self {
+            modes: modes.to_vec(),
+            ..Self::default()
+        }
+    }
+
+    /// A camera with one small raw mode and these events on its queue.
+    pub(crate) fn yuyv_4x2(events: impl IntoIterator<Item = Event>) -> Self {
+        Self {
+            events: events.into_iter().collect(),
+            ..Self::with_modes(&[(*b"YUYV", 4, 2, vec![25])])
+        }
+    }
+}
+
 /// Fake nodes by path.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct FakeNodes(Arc<Mutex<BTreeMap<PathBuf, Arc<Mutex<Camera>>>>>);

@@ -7,6 +7,10 @@ mod bandwidth;
 mod binding;
 mod discovery;
 mod sysfs;
+#[cfg(test)]
+pub(crate) mod sysfs_tree;
+#[cfg(test)]
+mod tests;
 
 pub use access::{NodeOwner, open_error, udev_rule};
 pub use bandwidth::{crowded_buses, no_bandwidth_error};
