@@ -20,7 +20,7 @@ pub use crop::{CropProfile, CropWindow};
 pub use damage::FrameDamage;
 pub use decode::{Decoder, check_structure};
 pub use difference::TactileDifference;
-pub use frame::{Frame, FrameBytes, PixelFormat, Role};
+pub use frame::{Frame, FrameBytes, FramePool, PixelFormat, Role};
 pub use gel_pattern::{GelContact, gel_picture, synthetic_gel};
 pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};
 pub use png::{

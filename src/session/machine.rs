@@ -32,8 +32,8 @@ pub struct PendingFrame {
     pub controls: BTreeMap<Role, BTreeMap<String, i64>>,
 }
 
-/// A label counter's key: object and outcome.
-pub type OutcomeCounts = BTreeMap<(String, Outcome), usize>;
+/// Grasps by object and outcome.
+pub type OutcomeCounts = BTreeMap<String, BTreeMap<Outcome, usize>>;
 
 /// What the engine has to do.
 #[derive(Clone, Debug, PartialEq)]
@@ -393,19 +393,15 @@ impl Session {
 
     fn counts(&self) -> Counts {
         let mut counts = Counts::default();
-        for ((object, outcome), n) in &self.counts {
-            let here = *object == self.labels.object;
-            match outcome {
-                Outcome::Stable => {
-                    counts.stable += n;
-                    counts.object_stable += if here { *n } else { 0 };
-                }
-                Outcome::Slip => {
-                    counts.slip += n;
-                    counts.object_slip += if here { *n } else { 0 };
-                }
-                Outcome::Unlabelled => counts.unlabelled += n,
-            }
+        let of = |object: &BTreeMap<Outcome, usize>, outcome| object.get(&outcome).copied();
+        for object in self.counts.values() {
+            counts.stable += of(object, Outcome::Stable).unwrap_or(0);
+            counts.slip += of(object, Outcome::Slip).unwrap_or(0);
+            counts.unlabelled += of(object, Outcome::Unlabelled).unwrap_or(0);
+        }
+        if let Some(here) = self.counts.get(&self.labels.object) {
+            counts.object_stable = of(here, Outcome::Stable).unwrap_or(0);
+            counts.object_slip = of(here, Outcome::Slip).unwrap_or(0);
         }
         counts
     }
@@ -579,7 +575,8 @@ impl Session {
     }
 
     fn count(&mut self, object: &str, outcome: Outcome, by: isize) {
-        let n = self.counts.entry((object.to_owned(), outcome)).or_default();
+        let object = self.counts.entry(object.to_owned()).or_default();
+        let n = object.entry(outcome).or_default();
         *n = n.saturating_add_signed(by);
     }
 

@@ -47,7 +47,9 @@ impl CaptureThreads {
                     &mut |event| take_in(&slot, event),
                 );
             };
-            capture.threads.push(spawn(format!("capture-{role}"), body)?);
+            capture
+                .threads
+                .push(spawn(format!("capture-{role}"), body)?);
         }
         Ok(capture)
     }

@@ -236,11 +236,7 @@ impl Engine {
         let hub = Hub::new(setup.rig.cameras.keys().copied());
         let (infer_requests, infer_inbox) = channel();
         let decoders = decode::start(&hub, |role| crops.get(&role).copied(), &infer_requests)?;
-        let inference = Inference::start(
-            &hub,
-            setup.model,
-            (infer_requests.clone(), infer_inbox),
-        )?;
+        let inference = Inference::start(&hub, setup.model, (infer_requests.clone(), infer_inbox))?;
         let context = StoreContext {
             rig: setup.rig.id.clone(),
             calibration,
@@ -368,7 +364,10 @@ impl Engine {
     fn touched(&self) -> bool {
         let findings = self.inference.findings();
         let limit = self.guards.min_contact_fraction;
-        findings.contact.values().any(|c| c.changed_fraction >= limit)
+        findings
+            .contact
+            .values()
+            .any(|c| c.changed_fraction >= limit)
     }
 
     /// A fault tone for every camera that falls out.
@@ -536,7 +535,9 @@ impl Engine {
             .filter(|slot| slot.facts(|facts| usable(&facts.health)))
             .map(|slot| {
                 let frames = slot.frames().into_iter();
-                let sound = frames.filter(|(_, s)| *s == Soundness::Sound).map(|(f, _)| f);
+                let sound = frames
+                    .filter(|(_, s)| *s == Soundness::Sound)
+                    .map(|(f, _)| f);
                 (slot.role(), sound.collect::<Vec<_>>())
             })
             .filter(|(_, frames)| !frames.is_empty())
@@ -552,10 +553,7 @@ impl Engine {
             .slots()
             .map(|slot| {
                 let role = slot.role();
-                let age_ms = paired
-                    .frames
-                    .get(&role)
-                    .map(|frame| age_ms(frame, now_ns));
+                let age_ms = paired.frames.get(&role).map(|frame| age_ms(frame, now_ns));
                 let (fault, controls) =
                     slot.facts(|facts| (fault_text(&facts.health, now_ns), facts.controls.clone()));
                 CameraCondition {
@@ -578,12 +576,7 @@ impl Engine {
         }
     }
 
-    fn stage_capture(
-        &self,
-        paired: Paired,
-        now_ns: u64,
-        source: CommandSource,
-    ) -> StageCapture {
+    fn stage_capture(&self, paired: Paired, now_ns: u64, source: CommandSource) -> StageCapture {
         let cameras = paired
             .frames
             .into_iter()
@@ -728,10 +721,7 @@ fn crop_profiles(rig: &RigFile) -> Result<BTreeMap<Role, CropProfile>> {
         .collect()
 }
 
-fn store_calibration(
-    writer: &mut DatasetWriter,
-    rig: &RigFile,
-) -> Result<BTreeMap<Role, String>> {
+fn store_calibration(writer: &mut DatasetWriter, rig: &RigFile) -> Result<BTreeMap<Role, String>> {
     rig.cameras
         .iter()
         .map(|(role, camera)| {

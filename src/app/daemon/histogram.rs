@@ -68,7 +68,10 @@ mod tests {
         }
         let p50 = histogram.quantile_ms(0.5).unwrap();
         let p99 = histogram.quantile_ms(0.99).unwrap();
-        assert!((50.0..=50.25).contains(&p50) && (99.0..=99.25).contains(&p99), "{p50} {p99}");
+        assert!(
+            (50.0..=50.25).contains(&p50) && (99.0..=99.25).contains(&p99),
+            "{p50} {p99}"
+        );
         assert!((histogram.quantile_ms(1.0).unwrap() - 100.0).abs() < 1e-12);
     }
 

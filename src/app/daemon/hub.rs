@@ -224,7 +224,10 @@ impl CameraSlot {
     /// Driver time of the newest frame, ns.
     #[must_use]
     pub fn newest_time_ns(&self) -> Option<u64> {
-        self.lock().ring.back().map(|held| held.frame.driver_time_ns)
+        self.lock()
+            .ring
+            .back()
+            .map(|held| held.frame.driver_time_ns)
     }
 
     /// Whether everything is ending.

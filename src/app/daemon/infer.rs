@@ -295,8 +295,7 @@ impl Worker {
                 findings.absent = Some(error.what().to_owned());
             }
             Some(Ok(prediction)) => {
-                let latency_ms =
-                    now_ns.saturating_sub(prediction.newest_frame_ns) as f64 * 1e-6;
+                let latency_ms = now_ns.saturating_sub(prediction.newest_frame_ns) as f64 * 1e-6;
                 findings.latency.add(latency_ms);
                 findings.predictions += 1;
                 findings.absent = None;

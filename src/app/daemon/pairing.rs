@@ -34,7 +34,9 @@ pub fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64, max_age_ns: u64) -> 
     let frames: BTreeMap<Role, Frame> = good
         .iter()
         .filter_map(|(role, frames)| {
-            let nearest = frames.iter().min_by_key(|f| f.driver_time_ns.abs_diff(target))?;
+            let nearest = frames
+                .iter()
+                .min_by_key(|f| f.driver_time_ns.abs_diff(target))?;
             Some((*role, nearest.clone()))
         })
         .collect();
@@ -82,8 +84,10 @@ mod tests {
         let left: &[u64] = &[0, 40, 80, 120, 160];
         let right: &[u64] = &[15, 55, 95, 135, 175];
         let rgb: &[u64] = &[33, 66, 100, 133, 166, 199];
-        let (times, skew) =
-            paired_ms(&[(Role::Left, left), (Role::Right, right), (Role::Rgb, rgb)], 205);
+        let (times, skew) = paired_ms(
+            &[(Role::Left, left), (Role::Right, right), (Role::Rgb, rgb)],
+            205,
+        );
         assert_eq!(times, [160, 175, 166]);
         assert!(skew <= 20.0);
     }

@@ -105,9 +105,12 @@ impl Store {
     pub(super) fn stop(self) -> Result<()> {
         // Fails only when the thread has ended, which join tells.
         let _ = self.messages.send(StoreMessage::Stop);
-        self.thread
-            .join()
-            .unwrap_or_else(|_| Err(Error::new(ErrorKind::Internal, "the writing thread panicked")))
+        self.thread.join().unwrap_or_else(|_| {
+            Err(Error::new(
+                ErrorKind::Internal,
+                "the writing thread panicked",
+            ))
+        })
     }
 }
 
@@ -213,7 +216,10 @@ impl Worker {
 
     fn pending(&self, id: &GraspId) -> Result<PendingInitial> {
         self.pending.get(id).cloned().ok_or_else(|| {
-            Error::new(ErrorKind::Internal, format!("no initial frame {id} is pending"))
+            Error::new(
+                ErrorKind::Internal,
+                format!("no initial frame {id} is pending"),
+            )
         })
     }
 

@@ -4,6 +4,12 @@ mod clock;
 mod source;
 mod stream_monitor;
 mod supervised;
+mod v4l2;
+mod v4l2_controls;
+#[cfg(test)]
+mod v4l2_fake;
+mod v4l2_ioctl;
+mod v4l2_node;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use source::{
@@ -13,3 +19,12 @@ pub use stream_monitor::{
     CameraCounters, FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy,
 };
 pub use supervised::{CameraEvent, run_camera};
+pub use v4l2::{V4l2Opener, V4l2Source};
+pub(crate) use v4l2_controls::CONTROLS;
+#[cfg(test)]
+pub(crate) use v4l2_fake::{Camera as FakeCamera, FakeNodes};
+pub use v4l2_ioctl::KernelNodes;
+pub use v4l2_node::{
+    Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
+    VideoNode, VideoNodes,
+};
