@@ -1,8 +1,8 @@
 //! `gripcast config show`: every setting, its value and where it comes from.
 
-use super::{ConfigFlag, Context};
+use super::{ConfigFlag, Context, print_json};
 use crate::app::config;
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::Result;
 
 /// Arguments of `config`.
 #[derive(Debug, clap::Args)]
@@ -36,10 +36,7 @@ pub(crate) fn run(_context: &Context, args: Args) -> Result<()> {
                 (key.clone(), entry)
             })
             .collect();
-        let text = serde_json::to_string_pretty(&object).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write the settings as JSON").because(e)
-        })?;
-        println!("{text}");
+        print_json(&object)?;
     } else {
         for (key, (value, origin)) in &layered.values {
             println!("{key:<32} {:<24} {origin}", value.to_string());

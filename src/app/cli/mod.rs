@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::app::config as settings;
-use crate::error::Result;
+use crate::error::{Error, ErrorKind, Result};
 
 mod bench;
 mod bench_predict;
@@ -56,6 +56,14 @@ impl ConfigFlag {
     pub(crate) fn path(&self) -> Option<PathBuf> {
         self.config.clone().or_else(settings::default_file)
     }
+}
+
+/// Prints one JSON object on stdout.
+pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value)
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+    println!("{text}");
+    Ok(())
 }
 
 #[derive(Debug, Subcommand)]

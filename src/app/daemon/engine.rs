@@ -168,7 +168,7 @@ pub async fn run(
 ) -> Result<CollectReport> {
     let mut engine = Engine::start(setup, links)?;
     let ended = engine.turn(stop).await;
-    engine.finish(ended)
+    engine.finish(ended).await
 }
 
 struct Engine {
@@ -640,8 +640,8 @@ impl Engine {
     }
 
     /// Ends all threads in the order of the data flow; what was asked for is carried out first.
-    fn finish(mut self, ended: Result<Ended>) -> Result<CollectReport> {
-        self.drain_replies();
+    async fn finish(mut self, ended: Result<Ended>) -> Result<CollectReport> {
+        self.drain_replies().await;
         let session = self.session.summary();
         let cameras = self
             .hub
@@ -688,9 +688,9 @@ impl Engine {
     }
 
     /// Waits for the request under way, so that the report is true.
-    fn drain_replies(&mut self) {
+    async fn drain_replies(&mut self) {
         while self.session.is_storing() {
-            let Some(reply) = self.replies.blocking_recv() else {
+            let Some(reply) = self.replies.recv().await else {
                 return;
             };
             for effect in self.take_reply(reply) {
