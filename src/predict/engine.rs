@@ -195,3 +195,75 @@ fn hex(digest: &[u8]) -> String {
         text
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::predict::contract::{INPUT_SHAPE, OUTPUT, OUTPUT_SHAPE};
+    use crate::predict::onnx::OnnxGraphBuilder;
+
+    /// A touch model that answers `value` whatever it is shown.
+    fn constant_model(value: f32) -> Vec<u8> {
+        let mut graph = OnnxGraphBuilder::new("constant");
+        let contract = baseline::contract();
+        contract.write(&mut graph).unwrap();
+        for input in &contract.inputs {
+            graph.input(input.name.name(), &INPUT_SHAPE).unwrap();
+        }
+        let value = graph.constant("value", &[1, 1], &[value]).unwrap();
+        let answer = graph.node("Identity", OUTPUT, &[&value], []).unwrap();
+        graph.output(&answer, &OUTPUT_SHAPE);
+        graph.to_bytes().unwrap()
+    }
+
+    #[test]
+    fn an_answer_that_is_no_probability_is_refused_at_loading() {
+        assert!(Model::from_bytes(&constant_model(0.25)).is_ok());
+        for answer in [f32::NAN, f32::INFINITY, -0.01, 1.5] {
+            let error = Model::from_bytes(&constant_model(answer)).unwrap_err();
+            assert!(
+                error.what().contains(&format!("answers {answer}")),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn inputs_reach_the_tensor_of_their_name_in_any_order() {
+        let mut proto = onnx::decode(&constant_model(0.5)).unwrap();
+        let graph = proto.graph.as_mut().unwrap();
+        graph.input.reverse();
+        let contract = ModelContract::of(&proto).unwrap();
+        assert_eq!(
+            input_order(&proto, &contract),
+            [InputName::TactileRight, InputName::TactileLeft]
+        );
+    }
+
+    #[test]
+    fn an_unknown_operator_is_an_explained_refusal() {
+        let mut graph = OnnxGraphBuilder::new("odd");
+        let contract = baseline::contract();
+        contract.write(&mut graph).unwrap();
+        let left = graph.input("tactile_left", &INPUT_SHAPE).unwrap();
+        graph.input("tactile_right", &INPUT_SHAPE).unwrap();
+        let answer = graph.node("Frobnicate", OUTPUT, &[&left], []).unwrap();
+        graph.output(&answer, &OUTPUT_SHAPE);
+        let error = Model::from_bytes(&graph.to_bytes().unwrap()).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input);
+        assert!(error.to_string().contains("the engine cannot"), "{error}");
+        assert!(error.to_string().contains("standard operators"), "{error}");
+    }
+
+    #[test]
+    fn a_model_can_be_shared_between_threads() {
+        fn assert_shared<T: Send + Sync>() {}
+        assert_shared::<Model>();
+    }
+
+    #[test]
+    fn the_digest_is_that_of_the_file() {
+        let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
+        assert_eq!(hex(&Sha256::digest(b"abc")), expected);
+    }
+}

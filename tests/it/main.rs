@@ -5,3 +5,4 @@
 mod imaging;
 mod layers;
 mod shared_data;
+mod model_contract;
