@@ -10,6 +10,8 @@
 
 mod capture;
 mod counts;
+#[cfg(test)]
+mod crash_test;
 mod descriptor;
 mod disk;
 mod encode;
