@@ -156,7 +156,7 @@ pub struct FramePool(Vec<FrameBytes>);
 
 impl FramePool {
     /// Buffers that are kept; frames beyond them get memory of their own.
-    const CAPACITY: usize = 8;
+    const CAPACITY: usize = 12;
 
     /// Copies `bytes` into a free buffer.
     pub fn copy(&mut self, bytes: &[u8]) -> FrameBytes {

@@ -2,7 +2,7 @@
 //!
 //! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
 
-use super::{Context, bench_predict};
+use super::{Context, bench_live, bench_predict};
 use crate::error::Result;
 
 /// Arguments.
@@ -14,6 +14,8 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Bench {
+    /// The complete live path: frames lost, latency, cores, memory
+    Live(bench_live::Args),
     /// One prediction: load, preprocess, engine
     Predict(bench_predict::Args),
 }
@@ -21,6 +23,7 @@ enum Bench {
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.bench {
+        Bench::Live(args) => bench_live::run(context, &args),
         Bench::Predict(args) => bench_predict::run(context, &args),
     }
 }

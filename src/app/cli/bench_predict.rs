@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 
 use serde_json::{Map, Value, json};
 
-use super::Context;
+use super::{Context, print};
 use crate::error::{Error, ErrorKind, Result};
 use crate::predict::{Model, PredictFigures, baseline, measure, onnx};
 
@@ -85,9 +85,9 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
             },
             "peers": peers,
         });
-        return super::predict::print(&format!("{report:#}"));
+        return print(&format!("{report:#}"));
     }
-    super::predict::print(&table(&figures, &peers))
+    print(&table(&figures, &peers))
 }
 
 fn table(figures: &PredictFigures, peers: &Map<String, Value>) -> String {

@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 
-use super::{ConfigFlag, Context, print_json};
+use super::{ConfigFlag, Context, print, print_json};
 use crate::app::config::{self, CollectConfig, FlagValue, Layered};
 use crate::app::daemon::{self, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus};
 use crate::app::tui;
@@ -150,7 +150,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     if args.json {
         print_json(&report)?;
     } else {
-        print!("{}", summary(&report));
+        print(summary(&report).trim_end())?;
     }
     match report.ended {
         Ended::Interrupted => Err(Error::new(

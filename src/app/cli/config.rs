@@ -1,6 +1,6 @@
 //! `gripcast config show`: every setting, its value and where it comes from.
 
-use super::{ConfigFlag, Context, print_json};
+use super::{ConfigFlag, Context, print, print_json};
 use crate::app::config;
 use crate::error::Result;
 
@@ -39,7 +39,7 @@ pub(crate) fn run(_context: &Context, args: Args) -> Result<()> {
         print_json(&object)?;
     } else {
         for (key, (value, origin)) in &layered.values {
-            println!("{key:<32} {:<24} {origin}", value.to_string());
+            print(&format!("{key:<32} {:<24} {origin}", value.to_string()))?;
         }
     }
     Ok(())

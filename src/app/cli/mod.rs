@@ -1,5 +1,6 @@
 //! The command line: one file a verb. stdout is data, stderr is for people.
 
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -9,6 +10,7 @@ use crate::app::config as settings;
 use crate::error::{Error, ErrorKind, Result};
 
 mod bench;
+mod bench_live;
 mod bench_predict;
 mod collect;
 mod completions;
@@ -58,12 +60,16 @@ impl ConfigFlag {
     }
 }
 
+/// Writes to stdout; a closed pipe is an error, not a panic.
+pub(crate) fn print(text: &str) -> Result<()> {
+    writeln!(std::io::stdout(), "{text}").map_err(|e| Error::io("cannot write to stdout", e))
+}
+
 /// Prints one JSON object on stdout.
 pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    println!("{text}");
-    Ok(())
+    print(&text)
 }
 
 #[derive(Debug, Subcommand)]

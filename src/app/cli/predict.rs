@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use image::RgbImage;
 use serde_json::{Value, json};
 
-use super::Context;
+use super::{Context, print};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{
     CropProfile, Decoder, Frame, FrameDamage, PixelFormat, TactileDifference, crop_and_resize,
@@ -274,9 +274,4 @@ fn picture(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
         Ok(Decoder::new()?.decode(&frame, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)?)
     };
     read().map_err(|error| error.at(path.display()))
-}
-
-/// Writes to stdout; a closed pipe is an error, not a panic.
-pub(super) fn print(text: &str) -> Result<()> {
-    writeln!(std::io::stdout(), "{text}").map_err(|e| Error::io("cannot write to stdout", e))
 }

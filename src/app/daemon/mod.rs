@@ -13,6 +13,7 @@ mod engine;
 mod histogram;
 mod hub;
 mod infer;
+pub mod live_load;
 mod pairing;
 mod status;
 mod store;
