@@ -1,5 +1,10 @@
-//! Rig files: which camera has which role, with which mode, controls and guards.
+//! Rig files: which camera has which role, with which mode, controls and guards; intrinsics.
 
+mod factory;
+mod intrinsics;
+mod nearest;
 mod rig_file;
 
+pub use factory::ColourTable;
+pub use intrinsics::{DistortionModel, Intrinsics};
 pub use rig_file::{CameraConfig, PedalConfig, RigFile, SourceKind};
