@@ -11,7 +11,8 @@ use std::io;
 
 use super::intrinsics::{DistortionModel, Intrinsics};
 use crate::error::{Error, ErrorKind, Result};
-use crate::rig::camera::{ExtensionRequest, VideoNode};
+use crate::rig::camera::{ExtensionRequest, VideoNode, VideoNodes};
+use crate::rig::device::{self, SystemRoot};
 
 const UNIT: u8 = 3;
 const SELECTOR: u8 = 1;
@@ -25,6 +26,32 @@ const TABLE_HEADER_BYTES: usize = 16;
 const FLOATS: usize = 32;
 /// Attempts while the camera is busy with another request.
 const ATTEMPTS: usize = 5;
+
+/// Asks the D435 in a USB port for the intrinsics of its colour camera. Works while it streams.
+///
+/// # Errors
+/// [`ErrorKind::Device`] when the camera is not there or does not tell, with the remedy of giving
+/// a file.
+pub fn colour_intrinsics(
+    root: &SystemRoot,
+    nodes: &dyn VideoNodes,
+    port: &str,
+    width: u32,
+    height: u32,
+) -> Result<Intrinsics> {
+    let devices = device::scan(root)?;
+    let stereo = devices
+        .iter()
+        .filter(|d| d.port == port && d.is_camera())
+        .min_by_key(|d| d.interface)
+        .ok_or_else(|| Error::new(ErrorKind::Device, format!("no camera in port {port}")))?;
+    let mut node = nodes
+        .open(&stereo.node)
+        .map_err(|e| device::open_error(root, stereo, "open", e))?;
+    ColourTable::read(node.as_mut())
+        .and_then(|table| table.intrinsics(width, height))
+        .map_err(|error| error.at(stereo))
+}
 
 /// Calibration of the colour camera, independent of the picture size.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -206,10 +233,9 @@ fn crc32(bytes: &[u8]) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
-    use crate::rig::camera::{FakeCamera, FakeNodes, VideoNodes as _};
+    use crate::rig::camera::{FakeCamera, FakeNodes};
+    use crate::rig::device::sysfs_tree::{Tree, d435};
 
     /// A table calibrated at 1920×1080 with fx = fy = 1380 px, principal point (967, 543).
     fn payload() -> Vec<u8> {
@@ -303,19 +329,27 @@ mod tests {
     }
 
     #[test]
-    fn table_is_read_through_the_extension_unit() {
+    fn colour_is_asked_for_at_the_stereo_function() {
+        let mut tree = Tree::new();
         let nodes = FakeNodes::default();
+        let first = tree.plug(d435("4-1"), &[(0, 4), (3, 2)]);
         let camera = nodes.insert(
-            "/dev/video4",
+            tree.node(first),
             FakeCamera {
                 extension: reply(0x15, &payload()).to_vec(),
                 ..FakeCamera::default()
             },
         );
-        let mut node = nodes.open(Path::new("/dev/video4")).unwrap();
-        let table = ColourTable::read(node.as_mut()).unwrap();
-        assert_eq!((table.width, table.height), (1920, 1080));
+        let root = SystemRoot {
+            sys: tree.path("sys"),
+            dev: tree.path("dev"),
+            proc: tree.path("proc"),
+        };
+        let found = colour_intrinsics(&root, &nodes, "4-1", 1920, 1080).unwrap();
+        assert!((found.fx - 1380.0).abs() < 1e-3);
         let sent = camera.lock().unwrap().extension_set.clone();
         assert_eq!(sent, request(0x15, [0x20, 0, 0, 0]));
+        let error = colour_intrinsics(&root, &nodes, "4-2", 1920, 1080).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Device);
     }
 }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use super::nearest::nearest;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{PixelFormat, Role};
-use crate::rig::camera::CONTROLS;
+use crate::rig::camera::{CONTROLS, FORMER_NAMES};
 
 /// Version of the rig file format that this program reads.
 const SCHEMA: u32 = 1;
@@ -384,18 +384,27 @@ impl CameraConfig {
             }
         }
         for name in self.controls.keys() {
-            if CONTROLS.iter().all(|(known, _)| known != name) {
-                let known = || CONTROLS.iter().map(|(known, _)| *known);
-                return Err(wrong(format!("unknown control `{name}`")).remedy(
-                    match nearest(name, known()) {
-                        Some(near) => format!("did you mean `{near}`?"),
-                        None => format!("known are {}", known().collect::<Vec<_>>().join(", ")),
-                    },
-                ));
-            }
+            check_control(name)?;
         }
         Ok(())
     }
+}
+
+fn check_control(name: &str) -> Result<()> {
+    let known = || CONTROLS.iter().map(|(known, _)| *known);
+    if known().any(|control| control == name) {
+        return Ok(());
+    }
+    let former = FORMER_NAMES.iter().find(|(former, _)| *former == name);
+    let near = former
+        .map(|(_, present)| *present)
+        .or_else(|| nearest(name, known()));
+    Err(
+        wrong(format!("unknown control `{name}`")).remedy(match near {
+            Some(near) => format!("did you mean `{near}`?"),
+            None => format!("known are {}", known().collect::<Vec<_>>().join(", ")),
+        }),
+    )
 }
 
 fn wrong(what: String) -> Error {
@@ -516,11 +525,10 @@ depth_unit_m = 0.001
         );
         assert_eq!(
             refusal("auto_exposure", "exposure_auto"),
-            "[cameras.left]: unknown control `exposure_auto`\n  → known are auto_exposure, \
-             exposure_dynamic_framerate, white_balance_automatic, exposure_time_absolute, gain, \
-             white_balance_temperature, power_line_frequency, brightness, contrast, saturation, \
-             hue, gamma, sharpness, backlight_compensation"
+            "[cameras.left]: unknown control `exposure_auto`\n  → did you mean `auto_exposure`?"
         );
+        assert!(refusal("auto_exposure", "gian").contains("did you mean `gain`?"));
+        assert!(refusal("auto_exposure", "f").contains("known are auto_exposure, "));
         assert!(refusal("fps = 25", "fps = fast").starts_with("line 10: "));
         assert!(refusal("width = 3280\n", "").contains("missing field `width`"));
     }

@@ -12,7 +12,7 @@ pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
 pub use v4l2::{V4l2Opener, V4l2Source};
-pub(crate) use v4l2_controls::CONTROLS;
+pub(crate) use v4l2_controls::{CONTROLS, FORMER_NAMES};
 #[cfg(test)]
 pub(crate) use v4l2_fake::{Camera as FakeCamera, FakeNodes};
 pub use v4l2_ioctl::KernelNodes;
