@@ -22,7 +22,9 @@ use crate::rig::calibration::{Intrinsics, RigFile, SourceKind, colour_intrinsics
 use crate::rig::camera::{
     CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, StreamInfo, V4l2Opener,
 };
-use crate::rig::device::{Access, SystemRoot, VideoDevice, crowded_buses, probe, scan};
+use crate::rig::device::{
+    Access, SystemRoot, VideoDevice, crowded_buses, permission_error, probe, scan,
+};
 
 /// Share of the nominal frame rate that a camera has to reach; GelSight Minis are known to
 /// deliver three quarters of theirs.
@@ -160,6 +162,7 @@ fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
             }
         }
     }
+    explain_denied(&devices);
     if devices.is_empty() {
         return Err(Error::new(ErrorKind::Device, "no camera is plugged in").remedy(
             "plug one in; if it does not appear, `sudo dmesg` tells what the kernel makes of it. \
@@ -167,6 +170,18 @@ fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
         ));
     }
     Ok(())
+}
+
+/// Says once for each product how to get permission.
+fn explain_denied(devices: &[VideoDevice]) {
+    let mut told = Vec::new();
+    for device in devices.iter().filter(|d| d.access == Access::Denied) {
+        let ids = (device.vendor_id, device.product_id);
+        if !told.contains(&ids) {
+            told.push(ids);
+            eprintln!("{}", permission_error(device, "open"));
+        }
+    }
 }
 
 /// One sentence for each USB-2 bus that several cameras share.
@@ -202,7 +217,7 @@ fn access_text(access: &Access) -> String {
     match access {
         Access::Unknown => "not tried".to_owned(),
         Access::Open => "ready".to_owned(),
-        Access::Denied => "no permission (see `gripcast rig check`)".to_owned(),
+        Access::Denied => "no permission".to_owned(),
         Access::Missing => "no device node".to_owned(),
         Access::Busy(None) => "in use".to_owned(),
         Access::Busy(Some(owner)) => format!("in use by {owner}"),
@@ -444,29 +459,36 @@ fn check_one(opener: &mut dyn CameraOpener, root: &SystemRoot, duration: Duratio
 
 /// Counts frames for `duration` from the first one, by the clock of the frames.
 fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<String>) -> Frames {
+    let nominal = source.info().nominal_fps;
+    let damage_limit = 50 + (2.0 * nominal * duration.as_secs_f64()) as u64;
     let mut frames = Frames::default();
     let mut first: Option<(u64, u64)> = None;
-    let mut last: Option<(u64, u32)> = None;
+    let mut last_time_ns = 0;
+    let mut last_sequence: Option<u32> = None;
     let mut timeouts = 0;
+    let mut skipped = |sequence: u32| {
+        let before = last_sequence.replace(sequence);
+        before.map_or(0, |before| {
+            u64::from(sequence.wrapping_sub(before).saturating_sub(1))
+        })
+    };
     loop {
         match source.next_frame(FRAME_TIMEOUT) {
             Ok(frame) => {
-                frames.received += 1;
                 timeouts = 0;
-                if let Some((_, sequence)) = last {
-                    let step = frame.sequence.wrapping_sub(sequence);
-                    frames.lost += u64::from(step.saturating_sub(1));
-                }
-                last = Some((frame.driver_time_ns, frame.sequence));
+                frames.received += 1;
+                frames.lost += skipped(frame.sequence);
+                last_time_ns = frame.driver_time_ns;
                 let (_, began) = *first.get_or_insert((frame.driver_time_ns, frame.received_ns));
-                if frame.received_ns.saturating_sub(began) as u128 >= duration.as_nanos() {
+                if u128::from(frame.received_ns.saturating_sub(began)) >= duration.as_nanos() {
                     break;
                 }
             }
             Err(CaptureError::Damaged { sequence, .. }) => {
+                timeouts = 0;
                 frames.damaged += 1;
-                last = last.map(|(time, _)| (time, sequence));
-                if frames.damaged > 10_000 {
+                frames.lost += skipped(sequence);
+                if frames.damaged > damage_limit {
                     break;
                 }
             }
@@ -484,11 +506,10 @@ fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<
             }
         }
     }
-    frames.fps = first.zip(last).and_then(|((from, _), (to, _))| {
-        let elapsed_s = to.saturating_sub(from) as f64 / 1e9;
+    frames.fps = first.and_then(|(from, _)| {
+        let elapsed_s = last_time_ns.saturating_sub(from) as f64 / 1e9;
         (elapsed_s > 0.0).then(|| (frames.received - 1) as f64 / elapsed_s)
     });
-    let nominal = source.info().nominal_fps;
     match frames.fps {
         Some(fps) if fps < RATE_NEEDED * nominal => {
             problems.push(format!("only {fps:.2} of {nominal} frames/s arrive"));
@@ -616,4 +637,187 @@ fn verdict(checks: &[Check]) -> Result<()> {
         ));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use super::*;
+    use crate::imaging::Frame;
+    use crate::rig::camera::CameraIdentity;
+
+    /// A source with a clock of its own: each frame 40 ms after the one before.
+    struct Scripted {
+        info: StreamInfo,
+        script: VecDeque<Result<u32, CaptureError>>,
+        now_ns: u64,
+    }
+
+    impl Scripted {
+        fn new(
+            nominal_fps: f64,
+            script: impl IntoIterator<Item = Result<u32, CaptureError>>,
+        ) -> Self {
+            Self {
+                info: StreamInfo {
+                    identity: CameraIdentity::default(),
+                    format: PixelFormat::Grey,
+                    width: 1,
+                    height: 1,
+                    nominal_fps,
+                    depth_unit_m: None,
+                },
+                script: script.into_iter().collect(),
+                now_ns: 5,
+            }
+        }
+    }
+
+    impl FrameSource for Scripted {
+        fn info(&self) -> &StreamInfo {
+            &self.info
+        }
+
+        fn next_frame(&mut self, _timeout: Duration) -> Result<Frame, CaptureError> {
+            self.now_ns += 40_000_000;
+            let sequence = self
+                .script
+                .pop_front()
+                .unwrap_or(Err(CaptureError::Timeout))?;
+            Ok(Frame {
+                format: PixelFormat::Grey,
+                width: 1,
+                height: 1,
+                data: vec![0].into(),
+                sequence,
+                driver_time_ns: self.now_ns,
+                received_ns: self.now_ns,
+            })
+        }
+
+        fn controls(&mut self) -> Result<ControlValues> {
+            Ok([("gain".to_owned(), 7)].into())
+        }
+    }
+
+    struct Opener(Role, Option<Result<Scripted>>);
+
+    impl CameraOpener for Opener {
+        fn role(&self) -> Role {
+            self.0
+        }
+
+        fn describe(&self) -> String {
+            "a scripted camera".to_owned()
+        }
+
+        fn open(&mut self) -> Result<Box<dyn FrameSource>> {
+            Ok(Box::new(self.1.take().unwrap()?))
+        }
+    }
+
+    fn measured(mut source: Scripted) -> (Frames, Vec<String>) {
+        let mut problems = Vec::new();
+        let frames = measure(&mut source, Duration::from_secs(1), &mut problems);
+        (frames, problems)
+    }
+
+    fn damaged(sequence: u32) -> Result<u32, CaptureError> {
+        Err(CaptureError::Damaged {
+            sequence,
+            reason: String::new(),
+        })
+    }
+
+    #[test]
+    fn rate_and_losses_are_counted_until_the_time_is_over() {
+        let (frames, problems) = measured(Scripted::new(25.0, (0..99).map(Ok)));
+        assert_eq!((frames.received, frames.lost, frames.damaged), (26, 0, 0));
+        assert!((frames.fps.unwrap() - 25.0).abs() < 1e-9);
+        assert!(problems.is_empty(), "{problems:?}");
+
+        let script = [Ok(1), Ok(2), damaged(4), Ok(6), Ok(7)].into_iter();
+        let (frames, _) = measured(Scripted::new(25.0, script));
+        assert_eq!((frames.received, frames.lost, frames.damaged), (4, 2, 1));
+    }
+
+    #[test]
+    fn slow_silent_damaged_and_lost_cameras_have_a_problem() {
+        let (_, problems) = measured(Scripted::new(60.0, (0..99).map(Ok)));
+        assert_eq!(problems, ["only 25.00 of 60 frames/s arrive"]);
+        let (_, problems) = measured(Scripted::new(25.0, []));
+        assert_eq!(problems, ["no frame came for 5 s"]);
+        let (frames, problems) = measured(Scripted::new(25.0, (0..).map(damaged).take(500)));
+        assert_eq!(frames.damaged, 101, "it does not go on for ever");
+        assert!(
+            problems[1].contains("101 of 101 frames are damaged"),
+            "{problems:?}"
+        );
+        let (_, problems) = measured(Scripted::new(25.0, [Ok(1), Ok(2), Err(CaptureError::Gone)]));
+        assert_eq!(problems, ["the camera was unplugged"]);
+    }
+
+    #[test]
+    fn a_missing_camera_outweighs_a_failing_one() {
+        let good = || Some(Ok(Scripted::new(25.0, (0..99).map(Ok))));
+        let slow = || Some(Ok(Scripted::new(99.0, (0..99).map(Ok))));
+        let absent = || Some(Err(Error::new(ErrorKind::Device, "not there")));
+        let busy = || Some(Err(Error::new(ErrorKind::Busy, "in use")));
+        for (left, right, expected) in [
+            (good(), good(), None),
+            (good(), slow(), Some(ErrorKind::Check)),
+            (busy(), good(), Some(ErrorKind::Check)),
+            (absent(), slow(), Some(ErrorKind::Device)),
+        ] {
+            let openers: Vec<Box<dyn CameraOpener>> = vec![
+                Box::new(Opener(Role::Left, left)),
+                Box::new(Opener(Role::Right, right)),
+            ];
+            let checks = check(openers, &SystemRoot::default(), Duration::from_secs(1));
+            assert_eq!(verdict(&checks).err().map(|e| e.kind()), expected);
+        }
+    }
+
+    #[test]
+    fn report_has_stable_keys() {
+        let mut opener = Opener(Role::Left, Some(Ok(Scripted::new(25.0, (0..99).map(Ok)))));
+        let root = SystemRoot::default();
+        let check = check_one(&mut opener, &root, Duration::from_secs(1));
+        let value = check.json();
+        let keys: Vec<&str> = value
+            .as_object()
+            .unwrap()
+            .keys()
+            .map(String::as_str)
+            .collect();
+        assert_eq!(
+            keys,
+            [
+                "controls",
+                "damaged",
+                "factory_intrinsics",
+                "format",
+                "fps",
+                "height",
+                "lost",
+                "missing",
+                "node",
+                "nominal_fps",
+                "notes",
+                "ok",
+                "port",
+                "problems",
+                "product",
+                "received",
+                "role",
+                "serial",
+                "wanted",
+                "width"
+            ]
+        );
+        assert_eq!(value["controls"]["gain"], 7);
+        assert_eq!(value["ok"], true);
+        assert!(check.text().starts_with("left     ok"), "{}", check.text());
+    }
 }

@@ -205,3 +205,101 @@ fn line(text: &mut String, key: &str, value: &str) {
 fn quoted(text: &str) -> String {
     toml::Value::from(text).to_string()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::camera::{FakeCamera, FakeNodes};
+    use crate::rig::device::sysfs_tree::{Tree, Usb, d435, mini};
+    use crate::rig::device::{SystemRoot, bind, probe, scan};
+
+    fn devices(usbs: &[Usb<'_>], with_d435: bool) -> Vec<VideoDevice> {
+        let mut tree = Tree::new();
+        let nodes = FakeNodes::default();
+        for usb in usbs {
+            let first = tree.plug(*usb, &[(0, 2)]);
+            nodes.insert(tree.node(first), FakeCamera::default());
+            nodes.insert(tree.node(first + 1), FakeCamera::metadata());
+        }
+        if with_d435 {
+            let first = tree.plug(d435("4-1"), &[(0, 1), (2, 1)]);
+            let depth = [(*b"Z16 ", 640, 480, vec![90, 30])];
+            let colour = [
+                (*b"YUYV", 640, 480, vec![30]),
+                (*b"YUYV", 1280, 720, vec![15, 6]),
+            ];
+            nodes.insert(tree.node(first), FakeCamera::with_modes(&depth));
+            nodes.insert(tree.node(first + 1), FakeCamera::with_modes(&colour));
+        }
+        let root = SystemRoot {
+            sys: tree.path("sys"),
+            dev: tree.path("dev"),
+            proc: tree.path("proc"),
+        };
+        let mut devices = scan(&root).unwrap();
+        for device in &mut devices {
+            probe(device, &nodes, &root);
+        }
+        devices
+    }
+
+    const A: Usb<'static> = mini("3-10", "GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7");
+    const B: Usb<'static> = mini("3-2", "GelSight Mini R0B 28F5-K4RR", "28F5K4RR");
+
+    #[test]
+    fn two_minis_and_a_d435_become_a_rig_that_binds_to_them() {
+        let devices = devices(&[A, B], true);
+        let draft = draft("bench-1", &devices).unwrap();
+        let rig = RigFile::parse(&draft.text).unwrap();
+        assert_eq!(rig.cameras[&Role::Left].serial.as_deref(), Some("28F5K4RR"));
+        assert_eq!(
+            rig.cameras[&Role::Right].serial.as_deref(),
+            Some("2BNN4ZE7")
+        );
+        assert!(draft.notes[0].contains("left is in port 3-2, right in port 3-10"));
+        let rgb = &rig.cameras[&Role::Rgb];
+        assert_eq!((rgb.width, rgb.height, rgb.fps), (1280, 720, 15.0));
+        assert_eq!(rgb.interface, Some(2));
+        assert_eq!(rig.cameras[&Role::Depth].fps, 30.0);
+        for (role, camera) in &rig.cameras {
+            bind(*role, camera, &devices).unwrap();
+        }
+    }
+
+    #[test]
+    fn sensors_without_their_own_serials_are_bound_by_port() {
+        for serial in ["", "0001"] {
+            let devices = devices(&[Usb { serial, ..A }, Usb { serial, ..B }], false);
+            let draft = draft("x", &devices).unwrap();
+            let rig = RigFile::parse(&draft.text).unwrap();
+            assert_eq!(rig.cameras[&Role::Left].port.as_deref(), Some("3-2"));
+            assert!(
+                draft
+                    .notes
+                    .iter()
+                    .any(|note| note.contains("told apart by port"))
+            );
+            assert!(draft.notes.iter().any(|note| note.contains("no RealSense")));
+            for (role, camera) in &rig.cameras {
+                assert_eq!(
+                    &bind(*role, camera, &devices).unwrap().port,
+                    camera.port.as_ref().unwrap()
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn fewer_or_more_than_two_sensors_are_refused() {
+        for usbs in [&[][..], &[A], &[A, B, mini("3-3", "GelSight Mini", "C")]] {
+            let error = draft("x", &devices(usbs, true)).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Device);
+            assert!(
+                error.to_string().contains(&format!("{} found", usbs.len())),
+                "{error}"
+            );
+        }
+        let error = draft("a/b", &devices(&[A, B], false)).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Config);
+    }
+}
