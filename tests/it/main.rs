@@ -6,3 +6,4 @@ mod imaging;
 mod layers;
 mod shared_data;
 mod model_contract;
+mod rig;

@@ -459,11 +459,11 @@ impl CameraOpener for V4l2Opener {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
     use std::sync::Mutex;
 
     use super::super::v4l2_fake::{Camera, Event, FakeNodes};
     use super::*;
+    use crate::imaging::PixelFormat;
     use crate::rig::calibration::SourceKind;
     use crate::rig::device::sysfs_tree::{Tree, mini};
 
@@ -476,20 +476,9 @@ mod tests {
 
     fn yuyv_4x2() -> CameraConfig {
         CameraConfig {
-            source: SourceKind::V4l2,
             product: "GelSight Mini".into(),
             serial: Some("2BNN4ZE7".into()),
-            interface: None,
-            port: None,
-            path: None,
-            unpaced: false,
-            format: crate::imaging::PixelFormat::Yuyv,
-            width: 4,
-            height: 2,
-            fps: 25.0,
-            crop_profile: None,
-            depth_unit_m: None,
-            controls: BTreeMap::new(),
+            ..CameraConfig::new(SourceKind::V4l2, PixelFormat::Yuyv, 4, 2, 25.0)
         }
     }
 
@@ -724,7 +713,7 @@ mod tests {
     #[test]
     fn a_mode_that_the_camera_only_pretends_to_take_is_refused_with_its_modes() {
         let config = CameraConfig {
-            format: crate::imaging::PixelFormat::Mjpg,
+            format: PixelFormat::Mjpg,
             width: 640,
             height: 480,
             ..yuyv_4x2()

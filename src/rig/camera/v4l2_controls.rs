@@ -31,6 +31,14 @@ pub(crate) const CONTROLS: [(&str, u32); 14] = [
     ("backlight_compensation", USER + 28),
 ];
 
+/// Names that older kernels and scripts use, with the present one.
+pub(crate) const FORMER_NAMES: [(&str, &str); 4] = [
+    ("exposure_auto", "auto_exposure"),
+    ("exposure_absolute", "exposure_time_absolute"),
+    ("exposure_auto_priority", "exposure_dynamic_framerate"),
+    ("white_balance_temperature_auto", "white_balance_automatic"),
+];
+
 /// The controls that a camera has, name and id.
 pub(crate) type Available = Vec<(&'static str, u32)>;
 

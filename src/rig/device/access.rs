@@ -59,28 +59,34 @@ pub fn udev_rule(vendor_id: u16, product_id: u16) -> String {
     )
 }
 
+/// Explains that the operating system keeps `device` from us, with the udev rule that mends it.
+#[must_use]
+pub fn permission_error(device: &VideoDevice, step: &str) -> Error {
+    let group = "add yourself to its group: `sudo usermod -aG video $USER`, then log in again";
+    let remedy = match (device.vendor_id, device.product_id) {
+        (Some(vendor), Some(product)) => format!(
+            "{group}; or write this line into /etc/udev/rules.d/70-gripcast.rules:\n    {}\n    \
+             and run `sudo udevadm control --reload && sudo udevadm trigger`",
+            udev_rule(vendor, product)
+        ),
+        _ => group.to_owned(),
+    };
+    Error::new(
+        ErrorKind::Permission,
+        format!(
+            "no permission to {step} {} ({device})",
+            device.node.display()
+        ),
+    )
+    .remedy(remedy)
+}
+
 /// Explains why `device` could not be opened or configured.
 #[must_use]
 pub fn open_error(root: &SystemRoot, device: &VideoDevice, step: &str, cause: io::Error) -> Error {
     let node = device.node.display();
     match cause.raw_os_error() {
-        Some(libc::EACCES | libc::EPERM) => {
-            let rule = match (device.vendor_id, device.product_id) {
-                (Some(vendor), Some(product)) => format!(
-                    "add yourself to its group: `sudo usermod -aG video $USER`, then log in again; \
-                     or write this line into /etc/udev/rules.d/70-gripcast.rules:\n    {}\n    and run \
-                     `sudo udevadm control --reload && sudo udevadm trigger`",
-                    udev_rule(vendor, product)
-                ),
-                _ => "add yourself to its group: `sudo usermod -aG video $USER`, then log in again"
-                    .to_owned(),
-            };
-            Error::new(
-                ErrorKind::Permission,
-                format!("no permission to {step} {node} ({device})"),
-            )
-            .remedy(rule)
-        }
+        Some(libc::EACCES | libc::EPERM) => permission_error(device, step),
         Some(libc::EBUSY) => {
             let holder = NodeOwner::find(root, &device.node)
                 .map_or_else(|| "another program".to_owned(), |owner| owner.to_string());

@@ -1,6 +1,5 @@
 //! Discovery, binding and explanations over trees like the kernel's.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 
@@ -24,20 +23,8 @@ fn root(tree: &Tree) -> SystemRoot {
 
 fn config(product: &str) -> CameraConfig {
     CameraConfig {
-        source: SourceKind::V4l2,
         product: product.to_owned(),
-        serial: None,
-        interface: None,
-        port: None,
-        path: None,
-        unpaced: false,
-        format: PixelFormat::Mjpg,
-        width: 3280,
-        height: 2464,
-        fps: 25.0,
-        crop_profile: None,
-        depth_unit_m: None,
-        controls: BTreeMap::new(),
+        ..CameraConfig::new(SourceKind::V4l2, PixelFormat::Mjpg, 3280, 2464, 25.0)
     }
 }
 
