@@ -4,6 +4,8 @@ mod clock;
 mod source;
 mod stream_monitor;
 mod supervised;
+mod virtual_camera;
+mod virtual_scene;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use source::{
@@ -13,3 +15,5 @@ pub use stream_monitor::{
     CameraCounters, FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy,
 };
 pub use supervised::{CameraEvent, run_camera};
+pub use virtual_camera::{VirtualOpener, VirtualRig};
+pub use virtual_scene::{Grip, SceneMoment, VirtualGrasp, VirtualHand, VirtualObject};

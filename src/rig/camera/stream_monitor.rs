@@ -357,12 +357,7 @@ mod tests {
         let report = monitor.report(440 * MS);
         assert_eq!(report.counters.damaged, 10);
         assert_eq!(report.counters.sequence_gaps, 0);
-        assert_eq!(
-            report.health,
-            Health::Silent {
-                since_ns: 40 * MS
-            }
-        );
+        assert_eq!(report.health, Health::Silent { since_ns: 40 * MS });
     }
 
     #[test]
@@ -372,12 +367,7 @@ mod tests {
         assert_eq!(monitor.tick(360 * MS), None);
         assert_eq!(*monitor.health(), Health::Live);
         assert_eq!(monitor.tick(361 * MS), None);
-        assert_eq!(
-            *monitor.health(),
-            Health::Silent {
-                since_ns: 40 * MS
-            }
-        );
+        assert_eq!(*monitor.health(), Health::Silent { since_ns: 40 * MS });
         monitor.frame(fresh(1, 400));
         assert_eq!(*monitor.health(), Health::Live);
         assert!(monitor.tick(3500 * MS).unwrap().contains("3.1 s"));

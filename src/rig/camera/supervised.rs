@@ -195,7 +195,10 @@ fn jpeg_defect(data: &[u8]) -> Option<String> {
     let mut in_scan = false;
     loop {
         if in_scan {
-            match data.get(at..).and_then(|rest| rest.iter().position(|byte| *byte == 0xFF)) {
+            match data
+                .get(at..)
+                .and_then(|rest| rest.iter().position(|byte| *byte == 0xFF))
+            {
                 Some(step) => at += step,
                 None => return ends_early(data.len()),
             }
@@ -238,15 +241,20 @@ mod tests {
     const MS: u64 = 1_000_000;
 
     enum Act {
-        Frame { after_ms: u64, sequence: u32, shade: u8 },
-        Short { sequence: u32 },
+        Frame {
+            after_ms: u64,
+            sequence: u32,
+            shade: u8,
+        },
+        Short {
+            sequence: u32,
+        },
         Driver(CaptureError),
         Exposure(i64),
         Refuse,
-        Close,
     }
 
-    /// Plays a list of acts; `Refuse` refuses to open, `Close` ends what one opening delivers.
+    /// Plays a list of acts; `Refuse` refuses to open.
     struct Scripted {
         acts: Arc<Mutex<VecDeque<Act>>>,
         clock: Arc<ManualClock>,
@@ -332,7 +340,7 @@ mod tests {
                     self.clock.advance(1_000 * MS);
                     Ok(frame(9, vec![value as u8, 1]))
                 }
-                Some(Act::Refuse | Act::Close) => Err(CaptureError::Gone),
+                Some(Act::Refuse) => Err(CaptureError::Gone),
                 None => {
                     self.stop.store(true, Ordering::Relaxed);
                     Err(CaptureError::Timeout)
@@ -432,10 +440,7 @@ mod tests {
             })
             .collect();
         assert_eq!(damaged.len(), 2);
-        assert_eq!(
-            damaged[0],
-            (3, "GREY 2×1 needs 2 bytes, got 1".to_owned())
-        );
+        assert_eq!(damaged[0], (3, "GREY 2×1 needs 2 bytes, got 1".to_owned()));
         let frames = events
             .iter()
             .filter(|event| matches!(event, CameraEvent::Frame(_)))
@@ -507,12 +512,6 @@ mod tests {
         let (events, _) = play(acts);
         assert!(matches!(events.last(), Some(CameraEvent::Ended)));
         assert_eq!(reports(&events).pop().unwrap().health, Health::Ended);
-    }
-
-    #[test]
-    fn a_refused_close_in_the_middle_of_a_back_off_stops_at_once() {
-        let (events, _) = play(vec![Act::Close]);
-        assert!(matches!(events.last(), Some(CameraEvent::Report(_))));
     }
 
     fn tiny_jpeg() -> Vec<u8> {
