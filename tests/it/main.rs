@@ -4,6 +4,6 @@
 
 mod imaging;
 mod layers;
-mod shared_data;
 mod model_contract;
 mod rig;
+mod shared_data;

@@ -36,7 +36,10 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     };
     let name = model.contract().name.clone();
     if !context.quiet {
-        eprintln!("synthesising full-size frames, then measuring for {} s", args.seconds);
+        eprintln!(
+            "synthesising full-size frames, then measuring for {} s",
+            args.seconds
+        );
     }
     let params = LoadParams {
         seconds: args.seconds,

@@ -83,7 +83,11 @@ impl Args {
         let path = |path: &PathBuf| path.display().to_string();
         [
             ("--rig", "collect.rig", self.rig.clone()),
-            ("--dataset", "collect.dataset", self.dataset.as_ref().map(path)),
+            (
+                "--dataset",
+                "collect.dataset",
+                self.dataset.as_ref().map(path),
+            ),
             ("--object", "collect.object", self.object.clone()),
             ("--scene", "collect.scene", self.scene.clone()),
             ("--operator", "collect.operator", self.operator.clone()),
@@ -98,8 +102,11 @@ impl Args {
 
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    let Layered { config, .. } =
-        config::load(args.config.path().as_deref(), std::env::vars(), &args.flags())?;
+    let Layered { config, .. } = config::load(
+        args.config.path().as_deref(),
+        std::env::vars(),
+        &args.flags(),
+    )?;
     let settings = config.collect;
     let rig = chosen_rig(&settings)?;
     let dataset = chosen_dataset(&settings)?;
@@ -146,7 +153,12 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         .enable_all()
         .build()
         .map_err(|e| Error::io("cannot start the event loop", e))?;
-    let report = runtime.block_on(collect(setup, pedals, screen.then_some(sound), context.quiet))?;
+    let report = runtime.block_on(collect(
+        setup,
+        pedals,
+        screen.then_some(sound),
+        context.quiet,
+    ))?;
     if args.json {
         print_json(&report)?;
     } else {
@@ -163,7 +175,10 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         )),
         Ended::Quit | Ended::ScriptDone if report.session.failed > 0 => Err(Error::new(
             ErrorKind::Partial,
-            format!("{} save(s) failed; see the messages above", report.session.failed),
+            format!(
+                "{} save(s) failed; see the messages above",
+                report.session.failed
+            ),
         )),
         Ended::Quit | Ended::ScriptDone => Ok(()),
     }
@@ -316,8 +331,10 @@ fn read_script(path: &Path) -> Result<Script> {
 }
 
 fn dataset_name(path: &Path) -> String {
-    path.file_name()
-        .map_or_else(|| "dataset".into(), |name| name.to_string_lossy().into_owned())
+    path.file_name().map_or_else(
+        || "dataset".into(),
+        |name| name.to_string_lossy().into_owned(),
+    )
 }
 
 fn summary(report: &CollectReport) -> String {

@@ -100,29 +100,38 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let initial = |role| {
         let decoded = hub.slot(role).and_then(|slot| slot.latest());
         decoded.map(|decoded| decoded.image).ok_or_else(|| {
-            Error::new(ErrorKind::Internal, format!("{role}: nothing decoded in 1 s"))
+            Error::new(
+                ErrorKind::Internal,
+                format!("{role}: nothing decoded in 1 s"),
+            )
         })
     };
     let request = InferRequest::SetInitial {
         left: initial(Role::Left)?,
         right: initial(Role::Right)?,
     };
-    inference.requests().send(request).map_err(|_| {
-        Error::new(ErrorKind::Internal, "the inference thread has ended")
-    })?;
+    inference
+        .requests()
+        .send(request)
+        .map_err(|_| Error::new(ErrorKind::Internal, "the inference thread has ended"))?;
     std::thread::sleep(WARM_UP / 2);
 
     let counts = || {
-        hub.slots().fold((0, 0, 0), |(lost, skipped, received), slot| {
-            slot.facts(|facts| {
-                let skipped_here = if slot.role().is_tactile() { facts.not_decoded } else { 0 };
-                (
-                    lost + facts.counters.sequence_gaps,
-                    skipped + skipped_here,
-                    received + facts.counters.received,
-                )
+        hub.slots()
+            .fold((0, 0, 0), |(lost, skipped, received), slot| {
+                slot.facts(|facts| {
+                    let skipped_here = if slot.role().is_tactile() {
+                        facts.not_decoded
+                    } else {
+                        0
+                    };
+                    (
+                        lost + facts.counters.sequence_gaps,
+                        skipped + skipped_here,
+                        received + facts.counters.received,
+                    )
+                })
             })
-        })
     };
     // Reports come twice a second; the counters before and after are equally old.
     let (lost, skipped, received) = counts();
@@ -201,7 +210,13 @@ fn gel_frames(seed: u64, quality: u8) -> Result<Recording> {
             Ok(encode_jpeg(&picture, quality)?.into())
         })
         .collect::<Result<_>>()?;
-    Ok(recording("memory gel", PixelFormat::Mjpg, size, 25.0, frames))
+    Ok(recording(
+        "memory gel",
+        PixelFormat::Mjpg,
+        size,
+        25.0,
+        frames,
+    ))
 }
 
 fn raw_frames(format: PixelFormat) -> Recording {
@@ -269,7 +284,9 @@ impl FrameSource for MemorySource {
         }
         std::thread::sleep(wait);
         let frames = &self.recording.frames;
-        let data = self.pool.copy(&frames[(self.next % frames.len() as u64) as usize]);
+        let data = self
+            .pool
+            .copy(&frames[(self.next % frames.len() as u64) as usize]);
         let sequence = self.next as u32;
         self.next += 1;
         Ok(Frame {

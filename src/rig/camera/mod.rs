@@ -10,6 +10,8 @@ mod v4l2_controls;
 mod v4l2_fake;
 mod v4l2_ioctl;
 mod v4l2_node;
+mod virtual_camera;
+mod virtual_scene;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use source::{
@@ -28,3 +30,5 @@ pub use v4l2_node::{
     Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
     VideoNode, VideoNodes,
 };
+pub use virtual_camera::{VirtualOpener, VirtualRig};
+pub use virtual_scene::{Grip, SceneMoment, VirtualGrasp, VirtualHand, VirtualObject};

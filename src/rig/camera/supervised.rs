@@ -252,10 +252,9 @@ mod tests {
         Driver(CaptureError),
         Exposure(i64),
         Refuse,
-        Close,
     }
 
-    /// Plays a list of acts; `Refuse` refuses to open, `Close` ends what one opening delivers.
+    /// Plays a list of acts; `Refuse` refuses to open.
     struct Scripted {
         acts: Arc<Mutex<VecDeque<Act>>>,
         clock: Arc<ManualClock>,
@@ -341,7 +340,7 @@ mod tests {
                     self.clock.advance(1_000 * MS);
                     Ok(frame(9, vec![value as u8, 1]))
                 }
-                Some(Act::Refuse | Act::Close) => Err(CaptureError::Gone),
+                Some(Act::Refuse) => Err(CaptureError::Gone),
                 None => {
                     self.stop.store(true, Ordering::Relaxed);
                     Err(CaptureError::Timeout)
@@ -513,12 +512,6 @@ mod tests {
         let (events, _) = play(acts);
         assert!(matches!(events.last(), Some(CameraEvent::Ended)));
         assert_eq!(reports(&events).pop().unwrap().health, Health::Ended);
-    }
-
-    #[test]
-    fn a_refused_close_in_the_middle_of_a_back_off_stops_at_once() {
-        let (events, _) = play(vec![Act::Close]);
-        assert!(matches!(events.last(), Some(CameraEvent::Report(_))));
     }
 
     fn tiny_jpeg() -> Vec<u8> {
