@@ -2,8 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod collect;
 mod imaging;
 mod layers;
 mod model_contract;
 mod rig;
 mod shared_data;
+mod program;

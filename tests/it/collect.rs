@@ -1,0 +1,234 @@
+//! `gripcast collect` on the virtual rig, end to end.
+
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::program::{
+    collect, grasps, gripcast, json, script, stderr, succeed, verify, wait_until,
+};
+
+#[test]
+fn three_grasps_are_collected_predicted_and_verified() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let three = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/three-grasps.txt");
+    let report = json(&succeed(&mut collect(&three, &dataset)));
+
+    assert_eq!(report["session"]["saved"], 3);
+    assert_eq!(report["ended"], "quit");
+    assert_eq!(report["grasps"].as_array().unwrap().len(), 3);
+    assert_eq!(report["grasps"][1]["object"], "tape-roll");
+    assert_eq!(report["grasps"][1]["outcome"], "slip");
+    for role in ["left", "right", "rgb", "depth"] {
+        assert!(report["cameras"][role]["received"].as_u64().unwrap() > 0, "{role}");
+        assert_eq!(report["cameras"][role]["damaged"], 0, "{role}");
+    }
+    assert!(report["prediction"]["predictions"].as_u64().unwrap() > 0);
+
+    let verified = verify(&dataset);
+    assert_eq!(verified["grasps"], 3);
+    assert_eq!(verified["problems"].as_array().unwrap().len(), 0, "{verified}");
+
+    for (id, grasp) in grasps(&dataset) {
+        for stage in ["initial", "grasp"] {
+            for role in ["left", "right"] {
+                let file = grasp[stage]["cameras"][role]["file"].as_str().unwrap();
+                let bytes = std::fs::read(dataset.join("grasps").join(&id).join(file)).unwrap();
+                assert_eq!(&bytes[..2], [0xff, 0xd8], "{file} is the camera's own JPEG");
+            }
+        }
+        let p = grasp["prediction"]["p_stable"].as_f64().unwrap();
+        assert!((0.0..=1.0).contains(&p));
+        assert_eq!(grasp["grasp"]["trigger"], "script");
+        assert_eq!(grasp["rig"], "virtual");
+        assert_eq!(grasp["overridden_guards"].as_array().unwrap().len(), 0);
+    }
+    let index = std::fs::read_to_string(dataset.join("metadata.jsonl")).unwrap();
+    assert_eq!(index.lines().count(), 3);
+}
+
+#[test]
+fn the_prediction_is_that_of_the_saved_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let steps = "wait live\ninitial\nwait saved\nwait contact\ngrasp\nwait saved\nquit\n";
+    succeed(&mut collect(&script(dir.path(), steps), &dataset));
+    let (id, grasp) = grasps(&dataset).pop_first().unwrap();
+    let file = |stage: &str, role: &str| {
+        let name = grasp[stage]["cameras"][role]["file"].as_str().unwrap();
+        dataset.join("grasps").join(&id).join(name)
+    };
+    let crop = grasp["grasp"]["cameras"]["left"]["crop_profile"].as_str().unwrap();
+    let output = succeed(
+        gripcast()
+            .args(["predict", "images", "--json", "--crop", crop])
+            .arg("--initial-left")
+            .arg(file("initial", "left"))
+            .arg("--initial-right")
+            .arg(file("initial", "right"))
+            .arg("--grasp-left")
+            .arg(file("grasp", "left"))
+            .arg("--grasp-right")
+            .arg(file("grasp", "right")),
+    );
+    let repeated = json(&output)["p_stable"].as_f64().unwrap();
+    let stored = grasp["prediction"]["p_stable"].as_f64().unwrap();
+    assert!((repeated - stored).abs() < 1e-6, "stored {stored}, repeated {repeated}");
+}
+
+#[test]
+fn a_grasp_without_contact_is_refused_and_an_override_is_on_record() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    // The virtual hand is still open right after the initial frame: nothing touches the gels.
+    let steps = "wait live\ngrasp\nexpect refused\ninitial\nexpect saved\n\
+                 grasp\nexpect refused\noverride\nexpect saved\nstable\nexpect saved\nquit\n";
+    let mut command = collect(&script(dir.path(), steps), &dataset);
+    // A limit that no contact reaches keeps the test independent of the machine's speed.
+    command.env("GRIPCAST__GUARDS__MIN_CONTACT_FRACTION", "1.1");
+    let report = json(&succeed(&mut command));
+    assert_eq!(report["session"]["refused"], 2);
+    assert_eq!(report["session"]["overridden"], 1);
+    let (_, grasp) = grasps(&dataset).pop_first().unwrap();
+    let overridden = grasp["overridden_guards"].as_array().unwrap();
+    assert_eq!(overridden.len(), 1);
+    assert_eq!(overridden[0]["guard"], "no_contact");
+}
+
+#[test]
+fn undo_moves_to_the_trash_and_redo_brings_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let steps = "wait live\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\n\
+                 slip\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\n\
+                 undo\nexpect refused\nredo\nexpect saved\nredo\nexpect saved\nredo\nexpect saved\n\
+                 redo\nexpect refused\nquit\n";
+    let report = json(&succeed(&mut collect(&script(dir.path(), steps), &dataset)));
+    assert_eq!(report["session"]["undone"], 3);
+    assert_eq!(report["session"]["redone"], 3);
+    let found = grasps(&dataset);
+    assert_eq!(found.len(), 1);
+    assert_eq!(found.values().next().unwrap()["outcome"], "slip");
+    assert_eq!(verify(&dataset)["problems"].as_array().unwrap().len(), 0);
+}
+
+#[test]
+fn an_initial_frame_survives_the_process_and_is_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let first = "wait live\ninitial\nexpect saved\nquit\n";
+    succeed(&mut collect(&script(dir.path(), first), &dataset));
+    assert_eq!(grasps(&dataset).len(), 0);
+    let second = "wait live\nwait contact\ngrasp\nexpect saved\nquit\n";
+    let report = json(&succeed(&mut collect(&script(dir.path(), second), &dataset)));
+    assert_eq!(report["session"]["initials"], 0);
+    assert_eq!(report["session"]["saved"], 1);
+    assert!(report["grasps"][0]["p_stable"].is_number(), "{report}");
+}
+
+fn refused(args: &[&str]) -> (i32, String) {
+    let output = gripcast().args(args).output().unwrap();
+    (output.status.code().unwrap(), stderr(&output))
+}
+
+#[test]
+fn wrong_input_is_explained_with_the_right_exit_code() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = |path: &Path| path.to_str().unwrap().to_owned();
+    let dataset = text(&dir.path().join("d"));
+    let wait = text(&script(dir.path(), "wait live\nquit\n"));
+    let not_onnx = dir.path().join("model.onnx");
+    std::fs::write(&not_onnx, b"\xff\xd8 this is no model").unwrap();
+    let not_onnx = text(&not_onnx);
+    let nonsense = dir.path().join("nonsense.txt");
+    std::fs::write(&nonsense, "wait live\ngrab it\n").unwrap();
+    let nonsense = text(&nonsense);
+    let on_virtual = ["collect", "--rig", "virtual", "--dataset", &dataset, "--script"];
+    let with = |more: &[&str]| refused(&[&on_virtual[..], more].concat());
+
+    let cases: Vec<((i32, String), i32, &[&str])> = vec![
+        (refused(&["collect", "--dataset", &dataset]), 2, &["which rig", "--rig virtual"]),
+        (refused(&["collect", "--rig", "virtual"]), 2, &["which dataset"]),
+        (
+            refused(&["collect", "--rig", "virtul", "--dataset", &dataset]),
+            2,
+            &["virtul", "virtual"],
+        ),
+        (
+            refused(&["collect", "--rig", "virtual", "--dataset", &dataset]),
+            2,
+            &["no terminal", "--script"],
+        ),
+        (with(&[&wait, "--model", &not_onnx]), 1, &["model.onnx"]),
+        (with(&[&wait, "--model", "/nonexistent.onnx"]), 1, &["/nonexistent.onnx"]),
+        (with(&[&nonsense]), 1, &["nonsense.txt:2", "grab it"]),
+        (with(&[&wait, "--sound", "loud"]), 2, &["loud", "bell"]),
+        (with(&["/nonexistent.txt"]), 1, &["/nonexistent.txt"]),
+    ];
+    for ((code, message), expected, words) in cases {
+        assert_eq!(code, expected, "{message}");
+        for word in words {
+            assert!(message.contains(word), "`{word}` is missing in: {message}");
+        }
+        assert!(!message.contains("panicked"), "{message}");
+    }
+}
+
+#[test]
+fn a_second_collection_on_the_same_dataset_is_told_who_holds_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let long = dir.path().join("long.txt");
+    std::fs::write(&long, "wait live\ninitial\nexpect saved\nsleep 600\n").unwrap();
+    let mut holder = collect(&long, &dataset)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    wait_until(&mut holder, || dataset.join("metadata.jsonl").exists());
+    let output = collect(&script(dir.path(), "wait live\nquit\n"), &dataset).output().unwrap();
+    holder.kill().unwrap();
+    holder.wait().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let message = stderr(&output);
+    assert!(message.contains(&holder.id().to_string()), "{message}");
+}
+
+#[test]
+fn a_dataset_of_a_newer_schema_is_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let wait = script(dir.path(), "wait live\nquit\n");
+    succeed(&mut collect(&wait, &dataset));
+    let path = dataset.join("dataset.toml");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let newer = text.replace("schema = 1", "schema = 99");
+    assert_ne!(text, newer, "dataset.toml names its schema");
+    std::fs::write(&path, &newer).unwrap();
+    let output = collect(&wait, &dataset).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("99"), "{}", stderr(&output));
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), newer);
+}
+
+#[test]
+fn interrupt_ends_cleanly_with_130_and_a_report() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let steps = "wait live\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\nsleep 600\n";
+    let mut child = collect(&script(dir.path(), steps), &dataset)
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    wait_until(&mut child, || !grasps(&dataset).is_empty());
+    let pid = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    let report: Value = json(&output);
+    assert_eq!(report["ended"], "interrupted");
+    assert_eq!(report["session"]["saved"], 1);
+    assert_eq!(verify(&dataset)["problems"].as_array().unwrap().len(), 0);
+}

@@ -1,0 +1,103 @@
+//! Running the program as a user does.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value;
+
+/// The program, without the settings of whoever runs the tests.
+pub fn gripcast() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_gripcast"));
+    let inherited: Vec<String> = std::env::vars()
+        .map(|(name, _)| name)
+        .filter(|name| name.starts_with("GRIPCAST__"))
+        .collect();
+    for name in inherited {
+        command.env_remove(name);
+    }
+    command
+        .env("XDG_CONFIG_HOME", "/nonexistent")
+        .env("NO_COLOR", "1")
+        .stdin(Stdio::null());
+    command
+}
+
+/// `collect` on the virtual rig with a script, and with guards that a loaded machine can hold:
+/// these tests are about what is saved, not about how fresh frames are.
+pub fn collect(script: &Path, dataset: &Path) -> Command {
+    let mut command = gripcast();
+    command
+        .args(["collect", "--rig", "virtual", "--json", "--script"])
+        .arg(script)
+        .arg("--dataset")
+        .arg(dataset)
+        .env("GRIPCAST__GUARDS__MAX_FRAME_AGE_MS", "60000")
+        .env("GRIPCAST__GUARDS__MAX_SKEW_MS", "60000")
+        .env("GRIPCAST__GUARDS__MIN_FREE_BYTES", "0");
+    command
+}
+
+/// A script file in `dir`.
+pub fn script(dir: &Path, lines: &str) -> PathBuf {
+    let path = dir.join("script.txt");
+    std::fs::write(&path, lines).unwrap();
+    path
+}
+
+pub fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
+        panic!(
+            "no JSON on stdout: {error}\n{}\n{}",
+            String::from_utf8_lossy(&output.stdout),
+            stderr(output)
+        )
+    })
+}
+
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Runs a command that has to succeed.
+pub fn succeed(command: &mut Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{command:?}\n{}", stderr(&output));
+    output
+}
+
+/// What `dataset verify --json` says.
+pub fn verify(dataset: &Path) -> Value {
+    let output = gripcast()
+        .args(["dataset", "verify", "--json"])
+        .arg(dataset)
+        .output()
+        .unwrap();
+    json(&output)
+}
+
+/// Records of all grasps that are visible in a dataset, by id.
+pub fn grasps(dataset: &Path) -> std::collections::BTreeMap<String, Value> {
+    let mut found = std::collections::BTreeMap::new();
+    let Ok(entries) = std::fs::read_dir(dataset.join("grasps")) else {
+        return found;
+    };
+    for entry in entries {
+        let entry = entry.unwrap();
+        let name = entry.file_name().into_string().unwrap();
+        if name.starts_with('.') {
+            continue;
+        }
+        let text = std::fs::read_to_string(entry.path().join("grasp.json"))
+            .unwrap_or_else(|error| panic!("half a grasp is visible: {name}: {error}"));
+        found.insert(name, serde_json::from_str(&text).unwrap());
+    }
+    found
+}
+
+/// Waits for what a running program does; it must not end before.
+pub fn wait_until(child: &mut std::process::Child, mut done: impl FnMut() -> bool) {
+    while !done() {
+        assert!(child.try_wait().unwrap().is_none(), "the program ended too early");
+        std::thread::yield_now();
+    }
+}
