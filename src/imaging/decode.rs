@@ -3,7 +3,7 @@
 use fast_image_resize::Resizer;
 use image::RgbImage;
 
-use super::crop::CropProfile;
+use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
 use super::frame::{Frame, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
@@ -69,43 +69,21 @@ impl Decoder {
         width: u32,
         height: u32,
     ) -> Result<RgbImage, FrameDamage> {
-        let header = check(frame)?;
         let crop = crop.unwrap_or(&CropProfile::FULL);
+        if let Some(header) = check(frame)? {
+            return self.decode_jpeg(&frame.data, &header, crop, width, height);
+        }
+        check_target(width, height)?;
         let window = window_of(crop, frame.width, frame.height)?;
-        let source = match header {
-            Some(header) => {
-                let scale = JpegScale::smallest_for((window.width, window.height), (width, height));
-                let pixels = self.jpeg.decode_inspected(&frame.data, &header, scale)?;
-                Source {
-                    width: pixels.width,
-                    height: pixels.height,
-                    rgb: pixels.rgb,
-                    reduction: scale.denominator(),
-                }
-            }
-            None if frame.format == PixelFormat::Z16 => {
-                check_target(width, height)?;
-                let nearest = |index: u32, target: u32, first: u32, count: u32| {
-                    let centre = (2 * u64::from(index) + 1) * u64::from(count);
-                    first as usize + (centre / (2 * u64::from(target))) as usize
-                };
-                return Ok(RgbImage::from_fn(width, height, |x, y| {
-                    let x = nearest(x, width, window.left, window.width);
-                    let y = nearest(y, height, window.top, window.height);
-                    let at = (y * frame.width as usize + x) * 2;
-                    let depth = u16::from_le_bytes([frame.data[at], frame.data[at + 1]]);
-                    image::Rgb(z16::preview_colour(depth))
-                }));
-            }
-            None => {
-                raw_to_rgb(frame, &mut self.rgb);
-                Source {
-                    width: frame.width,
-                    height: frame.height,
-                    rgb: &self.rgb,
-                    reduction: 1,
-                }
-            }
+        if frame.format == PixelFormat::Z16 {
+            return Ok(depth_preview(frame, window, width, height));
+        }
+        raw_to_rgb(frame, &mut self.rgb);
+        let source = Source {
+            width: frame.width,
+            height: frame.height,
+            rgb: &self.rgb,
+            reduction: 1,
         };
         resample(&mut self.resizer, &source, window, width, height)
     }
@@ -264,6 +242,21 @@ fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
         return Err(FrameDamage::PictureSize { expected, found });
     }
     Ok(Some(header))
+}
+
+/// Depth in false colour; neighbours are not mixed, which would invent depths.
+fn depth_preview(frame: &Frame, window: CropWindow, width: u32, height: u32) -> RgbImage {
+    let nearest = |index: u32, target: u32, first: u32, count: u32| {
+        let centre = (2 * u64::from(index) + 1) * u64::from(count);
+        first as usize + (centre / (2 * u64::from(target))) as usize
+    };
+    RgbImage::from_fn(width, height, |x, y| {
+        let x = nearest(x, width, window.left, window.width);
+        let y = nearest(y, height, window.top, window.height);
+        let at = (y * frame.width as usize + x) * 2;
+        let depth = u16::from_le_bytes([frame.data[at], frame.data[at + 1]]);
+        image::Rgb(z16::preview_colour(depth))
+    })
 }
 
 /// Converts a raw frame whose byte count has been checked; `rgb` takes its size.

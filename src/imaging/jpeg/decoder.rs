@@ -11,7 +11,9 @@ const MOST_SCANS: u32 = 100;
 
 /// Size of the decoded picture against the coded one; sizes are rounded up.
 ///
-/// Only the factors for which libjpeg-turbo has SIMD inverse transforms.
+/// Only the factors for which libjpeg-turbo has SIMD inverse transforms. A tactile picture that
+/// goes through `Quarter` to 320×240 differs from one decoded whole and then resized by 0.15 grey
+/// levels in the mean and at most 2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum JpegScale {
     /// 1/8: the mean of each 8×8 block.
@@ -86,10 +88,10 @@ pub struct JpegPixels<'a> {
 /// give found only 4 % of the rest, at the price of decoding twice.
 ///
 /// # Speed
-/// Reading the entropy-coded data is two thirds of the cost at 1/4, so neither plainer colour
-/// upsampling (2 %) nor decoding to YCbCr (5 %) is worth its loss. Decoding only the crop's blocks
-/// would save at most 15 %, and would not read the data below the crop, where damage would stay
-/// unseen.
+/// Reading the entropy-coded data is two thirds and more of the cost at 1/4 (frames of 200 kB
+/// and more), so neither plainer colour upsampling (2 %) nor decoding to YCbCr (5 %) is worth its
+/// loss. Decoding only the crop's blocks would save at most 15 %, and would not read the data
+/// below the crop, where damage would stay unseen.
 pub struct JpegDecoder {
     turbo: Decompressor,
     pixels: Vec<u8>,
