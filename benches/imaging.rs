@@ -13,6 +13,8 @@ use std::hint::black_box;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use fast_image_resize::images::{Image, ImageRef};
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use gripcast::imaging::jpeg::{JpegScale, inspect};
 use gripcast::imaging::{
     CropProfile, Decoder, Frame, JpegDecoder, PixelFormat, TactileDifference, crop_and_resize,
@@ -48,15 +50,28 @@ fn tactile(c: &mut Criterion) {
         bench("model_input", &mut || {
             black_box(decoder.decode(&frame, Some(&CROP), 320, 240).unwrap());
         });
+        let mut jpeg = JpegDecoder::new().unwrap();
+        let window = CROP.window(3280, 2464).unwrap();
+        let options = ResizeOptions::new()
+            .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
+            .crop(
+                window.left.into(),
+                window.top.into(),
+                window.width.into(),
+                window.height.into(),
+            );
+        let mut resizer = Resizer::new();
         bench("whole_resize", &mut || {
-            let whole = decoder.decode_full(&frame).unwrap();
-            black_box(crop_and_resize(&whole, &CROP, 320, 240).unwrap());
+            let whole = jpeg.decode(&frame.data, JpegScale::Whole).unwrap();
+            let from = ImageRef::new(3280, 2464, whole.rgb, PixelType::U8x3).unwrap();
+            let mut to = Image::new(320, 240, PixelType::U8x3);
+            resizer.resize(&from, &mut to, &options).unwrap();
+            black_box(to);
         });
         bench("verify", &mut || decoder.verify(&frame).unwrap());
         bench("inspect", &mut || {
             black_box(inspect(&frame.data).unwrap());
         });
-        let mut jpeg = JpegDecoder::new().unwrap();
         for (name, scale) in [
             ("scale_1_8", JpegScale::Eighth),
             ("scale_1_4", JpegScale::Quarter),

@@ -3,14 +3,15 @@
 use fast_image_resize::Resizer;
 use image::RgbImage;
 
-use super::crop::CropProfile;
+use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
 use super::frame::{Frame, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
-use super::resample::{LARGEST_SIDE, Source, resample, window_of};
+use super::png::decode_png_rgb;
+use super::resample::{LARGEST_SIDE, Source, check_target, crop_and_resize, resample, window_of};
 use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
-use crate::error::Result as CrateResult;
+use crate::error::{Error, ErrorKind, Result as CrateResult};
 
 /// Turns frames into pictures; one per thread, it keeps its buffers between frames.
 ///
@@ -68,45 +69,42 @@ impl Decoder {
         width: u32,
         height: u32,
     ) -> Result<RgbImage, FrameDamage> {
-        let header = check(frame)?;
         let crop = crop.unwrap_or(&CropProfile::FULL);
+        if let Some(header) = check(frame)? {
+            return self.decode_jpeg(&frame.data, &header, crop, width, height);
+        }
+        check_target(width, height)?;
         let window = window_of(crop, frame.width, frame.height)?;
-        let source = match header {
-            Some(header) => {
-                let scale = JpegScale::smallest_for((window.width, window.height), (width, height));
-                let pixels = self.jpeg.decode_inspected(&frame.data, &header, scale)?;
-                Source {
-                    width: pixels.width,
-                    height: pixels.height,
-                    rgb: pixels.rgb,
-                    reduction: scale.denominator(),
-                }
-            }
-            None if frame.format == PixelFormat::Z16 => {
-                if !(1..=LARGEST_SIDE).contains(&width) || !(1..=LARGEST_SIDE).contains(&height) {
-                    return Err(FrameDamage::TargetSize { width, height });
-                }
-                let nearest = |index: u32, target: u32, first: u32, count: u32| {
-                    let centre = (2 * u64::from(index) + 1) * u64::from(count);
-                    first as usize + (centre / (2 * u64::from(target))) as usize
-                };
-                return Ok(RgbImage::from_fn(width, height, |x, y| {
-                    let x = nearest(x, width, window.left, window.width);
-                    let y = nearest(y, height, window.top, window.height);
-                    let at = (y * frame.width as usize + x) * 2;
-                    let depth = u16::from_le_bytes([frame.data[at], frame.data[at + 1]]);
-                    image::Rgb(z16::preview_colour(depth))
-                }));
-            }
-            None => {
-                raw_to_rgb(frame, &mut self.rgb);
-                Source {
-                    width: frame.width,
-                    height: frame.height,
-                    rgb: &self.rgb,
-                    reduction: 1,
-                }
-            }
+        if frame.format == PixelFormat::Z16 {
+            return Ok(depth_preview(frame, window, width, height));
+        }
+        raw_to_rgb(frame, &mut self.rgb);
+        let source = Source {
+            width: frame.width,
+            height: frame.height,
+            rgb: &self.rgb,
+            reduction: 1,
+        };
+        resample(&mut self.resizer, &source, window, width, height)
+    }
+
+    fn decode_jpeg(
+        &mut self,
+        bytes: &[u8],
+        header: &JpegHeader,
+        crop: &CropProfile,
+        width: u32,
+        height: u32,
+    ) -> Result<RgbImage, FrameDamage> {
+        check_target(width, height)?;
+        let window = window_of(crop, header.width, header.height)?;
+        let scale = JpegScale::smallest_for((window.width, window.height), (width, height));
+        let pixels = self.jpeg.decode_inspected(bytes, header, scale)?;
+        let source = Source {
+            width: pixels.width,
+            height: pixels.height,
+            rgb: pixels.rgb,
+            reduction: scale.denominator(),
         };
         resample(&mut self.resizer, &source, window, width, height)
     }
@@ -132,6 +130,40 @@ impl Decoder {
             width: frame.width,
             height: frame.height,
         })
+    }
+
+    /// A stored JPEG or PNG, cropped and resized exactly as [`Decoder::decode`] does with frames;
+    /// this is how training reads what the live path saw.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Input`] when the file is neither or is damaged, or the size is impossible.
+    pub fn decode_file(
+        &mut self,
+        bytes: &[u8],
+        crop: Option<&CropProfile>,
+        width: u32,
+        height: u32,
+    ) -> CrateResult<RgbImage> {
+        const PNG: &[u8] = b"\x89PNG";
+        let crop = crop.unwrap_or(&CropProfile::FULL);
+        match bytes {
+            [0xff, 0xd8, ..] => {
+                let header = jpeg::inspect(bytes)?;
+                Ok(self.decode_jpeg(bytes, &header, crop, width, height)?)
+            }
+            _ if bytes.starts_with(PNG) => {
+                let picture = decode_png_rgb(bytes)?;
+                Ok(crop_and_resize(&picture, crop, width, height)?)
+            }
+            _ => Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "expected a JPEG or PNG picture, found {} bytes that start with {:02X?}",
+                    bytes.len(),
+                    &bytes[..bytes.len().min(4)]
+                ),
+            )),
+        }
     }
 
     /// Depth in the camera's units, 0 where nothing was measured.
@@ -210,6 +242,21 @@ fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
         return Err(FrameDamage::PictureSize { expected, found });
     }
     Ok(Some(header))
+}
+
+/// Depth in false colour; neighbours are not mixed, which would invent depths.
+fn depth_preview(frame: &Frame, window: CropWindow, width: u32, height: u32) -> RgbImage {
+    let nearest = |index: u32, target: u32, first: u32, count: u32| {
+        let centre = (2 * u64::from(index) + 1) * u64::from(count);
+        first as usize + (centre / (2 * u64::from(target))) as usize
+    };
+    RgbImage::from_fn(width, height, |x, y| {
+        let x = nearest(x, width, window.left, window.width);
+        let y = nearest(y, height, window.top, window.height);
+        let at = (y * frame.width as usize + x) * 2;
+        let depth = u16::from_le_bytes([frame.data[at], frame.data[at + 1]]);
+        image::Rgb(z16::preview_colour(depth))
+    })
 }
 
 /// Converts a raw frame whose byte count has been checked; `rgb` takes its size.

@@ -57,6 +57,16 @@ pub(super) fn window_of(
     })
 }
 
+/// Whether a picture of this size may be produced.
+pub(super) fn check_target(width: u32, height: u32) -> Result<(), FrameDamage> {
+    let possible = 1..=LARGEST_SIDE;
+    if possible.contains(&width) && possible.contains(&height) {
+        Ok(())
+    } else {
+        Err(FrameDamage::TargetSize { width, height })
+    }
+}
+
 /// Resizes `window`, given in pixels of the original picture, to `width` × `height`.
 pub(super) fn resample(
     resizer: &mut Resizer,
@@ -65,10 +75,8 @@ pub(super) fn resample(
     width: u32,
     height: u32,
 ) -> Result<RgbImage, FrameDamage> {
+    check_target(width, height)?;
     let refused = || FrameDamage::TargetSize { width, height };
-    if !(1..=LARGEST_SIDE).contains(&width) || !(1..=LARGEST_SIDE).contains(&height) {
-        return Err(refused());
-    }
     let mut out = RgbImage::new(width, height);
     let scaled = |pixels: u32| f64::from(pixels) / f64::from(source.reduction);
     let options = ResizeOptions::new()

@@ -6,7 +6,7 @@ use gripcast::imaging::jpeg::{JpegScale, Subsampling, inspect};
 use gripcast::imaging::{
     CropProfile, Decoder, Frame, FrameDamage, JpegDamage, JpegDecoder, PixelFormat,
     TactileDifference, check_structure, crop_and_resize, decode_png_rgb, encode_jpeg,
-    synthetic_gel,
+    encode_png_rgb, synthetic_gel,
 };
 use image::{Rgb, RgbImage};
 use proptest::prelude::*;
@@ -249,6 +249,59 @@ fn missing_huffman_tables_are_supplied_whatever_came_before() {
         .decode_full(&frame(PixelFormat::Mjpg, 320, 240, other))
         .unwrap();
     assert_eq!(decoder.decode_full(&bare).unwrap(), expected);
+}
+
+#[test]
+fn restart_markers_are_followed_and_their_order_is_held() {
+    // Two pictures of one coding unit each make one of two with a restart between them.
+    let parts = [1, 2].map(|seed| encode_jpeg(&synthetic_gel(16, 8, seed, 0.5), 85).unwrap());
+    let start = scan_start(&parts[0]);
+    let scans = parts.each_ref().map(|part| &part[start..part.len() - 2]);
+    let mut head = parts[0][..start].to_vec();
+    let sof = head.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
+    head[sof + 6] = 16;
+    head.splice(2..2, [0xff, 0xdd, 0, 4, 0, 1]);
+    let with_marker = |restart: &[u8]| {
+        let joined = [&head[..], scans[0], restart, scans[1], &[0xff, 0xd9]].concat();
+        frame(PixelFormat::Mjpg, 16, 16, joined)
+    };
+    let mut decoder = Decoder::new().unwrap();
+    let joined = decoder.decode_full(&with_marker(&[0xff, 0xd0])).unwrap();
+    for (part, rows) in parts.iter().zip(joined.as_raw().chunks(16 * 8 * 3)) {
+        let alone = decoder
+            .decode_full(&frame(PixelFormat::Mjpg, 16, 8, part.clone()))
+            .unwrap();
+        assert_eq!(alone.as_raw(), rows);
+    }
+    for (restart, expected) in [
+        (&[0xff, 0xd3][..], "restart marker 3"),
+        (&[], "compressed data is corrupt"),
+    ] {
+        let damage = decoder.verify(&with_marker(restart)).unwrap_err();
+        assert!(damage.to_string().contains(expected), "{damage}");
+    }
+}
+
+#[test]
+fn stored_files_give_what_the_live_path_gives() {
+    let gel = synthetic_gel(640, 480, 2, 0.4);
+    let live = mjpg(&gel, 90);
+    let crop = Some(&CropProfile::GSMINI_FIFTEEN);
+    let mut decoder = Decoder::new().unwrap();
+    assert_eq!(
+        decoder.decode_file(&live.data, crop, 320, 240).unwrap(),
+        decoder.decode(&live, crop, 320, 240).unwrap()
+    );
+    let png = encode_png_rgb(&gel).unwrap();
+    assert_eq!(
+        decoder.decode_file(&png, crop, 320, 240).unwrap(),
+        crop_and_resize(&gel, &CropProfile::GSMINI_FIFTEEN, 320, 240).unwrap()
+    );
+    let text = decoder
+        .decode_file(b"BM..", crop, 8, 8)
+        .unwrap_err()
+        .to_string();
+    assert!(text.contains("[42, 4D, 2E, 2E]"), "{text}");
 }
 
 #[test]

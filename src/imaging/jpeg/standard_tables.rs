@@ -81,6 +81,25 @@ pub(super) fn with_standard_tables(jpeg: &[u8], out: &mut Vec<u8>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imaging::{encode_jpeg, synthetic_gel};
+
+    #[test]
+    fn tables_are_those_of_libjpeg() {
+        let jpeg = encode_jpeg(&synthetic_gel(16, 16, 1, 0.0), 90).unwrap();
+        let mut completed = Vec::new();
+        with_standard_tables(&jpeg, &mut completed);
+        for table in &TABLES {
+            let length = (19 + table.symbols.len()) as u16;
+            let mut segment = vec![0xff, code::DHT];
+            segment.extend_from_slice(&length.to_be_bytes());
+            segment.push(table.place);
+            segment.extend_from_slice(&table.counts);
+            segment.extend_from_slice(table.symbols);
+            assert!(jpeg.windows(segment.len()).any(|w| w == segment));
+        }
+        assert_eq!(completed.len(), jpeg.len() + 4 + 416);
+        assert_eq!(completed[completed.len() - jpeg.len() + 2..], jpeg[2..]);
+    }
 
     #[test]
     fn counts_and_symbols_agree() {
