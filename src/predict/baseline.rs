@@ -1,10 +1,10 @@
 //! A hand-written contact-strength heuristic, for use until a trained model exists.
 //!
 //! It asks one question: do *both* gels show a clear contact, and about the same one? Per sensor:
-//! block means of the tactile difference over [`BLOCK_PX`] pixels (averages camera noise out),
-//! minus the picture's own mean (cancels an even change of brightness), absolute value, largest
-//! channel, the part above [`NOISE_LEVELS`] grey levels, mean over the picture. That excess `s` is
-//! squeezed into a strength `s / (s + HALF_EXCESS)` in [0, 1), and
+//! means of the tactile difference over small patches (averages camera noise out), minus the mean
+//! of the channel (cancels an even change of brightness), absolute value, the part above
+//! [`NOISE_LEVELS`] grey levels, mean over patches and channels. That excess `s` is squeezed into a
+//! strength `s / (s + HALF_EXCESS)` in [0, 1), and
 //!
 //! `p_stable = sigmoid(BIAS + WEAKER·min(left, right) − IMBALANCE·|left − right|)`.
 //!
@@ -17,13 +17,15 @@ use super::contract::{
 use super::onnx::{Attribute, OnnxGraphBuilder, Value};
 use crate::error::Result;
 
-/// Side of a block, pixels; averages 64 pixels, so noise falls to an eighth.
-const BLOCK_PX: i64 = 8;
-/// Change of a block that still counts as noise, grey levels of 255.
-const NOISE_LEVELS: f32 = 3.0;
+/// Side of a patch, pixels; averages 16 pixels, so noise falls to a quarter.
+const PATCH_PX: i64 = 4;
+/// Distance of patches, pixels. A contact spans several; every pixel would cost four times more.
+const STRIDE_PX: i64 = 8;
+/// Change of a patch that still counts as noise, grey levels of 255.
+const NOISE_LEVELS: f32 = 4.0;
 /// Excess at which the strength is one half. The faintest real press at hand (a small ball on a
-/// GelSight Mini) has 0.0032, the largest 0.066; camera noise of 4 grey levels has 0.
-const HALF_EXCESS: f32 = 0.002;
+/// GelSight Mini) has 0.0017, the clearest 0.033; camera noise of 4 grey levels has 0.00001.
+const HALF_EXCESS: f32 = 0.001;
 /// Log-odds without contact: p = 0.05.
 const BIAS: f32 = -3.0;
 /// Log-odds of a full contact on the weaker side.
@@ -89,6 +91,7 @@ pub fn onnx_bytes() -> Result<Vec<u8>> {
     graph.to_bytes()
 }
 
+/// Constants that both sensors share.
 struct Constants {
     noise: Value,
     half_excess: Value,
@@ -110,28 +113,26 @@ fn strength(
     constants: &Constants,
 ) -> Result<Value> {
     let named = |step: &str| format!("{input}_{step}");
-    let reduce = |axes: &[i64], keepdims: i64| {
+    let over = |axes: &[i64], keepdims: i64| {
         [
             Attribute::ints("axes", axes),
             Attribute::int("keepdims", keepdims),
         ]
     };
     let pool = [
-        Attribute::ints("kernel_shape", &[BLOCK_PX; 2]),
-        Attribute::ints("strides", &[BLOCK_PX; 2]),
+        Attribute::ints("kernel_shape", &[PATCH_PX; 2]),
+        Attribute::ints("strides", &[STRIDE_PX; 2]),
     ];
     let x = graph.input(input.name(), &INPUT_SHAPE)?;
-    let blocks = graph.node("AveragePool", &named("blocks"), &[&x], pool)?;
-    let over_picture = reduce(&[2, 3], 1);
-    let mean = graph.node("ReduceMean", &named("mean"), &[&blocks], over_picture)?;
-    let centred = graph.node("Sub", &named("centred"), &[&blocks, &mean], [])?;
+    let patches = graph.node("AveragePool", &named("patches"), &[&x], pool)?;
+    let mean = graph.node("ReduceMean", &named("mean"), &[&patches], over(&[2, 3], 1))?;
+    let centred = graph.node("Sub", &named("centred"), &[&patches, &mean], [])?;
     let change = graph.node("Abs", &named("change"), &[&centred], [])?;
-    let largest = reduce(&[1], 1);
-    let change = graph.node("ReduceMax", &named("largest"), &[&change], largest)?;
     let above = graph.node("Sub", &named("above"), &[&change, &constants.noise], [])?;
     let above = graph.node("Relu", &named("above_noise"), &[&above], [])?;
-    let over_picture = reduce(&[2, 3], 0);
-    let excess = graph.node("ReduceMean", &named("excess"), &[&above], over_picture)?;
+    let flat = [Attribute::int("axis", 1)];
+    let above = graph.node("Flatten", &named("above_flat"), &[&above], flat)?;
+    let excess = graph.node("ReduceMean", &named("excess"), &[&above], over(&[1], 1))?;
     let sum = [&excess, &constants.half_excess];
     let sum = graph.node("Add", &named("excess_plus_half"), &sum, [])?;
     graph.node("Div", &named("strength"), &[&excess, &sum], [])
