@@ -143,12 +143,6 @@ pub(super) fn rewrite(disk: &dyn Disk, layout: &Layout) -> Result<ReindexReport>
     })
 }
 
-/// Whether the index says what the records say.
-pub(super) fn is_fresh(layout: &Layout) -> Result<bool> {
-    let (rows, _skipped) = read_rows(layout)?;
-    Ok(is_stored(layout, &to_jsonl(&rows)))
-}
-
 /// Whether the index is this text.
 pub(super) fn is_stored(layout: &Layout, text: &str) -> bool {
     fs::read(layout.index()).is_ok_and(|found| found == text.as_bytes())

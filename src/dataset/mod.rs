@@ -12,6 +12,8 @@ mod capture;
 mod counts;
 #[cfg(test)]
 mod crash_test;
+#[cfg(test)]
+mod damage_test;
 mod descriptor;
 mod disk;
 mod encode;

@@ -1,6 +1,6 @@
 //! Rescues what is there; moves the rest to `trash/`, with the reason. Deletes nothing.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -9,8 +9,8 @@ use serde::Serialize;
 use super::descriptor::{Descriptor, NewDataset};
 use super::disk::{Disk, SystemDisk, replace};
 use super::grasp::{GraspId, GraspRecord};
-use super::index;
-use super::layout::{DATASET_TOML, GRASP_JSON, Layout, pending_id};
+use super::index::{self, IndexRow};
+use super::layout::{DATASET_TOML, GRASP_JSON, Layout, METADATA_JSONL, pending_id};
 use super::lock::DatasetLock;
 use super::opening::create_directories;
 use super::reader::{entries, grasp_ids};
@@ -22,7 +22,7 @@ use super::writer::failed;
 use crate::error::{Error, ErrorKind, Result};
 
 /// What recovery does to an item.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum ActionKind {
@@ -81,6 +81,7 @@ enum Step {
     Rename { from: GraspId, to: GraspId },
     Rebuild(Box<GraspRecord>),
     SetAside(PathBuf),
+    Reindex,
     Nothing,
 }
 
@@ -106,7 +107,7 @@ pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
     let mut plan = Plan {
         layout: &layout,
         steps: Vec::new(),
-        kept: BTreeSet::new(),
+        kept: BTreeMap::new(),
     };
     if let Some(descriptor) = descriptor {
         plan.add(
@@ -119,6 +120,7 @@ pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
     plan.unfinished()?;
     plan.grasps()?;
     plan.strays()?;
+    plan.index();
     if !dry_run {
         create_directories(&SystemDisk, &layout)
             .map_err(|e| failed(&layout, "cannot make the dataset's directories", e))?;
@@ -126,33 +128,18 @@ pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
             execute(&layout, action, step)?;
         }
     }
-    let Plan { steps, kept, .. } = plan;
-    let mut report = RecoverReport {
+    Ok(RecoverReport {
         dry_run,
-        grasps: kept.len(),
-        actions: steps.into_iter().map(|(action, _)| action).collect(),
-    };
-    let stale = if dry_run {
-        !report.actions.is_empty() || !index::is_fresh(&layout)?
-    } else {
-        index::rewrite(&SystemDisk, &layout)?.changed
-    };
-    if stale {
-        report.actions.push(Action {
-            kind: ActionKind::Reindex,
-            item: "metadata.jsonl".into(),
-            detail: "it did not say what the records say".into(),
-            lost: false,
-        });
-    }
-    Ok(report)
+        grasps: plan.kept.len(),
+        actions: plan.steps.into_iter().map(|(action, _)| action).collect(),
+    })
 }
 
 struct Plan<'a> {
     layout: &'a Layout,
     steps: Vec<(Action, Step)>,
     /// Grasps that are there afterwards.
-    kept: BTreeSet<GraspId>,
+    kept: BTreeMap<GraspId, IndexRow>,
 }
 
 impl Plan<'_> {
@@ -184,7 +171,8 @@ impl Plan<'_> {
             match fate {
                 Unfinished::Waiting(_) => {}
                 Unfinished::Complete => {
-                    self.kept.insert(id.clone());
+                    self.kept
+                        .insert(id.clone(), IndexRow::of(&read_grasp(&dir)?));
                     let detail = "the grasp is whole, only its renaming was interrupted";
                     self.add(ActionKind::Complete, &item, detail, Step::Complete(id));
                 }
@@ -219,7 +207,7 @@ impl Plan<'_> {
     fn readable(&mut self, dir_id: GraspId, record: &GraspRecord) {
         let dir = self.layout.grasp(&dir_id);
         let item = format!("grasps/{dir_id}");
-        if self.kept.contains(&record.id) {
+        if self.kept.contains_key(&record.id) {
             let detail = format!("a copy of {}, which is there", record.id);
             self.add(ActionKind::SetAside, &item, detail, Step::SetAside(dir));
             return;
@@ -234,7 +222,7 @@ impl Plan<'_> {
             return;
         }
         self.extra_files(&dir_id, record);
-        self.kept.insert(record.id.clone());
+        self.kept.insert(record.id.clone(), IndexRow::of(record));
         if record.id != dir_id {
             let detail = format!("its record says {}", record.id);
             let step = Step::Rename {
@@ -283,7 +271,7 @@ impl Plan<'_> {
                     );
                 }
                 self.extra_files(&id, &record);
-                self.kept.insert(id);
+                self.kept.insert(id, IndexRow::of(&record));
                 self.add(
                     ActionKind::Rebuild,
                     &item,
@@ -317,6 +305,14 @@ impl Plan<'_> {
         }
         Ok(())
     }
+
+    /// The index of what is there afterwards.
+    fn index(&mut self) {
+        if !index::is_stored(self.layout, &index::to_jsonl(&self.kept)) {
+            let detail = "it does not say what the records say";
+            self.add(ActionKind::Reindex, METADATA_JSONL, detail, Step::Reindex);
+        }
+    }
 }
 
 fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
@@ -342,6 +338,7 @@ fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
             &to_json(record.as_ref())?,
         ),
         Step::SetAside(path) => set_aside(disk, layout, path, &action.detail).map(|_slot| ()),
+        Step::Reindex => return index::rewrite(disk, layout).map(|_report| ()),
         Step::Nothing => Ok(()),
     };
     done.map_err(|e| failed(layout, &format!("cannot put {} in order", action.item), e))
