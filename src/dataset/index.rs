@@ -1,11 +1,20 @@
 //! `metadata.jsonl`: one line a grasp, derived from the records.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
 
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use super::disk::{Disk, SystemDisk, replace};
 use super::grasp::{GraspId, GraspRecord, Outcome, PoseRecord, PredictionRecord};
-use super::layout::Stage;
+use super::layout::{Layout, METADATA_JSONL, Stage};
+use super::lock::DatasetLock;
+use super::reader::{Dataset, grasp_ids};
+use super::record_file::read_grasp;
+use super::writer::failed;
+use crate::error::Result;
 use crate::imaging::Role;
 
 /// What the index keeps of a grasp.
@@ -95,4 +104,72 @@ pub(super) fn to_jsonl(rows: &BTreeMap<GraspId, IndexRow>) -> String {
     rows.iter()
         .map(|(id, row)| format!("{}\n", row.to_json(id, &images)))
         .collect()
+}
+
+/// What writing the index again did.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ReindexReport {
+    /// Grasps in the index.
+    pub grasps: usize,
+    /// Directories whose record cannot be read; they are not in the index.
+    pub skipped: Vec<String>,
+    /// Whether the index was different before.
+    pub changed: bool,
+}
+
+/// Writes `metadata.jsonl` again from the records.
+///
+/// # Errors
+/// `NotFound` or `Input` when there is no dataset; `Busy` while it is written; `DiskFull`, `Io`, ….
+pub fn reindex(path: impl AsRef<Path>) -> Result<ReindexReport> {
+    let dataset = Dataset::open(path)?;
+    let _lock = DatasetLock::acquire(dataset.layout())?;
+    rewrite(&SystemDisk, dataset.layout())
+}
+
+/// Makes the index say what the records say.
+pub(super) fn rewrite(disk: &dyn Disk, layout: &Layout) -> Result<ReindexReport> {
+    let (rows, skipped) = read_rows(layout)?;
+    let text = to_jsonl(&rows);
+    let changed = !is_stored(layout, &text);
+    if changed {
+        replace(disk, layout.root(), METADATA_JSONL, text.as_bytes())
+            .map_err(|e| failed(layout, "cannot write the index", e))?;
+    }
+    Ok(ReindexReport {
+        grasps: rows.len(),
+        skipped,
+        changed,
+    })
+}
+
+/// Whether the index is this text.
+pub(super) fn is_stored(layout: &Layout, text: &str) -> bool {
+    fs::read(layout.index()).is_ok_and(|found| found == text.as_bytes())
+}
+
+/// The lines of the index as they are, by grasp; those that cannot be read are left out.
+pub(super) fn rows_by_id(layout: &Layout) -> BTreeMap<GraspId, Value> {
+    let text = fs::read_to_string(layout.index()).unwrap_or_default();
+    text.lines()
+        .filter_map(|line| {
+            let row: Value = serde_json::from_str(line).ok()?;
+            let id = row.get("id")?.as_str()?.to_owned();
+            Some((GraspId(id), row))
+        })
+        .collect()
+}
+
+fn read_rows(layout: &Layout) -> Result<(BTreeMap<GraspId, IndexRow>, Vec<String>)> {
+    let mut rows = BTreeMap::new();
+    let mut skipped = Vec::new();
+    for id in grasp_ids(layout)? {
+        match read_grasp(&layout.grasp(&id)) {
+            Ok(record) => {
+                rows.insert(id, IndexRow::of(&record));
+            }
+            Err(_) => skipped.push(id.0),
+        }
+    }
+    Ok((rows, skipped))
 }

@@ -12,6 +12,8 @@ mod capture;
 mod counts;
 #[cfg(test)]
 mod crash_test;
+#[cfg(test)]
+mod damage_test;
 mod descriptor;
 mod disk;
 mod encode;
@@ -22,11 +24,15 @@ mod lock;
 mod opening;
 mod picture;
 mod reader;
+mod rebuild;
 mod record_file;
+mod recover;
 #[cfg(test)]
 mod sample;
 mod split;
+mod summary;
 mod trash;
+mod unfinished;
 mod verify;
 mod writer;
 
@@ -37,10 +43,13 @@ pub use grasp::{
     CameraRecord, FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard, PoseRecord,
     PredictionRecord, SCHEMA_VERSION, StageRecord,
 };
+pub use index::{ReindexReport, reindex};
 pub use layout::Stage;
 pub use opening::OpenReport;
 pub use reader::Dataset;
 pub use record_file::PendingInitial;
+pub use recover::{Action, ActionKind, RecoverReport, recover};
 pub use split::{SplitBy, SplitFile, SplitPart, SplitPlan, split};
+pub use summary::{Agreement, Summary, summary};
 pub use verify::{Problem, ProblemKind, VerifyReport, verify};
 pub use writer::DatasetWriter;

@@ -2,19 +2,18 @@
 
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
-
-use jiff::Timestamp;
+use std::path::Path;
 
 use super::counts::GraspCounts;
 use super::descriptor::{Descriptor, NewDataset};
 use super::disk::{Disk, SystemDisk, partial_name, replace};
-use super::index::{IndexRow, to_jsonl};
-use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout, pending_id};
+use super::index::{IndexRow, is_stored, to_jsonl};
+use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
 use super::lock::DatasetLock;
-use super::reader::{grasp_ids, subdirectories};
-use super::record_file::{Pending, PendingInitial, read_grasp};
+use super::reader::grasp_ids;
+use super::record_file::{PendingInitial, read_grasp};
 use super::trash::set_aside;
+use super::unfinished::{Unfinished, unfinished};
 use super::writer::{DatasetWriter, failed};
 use crate::error::{Error, ErrorKind, Result};
 
@@ -69,8 +68,7 @@ impl DatasetWriter {
         writer.settle(&mut report)?;
         writer.read_rows(&mut report)?;
         report.counts = writer.counts();
-        writer.index_is_stale = fs::read(writer.layout.index())
-            .map_or(true, |found| found != to_jsonl(&writer.rows).as_bytes());
+        writer.index_is_stale = !is_stored(&writer.layout, &to_jsonl(&writer.rows));
         if let Err(error) = writer.flush_index() {
             report.notes.push(error.to_string());
         }
@@ -80,65 +78,34 @@ impl DatasetWriter {
     /// Puts in order what a crash left in `grasps/`.
     fn settle(&mut self, report: &mut OpenReport) -> Result<()> {
         let disk = self.disk.as_ref();
-        let mut waiting: Vec<PendingInitial> = Vec::new();
-        let mut unusable: Vec<(PathBuf, String)> = Vec::new();
-        for name in subdirectories(&self.layout.grasps())? {
-            let Some(id) = pending_id(&name) else {
-                continue;
-            };
+        for (id, fate) in unfinished(&self.layout)? {
             let dir = self.layout.pending(&id);
-            match Pending::inspect(&dir, &id) {
-                Pending::Grasp if self.layout.grasp(&id).exists() => {
-                    unusable.push((dir, format!("there is another grasp {id}")));
-                }
-                Pending::Grasp => {
+            // The crash may have come before names in the directory were forced to the disk.
+            let synced = |()| disk.sync_dir(&self.layout.grasps());
+            match fate {
+                Unfinished::Complete => {
                     disk.sync_dir(&dir)
                         .and_then(|()| disk.rename_new(&dir, &self.layout.grasp(&id)))
-                        .and_then(|()| disk.sync_dir(&self.layout.grasps()))
+                        .and_then(synced)
                         .map_err(|e| self.failed(&format!("cannot complete {id}"), e))?;
                     report
                         .notes
                         .push(format!("completed {id}, which a crash had interrupted"));
                 }
-                Pending::Initial(pending) => match &pending.reopened_from {
-                    Some(grasp) if self.layout.grasp(grasp).exists() => unusable.push((
-                        dir,
-                        format!("initial frame of {grasp}, which was not undone after all"),
-                    )),
-                    _ => waiting.push(pending),
-                },
-                Pending::Torn(reason) => {
-                    unusable.push((dir, format!("was not written to its end: {reason}")));
+                Unfinished::Waiting(pending) => {
+                    disk.sync_dir(&dir)
+                        .and_then(synced)
+                        .map_err(|e| self.failed("cannot keep the initial frame", e))?;
+                    report.pending = Some(pending);
                 }
-            }
-        }
-        waiting.sort_by(|a, b| {
-            let age = |p: &PendingInitial| p.stage.captured_at.parse::<Timestamp>().ok();
-            (age(a), &a.id).cmp(&(age(b), &b.id))
-        });
-        report.pending = waiting.pop();
-        if let Some(pending) = &report.pending {
-            // The crash may have come before its names were forced to the disk.
-            disk.sync_dir(&self.layout.pending(&pending.id))
-                .and_then(|()| disk.sync_dir(&self.layout.grasps()))
-                .map_err(|e| self.failed("cannot keep the initial frame", e))?;
-        }
-        for older in waiting {
-            unusable.push((
-                self.layout.pending(&older.id),
-                "a newer initial frame took its place".to_owned(),
-            ));
-        }
-        for (dir, reason) in unusable {
-            let name = dir.file_name().unwrap_or_default().to_string_lossy();
-            match set_aside(disk, &self.layout, &dir, &reason) {
-                Ok(slot) => report.notes.push(format!(
-                    "moved {name} to trash/{}: {reason}",
-                    slot.file_name().unwrap_or_default().to_string_lossy()
-                )),
-                Err(e) => report
-                    .notes
-                    .push(format!("could not move {name} to trash/: {e}")),
+                Unfinished::Unusable(reason) => {
+                    report
+                        .notes
+                        .push(match set_aside(disk, &self.layout, &dir, &reason) {
+                            Ok(_slot) => format!("moved .tmp-{id} to trash/: {reason}"),
+                            Err(e) => format!("could not move .tmp-{id} to trash/: {e}"),
+                        });
+                }
             }
         }
         Ok(())

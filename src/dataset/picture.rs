@@ -23,6 +23,23 @@ pub(super) fn fault(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
     }
 }
 
+/// Format, width and height of a whole picture; the format is the one that is stored so.
+pub(super) fn recognise(bytes: &[u8]) -> Option<(PixelFormat, u32, u32)> {
+    if let Ok((width, height)) = jpeg_size(bytes) {
+        return Some((PixelFormat::Mjpg, width, height));
+    }
+    [
+        (PixelFormat::Yuyv, ColorType::Rgb8),
+        (PixelFormat::Grey, ColorType::L8),
+        (PixelFormat::Z16, ColorType::L16),
+    ]
+    .into_iter()
+    .find_map(|(format, colour)| {
+        let (width, height) = png_size(bytes, colour).ok()?;
+        Some((format, width, height))
+    })
+}
+
 fn png_size(bytes: &[u8], colour: ColorType) -> Result<(u32, u32), String> {
     let image = image::load_from_memory_with_format(bytes, image::ImageFormat::Png)
         .map_err(|e| format!("not a whole PNG: {e}"))?;
