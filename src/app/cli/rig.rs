@@ -59,6 +59,15 @@ pub(crate) struct Args {
         default_value = "/dev"
     )]
     dev_root: PathBuf,
+    /// Look for the owners of device nodes below DIR instead of /proc
+    #[arg(
+        long,
+        global = true,
+        hide = true,
+        value_name = "DIR",
+        default_value = "/proc"
+    )]
+    proc_root: PathBuf,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -106,7 +115,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let root = SystemRoot {
         sys: args.sysfs_root,
         dev: args.dev_root,
-        ..SystemRoot::default()
+        proc: args.proc_root,
     };
     match args.verb {
         Verb::List { json } => list(context, &root, json),
