@@ -11,7 +11,7 @@ mod v4l2_node;
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
-pub use v4l2::{V4l2Opener, V4l2Source};
+pub use v4l2::V4l2Opener;
 pub(crate) use v4l2_controls::{CONTROLS, FORMER_NAMES};
 #[cfg(test)]
 pub(crate) use v4l2_fake::{Camera as FakeCamera, FakeNodes};

@@ -49,7 +49,7 @@ fn step(name: &'static str) -> impl FnOnce(io::Error) -> StartError {
 }
 
 /// A running V4L2 stream.
-pub struct V4l2Source {
+struct V4l2Source {
     node: Box<dyn VideoNode>,
     info: StreamInfo,
     layout: Layout,
