@@ -19,6 +19,8 @@ fn gripcast(tree: &Tree, arguments: &[&str]) -> Output {
         .arg(tree.path("sys"))
         .arg("--dev-root")
         .arg(tree.path("dev"))
+        .arg("--proc-root")
+        .arg(tree.path("proc"))
         .output()
         .unwrap()
 }
@@ -81,13 +83,15 @@ fn list_shows_cameras_and_leaves_metadata_nodes_out() {
     );
 
     fs::remove_file(tree.node(0)).unwrap();
+    tree.hold(4242, "cheese", 2);
     let output = gripcast(&tree, &["list"]);
-    let text = String::from_utf8(output.stdout).unwrap();
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
     assert!(
         text.contains("serial 2BNN4ZE7 · 0c45:636d · port 3-1 · bus 3, 480 Mbit/s"),
         "{text}"
     );
     assert!(text.contains("no device node"), "{text}");
+    assert!(text.contains("in use by cheese (process 4242)"), "{text}");
 }
 
 #[test]
@@ -145,7 +149,7 @@ fn check_tells_missing_cameras_from_failing_ones() {
     fs::write(&file, other).unwrap();
     let output = gripcast(&tree, &["check", "--rig", rig]);
     assert_eq!(output.status.code(), Some(69), "{}", stderr(&output));
-    let text = String::from_utf8(output.stdout).unwrap();
+    let text = String::from_utf8(output.stdout.clone()).unwrap();
     assert!(
         text.contains("found GelSight Mini with serials 28F5K4RR, 2BNN4ZE7; the rig expects"),
         "{text}"

@@ -59,6 +59,15 @@ pub(crate) struct Args {
         default_value = "/dev"
     )]
     dev_root: PathBuf,
+    /// Look for the owners of device nodes below DIR instead of /proc
+    #[arg(
+        long,
+        global = true,
+        hide = true,
+        value_name = "DIR",
+        default_value = "/proc"
+    )]
+    proc_root: PathBuf,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -106,7 +115,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let root = SystemRoot {
         sys: args.sysfs_root,
         dev: args.dev_root,
-        ..SystemRoot::default()
+        proc: args.proc_root,
     };
     match args.verb {
         Verb::List { json } => list(context, &root, json),
@@ -119,12 +128,12 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
                 Duration::from_secs_f64(seconds),
             );
             if json {
-                print(
+                print_json(
                     &json!({ "rig": rig.id, "cameras": checks.iter().map(Check::json).collect::<Vec<_>>() }),
                 )?;
             } else {
                 for check in &checks {
-                    print!("{}", check.text());
+                    print_text(&check.text())?;
                 }
             }
             verdict(&checks)
@@ -132,9 +141,18 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     }
 }
 
-fn print(value: &Value) -> Result<()> {
-    let mut out = io::stdout().lock();
-    writeln!(out, "{value:#}").map_err(|e| Error::io("cannot write to stdout", e))
+fn print_json(value: &Value) -> Result<()> {
+    print_text(&format!("{value:#}\n"))
+}
+
+/// Writes to stdout; a reader that has seen enough (`| head`) is no failure.
+fn print_text(text: &str) -> Result<()> {
+    match io::stdout().lock().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(Error::io("cannot write to stdout", error))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn cameras(root: &SystemRoot) -> Result<Vec<VideoDevice>> {
@@ -151,10 +169,10 @@ fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
     let warnings = crowding(&devices);
     if json {
         let cameras: Vec<Value> = devices.iter().map(device_json).collect();
-        print(&json!({ "cameras": cameras, "warnings": warnings }))?;
+        print_json(&json!({ "cameras": cameras, "warnings": warnings }))?;
     } else {
         for device in &devices {
-            print!("{}", device_text(device));
+            print_text(&device_text(device))?;
         }
         if !context.quiet {
             for warning in &warnings {
@@ -290,8 +308,16 @@ fn device_text(device: &VideoDevice) -> String {
         device.node.display(),
         access_text(&device.access)
     );
+    let mut unread: Vec<String> = Vec::new();
     for mode in device.modes.iter().flatten() {
-        text += &format!("    {mode}\n");
+        if PixelFormat::from_fourcc(mode.fourcc).is_some() {
+            text += &format!("    {mode}\n");
+        } else if !unread.contains(&mode.format_name()) {
+            unread.push(mode.format_name());
+        }
+    }
+    if !unread.is_empty() {
+        text += &format!("    not read by gripcast: {}\n", unread.join(" "));
     }
     text
 }
@@ -422,11 +448,11 @@ fn check_one(opener: &mut dyn CameraOpener, root: &SystemRoot, duration: Duratio
             return check;
         }
     };
-    let frames = measure(source.as_mut(), duration, &mut check.problems);
     let controls = source.controls().unwrap_or_else(|error| {
         check.problems.push(error.to_string());
         ControlValues::new()
     });
+    let frames = measure(source.as_mut(), duration, &mut check.problems);
     let info = source.info().clone();
     let mut notes = source.warnings().to_vec();
     let asked =
@@ -457,6 +483,27 @@ fn check_one(opener: &mut dyn CameraOpener, root: &SystemRoot, duration: Duratio
     check
 }
 
+/// Counts the numbers that are missing. uvcvideo can deliver two frames in the wrong order, so a
+/// number below the highest one is one that was taken for lost too early.
+#[derive(Debug, Default)]
+struct Sequences {
+    highest: Option<u32>,
+    lost: u64,
+}
+
+impl Sequences {
+    fn count(&mut self, sequence: u32) {
+        let highest = *self.highest.get_or_insert(sequence);
+        let step = sequence.wrapping_sub(highest).cast_signed();
+        if step > 0 {
+            self.lost += u64::from(step.unsigned_abs() - 1);
+            self.highest = Some(sequence);
+        } else if step < 0 {
+            self.lost = self.lost.saturating_sub(1);
+        }
+    }
+}
+
 /// Counts frames for `duration` from the first one, by the clock of the frames.
 fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<String>) -> Frames {
     let nominal = source.info().nominal_fps;
@@ -464,21 +511,15 @@ fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<
     let mut frames = Frames::default();
     let mut first: Option<(u64, u64)> = None;
     let mut last_time_ns = 0;
-    let mut last_sequence: Option<u32> = None;
+    let mut sequences = Sequences::default();
     let mut timeouts = 0;
-    let mut skipped = |sequence: u32| {
-        let before = last_sequence.replace(sequence);
-        before.map_or(0, |before| {
-            u64::from(sequence.wrapping_sub(before).saturating_sub(1))
-        })
-    };
     loop {
         match source.next_frame(FRAME_TIMEOUT) {
             Ok(frame) => {
                 timeouts = 0;
                 frames.received += 1;
-                frames.lost += skipped(frame.sequence);
-                last_time_ns = frame.driver_time_ns;
+                sequences.count(frame.sequence);
+                last_time_ns = last_time_ns.max(frame.driver_time_ns);
                 let (_, began) = *first.get_or_insert((frame.driver_time_ns, frame.received_ns));
                 if u128::from(frame.received_ns.saturating_sub(began)) >= duration.as_nanos() {
                     break;
@@ -487,7 +528,7 @@ fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<
             Err(CaptureError::Damaged { sequence, .. }) => {
                 timeouts = 0;
                 frames.damaged += 1;
-                frames.lost += skipped(sequence);
+                sequences.count(sequence);
                 if frames.damaged > damage_limit {
                     break;
                 }
@@ -506,6 +547,7 @@ fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<
             }
         }
     }
+    frames.lost = sequences.lost;
     frames.fps = first.and_then(|(from, _)| {
         let elapsed_s = last_time_ns.saturating_sub(from) as f64 / 1e9;
         (elapsed_s > 0.0).then(|| (frames.received - 1) as f64 / elapsed_s)
@@ -740,6 +782,19 @@ mod tests {
         let script = [Ok(1), Ok(2), damaged(4), Ok(6), Ok(7)].into_iter();
         let (frames, _) = measured(Scripted::new(25.0, script));
         assert_eq!((frames.received, frames.lost, frames.damaged), (4, 2, 1));
+    }
+
+    #[test]
+    fn frames_in_the_wrong_order_are_not_lost() {
+        let lost = |numbers: &[u32]| {
+            let mut sequences = Sequences::default();
+            numbers.iter().for_each(|&n| sequences.count(n));
+            sequences.lost
+        };
+        assert_eq!(lost(&[7, 8, 10, 9, 11]), 0);
+        assert_eq!(lost(&[7, 8, 10, 12, 11]), 1);
+        assert_eq!(lost(&[u32::MAX - 1, u32::MAX, 0, 2]), 1);
+        assert_eq!(lost(&[3, 3, 4]), 0);
     }
 
     #[test]

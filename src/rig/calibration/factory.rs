@@ -203,6 +203,10 @@ fn exchange(node: &mut dyn VideoNode, request: [u8; TRANSFER_BYTES]) -> Result<V
         }
     }
     let cause = outcome.err().unwrap_or_else(|| io::ErrorKind::Other.into());
+    if cause.raw_os_error() == Some(libc::ENOENT) {
+        let what = format!("the camera has no extension unit {UNIT} to ask for its calibration");
+        return Err(Error::new(ErrorKind::Device, what).remedy(FALLBACK));
+    }
     Err(Error::io("cannot ask the camera for its calibration", cause).remedy(FALLBACK))
 }
 

@@ -3,7 +3,7 @@
 //! A frame is copied out of the driver's buffer and the buffer handed back at once, so that a
 //! slow consumer never starves the driver. uvcvideo drops a frame that the camera marked as bad
 //! and leaves a gap in the sequence; a truncated JPEG arrives like any other and is recognised
-//! when it is decoded.
+//! when it is decoded. Two frames may come in the wrong order (their sequence numbers tell).
 
 use std::io;
 use std::sync::Arc;
@@ -49,7 +49,7 @@ fn step(name: &'static str) -> impl FnOnce(io::Error) -> StartError {
 }
 
 /// A running V4L2 stream.
-pub struct V4l2Source {
+struct V4l2Source {
     node: Box<dyn VideoNode>,
     info: StreamInfo,
     layout: Layout,
@@ -777,7 +777,7 @@ mod tests {
             "{warnings}"
         );
         assert!(
-            warnings.contains("`hue`: the camera does not have it"),
+            warnings.contains("does not have these controls: hue"),
             "{warnings}"
         );
         assert!(

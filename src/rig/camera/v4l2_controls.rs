@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io;
 
 use super::source::ControlValues;
-use super::v4l2_node::VideoNode;
+use super::v4l2_node::{ControlRange, VideoNode};
 
 const USER: u32 = 0x0098_0900;
 const CAMERA: u32 = 0x009a_0900;
@@ -76,8 +76,8 @@ pub(crate) fn read(node: &mut dyn VideoNode, available: &Available) -> io::Resul
     Ok(values)
 }
 
-/// Sets the wanted values, automatic controls first, and reads each back. Returns one sentence
-/// for each that did not come to hold; none of these stops the stream.
+/// Sets the wanted values, automatic controls first, and reads each back. Returns
+/// sentences on those that did not come to hold; none of these stops the stream.
 ///
 /// # Errors
 /// `ENODEV` when the camera is gone.
@@ -90,27 +90,40 @@ pub(crate) fn apply(
         .filter(|name| CONTROLS.iter().all(|(known, _)| known != name))
         .map(|name| format!("control `{name}` is not one that gripcast knows; it was not set"))
         .collect();
+    let mut absent = Vec::new();
     for (name, id) in CONTROLS {
         let Some(&value) = wanted.get(name) else {
             continue;
         };
-        match apply_one(node, id, value) {
+        let range = match node.control_range(id) {
+            Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
+                absent.push(name);
+                continue;
+            }
+            other => other,
+        };
+        match range.and_then(|range| apply_one(node, id, range, value)) {
             Ok(None) => {}
             Ok(Some(problem)) => warnings.push(format!("control `{name}`: {problem}")),
             Err(error) if error.raw_os_error() == Some(libc::ENODEV) => return Err(error),
             Err(error) => warnings.push(format!("control `{name}` was refused: {error}")),
         }
     }
+    if !absent.is_empty() {
+        warnings.push(format!(
+            "the camera does not have these controls: {}",
+            absent.join(", ")
+        ));
+    }
     Ok(warnings)
 }
 
-fn apply_one(node: &mut dyn VideoNode, id: u32, value: i64) -> io::Result<Option<String>> {
-    let range = match node.control_range(id) {
-        Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
-            return Ok(Some("the camera does not have it".to_owned()));
-        }
-        other => other?,
-    };
+fn apply_one(
+    node: &mut dyn VideoNode,
+    id: u32,
+    range: ControlRange,
+    value: i64,
+) -> io::Result<Option<String>> {
     let in_range = i32::try_from(value)
         .ok()
         .filter(|v| (range.minimum..=range.maximum).contains(v));

@@ -136,7 +136,7 @@ impl Mode {
     /// The pixel format as text (`MJPG`).
     #[must_use]
     pub fn format_name(&self) -> String {
-        String::from_utf8_lossy(&self.fourcc).trim().to_owned()
+        self.fourcc.escape_ascii().to_string().trim().to_owned()
     }
 }
 
