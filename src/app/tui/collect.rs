@@ -142,13 +142,9 @@ fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     let (words, style) = steps::brief(&status.session, palette);
     let mut spans = Vec::new();
     if let Some(prediction) = &status.prediction {
-        let verdict = gauge::verdict(prediction.p_stable, prediction.threshold);
-        let colour = match verdict {
-            "STABLE" => palette.stable(),
-            _ => palette.slip(),
-        };
-        let text = format!("{:.2} {verdict} ", prediction.p_stable);
-        spans.push(Span::styled(text, colour));
+        let claim = gauge::claim(prediction);
+        let text = format!("{:.2} {claim} ", prediction.p_stable);
+        spans.push(Span::styled(text, gauge::verdict_style(claim, palette)));
     }
     spans.push(Span::styled(words, style));
     write(buffer, middle, &Line::from(spans));

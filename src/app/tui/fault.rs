@@ -47,6 +47,14 @@ fn trouble(state: &CameraState) -> (&'static str, String) {
     }
 }
 
+/// The remedy in a word, for across the room.
+fn remedy_word(state: &CameraState) -> &'static str {
+    match state {
+        CameraState::Lost { .. } => "PLUG IN",
+        _ => "REPLUG",
+    }
+}
+
 fn remedy(state: &CameraState) -> &'static str {
     match state {
         CameraState::Frozen { .. } => "REPLUG IT: the picture does not change",
@@ -130,6 +138,16 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     for (index, line) in (used..).zip(&lines) {
         let text = clipped(line, usize::from(inner.width));
         write(buffer, row(inner, index), &Line::styled(text, style));
+    }
+    let written = used + u16::try_from(lines.len()).unwrap_or(u16::MAX);
+    let free = inner.height.saturating_sub(written.saturating_add(1));
+    if free >= Size::Small.rows() {
+        let foot = Rect {
+            y: inner.bottom() - Size::Small.rows(),
+            height: Size::Small.rows(),
+            ..inner
+        };
+        big_digits::draw(buffer, foot, remedy_word(&first.state), Size::Small, style);
     }
     let rest = Rect {
         y: block.bottom(),

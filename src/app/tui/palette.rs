@@ -129,6 +129,14 @@ impl Palette {
         self.text(DARK)
     }
 
+    /// Symbol of the empty part of a bar of `full`; without colours only the symbol tells.
+    pub(super) fn empty(self, full: &'static str) -> &'static str {
+        match self.depth {
+            ColourDepth::Mono => "·",
+            _ => full,
+        }
+    }
+
     pub(super) fn strong(self) -> Style {
         Style::new().add_modifier(Modifier::BOLD)
     }

@@ -103,14 +103,15 @@ fn draw_tile(
 }
 
 fn caption(role: Role, preview: Option<&Preview>, width: u16, palette: Palette) -> Line<'static> {
+    let room = usize::from(width).saturating_sub(role.name().len());
     let detail = preview.map_or_else(String::new, |preview| {
         match (preview.contact, preview.is_difference) {
-            (Some(contact), _) => format!(" contact {contact:.1}"),
+            (Some(contact), _) if room >= 13 => format!(" contact {contact:.1}"),
+            (Some(contact), _) => format!(" {contact:.1}"),
             (None, true) => " difference".to_owned(),
             (None, false) => String::new(),
         }
     });
-    let room = usize::from(width).saturating_sub(role.name().len());
     Line::from(vec![
         Span::styled(role.name(), palette.strong()),
         Span::styled(clipped(&detail, room), palette.faint()),

@@ -3,7 +3,7 @@
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Style;
-use ratatui::text::{Line, Span};
+use ratatui::text::Line;
 
 use super::big_digits::{self, Size};
 use super::palette::Palette;
@@ -78,7 +78,11 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
         3.. if area.width >= 60 => Size::Small,
         _ => {
             write(buffer, area, &line(&banner, area.width));
-            write(buffer, row(area, 1), &progress(session, banner.style));
+            write(
+                buffer,
+                row(inset(area, 1, 0), 1),
+                &progress(session, banner.style),
+            );
             return;
         }
     };
@@ -147,10 +151,10 @@ fn progress(session: &SessionView, style: Style) -> Line<'static> {
         .map(|age_s| format!(" {} ago", duration_ms(age_s * 1e3)))
         .unwrap_or_default();
     let text = format!(
-        " initial{}{age} → grasp{} → label{}",
+        "initial{}{age} → grasp{} → label{}",
         mark(Step::Initial, true),
         mark(Step::Grasp, session.step == Step::Label),
         mark(Step::Label, false),
     );
-    Line::from(Span::styled(text.trim_start().to_owned(), style))
+    Line::styled(text, style)
 }
