@@ -43,7 +43,7 @@ pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
 }
 
 fn is_stale(prediction: &PredictionStatus) -> bool {
-    !(prediction.frame_age_ms <= STALE_MS)
+    prediction.frame_age_ms > STALE_MS || prediction.frame_age_ms.is_nan()
 }
 
 pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {

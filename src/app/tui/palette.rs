@@ -26,9 +26,8 @@ impl ColourDepth {
         if set("NO_COLOR").is_some() {
             return Self::Mono;
         }
-        match set("COLORTERM").as_deref() {
-            Some("truecolor" | "24bit") => return Self::True,
-            _ => {}
+        if matches!(set("COLORTERM").as_deref(), Some("truecolor" | "24bit")) {
+            return Self::True;
         }
         match set("TERM").as_deref() {
             None | Some("dumb" | "vt100" | "vt220") => Self::Mono,

@@ -3,7 +3,7 @@
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Style;
-use ratatui::text::Line;
+use ratatui::text::{Line, Span};
 
 use super::big_digits::{self, Size};
 use super::palette::Palette;
@@ -132,10 +132,15 @@ fn line(banner: &Banner, width: u16) -> Line<'static> {
     Line::styled(format!(" STEP {}/3  {words}", banner.number), banner.style)
 }
 
-/// What to do, in at most 31 columns.
-pub(super) fn brief(session: &SessionView, palette: Palette) -> (&'static str, Style) {
+/// What to do in `room` columns: a sentence, or one verb.
+pub(super) fn brief(session: &SessionView, room: usize, palette: Palette) -> Span<'static> {
     let banner = banner(session, palette);
-    (banner.brief, banner.style)
+    let words = if banner.brief.chars().count() <= room {
+        banner.brief
+    } else {
+        banner.verb
+    };
+    Span::styled(words, banner.style)
 }
 
 /// `initial ✓ 12 s ago → grasp ▶ → label`, with the present step marked.
