@@ -9,3 +9,4 @@ mod model_contract;
 mod rig;
 mod shared_data;
 mod program;
+mod screen;

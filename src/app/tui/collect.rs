@@ -85,7 +85,13 @@ fn draw_work(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     } else if let Some(refusal) = &status.session.refusal {
         refusal::draw(buffer, body, refusal, palette);
     } else {
-        counts::draw(buffer, body, &status.session, palette);
+        let left = body.width.min(1);
+        let inset = Rect {
+            x: body.x + left,
+            width: body.width - left,
+            ..body
+        };
+        counts::draw(buffer, inset, &status.session, palette);
     }
 }
 
@@ -139,19 +145,16 @@ fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
         write(buffer, middle, &Line::styled(sentence, palette.fault()));
         return;
     }
-    let (words, style) = steps::brief(&status.session, palette);
     let mut spans = Vec::new();
     if let Some(prediction) = &status.prediction {
-        let verdict = gauge::verdict(prediction.p_stable, prediction.threshold);
-        let colour = match verdict {
-            "STABLE" => palette.stable(),
-            _ => palette.slip(),
-        };
-        let text = format!("{:.2} {verdict} ", prediction.p_stable);
-        spans.push(Span::styled(text, colour));
+        let claim = gauge::claim(prediction);
+        let text = format!("{:.2} {claim} ", prediction.p_stable);
+        spans.push(Span::styled(text, gauge::verdict_style(claim, palette)));
     }
-    spans.push(Span::styled(words, style));
-    write(buffer, middle, &Line::from(spans));
+    let mut line = Line::from(spans);
+    let room = usize::from(area.width).saturating_sub(line.width());
+    line.push_span(steps::brief(&status.session, room, palette));
+    write(buffer, middle, &line);
 }
 
 /// Rows from the top, what is left, and rows from the bottom.

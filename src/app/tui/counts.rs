@@ -27,20 +27,28 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
     let object = Line::from(vec![Span::styled("object ", palette.faint()), object]);
     let most = counts.stable.max(counts.slip);
     let bar = |name, count, style| count_bar(name, count, most, width, style);
-    let this = format!(
-        "this object {} / {}",
-        counts.object_stable, counts.object_slip
-    );
-    let lines = [
-        object,
-        bar("stable", counts.stable, palette.stable()),
-        bar("slip", counts.slip, palette.slip()),
-        Line::from(vec![Span::raw(this)]),
-        balance(counts, width, palette),
-    ];
+    let this = both("of it ", counts.object_stable, counts.object_slip, palette);
+    let hint = balance(counts, width, palette);
+    let lines = if area.height < ROWS {
+        let all = both("", counts.stable, counts.slip, palette);
+        vec![object, all, hint, this]
+    } else {
+        let stable = bar("stable", counts.stable, palette.stable());
+        let slip = bar("slip", counts.slip, palette.slip());
+        vec![object, stable, slip, this, hint]
+    };
     for (index, line) in (0..).zip(&lines) {
         write(buffer, row(area, index), line);
     }
+}
+
+/// `88 stable  71 slip`.
+fn both(heading: &'static str, stable: usize, slip: usize, palette: Palette) -> Line<'static> {
+    Line::from(vec![
+        Span::styled(heading, palette.faint()),
+        Span::styled(format!("{stable} stable"), palette.stable()),
+        Span::styled(format!("  {slip} slip"), palette.slip()),
+    ])
 }
 
 fn count_bar(name: &str, count: usize, most: usize, width: usize, style: Style) -> Line<'static> {

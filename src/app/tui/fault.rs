@@ -47,6 +47,14 @@ fn trouble(state: &CameraState) -> (&'static str, String) {
     }
 }
 
+/// The remedy in a word, for across the room.
+fn remedy_word(state: &CameraState) -> &'static str {
+    match state {
+        CameraState::Lost { .. } => "PLUG IN",
+        _ => "REPLUG",
+    }
+}
+
 fn remedy(state: &CameraState) -> &'static str {
     match state {
         CameraState::Frozen { .. } => "REPLUG IT: the picture does not change",
@@ -61,18 +69,19 @@ fn alive(status: &EngineStatus) -> String {
     format!("{live}/{} cameras alive", status.cameras.len())
 }
 
-/// Where the camera is: `serial 2BNN4ZE7   port 3-2.1`.
-fn place(camera: &CameraStatus) -> String {
-    let serial = match camera.serial.as_str() {
-        "" => camera.product.clone(),
-        serial if camera.product.contains(serial) => camera.product.clone(),
-        serial => format!("{}   serial {serial}", camera.product),
-    };
+/// What and where the camera is: `GelSight Mini R0B 2BNN-4ZE7   usb 3-2.1`; the serial is added
+/// where the product string does not hold it.
+pub(super) fn place(camera: &CameraStatus) -> String {
     let port = match camera.port.as_str() {
-        "" => "port unknown",
-        port => port,
+        "" => "port unknown".to_owned(),
+        port => format!("usb {port}"),
     };
-    format!("{serial}   usb {port}")
+    let (product, serial) = (&camera.product, &camera.serial);
+    if product.replace('-', "").contains(serial.as_str()) {
+        format!("{product}   {port}")
+    } else {
+        format!("{product}   serial {serial}   {port}")
+    }
 }
 
 /// The fault in one line: `LEFT GELSIGHT (2BNN4ZE7, usb 3-2.1) SILENT 1.4 s — replug …`.
@@ -130,6 +139,16 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     for (index, line) in (used..).zip(&lines) {
         let text = clipped(line, usize::from(inner.width));
         write(buffer, row(inner, index), &Line::styled(text, style));
+    }
+    let written = used + u16::try_from(lines.len()).unwrap_or(u16::MAX);
+    let free = inner.height.saturating_sub(written.saturating_add(1));
+    if free >= Size::Small.rows() {
+        let foot = Rect {
+            y: inner.bottom() - Size::Small.rows(),
+            height: Size::Small.rows(),
+            ..inner
+        };
+        big_digits::draw(buffer, foot, remedy_word(&first.state), Size::Small, style);
     }
     let rest = Rect {
         y: block.bottom(),

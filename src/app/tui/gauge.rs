@@ -12,7 +12,7 @@ use crate::app::daemon::{EngineStatus, PredictionStatus};
 
 /// A prediction from a frame older than this is shown dim and named old, ms.
 const STALE_MS: f64 = 500.0;
-/// Columns between the number and the verdict.
+/// Least columns between the number at the left and the verdict at the right.
 const GAP: u16 = 4;
 
 /// What the gauge says, reduced to words and styles.
@@ -33,8 +33,25 @@ pub(super) fn verdict(p_stable: f64, threshold: f64) -> &'static str {
     }
 }
 
+/// What may be claimed in one word: the verdict, or that it is too old to be one.
+pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
+    if is_stale(prediction) || !prediction.p_stable.is_finite() {
+        "OLD"
+    } else {
+        verdict(prediction.p_stable, prediction.threshold)
+    }
+}
+
 fn is_stale(prediction: &PredictionStatus) -> bool {
-    !(prediction.frame_age_ms <= STALE_MS)
+    prediction.frame_age_ms > STALE_MS || prediction.frame_age_ms.is_nan()
+}
+
+pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
+    match verdict {
+        "STABLE" => palette.stable(),
+        "SLIP" => palette.slip(),
+        _ => palette.faint(),
+    }
 }
 
 fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
@@ -47,24 +64,24 @@ fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
         };
     };
     let p = prediction.p_stable;
-    let verdict = verdict(p, prediction.threshold);
-    let style = match verdict {
-        _ if is_stale(prediction) => palette.faint(),
-        "STABLE" => palette.stable(),
-        _ => palette.slip(),
-    };
+    let verdict = claim(prediction);
+    let style = verdict_style(verdict, palette);
     Reading {
         number: format!("{:.2}", p.clamp(0.0, 1.0)),
-        verdict: if is_stale(prediction) { "OLD" } else { verdict },
+        verdict,
         style,
         bar: Some((p, prediction.threshold)),
     }
 }
 
-/// Rows that the gauge takes best when `available` are there.
+/// Rows that the gauge takes best when `available` are there: title, number, bar, scale, and a
+/// thicker bar under large numbers.
 pub(super) fn rows(width: u16, available: u16) -> u16 {
-    let size = size(width, available.saturating_sub(3));
-    size.map_or(available.min(3), |size| size.rows() + 3)
+    match size(width, available.saturating_sub(3)) {
+        Some(Size::Large) => (Size::Large.rows() + 4).min(available),
+        Some(size) => size.rows() + 3,
+        None => available.min(3),
+    }
 }
 
 /// The largest size whose number and, at the next smaller size, verdict fit.
@@ -93,9 +110,17 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
         Some(size) => draw_big(buffer, body, &reading, size, status, palette),
         None => draw_line(buffer, body, &reading, status, palette),
     };
-    let bar = row(body, used);
-    draw_bar(buffer, bar, &reading, palette);
-    draw_scale(buffer, row(body, used + 1), &reading, palette);
+    let below = Rect {
+        y: body.y + used.min(body.height),
+        height: body.height.saturating_sub(used),
+        ..body
+    };
+    let thick = u16::from(below.height >= 3);
+    draw_bar(buffer, row(below, 0), ["▄", "▖"], &reading, palette);
+    if thick == 1 {
+        draw_bar(buffer, row(below, 1), ["█", "▌"], &reading, palette);
+    }
+    draw_scale(buffer, row(below, 1 + thick), &reading, palette);
 }
 
 /// Number and verdict as blocks; returns the rows used.
@@ -122,11 +147,12 @@ fn draw_big(
         write_absence(buffer, reason, status, palette);
         return size.rows();
     }
-    let room = area.right().saturating_sub(x);
+    let room = area.right().saturating_sub(x + 1);
     let word = Size::DESCENDING
         .into_iter()
         .find(|s| s.rows() <= size.rows() && s.columns(reading.verdict) <= room)
         .unwrap_or(Size::Small);
+    let x = x + room.saturating_sub(word.columns(reading.verdict));
     let y = area.y + (size.rows() - word.rows()) / 2;
     big_digits::draw(buffer, at(x, y), reading.verdict, word, reading.style);
     size.rows()
@@ -235,30 +261,30 @@ fn write_title(
     write(buffer, rest, &Line::from(left));
 }
 
-const EIGHTHS: [&str; 8] = [" ", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
-
-/// Bar from 0 to 1 with the threshold as a vertical mark.
-fn draw_bar(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palette) {
+/// Bar from 0 to 1 of a `whole` and a `half` symbol, with the threshold as a vertical mark.
+fn draw_bar(
+    buffer: &mut Buffer,
+    area: Rect,
+    [whole, half]: [&'static str; 2],
+    reading: &Reading,
+    palette: Palette,
+) {
     let area = trimmed(area);
     let (p, threshold) = reading.bar.unwrap_or((0.0, f64::NAN));
-    let eighths = (p.clamp(0.0, 1.0) * f64::from(area.width) * 8.0).round() as u32;
+    let halves = (p.clamp(0.0, 1.0) * f64::from(area.width) * 2.0).round() as u32;
     let mark = mark_column(area, threshold);
     for x in 0..area.width {
-        let filled = eighths.saturating_sub(u32::from(x) * 8).min(8) as usize;
-        let (symbol, style) = match EIGHTHS.get(filled) {
-            Some(_) if mark == Some(x) => ("┃", palette.strong()),
-            None if mark == Some(x) => ("┃", reading.style.add_modifier(REVERSED)),
-            None => ("█", reading.style),
-            Some(_) if filled == 0 => ("░", palette.trough()),
-            Some(part) => (*part, reading.style),
+        let (symbol, style) = match halves.saturating_sub(u32::from(x) * 2) {
+            _ if mark == Some(x) => ("┃", palette.strong()),
+            0 => (palette.empty(whole), palette.trough()),
+            1 => (half, reading.style),
+            _ => (whole, reading.style),
         };
         if let Some(cell) = buffer.cell_mut((area.x + x, area.y)) {
             cell.set_symbol(symbol).set_style(style);
         }
     }
 }
-
-const REVERSED: ratatui::style::Modifier = ratatui::style::Modifier::REVERSED;
 
 /// One column free at each side.
 fn trimmed(area: Rect) -> Rect {
@@ -350,8 +376,9 @@ mod tests {
                 bar: Some((p, f64::NAN)),
                 ..reading(Some(&prediction(p, 1.0)), PALETTE)
             };
-            draw_bar(&mut buffer, area, &reading, PALETTE);
-            let blocks = (0..12).filter(|&x| buffer[(x, 0)].symbol() == "█").count();
+            draw_bar(&mut buffer, area, ["█", "▌"], &reading, PALETTE);
+            let full_style = |x: &u16| buffer[(*x, 0)].style().fg == reading.style.fg;
+            let blocks = (1..11).filter(full_style).count();
             assert_eq!(blocks, full, "{p}");
         }
     }
@@ -361,7 +388,7 @@ mod tests {
         let area = Rect::new(0, 0, 13, 1);
         let mut buffer = Buffer::empty(area);
         let reading = reading(Some(&prediction(0.9, 1.0)), PALETTE);
-        draw_bar(&mut buffer, area, &reading, PALETTE);
+        draw_bar(&mut buffer, area, ["█", "▌"], &reading, PALETTE);
         assert_eq!(buffer[(6, 0)].symbol(), "┃");
     }
 

@@ -49,8 +49,8 @@ fn right(status: &EngineStatus, palette: Palette) -> Line<'_> {
     let mut spans = vec![Span::raw(clipped(&status.clock, 12))];
     if let Some(free) = status.disk_free_bytes {
         let style = match free {
-            ..FULL_DISK_BYTES => palette.slip(),
-            ..LOW_DISK_BYTES => palette.warning(),
+            _ if free < FULL_DISK_BYTES => palette.slip(),
+            _ if free < LOW_DISK_BYTES => palette.warning(),
             _ => Style::new(),
         };
         spans.push(Span::styled(format!("   disk {} ", bytes(free)), style));

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use super::fault::sentence;
+use super::fault::{place, sentence};
 use super::gauge::verdict;
 use crate::app::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus};
 use crate::dataset::Outcome;
@@ -88,13 +88,7 @@ impl LinePrinter {
     ) -> Option<String> {
         let (state, words) = match &camera.state {
             CameraState::Opening => return None,
-            CameraState::Live => (
-                "live",
-                format!(
-                    "{}: live ({} {}, usb {})",
-                    camera.role, camera.product, camera.serial, camera.port
-                ),
-            ),
+            CameraState::Live => ("live", format!("{}: live ({})", camera.role, place(camera))),
             CameraState::Ended => ("ended", format!("{}: the recording has ended", camera.role)),
             CameraState::Silent { .. } => ("silent", format!("FAULT {}", sentence(camera, status))),
             CameraState::Frozen { .. } => ("frozen", format!("FAULT {}", sentence(camera, status))),

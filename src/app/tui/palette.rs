@@ -26,9 +26,8 @@ impl ColourDepth {
         if set("NO_COLOR").is_some() {
             return Self::Mono;
         }
-        match set("COLORTERM").as_deref() {
-            Some("truecolor" | "24bit") => return Self::True,
-            _ => {}
+        if matches!(set("COLORTERM").as_deref(), Some("truecolor" | "24bit")) {
+            return Self::True;
         }
         match set("TERM").as_deref() {
             None | Some("dumb" | "vt100" | "vt220") => Self::Mono,
@@ -127,6 +126,14 @@ impl Palette {
     /// The empty part of a bar.
     pub(super) fn trough(self) -> Style {
         self.text(DARK)
+    }
+
+    /// Symbol of the empty part of a bar of `full`; without colours only the symbol tells.
+    pub(super) fn empty(self, full: &'static str) -> &'static str {
+        match self.depth {
+            ColourDepth::Mono => "·",
+            _ => full,
+        }
     }
 
     pub(super) fn strong(self) -> Style {

@@ -103,14 +103,18 @@ fn draw_tile(
 }
 
 fn caption(role: Role, preview: Option<&Preview>, width: u16, palette: Palette) -> Line<'static> {
-    let detail = preview.map_or_else(String::new, |preview| {
-        match (preview.contact, preview.is_difference) {
-            (Some(contact), _) => format!(" contact {contact:.1}"),
-            (None, true) => " difference".to_owned(),
-            (None, false) => String::new(),
-        }
-    });
     let room = usize::from(width).saturating_sub(role.name().len());
+    let detail = match preview {
+        Some(Preview {
+            contact: Some(contact),
+            ..
+        }) => match format!(" contact {contact:.1}") {
+            long if long.len() <= room => long,
+            _ => format!(" {contact:.1}"),
+        },
+        Some(preview) if preview.is_difference => " difference".to_owned(),
+        _ => String::new(),
+    };
     Line::from(vec![
         Span::styled(role.name(), palette.strong()),
         Span::styled(clipped(&detail, room), palette.faint()),

@@ -78,7 +78,11 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
         3.. if area.width >= 60 => Size::Small,
         _ => {
             write(buffer, area, &line(&banner, area.width));
-            write(buffer, row(area, 1), &progress(session, banner.style));
+            write(
+                buffer,
+                row(inset(area, 1, 0), 1),
+                &progress(session, banner.style),
+            );
             return;
         }
     };
@@ -128,10 +132,15 @@ fn line(banner: &Banner, width: u16) -> Line<'static> {
     Line::styled(format!(" STEP {}/3  {words}", banner.number), banner.style)
 }
 
-/// What to do, in at most 31 columns.
-pub(super) fn brief(session: &SessionView, palette: Palette) -> (&'static str, Style) {
+/// What to do in `room` columns: a sentence, or one verb.
+pub(super) fn brief(session: &SessionView, room: usize, palette: Palette) -> Span<'static> {
     let banner = banner(session, palette);
-    (banner.brief, banner.style)
+    let words = if banner.brief.chars().count() <= room {
+        banner.brief
+    } else {
+        banner.verb
+    };
+    Span::styled(words, banner.style)
 }
 
 /// `initial ✓ 12 s ago → grasp ▶ → label`, with the present step marked.
@@ -147,10 +156,10 @@ fn progress(session: &SessionView, style: Style) -> Line<'static> {
         .map(|age_s| format!(" {} ago", duration_ms(age_s * 1e3)))
         .unwrap_or_default();
     let text = format!(
-        " initial{}{age} → grasp{} → label{}",
+        "initial{}{age} → grasp{} → label{}",
         mark(Step::Initial, true),
         mark(Step::Grasp, session.step == Step::Label),
         mark(Step::Label, false),
     );
-    Line::from(Span::styled(text.trim_start().to_owned(), style))
+    Line::styled(text, style)
 }

@@ -11,6 +11,7 @@ use crossterm::terminal::{
 };
 use crossterm::{execute, queue};
 use ratatui::backend::CrosstermBackend;
+use ratatui::layout::{Position, Rect};
 use ratatui::{Frame, Terminal};
 
 use crate::error::{Error, Result};
@@ -54,7 +55,12 @@ impl ScreenTerminal {
         ENTERED.store(true, Ordering::SeqCst);
         enable_raw_mode().map_err(failed)?;
         execute!(self.terminal.backend_mut(), EnterAlternateScreen, Hide).map_err(failed)?;
-        self.terminal.clear().map_err(failed)
+        // Clears like `Terminal::clear`, but asks the terminal nothing: an answer about the cursor
+        // may take seconds, or never come.
+        let size = self.terminal.size().map_err(failed)?;
+        self.terminal
+            .resize(Rect::from((Position::ORIGIN, size)))
+            .map_err(failed)
     }
 
     /// Draws one picture, whole or not at all on terminals with synchronized output.
