@@ -173,6 +173,32 @@ impl std::error::Error for Error {
     }
 }
 
+/// The known name nearest to a misspelt one, if one is near enough to be meant.
+#[must_use]
+pub fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    known
+        .into_iter()
+        .map(|name| (edit_distance(wanted, name), name))
+        .min()
+        .filter(|(distance, name)| *distance <= 1 + name.chars().count().max(3) / 4)
+        .map(|(_, name)| name)
+}
+
+/// Number of inserted, removed and replaced characters (Levenshtein).
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = std::mem::replace(&mut row[0], i + 1);
+        for (j, cb) in b.iter().enumerate() {
+            let replaced = diagonal + usize::from(ca != *cb);
+            diagonal = row[j + 1];
+            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -190,6 +216,15 @@ mod tests {
             error.to_string(),
             "/data/kitchen: grasp.json: cannot write the grasp: no storage space\n  → free some space"
         );
+    }
+
+    #[test]
+    fn the_nearest_name_is_near() {
+        let known = ["left", "right", "rgb"];
+        assert_eq!(nearest_name("lft", known), Some("left"));
+        assert_eq!(nearest_name("rihgt", known), Some("right"));
+        assert_eq!(nearest_name("external", known), None);
+        assert_eq!(edit_distance("kitten", "sitting"), 3);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::layout::Stage;
 use crate::imaging::{PixelFormat, Role};
 
 /// Version of the dataset format that this build writes.
@@ -93,6 +94,22 @@ pub struct GraspRecord {
     pub files: BTreeMap<String, FileDigest>,
     /// Free text.
     pub note: String,
+}
+
+impl GraspRecord {
+    /// Both stages, in the order of the cycle.
+    pub fn stages(&self) -> [(Stage, &StageRecord); 2] {
+        [(Stage::Initial, &self.initial), (Stage::Grasp, &self.grasp)]
+    }
+
+    /// The frames of a stage.
+    #[must_use]
+    pub fn stage(&self, stage: Stage) -> &StageRecord {
+        match stage {
+            Stage::Initial => &self.initial,
+            Stage::Grasp => &self.grasp,
+        }
+    }
 }
 
 /// Frames of all cameras at one trigger.

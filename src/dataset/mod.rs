@@ -2,10 +2,45 @@
 //! Hugging Face `imagefolder` and pandas.
 //!
 //! Layout and durability rules: `docs/dataset-format.md`.
+//!
+//! * [`DatasetWriter`] writes, one process at a time; [`Dataset`] reads
+//! * [`verify`] finds every torn, missing, altered, duplicated or leaking item;
+//!   [`recover`] rescues what is there
+//! * [`split`] divides the grasps without leakage; [`summary`] counts them
 
+mod capture;
+mod counts;
+#[cfg(test)]
+mod crash_test;
+mod descriptor;
+mod disk;
+mod encode;
 mod grasp;
+mod index;
+mod layout;
+mod lock;
+mod opening;
+mod picture;
+mod reader;
+mod record_file;
+#[cfg(test)]
+mod sample;
+mod split;
+mod trash;
+mod verify;
+mod writer;
 
+pub use capture::{CapturedCamera, GraspMeta, StageCapture};
+pub use counts::GraspCounts;
+pub use descriptor::{Descriptor, NewDataset};
 pub use grasp::{
     CameraRecord, FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard, PoseRecord,
-    PredictionRecord, StageRecord,
+    PredictionRecord, SCHEMA_VERSION, StageRecord,
 };
+pub use layout::Stage;
+pub use opening::OpenReport;
+pub use reader::Dataset;
+pub use record_file::PendingInitial;
+pub use split::{SplitBy, SplitFile, SplitPart, SplitPlan, split};
+pub use verify::{Problem, ProblemKind, VerifyReport, verify};
+pub use writer::DatasetWriter;

@@ -149,6 +149,43 @@ impl Deref for FrameBytes {
     }
 }
 
+/// Buffers that frames are copied into, used again once nobody holds the frame any more; spares
+/// an allocation of megabytes for each frame of a running camera.
+#[derive(Debug, Default)]
+pub struct FramePool(Vec<FrameBytes>);
+
+impl FramePool {
+    /// Buffers that are kept; frames beyond them get memory of their own.
+    const CAPACITY: usize = 12;
+
+    /// Copies `bytes` into a free buffer.
+    pub fn copy(&mut self, bytes: &[u8]) -> FrameBytes {
+        self.fill(|buffer| buffer.extend_from_slice(bytes))
+    }
+
+    /// Copies `rows` one after the other into a free buffer.
+    pub fn copy_rows<'a>(&mut self, rows: impl Iterator<Item = &'a [u8]>) -> FrameBytes {
+        self.fill(|buffer| rows.for_each(|row| buffer.extend_from_slice(row)))
+    }
+
+    fn fill(&mut self, write: impl FnOnce(&mut Vec<u8>)) -> FrameBytes {
+        for held in &mut self.0 {
+            if let Some(buffer) = Arc::get_mut(&mut held.0) {
+                buffer.clear();
+                write(buffer);
+                return held.clone();
+            }
+        }
+        let mut buffer = Vec::new();
+        write(&mut buffer);
+        let bytes = FrameBytes::from(buffer);
+        if self.0.len() < Self::CAPACITY {
+            self.0.push(bytes.clone());
+        }
+        bytes
+    }
+}
+
 impl fmt::Debug for FrameBytes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "FrameBytes({} bytes)", self.0.len())
@@ -189,6 +226,22 @@ mod tests {
             assert_eq!(PixelFormat::from_fourcc(format.fourcc()), Some(format));
         }
         assert_eq!(PixelFormat::from_fourcc(*b"H264"), None);
+    }
+
+    #[test]
+    fn pool_uses_a_buffer_again_only_when_it_is_free() {
+        let mut pool = FramePool::default();
+        let first = pool.copy(&[1, 2, 3]);
+        let address = first.as_ptr();
+        let second = pool.copy(&[4]);
+        assert_ne!(second.as_ptr(), address);
+        assert_eq!(&*first, [1, 2, 3]);
+        drop(first);
+        let third = pool.copy_rows([&[5_u8][..], &[6]].into_iter());
+        assert_eq!((third.as_ptr(), &*third), (address, &[5, 6][..]));
+        let held: Vec<_> = (0..20).map(|i| pool.copy(&[i])).collect();
+        assert_eq!(pool.0.len(), FramePool::CAPACITY);
+        assert!(held.iter().zip(0..).all(|(bytes, i)| **bytes == [i]));
     }
 
     #[test]

@@ -1,1 +1,21 @@
 //! Stability prediction: model contract, preprocessing, ONNX engine.
+//!
+//! A model is one ONNX file whose metadata is a [`contract::ModelContract`]. [`Model`] loads and
+//! checks it, [`ModelInput`] turns 320×240 pictures into its tensors, [`LivePredictor`] keeps the
+//! pictures of a running session. [`baseline`] is a heuristic to use until a trained model exists;
+//! [`onnx`] writes such files.
+
+pub mod baseline;
+pub mod contract;
+mod engine;
+mod input;
+mod live;
+pub mod onnx;
+mod quiet_panic;
+mod timing;
+
+pub use contract::ModelContract;
+pub use engine::{Model, Prediction};
+pub use input::ModelInput;
+pub use live::{LivePrediction, LivePredictor};
+pub use timing::{PredictFigures, measure};

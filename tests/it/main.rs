@@ -2,4 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod imaging;
 mod layers;
+mod model_contract;
+mod rig;
+mod shared_data;

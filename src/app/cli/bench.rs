@@ -1,13 +1,29 @@
-//! `gripcast bench`
+//! `gripcast bench`: measures gripcast on this machine.
+//!
+//! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
 
-use super::Context;
+use super::{Context, bench_live, bench_predict};
 use crate::error::Result;
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    #[command(subcommand)]
+    bench: Bench,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Bench {
+    /// The complete live path: frames lost, latency, cores, memory
+    Live(bench_live::Args),
+    /// One prediction: load, preprocess, engine
+    Predict(bench_predict::Args),
+}
 
 /// Runs the verb.
-pub(crate) fn run(_context: &Context, _args: Args) -> Result<()> {
-    Ok(())
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    match args.bench {
+        Bench::Live(args) => bench_live::run(context, &args),
+        Bench::Predict(args) => bench_predict::run(context, &args),
+    }
 }

@@ -1,12 +1,17 @@
 //! The command line: one file a verb. stdout is data, stderr is for people.
 
+use std::io::Write as _;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::error::Result;
+use crate::app::config as settings;
+use crate::error::{Error, ErrorKind, Result};
 
 mod bench;
+mod bench_live;
+mod bench_predict;
 mod collect;
 mod completions;
 mod config;
@@ -38,6 +43,33 @@ pub(crate) struct Context {
     /// Say nothing but errors
     #[arg(short, long, global = true)]
     pub(crate) quiet: bool,
+}
+
+/// Which configuration file is read.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct ConfigFlag {
+    /// Configuration file [default: ./gripcast.toml or ~/.config/gripcast/config.toml]
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+impl ConfigFlag {
+    /// The file, if there is one.
+    pub(crate) fn path(&self) -> Option<PathBuf> {
+        self.config.clone().or_else(settings::default_file)
+    }
+}
+
+/// Writes to stdout; a closed pipe is an error, not a panic.
+pub(crate) fn print(text: &str) -> Result<()> {
+    writeln!(std::io::stdout(), "{text}").map_err(|e| Error::io("cannot write to stdout", e))
+}
+
+/// Prints one JSON object on stdout.
+pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(value)
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+    print(&text)
 }
 
 #[derive(Debug, Subcommand)]

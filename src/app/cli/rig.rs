@@ -1,13 +1,823 @@
-//! `gripcast rig`
+//! `gripcast rig list|init|check`: the cameras of a rig.
+//!
+//! `list` shows every camera that the kernel sees, with its serial number, USB bus and speed,
+//! whether it can be opened, and its modes. `init` writes a rig file from what is plugged in.
+//! `check` opens every camera of a rig, measures its frame rate and reads its controls back.
+//!
+//! Exit codes: 0 all is well · 4 a camera of the rig does not do what the file says · 69 a camera
+//! is missing, or none is there at all.
+
+use std::fs;
+use std::io::{self, Write as _};
+use std::path::PathBuf;
+use std::thread;
+use std::time::Duration;
+
+use serde_json::{Value, json};
 
 use super::Context;
-use crate::error::Result;
+use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::{PixelFormat, Role};
+use crate::rig::calibration::{Intrinsics, RigFile, SourceKind, colour_intrinsics, draft};
+use crate::rig::camera::{
+    CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, StreamInfo, V4l2Opener,
+};
+use crate::rig::device::{
+    Access, SystemRoot, VideoDevice, crowded_buses, permission_error, probe, scan,
+};
+
+/// Share of the nominal frame rate that a camera has to reach; GelSight Minis are known to
+/// deliver three quarters of theirs.
+const RATE_NEEDED: f64 = 0.7;
+/// Share of damaged frames that is borne.
+const DAMAGE_BORNE: f64 = 0.1;
+/// Longest wait for one frame.
+const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
+/// Waits without a frame after which a camera counts as silent.
+const TIMEOUTS_BORNE: u32 = 5;
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    #[command(subcommand)]
+    verb: Verb,
+    /// Read device descriptions below DIR instead of /sys
+    #[arg(
+        long,
+        global = true,
+        hide = true,
+        value_name = "DIR",
+        default_value = "/sys"
+    )]
+    sysfs_root: PathBuf,
+    /// Look for device nodes below DIR instead of /dev
+    #[arg(
+        long,
+        global = true,
+        hide = true,
+        value_name = "DIR",
+        default_value = "/dev"
+    )]
+    dev_root: PathBuf,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Verb {
+    /// List the cameras that are plugged in
+    List {
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+    /// Write a rig file from what is plugged in
+    Init {
+        /// File to write; it must not exist
+        #[arg(long, value_name = "FILE")]
+        out: PathBuf,
+        /// Name of the rig; by default that of the file
+        #[arg(long)]
+        id: Option<String>,
+    },
+    /// Open every camera of a rig, measure its frame rate, read its controls back
+    Check {
+        /// Name or file of the rig
+        #[arg(long, value_name = "NAME|FILE")]
+        rig: String,
+        /// How long to measure, s
+        #[arg(long, default_value_t = 2.0, value_parser = seconds)]
+        seconds: f64,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    if (0.1..=3600.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("must be from 0.1 to 3600".to_owned())
+    }
+}
 
 /// Runs the verb.
-pub(crate) fn run(_context: &Context, _args: Args) -> Result<()> {
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    let root = SystemRoot {
+        sys: args.sysfs_root,
+        dev: args.dev_root,
+        ..SystemRoot::default()
+    };
+    match args.verb {
+        Verb::List { json } => list(context, &root, json),
+        Verb::Init { out, id } => init(context, &root, &out, id),
+        Verb::Check { rig, seconds, json } => {
+            let rig = RigFile::find(&rig)?;
+            let checks = check(
+                openers(&rig, &root)?,
+                &root,
+                Duration::from_secs_f64(seconds),
+            );
+            if json {
+                print(
+                    &json!({ "rig": rig.id, "cameras": checks.iter().map(Check::json).collect::<Vec<_>>() }),
+                )?;
+            } else {
+                for check in &checks {
+                    print!("{}", check.text());
+                }
+            }
+            verdict(&checks)
+        }
+    }
+}
+
+fn print(value: &Value) -> Result<()> {
+    let mut out = io::stdout().lock();
+    writeln!(out, "{value:#}").map_err(|e| Error::io("cannot write to stdout", e))
+}
+
+fn cameras(root: &SystemRoot) -> Result<Vec<VideoDevice>> {
+    let mut devices = scan(root)?;
+    for device in &mut devices {
+        probe(device, &KernelNodes, root);
+    }
+    devices.retain(VideoDevice::is_camera);
+    Ok(devices)
+}
+
+fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
+    let devices = cameras(root)?;
+    let warnings = crowding(&devices);
+    if json {
+        let cameras: Vec<Value> = devices.iter().map(device_json).collect();
+        print(&json!({ "cameras": cameras, "warnings": warnings }))?;
+    } else {
+        for device in &devices {
+            print!("{}", device_text(device));
+        }
+        if !context.quiet {
+            for warning in &warnings {
+                eprintln!("note: {warning}");
+            }
+        }
+    }
+    explain_denied(&devices);
+    if devices.is_empty() {
+        return Err(Error::new(ErrorKind::Device, "no camera is plugged in").remedy(
+            "plug one in; if it does not appear, `sudo dmesg` tells what the kernel makes of it. \
+             `--rig virtual` works without cameras",
+        ));
+    }
     Ok(())
+}
+
+/// Says once for each product how to get permission.
+fn explain_denied(devices: &[VideoDevice]) {
+    let mut told = Vec::new();
+    for device in devices.iter().filter(|d| d.access == Access::Denied) {
+        let ids = (device.vendor_id, device.product_id);
+        if !told.contains(&ids) {
+            told.push(ids);
+            eprintln!("{}", permission_error(device, "open"));
+        }
+    }
+}
+
+/// One sentence for each USB-2 bus that several cameras share.
+fn crowding(devices: &[VideoDevice]) -> Vec<String> {
+    crowded_buses(devices)
+        .iter()
+        .map(|(bus, on_bus)| {
+            let names: Vec<String> = on_bus.iter().map(ToString::to_string).collect();
+            format!(
+                "{} cameras share USB bus {bus}, which may be too little for all: {}",
+                on_bus.len(),
+                names.join("; ")
+            )
+        })
+        .collect()
+}
+
+/// What a camera would be good for, as far as its product tells.
+fn role_hint(device: &VideoDevice) -> Option<&'static str> {
+    let offers = |format| device.offers(format) == Some(true);
+    if device.product.starts_with("GelSight Mini") {
+        Some("left or right")
+    } else if offers(PixelFormat::Z16) {
+        Some("depth")
+    } else if device.product.contains("RealSense") && offers(PixelFormat::Yuyv) {
+        Some("rgb")
+    } else {
+        None
+    }
+}
+
+fn access_text(access: &Access) -> String {
+    match access {
+        Access::Unknown => "not tried".to_owned(),
+        Access::Open => "ready".to_owned(),
+        Access::Denied => "no permission".to_owned(),
+        Access::Missing => "no device node".to_owned(),
+        Access::Busy(None) => "in use".to_owned(),
+        Access::Busy(Some(owner)) => format!("in use by {owner}"),
+        Access::Failed(reason) => reason.clone(),
+    }
+}
+
+fn device_json(device: &VideoDevice) -> Value {
+    let hex = |id: Option<u16>| id.map(|id| format!("{id:04x}"));
+    let modes = device.modes.as_ref().map(|modes| {
+        modes
+            .iter()
+            .map(|mode| {
+                json!({
+                    "format": mode.format_name(),
+                    "fps": mode.fps,
+                    "height": mode.height,
+                    "width": mode.width,
+                })
+            })
+            .collect::<Vec<_>>()
+    });
+    json!({
+        "access": match &device.access {
+            Access::Unknown => "unknown",
+            Access::Open => "ready",
+            Access::Denied => "denied",
+            Access::Missing => "missing",
+            Access::Busy(_) => "busy",
+            Access::Failed(_) => "failed",
+        },
+        "access_text": access_text(&device.access),
+        "bus": device.bus,
+        "interface": device.interface,
+        "modes": modes,
+        "name": device.name,
+        "node": device.node,
+        "port": device.port,
+        "product": device.product,
+        "product_id": hex(device.product_id),
+        "role_hint": role_hint(device),
+        "serial": device.serial,
+        "speed_mbps": device.speed_mbps,
+        "vendor_id": hex(device.vendor_id),
+    })
+}
+
+fn device_text(device: &VideoDevice) -> String {
+    let mut text = device.product.clone();
+    if let Some(hint) = role_hint(device) {
+        text += &format!("  ({hint})");
+    }
+    let serial = match device.serial.as_str() {
+        "" => "no serial".to_owned(),
+        serial => format!("serial {serial}"),
+    };
+    let ids = match (device.vendor_id, device.product_id) {
+        (Some(vendor), Some(product)) => format!(" · {vendor:04x}:{product:04x}"),
+        _ => String::new(),
+    };
+    let bus = match (device.bus, device.speed_mbps) {
+        (Some(bus), Some(speed)) => format!(" · bus {bus}, {speed} Mbit/s"),
+        (Some(bus), None) => format!(" · bus {bus}"),
+        _ => String::new(),
+    };
+    text += &format!(
+        "\n  {serial}{ids} · port {}{bus} · interface {} · {} · {}\n",
+        device.port,
+        device.interface,
+        device.node.display(),
+        access_text(&device.access)
+    );
+    for mode in device.modes.iter().flatten() {
+        text += &format!("    {mode}\n");
+    }
+    text
+}
+
+fn init(
+    context: &Context,
+    root: &SystemRoot,
+    out: &std::path::Path,
+    id: Option<String>,
+) -> Result<()> {
+    let stem = out
+        .file_stem()
+        .map(|stem| stem.to_string_lossy().into_owned());
+    let id = id.or(stem).unwrap_or_default();
+    let draft = draft(&id, &cameras(root)?)?;
+    let mut file = fs::File::create_new(out).map_err(|error| {
+        let exists = error.kind() == io::ErrorKind::AlreadyExists;
+        let error = if exists {
+            Error::new(ErrorKind::Usage, "the rig file exists already")
+                .remedy("give another --out, or remove the file")
+        } else {
+            Error::io("cannot create the rig file", error)
+        };
+        error.at(out.display())
+    })?;
+    file.write_all(draft.text.as_bytes())
+        .and_then(|()| file.sync_all())
+        .map_err(|e| Error::io("cannot write the rig file", e).at(out.display()))?;
+    if !context.quiet {
+        eprintln!("wrote {}", out.display());
+        for note in &draft.notes {
+            eprintln!("note: {note}");
+        }
+    }
+    Ok(())
+}
+
+/// Openers of all cameras of a rig.
+fn openers(rig: &RigFile, root: &SystemRoot) -> Result<Vec<Box<dyn CameraOpener>>> {
+    rig.cameras
+        .iter()
+        .map(|(role, camera)| -> Result<Box<dyn CameraOpener>> {
+            match camera.source {
+                SourceKind::V4l2 => Ok(Box::new(V4l2Opener::new(
+                    *role,
+                    camera.clone(),
+                    root.clone(),
+                ))),
+                SourceKind::Replay | SourceKind::Virtual => Err(Error::new(
+                    ErrorKind::Usage,
+                    format!("camera {role} of rig `{}` is not a real one", rig.id),
+                )
+                .remedy("check a rig with real cameras")),
+            }
+        })
+        .collect()
+}
+
+/// What the check of one camera found.
+#[derive(Debug)]
+struct Check {
+    role: Role,
+    wanted: String,
+    opened: Option<Opened>,
+    problems: Vec<String>,
+    /// The camera is not there.
+    missing: bool,
+}
+
+#[derive(Debug)]
+struct Opened {
+    info: StreamInfo,
+    frames: Frames,
+    controls: ControlValues,
+    intrinsics: Option<Intrinsics>,
+    notes: Vec<String>,
+}
+
+/// Counts over the time of the measurement.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Frames {
+    received: u64,
+    lost: u64,
+    damaged: u64,
+    fps: Option<f64>,
+}
+
+fn check(openers: Vec<Box<dyn CameraOpener>>, root: &SystemRoot, duration: Duration) -> Vec<Check> {
+    // All at once, because cameras compete for the bus.
+    thread::scope(|scope| {
+        let running: Vec<_> = openers
+            .into_iter()
+            .map(|mut opener| {
+                let role = opener.role();
+                let wanted = opener.describe();
+                let worker = scope.spawn(move || check_one(opener.as_mut(), root, duration));
+                (role, wanted, worker)
+            })
+            .collect();
+        running
+            .into_iter()
+            .map(|(role, wanted, worker)| {
+                worker.join().unwrap_or_else(|_| Check {
+                    role,
+                    wanted,
+                    opened: None,
+                    problems: vec!["the check itself failed".to_owned()],
+                    missing: false,
+                })
+            })
+            .collect()
+    })
+}
+
+fn check_one(opener: &mut dyn CameraOpener, root: &SystemRoot, duration: Duration) -> Check {
+    let mut check = Check {
+        role: opener.role(),
+        wanted: opener.describe(),
+        opened: None,
+        problems: Vec::new(),
+        missing: false,
+    };
+    let mut source = match opener.open() {
+        Ok(source) => source,
+        Err(error) => {
+            check.missing = error.kind() == ErrorKind::Device;
+            check.problems.push(error.to_string());
+            return check;
+        }
+    };
+    let frames = measure(source.as_mut(), duration, &mut check.problems);
+    let controls = source.controls().unwrap_or_else(|error| {
+        check.problems.push(error.to_string());
+        ControlValues::new()
+    });
+    let info = source.info().clone();
+    let mut notes = source.warnings().to_vec();
+    let asked =
+        (check.role == Role::Rgb && info.identity.product.contains("RealSense")).then(|| {
+            colour_intrinsics(
+                root,
+                &KernelNodes,
+                &info.identity.port,
+                info.width,
+                info.height,
+            )
+        });
+    let intrinsics = match asked {
+        Some(Ok(intrinsics)) => Some(intrinsics),
+        Some(Err(error)) => {
+            notes.push(format!("factory intrinsics: {error}"));
+            None
+        }
+        None => None,
+    };
+    check.opened = Some(Opened {
+        info,
+        frames,
+        controls,
+        intrinsics,
+        notes,
+    });
+    check
+}
+
+/// Counts frames for `duration` from the first one, by the clock of the frames.
+fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<String>) -> Frames {
+    let nominal = source.info().nominal_fps;
+    let damage_limit = 50 + (2.0 * nominal * duration.as_secs_f64()) as u64;
+    let mut frames = Frames::default();
+    let mut first: Option<(u64, u64)> = None;
+    let mut last_time_ns = 0;
+    let mut last_sequence: Option<u32> = None;
+    let mut timeouts = 0;
+    let mut skipped = |sequence: u32| {
+        let before = last_sequence.replace(sequence);
+        before.map_or(0, |before| {
+            u64::from(sequence.wrapping_sub(before).saturating_sub(1))
+        })
+    };
+    loop {
+        match source.next_frame(FRAME_TIMEOUT) {
+            Ok(frame) => {
+                timeouts = 0;
+                frames.received += 1;
+                frames.lost += skipped(frame.sequence);
+                last_time_ns = frame.driver_time_ns;
+                let (_, began) = *first.get_or_insert((frame.driver_time_ns, frame.received_ns));
+                if u128::from(frame.received_ns.saturating_sub(began)) >= duration.as_nanos() {
+                    break;
+                }
+            }
+            Err(CaptureError::Damaged { sequence, .. }) => {
+                timeouts = 0;
+                frames.damaged += 1;
+                frames.lost += skipped(sequence);
+                if frames.damaged > damage_limit {
+                    break;
+                }
+            }
+            Err(CaptureError::Timeout) => {
+                timeouts += 1;
+                if timeouts >= TIMEOUTS_BORNE {
+                    problems.push(format!("no frame came for {TIMEOUTS_BORNE} s"));
+                    break;
+                }
+            }
+            Err(CaptureError::Ended) => break,
+            Err(error) => {
+                problems.push(error.to_string());
+                break;
+            }
+        }
+    }
+    frames.fps = first.and_then(|(from, _)| {
+        let elapsed_s = last_time_ns.saturating_sub(from) as f64 / 1e9;
+        (elapsed_s > 0.0).then(|| (frames.received - 1) as f64 / elapsed_s)
+    });
+    match frames.fps {
+        Some(fps) if fps < RATE_NEEDED * nominal => {
+            problems.push(format!("only {fps:.2} of {nominal} frames/s arrive"));
+        }
+        None if problems.is_empty() => problems.push("too few frames to measure a rate".to_owned()),
+        _ => {}
+    }
+    let all = frames.received + frames.damaged;
+    if frames.damaged as f64 > DAMAGE_BORNE * all as f64 {
+        problems.push(format!("{} of {all} frames are damaged", frames.damaged));
+    }
+    frames
+}
+
+impl Check {
+    fn json(&self) -> Value {
+        let mut value = json!({
+            "missing": self.missing,
+            "ok": self.problems.is_empty(),
+            "problems": self.problems,
+            "role": self.role,
+            "wanted": self.wanted,
+        });
+        if let (Some(opened), Value::Object(object)) = (&self.opened, &mut value) {
+            let info = &opened.info;
+            let more = json!({
+                "controls": opened.controls,
+                "damaged": opened.frames.damaged,
+                "factory_intrinsics": opened.intrinsics,
+                "format": info.format,
+                "fps": opened.frames.fps,
+                "height": info.height,
+                "lost": opened.frames.lost,
+                "node": info.identity.node,
+                "nominal_fps": info.nominal_fps,
+                "notes": opened.notes,
+                "port": info.identity.port,
+                "product": info.identity.product,
+                "received": opened.frames.received,
+                "serial": info.identity.serial,
+                "width": info.width,
+            });
+            if let Value::Object(more) = more {
+                object.extend(more);
+            }
+        }
+        value
+    }
+
+    fn text(&self) -> String {
+        let verdict = if self.problems.is_empty() {
+            "ok"
+        } else {
+            "FAILED"
+        };
+        let mut text = format!("{:<9}{verdict:<8}", self.role.name());
+        match &self.opened {
+            None => text += &format!("{}\n", self.wanted),
+            Some(Opened {
+                info,
+                frames,
+                controls,
+                intrinsics,
+                notes,
+            }) => {
+                text += &format!(
+                    "{}\n  {} {}×{}, {} of {} frames/s, {} received, {} lost, {} damaged\n",
+                    info.identity,
+                    info.format,
+                    info.width,
+                    info.height,
+                    frames.fps.map_or("–".to_owned(), |fps| format!("{fps:.2}")),
+                    info.nominal_fps,
+                    frames.received,
+                    frames.lost,
+                    frames.damaged
+                );
+                if !controls.is_empty() {
+                    let values: Vec<String> = controls
+                        .iter()
+                        .map(|(name, value)| format!("{name} {value}"))
+                        .collect();
+                    text += &format!("  controls: {}\n", values.join(", "));
+                }
+                if let Some(k) = intrinsics {
+                    text += &format!(
+                        "  factory intrinsics: fx {:.2}, fy {:.2}, cx {:.2}, cy {:.2}\n",
+                        k.fx, k.fy, k.cx, k.cy
+                    );
+                }
+                for note in notes {
+                    text += &format!("  note: {note}\n");
+                }
+            }
+        }
+        for problem in &self.problems {
+            text += &format!("  problem: {problem}\n");
+        }
+        text
+    }
+}
+
+/// The error that the exit code follows from.
+fn verdict(checks: &[Check]) -> Result<()> {
+    let roles = |test: fn(&Check) -> bool| -> Vec<&str> {
+        checks
+            .iter()
+            .filter(|check| test(check))
+            .map(|check| check.role.name())
+            .collect()
+    };
+    let missing = roles(|check| check.missing);
+    let failed = roles(|check| !check.problems.is_empty());
+    if !missing.is_empty() {
+        return Err(Error::new(
+            ErrorKind::Device,
+            format!("missing cameras: {}", missing.join(", ")),
+        )
+        .remedy("see the problems above; `gripcast rig list` shows what is plugged in"));
+    }
+    if !failed.is_empty() {
+        return Err(Error::new(
+            ErrorKind::Check,
+            format!("cameras with problems: {}", failed.join(", ")),
+        ));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use super::*;
+    use crate::imaging::Frame;
+    use crate::rig::camera::CameraIdentity;
+
+    /// A source with a clock of its own: each frame 40 ms after the one before.
+    struct Scripted {
+        info: StreamInfo,
+        script: VecDeque<Result<u32, CaptureError>>,
+        now_ns: u64,
+    }
+
+    impl Scripted {
+        fn new(
+            nominal_fps: f64,
+            script: impl IntoIterator<Item = Result<u32, CaptureError>>,
+        ) -> Self {
+            Self {
+                info: StreamInfo {
+                    identity: CameraIdentity::default(),
+                    format: PixelFormat::Grey,
+                    width: 1,
+                    height: 1,
+                    nominal_fps,
+                    depth_unit_m: None,
+                },
+                script: script.into_iter().collect(),
+                now_ns: 5,
+            }
+        }
+    }
+
+    impl FrameSource for Scripted {
+        fn info(&self) -> &StreamInfo {
+            &self.info
+        }
+
+        fn next_frame(&mut self, _timeout: Duration) -> Result<Frame, CaptureError> {
+            self.now_ns += 40_000_000;
+            let sequence = self
+                .script
+                .pop_front()
+                .unwrap_or(Err(CaptureError::Timeout))?;
+            Ok(Frame {
+                format: PixelFormat::Grey,
+                width: 1,
+                height: 1,
+                data: vec![0].into(),
+                sequence,
+                driver_time_ns: self.now_ns,
+                received_ns: self.now_ns,
+            })
+        }
+
+        fn controls(&mut self) -> Result<ControlValues> {
+            Ok([("gain".to_owned(), 7)].into())
+        }
+    }
+
+    struct Opener(Role, Option<Result<Scripted>>);
+
+    impl CameraOpener for Opener {
+        fn role(&self) -> Role {
+            self.0
+        }
+
+        fn describe(&self) -> String {
+            "a scripted camera".to_owned()
+        }
+
+        fn open(&mut self) -> Result<Box<dyn FrameSource>> {
+            Ok(Box::new(self.1.take().unwrap()?))
+        }
+    }
+
+    fn measured(mut source: Scripted) -> (Frames, Vec<String>) {
+        let mut problems = Vec::new();
+        let frames = measure(&mut source, Duration::from_secs(1), &mut problems);
+        (frames, problems)
+    }
+
+    fn damaged(sequence: u32) -> Result<u32, CaptureError> {
+        Err(CaptureError::Damaged {
+            sequence,
+            reason: String::new(),
+        })
+    }
+
+    #[test]
+    fn rate_and_losses_are_counted_until_the_time_is_over() {
+        let (frames, problems) = measured(Scripted::new(25.0, (0..99).map(Ok)));
+        assert_eq!((frames.received, frames.lost, frames.damaged), (26, 0, 0));
+        assert!((frames.fps.unwrap() - 25.0).abs() < 1e-9);
+        assert!(problems.is_empty(), "{problems:?}");
+
+        let script = [Ok(1), Ok(2), damaged(4), Ok(6), Ok(7)].into_iter();
+        let (frames, _) = measured(Scripted::new(25.0, script));
+        assert_eq!((frames.received, frames.lost, frames.damaged), (4, 2, 1));
+    }
+
+    #[test]
+    fn slow_silent_damaged_and_lost_cameras_have_a_problem() {
+        let (_, problems) = measured(Scripted::new(60.0, (0..99).map(Ok)));
+        assert_eq!(problems, ["only 25.00 of 60 frames/s arrive"]);
+        let (_, problems) = measured(Scripted::new(25.0, []));
+        assert_eq!(problems, ["no frame came for 5 s"]);
+        let (frames, problems) = measured(Scripted::new(25.0, (0..).map(damaged).take(500)));
+        assert_eq!(frames.damaged, 101, "it does not go on for ever");
+        assert!(
+            problems[1].contains("101 of 101 frames are damaged"),
+            "{problems:?}"
+        );
+        let (_, problems) = measured(Scripted::new(25.0, [Ok(1), Ok(2), Err(CaptureError::Gone)]));
+        assert_eq!(problems, ["the camera was unplugged"]);
+    }
+
+    #[test]
+    fn a_missing_camera_outweighs_a_failing_one() {
+        let good = || Some(Ok(Scripted::new(25.0, (0..99).map(Ok))));
+        let slow = || Some(Ok(Scripted::new(99.0, (0..99).map(Ok))));
+        let absent = || Some(Err(Error::new(ErrorKind::Device, "not there")));
+        let busy = || Some(Err(Error::new(ErrorKind::Busy, "in use")));
+        for (left, right, expected) in [
+            (good(), good(), None),
+            (good(), slow(), Some(ErrorKind::Check)),
+            (busy(), good(), Some(ErrorKind::Check)),
+            (absent(), slow(), Some(ErrorKind::Device)),
+        ] {
+            let openers: Vec<Box<dyn CameraOpener>> = vec![
+                Box::new(Opener(Role::Left, left)),
+                Box::new(Opener(Role::Right, right)),
+            ];
+            let checks = check(openers, &SystemRoot::default(), Duration::from_secs(1));
+            assert_eq!(verdict(&checks).err().map(|e| e.kind()), expected);
+        }
+    }
+
+    #[test]
+    fn report_has_stable_keys() {
+        let mut opener = Opener(Role::Left, Some(Ok(Scripted::new(25.0, (0..99).map(Ok)))));
+        let root = SystemRoot::default();
+        let check = check_one(&mut opener, &root, Duration::from_secs(1));
+        let value = check.json();
+        let keys: Vec<&str> = value
+            .as_object()
+            .unwrap()
+            .keys()
+            .map(String::as_str)
+            .collect();
+        assert_eq!(
+            keys,
+            [
+                "controls",
+                "damaged",
+                "factory_intrinsics",
+                "format",
+                "fps",
+                "height",
+                "lost",
+                "missing",
+                "node",
+                "nominal_fps",
+                "notes",
+                "ok",
+                "port",
+                "problems",
+                "product",
+                "received",
+                "role",
+                "serial",
+                "wanted",
+                "width"
+            ]
+        );
+        assert_eq!(value["controls"]["gain"], 7);
+        assert_eq!(value["ok"], true);
+        assert!(check.text().starts_with("left     ok"), "{}", check.text());
+    }
 }

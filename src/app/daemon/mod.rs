@@ -1,5 +1,25 @@
 //! The engine behind `collect`: capture, inference, writing, and the session that joins them.
+//!
+//! ```text
+//!  camera ─► capture thread ─► hub (newest frames) ─► decode thread ─► inference thread
+//!                               │                                        │ findings
+//!  key, pedal, script ─► engine ┴─ session ─► store thread ─► dataset    ▼
+//!                               └──────────── status ───────────────► screen
+//! ```
 
+mod capture;
+mod decode;
+mod engine;
+mod histogram;
+mod hub;
+mod infer;
+pub mod live_load;
+mod pairing;
 mod status;
+mod store;
 
+pub use engine::{
+    CameraReport, CollectReport, Ended, EngineLinks, EngineSetup, GraspReport, PredictionReport,
+    run,
+};
 pub use status::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use image::RgbImage;
 
 use crate::imaging::Role;
-use crate::session::SessionView;
+use crate::session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 
 /// Snapshot of the engine.
 #[derive(Clone, Debug)]
@@ -30,6 +30,30 @@ pub struct EngineStatus {
     /// Small pictures: tactile cameras show the difference to the initial frame (grey = no
     /// change) once there is one, the others what they see.
     pub previews: BTreeMap<Role, Preview>,
+}
+
+impl EngineStatus {
+    /// The status before the engine has told anything.
+    #[must_use]
+    pub fn starting(dataset: &str, rig: &str) -> Self {
+        let session = Session::new(
+            GuardLimits::default(),
+            Labels::default(),
+            OutcomeCounts::new(),
+            None,
+        );
+        Self {
+            dataset: dataset.to_owned(),
+            rig: rig.to_owned(),
+            clock: String::new(),
+            disk_free_bytes: None,
+            session: session.view(0),
+            cameras: Vec::new(),
+            prediction: None,
+            prediction_absent: None,
+            previews: BTreeMap::new(),
+        }
+    }
 }
 
 /// A small picture for the screen.

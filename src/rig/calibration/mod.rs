@@ -1,5 +1,12 @@
-//! Rig files: which camera has which role, with which mode, controls and guards.
+//! Rig files: which camera has which role, with which mode, controls and guards; intrinsics.
 
+mod draft;
+mod factory;
+mod intrinsics;
+mod nearest;
 mod rig_file;
 
+pub use draft::{Draft, draft};
+pub use factory::{ColourTable, colour_intrinsics};
+pub use intrinsics::{DistortionModel, Intrinsics};
 pub use rig_file::{CameraConfig, PedalConfig, RigFile, SourceKind};

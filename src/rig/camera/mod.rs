@@ -1,7 +1,34 @@
 //! Frame sources and their supervision.
 
+mod clock;
 mod source;
+mod stream_monitor;
+mod supervised;
+mod v4l2;
+mod v4l2_controls;
+#[cfg(test)]
+mod v4l2_fake;
+mod v4l2_ioctl;
+mod v4l2_node;
+mod virtual_camera;
+mod virtual_scene;
 
+pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
+pub use stream_monitor::{
+    CameraCounters, FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy,
+};
+pub use supervised::{CameraEvent, run_camera};
+pub use v4l2::{V4l2Opener, V4l2Source};
+pub(crate) use v4l2_controls::{CONTROLS, FORMER_NAMES};
+#[cfg(test)]
+pub(crate) use v4l2_fake::{Camera as FakeCamera, FakeNodes};
+pub use v4l2_ioctl::KernelNodes;
+pub use v4l2_node::{
+    Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
+    VideoNode, VideoNodes,
+};
+pub use virtual_camera::{VirtualOpener, VirtualRig};
+pub use virtual_scene::{Grip, SceneMoment, VirtualGrasp, VirtualHand, VirtualObject};

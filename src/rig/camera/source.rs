@@ -105,6 +105,12 @@ pub trait FrameSource: Send {
     /// # Errors
     /// When the device refuses or is gone.
     fn controls(&mut self) -> Result<ControlValues>;
+
+    /// What did not come to hold when the stream was opened, one sentence each: a control that
+    /// the camera lacks or changed, a frame rate it does not keep.
+    fn warnings(&self) -> &[String] {
+        &[]
+    }
 }
 
 /// Opens one camera again and again: at the start, after an unplug, after a freeze.

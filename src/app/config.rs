@@ -1,0 +1,334 @@
+//! Configuration: defaults < TOML file < `GRIPCAST__SECTION__KEY` < flags.
+//!
+//! Every value remembers where it came from (`gripcast config show`); unknown keys are errors
+//! that name the nearest known one.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::session::GuardLimits;
+
+/// Prefix of environment variables.
+const ENV_PREFIX: &str = "GRIPCAST__";
+
+/// All settings; empty text = not set.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Collection.
+    pub collect: CollectConfig,
+    /// Limits of the guards at the trigger.
+    pub guards: GuardLimits,
+}
+
+/// Section `[collect]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CollectConfig {
+    /// Rig name or file.
+    pub rig: String,
+    /// Dataset directory.
+    pub dataset: String,
+    /// Object at the start.
+    pub object: String,
+    /// Scene at the start.
+    pub scene: String,
+    /// Operator.
+    pub operator: String,
+    /// ONNX model; empty = the built-in one, `none` = no prediction.
+    pub model: String,
+    /// `auto`, `bell` or `off`.
+    pub sound: String,
+    /// Licence that is written into a new dataset.
+    pub licence: String,
+}
+
+impl Default for CollectConfig {
+    fn default() -> Self {
+        Self {
+            rig: String::new(),
+            dataset: String::new(),
+            object: "object".into(),
+            scene: "scene".into(),
+            operator: String::new(),
+            model: String::new(),
+            sound: "auto".into(),
+            licence: "not stated".into(),
+        }
+    }
+}
+
+/// Where a value came from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// Built in.
+    Default,
+    /// A configuration file.
+    File(PathBuf),
+    /// An environment variable.
+    Environment(String),
+    /// A command-line flag.
+    Flag(String),
+}
+
+impl fmt::Display for Origin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Default => f.write_str("default"),
+            Self::File(path) => write!(f, "{}", path.display()),
+            Self::Environment(name) => f.write_str(name),
+            Self::Flag(name) => f.write_str(name),
+        }
+    }
+}
+
+/// The configuration together with the origin of every value, by dotted key.
+#[derive(Clone, Debug)]
+pub struct Layered {
+    /// Merged values.
+    pub config: Config,
+    /// Dotted key → value and origin, sorted.
+    pub values: BTreeMap<String, (Value, Origin)>,
+}
+
+/// A flag that was given: its name, dotted key and value.
+pub type FlagValue = (&'static str, &'static str, String);
+
+/// Merges all layers.
+///
+/// # Errors
+/// `Config` for an unreadable or wrong file, an unknown key (with the nearest known one), a value
+/// of the wrong type; each names its origin.
+pub fn load(
+    file: Option<&Path>,
+    environment: impl IntoIterator<Item = (String, String)>,
+    flags: &[FlagValue],
+) -> Result<Layered> {
+    let defaults = Table::try_from(Config::default()).map_err(|e| {
+        Error::new(ErrorKind::Internal, "the default configuration is not TOML").because(e)
+    })?;
+    let mut values = BTreeMap::new();
+    flatten("", &defaults, &mut |key, value| {
+        values.insert(key, (value.clone(), Origin::Default));
+    });
+
+    if let Some(path) = file {
+        let text = std::fs::read_to_string(path)
+            .map_err(|e| Error::io("cannot read the configuration file", e).at(path.display()))?;
+        let table: Table = text.parse().map_err(|e| {
+            Error::new(
+                ErrorKind::Config,
+                "the configuration file is not valid TOML",
+            )
+            .because(e)
+            .at(path.display())
+        })?;
+        let mut given = Vec::new();
+        flatten("", &table, &mut |key, value| {
+            given.push((key, value.clone()))
+        });
+        for (key, value) in given {
+            set(&mut values, &key, value, Origin::File(path.to_owned()))?;
+        }
+    }
+
+    let mut environment: Vec<_> = environment
+        .into_iter()
+        .filter(|(name, _)| name.starts_with(ENV_PREFIX))
+        .collect();
+    environment.sort();
+    for (name, text) in environment {
+        let key = name[ENV_PREFIX.len()..].to_lowercase().replace("__", ".");
+        set_text(&mut values, &key, &text, Origin::Environment(name))?;
+    }
+    for (flag, key, text) in flags {
+        set_text(&mut values, key, text, Origin::Flag((*flag).to_owned()))?;
+    }
+
+    let config = assemble(&values)?;
+    Ok(Layered { config, values })
+}
+
+/// The file that is read when none is named: `./gripcast.toml`, then
+/// `$XDG_CONFIG_HOME/gripcast/config.toml`.
+#[must_use]
+pub fn default_file() -> Option<PathBuf> {
+    let local = PathBuf::from("gripcast.toml");
+    if local.is_file() {
+        return Some(local);
+    }
+    let home = std::env::var_os("XDG_CONFIG_HOME")
+        .map(PathBuf::from)
+        .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".config")))?;
+    Some(home.join("gripcast/config.toml")).filter(|path| path.is_file())
+}
+
+fn flatten(prefix: &str, table: &Table, found: &mut impl FnMut(String, &Value)) {
+    for (key, value) in table {
+        let key = if prefix.is_empty() {
+            key.clone()
+        } else {
+            format!("{prefix}.{key}")
+        };
+        match value {
+            Value::Table(inner) => flatten(&key, inner, found),
+            value => found(key, value),
+        }
+    }
+}
+
+fn slot<'a>(
+    values: &'a mut BTreeMap<String, (Value, Origin)>,
+    key: &str,
+    origin: &Origin,
+) -> Result<&'a mut (Value, Origin)> {
+    if !values.contains_key(key) {
+        let mut error = Error::new(ErrorKind::Config, format!("unknown key `{key}`")).at(origin);
+        if let Some(near) = nearest_name(key, values.keys().map(String::as_str)) {
+            error = error.remedy(format!("did you mean `{near}`?"));
+        }
+        return Err(error.remedy("`gripcast config show` lists all keys"));
+    }
+    values
+        .get_mut(key)
+        .ok_or_else(|| Error::new(ErrorKind::Internal, format!("key `{key}` vanished")))
+}
+
+fn set(
+    values: &mut BTreeMap<String, (Value, Origin)>,
+    key: &str,
+    value: Value,
+    origin: Origin,
+) -> Result<()> {
+    let slot = slot(values, key, &origin)?;
+    let value = match (&slot.0, value) {
+        (Value::Float(_), Value::Integer(n)) => Value::Float(n as f64),
+        (_, value) => value,
+    };
+    if slot.0.type_str() != value.type_str() {
+        let (expected, found) = (slot.0.type_str(), value.type_str());
+        return Err(Error::new(
+            ErrorKind::Config,
+            format!("`{key}` must be of type {expected}, found {found}"),
+        )
+        .at(origin));
+    }
+    *slot = (value, origin);
+    Ok(())
+}
+
+fn set_text(
+    values: &mut BTreeMap<String, (Value, Origin)>,
+    key: &str,
+    text: &str,
+    origin: Origin,
+) -> Result<()> {
+    let slot = slot(values, key, &origin)?;
+    let expected = slot.0.type_str();
+    let value = match &slot.0 {
+        Value::Integer(_) => text.parse().ok().map(Value::Integer),
+        Value::Float(_) => text.parse().ok().map(Value::Float),
+        Value::Boolean(_) => text.parse().ok().map(Value::Boolean),
+        _ => Some(Value::String(text.to_owned())),
+    };
+    let Some(value) = value else {
+        return Err(Error::new(
+            ErrorKind::Config,
+            format!("`{key}` must be of type {expected}, found `{text}`"),
+        )
+        .at(origin));
+    };
+    *slot = (value, origin);
+    Ok(())
+}
+
+fn assemble(values: &BTreeMap<String, (Value, Origin)>) -> Result<Config> {
+    let mut root = Table::new();
+    for (key, (value, _)) in values {
+        let mut table = &mut root;
+        let mut parts: Vec<&str> = key.split('.').collect();
+        let leaf = parts.pop().unwrap_or(key);
+        for part in parts {
+            let entry = table
+                .entry(part.to_owned())
+                .or_insert_with(|| Value::Table(Table::new()));
+            table = entry.as_table_mut().ok_or_else(|| {
+                Error::new(ErrorKind::Internal, format!("`{part}` is key and section"))
+            })?;
+        }
+        table.insert(leaf.to_owned(), value.clone());
+    }
+    root.try_into()
+        .map_err(|e| Error::new(ErrorKind::Config, "the configuration is wrong").because(e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn none() -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    #[test]
+    fn later_layers_win_and_origins_are_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("c.toml");
+        std::fs::write(
+            &file,
+            "[collect]\nrig = \"a\"\nscene = \"lab\"\n[guards]\nmax_skew_ms = 25\n",
+        )
+        .unwrap();
+        let env = [("GRIPCAST__COLLECT__RIG".to_owned(), "b".to_owned())];
+        let flags = [("--rig", "collect.rig", "c".to_owned())];
+        let layered = load(Some(&file), env, &flags).unwrap();
+        assert_eq!(layered.config.collect.rig, "c");
+        assert_eq!(layered.config.collect.scene, "lab");
+        assert!((layered.config.guards.max_skew_ms - 25.0).abs() < 1e-12);
+        assert_eq!(
+            layered.values["collect.rig"].1,
+            Origin::Flag("--rig".into())
+        );
+        assert_eq!(layered.values["collect.scene"].1, Origin::File(file));
+        assert_eq!(layered.values["collect.sound"].1, Origin::Default);
+    }
+
+    #[test]
+    fn unknown_keys_name_the_nearest_and_their_origin() {
+        let env = [("GRIPCAST__COLLECT__OPERATR".to_owned(), "x".to_owned())];
+        let error = load(None, env, &[]).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Config);
+        let text = error.to_string();
+        assert!(text.contains("collect.operator") && text.contains("GRIPCAST__COLLECT__OPERATR"));
+    }
+
+    #[test]
+    fn wrong_types_are_refused() {
+        let env = [(
+            "GRIPCAST__GUARDS__MAX_SKEW_MS".to_owned(),
+            "wide".to_owned(),
+        )];
+        let text = load(None, env, &[]).unwrap_err().to_string();
+        assert!(text.contains("max_skew_ms") && text.contains("float") && text.contains("wide"));
+    }
+
+    #[test]
+    fn defaults_assemble_to_the_default_configuration() {
+        assert_eq!(load(None, none(), &[]).unwrap().config, Config::default());
+    }
+
+    #[test]
+    fn a_file_that_is_not_toml_is_an_explained_error() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("c.toml");
+        std::fs::write(&file, "[collect\n").unwrap();
+        let error = load(Some(&file), none(), &[]).unwrap_err();
+        assert!(error.to_string().contains("c.toml"), "{error}");
+        assert_eq!(error.kind().exit_code(), 2);
+    }
+}

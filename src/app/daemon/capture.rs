@@ -1,0 +1,98 @@
+//! One thread a camera: supervised frames go into the hub.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use super::hub::{CameraSlot, Hub};
+use crate::error::{Error, ErrorKind, Result};
+use crate::rig::camera::{
+    CameraEvent, CameraOpener, Health, MonotonicClock, SupervisionPolicy, run_camera,
+};
+
+/// The running capture threads; dropping them without [`CaptureThreads::stop`] leaves them to the
+/// end of the process.
+#[derive(Debug)]
+pub struct CaptureThreads {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl CaptureThreads {
+    /// Starts a thread for every opener whose role the hub knows.
+    ///
+    /// # Errors
+    /// When the operating system gives no thread.
+    pub fn start(
+        openers: Vec<Box<dyn CameraOpener>>,
+        hub: &Hub,
+        policy: &SupervisionPolicy,
+    ) -> Result<Self> {
+        let mut capture = Self {
+            stop: Arc::new(AtomicBool::new(false)),
+            threads: Vec::new(),
+        };
+        for mut opener in openers {
+            let role = opener.role();
+            let Some(slot) = hub.slot(role).map(Arc::clone) else {
+                continue;
+            };
+            let (stop, policy) = (Arc::clone(&capture.stop), policy.clone());
+            let body = move || {
+                run_camera(
+                    opener.as_mut(),
+                    &policy,
+                    &MonotonicClock,
+                    &stop,
+                    &mut |event| take_in(&slot, event),
+                );
+            };
+            capture
+                .threads
+                .push(spawn(format!("capture-{role}"), body)?);
+        }
+        Ok(capture)
+    }
+
+    /// Stops all threads and waits for them.
+    pub fn stop(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        for thread in self.threads {
+            // A panicked capture thread has nothing left to give back.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A named thread.
+pub(super) fn spawn<T: Send + 'static>(
+    name: String,
+    body: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>> {
+    std::thread::Builder::new()
+        .name(name.clone())
+        .spawn(body)
+        .map_err(|e| {
+            Error::new(ErrorKind::Io, format!("cannot start the thread `{name}`")).because(e)
+        })
+}
+
+fn take_in(slot: &CameraSlot, event: CameraEvent) {
+    match event {
+        CameraEvent::Opened(info, controls) => slot.opened(info, controls),
+        CameraEvent::Frame(frame) => slot.push(frame),
+        CameraEvent::Controls(controls) => slot.facts(|facts| facts.controls = controls),
+        CameraEvent::Report(report) => {
+            if matches!(report.health, Health::Lost { .. }) {
+                slot.forget_frames();
+            }
+            slot.facts(|facts| {
+                facts.health = report.health;
+                facts.counters = report.counters;
+                facts.measured_fps = report.measured_fps;
+            });
+        }
+        // The report that comes with it carries the counter.
+        CameraEvent::Damaged { .. } | CameraEvent::Ended => {}
+    }
+}

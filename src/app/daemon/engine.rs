@@ -1,0 +1,841 @@
+//! The engine: joins cameras, inference, session and dataset; everything slow has its own thread.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::future::Future;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+use jiff::Timestamp;
+use serde::Serialize;
+use tokio::sync::{mpsc, watch};
+
+use super::capture::CaptureThreads;
+use super::hub::{Hub, Soundness};
+use super::infer::{Inference, Live};
+use super::pairing::{Paired, pair};
+use super::status::{CameraState, CameraStatus, EngineStatus, PredictionStatus};
+use super::store::{Store, StoreContext, StoreMessage, pending_frame};
+use super::{decode, store};
+use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, Outcome, StageCapture};
+use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::{CropProfile, Frame, Role};
+use crate::predict::Model;
+use crate::rig::calibration::RigFile;
+use crate::rig::camera::{CameraOpener, Health, SupervisionPolicy, VirtualHand, monotonic_ns};
+use crate::rig::trigger::{self, Answer, Script, ScriptAction, ScriptRunner};
+use crate::session::{
+    CameraCondition, Command, CommandSource, Conditions, Effect, GuardLimits, Labels, MessageLevel,
+    Session, Step, StoreReply, StoreRequest, Summary, Tone,
+};
+
+/// How often the status is renewed and the script asked.
+const TICK: Duration = Duration::from_millis(50);
+
+/// How often the disk is asked for its free space, in ticks.
+const DISK_TICKS: u64 = 20;
+
+/// All that the engine works with.
+pub struct EngineSetup {
+    /// The rig.
+    pub rig: RigFile,
+    /// Its cameras.
+    pub openers: Vec<Box<dyn CameraOpener>>,
+    /// How cameras are supervised.
+    pub supervision: SupervisionPolicy,
+    /// Dataset directory.
+    pub dataset: PathBuf,
+    /// What a new dataset is told about itself.
+    pub new_dataset: NewDataset,
+    /// Names at the start.
+    pub labels: Labels,
+    /// Limits of the guards.
+    pub guards: GuardLimits,
+    /// Model; without one there is no prediction.
+    pub model: Option<Model>,
+    /// Timed commands.
+    pub script: Option<Script>,
+    /// The hand of the virtual rig, which follows the session's steps like an operator.
+    pub hand: Option<Arc<VirtualHand>>,
+}
+
+/// The engine's ends of the channels to screens and triggers.
+pub struct EngineLinks {
+    /// What operators ask for.
+    pub commands: mpsc::Receiver<(Command, CommandSource)>,
+    /// The newest status.
+    pub status: watch::Sender<Arc<EngineStatus>>,
+    /// Sounds to give.
+    pub tones: mpsc::UnboundedSender<Tone>,
+}
+
+/// Why the engine ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ended {
+    /// The operator quit.
+    Quit,
+    /// The script ran to its end.
+    ScriptDone,
+    /// Ctrl-C.
+    Interrupted,
+    /// Asked to end by the system (SIGTERM, closed terminal).
+    Terminated,
+}
+
+/// What a camera delivered.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CameraReport {
+    /// USB product string.
+    pub product: String,
+    /// USB serial.
+    pub serial: String,
+    /// Frames received.
+    pub received: u64,
+    /// Frames lost before they reached us.
+    pub sequence_gaps: u64,
+    /// Frames that were damaged.
+    pub damaged: u64,
+    /// Frames that came later than twice the nominal interval.
+    pub late: u64,
+    /// Frames with the same bytes as the one before.
+    pub duplicates: u64,
+    /// How often the camera was opened again.
+    pub reconnects: u64,
+    /// Frames that arrived while the decoder was busy with the one before.
+    pub not_decoded: u64,
+    /// Measured frame rate at the end, 1/s.
+    pub measured_fps: f64,
+}
+
+/// What inference did.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PredictionReport {
+    /// Model name.
+    pub model: Option<String>,
+    /// Predictions made.
+    pub predictions: u64,
+    /// Predictions that failed.
+    pub failures: u64,
+    /// Camera frame to prediction, median, ms.
+    pub latency_p50_ms: Option<f64>,
+    /// Camera frame to prediction, 99th percentile, ms.
+    pub latency_p99_ms: Option<f64>,
+}
+
+/// A grasp of this session.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GraspReport {
+    /// Its key.
+    pub id: String,
+    /// Object.
+    pub object: String,
+    /// Outcome at the end.
+    pub outcome: Outcome,
+    /// Probability predicted before the lift.
+    pub p_stable: Option<f64>,
+}
+
+/// The closing report of a collection.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CollectReport {
+    /// Dataset directory.
+    pub dataset: String,
+    /// Rig id.
+    pub rig: String,
+    /// Why it ended.
+    pub ended: Ended,
+    /// What the session did.
+    pub session: Summary,
+    /// Grasps of this session that are in the dataset.
+    pub grasps: Vec<GraspReport>,
+    /// Cameras by role.
+    pub cameras: BTreeMap<Role, CameraReport>,
+    /// Inference.
+    pub prediction: PredictionReport,
+}
+
+/// Runs until the operator quits, the script ends, or `stop` resolves.
+///
+/// # Errors
+/// When the dataset cannot be opened, a thread cannot be had, or a script step does not hold. What
+/// was acknowledged is on disk in every case.
+pub async fn run(
+    setup: EngineSetup,
+    links: EngineLinks,
+    stop: impl Future<Output = Ended>,
+) -> Result<CollectReport> {
+    let mut engine = Engine::start(setup, links)?;
+    let ended = engine.turn(stop).await;
+    engine.finish(ended).await
+}
+
+struct Engine {
+    rig: RigFile,
+    dataset: PathBuf,
+    dataset_name: String,
+    guards: GuardLimits,
+    hand: Option<Arc<VirtualHand>>,
+    hub: Hub,
+    capture: CaptureThreads,
+    decoders: Vec<std::thread::JoinHandle<()>>,
+    inference: Inference,
+    store: Store,
+    replies: mpsc::UnboundedReceiver<StoreReply>,
+    links: EngineLinks,
+    session: Session,
+    waiting: VecDeque<(Command, CommandSource)>,
+    script: Option<ScriptRunner>,
+    script_command: ScriptCommand,
+    /// Source of the command that is being carried out.
+    source: CommandSource,
+    /// Frames of the trigger that is being carried out.
+    capture_now: Option<StageCapture>,
+    grasps: Vec<GraspReport>,
+    disk_free_bytes: Option<u64>,
+    was_live: BTreeMap<Role, bool>,
+    ticks: u64,
+}
+
+/// The script's newest command and its answer.
+#[derive(Debug, Default)]
+struct ScriptCommand {
+    /// Given and not answered yet.
+    open: bool,
+    answer: Option<Answer>,
+}
+
+impl Engine {
+    fn start(setup: EngineSetup, links: EngineLinks) -> Result<Self> {
+        let crops = crop_profiles(&setup.rig)?;
+        if let Some(model) = &setup.model {
+            for (role, crop) in &crops {
+                model
+                    .contract()
+                    .check_crop_profile(crop.name())
+                    .map_err(|e| e.at(format!("camera {role}")))?;
+            }
+        }
+        let (mut writer, opened) =
+            DatasetWriter::open_or_create(&setup.dataset, &setup.new_dataset)?;
+        let calibration = store_calibration(&mut writer, &setup.rig)?;
+        if let Some(model) = &setup.model {
+            writer.put_model(&model_card(model)?)?;
+        }
+        let pending = opened.pending.clone();
+        let resumed = pending.as_ref().map(|pending| {
+            let mut frame = pending_frame(pending);
+            // The monotonic clock of an earlier run may have been another boot's.
+            frame.trigger_time_ns = 0;
+            frame
+        });
+        let dataset_name = writer.descriptor().name.clone();
+        let counts = writer.counts().by_object.clone();
+
+        let hub = Hub::new(setup.rig.cameras.keys().copied());
+        let (infer_requests, infer_inbox) = channel();
+        let decoders = decode::start(&hub, |role| crops.get(&role).copied(), &infer_requests)?;
+        let inference = Inference::start(&hub, setup.model, (infer_requests.clone(), infer_inbox))?;
+        let context = StoreContext {
+            rig: setup.rig.id.clone(),
+            calibration,
+            model: inference.model.clone(),
+            crops,
+        };
+        let (answers, replies) = mpsc::unbounded_channel();
+        let store = Store::start(writer, pending, context, infer_requests, answers)?;
+        let session = Session::new(setup.guards.clone(), setup.labels, counts, resumed);
+        if let Some(frame) = session.pending() {
+            store.send(StoreMessage::UseInitial(Some(frame.id.clone())))?;
+        }
+        let capture = CaptureThreads::start(setup.openers, &hub, &setup.supervision)?;
+        Ok(Self {
+            rig: setup.rig,
+            dataset: setup.dataset,
+            dataset_name,
+            guards: setup.guards,
+            hand: setup.hand,
+            hub,
+            capture,
+            decoders,
+            inference,
+            store,
+            replies,
+            links,
+            session,
+            waiting: VecDeque::new(),
+            script: setup.script.map(ScriptRunner::new),
+            script_command: ScriptCommand::default(),
+            source: CommandSource::Keyboard,
+            capture_now: None,
+            grasps: Vec::new(),
+            disk_free_bytes: None,
+            was_live: BTreeMap::new(),
+            ticks: 0,
+        })
+    }
+
+    async fn turn(&mut self, stop: impl Future<Output = Ended>) -> Result<Ended> {
+        tokio::pin!(stop);
+        let mut ticks = tokio::time::interval(TICK);
+        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut commands_open = true;
+        loop {
+            tokio::select! {
+                biased;
+                Some(reply) = self.replies.recv() => {
+                    let effects = self.take_reply(reply);
+                    if let Some(ended) = self.carry_out(effects)? {
+                        return Ok(ended);
+                    }
+                }
+                ended = &mut stop => return Ok(ended),
+                command = self.links.commands.recv(), if commands_open => match command {
+                    Some(command) => self.waiting.push_back(command),
+                    None => commands_open = false,
+                },
+                _ = ticks.tick() => {
+                    if let Some(ended) = self.tick()? {
+                        return Ok(ended);
+                    }
+                }
+            }
+            while !self.session.is_storing()
+                && let Some((command, source)) = self.waiting.pop_front()
+            {
+                if let Some(ended) = self.handle(command, source)? {
+                    return Ok(ended);
+                }
+            }
+        }
+    }
+
+    fn tick(&mut self) -> Result<Option<Ended>> {
+        if self.ticks.is_multiple_of(DISK_TICKS) {
+            self.disk_free_bytes = disk_free_bytes(&self.dataset);
+        }
+        self.ticks += 1;
+        self.watch_cameras();
+        if let Some(hand) = &self.hand {
+            hand.set_closed(self.session.step() != Step::Initial);
+        }
+        // Nobody looks when the screen has left; the report tells the rest.
+        let _ = self.links.status.send(Arc::new(self.status()));
+        self.advance_script()
+    }
+
+    fn advance_script(&mut self) -> Result<Option<Ended>> {
+        let conditions = trigger::Conditions {
+            all_live: self.all_live(),
+            contact: self.touched(),
+            saving: self.session.is_storing(),
+            last_answer: self.script_command.answer.clone(),
+        };
+        let Some(script) = &mut self.script else {
+            return Ok(None);
+        };
+        match script.next(monotonic_ns(), &conditions) {
+            ScriptAction::Wait => Ok(None),
+            ScriptAction::Done => Ok(Some(Ended::ScriptDone)),
+            ScriptAction::Failed(error) => Err(error),
+            ScriptAction::Command(text) => {
+                let command: Command = text.parse().map_err(|e| {
+                    Error::new(ErrorKind::Internal, "the script was not checked").because(e)
+                })?;
+                self.script_command = ScriptCommand {
+                    open: true,
+                    answer: None,
+                };
+                self.waiting.push_back((command, CommandSource::Script));
+                Ok(None)
+            }
+        }
+    }
+
+    /// Every camera delivers, and what it delivers can be used.
+    fn all_live(&self) -> bool {
+        self.hub.slots().all(|slot| {
+            slot.facts(|facts| facts.health == Health::Live)
+                && slot.frames().iter().any(|(_, s)| *s == Soundness::Sound)
+        })
+    }
+
+    fn touched(&self) -> bool {
+        let findings = self.inference.findings();
+        let limit = self.guards.min_contact_fraction;
+        findings
+            .contact
+            .values()
+            .any(|c| c.changed_fraction >= limit)
+    }
+
+    /// A fault tone for every camera that falls out.
+    fn watch_cameras(&mut self) {
+        for slot in self.hub.slots() {
+            let (live, reason) = slot.facts(|facts| {
+                let live = facts.health == Health::Live;
+                (live, format!("{:?}", facts.health))
+            });
+            let before = self.was_live.insert(slot.role(), live);
+            if before == Some(true) && !live {
+                // Without a screen nobody hears it; the log has it.
+                let _ = self.links.tones.send(Tone::Fault);
+            }
+            if before.is_some_and(|before| before != live) {
+                let event = serde_json::json!({
+                    "at": Timestamp::now().to_string(),
+                    "event": if live { "camera_live" } else { "camera_fault" },
+                    "role": slot.role(),
+                    "health": reason,
+                });
+                // The log explains; it must not stop the collection.
+                let _ = self.store.send(StoreMessage::Log(event));
+            }
+        }
+    }
+
+    fn handle(&mut self, command: Command, source: CommandSource) -> Result<Option<Ended>> {
+        let now_ns = monotonic_ns();
+        let paired = self.pair(now_ns);
+        let conditions = self.conditions(&paired, now_ns);
+        self.log_command(&command, source);
+        self.source = source;
+        self.capture_now = Some(self.stage_capture(paired, now_ns, source));
+        let labelled_before = self.session.step() == Step::Label;
+        let effects = self.session.handle(command, &conditions);
+        if !self.session.is_storing() {
+            self.answer_script(&effects);
+        }
+        let ended = self.carry_out(effects)?;
+        if labelled_before && self.session.step() == Step::Initial {
+            self.next_virtual_object();
+        }
+        Ok(ended)
+    }
+
+    fn take_reply(&mut self, reply: StoreReply) -> Vec<Effect> {
+        self.note_grasp(&reply);
+        let labelled_before = self.session.step() == Step::Label;
+        let effects = self.session.completed(reply);
+        if !self.session.is_storing() {
+            self.answer_script(&effects);
+        }
+        if labelled_before && self.session.step() == Step::Initial {
+            self.next_virtual_object();
+        }
+        self.refresh_grasps();
+        effects
+    }
+
+    fn next_virtual_object(&self) {
+        if let Some(hand) = &self.hand {
+            hand.next_object();
+        }
+    }
+
+    fn note_grasp(&mut self, reply: &StoreReply) {
+        if let StoreReply::Grasp {
+            id,
+            object,
+            outcome,
+            predicted,
+        } = reply
+        {
+            self.grasps.push(GraspReport {
+                id: id.0.clone(),
+                object: object.clone(),
+                outcome: *outcome,
+                p_stable: predicted.map(|(p, _)| p),
+            });
+        }
+    }
+
+    /// Brings the list of this session's grasps in line with the session: the newest one may have
+    /// been labelled or taken back.
+    fn refresh_grasps(&mut self) {
+        let view = self.session.view(monotonic_ns());
+        match &view.last {
+            Some(last) => {
+                let position = self.grasps.iter().position(|g| g.id == last.id.0);
+                if let Some(position) = position {
+                    self.grasps.truncate(position + 1);
+                    self.grasps[position].outcome = last.outcome;
+                }
+            }
+            None => self.grasps.clear(),
+        }
+    }
+
+    fn answer_script(&mut self, effects: &[Effect]) {
+        if !self.script_command.open {
+            return;
+        }
+        let view = self.session.view(monotonic_ns());
+        let bad = effects
+            .iter()
+            .any(|e| matches!(e, Effect::Tone(Tone::Refused | Tone::Fault)));
+        self.script_command = ScriptCommand {
+            open: false,
+            answer: Some(if bad {
+                let reasons = view.refusal.map(|r| r.reasons.join("; "));
+                let message = view.message.map(|m| m.text);
+                Answer::Refused(reasons.or(message).unwrap_or_default())
+            } else {
+                Answer::Saved
+            }),
+        };
+    }
+
+    fn carry_out(&mut self, effects: Vec<Effect>) -> Result<Option<Ended>> {
+        for effect in effects {
+            match effect {
+                Effect::Store(request) => {
+                    let saves = matches!(
+                        request,
+                        StoreRequest::SaveInitial { .. } | StoreRequest::SaveGrasp { .. }
+                    );
+                    let latency_ms = self.live().map_or(0.0, |live| live.latency_ms);
+                    self.store.send(StoreMessage::Carry {
+                        request,
+                        capture: self.capture_now.take().filter(|_| saves),
+                        latency_ms,
+                    })?;
+                }
+                Effect::Tone(tone) => {
+                    // Without a screen nobody listens.
+                    let _ = self.links.tones.send(tone);
+                }
+                Effect::UseInitial(id) => self.store.send(StoreMessage::UseInitial(id))?,
+                Effect::Quit => return Ok(Some(Ended::Quit)),
+            }
+        }
+        Ok(None)
+    }
+
+    fn live(&self) -> Option<Live> {
+        self.inference.findings().live
+    }
+
+    fn log_command(&self, command: &Command, source: CommandSource) {
+        let event = serde_json::json!({
+            "at": Timestamp::now().to_string(),
+            "event": "command",
+            "command": command.to_string(),
+            "source": source.name(),
+        });
+        // The log explains; it must not stop the collection.
+        let _ = self.store.send(StoreMessage::Log(event));
+    }
+
+    fn pair(&self, now_ns: u64) -> Paired {
+        let good: BTreeMap<Role, Vec<Frame>> = self
+            .hub
+            .slots()
+            .filter(|slot| slot.facts(|facts| usable(&facts.health)))
+            .map(|slot| {
+                let frames = slot.frames().into_iter();
+                let sound = frames
+                    .filter(|(_, s)| *s == Soundness::Sound)
+                    .map(|(f, _)| f);
+                (slot.role(), sound.collect::<Vec<_>>())
+            })
+            .filter(|(_, frames)| !frames.is_empty())
+            .collect();
+        let max_age_ns = (self.guards.max_frame_age_ms * 1e6) as u64;
+        pair(&good, now_ns, max_age_ns)
+    }
+
+    fn conditions(&self, paired: &Paired, now_ns: u64) -> Conditions {
+        let findings = self.inference.findings();
+        let cameras = self
+            .hub
+            .slots()
+            .map(|slot| {
+                let role = slot.role();
+                let age_ms = paired.frames.get(&role).map(|frame| age_ms(frame, now_ns));
+                let (fault, controls) =
+                    slot.facts(|facts| (fault_text(&facts.health, now_ns), facts.controls.clone()));
+                CameraCondition {
+                    role,
+                    age_ms,
+                    fault,
+                    controls,
+                    contact_fraction: findings
+                        .contact
+                        .get(&role)
+                        .map(|contact| contact.changed_fraction),
+                }
+            })
+            .collect();
+        Conditions {
+            now_ns,
+            cameras,
+            skew_ms: paired.skew_ms,
+            disk_free_bytes: disk_free_bytes(&self.dataset),
+        }
+    }
+
+    fn stage_capture(&self, paired: Paired, now_ns: u64, source: CommandSource) -> StageCapture {
+        let cameras = paired
+            .frames
+            .into_iter()
+            .filter_map(|(role, frame)| {
+                let slot = self.hub.slot(role)?;
+                let (info, controls) =
+                    slot.facts(|facts| (facts.info.clone(), facts.controls.clone()));
+                let info = info?;
+                let config = self.rig.cameras.get(&role);
+                Some((
+                    role,
+                    CapturedCamera {
+                        age_ms: age_ms(&frame, now_ns),
+                        frame,
+                        product: info.identity.product,
+                        serial: info.identity.serial,
+                        interface: info.identity.interface,
+                        port: info.identity.port,
+                        controls,
+                        crop_profile: config.and_then(|c| c.crop_profile.clone()),
+                        depth_unit_m: info.depth_unit_m,
+                    },
+                ))
+            })
+            .collect();
+        StageCapture {
+            captured_at: Timestamp::now(),
+            trigger_time_ns: now_ns,
+            trigger: source.name().to_owned(),
+            cameras,
+        }
+    }
+
+    fn status(&self) -> EngineStatus {
+        let now_ns = monotonic_ns();
+        let findings = self.inference.findings();
+        let prediction = findings.live.zip(self.inference.model.as_ref());
+        EngineStatus {
+            dataset: self.dataset_name.clone(),
+            rig: self.rig.id.clone(),
+            clock: jiff::Zoned::now().strftime("%H:%M:%S").to_string(),
+            disk_free_bytes: self.disk_free_bytes,
+            session: self.session.view(now_ns),
+            cameras: self
+                .hub
+                .slots()
+                .map(|slot| camera_status(slot, &self.rig, now_ns))
+                .collect(),
+            prediction: prediction.map(|(live, model)| PredictionStatus {
+                p_stable: live.p_stable,
+                threshold: model.threshold,
+                model: model.name.clone(),
+                frame_age_ms: now_ns.saturating_sub(live.frame_time_ns) as f64 * 1e-6,
+                latency_ms: live.latency_ms,
+                engine_ms: live.engine_ms,
+                heuristic: model.heuristic,
+            }),
+            prediction_absent: findings.absent.clone(),
+            previews: findings.previews.clone(),
+        }
+    }
+
+    /// Ends all threads in the order of the data flow; what was asked for is carried out first.
+    async fn finish(mut self, ended: Result<Ended>) -> Result<CollectReport> {
+        self.drain_replies().await;
+        let session = self.session.summary();
+        let cameras = self
+            .hub
+            .slots()
+            .map(|slot| (slot.role(), camera_report(slot, &self.rig)))
+            .collect();
+        let event = serde_json::json!({
+            "at": Timestamp::now().to_string(),
+            "event": "end",
+            "session": session,
+            "cameras": cameras,
+        });
+        // The log explains; what it says is in the report as well.
+        let _ = self.store.send(StoreMessage::Log(event));
+        let stored = self.store.stop();
+        self.hub.close();
+        self.capture.stop();
+        for decoder in self.decoders {
+            // A decoder that panicked has nothing left to give back.
+            let _ = decoder.join();
+        }
+        let model = self.inference.model.clone().map(|model| model.name);
+        let findings = self.inference.stop();
+        let findings = findings
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        let ended = ended?;
+        stored?;
+        Ok(CollectReport {
+            dataset: self.dataset.display().to_string(),
+            rig: self.rig.id,
+            ended,
+            session,
+            grasps: self.grasps,
+            cameras,
+            prediction: PredictionReport {
+                model,
+                predictions: findings.predictions,
+                failures: findings.failures,
+                latency_p50_ms: findings.latency.quantile_ms(0.5),
+                latency_p99_ms: findings.latency.quantile_ms(0.99),
+            },
+        })
+    }
+
+    /// Waits for the request under way, so that the report is true.
+    async fn drain_replies(&mut self) {
+        while self.session.is_storing() {
+            let Some(reply) = self.replies.recv().await else {
+                return;
+            };
+            for effect in self.take_reply(reply) {
+                if let Effect::Store(request) = effect {
+                    let message = StoreMessage::Carry {
+                        request,
+                        capture: None,
+                        latency_ms: 0.0,
+                    };
+                    if self.store.send(message).is_err() {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Crop profile of every tactile camera.
+fn crop_profiles(rig: &RigFile) -> Result<BTreeMap<Role, CropProfile>> {
+    rig.cameras
+        .iter()
+        .filter_map(|(role, camera)| Some((*role, camera.crop_profile.as_deref()?)))
+        .map(|(role, name)| {
+            let crop = CropProfile::by_name(name).map_err(|e| e.at(format!("camera {role}")))?;
+            Ok((role, crop))
+        })
+        .collect()
+}
+
+fn store_calibration(writer: &mut DatasetWriter, rig: &RigFile) -> Result<BTreeMap<Role, String>> {
+    rig.cameras
+        .iter()
+        .map(|(role, camera)| {
+            let text = toml::to_string_pretty(camera).map_err(|e| {
+                Error::new(ErrorKind::Internal, "cannot write the calibration").because(e)
+            })?;
+            Ok((*role, writer.put_calibration(&text)?))
+        })
+        .collect()
+}
+
+fn model_card(model: &Model) -> Result<String> {
+    let card = serde_json::json!({
+        "name": model.contract().name,
+        "sha256": model.sha256(),
+        "threshold": model.contract().threshold,
+        "heuristic": model.contract().is_heuristic(),
+    });
+    serde_json::to_string_pretty(&card)
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the model card").because(e))
+}
+
+fn disk_free_bytes(path: &std::path::Path) -> Option<u64> {
+    let disk = rustix::fs::statvfs(path).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+fn age_ms(frame: &Frame, now_ns: u64) -> f64 {
+    now_ns.saturating_sub(frame.driver_time_ns) as f64 * 1e-6
+}
+
+/// Whether frames of a camera in this state may be saved; age is another matter.
+fn usable(health: &Health) -> bool {
+    matches!(health, Health::Live | Health::Silent { .. } | Health::Ended)
+}
+
+fn fault_text(health: &Health, now_ns: u64) -> Option<String> {
+    let since_s = |since_ns: &u64| now_ns.saturating_sub(*since_ns) as f64 * 1e-9;
+    match health {
+        Health::Live => None,
+        Health::Opening => Some("not open yet".into()),
+        Health::Silent { since_ns } => Some(format!("silent for {:.1} s", since_s(since_ns))),
+        Health::Frozen { since_ns } => {
+            Some(format!("picture frozen for {:.1} s", since_s(since_ns)))
+        }
+        Health::Lost { reason } => Some(format!("lost: {reason}")),
+        Health::Ended => Some("the recording has ended".into()),
+    }
+}
+
+fn camera_state(health: &Health, now_ns: u64) -> CameraState {
+    let since_s = |since_ns: &u64| now_ns.saturating_sub(*since_ns) as f64 * 1e-9;
+    match health {
+        Health::Opening => CameraState::Opening,
+        Health::Live => CameraState::Live,
+        Health::Silent { since_ns } => CameraState::Silent {
+            for_s: since_s(since_ns),
+        },
+        Health::Frozen { since_ns } => CameraState::Frozen {
+            for_s: since_s(since_ns),
+        },
+        Health::Lost { reason } => CameraState::Lost {
+            reason: reason.clone(),
+        },
+        Health::Ended => CameraState::Ended,
+    }
+}
+
+fn camera_status(slot: &super::hub::CameraSlot, rig: &RigFile, now_ns: u64) -> CameraStatus {
+    let role = slot.role();
+    let newest_ns = slot.newest_time_ns();
+    let report = camera_report(slot, rig);
+    slot.facts(|facts| CameraStatus {
+        role,
+        product: report.product,
+        serial: report.serial,
+        port: facts
+            .info
+            .as_ref()
+            .map(|info| info.identity.port.clone())
+            .unwrap_or_default(),
+        state: camera_state(&facts.health, now_ns),
+        measured_fps: report.measured_fps,
+        nominal_fps: rig.cameras.get(&role).map_or(0.0, |camera| camera.fps),
+        frame_age_ms: newest_ns.map(|t| now_ns.saturating_sub(t) as f64 * 1e-6),
+        received: report.received,
+        sequence_gaps: report.sequence_gaps,
+        damaged: report.damaged,
+        late: report.late,
+        reconnects: report.reconnects,
+    })
+}
+
+fn camera_report(slot: &super::hub::CameraSlot, rig: &RigFile) -> CameraReport {
+    let config = rig.cameras.get(&slot.role());
+    slot.facts(|facts| {
+        let identity = facts.info.as_ref().map(|info| &info.identity);
+        CameraReport {
+            product: identity.map_or_else(
+                || config.map_or_else(String::new, |c| c.product.clone()),
+                |i| i.product.clone(),
+            ),
+            serial: identity.map_or_else(
+                || config.and_then(|c| c.serial.clone()).unwrap_or_default(),
+                |i| i.serial.clone(),
+            ),
+            received: facts.counters.received,
+            sequence_gaps: facts.counters.sequence_gaps,
+            damaged: facts.counters.damaged + facts.damaged_when_decoded,
+            late: facts.counters.late,
+            duplicates: facts.counters.duplicates,
+            reconnects: facts.counters.reconnects,
+            not_decoded: facts.not_decoded,
+            measured_fps: facts.measured_fps,
+        }
+    })
+}

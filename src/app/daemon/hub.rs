@@ -1,0 +1,366 @@
+//! The newest frames of every camera, shared by capture, decoding, inference and saving.
+//!
+//! Writers never wait for readers: a slow reader loses previews, never the frames of a trigger.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use image::RgbImage;
+
+use crate::imaging::{Frame, PixelFormat, Role};
+use crate::rig::camera::{CameraCounters, ControlValues, Health, StreamInfo};
+
+/// Frames kept per camera: 0.3 s at 25/s, enough to pair cameras of different rates.
+const RING: usize = 8;
+
+/// Whether a frame can be shown and saved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Soundness {
+    /// Compressed and not decoded yet.
+    Unknown,
+    /// Complete: raw of the right size, or decoded without complaint.
+    Sound,
+}
+
+#[derive(Debug)]
+struct Held {
+    frame: Frame,
+    soundness: Soundness,
+}
+
+/// A frame that was decoded for inference and preview.
+#[derive(Clone, Debug)]
+pub struct Decoded {
+    /// Cropped and scaled picture.
+    pub image: Arc<RgbImage>,
+    /// Driver time of its frame, ns.
+    pub driver_time_ns: u64,
+    /// Counts up with every decoded frame of this camera.
+    pub serial: u64,
+}
+
+/// What is known of one camera.
+#[derive(Debug)]
+pub struct CameraFacts {
+    /// Health as the supervision sees it.
+    pub health: Health,
+    /// Counters of the supervision.
+    pub counters: CameraCounters,
+    /// Frames whose entropy data turned out to be damaged when decoded.
+    pub damaged_when_decoded: u64,
+    /// Frames that arrived while the decoder was busy and were therefore not decoded.
+    pub not_decoded: u64,
+    /// Measured frame rate, 1/s.
+    pub measured_fps: f64,
+    /// Stream, once opened.
+    pub info: Option<StreamInfo>,
+    /// Control values read back at the last opening.
+    pub controls: ControlValues,
+    /// Differences between what the rig file asks for and what the camera did.
+    pub warnings: Vec<String>,
+}
+
+#[derive(Debug)]
+struct SlotState {
+    ring: VecDeque<Held>,
+    facts: CameraFacts,
+    decoded: Option<Decoded>,
+    /// Driver time and sequence of the newest frame handed to the decoder.
+    taken: Option<(u64, u32)>,
+    closed: bool,
+}
+
+/// One camera's place in the hub.
+#[derive(Debug)]
+pub struct CameraSlot {
+    role: Role,
+    state: Mutex<SlotState>,
+    arrived: Condvar,
+}
+
+impl CameraSlot {
+    fn new(role: Role) -> Self {
+        Self {
+            role,
+            state: Mutex::new(SlotState {
+                ring: VecDeque::with_capacity(RING),
+                facts: CameraFacts {
+                    health: Health::Opening,
+                    counters: CameraCounters::default(),
+                    damaged_when_decoded: 0,
+                    not_decoded: 0,
+                    measured_fps: 0.0,
+                    info: None,
+                    controls: ControlValues::new(),
+                    warnings: Vec::new(),
+                },
+                decoded: None,
+                taken: None,
+                closed: false,
+            }),
+            arrived: Condvar::new(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, SlotState> {
+        // A panicking holder leaves plain data behind, which is still the newest there is.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Role of the camera.
+    #[must_use]
+    pub fn role(&self) -> Role {
+        self.role
+    }
+
+    /// Reads or changes what is known of the camera.
+    pub fn facts<T>(&self, f: impl FnOnce(&mut CameraFacts) -> T) -> T {
+        f(&mut self.lock().facts)
+    }
+
+    /// A camera was opened: frames from before belong to another stream.
+    pub fn opened(&self, info: StreamInfo, controls: ControlValues) {
+        let mut state = self.lock();
+        state.ring.clear();
+        state.taken = None;
+        state.facts.info = Some(info);
+        state.facts.controls = controls;
+    }
+
+    /// Forgets all frames: what an absent camera saw last must not be saved.
+    pub fn forget_frames(&self) {
+        let mut state = self.lock();
+        state.ring.clear();
+        state.decoded = None;
+    }
+
+    /// Takes in a frame.
+    pub fn push(&self, frame: Frame) {
+        let mut state = self.lock();
+        if state.ring.len() == RING {
+            state.ring.pop_front();
+        }
+        let soundness = match frame.format {
+            PixelFormat::Mjpg => Soundness::Unknown,
+            PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => Soundness::Sound,
+        };
+        state.ring.push_back(Held { frame, soundness });
+        drop(state);
+        self.arrived.notify_all();
+    }
+
+    /// Waits for a frame newer than the last one taken; `None` after `timeout` or when closed.
+    /// Frames in between are skipped and counted.
+    #[must_use]
+    pub fn take_newest(&self, timeout: Duration) -> Option<Frame> {
+        let fresh = |state: &SlotState| {
+            let newest = &state.ring.back()?.frame;
+            let key = (newest.driver_time_ns, newest.sequence);
+            (state.taken != Some(key)).then_some(key)
+        };
+        let (mut state, _) = self
+            .arrived
+            .wait_timeout_while(self.lock(), timeout, |state| {
+                !state.closed && fresh(state).is_none()
+            })
+            .unwrap_or_else(PoisonError::into_inner);
+        if state.closed {
+            return None;
+        }
+        let key = fresh(&state)?;
+        if let Some((before, _)) = state.taken {
+            let between = state
+                .ring
+                .iter()
+                .filter(|held| held.frame.driver_time_ns > before)
+                .count();
+            state.facts.not_decoded += between.saturating_sub(1) as u64;
+        }
+        state.taken = Some(key);
+        state.ring.back().map(|held| held.frame.clone())
+    }
+
+    /// A frame was decoded without complaint.
+    pub fn decoded(&self, frame: &Frame, image: RgbImage) {
+        let mut state = self.lock();
+        let serial = state.decoded.as_ref().map_or(0, |d| d.serial) + 1;
+        state.decoded = Some(Decoded {
+            image: Arc::new(image),
+            driver_time_ns: frame.driver_time_ns,
+            serial,
+        });
+        mark_sound(&mut state, frame);
+    }
+
+    /// A frame was checked without keeping its picture.
+    pub fn verified(&self, frame: &Frame) {
+        mark_sound(&mut self.lock(), frame);
+    }
+
+    /// A frame is damaged: it leaves the ring.
+    pub fn damaged(&self, frame: &Frame) {
+        let mut state = self.lock();
+        state.facts.damaged_when_decoded += 1;
+        state.ring.retain(|held| !same(&held.frame, frame));
+    }
+
+    /// The newest decoded picture.
+    #[must_use]
+    pub fn latest(&self) -> Option<Decoded> {
+        self.lock().decoded.clone()
+    }
+
+    /// Frames in the ring, oldest first.
+    #[must_use]
+    pub fn frames(&self) -> Vec<(Frame, Soundness)> {
+        self.lock()
+            .ring
+            .iter()
+            .map(|held| (held.frame.clone(), held.soundness))
+            .collect()
+    }
+
+    /// Driver time of the newest frame, ns.
+    #[must_use]
+    pub fn newest_time_ns(&self) -> Option<u64> {
+        self.lock()
+            .ring
+            .back()
+            .map(|held| held.frame.driver_time_ns)
+    }
+
+    /// Whether everything is ending.
+    #[must_use]
+    pub fn is_closed(&self) -> bool {
+        self.lock().closed
+    }
+
+    /// Waits, unless everything is ending.
+    pub fn wait_closed(&self, pause: Duration) {
+        // Only whether it ended matters, and the caller asks for that anyway.
+        let _ = self
+            .arrived
+            .wait_timeout_while(self.lock(), pause, |state| !state.closed);
+    }
+
+    fn close(&self) {
+        self.lock().closed = true;
+        self.arrived.notify_all();
+    }
+}
+
+fn same(a: &Frame, b: &Frame) -> bool {
+    a.sequence == b.sequence && a.driver_time_ns == b.driver_time_ns
+}
+
+fn mark_sound(state: &mut SlotState, frame: &Frame) {
+    if let Some(held) = state.ring.iter_mut().find(|held| same(&held.frame, frame)) {
+        held.soundness = Soundness::Sound;
+    }
+}
+
+/// All cameras of the rig.
+#[derive(Clone, Debug)]
+pub struct Hub {
+    slots: Arc<BTreeMap<Role, Arc<CameraSlot>>>,
+}
+
+impl Hub {
+    /// A hub for these cameras.
+    #[must_use]
+    pub fn new(roles: impl IntoIterator<Item = Role>) -> Self {
+        let slots = roles
+            .into_iter()
+            .map(|role| (role, Arc::new(CameraSlot::new(role))))
+            .collect();
+        Self {
+            slots: Arc::new(slots),
+        }
+    }
+
+    /// One camera.
+    #[must_use]
+    pub fn slot(&self, role: Role) -> Option<&Arc<CameraSlot>> {
+        self.slots.get(&role)
+    }
+
+    /// All cameras, in the order of [`Role::ALL`].
+    pub fn slots(&self) -> impl Iterator<Item = &Arc<CameraSlot>> {
+        self.slots.values()
+    }
+
+    /// Wakes every reader for the last time.
+    pub fn close(&self) {
+        for slot in self.slots() {
+            slot.close();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(sequence: u32, format: PixelFormat) -> Frame {
+        Frame {
+            format,
+            width: 2,
+            height: 1,
+            data: vec![0; 4].into(),
+            sequence,
+            driver_time_ns: u64::from(sequence) * 40_000_000,
+            received_ns: 0,
+        }
+    }
+
+    fn slot() -> Arc<CameraSlot> {
+        Arc::clone(Hub::new([Role::Left]).slot(Role::Left).unwrap())
+    }
+
+    #[test]
+    fn the_ring_keeps_the_newest_frames() {
+        let slot = slot();
+        for sequence in 0..20 {
+            slot.push(frame(sequence, PixelFormat::Yuyv));
+        }
+        let kept: Vec<u32> = slot.frames().iter().map(|(f, _)| f.sequence).collect();
+        assert_eq!(kept, (12..20).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_late_reader_gets_the_newest_and_the_skipped_are_counted() {
+        let slot = slot();
+        slot.push(frame(1, PixelFormat::Mjpg));
+        assert_eq!(slot.take_newest(Duration::ZERO).unwrap().sequence, 1);
+        assert!(slot.take_newest(Duration::ZERO).is_none());
+        for sequence in 2..6 {
+            slot.push(frame(sequence, PixelFormat::Mjpg));
+        }
+        assert_eq!(slot.take_newest(Duration::ZERO).unwrap().sequence, 5);
+        assert_eq!(slot.facts(|f| f.not_decoded), 3);
+    }
+
+    #[test]
+    fn damaged_frames_leave_the_ring_and_decoded_ones_are_sound() {
+        let slot = slot();
+        let (good, bad) = (frame(1, PixelFormat::Mjpg), frame(2, PixelFormat::Mjpg));
+        slot.push(good.clone());
+        slot.push(bad.clone());
+        assert!(slot.frames().iter().all(|(_, s)| *s == Soundness::Unknown));
+        slot.decoded(&good, RgbImage::new(1, 1));
+        slot.damaged(&bad);
+        let frames = slot.frames();
+        assert_eq!(frames.len(), 1);
+        assert_eq!(frames[0].1, Soundness::Sound);
+        assert_eq!(slot.facts(|f| f.damaged_when_decoded), 1);
+    }
+
+    #[test]
+    fn reopening_forgets_the_frames_of_the_stream_before() {
+        let slot = slot();
+        slot.push(frame(1, PixelFormat::Yuyv));
+        slot.forget_frames();
+        assert!(slot.frames().is_empty() && slot.latest().is_none());
+    }
+}

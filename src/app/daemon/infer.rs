@@ -1,0 +1,331 @@
+//! Inference at every new tactile picture, on a thread of its own.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, Sender};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use image::RgbImage;
+
+use super::capture::spawn;
+use super::histogram::Histogram;
+use super::hub::Hub;
+use super::status::Preview;
+use crate::error::Result;
+use crate::imaging::{Role, TactileDifference};
+use crate::predict::{LivePredictor, Model};
+use crate::rig::camera::monotonic_ns;
+
+/// Difference from which a pixel counts as touched, grey levels: far above the sensor's noise
+/// (1–2 levels), far below a contact's (up to 120).
+const TOUCHED_LEVELS: u16 = 10;
+
+/// Gain of the difference on the screen.
+const PREVIEW_GAIN: f32 = 1.5;
+
+/// What the inference thread is asked.
+#[derive(Debug)]
+pub(super) enum InferRequest {
+    /// A camera has a new decoded picture.
+    Fresh(Role),
+    /// Subtract these from now on.
+    SetInitial {
+        /// Left gel, open gripper.
+        left: Arc<RgbImage>,
+        /// Right gel, open gripper.
+        right: Arc<RgbImage>,
+    },
+    /// There is no initial frame any more. Contact is still told against the last one.
+    ClearInitial,
+    /// Predict on exactly these pictures, against the present initial frame.
+    Judge {
+        /// Pictures by role.
+        pictures: BTreeMap<Role, RgbImage>,
+        /// Where the answer goes; `None` when there is no prediction.
+        reply: Sender<Option<Judgement>>,
+    },
+    /// End.
+    Stop,
+}
+
+/// A prediction on given pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Judgement {
+    /// Probability that the grasp is stable.
+    pub(super) p_stable: f64,
+    /// Time of the model alone, ms.
+    pub(super) engine_ms: f64,
+}
+
+/// What the model is, for screens and records.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct ModelFacts {
+    /// Name.
+    pub(super) name: String,
+    /// sha256 of its file.
+    pub(super) sha256: String,
+    /// Decision threshold.
+    pub(super) threshold: f64,
+    /// Whether it is a heuristic.
+    pub(super) heuristic: bool,
+}
+
+/// The newest live prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Live {
+    /// Probability that the grasp is stable.
+    pub(super) p_stable: f64,
+    /// Driver time of the newest frame that it was made from, ns.
+    pub(super) frame_time_ns: u64,
+    /// Driver time of that frame to result, ms.
+    pub(super) latency_ms: f64,
+    /// Model alone, ms.
+    pub(super) engine_ms: f64,
+}
+
+/// Contact of one gel against the initial frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Contact {
+    /// Mean absolute difference, grey levels.
+    pub(super) mean_abs: f64,
+    /// Part of the gel that changed, 0..1.
+    pub(super) changed_fraction: f64,
+}
+
+/// What inference has found so far.
+#[derive(Debug, Default)]
+pub(super) struct Findings {
+    /// Newest prediction; `None` without an initial frame.
+    pub(super) live: Option<Live>,
+    /// Why there is none.
+    pub(super) absent: Option<String>,
+    /// Contact by gel.
+    pub(super) contact: BTreeMap<Role, Contact>,
+    /// Small pictures.
+    pub(super) previews: BTreeMap<Role, Preview>,
+    /// Predictions made.
+    pub(super) predictions: u64,
+    /// Predictions that failed.
+    pub(super) failures: u64,
+    /// Frame to prediction, ms.
+    pub(super) latency: Histogram,
+}
+
+/// The inference thread.
+#[derive(Debug)]
+pub(super) struct Inference {
+    findings: Arc<Mutex<Findings>>,
+    requests: Sender<InferRequest>,
+    thread: JoinHandle<()>,
+    /// The model, if there is one.
+    pub(super) model: Option<ModelFacts>,
+}
+
+impl Inference {
+    /// Starts the thread. Without a model it still tells contact and makes previews.
+    ///
+    /// # Errors
+    /// When the model's tensors or the thread cannot be had.
+    pub(super) fn start(
+        hub: &Hub,
+        model: Option<Model>,
+        (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
+    ) -> Result<Self> {
+        let facts = model.as_ref().map(|model| ModelFacts {
+            name: model.contract().name.clone(),
+            sha256: model.sha256().to_owned(),
+            threshold: f64::from(model.contract().threshold),
+            heuristic: model.contract().is_heuristic(),
+        });
+        let findings = Arc::new(Mutex::new(Findings {
+            absent: Some(if model.is_some() {
+                "no initial frame".into()
+            } else {
+                "no model".into()
+            }),
+            ..Findings::default()
+        }));
+        let mut worker = Worker {
+            hub: hub.clone(),
+            predictor: model.map(LivePredictor::new).transpose()?,
+            initial: BTreeMap::new(),
+            predicting: false,
+            seen: BTreeMap::new(),
+            findings: Arc::clone(&findings),
+        };
+        let thread = spawn("inference".into(), move || worker.run(&inbox))?;
+        Ok(Self {
+            findings,
+            requests,
+            thread,
+            model: facts,
+        })
+    }
+
+    /// Where to send requests.
+    pub(super) fn requests(&self) -> &Sender<InferRequest> {
+        &self.requests
+    }
+
+    /// What has been found so far.
+    pub(super) fn findings(&self) -> MutexGuard<'_, Findings> {
+        lock(&self.findings)
+    }
+
+    /// Ends the thread and gives back what it found.
+    pub(super) fn stop(self) -> Arc<Mutex<Findings>> {
+        // Both fail only when the thread has ended already.
+        let _ = self.requests.send(InferRequest::Stop);
+        let _ = self.thread.join();
+        self.findings
+    }
+}
+
+fn lock(findings: &Mutex<Findings>) -> MutexGuard<'_, Findings> {
+    findings.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+struct Worker {
+    hub: Hub,
+    predictor: Option<LivePredictor>,
+    initial: BTreeMap<Role, Arc<RgbImage>>,
+    predicting: bool,
+    /// Serial of the newest picture used, by role.
+    seen: BTreeMap<Role, u64>,
+    findings: Arc<Mutex<Findings>>,
+}
+
+impl Worker {
+    fn run(&mut self, inbox: &Receiver<InferRequest>) {
+        while let Ok(request) = inbox.recv() {
+            match request {
+                InferRequest::Fresh(role) => self.fresh(role),
+                InferRequest::SetInitial { left, right } => self.set_initial(left, right),
+                InferRequest::ClearInitial => self.clear_initial(),
+                InferRequest::Judge { pictures, reply } => {
+                    // The asker has given up when nobody receives.
+                    let _ = reply.send(self.judge(pictures));
+                }
+                InferRequest::Stop => return,
+            }
+        }
+    }
+
+    fn set_initial(&mut self, left: Arc<RgbImage>, right: Arc<RgbImage>) {
+        if let Some(predictor) = &mut self.predictor {
+            predictor.set_initial((*left).clone(), (*right).clone());
+        }
+        self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
+        self.predicting = true;
+        lock(&self.findings).live = None;
+        // The contact that guards and screens see belongs to the new initial frame at once.
+        for role in [Role::Left, Role::Right] {
+            self.seen.remove(&role);
+            self.fresh(role);
+        }
+    }
+
+    fn clear_initial(&mut self) {
+        if let Some(predictor) = &mut self.predictor {
+            predictor.clear_initial();
+        }
+        self.predicting = false;
+        let mut findings = lock(&self.findings);
+        findings.live = None;
+        if self.predictor.is_some() {
+            findings.absent = Some("no initial frame".into());
+        }
+    }
+
+    fn fresh(&mut self, role: Role) {
+        let Some(decoded) = self.hub.slot(role).and_then(|slot| slot.latest()) else {
+            return;
+        };
+        if self.seen.insert(role, decoded.serial) == Some(decoded.serial) {
+            return;
+        }
+        let difference = self
+            .initial
+            .get(&role)
+            .and_then(|initial| TactileDifference::between(initial, &decoded.image).ok());
+        let contact = difference.as_ref().map(|difference| Contact {
+            mean_abs: f64::from(difference.mean_abs()),
+            changed_fraction: f64::from(difference.changed_fraction(TOUCHED_LEVELS)),
+        });
+        let shown = difference.filter(|_| self.predicting);
+        let preview = Preview {
+            contact: contact.map(|contact| contact.mean_abs),
+            is_difference: shown.is_some(),
+            image: shown.map_or_else(
+                || Arc::clone(&decoded.image),
+                |difference| Arc::new(difference.to_picture(PREVIEW_GAIN)),
+            ),
+        };
+        {
+            let mut findings = lock(&self.findings);
+            if let Some(contact) = contact {
+                findings.contact.insert(role, contact);
+            }
+            findings.previews.insert(role, preview);
+        }
+        if let Some(predictor) = &mut self.predictor {
+            predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns);
+            if role.is_tactile() {
+                self.predict();
+            }
+        }
+    }
+
+    fn predict(&mut self) {
+        let Some(predictor) = &mut self.predictor else {
+            return;
+        };
+        let result = predictor.predict();
+        let waiting = predictor.waiting_for();
+        let now_ns = monotonic_ns();
+        let mut findings = lock(&self.findings);
+        match result {
+            None => {
+                findings.live = None;
+                findings.absent = waiting.map(str::to_owned);
+            }
+            Some(Err(error)) => {
+                findings.live = None;
+                findings.failures += 1;
+                findings.absent = Some(error.what().to_owned());
+            }
+            Some(Ok(prediction)) => {
+                let latency_ms = now_ns.saturating_sub(prediction.newest_frame_ns) as f64 * 1e-6;
+                findings.latency.add(latency_ms);
+                findings.predictions += 1;
+                findings.absent = None;
+                findings.live = Some(Live {
+                    p_stable: prediction.p_stable,
+                    frame_time_ns: prediction.newest_frame_ns,
+                    latency_ms,
+                    engine_ms: prediction.engine_ms,
+                });
+            }
+        }
+    }
+
+    /// Predicts on saved pictures, then puts the live ones back.
+    fn judge(&mut self, pictures: BTreeMap<Role, RgbImage>) -> Option<Judgement> {
+        let predictor = self.predictor.as_mut().filter(|_| self.predicting)?;
+        for (role, picture) in pictures {
+            predictor.update(role, picture, 0);
+        }
+        let result = predictor.predict();
+        for role in [Role::Left, Role::Right, Role::Rgb] {
+            match self.hub.slot(role).and_then(|slot| slot.latest()) {
+                Some(live) => predictor.update(role, (*live.image).clone(), live.driver_time_ns),
+                None => predictor.forget(role),
+            }
+        }
+        let prediction = result?.ok()?;
+        Some(Judgement {
+            p_stable: prediction.p_stable,
+            engine_ms: prediction.engine_ms,
+        })
+    }
+}

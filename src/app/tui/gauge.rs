@@ -1,0 +1,375 @@
+//! The stability gauge: a number, a verdict and a bar that can be read from two metres.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+
+use super::big_digits::{self, Size};
+use super::palette::Palette;
+use super::text::{clipped, columns, duration_ms, row, write, write_right};
+use crate::app::daemon::{EngineStatus, PredictionStatus};
+
+/// A prediction from a frame older than this is shown dim and named old, ms.
+const STALE_MS: f64 = 500.0;
+/// Columns between the number and the verdict.
+const GAP: u16 = 4;
+
+/// What the gauge says, reduced to words and styles.
+struct Reading {
+    number: String,
+    verdict: &'static str,
+    style: Style,
+    /// Probability and threshold; `None` leaves the bar empty.
+    bar: Option<(f64, f64)>,
+}
+
+/// `STABLE` or `SLIP`.
+pub(super) fn verdict(p_stable: f64, threshold: f64) -> &'static str {
+    if p_stable >= threshold {
+        "STABLE"
+    } else {
+        "SLIP"
+    }
+}
+
+fn is_stale(prediction: &PredictionStatus) -> bool {
+    !(prediction.frame_age_ms <= STALE_MS)
+}
+
+fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
+    let Some(prediction) = prediction.filter(|p| p.p_stable.is_finite()) else {
+        return Reading {
+            number: "-.--".to_owned(),
+            verdict: "",
+            style: palette.faint(),
+            bar: None,
+        };
+    };
+    let p = prediction.p_stable;
+    let verdict = verdict(p, prediction.threshold);
+    let style = match verdict {
+        _ if is_stale(prediction) => palette.faint(),
+        "STABLE" => palette.stable(),
+        _ => palette.slip(),
+    };
+    Reading {
+        number: format!("{:.2}", p.clamp(0.0, 1.0)),
+        verdict: if is_stale(prediction) { "OLD" } else { verdict },
+        style,
+        bar: Some((p, prediction.threshold)),
+    }
+}
+
+/// Rows that the gauge takes best when `available` are there.
+pub(super) fn rows(width: u16, available: u16) -> u16 {
+    let size = size(width, available.saturating_sub(3));
+    size.map_or(available.min(3), |size| size.rows() + 3)
+}
+
+/// The largest size whose number and, at the next smaller size, verdict fit.
+fn size(width: u16, height: u16) -> Option<Size> {
+    Size::DESCENDING.into_iter().find(|size| {
+        let words = match size {
+            Size::Large => Size::Large.columns("STABLE"),
+            Size::Medium | Size::Small => Size::Small.columns("STABLE"),
+        };
+        size.rows() <= height && size.columns("0.00") + GAP + words + 2 <= width
+    })
+}
+
+pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    if area.is_empty() {
+        return;
+    }
+    let reading = reading(status.prediction.as_ref(), palette);
+    write_title(buffer, row(area, 0), status.prediction.as_ref(), palette);
+    let body = Rect {
+        y: area.y + 1,
+        height: area.height - 1,
+        ..area
+    };
+    let used = match size(area.width, body.height.saturating_sub(1)) {
+        Some(size) => draw_big(buffer, body, &reading, size, status, palette),
+        None => draw_line(buffer, body, &reading, status, palette),
+    };
+    let bar = row(body, used);
+    draw_bar(buffer, bar, &reading, palette);
+    draw_scale(buffer, row(body, used + 1), &reading, palette);
+}
+
+/// Number and verdict as blocks; returns the rows used.
+fn draw_big(
+    buffer: &mut Buffer,
+    area: Rect,
+    reading: &Reading,
+    size: Size,
+    status: &EngineStatus,
+    palette: Palette,
+) -> u16 {
+    let left = area.x + 1;
+    let at = |x: u16, y: u16| Rect::new(x, y, area.right().saturating_sub(x), area.height);
+    big_digits::draw(
+        buffer,
+        at(left, area.y),
+        &reading.number,
+        size,
+        reading.style,
+    );
+    let x = left + size.columns("0.00") + GAP;
+    if reading.verdict.is_empty() {
+        let reason = at(x, area.y + size.rows() / 2);
+        write_absence(buffer, reason, status, palette);
+        return size.rows();
+    }
+    let room = area.right().saturating_sub(x);
+    let word = Size::DESCENDING
+        .into_iter()
+        .find(|s| s.rows() <= size.rows() && s.columns(reading.verdict) <= room)
+        .unwrap_or(Size::Small);
+    let y = area.y + (size.rows() - word.rows()) / 2;
+    big_digits::draw(buffer, at(x, y), reading.verdict, word, reading.style);
+    size.rows()
+}
+
+/// Number and verdict as one line of text; returns the rows used.
+fn draw_line(
+    buffer: &mut Buffer,
+    area: Rect,
+    reading: &Reading,
+    status: &EngineStatus,
+    palette: Palette,
+) -> u16 {
+    let text = format!(" {}  {}  ", reading.number, reading.verdict);
+    let after = columns(&text).min(area.width);
+    write(buffer, area, &Line::styled(text, reading.style));
+    if reading.verdict.is_empty() {
+        let rest = Rect::new(area.x + after, area.y, area.width - after, area.height);
+        write_absence(buffer, rest, status, palette);
+    }
+    1
+}
+
+fn write_absence(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let reason = status
+        .prediction_absent
+        .as_deref()
+        .unwrap_or("waiting for the first prediction");
+    let mut rest = reason;
+    for index in 0..area.height.min(2) {
+        let (now, later) = broken(rest, usize::from(area.width));
+        let now = match index {
+            0 => format!("no prediction: {now}"),
+            _ => now.to_owned(),
+        };
+        write(
+            buffer,
+            row(area, index),
+            &Line::styled(now, palette.faint()),
+        );
+        rest = later;
+    }
+}
+
+/// `text` up to the last blank within the first line, and what follows.
+fn broken(text: &str, columns_wide: usize) -> (&str, &str) {
+    let room = columns_wide.saturating_sub("no prediction: ".len());
+    if usize::from(columns(text)) <= room {
+        return (text, "");
+    }
+    let cut = text
+        .char_indices()
+        .take(room)
+        .filter(|(_, c)| *c == ' ')
+        .last();
+    match cut {
+        Some((at, _)) => text.split_at(at + 1),
+        None => (text, ""),
+    }
+}
+
+fn write_title(
+    buffer: &mut Buffer,
+    area: Rect,
+    prediction: Option<&PredictionStatus>,
+    palette: Palette,
+) {
+    let mut left = vec![Span::styled(" STABILITY ", palette.strong())];
+    let Some(prediction) = prediction else {
+        write(buffer, area, &Line::from(left));
+        return;
+    };
+    let age = format!("frame {} old", duration_ms(prediction.frame_age_ms));
+    let age_style = if is_stale(prediction) {
+        palette.warning()
+    } else {
+        palette.faint()
+    };
+    let timing = |words: String| {
+        Line::from(vec![
+            Span::styled(age.clone(), age_style),
+            Span::styled(words, palette.faint()),
+        ])
+    };
+    let latency = duration_ms(prediction.latency_ms);
+    let long = timing(format!(
+        " · result in {latency} · model {:.1} ms ",
+        prediction.engine_ms
+    ));
+    let name = clipped(&prediction.model, 28);
+    let heuristic = u16::from(prediction.heuristic) * columns(" HEURISTIC ");
+    let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
+    let taken = match area.width.checked_sub(needed) {
+        Some(room) if long.width() <= usize::from(room) => write_right(buffer, area, &long),
+        _ => write_right(buffer, area, &timing(format!(" · {latency} "))),
+    };
+    let rest = Rect {
+        width: area.width.saturating_sub(taken + 1),
+        ..area
+    };
+    if prediction.heuristic {
+        left.push(Span::styled("HEURISTIC ", palette.warning()));
+    }
+    let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
+    left.push(Span::styled(clipped(&name, room), palette.faint()));
+    write(buffer, rest, &Line::from(left));
+}
+
+const EIGHTHS: [&str; 8] = [" ", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
+
+/// Bar from 0 to 1 with the threshold as a vertical mark.
+fn draw_bar(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palette) {
+    let area = trimmed(area);
+    let (p, threshold) = reading.bar.unwrap_or((0.0, f64::NAN));
+    let eighths = (p.clamp(0.0, 1.0) * f64::from(area.width) * 8.0).round() as u32;
+    let mark = mark_column(area, threshold);
+    for x in 0..area.width {
+        let filled = eighths.saturating_sub(u32::from(x) * 8).min(8) as usize;
+        let (symbol, style) = match EIGHTHS.get(filled) {
+            Some(_) if mark == Some(x) => ("┃", palette.strong()),
+            None if mark == Some(x) => ("┃", reading.style.add_modifier(REVERSED)),
+            None => ("█", reading.style),
+            Some(_) if filled == 0 => ("░", palette.trough()),
+            Some(part) => (*part, reading.style),
+        };
+        if let Some(cell) = buffer.cell_mut((area.x + x, area.y)) {
+            cell.set_symbol(symbol).set_style(style);
+        }
+    }
+}
+
+const REVERSED: ratatui::style::Modifier = ratatui::style::Modifier::REVERSED;
+
+/// One column free at each side.
+fn trimmed(area: Rect) -> Rect {
+    Rect {
+        x: area.x + area.width.min(1),
+        width: area.width.saturating_sub(2),
+        ..area
+    }
+}
+
+fn mark_column(area: Rect, threshold: f64) -> Option<u16> {
+    let last = area.width.checked_sub(1)?;
+    ((0.0..=1.0).contains(&threshold)).then(|| (threshold * f64::from(last)).round() as u16)
+}
+
+/// `◄ slip   ▲ 0.50   stable ►` under the bar.
+fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palette) {
+    let area = trimmed(area);
+    write(buffer, area, &Line::styled("◄ slip", palette.faint()));
+    write_right(buffer, area, &Line::styled("stable ►", palette.faint()));
+    let Some((_, threshold)) = reading.bar else {
+        return;
+    };
+    if let Some(mark) = mark_column(area, threshold) {
+        let label = format!("▲ {threshold:.2}");
+        let room = area.width.saturating_sub(mark);
+        if mark > 6 && columns(&label) + 9 <= room {
+            let at = Rect::new(area.x + mark, area.y, room, area.height);
+            write(buffer, at, &Line::styled(label, palette.strong()));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::tui::palette::ColourDepth;
+
+    const PALETTE: Palette = Palette {
+        depth: ColourDepth::True,
+    };
+
+    fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
+        PredictionStatus {
+            p_stable,
+            threshold: 0.5,
+            model: "m".to_owned(),
+            frame_age_ms,
+            latency_ms: 12.0,
+            engine_ms: 3.0,
+            heuristic: false,
+        }
+    }
+
+    #[test]
+    fn colour_and_word_follow_the_threshold() {
+        let stable = reading(Some(&prediction(0.5, 18.0)), PALETTE);
+        assert_eq!((stable.number.as_str(), stable.verdict), ("0.50", "STABLE"));
+        assert_eq!(stable.style, PALETTE.stable());
+        let slip = reading(Some(&prediction(0.49, 18.0)), PALETTE);
+        assert_eq!((slip.number.as_str(), slip.verdict), ("0.49", "SLIP"));
+        assert_eq!(slip.style, PALETTE.slip());
+    }
+
+    #[test]
+    fn an_old_frame_gives_no_verdict() {
+        for age in [501.0, f64::NAN, f64::INFINITY] {
+            let old = reading(Some(&prediction(0.9, age)), PALETTE);
+            assert_eq!(old.verdict, "OLD");
+            assert_eq!(old.style, PALETTE.faint());
+        }
+    }
+
+    #[test]
+    fn nothing_is_claimed_without_a_number() {
+        for absent in [None, Some(prediction(f64::NAN, 1.0))] {
+            let reading = reading(absent.as_ref(), PALETTE);
+            assert_eq!((reading.number.as_str(), reading.verdict), ("-.--", ""));
+            assert_eq!(reading.bar, None);
+        }
+    }
+
+    #[test]
+    fn the_bar_is_filled_in_proportion() {
+        let area = Rect::new(0, 0, 12, 1);
+        for (p, full) in [(0.0, 0), (0.3, 3), (1.0, 10), (7.0, 10), (-1.0, 0)] {
+            let mut buffer = Buffer::empty(area);
+            let reading = Reading {
+                bar: Some((p, f64::NAN)),
+                ..reading(Some(&prediction(p, 1.0)), PALETTE)
+            };
+            draw_bar(&mut buffer, area, &reading, PALETTE);
+            let blocks = (0..12).filter(|&x| buffer[(x, 0)].symbol() == "█").count();
+            assert_eq!(blocks, full, "{p}");
+        }
+    }
+
+    #[test]
+    fn the_threshold_is_marked_where_it_is() {
+        let area = Rect::new(0, 0, 13, 1);
+        let mut buffer = Buffer::empty(area);
+        let reading = reading(Some(&prediction(0.9, 1.0)), PALETTE);
+        draw_bar(&mut buffer, area, &reading, PALETTE);
+        assert_eq!(buffer[(6, 0)].symbol(), "┃");
+    }
+
+    #[test]
+    fn size_follows_the_space() {
+        assert_eq!(size(200, 20), Some(Size::Large));
+        assert_eq!(size(80, 5), Some(Size::Medium));
+        assert_eq!(size(80, 4), Some(Size::Small));
+        assert_eq!(size(30, 10), None);
+    }
+}

@@ -1,0 +1,141 @@
+//! What the engine hands to the writer.
+
+use std::collections::BTreeMap;
+
+use jiff::Timestamp;
+
+use super::encode::encode;
+use super::grasp::{CameraRecord, FileDigest, OverriddenGuard, PredictionRecord, StageRecord};
+use super::layout::{Stage, digest, image_name};
+use crate::error::Result;
+use crate::imaging::{Frame, Role};
+
+/// One camera's frame with all that is stored about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CapturedCamera {
+    /// The frame as sent.
+    pub frame: Frame,
+    /// USB product string.
+    pub product: String,
+    /// USB serial.
+    pub serial: String,
+    /// USB video-control interface.
+    pub interface: u8,
+    /// USB port path.
+    pub port: String,
+    /// Control values read back from the camera.
+    pub controls: BTreeMap<String, i64>,
+    /// Age of the frame at the trigger, ms.
+    pub age_ms: f64,
+    /// Named crop profile, tactile cameras.
+    pub crop_profile: Option<String>,
+    /// Metres per count, depth cameras.
+    pub depth_unit_m: Option<f64>,
+}
+
+/// The frames of one trigger. Depth is stored with the grasp only.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageCapture {
+    /// Wall clock at the trigger.
+    pub captured_at: Timestamp,
+    /// `CLOCK_MONOTONIC` at the trigger, ns.
+    pub trigger_time_ns: u64,
+    /// `keyboard`, `pedal`, `script`, …
+    pub trigger: String,
+    /// Cameras by role.
+    pub cameras: BTreeMap<Role, CapturedCamera>,
+}
+
+/// What a grasp record holds besides its frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GraspMeta {
+    /// What is grasped.
+    pub object: String,
+    /// Where.
+    pub scene: String,
+    /// Who holds the gripper.
+    pub operator: String,
+    /// Rig file's id.
+    pub rig: String,
+    /// Prediction shown before the lift.
+    pub prediction: Option<PredictionRecord>,
+    /// Guards overridden at the grasp trigger; those of the initial frame are added.
+    pub overridden_guards: Vec<OverriddenGuard>,
+    /// Calibration by role, as returned by `DatasetWriter::put_calibration`.
+    pub calibration: BTreeMap<Role, String>,
+    /// Free text.
+    pub note: String,
+}
+
+/// A capture in the form it is stored in.
+pub(super) struct EncodedStage {
+    pub(super) record: StageRecord,
+    /// Contents by file name.
+    pub(super) contents: BTreeMap<String, Vec<u8>>,
+    /// Digests by file name.
+    pub(super) files: BTreeMap<String, FileDigest>,
+}
+
+impl StageCapture {
+    /// Encodes the frames that are stored at `stage`.
+    ///
+    /// # Errors
+    /// `Input` naming the camera whose frame is not what it says.
+    pub(super) fn encode(&self, stage: Stage) -> Result<EncodedStage> {
+        let mut cameras = BTreeMap::new();
+        let mut contents = BTreeMap::new();
+        let mut files = BTreeMap::new();
+        for (&role, camera) in &self.cameras {
+            if !stage.stores(role) {
+                continue;
+            }
+            let frame = &camera.frame;
+            let file = image_name(stage, role, frame.format);
+            let bytes = encode(frame).map_err(|e| e.at(role))?.into_owned();
+            files.insert(file.clone(), digest(&bytes));
+            contents.insert(file.clone(), bytes);
+            cameras.insert(role, camera.record(file));
+        }
+        Ok(EncodedStage {
+            record: StageRecord {
+                captured_at: self.captured_at.to_string(),
+                trigger_time_ns: self.trigger_time_ns,
+                trigger: self.trigger.clone(),
+                skew_ms: skew_ms(cameras.values()),
+                cameras,
+            },
+            contents,
+            files,
+        })
+    }
+}
+
+impl CapturedCamera {
+    fn record(&self, file: String) -> CameraRecord {
+        CameraRecord {
+            file,
+            product: self.product.clone(),
+            serial: self.serial.clone(),
+            interface: self.interface,
+            port: self.port.clone(),
+            format: self.frame.format,
+            width: self.frame.width,
+            height: self.frame.height,
+            driver_time_ns: self.frame.driver_time_ns,
+            sequence: self.frame.sequence,
+            age_ms: self.age_ms,
+            controls: self.controls.clone(),
+            crop_profile: self.crop_profile.clone(),
+            depth_unit_m: self.depth_unit_m,
+        }
+    }
+}
+
+/// Largest difference between the driver times, ms.
+fn skew_ms<'a>(cameras: impl Iterator<Item = &'a CameraRecord> + Clone) -> f64 {
+    let times = cameras.map(|camera| camera.driver_time_ns);
+    match (times.clone().min(), times.max()) {
+        (Some(first), Some(last)) => (last - first) as f64 / 1e6,
+        _ => 0.0,
+    }
+}

@@ -1,0 +1,221 @@
+//! Names and places inside a dataset.
+
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use sha2::{Digest as _, Sha256};
+
+use super::grasp::{FileDigest, GraspId};
+use crate::imaging::{PixelFormat, Role};
+
+/// Beginning of the name of a grasp's directory before the grasp is complete.
+const PENDING_PREFIX: &str = ".tmp-";
+
+/// Record of a pending initial frame.
+pub(super) const INITIAL_JSON: &str = "initial.json";
+/// Record of a complete grasp.
+pub(super) const GRASP_JSON: &str = "grasp.json";
+/// The index.
+pub(super) const METADATA_JSONL: &str = "metadata.jsonl";
+/// The dataset's description.
+pub(super) const DATASET_TOML: &str = "dataset.toml";
+/// The lock of the writer.
+pub(super) const LOCK: &str = ".lock";
+
+/// Trigger of the cycle that a frame belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stage {
+    /// Before the gripper closed.
+    Initial,
+    /// After it closed, before the lift.
+    Grasp,
+}
+
+impl Stage {
+    /// Both, in the order of the cycle.
+    pub const ALL: [Self; 2] = [Self::Initial, Self::Grasp];
+
+    /// Name in files and columns.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Initial => "initial",
+            Self::Grasp => "grasp",
+        }
+    }
+
+    /// Whether frames of a role are stored at this stage: depth only with the grasp.
+    #[must_use]
+    pub fn stores(self, role: Role) -> bool {
+        role != Role::Depth || self == Self::Grasp
+    }
+}
+
+/// Places of a dataset.
+#[derive(Clone, Debug)]
+pub(super) struct Layout {
+    root: PathBuf,
+}
+
+impl Layout {
+    pub(super) fn new(root: impl Into<PathBuf>) -> Self {
+        Self { root: root.into() }
+    }
+
+    pub(super) fn root(&self) -> &Path {
+        &self.root
+    }
+
+    pub(super) fn dataset_toml(&self) -> PathBuf {
+        self.root.join(DATASET_TOML)
+    }
+
+    pub(super) fn lock(&self) -> PathBuf {
+        self.root.join(LOCK)
+    }
+
+    pub(super) fn index(&self) -> PathBuf {
+        self.root.join(METADATA_JSONL)
+    }
+
+    pub(super) fn grasps(&self) -> PathBuf {
+        self.root.join("grasps")
+    }
+
+    pub(super) fn trash(&self) -> PathBuf {
+        self.root.join("trash")
+    }
+
+    pub(super) fn logs(&self) -> PathBuf {
+        self.root.join("logs")
+    }
+
+    pub(super) fn calibration(&self) -> PathBuf {
+        self.root.join("calibration")
+    }
+
+    pub(super) fn models(&self) -> PathBuf {
+        self.root.join("models")
+    }
+
+    pub(super) fn splits(&self) -> PathBuf {
+        self.root.join("splits")
+    }
+
+    /// Directory of a complete grasp.
+    pub(super) fn grasp(&self, id: &GraspId) -> PathBuf {
+        self.grasps().join(&id.0)
+    }
+
+    /// Directory of a grasp of which the initial frame alone is there.
+    pub(super) fn pending(&self, id: &GraspId) -> PathBuf {
+        self.grasps().join(format!("{PENDING_PREFIX}{id}"))
+    }
+
+    /// Place of a discarded initial frame or an undone grasp.
+    pub(super) fn trashed(&self, id: &GraspId) -> PathBuf {
+        self.trash().join(&id.0)
+    }
+
+    /// Directories that a dataset has from the beginning.
+    pub(super) fn directories(&self) -> [PathBuf; 5] {
+        [
+            self.grasps(),
+            self.trash(),
+            self.logs(),
+            self.calibration(),
+            self.models(),
+        ]
+    }
+}
+
+/// The id in the name of a pending directory.
+pub(super) fn pending_id(name: &str) -> Option<GraspId> {
+    name.strip_prefix(PENDING_PREFIX)
+        .map(|id| GraspId(id.to_owned()))
+}
+
+/// Name of an image file.
+pub(super) fn image_name(stage: Stage, role: Role, format: PixelFormat) -> String {
+    let extension = match format {
+        PixelFormat::Mjpg => "jpg",
+        PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => "png",
+    };
+    format!("{}.{role}.{extension}", stage.name())
+}
+
+/// A new id: time of the trigger and 4 hex digits that tell grasps of the same second apart.
+pub(super) fn new_id(at: Timestamp, process: u32, counter: u64) -> GraspId {
+    let mut hasher = Sha256::new();
+    hasher.update(at.as_nanosecond().to_le_bytes());
+    hasher.update(process.to_le_bytes());
+    hasher.update(counter.to_le_bytes());
+    let hash = hasher.finalize();
+    GraspId(format!(
+        "{}-{:02x}{:02x}",
+        at.strftime("%Y-%m-%dT%H-%M-%SZ"),
+        hash[0],
+        hash[1]
+    ))
+}
+
+/// sha256 as lower-case hex.
+pub(super) fn sha256_hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
+}
+
+/// First 12 hex digits of the sha256.
+pub(super) fn sha12(bytes: &[u8]) -> String {
+    let mut hex = sha256_hex(bytes);
+    hex.truncate(12);
+    hex
+}
+
+/// Digest of a file's contents.
+pub(super) fn digest(bytes: &[u8]) -> FileDigest {
+    FileDigest {
+        bytes: bytes.len() as u64,
+        sha256: sha256_hex(bytes),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_carry_the_time_and_differ_within_a_second() {
+        let at: Timestamp = "2026-11-20T10:15:03.25Z".parse().unwrap();
+        let a = new_id(at, 7, 0);
+        assert!(a.0.starts_with("2026-11-20T10-15-03Z-"), "{a}");
+        assert_eq!(a.0.len(), "2026-11-20T10-15-03Z-7f3a".len());
+        assert_ne!(a, new_id(at, 7, 1));
+        assert_ne!(a, new_id(at, 8, 0));
+        assert_eq!(a, new_id(at, 7, 0));
+    }
+
+    #[test]
+    fn digests_agree_with_sha256sum() {
+        assert_eq!(
+            digest(b"abc"),
+            FileDigest {
+                bytes: 3,
+                sha256: "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad".into(),
+            }
+        );
+        assert_eq!(sha12(b"abc"), "ba7816bf8f01");
+    }
+
+    #[test]
+    fn pending_directories_are_told_by_their_name() {
+        let layout = Layout::new("/d");
+        let id = GraspId("2026-11-20T10-15-03Z-7f3a".into());
+        let name = layout.pending(&id);
+        let name = name.file_name().unwrap().to_str().unwrap();
+        assert_eq!(pending_id(name), Some(id.clone()));
+        assert_eq!(pending_id(&id.0), None);
+    }
+}

@@ -1,0 +1,241 @@
+//! Opening a dataset for writing: making it, or putting in order what a crash left.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+
+use super::counts::GraspCounts;
+use super::descriptor::{Descriptor, NewDataset};
+use super::disk::{Disk, SystemDisk, partial_name, replace};
+use super::index::{IndexRow, to_jsonl};
+use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout, pending_id};
+use super::lock::DatasetLock;
+use super::reader::{grasp_ids, subdirectories};
+use super::record_file::{Pending, PendingInitial, read_grasp};
+use super::trash::set_aside;
+use super::writer::{DatasetWriter, failed};
+use crate::error::{Error, ErrorKind, Result};
+
+/// What was found when a dataset was opened for writing.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OpenReport {
+    /// Whether the dataset is new.
+    pub created: bool,
+    /// Grasps that are there.
+    pub counts: GraspCounts,
+    /// The newest durable initial frame that waits for its grasp.
+    pub pending: Option<PendingInitial>,
+    /// What an earlier crash left and what was done about it, one sentence each.
+    pub notes: Vec<String>,
+}
+
+impl DatasetWriter {
+    /// Opens the dataset at `path` for writing; makes it where nothing or an empty directory is.
+    ///
+    /// Unfinished work of a crash is put in order: a whole grasp is completed, the newest durable
+    /// initial frame is offered, the rest moves to `trash/`.
+    ///
+    /// # Errors
+    /// `Busy` naming the process that writes it; `Input` for a file, a directory of something
+    /// else, or a newer format; `Permission` or `DiskFull` where it cannot be written.
+    pub fn open_or_create(path: impl AsRef<Path>, new: &NewDataset) -> Result<(Self, OpenReport)> {
+        Self::open_on(Box::new(SystemDisk), path.as_ref(), new)
+    }
+
+    pub(super) fn open_on(
+        disk: Box<dyn Disk>,
+        root: &Path,
+        new: &NewDataset,
+    ) -> Result<(Self, OpenReport)> {
+        let layout = Layout::new(root);
+        create_root(disk.as_ref(), &layout)?;
+        let lock = DatasetLock::acquire(&layout)?;
+        let created = !layout.dataset_toml().exists();
+        if created {
+            let text = Descriptor::new(new).to_toml()?;
+            replace(disk.as_ref(), root, DATASET_TOML, text.as_bytes())
+                .map_err(|e| failed(&layout, "cannot begin the dataset", e))?;
+        }
+        let descriptor = Descriptor::read(&layout)?;
+        create_directories(disk.as_ref(), &layout)
+            .map_err(|e| failed(&layout, "cannot make the dataset's directories", e))?;
+        let mut writer = Self::new(layout, disk, lock, descriptor);
+        let mut report = OpenReport {
+            created,
+            ..OpenReport::default()
+        };
+        writer.settle(&mut report)?;
+        writer.read_rows(&mut report)?;
+        report.counts = writer.counts();
+        writer.index_is_stale = fs::read(writer.layout.index())
+            .map_or(true, |found| found != to_jsonl(&writer.rows).as_bytes());
+        if let Err(error) = writer.flush_index() {
+            report.notes.push(error.to_string());
+        }
+        Ok((writer, report))
+    }
+
+    /// Puts in order what a crash left in `grasps/`.
+    fn settle(&mut self, report: &mut OpenReport) -> Result<()> {
+        let disk = self.disk.as_ref();
+        let mut waiting: Vec<PendingInitial> = Vec::new();
+        let mut unusable: Vec<(PathBuf, String)> = Vec::new();
+        for name in subdirectories(&self.layout.grasps())? {
+            let Some(id) = pending_id(&name) else {
+                continue;
+            };
+            let dir = self.layout.pending(&id);
+            match Pending::inspect(&dir, &id) {
+                Pending::Grasp if self.layout.grasp(&id).exists() => {
+                    unusable.push((dir, format!("there is another grasp {id}")));
+                }
+                Pending::Grasp => {
+                    disk.sync_dir(&dir)
+                        .and_then(|()| disk.rename_new(&dir, &self.layout.grasp(&id)))
+                        .and_then(|()| disk.sync_dir(&self.layout.grasps()))
+                        .map_err(|e| self.failed(&format!("cannot complete {id}"), e))?;
+                    report
+                        .notes
+                        .push(format!("completed {id}, which a crash had interrupted"));
+                }
+                Pending::Initial(pending) => match &pending.reopened_from {
+                    Some(grasp) if self.layout.grasp(grasp).exists() => unusable.push((
+                        dir,
+                        format!("initial frame of {grasp}, which was not undone after all"),
+                    )),
+                    _ => waiting.push(pending),
+                },
+                Pending::Torn(reason) => {
+                    unusable.push((dir, format!("was not written to its end: {reason}")));
+                }
+            }
+        }
+        waiting.sort_by(|a, b| {
+            let age = |p: &PendingInitial| p.stage.captured_at.parse::<Timestamp>().ok();
+            (age(a), &a.id).cmp(&(age(b), &b.id))
+        });
+        report.pending = waiting.pop();
+        if let Some(pending) = &report.pending {
+            // The crash may have come before its names were forced to the disk.
+            disk.sync_dir(&self.layout.pending(&pending.id))
+                .and_then(|()| disk.sync_dir(&self.layout.grasps()))
+                .map_err(|e| self.failed("cannot keep the initial frame", e))?;
+        }
+        for older in waiting {
+            unusable.push((
+                self.layout.pending(&older.id),
+                "a newer initial frame took its place".to_owned(),
+            ));
+        }
+        for (dir, reason) in unusable {
+            let name = dir.file_name().unwrap_or_default().to_string_lossy();
+            match set_aside(disk, &self.layout, &dir, &reason) {
+                Ok(slot) => report.notes.push(format!(
+                    "moved {name} to trash/{}: {reason}",
+                    slot.file_name().unwrap_or_default().to_string_lossy()
+                )),
+                Err(e) => report
+                    .notes
+                    .push(format!("could not move {name} to trash/: {e}")),
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads all records; clears what interrupted saves left beside them.
+    fn read_rows(&mut self, report: &mut OpenReport) -> Result<()> {
+        for id in grasp_ids(&self.layout)? {
+            let dir = self.layout.grasp(&id);
+            match read_grasp(&dir) {
+                Ok(record) => {
+                    self.rows.insert(id, IndexRow::of(&record));
+                }
+                Err(error) => {
+                    report.notes.push(format!("{id} is not usable: {error}"));
+                    continue;
+                }
+            }
+            for leftover in [INITIAL_JSON.to_owned(), partial_name(GRASP_JSON)] {
+                let path = dir.join(leftover);
+                if path.exists() {
+                    // Verification and the next opening see it again where this fails.
+                    let _ = self.disk.remove_file(&path);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Makes the dataset's directory, or refuses one that holds something else.
+fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
+    let root = layout.root();
+    match fs::read_dir(root) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => create_all(disk, root)
+            .map_err(|e| failed(layout, "cannot make the dataset's directory", e)),
+        Err(e) if e.kind() == io::ErrorKind::NotADirectory => Err(Error::new(
+            ErrorKind::Input,
+            "this is a file, not a directory",
+        )
+        .at(root.display())
+        .remedy("give a directory that does not exist yet, is empty, or holds a dataset")),
+        Err(e) => Err(failed(layout, "cannot read the directory", e)),
+        Ok(_) if layout.dataset_toml().exists() => Ok(()),
+        Ok(entries) => {
+            // A crash may have come between the lock and the description.
+            let foreign = entries.flatten().find(|entry| {
+                let name = entry.file_name();
+                name != LOCK && name.to_string_lossy() != partial_name(DATASET_TOML)
+            });
+            let Some(foreign) = foreign else {
+                return Ok(());
+            };
+            let error = Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the directory holds `{}` but no dataset.toml: it is not a dataset",
+                    foreign.file_name().to_string_lossy()
+                ),
+            )
+            .at(root.display());
+            Err(if layout.grasps().is_dir() {
+                error.remedy(format!(
+                    "if it was one, `gripcast dataset recover {}` writes dataset.toml again",
+                    root.display()
+                ))
+            } else {
+                error.remedy("give a directory that does not exist yet or is empty")
+            })
+        }
+    }
+}
+
+/// Makes a directory with its ancestors, durably.
+fn create_all(disk: &dyn Disk, path: &Path) -> io::Result<()> {
+    let parent = match path.parent() {
+        Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
+        Some(parent) => parent,
+        None => return Ok(()),
+    };
+    if !parent.exists() {
+        create_all(disk, parent)?;
+    }
+    disk.create_dir(path)?;
+    disk.sync_dir(parent)
+}
+
+pub(super) fn create_directories(disk: &dyn Disk, layout: &Layout) -> io::Result<()> {
+    let mut made = false;
+    for dir in layout.directories() {
+        if !dir.is_dir() {
+            disk.create_dir(&dir)?;
+            made = true;
+        }
+    }
+    if made {
+        disk.sync_dir(layout.root())?;
+    }
+    Ok(())
+}

@@ -1,0 +1,175 @@
+//! Reading a dataset.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::descriptor::Descriptor;
+use super::grasp::{CameraRecord, GraspId, GraspRecord};
+use super::layout::{Layout, Stage};
+use super::record_file::read_grasp;
+use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::{Frame, PixelFormat, Role};
+
+/// A dataset that is read; any number of readers beside one writer.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    layout: Layout,
+    descriptor: Descriptor,
+}
+
+impl Dataset {
+    /// Opens a dataset.
+    ///
+    /// # Errors
+    /// `NotFound` without a dataset there, `Input` when it is of a newer version or unreadable.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let layout = Layout::new(path.as_ref());
+        let descriptor = Descriptor::read(&layout)?;
+        Ok(Self { layout, descriptor })
+    }
+
+    /// What the dataset says about itself.
+    #[must_use]
+    pub fn descriptor(&self) -> &Descriptor {
+        &self.descriptor
+    }
+
+    /// Where the dataset is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        self.layout.root()
+    }
+
+    pub(super) fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Ids of all complete grasps, sorted.
+    ///
+    /// # Errors
+    /// When `grasps/` cannot be read.
+    pub fn ids(&self) -> Result<Vec<GraspId>> {
+        grasp_ids(&self.layout)
+    }
+
+    /// One grasp.
+    ///
+    /// # Errors
+    /// `NotFound` without that grasp, `Input` when its record is unreadable.
+    pub fn grasp(&self, id: &GraspId) -> Result<GraspRecord> {
+        read_grasp(&self.layout.grasp(id))
+    }
+
+    /// All complete grasps, sorted by id. A grasp that cannot be read is an error of its own.
+    ///
+    /// # Errors
+    /// When `grasps/` cannot be read.
+    pub fn grasps(&self) -> Result<impl Iterator<Item = Result<GraspRecord>>> {
+        Ok(self.ids()?.into_iter().map(|id| self.grasp(&id)))
+    }
+
+    /// Where an image of a grasp is; `None` when there is none of that role at that stage.
+    #[must_use]
+    pub fn path_of(&self, record: &GraspRecord, stage: Stage, role: Role) -> Option<PathBuf> {
+        let camera = record.stage(stage).cameras.get(&role)?;
+        Some(self.layout.grasp(&record.id).join(&camera.file))
+    }
+
+    /// A stored frame, as the camera sent it.
+    ///
+    /// # Errors
+    /// `NotFound` when there is none of that role at that stage; `Input` when the file is damaged,
+    /// and for YUYV frames, which are stored as RGB pictures: read those at [`Dataset::path_of`].
+    pub fn load_frame(&self, record: &GraspRecord, stage: Stage, role: Role) -> Result<Frame> {
+        let camera = record.stage(stage).cameras.get(&role).ok_or_else(|| {
+            Error::new(
+                ErrorKind::NotFound,
+                format!("{} has no {} frame of {role}", record.id, stage.name()),
+            )
+        })?;
+        load_frame(&self.layout.grasp(&record.id), camera)
+    }
+}
+
+/// Ids of the complete grasps, sorted.
+pub(super) fn grasp_ids(layout: &Layout) -> Result<Vec<GraspId>> {
+    Ok(subdirectories(&layout.grasps())?
+        .into_iter()
+        .filter(|name| !name.starts_with('.'))
+        .map(GraspId)
+        .collect())
+}
+
+/// Names of the directories inside a directory, sorted.
+pub(super) fn subdirectories(path: &Path) -> Result<Vec<String>> {
+    let mut names = Vec::new();
+    for entry in entries(path)? {
+        if entry.path().is_dir() {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Entries of a directory, sorted by name.
+pub(super) fn entries(path: &Path) -> Result<Vec<fs::DirEntry>> {
+    let unreadable = |e| Error::io("cannot read the directory", e).at(path.display());
+    let mut entries = fs::read_dir(path)
+        .map_err(unreadable)?
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(unreadable)?;
+    entries.sort_by_key(fs::DirEntry::file_name);
+    Ok(entries)
+}
+
+/// Reads a stored file back as the frame that it was made from.
+pub(super) fn load_frame(dir: &Path, camera: &CameraRecord) -> Result<Frame> {
+    let path = dir.join(&camera.file);
+    let bytes =
+        fs::read(&path).map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
+    let data = match camera.format {
+        PixelFormat::Mjpg => bytes,
+        PixelFormat::Z16 => match decode(&path, &bytes)? {
+            image::DynamicImage::ImageLuma16(image) => image
+                .into_raw()
+                .into_iter()
+                .flat_map(u16::to_le_bytes)
+                .collect(),
+            _ => return Err(other_picture(&path, "a 16-bit grey picture")),
+        },
+        PixelFormat::Grey => match decode(&path, &bytes)? {
+            image::DynamicImage::ImageLuma8(image) => image.into_raw(),
+            _ => return Err(other_picture(&path, "an 8-bit grey picture")),
+        },
+        PixelFormat::Yuyv => {
+            return Err(Error::new(
+                ErrorKind::Input,
+                "a YUYV frame is stored as an RGB picture and cannot be had back",
+            )
+            .at(path.display())
+            .remedy("read the PNG file instead"));
+        }
+    };
+    Ok(Frame {
+        format: camera.format,
+        width: camera.width,
+        height: camera.height,
+        data: data.into(),
+        sequence: camera.sequence,
+        driver_time_ns: camera.driver_time_ns,
+        received_ns: camera.driver_time_ns,
+    })
+}
+
+fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
+    image::load_from_memory_with_format(bytes, image::ImageFormat::Png).map_err(|e| {
+        Error::new(ErrorKind::Input, "cannot decode the picture")
+            .because(e)
+            .at(path.display())
+    })
+}
+
+fn other_picture(path: &Path, expected: &str) -> Error {
+    Error::new(ErrorKind::Input, format!("the file is not {expected}")).at(path.display())
+}

@@ -1,0 +1,206 @@
+//! A picture like that of a GelSight Mini, made from numbers alone.
+//!
+//! Colours and noise follow measurements on real Minis: without contact the top is about
+//! (40, 97, 108), the centre (125, 120, 145) and the bottom (68, 95, 81); the noise has a
+//! standard deviation of 1.5, 1.0 and 1.8 grey levels in R, G and B. A contact shades the gel by
+//! its slope, each colour from its own side, as the three lamps do. It looks right and is
+//! repeatable; it is no optical model of the sensor.
+
+use image::RgbImage;
+
+/// A round contact, in fractions of the picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GelContact {
+    /// Centre from the left edge, in picture widths.
+    pub centre_x: f32,
+    /// Centre from the top edge, in picture heights.
+    pub centre_y: f32,
+    /// Radius in picture heights.
+    pub radius: f32,
+    /// 0 = touching nothing, 1 = pressed hard.
+    pub strength: f32,
+}
+
+/// Colours at the top, centre and bottom of the untouched gel.
+const COLUMN: [[f32; 3]; 3] = [
+    [40.0, 97.0, 108.0],
+    [125.0, 120.0, 145.0],
+    [68.0, 95.0, 81.0],
+];
+
+/// Largest change of a channel where the gel is steepest, in grey levels.
+const SHADING: [f32; 3] = [110.0, 75.0, 105.0];
+
+/// Directions (x right, y down) from which red, green and blue light comes.
+const LAMPS: [[f32; 2]; 3] = [[0.0, 1.0], [0.87, -0.5], [-0.87, -0.5]];
+
+/// Bits of a pixel's hash that are counted per channel: n bits give a variance of n/4.
+const NOISE_BITS: [u32; 3] = [9, 4, 13];
+
+/// The gel with one contact near the centre; `seed` moves the contact and draws the noise.
+///
+/// `contact` is its strength, from 0 (none) to 1. The same arguments give the same bytes.
+pub fn synthetic_gel(width: u32, height: u32, seed: u64, contact: f32) -> RgbImage {
+    let place = scramble(seed ^ 0x6765_6c00);
+    let offset = |bits: u64| ((bits & 0xff) as f32 / 255.0 - 0.5) * 0.2;
+    gel_picture(
+        width,
+        height,
+        seed,
+        GelContact {
+            centre_x: 0.5 + offset(place),
+            centre_y: 0.5 + offset(place >> 8),
+            radius: 0.12,
+            strength: contact,
+        },
+    )
+}
+
+/// The gel with a given contact; `noise_seed` draws the noise alone, so that successive frames
+/// of one scene differ as those of a camera do.
+pub fn gel_picture(width: u32, height: u32, noise_seed: u64, contact: GelContact) -> RgbImage {
+    let mut picture = RgbImage::new(width, height);
+    let columns: Vec<f32> = (0..width)
+        .map(|x| {
+            let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
+            1.0 - 0.18 * u * u
+        })
+        .collect();
+    let strength = contact.strength.clamp(0.0, 1.0);
+    let radius = (contact.radius * height as f32).max(1.0);
+    let (cx, cy) = (
+        contact.centre_x * width as f32,
+        contact.centre_y * height as f32,
+    );
+    // The gel is dragged down around the object: shading reaches beyond the contact itself.
+    let reach = radius * 1.6;
+    let noise = scramble(noise_seed);
+    for (y, row) in picture
+        .chunks_exact_mut((width as usize * 3).max(3))
+        .enumerate()
+    {
+        let base = column_colour((y as f32 + 0.5) / height as f32);
+        let dy = y as f32 + 0.5 - cy;
+        let touched = strength > 0.0 && dy.abs() < reach;
+        let row_noise = noise ^ (y as u64) << 32;
+        for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+            let mut colour = base.map(|level| level * columns[x]);
+            let dx = x as f32 + 0.5 - cx;
+            if touched && dx * dx + dy * dy < reach * reach {
+                shade(&mut colour, dx / radius, dy / radius, strength);
+            }
+            let mut bits = scramble(row_noise ^ x as u64);
+            for channel in 0..3 {
+                let n = NOISE_BITS[channel];
+                let ones = (bits & ((1 << n) - 1)).count_ones();
+                bits >>= n;
+                // Truncation after + 0.5 rounds; the cast saturates at 0 and 255.
+                pixel[channel] = (colour[channel] + ones as f32 - n as f32 / 2.0 + 0.5) as u8;
+            }
+        }
+    }
+    picture
+}
+
+/// Colour of the untouched gel at a fraction of the height: a smooth curve through `COLUMN`.
+fn column_colour(v: f32) -> [f32; 3] {
+    let [top, centre, bottom] = COLUMN;
+    let end = if v < 0.5 { top } else { bottom };
+    let away = (2.0 * v - 1.0).abs();
+    let weight = away * away * (3.0 - 2.0 * away);
+    std::array::from_fn(|c| centre[c] + (end[c] - centre[c]) * weight)
+}
+
+/// Adds what the slope of a pressed ball does to the light; (u, v) in contact radii.
+fn shade(colour: &mut [f32; 3], u: f32, v: f32, strength: f32) {
+    let r = (u * u + v * v).sqrt();
+    let slope = if r < 1.0 {
+        r
+    } else {
+        ((1.6 - r) / 0.6).max(0.0)
+    };
+    let (nx, ny) = if r > 0.0 { (u / r, v / r) } else { (0.0, 0.0) };
+    for channel in 0..3 {
+        let [lx, ly] = LAMPS[channel];
+        colour[channel] += SHADING[channel] * strength * slope * (nx * lx + ny * ly);
+    }
+}
+
+/// A bijective 64-bit mixer (the finaliser of SplitMix64).
+fn scramble(value: u64) -> u64 {
+    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mean(picture: &RgbImage, rows: std::ops::Range<u32>) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        let mut count = 0.0;
+        for y in rows {
+            for x in picture.width() * 2 / 5..picture.width() * 3 / 5 {
+                for (total, level) in sum.iter_mut().zip(picture.get_pixel(x, y).0) {
+                    *total += f64::from(level);
+                }
+                count += 1.0;
+            }
+        }
+        sum.map(|total| total / count)
+    }
+
+    #[test]
+    fn untouched_gel_has_the_measured_colours() {
+        let gel = synthetic_gel(320, 240, 1, 0.0);
+        for (rows, expected) in [
+            (0..4, COLUMN[0]),
+            (118..122, COLUMN[1]),
+            (236..240, COLUMN[2]),
+        ] {
+            let found = mean(&gel, rows);
+            for c in 0..3 {
+                assert!((found[c] - f64::from(expected[c])).abs() < 2.0, "{found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_has_the_measured_deviation() {
+        let a = synthetic_gel(320, 240, 1, 0.0);
+        let b = synthetic_gel(320, 240, 2, 0.0);
+        for (channel, expected) in [1.5_f64, 1.0, 1.8].into_iter().enumerate() {
+            let squares: f64 = a
+                .pixels()
+                .zip(b.pixels())
+                .map(|(p, q)| (f64::from(p.0[channel]) - f64::from(q.0[channel])).powi(2))
+                .sum();
+            // The difference of two independent draws has twice the variance.
+            let deviation = (squares / f64::from(320 * 240) / 2.0).sqrt();
+            assert!((deviation - expected).abs() < 0.1, "{channel}: {deviation}");
+        }
+    }
+
+    #[test]
+    fn same_arguments_give_the_same_picture_and_contact_changes_it() {
+        let free = synthetic_gel(160, 120, 7, 0.0);
+        assert_eq!(free, synthetic_gel(160, 120, 7, 0.0));
+        let pressed = synthetic_gel(160, 120, 7, 1.0);
+        let largest = free
+            .as_raw()
+            .iter()
+            .zip(pressed.as_raw())
+            .map(|(a, b)| a.abs_diff(*b))
+            .max();
+        assert!(largest >= Some(80), "{largest:?}");
+    }
+
+    #[test]
+    fn degenerate_sizes_and_contacts_do_not_fail() {
+        assert_eq!(synthetic_gel(1, 1, 0, f32::NAN).dimensions(), (1, 1));
+        assert_eq!(synthetic_gel(0, 5, 0, 1.0).dimensions(), (0, 5));
+        assert_eq!(synthetic_gel(5, 0, 0, -3.0).dimensions(), (5, 0));
+    }
+}

@@ -1,0 +1,471 @@
+//! Walk over the marker segments of a JPEG (ITU T.81 annex B).
+
+use super::code;
+use super::damage::JpegDamage;
+
+/// Pictures beyond this many pixels are refused before memory is taken for them.
+const MOST_PIXELS: u64 = 1 << 27;
+
+/// How colour is sampled against luminance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Subsampling {
+    /// One component.
+    Grey,
+    /// Full colour resolution.
+    S444,
+    /// Half horizontal colour resolution; what UVC cameras send.
+    S422,
+    /// Half colour resolution in both directions.
+    S420,
+    /// Half vertical colour resolution.
+    S440,
+    /// Quarter horizontal colour resolution.
+    S411,
+    /// Any other legal combination of sampling factors.
+    Other,
+}
+
+/// What a JPEG says about itself, read without decoding it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct JpegHeader {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Number of components: 1 (grey) or 3 (YCbCr).
+    pub components: u8,
+    /// Colour sampling.
+    pub subsampling: Subsampling,
+    /// Whether the picture is coded in successive scans.
+    pub progressive: bool,
+    /// Whether every Huffman table that the scans use is in the file. UVC cameras may leave the
+    /// standard tables out; the decoder then supplies them.
+    pub has_huffman_tables: bool,
+    /// Number of scans.
+    pub scans: u32,
+    /// Coded blocks between restart markers; 0 without them.
+    pub restart_interval: u16,
+    /// Number of bytes up to and including the end-of-image marker; zero padding may follow.
+    pub length: usize,
+}
+
+/// Reads the marker structure of a JPEG, from start-of-image to end-of-image.
+///
+/// Costs one pass over the bytes in search of markers; entropy-coded data is not decoded, so
+/// damage inside it goes unseen here. Zero bytes after the end are taken as padding.
+///
+/// # Errors
+/// [`JpegDamage`] tells the first thing that is wrong.
+pub fn inspect(bytes: &[u8]) -> Result<JpegHeader, JpegDamage> {
+    if bytes.get(..2) != Some(&[0xff, code::SOI]) {
+        let found = bytes[..bytes.len().min(4)].to_vec();
+        return Err(if bytes == [0xff] {
+            truncated(bytes, "the start-of-image marker")
+        } else {
+            JpegDamage::NotJpeg { found }
+        });
+    }
+    Walk {
+        bytes,
+        at: 2,
+        frame: None,
+        scans: 0,
+        restart_interval: 0,
+        tables: Tables::default(),
+        has_huffman_tables: true,
+    }
+    .run()
+}
+
+fn truncated(bytes: &[u8], expected: &'static str) -> JpegDamage {
+    JpegDamage::Truncated {
+        length: bytes.len(),
+        expected,
+    }
+}
+
+fn malformed(what: impl Into<String>) -> JpegDamage {
+    JpegDamage::Malformed(what.into())
+}
+
+/// Which of the four table slots of each kind are defined so far, one bit a slot.
+#[derive(Default)]
+struct Tables {
+    quantisation: u8,
+    huffman_dc: u8,
+    huffman_ac: u8,
+}
+
+struct FrameHeader {
+    width: u32,
+    height: u32,
+    progressive: bool,
+    components: Vec<Component>,
+}
+
+struct Component {
+    id: u8,
+    horizontal: u8,
+    vertical: u8,
+    quantisation: u8,
+    scanned: bool,
+}
+
+impl FrameHeader {
+    fn subsampling(&self) -> Subsampling {
+        let [luma, blue, red] = self.components.as_slice() else {
+            return Subsampling::Grey;
+        };
+        if (blue.horizontal, blue.vertical) != (1, 1) || (red.horizontal, red.vertical) != (1, 1) {
+            return Subsampling::Other;
+        }
+        match (luma.horizontal, luma.vertical) {
+            (1, 1) => Subsampling::S444,
+            (2, 1) => Subsampling::S422,
+            (2, 2) => Subsampling::S420,
+            (1, 2) => Subsampling::S440,
+            (4, 1) => Subsampling::S411,
+            _ => Subsampling::Other,
+        }
+    }
+}
+
+struct Walk<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    frame: Option<FrameHeader>,
+    scans: u32,
+    restart_interval: u16,
+    tables: Tables,
+    has_huffman_tables: bool,
+}
+
+impl<'a> Walk<'a> {
+    fn run(mut self) -> Result<JpegHeader, JpegDamage> {
+        loop {
+            let marker = self.marker()?;
+            match marker {
+                code::EOI => return self.finish(),
+                code::SOS => self.scan()?,
+                code::SOF0 | code::SOF1 | code::SOF2 => self.start_of_frame(marker)?,
+                code::DHT => self.huffman_tables()?,
+                code::DQT => self.quantisation_tables()?,
+                code::DRI => self.define_restart()?,
+                code::APP0..=code::APP15 | code::COM => {
+                    self.segment()?;
+                }
+                code::DAC => {
+                    return Err(JpegDamage::Unsupported(
+                        "arithmetic coding, expected Huffman coding".into(),
+                    ));
+                }
+                code::SOF0..=code::SOF15 if marker != code::JPG => {
+                    return Err(JpegDamage::Unsupported(format!(
+                        "frame type SOF{}, expected SOF0, SOF1 or SOF2",
+                        marker - code::SOF0
+                    )));
+                }
+                _ => {
+                    return Err(malformed(format!(
+                        "marker FF {marker:02X} at byte {} has no place in a picture",
+                        self.at - 2
+                    )));
+                }
+            }
+        }
+    }
+
+    /// The next marker code; fill bytes (FF) before it are legal.
+    fn marker(&mut self) -> Result<u8, JpegDamage> {
+        let expected = if self.scans == 0 {
+            "a marker segment before the scan"
+        } else {
+            "the end-of-image marker FF D9"
+        };
+        let start = self.at;
+        let first = *self
+            .bytes
+            .get(start)
+            .ok_or_else(|| truncated(self.bytes, expected))?;
+        if first != 0xff {
+            return Err(malformed(format!(
+                "expected a marker at byte {start}, found {first:02X}"
+            )));
+        }
+        let fill = self.bytes[start..]
+            .iter()
+            .take_while(|byte| **byte == 0xff)
+            .count();
+        let marker = *self
+            .bytes
+            .get(start + fill)
+            .ok_or_else(|| truncated(self.bytes, expected))?;
+        self.at = start + fill + 1;
+        Ok(marker)
+    }
+
+    /// Payload of the segment whose marker was just read.
+    fn segment(&mut self) -> Result<&'a [u8], JpegDamage> {
+        let bytes = self.bytes;
+        let cut = || truncated(bytes, "the rest of a marker segment");
+        let length = bytes.get(self.at..self.at + 2).ok_or_else(cut)?;
+        let length = usize::from(u16::from_be_bytes([length[0], length[1]]));
+        if length < 2 {
+            return Err(malformed(format!(
+                "segment length {length} at byte {}, expected at least 2",
+                self.at
+            )));
+        }
+        let payload = bytes.get(self.at + 2..self.at + length).ok_or_else(cut)?;
+        self.at += length;
+        Ok(payload)
+    }
+
+    fn start_of_frame(&mut self, marker: u8) -> Result<(), JpegDamage> {
+        let payload = self.segment()?;
+        if self.frame.is_some() {
+            return Err(malformed("two frame headers, expected one"));
+        }
+        let [precision, h1, h0, w1, w0, count, components @ ..] = payload else {
+            return Err(malformed("the frame header is too short"));
+        };
+        if *precision != 8 {
+            return Err(JpegDamage::Unsupported(format!(
+                "{precision} bits a sample, expected 8"
+            )));
+        }
+        let width = u32::from(u16::from_be_bytes([*w1, *w0]));
+        let height = u32::from(u16::from_be_bytes([*h1, *h0]));
+        if width == 0 || height == 0 {
+            return Err(malformed(format!("picture size {width}×{height}")));
+        }
+        if u64::from(width) * u64::from(height) > MOST_PIXELS {
+            return Err(JpegDamage::Unsupported(format!(
+                "{width}×{height} pixels, expected at most {MOST_PIXELS} in all"
+            )));
+        }
+        if !matches!(count, 1 | 3) {
+            return Err(JpegDamage::Unsupported(format!(
+                "{count} colour components, expected 1 or 3"
+            )));
+        }
+        if components.len() != usize::from(*count) * 3 {
+            return Err(malformed(format!(
+                "the frame header describes {} components, expected {count}",
+                components.len() / 3
+            )));
+        }
+        let components: Vec<Component> = components
+            .chunks_exact(3)
+            .map(|c| Component {
+                id: c[0],
+                horizontal: c[1] >> 4,
+                vertical: c[1] & 15,
+                quantisation: c[2],
+                scanned: false,
+            })
+            .collect();
+        for c in &components {
+            if !(1..=4).contains(&c.horizontal)
+                || !(1..=4).contains(&c.vertical)
+                || c.quantisation > 3
+            {
+                return Err(malformed(format!(
+                    "component {} has sampling {}×{} and quantisation table {}, expected 1 to 4 and 0 to 3",
+                    c.id, c.horizontal, c.vertical, c.quantisation
+                )));
+            }
+        }
+        self.frame = Some(FrameHeader {
+            width,
+            height,
+            progressive: marker == code::SOF2,
+            components,
+        });
+        Ok(())
+    }
+
+    fn huffman_tables(&mut self) -> Result<(), JpegDamage> {
+        let mut rest = self.segment()?;
+        while let [place, after @ ..] = rest {
+            let (class, slot) = (place >> 4, place & 15);
+            let Some((counts, values)) = after.split_at_checked(16) else {
+                return Err(malformed("a Huffman table is cut off"));
+            };
+            let symbols: usize = counts.iter().map(|n| usize::from(*n)).sum();
+            if class > 1 || slot > 3 || symbols == 0 || symbols > 256 || symbols > values.len() {
+                return Err(malformed(format!(
+                    "Huffman table of class {class}, slot {slot} with {symbols} symbols in {} bytes",
+                    values.len()
+                )));
+            }
+            if class == 0 {
+                self.tables.huffman_dc |= 1 << slot;
+            } else {
+                self.tables.huffman_ac |= 1 << slot;
+            }
+            rest = &values[symbols..];
+        }
+        Ok(())
+    }
+
+    fn quantisation_tables(&mut self) -> Result<(), JpegDamage> {
+        let mut rest = self.segment()?;
+        while let [place, after @ ..] = rest {
+            let (precision, slot) = (place >> 4, place & 15);
+            let size = if precision == 0 { 64 } else { 128 };
+            if precision > 1 || slot > 3 || after.len() < size {
+                return Err(malformed(format!(
+                    "quantisation table of precision {precision}, slot {slot} in {} bytes, expected {size}",
+                    after.len()
+                )));
+            }
+            self.tables.quantisation |= 1 << slot;
+            rest = &after[size..];
+        }
+        Ok(())
+    }
+
+    fn define_restart(&mut self) -> Result<(), JpegDamage> {
+        let payload = self.segment()?;
+        let [high, low] = payload else {
+            return Err(malformed(format!(
+                "restart segment of {} bytes, expected 2",
+                payload.len()
+            )));
+        };
+        self.restart_interval = u16::from_be_bytes([*high, *low]);
+        Ok(())
+    }
+
+    fn scan(&mut self) -> Result<(), JpegDamage> {
+        let payload = self.segment()?;
+        let frame = self
+            .frame
+            .as_mut()
+            .ok_or_else(|| malformed("a scan before the frame header"))?;
+        let [count, rest @ ..] = payload else {
+            return Err(malformed("the scan header is empty"));
+        };
+        let count = usize::from(*count);
+        if count == 0 || count > frame.components.len() || rest.len() != count * 2 + 3 {
+            return Err(malformed(format!(
+                "scan header of {} bytes for {count} components, the frame has {}",
+                payload.len(),
+                frame.components.len()
+            )));
+        }
+        let (components, spectral) = rest.split_at(count * 2);
+        for pair in components.chunks_exact(2) {
+            let (id, dc, ac) = (pair[0], pair[1] >> 4, pair[1] & 15);
+            let component = frame
+                .components
+                .iter_mut()
+                .find(|c| c.id == id)
+                .ok_or_else(|| malformed(format!("the scan names component {id}, unknown")))?;
+            component.scanned = true;
+            // libjpeg keeps tables from one picture to the next, so a missing one would not
+            // fail there but decode with the table of an earlier frame.
+            if self.tables.quantisation & (1 << component.quantisation) == 0 {
+                return Err(malformed(format!(
+                    "quantisation table {} is used but not defined",
+                    component.quantisation
+                )));
+            }
+            let needs_dc = spectral[0] == 0 && spectral[2] >> 4 == 0;
+            let needs_ac = spectral[1] > 0;
+            let missing = (needs_dc && (dc > 3 || self.tables.huffman_dc & (1 << dc) == 0))
+                || (needs_ac && (ac > 3 || self.tables.huffman_ac & (1 << ac) == 0));
+            if missing {
+                if frame.progressive || dc > 1 || ac > 1 {
+                    return Err(malformed(format!(
+                        "Huffman tables {dc}/{ac} are used but not defined, and no standard tables exist for them"
+                    )));
+                }
+                self.has_huffman_tables = false;
+            }
+        }
+        self.scans += 1;
+        self.entropy_coded_data()
+    }
+
+    /// Moves to the marker that ends the scan, checking the restart markers on the way.
+    fn entropy_coded_data(&mut self) -> Result<(), JpegDamage> {
+        let mut restarts: u32 = 0;
+        loop {
+            let cut = || truncated(self.bytes, "the end-of-image marker FF D9");
+            let found = find_ff(&self.bytes[self.at..]).ok_or_else(cut)? + self.at;
+            match *self.bytes.get(found + 1).ok_or_else(cut)? {
+                0 => self.at = found + 2,
+                0xff => self.at = found + 1,
+                restart @ code::RST0..=code::RST7 => {
+                    if self.restart_interval == 0 {
+                        return Err(malformed(format!(
+                            "restart marker at byte {found}, but no restart interval is defined"
+                        )));
+                    }
+                    let expected = code::RST0 + (restarts % 8) as u8;
+                    if restart != expected {
+                        return Err(malformed(format!(
+                            "restart marker {} at byte {found}, expected {}",
+                            restart - code::RST0,
+                            expected - code::RST0
+                        )));
+                    }
+                    restarts += 1;
+                    self.at = found + 2;
+                }
+                _ => {
+                    self.at = found;
+                    return Ok(());
+                }
+            }
+        }
+    }
+
+    fn finish(self) -> Result<JpegHeader, JpegDamage> {
+        let frame = self
+            .frame
+            .ok_or_else(|| malformed("the picture ends before its frame header"))?;
+        if let Some(missing) = frame.components.iter().find(|c| !c.scanned) {
+            return Err(malformed(format!(
+                "the picture ends before a scan of component {}",
+                missing.id
+            )));
+        }
+        let padding = &self.bytes[self.at..];
+        if let Some(stray) = padding.iter().position(|byte| *byte != 0) {
+            return Err(malformed(format!(
+                "the picture ends at byte {}, but {} bytes follow, not all zero (first at byte {})",
+                self.at,
+                padding.len(),
+                self.at + stray
+            )));
+        }
+        Ok(JpegHeader {
+            width: frame.width,
+            height: frame.height,
+            components: frame.components.len() as u8,
+            subsampling: frame.subsampling(),
+            progressive: frame.progressive,
+            has_huffman_tables: self.has_huffman_tables,
+            scans: self.scans,
+            restart_interval: self.restart_interval,
+            length: self.at,
+        })
+    }
+}
+
+/// Position of the first FF byte; whole blocks without one are skipped by a vectorisable test.
+fn find_ff(bytes: &[u8]) -> Option<usize> {
+    const BLOCK: usize = 64;
+    let clean = bytes
+        .chunks_exact(BLOCK)
+        .take_while(|block| !block.iter().fold(false, |any, byte| any | (*byte == 0xff)))
+        .count()
+        * BLOCK;
+    let rest = bytes[clean..].iter().position(|byte| *byte == 0xff)?;
+    Some(clean + rest)
+}

@@ -1,0 +1,114 @@
+//! Lossless files: colour, grey and 16-bit depth as PNG, and back.
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{DynamicImage, ExtendedColorType, GrayImage, ImageEncoder, ImageFormat, RgbImage};
+
+use super::z16::DepthImage;
+use crate::error::{Error, ErrorKind, Result};
+
+/// RGB picture to PNG, with fast compression.
+///
+/// # Errors
+/// [`ErrorKind::Input`] for a picture without pixels.
+pub fn encode_png_rgb(picture: &RgbImage) -> Result<Vec<u8>> {
+    let (width, height) = picture.dimensions();
+    encode(picture.as_raw(), width, height, ExtendedColorType::Rgb8)
+}
+
+/// 8-bit grey picture to PNG, with fast compression.
+///
+/// # Errors
+/// [`ErrorKind::Input`] for a picture without pixels.
+pub fn encode_png_grey8(picture: &GrayImage) -> Result<Vec<u8>> {
+    let (width, height) = picture.dimensions();
+    encode(picture.as_raw(), width, height, ExtendedColorType::L8)
+}
+
+/// 16-bit depth to PNG, with fast compression.
+///
+/// # Errors
+/// [`ErrorKind::Input`] for a picture without pixels.
+pub fn encode_png_grey16(picture: &DepthImage) -> Result<Vec<u8>> {
+    let (width, height) = picture.dimensions();
+    // The encoder takes 16-bit samples in native byte order.
+    let bytes: Vec<u8> = picture.iter().flat_map(|v| v.to_ne_bytes()).collect();
+    encode(&bytes, width, height, ExtendedColorType::L16)
+}
+
+fn encode(bytes: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>> {
+    let refused = || {
+        Error::new(
+            ErrorKind::Input,
+            format!("cannot write a {width}×{height} picture as PNG"),
+        )
+    };
+    if width == 0 || height == 0 {
+        return Err(refused());
+    }
+    let mut out = Vec::new();
+    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(bytes, width, height, colour)
+        .map_err(|cause| refused().because(cause))?;
+    Ok(out)
+}
+
+/// PNG to RGB; grey is spread over the channels, transparency is dropped.
+///
+/// # Errors
+/// [`ErrorKind::Input`] for a damaged or foreign file.
+pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
+    read(bytes).map(DynamicImage::into_rgb8)
+}
+
+/// 16-bit grey PNG to depth.
+///
+/// # Errors
+/// [`ErrorKind::Input`] for a damaged or foreign file, or one that is not 16-bit grey.
+pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
+    match read(bytes)? {
+        DynamicImage::ImageLuma16(depth) => Ok(depth),
+        other => Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "expected a 16-bit grey PNG (depth), found pixels of type {:?}",
+                other.color()
+            ),
+        )),
+    }
+}
+
+fn read(bytes: &[u8]) -> Result<DynamicImage> {
+    image::load_from_memory_with_format(bytes, ImageFormat::Png)
+        .map_err(|cause| Error::new(ErrorKind::Input, "the PNG cannot be read").because(cause))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_survive_the_round_trip() {
+        let rgb = RgbImage::from_fn(7, 5, |x, y| image::Rgb([x as u8, y as u8, 200]));
+        assert_eq!(decode_png_rgb(&encode_png_rgb(&rgb).unwrap()).unwrap(), rgb);
+        let grey = GrayImage::from_fn(7, 5, |x, y| image::Luma([(x * y) as u8]));
+        let back = decode_png_rgb(&encode_png_grey8(&grey).unwrap()).unwrap();
+        assert!(
+            back.pixels()
+                .zip(grey.pixels())
+                .all(|(a, b)| a.0 == [b.0[0]; 3])
+        );
+        let depth = DepthImage::from_fn(7, 5, |x, y| image::Luma([(x * 9000 + y) as u16]));
+        let bytes = encode_png_grey16(&depth).unwrap();
+        assert_eq!(decode_png_grey16(&bytes).unwrap(), depth);
+    }
+
+    #[test]
+    fn wrong_files_are_explained() {
+        let rgb = encode_png_rgb(&RgbImage::new(2, 2)).unwrap();
+        let text = decode_png_grey16(&rgb).unwrap_err().to_string();
+        assert!(text.contains("16-bit grey"), "{text}");
+        assert!(decode_png_rgb(&rgb[..rgb.len() / 2]).is_err());
+        assert!(decode_png_rgb(b"").is_err());
+        assert!(encode_png_rgb(&RgbImage::new(0, 4)).is_err());
+    }
+}

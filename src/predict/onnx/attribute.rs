@@ -1,0 +1,53 @@
+//! Attributes of a node.
+
+use tract_onnx::pb::{AttributeProto, attribute_proto::AttributeType};
+
+/// A named constant of a node.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attribute(AttributeProto);
+
+impl Attribute {
+    /// An integer, for instance `axis`.
+    pub fn int(name: &str, value: i64) -> Self {
+        Self(AttributeProto {
+            i: value,
+            ..Self::empty(name, AttributeType::Int)
+        })
+    }
+
+    /// A list of integers, for instance `kernel_shape`.
+    pub fn ints(name: &str, values: &[i64]) -> Self {
+        Self(AttributeProto {
+            ints: values.to_vec(),
+            ..Self::empty(name, AttributeType::Ints)
+        })
+    }
+
+    /// A number, for instance `alpha`.
+    pub fn float(name: &str, value: f32) -> Self {
+        Self(AttributeProto {
+            f: value,
+            ..Self::empty(name, AttributeType::Float)
+        })
+    }
+
+    /// A text, for instance `auto_pad`.
+    pub fn string(name: &str, value: &str) -> Self {
+        Self(AttributeProto {
+            s: value.as_bytes().to_vec(),
+            ..Self::empty(name, AttributeType::String)
+        })
+    }
+
+    pub(super) fn into_proto(self) -> AttributeProto {
+        self.0
+    }
+
+    fn empty(name: &str, kind: AttributeType) -> AttributeProto {
+        AttributeProto {
+            name: name.to_owned(),
+            r#type: kind as i32,
+            ..AttributeProto::default()
+        }
+    }
+}

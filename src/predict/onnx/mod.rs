@@ -1,0 +1,18 @@
+//! ONNX files: a small writer, and reading with explained refusals.
+//!
+//! The message types are those of [`tract_onnx::pb`], so nothing is generated here. Written files
+//! carry opset [`OPSET`] and IR version [`IR_VERSION`], which onnxruntime and tract both read.
+
+mod attribute;
+mod file;
+mod graph;
+
+pub use attribute::Attribute;
+pub use file::{decode, read};
+pub use graph::{OnnxGraphBuilder, Value};
+pub use tract_onnx::pb;
+
+/// Version of the default operator set of written files.
+pub const OPSET: i64 = 17;
+/// Version of the file format of written files.
+pub const IR_VERSION: i64 = 8;

@@ -1,0 +1,89 @@
+//! The clock of drivers and cameras: `CLOCK_MONOTONIC`, and one that is moved by hand.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use rustix::time::{ClockId, clock_gettime};
+
+/// Nanoseconds of `CLOCK_MONOTONIC`, the clock of V4L2 time stamps.
+pub fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    u64::try_from(now.tv_sec).unwrap_or(0) * 1_000_000_000 + u64::try_from(now.tv_nsec).unwrap_or(0)
+}
+
+/// Where time comes from; injected so that everything timed can be tested without waiting.
+pub trait Clock: Send + Sync {
+    /// Now, ns.
+    fn now_ns(&self) -> u64;
+
+    /// Returns once `now_ns()` has reached `deadline_ns`.
+    fn sleep_until(&self, deadline_ns: u64);
+}
+
+/// `CLOCK_MONOTONIC`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct MonotonicClock;
+
+impl Clock for MonotonicClock {
+    fn now_ns(&self) -> u64 {
+        monotonic_ns()
+    }
+
+    fn sleep_until(&self, deadline_ns: u64) {
+        while let Some(left_ns) = deadline_ns.checked_sub(monotonic_ns()) {
+            if left_ns == 0 {
+                break;
+            }
+            std::thread::sleep(Duration::from_nanos(left_ns));
+        }
+    }
+}
+
+/// A clock that stands still until it is moved; sleeping moves it.
+#[derive(Debug, Default)]
+pub struct ManualClock(AtomicU64);
+
+impl ManualClock {
+    /// A clock that shows `now_ns`.
+    pub fn at(now_ns: u64) -> Self {
+        Self(AtomicU64::new(now_ns))
+    }
+
+    /// Moves the clock forward by `step_ns`.
+    pub fn advance(&self, step_ns: u64) {
+        self.0.fetch_add(step_ns, Ordering::SeqCst);
+    }
+}
+
+impl Clock for ManualClock {
+    fn now_ns(&self) -> u64 {
+        self.0.load(Ordering::SeqCst)
+    }
+
+    fn sleep_until(&self, deadline_ns: u64) {
+        self.0.fetch_max(deadline_ns, Ordering::SeqCst);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn monotonic_time_never_goes_back() {
+        let first = monotonic_ns();
+        assert!(first > 0);
+        assert!(monotonic_ns() >= first);
+        MonotonicClock.sleep_until(first);
+    }
+
+    #[test]
+    fn sleeping_moves_the_manual_clock_forward_only() {
+        let clock = ManualClock::at(10);
+        clock.sleep_until(5);
+        assert_eq!(clock.now_ns(), 10);
+        clock.sleep_until(25);
+        clock.advance(5);
+        assert_eq!(clock.now_ns(), 30);
+    }
+}

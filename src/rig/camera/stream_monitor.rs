@@ -1,0 +1,436 @@
+//! Judges a stream from the times and counters of its frames; no IO, no clock of its own.
+
+use std::collections::VecDeque;
+
+/// Limits of supervision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SupervisionPolicy {
+    /// The frame rate is measured over this long, ns.
+    pub fps_window_ns: u64,
+    /// No usable frame for this many nominal intervals: the camera is silent.
+    pub silent_periods: f64,
+    /// Silent or frozen for this long: the camera is opened anew, ns.
+    pub reopen_after_ns: u64,
+    /// The same bytes again and again for this long: the picture is frozen, ns. `None` for
+    /// sources that may repeat a picture.
+    pub freeze_after_ns: Option<u64>,
+    /// Pause before the second attempt to open, ns; doubles with each failure.
+    pub first_backoff_ns: u64,
+    /// Longest pause between attempts to open, ns.
+    pub longest_backoff_ns: u64,
+    /// Longest wait for one frame, ns; bounds how late a stop request is noticed.
+    pub frame_timeout_ns: u64,
+    /// Counters are reported at least this often, ns.
+    pub report_every_ns: u64,
+    /// Control values are read back this often, ns; `None` for never after opening.
+    pub controls_every_ns: Option<u64>,
+}
+
+impl Default for SupervisionPolicy {
+    fn default() -> Self {
+        Self {
+            fps_window_ns: 2_000_000_000,
+            silent_periods: 8.0,
+            reopen_after_ns: 3_000_000_000,
+            freeze_after_ns: Some(1_000_000_000),
+            first_backoff_ns: 250_000_000,
+            longest_backoff_ns: 4_000_000_000,
+            frame_timeout_ns: 100_000_000,
+            report_every_ns: 200_000_000,
+            controls_every_ns: Some(1_000_000_000),
+        }
+    }
+}
+
+/// How a camera does.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Health {
+    /// Being opened, or opened and its first frame awaited.
+    Opening,
+    /// Frames arrive.
+    Live,
+    /// Nothing usable arrives; the device is still there.
+    Silent {
+        /// Time of the last usable frame, or of opening, ns.
+        since_ns: u64,
+    },
+    /// Frames arrive, but always the same one.
+    Frozen {
+        /// Time of the first of the equal frames, ns.
+        since_ns: u64,
+    },
+    /// Unplugged or refused; tried again.
+    Lost {
+        /// What the last attempt said.
+        reason: String,
+    },
+    /// A recorded stream has ended.
+    Ended,
+}
+
+/// What has been counted since the program started; survives reopening.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CameraCounters {
+    /// Usable frames.
+    pub received: u64,
+    /// Frames lost before they reached us, by the driver's counter.
+    pub sequence_gaps: u64,
+    /// Frames that were damaged.
+    pub damaged: u64,
+    /// Frames that came later than twice the nominal interval.
+    pub late: u64,
+    /// Frames with the same bytes as the one before.
+    pub duplicates: u64,
+    /// How often the camera was opened again.
+    pub reconnects: u64,
+}
+
+/// State of a stream at one moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StreamReport {
+    /// How it does.
+    pub health: Health,
+    /// What was counted.
+    pub counters: CameraCounters,
+    /// Frame rate over the policy's window, 1/s; 0 until two frames are in it.
+    pub measured_fps: f64,
+}
+
+/// The facts of one usable frame that supervision needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameFacts {
+    /// Driver's frame counter.
+    pub sequence: u32,
+    /// When it was received, ns.
+    pub received_ns: u64,
+    /// Whether its bytes equal those of the frame before.
+    pub repeats: bool,
+}
+
+/// State machine of one camera's health and counters.
+#[derive(Debug)]
+pub struct StreamMonitor {
+    policy: SupervisionPolicy,
+    interval_ns: u64,
+    health: Health,
+    counters: CameraCounters,
+    arrivals_ns: VecDeque<u64>,
+    last_sequence: Option<u32>,
+    usable_ns: u64,
+    changed_ns: u64,
+    has_frame: bool,
+    was_open: bool,
+}
+
+impl StreamMonitor {
+    /// A camera that has not been opened yet.
+    pub fn new(policy: SupervisionPolicy) -> Self {
+        Self {
+            policy,
+            interval_ns: 0,
+            health: Health::Opening,
+            counters: CameraCounters::default(),
+            arrivals_ns: VecDeque::new(),
+            last_sequence: None,
+            usable_ns: 0,
+            changed_ns: 0,
+            has_frame: false,
+            was_open: false,
+        }
+    }
+
+    /// The camera was opened; the driver's counter starts anew.
+    pub fn opened(&mut self, now_ns: u64, nominal_fps: f64) {
+        if self.was_open {
+            self.counters.reconnects += 1;
+        }
+        self.was_open = true;
+        self.interval_ns = if nominal_fps > 0.0 {
+            (1e9 / nominal_fps) as u64
+        } else {
+            0
+        };
+        self.arrivals_ns.clear();
+        self.last_sequence = None;
+        self.has_frame = false;
+        self.usable_ns = now_ns;
+        self.changed_ns = now_ns;
+        self.health = Health::Opening;
+    }
+
+    /// A usable frame arrived.
+    pub fn frame(&mut self, facts: FrameFacts) {
+        self.follow_sequence(facts.sequence);
+        self.counters.received += 1;
+        if self.has_frame
+            && self.interval_ns > 0
+            && facts.received_ns.saturating_sub(self.usable_ns) > 2 * self.interval_ns
+        {
+            self.counters.late += 1;
+        }
+        if facts.repeats && self.has_frame {
+            self.counters.duplicates += 1;
+        } else {
+            self.changed_ns = facts.received_ns;
+        }
+        self.has_frame = true;
+        self.usable_ns = facts.received_ns;
+        self.arrivals_ns.push_back(facts.received_ns);
+        self.forget_arrivals(facts.received_ns);
+        self.health = if self.is_frozen(facts.received_ns) {
+            Health::Frozen {
+                since_ns: self.changed_ns,
+            }
+        } else {
+            Health::Live
+        };
+    }
+
+    /// A frame arrived that cannot be used; the camera falls silent if no other comes.
+    pub fn damaged(&mut self, sequence: u32) {
+        self.follow_sequence(sequence);
+        self.counters.damaged += 1;
+    }
+
+    /// The camera is gone or could not be opened.
+    pub fn lost(&mut self, reason: String) {
+        self.arrivals_ns.clear();
+        self.health = Health::Lost { reason };
+    }
+
+    /// A recorded stream has ended.
+    pub fn ended(&mut self) {
+        self.health = Health::Ended;
+    }
+
+    /// Time has passed while the camera is open. Returns why it has to be opened anew, if it has.
+    pub fn tick(&mut self, now_ns: u64) -> Option<String> {
+        self.forget_arrivals(now_ns);
+        let quiet_ns = now_ns.saturating_sub(self.usable_ns);
+        let limit_ns = (self.interval_ns as f64 * self.policy.silent_periods) as u64;
+        let opening = self.health == Health::Opening;
+        if quiet_ns > limit_ns && limit_ns > 0 && !opening {
+            self.health = Health::Silent {
+                since_ns: self.usable_ns,
+            };
+        }
+        if quiet_ns > self.policy.reopen_after_ns.max(limit_ns) {
+            return Some(format!("no frame for {:.1} s", quiet_ns as f64 * 1e-9));
+        }
+        if let Health::Frozen { since_ns } = self.health {
+            let frozen_ns = now_ns.saturating_sub(since_ns);
+            if frozen_ns > self.policy.reopen_after_ns {
+                let frozen_s = frozen_ns as f64 * 1e-9;
+                return Some(format!("the same picture for {frozen_s:.1} s"));
+            }
+        }
+        None
+    }
+
+    /// State at `now_ns`.
+    pub fn report(&mut self, now_ns: u64) -> StreamReport {
+        self.forget_arrivals(now_ns);
+        StreamReport {
+            health: self.health.clone(),
+            counters: self.counters,
+            measured_fps: self.measured_fps(),
+        }
+    }
+
+    /// How the camera does.
+    pub fn health(&self) -> &Health {
+        &self.health
+    }
+
+    fn measured_fps(&self) -> f64 {
+        match (self.arrivals_ns.front(), self.arrivals_ns.back()) {
+            (Some(first), Some(last)) if last > first => {
+                (self.arrivals_ns.len() - 1) as f64 * 1e9 / (last - first) as f64
+            }
+            _ => 0.0,
+        }
+    }
+
+    fn is_frozen(&self, now_ns: u64) -> bool {
+        self.policy
+            .freeze_after_ns
+            .is_some_and(|limit_ns| now_ns.saturating_sub(self.changed_ns) > limit_ns)
+    }
+
+    fn forget_arrivals(&mut self, now_ns: u64) {
+        let oldest_ns = now_ns.saturating_sub(self.policy.fps_window_ns);
+        while self.arrivals_ns.front().is_some_and(|at| *at < oldest_ns) {
+            self.arrivals_ns.pop_front();
+        }
+    }
+
+    fn follow_sequence(&mut self, sequence: u32) {
+        if let Some(last) = self.last_sequence {
+            let step = sequence.wrapping_sub(last);
+            // A step of half the range or more is a counter that went back: a restart, no gap.
+            if step > 1 && step < u32::MAX / 2 {
+                self.counters.sequence_gaps += u64::from(step - 1);
+            }
+        }
+        self.last_sequence = Some(sequence);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn opened() -> StreamMonitor {
+        let mut monitor = StreamMonitor::new(SupervisionPolicy::default());
+        monitor.opened(0, 25.0);
+        monitor
+    }
+
+    fn fresh(sequence: u32, at_ms: u64) -> FrameFacts {
+        FrameFacts {
+            sequence,
+            received_ns: at_ms * MS,
+            repeats: false,
+        }
+    }
+
+    #[test]
+    fn steady_stream_is_live_and_its_rate_is_measured() {
+        let mut monitor = opened();
+        assert_eq!(*monitor.health(), Health::Opening);
+        for n in 0..100 {
+            monitor.frame(fresh(n, 40 + u64::from(n) * 53));
+            assert_eq!(monitor.tick((41 + u64::from(n) * 53) * MS), None);
+        }
+        let report = monitor.report((40 + 99 * 53) * MS);
+        assert_eq!(report.health, Health::Live);
+        assert!((report.measured_fps - 1000.0 / 53.0).abs() < 1e-9);
+        let expected = CameraCounters {
+            received: 100,
+            ..CameraCounters::default()
+        };
+        assert_eq!(report.counters, expected);
+    }
+
+    #[test]
+    fn gaps_count_missing_frames_across_the_wrap() {
+        let mut monitor = opened();
+        for (n, sequence) in [u32::MAX - 1, u32::MAX, 0, 1, 4].into_iter().enumerate() {
+            monitor.frame(fresh(sequence, 40 * (n as u64 + 1)));
+        }
+        assert_eq!(monitor.report(0).counters.sequence_gaps, 2);
+    }
+
+    #[test]
+    fn a_counter_that_goes_back_is_no_gap() {
+        let mut monitor = opened();
+        monitor.frame(fresh(500, 40));
+        monitor.frame(fresh(0, 80));
+        monitor.frame(fresh(1, 120));
+        assert_eq!(monitor.report(0).counters.sequence_gaps, 0);
+        monitor.frame(fresh(900, 160));
+        monitor.opened(200 * MS, 25.0);
+        monitor.frame(fresh(5, 240));
+        assert_eq!(monitor.report(0).counters.sequence_gaps, 898);
+        assert_eq!(monitor.report(0).counters.reconnects, 1);
+    }
+
+    #[test]
+    fn late_frames_are_those_after_twice_the_interval() {
+        let mut monitor = opened();
+        for (n, at_ms) in [40, 80, 160, 241, 281].into_iter().enumerate() {
+            monitor.frame(fresh(n as u32, at_ms));
+        }
+        assert_eq!(monitor.report(0).counters.late, 1);
+    }
+
+    #[test]
+    fn damaged_frames_count_once_and_do_not_keep_the_camera_live() {
+        let mut monitor = opened();
+        monitor.frame(fresh(0, 40));
+        for n in 1..=10 {
+            monitor.damaged(n);
+            assert_eq!(monitor.tick((40 + u64::from(n) * 40) * MS), None);
+        }
+        let report = monitor.report(440 * MS);
+        assert_eq!(report.counters.damaged, 10);
+        assert_eq!(report.counters.sequence_gaps, 0);
+        assert_eq!(report.health, Health::Silent { since_ns: 40 * MS });
+    }
+
+    #[test]
+    fn silence_is_noticed_then_reopened_and_ends_with_a_frame() {
+        let mut monitor = opened();
+        monitor.frame(fresh(0, 40));
+        assert_eq!(monitor.tick(360 * MS), None);
+        assert_eq!(*monitor.health(), Health::Live);
+        assert_eq!(monitor.tick(361 * MS), None);
+        assert_eq!(*monitor.health(), Health::Silent { since_ns: 40 * MS });
+        monitor.frame(fresh(1, 400));
+        assert_eq!(*monitor.health(), Health::Live);
+        assert!(monitor.tick(3500 * MS).unwrap().contains("3.1 s"));
+    }
+
+    #[test]
+    fn a_camera_that_never_sends_is_reopened() {
+        let mut monitor = opened();
+        assert_eq!(monitor.tick(2900 * MS), None);
+        assert_eq!(*monitor.health(), Health::Opening);
+        assert!(monitor.tick(3001 * MS).is_some());
+    }
+
+    #[test]
+    fn equal_frames_freeze_and_a_different_one_thaws() {
+        let mut monitor = opened();
+        monitor.frame(fresh(0, 0));
+        for n in 1..=26_u32 {
+            monitor.frame(FrameFacts {
+                repeats: true,
+                ..fresh(n, u64::from(n) * 40)
+            });
+        }
+        assert_eq!(*monitor.health(), Health::Frozen { since_ns: 0 });
+        assert_eq!(monitor.report(1040 * MS).counters.duplicates, 26);
+        monitor.frame(fresh(27, 1080));
+        assert_eq!(*monitor.health(), Health::Live);
+    }
+
+    #[test]
+    fn a_lasting_freeze_is_reopened_unless_repeats_are_allowed() {
+        for (freeze_after_ns, reopened) in [(Some(1_000 * MS), true), (None, false)] {
+            let mut monitor = StreamMonitor::new(SupervisionPolicy {
+                freeze_after_ns,
+                ..SupervisionPolicy::default()
+            });
+            monitor.opened(0, 25.0);
+            let mut demand = None;
+            for n in 0..100_u32 {
+                monitor.frame(FrameFacts {
+                    repeats: n > 0,
+                    ..fresh(n, u64::from(n) * 40)
+                });
+                demand = demand.or(monitor.tick(u64::from(n) * 40 * MS));
+            }
+            assert_eq!(demand.is_some(), reopened);
+        }
+    }
+
+    #[test]
+    fn lost_and_ended_say_so() {
+        let mut monitor = opened();
+        monitor.frame(fresh(0, 40));
+        monitor.lost("unplugged".to_owned());
+        let report = monitor.report(50 * MS);
+        assert_eq!(
+            report.health,
+            Health::Lost {
+                reason: "unplugged".to_owned()
+            }
+        );
+        assert_eq!(report.measured_fps, 0.0);
+        monitor.ended();
+        assert_eq!(*monitor.health(), Health::Ended);
+    }
+}

@@ -1,0 +1,129 @@
+//! Camera controls: names to V4L2 control ids, setting them and reading them back.
+//!
+//! Ids are used instead of the kernel's names because the names differ between kernels
+//! (`exposure_auto` became `auto_exposure`, `exposure_absolute` `exposure_time_absolute`).
+
+use std::collections::BTreeMap;
+use std::io;
+
+use super::source::ControlValues;
+use super::v4l2_node::VideoNode;
+
+const USER: u32 = 0x0098_0900;
+const CAMERA: u32 = 0x009a_0900;
+
+/// Known controls: name, V4L2 control id. The automatic ones come first because others can only
+/// be set once these are off.
+pub(crate) const CONTROLS: [(&str, u32); 14] = [
+    ("auto_exposure", CAMERA + 1),
+    ("exposure_dynamic_framerate", CAMERA + 3),
+    ("white_balance_automatic", USER + 12),
+    ("exposure_time_absolute", CAMERA + 2),
+    ("gain", USER + 19),
+    ("white_balance_temperature", USER + 26),
+    ("power_line_frequency", USER + 24),
+    ("brightness", USER),
+    ("contrast", USER + 1),
+    ("saturation", USER + 2),
+    ("hue", USER + 3),
+    ("gamma", USER + 16),
+    ("sharpness", USER + 27),
+    ("backlight_compensation", USER + 28),
+];
+
+/// Names that older kernels and scripts use, with the present one.
+pub(crate) const FORMER_NAMES: [(&str, &str); 4] = [
+    ("exposure_auto", "auto_exposure"),
+    ("exposure_absolute", "exposure_time_absolute"),
+    ("exposure_auto_priority", "exposure_dynamic_framerate"),
+    ("white_balance_temperature_auto", "white_balance_automatic"),
+];
+
+/// The controls that a camera has, name and id.
+pub(crate) type Available = Vec<(&'static str, u32)>;
+
+/// Finds out which of the known controls the camera lets us read.
+///
+/// # Errors
+/// `ENODEV` when the camera is gone.
+pub(crate) fn available(node: &mut dyn VideoNode) -> io::Result<Available> {
+    let mut found = Vec::new();
+    for (name, id) in CONTROLS {
+        match node.control_range(id) {
+            Ok(range) if range.readable => found.push((name, id)),
+            Err(error) if error.raw_os_error() == Some(libc::ENODEV) => return Err(error),
+            Ok(_) | Err(_) => {}
+        }
+    }
+    Ok(found)
+}
+
+/// Reads the values back; a control that the camera refuses to read at this moment is left out.
+///
+/// # Errors
+/// `ENODEV` when the camera is gone.
+pub(crate) fn read(node: &mut dyn VideoNode, available: &Available) -> io::Result<ControlValues> {
+    let mut values = ControlValues::new();
+    for &(name, id) in available {
+        match node.control(id) {
+            Ok(value) => {
+                values.insert(name.to_owned(), i64::from(value));
+            }
+            Err(error) if error.raw_os_error() == Some(libc::ENODEV) => return Err(error),
+            Err(_) => {}
+        }
+    }
+    Ok(values)
+}
+
+/// Sets the wanted values, automatic controls first, and reads each back. Returns one sentence
+/// for each that did not come to hold; none of these stops the stream.
+///
+/// # Errors
+/// `ENODEV` when the camera is gone.
+pub(crate) fn apply(
+    node: &mut dyn VideoNode,
+    wanted: &BTreeMap<String, i64>,
+) -> io::Result<Vec<String>> {
+    let mut warnings: Vec<String> = wanted
+        .keys()
+        .filter(|name| CONTROLS.iter().all(|(known, _)| known != name))
+        .map(|name| format!("control `{name}` is not one that gripcast knows; it was not set"))
+        .collect();
+    for (name, id) in CONTROLS {
+        let Some(&value) = wanted.get(name) else {
+            continue;
+        };
+        match apply_one(node, id, value) {
+            Ok(None) => {}
+            Ok(Some(problem)) => warnings.push(format!("control `{name}`: {problem}")),
+            Err(error) if error.raw_os_error() == Some(libc::ENODEV) => return Err(error),
+            Err(error) => warnings.push(format!("control `{name}` was refused: {error}")),
+        }
+    }
+    Ok(warnings)
+}
+
+fn apply_one(node: &mut dyn VideoNode, id: u32, value: i64) -> io::Result<Option<String>> {
+    let range = match node.control_range(id) {
+        Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
+            return Ok(Some("the camera does not have it".to_owned()));
+        }
+        other => other?,
+    };
+    let in_range = i32::try_from(value)
+        .ok()
+        .filter(|v| (range.minimum..=range.maximum).contains(v));
+    let Some(wanted) = in_range else {
+        return Ok(Some(format!(
+            "{value} is outside {}…{}; it was not set",
+            range.minimum, range.maximum
+        )));
+    };
+    if !range.writable {
+        return Ok(Some("it is read-only".to_owned()));
+    }
+    node.set_control(id, wanted)?;
+    let held = node.control(id)?;
+    Ok((held != wanted).then(|| format!("set to {wanted}, the camera holds {held}")))
+}

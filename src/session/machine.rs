@@ -1,0 +1,1095 @@
+//! The state machine itself.
+
+use std::collections::BTreeMap;
+
+use super::Command;
+use super::guard::{self, Conditions, Guard, GuardLimits, Objection};
+use super::view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
+use crate::dataset::{GraspId, Outcome, OverriddenGuard};
+use crate::imaging::Role;
+
+/// Names that go into every grasp.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Labels {
+    /// What is grasped.
+    pub object: String,
+    /// Where.
+    pub scene: String,
+    /// Who holds the gripper.
+    pub operator: String,
+}
+
+/// An initial frame that waits for its grasp.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PendingFrame {
+    /// Key of the grasp that it begins.
+    pub id: GraspId,
+    /// Wall clock, RFC 3339 UTC.
+    pub captured_at: String,
+    /// `CLOCK_MONOTONIC` of the trigger, ns; 0 when it was taken before this process started.
+    pub trigger_time_ns: u64,
+    /// Control values of each camera at that time.
+    pub controls: BTreeMap<Role, BTreeMap<String, i64>>,
+}
+
+/// Grasps by object and outcome.
+pub type OutcomeCounts = BTreeMap<String, BTreeMap<Outcome, usize>>;
+
+/// What the engine has to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Effect {
+    /// Change the dataset; answered by [`Session::completed`].
+    Store(StoreRequest),
+    /// Make a sound.
+    Tone(Tone),
+    /// The frame that is subtracted has changed; `None` = there is none.
+    UseInitial(Option<GraspId>),
+    /// End.
+    Quit,
+}
+
+/// A change of the dataset. At most one is under way.
+#[derive(Clone, Debug, PartialEq)]
+pub enum StoreRequest {
+    /// Save the present frames as initial.
+    SaveInitial {
+        /// Guards that the operator overrode.
+        overridden: Vec<OverriddenGuard>,
+    },
+    /// Save the present frames as the grasp that `initial` began.
+    SaveGrasp {
+        /// The pending initial frame.
+        initial: GraspId,
+        /// Names.
+        labels: Labels,
+        /// Guards that the operator overrode.
+        overridden: Vec<OverriddenGuard>,
+    },
+    /// Set the outcome of a grasp.
+    SetOutcome {
+        /// Which.
+        id: GraspId,
+        /// To what.
+        outcome: Outcome,
+    },
+    /// Move a pending initial frame to the trash.
+    DiscardInitial {
+        /// Which.
+        id: GraspId,
+    },
+    /// Take it back from the trash.
+    RestoreInitial {
+        /// Which.
+        id: GraspId,
+    },
+    /// Move a grasp to the trash; its initial frame becomes pending again under a new key.
+    UndoGrasp {
+        /// Which.
+        id: GraspId,
+    },
+    /// Take it back from the trash; `reopened` is the pending frame that goes away.
+    RedoGrasp {
+        /// Which.
+        id: GraspId,
+        /// The pending frame that the undo made.
+        reopened: Option<GraspId>,
+    },
+}
+
+/// Answer to a [`StoreRequest`].
+#[derive(Clone, Debug, PartialEq)]
+pub enum StoreReply {
+    /// An initial frame is durable (saved, restored, or reopened by an undone grasp).
+    Initial(PendingFrame),
+    /// A grasp is durable (saved, or taken back from the trash).
+    Grasp {
+        /// Its key.
+        id: GraspId,
+        /// Its object.
+        object: String,
+        /// Its outcome.
+        outcome: Outcome,
+        /// Probability before the lift and threshold.
+        predicted: Option<(f64, f64)>,
+    },
+    /// Done; nothing to tell.
+    Done,
+    /// Nothing changed on disk.
+    Failed {
+        /// Why, and how to mend it.
+        message: String,
+    },
+}
+
+/// A step that can be taken back.
+#[derive(Clone, Debug, PartialEq)]
+enum Done {
+    Initial {
+        id: GraspId,
+        replaced: Option<PendingFrame>,
+    },
+    Grasp {
+        last: LastGrasp,
+        before: Option<LastGrasp>,
+        /// Pending frame that an undo made from the grasp's initial frame.
+        reopened: Option<GraspId>,
+    },
+    Label {
+        id: GraspId,
+        object: String,
+        before: Outcome,
+        after: Outcome,
+    },
+}
+
+/// What the request under way is for.
+#[derive(Clone, Debug)]
+enum InFlight {
+    Initial,
+    DiscardReplaced,
+    Grasp,
+    Label {
+        id: GraspId,
+        outcome: Outcome,
+    },
+    Undo(Done),
+    Redo(Done),
+    /// Second half of undoing a re-taken initial: the earlier one comes back.
+    UndoRestore,
+    /// First half of redoing a re-taken initial: the earlier one has gone.
+    RedoRestore(Done),
+}
+
+/// The collection session; see the module's documentation.
+#[derive(Debug)]
+pub struct Session {
+    limits: GuardLimits,
+    labels: Labels,
+    counts: OutcomeCounts,
+    pending: Option<PendingFrame>,
+    last: Option<LastGrasp>,
+    undo: Vec<Done>,
+    redo: Vec<Done>,
+    in_flight: Option<InFlight>,
+    refused: Option<(Command, Vec<Objection>)>,
+    message: Option<Message>,
+    summary: Summary,
+}
+
+/// What happened, for the closing line.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Summary {
+    /// Initial frames saved.
+    pub initials: u64,
+    /// Grasps saved.
+    pub saved: u64,
+    /// Labels given.
+    pub labelled: u64,
+    /// Triggers refused by a guard.
+    pub refused: u64,
+    /// Refusals overridden.
+    pub overridden: u64,
+    /// Steps taken back.
+    pub undone: u64,
+    /// Steps done again.
+    pub redone: u64,
+    /// Requests that failed on disk.
+    pub failed: u64,
+}
+
+impl Session {
+    /// A session on a dataset that holds `counts` and perhaps an initial frame from before.
+    #[must_use]
+    pub fn new(
+        limits: GuardLimits,
+        labels: Labels,
+        counts: OutcomeCounts,
+        pending: Option<PendingFrame>,
+    ) -> Self {
+        let message = pending.as_ref().map(|frame| Message {
+            level: MessageLevel::Warning,
+            text: format!(
+                "going on with the initial frame of {}; press i to take it again",
+                frame.captured_at
+            ),
+        });
+        Self {
+            limits,
+            labels,
+            counts,
+            pending,
+            last: None,
+            undo: Vec::new(),
+            redo: Vec::new(),
+            in_flight: None,
+            refused: None,
+            message,
+            summary: Summary::default(),
+        }
+    }
+
+    /// Whether a request is under way; commands have to wait until it is answered.
+    #[must_use]
+    pub fn is_storing(&self) -> bool {
+        self.in_flight.is_some()
+    }
+
+    /// What happened so far.
+    #[must_use]
+    pub fn summary(&self) -> Summary {
+        self.summary
+    }
+
+    /// The initial frame that waits for its grasp.
+    #[must_use]
+    pub fn pending(&self) -> Option<&PendingFrame> {
+        self.pending.as_ref()
+    }
+
+    /// Names that go into the next grasp.
+    #[must_use]
+    pub fn labels(&self) -> &Labels {
+        &self.labels
+    }
+
+    /// Step that comes next.
+    #[must_use]
+    pub fn step(&self) -> Step {
+        match (&self.pending, &self.last) {
+            (Some(_), _) => Step::Grasp,
+            (None, Some(last)) if last.outcome == Outcome::Unlabelled => Step::Label,
+            (None, _) => Step::Initial,
+        }
+    }
+
+    /// Whether the latest trigger was refused and not followed by another command.
+    #[must_use]
+    pub fn is_refused(&self) -> bool {
+        self.refused.is_some()
+    }
+
+    /// Takes a command. Must not be called while [`Session::is_storing`].
+    pub fn handle(&mut self, command: Command, now: &Conditions) -> Vec<Effect> {
+        let refused = self.refused.take();
+        self.message = None;
+        match command {
+            Command::Override => match refused {
+                Some((command, objections)) if objections.iter().all(|o| o.can_override) => {
+                    self.summary.overridden += 1;
+                    self.capture(command, now, true)
+                }
+                Some((command, objections)) => {
+                    let reason = objections
+                        .iter()
+                        .find(|o| !o.can_override)
+                        .map_or_else(String::new, |o| o.reason.clone());
+                    self.refused = Some((command, objections));
+                    self.say(
+                        MessageLevel::Warning,
+                        format!("this cannot be overridden: {reason}"),
+                    );
+                    vec![Effect::Tone(Tone::Refused)]
+                }
+                None => self.nothing("there is nothing to override"),
+            },
+            Command::Trigger => match self.step() {
+                Step::Initial => self.capture(Command::Initial, now, false),
+                Step::Grasp => self.capture(Command::Grasp, now, false),
+                Step::Label => self.nothing("lift, then label the grasp: s stable, f slip"),
+            },
+            Command::Initial | Command::Grasp => self.capture(command, now, false),
+            Command::Label(outcome) => self.label(outcome),
+            Command::Undo => self.undo(),
+            Command::Redo => self.redo(),
+            Command::Object(name) => self.rename(name, |labels| &mut labels.object, "object"),
+            Command::Scene(name) => self.rename(name, |labels| &mut labels.scene, "scene"),
+            Command::Operator(name) => self.rename(name, |labels| &mut labels.operator, "operator"),
+            Command::Quit => vec![Effect::Quit],
+        }
+    }
+
+    /// Takes the answer to the request under way.
+    pub fn completed(&mut self, reply: StoreReply) -> Vec<Effect> {
+        let Some(in_flight) = self.in_flight.take() else {
+            return Vec::new();
+        };
+        if let StoreReply::Failed { message } = reply {
+            return self.store_failed(in_flight, message);
+        }
+        match (in_flight, reply) {
+            (InFlight::Initial, StoreReply::Initial(frame)) => self.initial_saved(frame),
+            (
+                InFlight::Grasp,
+                StoreReply::Grasp {
+                    id,
+                    object,
+                    outcome,
+                    predicted,
+                },
+            ) => self.grasp_saved(LastGrasp {
+                id,
+                object,
+                outcome,
+                predicted,
+            }),
+            (InFlight::Label { id, outcome }, _) => self.labelled(id, outcome),
+            (InFlight::Undo(done), reply) => self.undone(done, reply),
+            (InFlight::Redo(done), reply) => self.redone(done, reply),
+            (InFlight::UndoRestore, StoreReply::Initial(frame)) => {
+                self.pending = Some(frame);
+                self.finish_undo("the initial frame before is back")
+            }
+            (InFlight::RedoRestore(done), _) => {
+                let Done::Initial { ref id, .. } = done else {
+                    return Vec::new();
+                };
+                let id = id.clone();
+                self.store(InFlight::Redo(done), StoreRequest::RestoreInitial { id })
+            }
+            (InFlight::DiscardReplaced, _) | (_, _) => Vec::new(),
+        }
+    }
+
+    /// The session for a screen; `now_ns` is `CLOCK_MONOTONIC`.
+    #[must_use]
+    pub fn view(&self, now_ns: u64) -> SessionView {
+        let initial_age_s = self
+            .pending
+            .as_ref()
+            .filter(|frame| frame.trigger_time_ns > 0)
+            .map(|frame| now_ns.saturating_sub(frame.trigger_time_ns) as f64 * 1e-9);
+        let mut message = self.message.clone();
+        if message.is_none()
+            && initial_age_s.is_some_and(|age| age > self.limits.initial_warn_age_s)
+        {
+            message = Some(Message {
+                level: MessageLevel::Warning,
+                text: format!(
+                    "the initial frame is {:.0} min old: take it again with i",
+                    initial_age_s.unwrap_or(0.0) / 60.0
+                ),
+            });
+        }
+        SessionView {
+            step: self.step(),
+            object: self.labels.object.clone(),
+            scene: self.labels.scene.clone(),
+            operator: self.labels.operator.clone(),
+            initial_at: self.pending.as_ref().map(|frame| frame.captured_at.clone()),
+            initial_age_s,
+            counts: self.counts(),
+            last: self.last.clone(),
+            undo: self.undo.last().map(describe),
+            redo: self.redo.last().map(describe),
+            message,
+            refusal: self.refused.as_ref().map(|(command, objections)| Refusal {
+                stage: command.to_string(),
+                reasons: objections.iter().map(|o| o.reason.clone()).collect(),
+                can_override: objections.iter().all(|o| o.can_override),
+            }),
+            saving: self.in_flight.is_some(),
+        }
+    }
+
+    fn counts(&self) -> Counts {
+        let mut counts = Counts::default();
+        let of = |object: &BTreeMap<Outcome, usize>, outcome| object.get(&outcome).copied();
+        for object in self.counts.values() {
+            counts.stable += of(object, Outcome::Stable).unwrap_or(0);
+            counts.slip += of(object, Outcome::Slip).unwrap_or(0);
+            counts.unlabelled += of(object, Outcome::Unlabelled).unwrap_or(0);
+        }
+        if let Some(here) = self.counts.get(&self.labels.object) {
+            counts.object_stable = of(here, Outcome::Stable).unwrap_or(0);
+            counts.object_slip = of(here, Outcome::Slip).unwrap_or(0);
+        }
+        counts
+    }
+
+    fn say(&mut self, level: MessageLevel, text: impl Into<String>) {
+        self.message = Some(Message {
+            level,
+            text: text.into(),
+        });
+    }
+
+    fn nothing(&mut self, why: &str) -> Vec<Effect> {
+        self.say(MessageLevel::Info, why);
+        vec![Effect::Tone(Tone::Refused)]
+    }
+
+    fn store(&mut self, in_flight: InFlight, request: StoreRequest) -> Vec<Effect> {
+        self.in_flight = Some(in_flight);
+        vec![Effect::Store(request)]
+    }
+
+    fn rename(
+        &mut self,
+        name: String,
+        field: fn(&mut Labels) -> &mut String,
+        what: &str,
+    ) -> Vec<Effect> {
+        self.say(MessageLevel::Info, format!("{what}: {name}"));
+        *field(&mut self.labels) = name;
+        Vec::new()
+    }
+
+    fn capture(&mut self, command: Command, now: &Conditions, overriding: bool) -> Vec<Effect> {
+        let grasp = command == Command::Grasp;
+        let mut objections = guard::check_frames(&self.limits, now);
+        if grasp {
+            match &self.pending {
+                Some(initial) => objections.extend(guard::check_against_initial(
+                    &self.limits,
+                    now,
+                    &initial.controls,
+                )),
+                None => objections.push(Objection {
+                    guard: Guard::NoInitial,
+                    reason: "there is no initial frame: open the gripper and take one".into(),
+                    can_override: false,
+                }),
+            }
+        }
+        let blocked = objections.iter().any(|o| !o.can_override);
+        if blocked || (!objections.is_empty() && !overriding) {
+            self.summary.refused += 1;
+            self.refused = Some((command, objections));
+            return vec![Effect::Tone(Tone::Refused)];
+        }
+        let stage = if grasp { "grasp" } else { "initial" };
+        let overridden = objections
+            .into_iter()
+            .map(|o| OverriddenGuard {
+                guard: o.guard.name().into(),
+                stage: stage.into(),
+                reason: o.reason,
+            })
+            .collect();
+        match &self.pending {
+            Some(initial) if grasp => {
+                let request = StoreRequest::SaveGrasp {
+                    initial: initial.id.clone(),
+                    labels: self.labels.clone(),
+                    overridden,
+                };
+                self.store(InFlight::Grasp, request)
+            }
+            _ => self.store(InFlight::Initial, StoreRequest::SaveInitial { overridden }),
+        }
+    }
+
+    fn initial_saved(&mut self, frame: PendingFrame) -> Vec<Effect> {
+        self.summary.initials += 1;
+        let replaced = self.pending.replace(frame.clone());
+        let replaced_id = replaced.as_ref().map(|r| r.id.clone());
+        self.undo.push(Done::Initial {
+            id: frame.id.clone(),
+            replaced,
+        });
+        self.redo.clear();
+        self.say(
+            MessageLevel::Info,
+            "initial frame saved: close the gripper, then trigger",
+        );
+        let mut effects = vec![
+            Effect::UseInitial(Some(frame.id)),
+            Effect::Tone(Tone::InitialSaved),
+        ];
+        if let Some(id) = replaced_id {
+            effects.extend(self.store(
+                InFlight::DiscardReplaced,
+                StoreRequest::DiscardInitial { id },
+            ));
+        }
+        effects
+    }
+
+    fn grasp_saved(&mut self, last: LastGrasp) -> Vec<Effect> {
+        self.summary.saved += 1;
+        self.count(&last.object, last.outcome, 1);
+        let before = self.last.replace(last.clone());
+        self.pending = None;
+        self.say(
+            MessageLevel::Info,
+            format!("grasp {} saved: lift, then label it", last.id.short()),
+        );
+        self.undo.push(Done::Grasp {
+            last,
+            before,
+            reopened: None,
+        });
+        self.redo.clear();
+        vec![Effect::UseInitial(None), Effect::Tone(Tone::GraspSaved)]
+    }
+
+    fn label(&mut self, outcome: Outcome) -> Vec<Effect> {
+        let Some(last) = &self.last else {
+            return self.nothing("there is no grasp to label yet");
+        };
+        if last.outcome == outcome {
+            let text = format!("grasp {} is labelled {outcome} already", last.id.short());
+            return self.nothing(&text);
+        }
+        let id = last.id.clone();
+        self.store(
+            InFlight::Label {
+                id: id.clone(),
+                outcome,
+            },
+            StoreRequest::SetOutcome { id, outcome },
+        )
+    }
+
+    fn labelled(&mut self, id: GraspId, outcome: Outcome) -> Vec<Effect> {
+        let Some((before, object)) = self.relabel(&id, outcome) else {
+            return Vec::new();
+        };
+        self.summary.labelled += 1;
+        self.say(
+            MessageLevel::Info,
+            format!("grasp {} labelled {outcome}", id.short()),
+        );
+        self.undo.push(Done::Label {
+            id,
+            object,
+            before,
+            after: outcome,
+        });
+        self.redo.clear();
+        vec![Effect::Tone(match outcome {
+            Outcome::Stable => Tone::Stable,
+            Outcome::Slip => Tone::Slip,
+            Outcome::Unlabelled => Tone::Undone,
+        })]
+    }
+
+    /// Changes the label of the newest grasp in memory; returns its outcome before and its object.
+    fn relabel(&mut self, id: &GraspId, outcome: Outcome) -> Option<(Outcome, String)> {
+        let last = self.last.as_mut().filter(|last| last.id == *id)?;
+        let before = std::mem::replace(&mut last.outcome, outcome);
+        let object = last.object.clone();
+        self.count(&object, before, -1);
+        self.count(&object, outcome, 1);
+        Some((before, object))
+    }
+
+    fn count(&mut self, object: &str, outcome: Outcome, by: isize) {
+        let object = self.counts.entry(object.to_owned()).or_default();
+        let n = object.entry(outcome).or_default();
+        *n = n.saturating_add_signed(by);
+    }
+
+    fn undo(&mut self) -> Vec<Effect> {
+        let Some(done) = self.undo.pop() else {
+            return self.nothing("nothing to undo");
+        };
+        let request = match &done {
+            Done::Initial { id, .. } => StoreRequest::DiscardInitial { id: id.clone() },
+            Done::Grasp { last, .. } => StoreRequest::UndoGrasp {
+                id: last.id.clone(),
+            },
+            Done::Label { id, before, .. } => StoreRequest::SetOutcome {
+                id: id.clone(),
+                outcome: *before,
+            },
+        };
+        self.store(InFlight::Undo(done), request)
+    }
+
+    fn undone(&mut self, done: Done, reply: StoreReply) -> Vec<Effect> {
+        match done {
+            Done::Initial { id, replaced } => {
+                self.pending = None;
+                let earlier = replaced.as_ref().map(|r| r.id.clone());
+                self.redo.push(Done::Initial { id, replaced });
+                match earlier {
+                    Some(id) => {
+                        self.store(InFlight::UndoRestore, StoreRequest::RestoreInitial { id })
+                    }
+                    None => self.finish_undo("initial frame taken back"),
+                }
+            }
+            Done::Grasp { last, before, .. } => {
+                let StoreReply::Initial(frame) = reply else {
+                    return Vec::new();
+                };
+                self.rename_initial(&last.id, &frame.id);
+                self.count(&last.object, last.outcome, -1);
+                self.last = before.clone();
+                let text = format!("grasp {} taken back", last.id.short());
+                self.redo.push(Done::Grasp {
+                    last,
+                    before,
+                    reopened: Some(frame.id.clone()),
+                });
+                self.pending = Some(frame);
+                self.finish_undo(&text)
+            }
+            Done::Label {
+                id,
+                object,
+                before,
+                after,
+            } => {
+                self.relabel(&id, before);
+                let text = format!("grasp {} is {before} again", id.short());
+                self.redo.push(Done::Label {
+                    id,
+                    object,
+                    before,
+                    after,
+                });
+                self.finish_undo(&text)
+            }
+        }
+    }
+
+    /// An undone grasp's initial frame is pending under a new key: the step that took the frame
+    /// has to name it, or it could not be taken back itself.
+    fn rename_initial(&mut self, from: &GraspId, to: &GraspId) {
+        for done in &mut self.undo {
+            if let Done::Initial { id, .. } = done
+                && id == from
+            {
+                id.clone_from(to);
+            }
+        }
+    }
+
+    fn finish_undo(&mut self, text: &str) -> Vec<Effect> {
+        self.summary.undone += 1;
+        self.say(MessageLevel::Info, text);
+        vec![
+            Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone())),
+            Effect::Tone(Tone::Undone),
+        ]
+    }
+
+    fn redo(&mut self) -> Vec<Effect> {
+        let Some(done) = self.redo.pop() else {
+            return self.nothing("nothing to redo");
+        };
+        match &done {
+            Done::Initial { id, replaced } => match replaced {
+                Some(earlier) => {
+                    let request = StoreRequest::DiscardInitial {
+                        id: earlier.id.clone(),
+                    };
+                    self.store(InFlight::RedoRestore(done), request)
+                }
+                None => {
+                    let request = StoreRequest::RestoreInitial { id: id.clone() };
+                    self.store(InFlight::Redo(done), request)
+                }
+            },
+            Done::Grasp { last, reopened, .. } => {
+                let request = StoreRequest::RedoGrasp {
+                    id: last.id.clone(),
+                    reopened: reopened.clone(),
+                };
+                self.store(InFlight::Redo(done), request)
+            }
+            Done::Label { id, after, .. } => {
+                let request = StoreRequest::SetOutcome {
+                    id: id.clone(),
+                    outcome: *after,
+                };
+                self.store(InFlight::Redo(done), request)
+            }
+        }
+    }
+
+    fn redone(&mut self, done: Done, reply: StoreReply) -> Vec<Effect> {
+        match (&done, reply) {
+            (Done::Initial { .. }, StoreReply::Initial(frame)) => self.pending = Some(frame),
+            (Done::Grasp { last, reopened, .. }, _) => {
+                if let Some(reopened) = reopened {
+                    self.rename_initial(reopened, &last.id);
+                }
+                self.count(&last.object, last.outcome, 1);
+                self.last = Some(last.clone());
+                self.pending = None;
+            }
+            (Done::Label { id, after, .. }, _) => {
+                let (id, after) = (id.clone(), *after);
+                self.relabel(&id, after);
+            }
+            (Done::Initial { .. }, _) => return Vec::new(),
+        }
+        self.summary.redone += 1;
+        self.say(
+            MessageLevel::Info,
+            format!("done again: {}", describe(&done)),
+        );
+        self.undo.push(done);
+        vec![
+            Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone())),
+            Effect::Tone(Tone::Undone),
+        ]
+    }
+
+    fn store_failed(&mut self, in_flight: InFlight, message: String) -> Vec<Effect> {
+        self.summary.failed += 1;
+        let what = match in_flight {
+            InFlight::Initial => "the initial frame was NOT saved",
+            InFlight::Grasp => "the grasp was NOT saved; its initial frame still is",
+            InFlight::Label { .. } => "the label was NOT saved",
+            InFlight::DiscardReplaced => "the initial frame before could not be moved to the trash",
+            InFlight::Undo(done) => {
+                self.undo.push(done);
+                "undo failed"
+            }
+            InFlight::UndoRestore => "the initial frame before could not be brought back",
+            InFlight::Redo(done) | InFlight::RedoRestore(done) => {
+                self.redo.push(done);
+                "redo failed"
+            }
+        };
+        self.say(MessageLevel::Error, format!("{what}: {message}"));
+        vec![
+            Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone())),
+            Effect::Tone(Tone::Fault),
+        ]
+    }
+}
+
+fn describe(done: &Done) -> String {
+    match done {
+        Done::Initial { .. } => "initial frame".into(),
+        Done::Grasp { last, .. } => format!("grasp {}", last.id.short()),
+        Done::Label { id, after, .. } => format!("label {after} of {}", id.short()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::session::CameraCondition;
+
+    /// A dataset in memory that refuses whatever a real one would refuse.
+    #[derive(Clone, Debug, Default, PartialEq)]
+    struct Store {
+        next: u32,
+        pending: BTreeMap<String, ()>,
+        grasps: BTreeMap<String, (String, Outcome)>,
+        trashed_pending: BTreeMap<String, ()>,
+        trashed_grasps: BTreeMap<String, (String, Outcome)>,
+    }
+
+    impl Store {
+        fn new_id(&mut self) -> GraspId {
+            self.next += 1;
+            GraspId(format!("2026-11-20T10-15-03Z-{:04x}", self.next))
+        }
+
+        fn frame(id: GraspId) -> PendingFrame {
+            PendingFrame {
+                id,
+                captured_at: "2026-11-20T10:15:03Z".into(),
+                trigger_time_ns: 1,
+                controls: BTreeMap::new(),
+            }
+        }
+
+        fn grasp(&self, id: GraspId) -> StoreReply {
+            let (object, outcome) = self.grasps[&id.0].clone();
+            StoreReply::Grasp {
+                id,
+                object,
+                outcome,
+                predicted: None,
+            }
+        }
+
+        fn carry_out(&mut self, request: StoreRequest) -> StoreReply {
+            match request {
+                StoreRequest::SaveInitial { .. } => {
+                    let id = self.new_id();
+                    self.pending.insert(id.0.clone(), ());
+                    StoreReply::Initial(Self::frame(id))
+                }
+                StoreRequest::SaveGrasp {
+                    initial, labels, ..
+                } => {
+                    self.pending.remove(&initial.0).expect("pending initial");
+                    self.grasps
+                        .insert(initial.0.clone(), (labels.object, Outcome::Unlabelled));
+                    self.grasp(initial)
+                }
+                StoreRequest::SetOutcome { id, outcome } => {
+                    self.grasps.get_mut(&id.0).expect("grasp to label").1 = outcome;
+                    StoreReply::Done
+                }
+                StoreRequest::DiscardInitial { id } => {
+                    self.pending.remove(&id.0).expect("initial to discard");
+                    self.trashed_pending.insert(id.0, ());
+                    StoreReply::Done
+                }
+                StoreRequest::RestoreInitial { id } => {
+                    self.trashed_pending
+                        .remove(&id.0)
+                        .expect("initial in trash");
+                    self.pending.insert(id.0.clone(), ());
+                    StoreReply::Initial(Self::frame(id))
+                }
+                StoreRequest::UndoGrasp { id } => {
+                    let grasp = self.grasps.remove(&id.0).expect("grasp to undo");
+                    self.trashed_grasps.insert(id.0, grasp);
+                    let id = self.new_id();
+                    self.pending.insert(id.0.clone(), ());
+                    StoreReply::Initial(Self::frame(id))
+                }
+                StoreRequest::RedoGrasp { id, reopened } => {
+                    let reopened = reopened.expect("reopened initial");
+                    self.pending
+                        .remove(&reopened.0)
+                        .expect("reopened is pending");
+                    let grasp = self.trashed_grasps.remove(&id.0).expect("grasp in trash");
+                    self.grasps.insert(id.0.clone(), grasp);
+                    self.grasp(id)
+                }
+            }
+        }
+
+        fn count(&self, outcome: Outcome) -> usize {
+            self.grasps.values().filter(|g| g.1 == outcome).count()
+        }
+    }
+
+    fn good() -> Conditions {
+        let camera = |role| CameraCondition {
+            role,
+            age_ms: Some(20.0),
+            fault: None,
+            controls: BTreeMap::new(),
+            contact_fraction: Some(0.2),
+        };
+        Conditions {
+            now_ns: 2,
+            cameras: vec![camera(Role::Left), camera(Role::Right)],
+            skew_ms: 5.0,
+            disk_free_bytes: Some(10_000_000_000),
+        }
+    }
+
+    fn session() -> Session {
+        let labels = Labels {
+            object: "mug".into(),
+            ..Labels::default()
+        };
+        Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None)
+    }
+
+    /// Handles a command and carries out all that follows from it.
+    fn play(
+        session: &mut Session,
+        store: &mut Store,
+        command: Command,
+        now: &Conditions,
+    ) -> Vec<Tone> {
+        let mut effects = session.handle(command, now);
+        let mut tones = Vec::new();
+        while !effects.is_empty() {
+            let mut next = Vec::new();
+            for effect in effects {
+                match effect {
+                    Effect::Store(request) => {
+                        let reply = store.carry_out(request);
+                        next.extend(session.completed(reply));
+                    }
+                    Effect::Tone(tone) => tones.push(tone),
+                    Effect::UseInitial(_) | Effect::Quit => {}
+                }
+            }
+            effects = next;
+        }
+        assert!(!session.is_storing(), "a request stayed unanswered");
+        tones
+    }
+
+    #[test]
+    fn the_plain_cycle_ends_with_a_label() {
+        let (mut session, mut store) = (session(), Store::default());
+        assert_eq!(session.step(), Step::Initial);
+        let tones = play(&mut session, &mut store, Command::Trigger, &good());
+        assert_eq!(
+            (tones, session.step()),
+            (vec![Tone::InitialSaved], Step::Grasp)
+        );
+        let tones = play(&mut session, &mut store, Command::Trigger, &good());
+        assert_eq!(
+            (tones, session.step()),
+            (vec![Tone::GraspSaved], Step::Label)
+        );
+        let stable = Command::Label(Outcome::Stable);
+        let tones = play(&mut session, &mut store, stable, &good());
+        assert_eq!((tones, session.step()), (vec![Tone::Stable], Step::Initial));
+        let counts = session.view(0).counts;
+        assert_eq!((counts.stable, counts.object_stable), (1, 1));
+    }
+
+    #[test]
+    fn every_guard_refuses_and_override_records_it() {
+        let cases: [(Guard, fn(&mut Conditions)); 4] = [
+            (Guard::StaleFrame, |c| c.cameras[0].age_ms = Some(500.0)),
+            (Guard::Skew, |c| c.skew_ms = 90.0),
+            (Guard::DiskLow, |c| c.disk_free_bytes = Some(5)),
+            (Guard::NoContact, |c| {
+                for camera in &mut c.cameras {
+                    camera.contact_fraction = Some(0.0);
+                }
+            }),
+        ];
+        for (guard, spoil) in cases {
+            let (mut session, mut store) = (session(), Store::default());
+            play(&mut session, &mut store, Command::Initial, &good());
+            let mut bad = good();
+            spoil(&mut bad);
+            assert_eq!(
+                session.handle(Command::Grasp, &bad),
+                [Effect::Tone(Tone::Refused)]
+            );
+            assert!(session.view(0).refusal.unwrap().can_override, "{guard:?}");
+            let effects = session.handle(Command::Override, &bad);
+            let [Effect::Store(StoreRequest::SaveGrasp { overridden, .. })] = &effects[..] else {
+                panic!("{guard:?}: {effects:?}");
+            };
+            assert_eq!(overridden.len(), 1);
+            assert_eq!(overridden[0].guard, guard.name());
+            assert_eq!(overridden[0].stage, "grasp");
+        }
+    }
+
+    #[test]
+    fn changed_exposure_is_refused_with_both_values() {
+        let mut initial = Store::frame(GraspId("x".into()));
+        let controls = |exposure| BTreeMap::from([("exposure_time_absolute".to_owned(), exposure)]);
+        initial.controls.insert(Role::Left, controls(180));
+        let labels = Labels::default();
+        let mut session = Session::new(
+            GuardLimits::default(),
+            labels,
+            OutcomeCounts::new(),
+            Some(initial),
+        );
+        let mut now = good();
+        now.cameras[0].controls = controls(220);
+        session.handle(Command::Grasp, &now);
+        let reasons = session.view(0).refusal.unwrap().reasons;
+        assert!(
+            reasons[0].contains("exposure_time_absolute 180 → 220"),
+            "{reasons:?}"
+        );
+    }
+
+    #[test]
+    fn a_missing_gel_and_a_missing_initial_cannot_be_overridden() {
+        let (mut session, mut store) = (session(), Store::default());
+        assert_eq!(
+            session.handle(Command::Grasp, &good()),
+            [Effect::Tone(Tone::Refused)]
+        );
+        assert_eq!(
+            session.handle(Command::Override, &good()),
+            [Effect::Tone(Tone::Refused)]
+        );
+        play(&mut session, &mut store, Command::Initial, &good());
+        let mut bad = good();
+        bad.cameras[1].age_ms = None;
+        bad.cameras[1].fault = Some("unplugged".into());
+        session.handle(Command::Grasp, &bad);
+        assert!(!session.view(0).refusal.unwrap().can_override);
+        session.handle(Command::Override, &bad);
+        assert_eq!(store.grasps.len(), 0);
+        assert_eq!(session.step(), Step::Grasp);
+    }
+
+    #[test]
+    fn a_failed_save_keeps_the_step_and_says_so() {
+        let (mut session, mut store) = (session(), Store::default());
+        play(&mut session, &mut store, Command::Trigger, &good());
+        session.handle(Command::Trigger, &good());
+        let message = "no storage space".to_owned();
+        let effects = session.completed(StoreReply::Failed { message });
+        assert!(effects.contains(&Effect::Tone(Tone::Fault)));
+        assert_eq!(session.step(), Step::Grasp);
+        assert!(
+            session
+                .view(0)
+                .message
+                .unwrap()
+                .text
+                .contains("no storage space")
+        );
+        play(&mut session, &mut store, Command::Trigger, &good());
+        assert_eq!(session.step(), Step::Label);
+    }
+
+    #[test]
+    fn an_initial_from_before_is_resumed() {
+        let frame = Store::frame(GraspId("2026-11-20T10-15-03Z-00ff".into()));
+        let session = Session::new(
+            GuardLimits::default(),
+            Labels::default(),
+            OutcomeCounts::new(),
+            Some(frame),
+        );
+        assert_eq!(session.step(), Step::Grasp);
+        assert!(session.view(0).message.unwrap().text.contains("going on"));
+    }
+
+    fn any_command() -> impl Strategy<Value = Command> {
+        prop_oneof![
+            4 => Just(Command::Trigger),
+            2 => Just(Command::Initial),
+            2 => Just(Command::Grasp),
+            2 => Just(Command::Label(Outcome::Stable)),
+            2 => Just(Command::Label(Outcome::Slip)),
+            1 => Just(Command::Label(Outcome::Unlabelled)),
+            5 => Just(Command::Undo),
+            4 => Just(Command::Redo),
+            1 => Just(Command::Override),
+            1 => Just(Command::Object("cup".into())),
+        ]
+    }
+
+    proptest! {
+        /// Whatever is pressed, the session and the dataset agree, every request is valid, and
+        /// undoing everything leaves nothing but trash.
+        #[test]
+        fn session_and_dataset_never_disagree(
+            commands in proptest::collection::vec((any_command(), any::<bool>()), 0..60)
+        ) {
+            let (mut session, mut store) = (session(), Store::default());
+            for (command, contact) in commands {
+                let mut now = good();
+                if !contact {
+                    for camera in &mut now.cameras {
+                        camera.contact_fraction = Some(0.0);
+                    }
+                }
+                play(&mut session, &mut store, command, &now);
+                let view = session.view(0);
+                prop_assert_eq!(view.counts.stable, store.count(Outcome::Stable));
+                prop_assert_eq!(view.counts.slip, store.count(Outcome::Slip));
+                prop_assert_eq!(view.counts.unlabelled, store.count(Outcome::Unlabelled));
+                prop_assert_eq!(store.pending.len(), usize::from(view.step == Step::Grasp));
+                if let Some(last) = &view.last {
+                    prop_assert_eq!(store.grasps[&last.id.0].1, last.outcome);
+                }
+            }
+            while session.view(0).undo.is_some() {
+                play(&mut session, &mut store, Command::Undo, &good());
+            }
+            prop_assert_eq!((store.pending.len(), store.grasps.len()), (0, 0));
+            while session.view(0).redo.is_some() {
+                play(&mut session, &mut store, Command::Redo, &good());
+            }
+            let view = session.view(0);
+            prop_assert_eq!(view.counts.stable, store.count(Outcome::Stable));
+        }
+    }
+}

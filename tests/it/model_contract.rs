@@ -1,0 +1,213 @@
+//! Models through the command line: what is refused says why, and nothing panics.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use gripcast::imaging::{encode_png_rgb, synthetic_gel};
+use gripcast::predict::{Model, baseline, contract, onnx};
+use serde_json::Value;
+
+fn gripcast(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_gripcast"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{stderr}");
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Runs `predict check` on these bytes; must fail with exit code 1 and nothing on stdout.
+fn refusal(folder: &Path, bytes: &[u8]) -> String {
+    let file = folder.join("model.onnx");
+    fs::write(&file, bytes).unwrap();
+    let file = file.to_str().unwrap();
+    let output = gripcast(&["predict", "check", file]);
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(output.stdout.is_empty());
+    assert!(stderr.contains(file), "the file is named: {stderr}");
+    assert!(stderr.contains("\n  → "), "a remedy is given: {stderr}");
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    stderr
+}
+
+fn shipped() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("models/baseline-contact.onnx")
+}
+
+#[test]
+fn the_shipped_model_passes_and_says_what_it_is() {
+    let report = json(&gripcast(&[
+        "predict",
+        "check",
+        shipped().to_str().unwrap(),
+        "--json",
+    ]));
+    assert_eq!(report["kind"], "heuristic");
+    assert_eq!(report["variant"], "T");
+    assert_eq!(report["threshold"], 0.5);
+    assert_eq!(report["crop_profile"], "any");
+    assert_eq!(report["sha256"], Model::baseline().unwrap().sha256());
+    assert!(report["card"].as_str().unwrap().contains("not trained"));
+    assert!(report["load_ms"].as_f64().unwrap() > 0.0);
+    let keys: Vec<_> = report.as_object().unwrap().keys().collect();
+    assert!(keys.is_sorted(), "{keys:?}");
+}
+
+#[test]
+fn the_baseline_can_be_written_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("again.onnx");
+    let output = gripcast(&["predict", "baseline", "--out", file.to_str().unwrap()]);
+    assert!(output.status.success());
+    assert!(fs::read(file).unwrap() == fs::read(shipped()).unwrap());
+    let nowhere = gripcast(&["predict", "baseline", "--out", "/no/such/folder/m.onnx"]);
+    assert_eq!(nowhere.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&nowhere.stderr).contains("/no/such/folder/m.onnx"));
+}
+
+#[test]
+fn what_is_no_model_is_refused_as_what_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let refusal = |bytes: &[u8]| refusal(folder.path(), bytes);
+    assert!(refusal(b"").contains("empty (0 bytes)"));
+    assert!(refusal(b"\xff\xd8\xff\xe0\0\x10JFIF").contains("a JPEG picture"));
+    assert!(refusal(b"PK\x03\x04rest").contains("PyTorch"));
+    assert!(refusal(b"version https://git-lfs.github.com/spec/v1\n").contains("git lfs pull"));
+    assert!(refusal(b"<html></html>").contains("a text file"));
+    let whole = fs::read(shipped()).unwrap();
+    assert!(refusal(&whole[..whole.len() / 2]).contains("damaged or cut off"));
+
+    let missing = gripcast(&["predict", "check", "/no/such/model.onnx"]);
+    assert_eq!(missing.status.code(), Some(1));
+    let text = String::from_utf8_lossy(&missing.stderr).into_owned();
+    assert!(text.contains("/no/such/model.onnx: cannot open"), "{text}");
+    let directory = gripcast(&["predict", "check", folder.path().to_str().unwrap()]);
+    assert_eq!(directory.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&directory.stderr).contains("a directory"));
+}
+
+#[test]
+fn a_foreign_network_is_refused_with_the_key_that_it_lacks() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut graph = onnx::OnnxGraphBuilder::new("foreign");
+    let x = graph.input("x", &[1, 3, 224, 224]).unwrap();
+    let y = graph.node("Relu", "y", &[&x], []).unwrap();
+    graph.output(&y, &[1, 3, 224, 224]);
+    let text = refusal(folder.path(), &graph.to_bytes().unwrap());
+    assert!(text.contains("no key `gripcast.schema`"), "{text}");
+    assert!(text.contains("models/README.md"), "{text}");
+}
+
+#[test]
+fn a_graph_that_the_engine_cannot_build_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut graph = onnx::OnnxGraphBuilder::new("odd");
+    baseline::contract().write(&mut graph).unwrap();
+    let left = graph.input("tactile_left", &contract::INPUT_SHAPE).unwrap();
+    let right = graph.input("tactile_right", &contract::INPUT_SHAPE);
+    let weights = graph.constant("w", &[7, 1], &[0.0; 7]).unwrap();
+    let gemm = graph.node("Gemm", "gemm", &[&left, &weights], []).unwrap();
+    let inputs = [&gemm, &right.unwrap()];
+    let y = graph.node("Add", contract::OUTPUT, &inputs, []).unwrap();
+    graph.output(&y, &contract::OUTPUT_SHAPE);
+    let text = refusal(folder.path(), &graph.to_bytes().unwrap());
+    assert!(text.contains("the engine cannot"), "{text}");
+}
+
+/// One flipped bit or a cut anywhere gives a model or a refusal, never a panic.
+#[test]
+fn damage_anywhere_never_panics() {
+    let whole = baseline::onnx_bytes().unwrap();
+    let mut refused = 0;
+    for at in (0..whole.len()).step_by(7) {
+        assert!(Model::from_bytes(&whole[..at]).is_err(), "cut at {at}");
+        let mut flipped = whole.clone();
+        flipped[at] ^= 1 << (at % 8);
+        refused += usize::from(Model::from_bytes(&flipped).is_err());
+    }
+    assert!(refused > 20, "only {refused} flips were noticed");
+}
+
+#[test]
+fn one_grasp_is_predicted_from_picture_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let picture = |name: &str, seed, contact| {
+        let file = folder.path().join(name);
+        let bytes = encode_png_rgb(&synthetic_gel(640, 480, seed, contact)).unwrap();
+        fs::write(&file, bytes).unwrap();
+        file.to_str().unwrap().to_owned()
+    };
+    let open_left = picture("open-left.png", 1, 0.0);
+    let open_right = picture("open-right.png", 2, 0.0);
+    let closed_left = picture("closed-left.png", 3, 0.8);
+    let closed_right = picture("closed-right.png", 4, 0.8);
+    let predict = |left: &str, right: &str, more: &[&str]| {
+        let mut arguments = vec!["predict", "images", "--json"];
+        arguments.extend(["--initial-left", &open_left, "--initial-right", &open_right]);
+        arguments.extend(["--grasp-left", left, "--grasp-right", right]);
+        arguments.extend(more);
+        gripcast(&arguments)
+    };
+    let both = predict(&closed_left, &closed_right, &[]);
+    assert!(String::from_utf8_lossy(&both.stderr).contains("heuristic"));
+    let both = json(&both);
+    assert_eq!(both["predicted"], "stable");
+    assert_eq!(both["kind"], "heuristic");
+    let crop = ["--crop", "gsmini-fifteen-v1"];
+    let cropped = json(&predict(&closed_left, &closed_right, &crop));
+    assert_eq!(cropped["crop_profile"], "gsmini-fifteen-v1");
+    assert_eq!(
+        json(&predict(&closed_left, &open_right, &[]))["predicted"],
+        "slip"
+    );
+    assert_eq!(
+        json(&predict(&open_left, &open_right, &[]))["predicted"],
+        "slip"
+    );
+
+    let code = |output: Output| {
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        (output.status.code(), text)
+    };
+    let (status, text) = code(predict(&closed_left, &closed_right, &["--crop", "seventh"]));
+    assert_eq!(status, Some(2), "{text}");
+    assert!(
+        text.contains("--crop: unknown crop profile `seventh`"),
+        "{text}"
+    );
+    let not_a_picture = shipped();
+    let (status, text) = code(predict(&closed_left, not_a_picture.to_str().unwrap(), &[]));
+    assert_eq!(status, Some(1), "{text}");
+    assert!(text.contains("expected a PNG or JPEG picture"), "{text}");
+    let (status, text) = code(gripcast(&[
+        "predict",
+        "images",
+        "--initial-left",
+        &open_left,
+    ]));
+    assert_eq!(status, Some(2), "{text}");
+    assert!(text.contains("`--grasp-left FILE` is needed"), "{text}");
+}
+
+#[test]
+fn the_bench_prints_the_promised_figures() {
+    let report = json(&gripcast(&["bench", "predict", "--runs", "30", "--json"]));
+    assert_eq!(report["name"], "predict");
+    assert_eq!(report["params"]["runs"], 30);
+    assert!(report["peers"].as_object().unwrap().is_empty());
+    for key in ["engine_ms", "preprocess_ms", "load_ms"] {
+        let figure = |kind: &str| report["figures"][format!("{key}_{kind}")].as_f64().unwrap();
+        assert!(
+            0.0 < figure("min") && figure("min") <= figure("median"),
+            "{key}"
+        );
+    }
+    let few = gripcast(&["bench", "predict", "--runs", "3"]);
+    assert_eq!(few.status.code(), Some(2));
+}

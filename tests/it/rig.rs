@@ -1,0 +1,192 @@
+//! `gripcast rig` over injected device trees.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+#[path = "../../src/rig/device/sysfs_tree.rs"]
+mod sysfs_tree;
+
+use sysfs_tree::{Tree, d435, mini};
+
+fn gripcast(tree: &Tree, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_gripcast"))
+        .arg("rig")
+        .args(arguments)
+        .arg("--sysfs-root")
+        .arg(tree.path("sys"))
+        .arg("--dev-root")
+        .arg(tree.path("dev"))
+        .output()
+        .unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Two sensors and a D435. The nodes are plain files: they can be opened and answer nothing.
+fn bench() -> Tree {
+    let mut tree = Tree::new();
+    tree.plug(
+        mini("3-1", "GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7"),
+        &[(0, 2)],
+    );
+    tree.plug(
+        mini("3-2", "GelSight Mini R0B 28F5-K4RR", "28F5K4RR"),
+        &[(0, 2)],
+    );
+    tree.plug(d435("4-1"), &[(0, 2), (3, 2)]);
+    tree
+}
+
+#[test]
+fn list_without_cameras_says_so_and_exits_69() {
+    let output = gripcast(&Tree::new(), &["list"]);
+    assert_eq!(output.status.code(), Some(69));
+    assert!(output.stdout.is_empty());
+    let text = stderr(&output);
+    assert!(text.contains("no camera is plugged in"), "{text}");
+    assert!(text.contains("--rig virtual"), "{text}");
+    let output = gripcast(&Tree::new(), &["list", "--json"]);
+    assert_eq!(output.status.code(), Some(69));
+    let value: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(value["cameras"], Value::Array(Vec::new()));
+}
+
+#[test]
+fn list_shows_cameras_and_leaves_metadata_nodes_out() {
+    let tree = bench();
+    let output = gripcast(&tree, &["list", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let value: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let cameras = value["cameras"].as_array().unwrap();
+    assert_eq!(cameras.len(), 4);
+    let left = &cameras[0];
+    assert_eq!(left["serial"], "2BNN4ZE7");
+    assert_eq!(left["port"], "3-1");
+    assert_eq!(left["bus"], 3);
+    assert_eq!(left["speed_mbps"], 480);
+    assert_eq!(left["vendor_id"], "0c45");
+    assert_eq!(left["role_hint"], "left or right");
+    assert_eq!(left["access"], "ready");
+    assert_eq!(left["modes"], Value::Null);
+    assert_eq!(cameras[3]["interface"], 3);
+    let warning = value["warnings"][0].as_str().unwrap();
+    assert!(
+        warning.starts_with("2 cameras share USB bus 3"),
+        "{warning}"
+    );
+
+    fs::remove_file(tree.node(0)).unwrap();
+    let output = gripcast(&tree, &["list"]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        text.contains("serial 2BNN4ZE7 · 0c45:636d · port 3-1 · bus 3, 480 Mbit/s"),
+        "{text}"
+    );
+    assert!(text.contains("no device node"), "{text}");
+}
+
+#[test]
+fn init_writes_a_rig_once_and_never_over_a_file() {
+    let tree = bench();
+    let out = tree.path("bench-1.toml");
+    let arguments = ["init", "--out", out.to_str().unwrap()];
+    let output = gripcast(&tree, &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(stderr(&output).contains("swap the two `serial` lines"));
+    let written = fs::read_to_string(&out).unwrap();
+    assert!(written.contains("id = \"bench-1\""), "{written}");
+    assert!(written.contains("[cameras.depth]"), "{written}");
+
+    let output = gripcast(&tree, &arguments);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("exists already"));
+    assert_eq!(fs::read_to_string(&out).unwrap(), written);
+
+    let output = gripcast(&Tree::new(), &["init", "--out", "/nonexistent/x.toml"]);
+    assert_eq!(output.status.code(), Some(69));
+}
+
+#[test]
+fn check_tells_missing_cameras_from_failing_ones() {
+    let tree = bench();
+    let file = tree.path("bench-1.toml");
+    let rig = file.to_str().unwrap();
+    gripcast(&tree, &["init", "--out", rig]);
+    // The nodes are files, not cameras: every camera is there and fails.
+    let output = gripcast(&tree, &["check", "--rig", rig, "--json"]);
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    let value: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(value["rig"], "bench-1");
+    let cameras = value["cameras"].as_array().unwrap();
+    let roles: Vec<&str> = cameras
+        .iter()
+        .map(|c| c["role"].as_str().unwrap())
+        .collect();
+    assert_eq!(roles, ["left", "right", "rgb", "depth"]);
+    assert!(
+        cameras
+            .iter()
+            .all(|c| c["ok"] == false && c["missing"] == false)
+    );
+    let problem = cameras[0]["problems"][0].as_str().unwrap();
+    assert!(
+        problem.contains("cannot query") && problem.contains("camera left"),
+        "{problem}"
+    );
+
+    let other = fs::read_to_string(&file)
+        .unwrap()
+        .replace("28F5K4RR", "AAAA1111");
+    fs::write(&file, other).unwrap();
+    let output = gripcast(&tree, &["check", "--rig", rig]);
+    assert_eq!(output.status.code(), Some(69), "{}", stderr(&output));
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        text.contains("found GelSight Mini with serials 28F5K4RR, 2BNN4ZE7; the rig expects"),
+        "{text}"
+    );
+    assert!(stderr(&output).contains("missing cameras: "));
+}
+
+#[test]
+fn wrong_rigs_are_refused_with_the_reason() {
+    let tree = Tree::new();
+    let output = gripcast(&tree, &["check", "--rig", "virtuell"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        stderr(&output).contains("did you mean `virtual`?"),
+        "{}",
+        stderr(&output)
+    );
+
+    let file = tree.path("bad.toml");
+    fs::write(&file, "schema = 1\nid = \"x\"\ncameras = {}\npedal = []\n").unwrap();
+    let output = gripcast(&tree, &["check", "--rig", file.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(2));
+    let text = stderr(&output);
+    assert!(
+        text.contains("bad.toml: line 4: unknown field `pedal`"),
+        "{text}"
+    );
+    assert!(text.contains("did you mean `pedals`?"), "{text}");
+
+    let output = gripcast(&tree, &["check", "--rig", "virtual", "--seconds", "0"]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
+fn example_rig_files_are_valid() {
+    let rigs = Path::new(env!("CARGO_MANIFEST_DIR")).join("calib/rigs");
+    let mut checked = 0;
+    for entry in fs::read_dir(rigs).unwrap() {
+        let path = entry.unwrap().path();
+        gripcast::rig::calibration::RigFile::load(&path).unwrap();
+        checked += 1;
+    }
+    assert!(checked >= 2);
+}

@@ -1,0 +1,118 @@
+"""Holds a gripcast model and gripcast's whole prediction path against onnx and onnxruntime.
+
+    python3 -m venv venv && venv/bin/pip install onnx onnxruntime numpy
+    venv/bin/python tests/peers/check_onnx.py MODEL.onnx [--gripcast target/release/gripcast] [--n 64]
+
+Checks that onnx.checker accepts the file in full, that onnxruntime sees the contract, and that
+`gripcast predict images` on random pictures answers what onnxruntime answers on tensors that are
+computed here from the contract's formulas. Prints one JSON object; ends with 1 above the tolerance.
+"""
+
+import argparse
+import json
+import pathlib
+import struct
+import subprocess
+import sys
+import tempfile
+import zlib
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+
+TOLERANCE = 1e-5
+HEIGHT, WIDTH = 240, 320
+
+
+def write_png(path, picture):
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    rows = b"".join(b"\0" + row.tobytes() for row in picture)
+    header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0)
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(rows, 1))
+        + chunk(b"IEND", b"")
+    )
+
+
+def gel(random):
+    """A picture before and after a contact of random place, size and strength, with noise."""
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    cx, cy, size = random.uniform(60, 260), random.uniform(50, 190), random.uniform(8, 60)
+    bump = np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / size**2)
+    strength = random.uniform(-1, 1, 3) * random.choice([0, 8, 25, 120])
+    base = random.uniform(60, 180, 3) + 30 * np.sin(x / 90)[..., None]
+    noisy = lambda picture: np.clip(picture + random.normal(0, 2, picture.shape), 0, 255)
+    return [noisy(p).astype(np.uint8) for p in (base, base + bump[..., None] * strength)]
+
+
+def tensor(pixels):
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1)[None], dtype=np.float32)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model")
+    parser.add_argument("--gripcast", default="target/release/gripcast")
+    parser.add_argument("--n", type=int, default=64)
+    args = parser.parse_args()
+
+    onnx.checker.check_model(onnx.load(args.model), full_check=True)
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = ort.InferenceSession(args.model, options, providers=["CPUExecutionProvider"])
+    metadata = session.get_modelmeta().custom_metadata_map
+    inputs = json.loads(metadata["gripcast.inputs"])
+    assert sorted(i["name"] for i in inputs) == sorted(i.name for i in session.get_inputs())
+
+    random = np.random.default_rng(1)
+    answers, worst = [], 0.0
+    with tempfile.TemporaryDirectory() as folder:
+        folder = pathlib.Path(folder)
+        for _ in range(args.n):
+            feed, flags = {}, []
+            for spec in inputs:
+                before, after = gel(random)
+                if spec["name"] == "rgb":
+                    mean, std = np.float32(spec["mean"]), np.float32(spec["std"])
+                    feed["rgb"] = tensor((after / np.float32(255) - mean) / std)
+                    files = {"--rgb": after}
+                else:
+                    side = spec["name"].removeprefix("tactile_")
+                    difference = (after.astype(np.float32) - before) / np.float32(255)
+                    feed[spec["name"]] = tensor(difference)
+                    files = {f"--initial-{side}": before, f"--grasp-{side}": after}
+                for flag, picture in files.items():
+                    path = folder / f"{flag.lstrip('-')}.png"
+                    write_png(path, picture)
+                    flags += [flag, str(path)]
+            command = [args.gripcast, "--quiet", "predict", "images", "--json", "--already-cropped"]
+            ours = subprocess.run(
+                [*command, "--model", args.model, *flags], check=True, capture_output=True
+            )
+            ours = json.loads(ours.stdout)["p_stable"]
+            theirs = float(session.run(None, feed)[0].ravel()[0])
+            answers.append(theirs)
+            worst = max(worst, abs(ours - theirs))
+
+    report = {
+        "checker": "ok",
+        "largest_difference": worst,
+        "n": args.n,
+        "onnx": onnx.__version__,
+        "onnxruntime": ort.__version__,
+        "p_stable_max": max(answers),
+        "p_stable_min": min(answers),
+        "tolerance": TOLERANCE,
+    }
+    json.dump(report, sys.stdout, indent=2, sort_keys=True)
+    print()
+    sys.exit(0 if worst <= TOLERANCE else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+#!/usr/bin/env bash
+# Installs what gripcast needs to be built on Debian 12/13 and Ubuntu 22.04/24.04.
+#   tools/setup.sh build   compiler, cmake, nasm, libclang, Rust toolchain
+#   tools/setup.sh test    the same, and what the kernel tests build and boot
+# Idempotent; asks apt only for what is missing; uses sudo when it is not root.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+want=${1:-build}
+# cmake and nasm: libjpeg-turbo with SIMD. libclang: bindgen of the V4L2 headers.
+packages=(ca-certificates curl gcc g++ make pkg-config cmake nasm libclang-dev linux-libc-dev git)
+case "$want" in
+    build) ;;
+    # Kernel source build, and the static shell of the guest.
+    test) packages+=(flex bison bc libelf-dev xz-utils busybox-static cpio python3) ;;
+    *)
+        echo "usage: tools/setup.sh build|test" >&2
+        exit 2
+        ;;
+esac
+
+if ! command -v dpkg-query >/dev/null || ! command -v apt-get >/dev/null; then
+    echo "setup: no apt here; install the equivalents of: ${packages[*]}" >&2
+else
+    missing=()
+    for package in "${packages[@]}"; do
+        status=$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null || true)
+        [ "$status" = installed ] || missing+=("$package")
+    done
+    if [ ${#missing[@]} -gt 0 ]; then
+        sudo=()
+        if [ "$(id -u)" -ne 0 ]; then
+            command -v sudo >/dev/null || {
+                echo "setup: not root and no sudo; as root: apt-get install ${missing[*]}" >&2
+                exit 1
+            }
+            sudo=(sudo)
+        fi
+        echo "setup: installing ${missing[*]}" >&2
+        "${sudo[@]}" apt-get update -qq
+        "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive \
+            apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+    fi
+fi
+
+# shellcheck disable=SC1091
+[ -f "$HOME/.cargo/env" ] && . "$HOME/.cargo/env"
+if ! command -v cargo >/dev/null; then
+    echo "setup: installing rustup; rust-toolchain.toml pins the compiler" >&2
+    curl --proto '=https' --tlsv1.2 -sSf https://sh.rustup.rs |
+        sh -s -- -y -q --profile minimal --default-toolchain none
+    . "$HOME/.cargo/env"
+fi
+# The first cargo call fetches the pinned toolchain where it is absent.
+cargo --version >/dev/null || {
+    version=$(sed -n 's/^channel = "\(.*\)"/\1/p' rust-toolchain.toml)
+    echo "setup: cargo does not start; Rust $version is needed (rustup toolchain install $version)" >&2
+    exit 1
+}
