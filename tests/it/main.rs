@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod imaging;
+mod kernel;
 mod layers;
 mod model_contract;
 mod rig;

@@ -68,8 +68,6 @@ trap 'rm -rf "$work"' EXIT
 cd "$work"
 
 say "fetching $package $version"
-# apt leaves root when it downloads; it has to be able to write here.
-chmod 755 "$work"
 apt-get download -qq "$package=$version" >&2 || {
     as_root apt-get update -qq && apt-get download -qq "$package" >&2
 } || cannot "$package could not be downloaded"
@@ -81,17 +79,18 @@ rm -f ./*.deb
 tarball=$(find . -maxdepth 1 -type f -name 'linux-source-*.tar.*' | head -n 1)
 [ -n "$tarball" ] || cannot "$package holds no source archive"
 mkdir source build
-# Other architectures and the largest register tables are a third of the files.
+# Other architectures' code and the largest register tables are a third of the bytes; every
+# Kconfig file has to stay.
 tar -xf "$tarball" -C source --strip-components=1 \
-    --exclude='*/arch/[a-t]*/*' --exclude='*/arch/xtensa/*' \
+    --exclude='*/arch/[a-t]*/boot/*' --exclude='*/arch/[a-t]*/include/*' \
     --exclude='*/drivers/gpu/drm/amd/include/*' --exclude='*/tools/testing/*'
 rm -f "$tarball"
 
 say "building with $(nproc) jobs; the log is in $home.log"
 configure() {
-    make -C source ARCH=um O="$work/build" allnoconfig
-    (cd build && ../source/scripts/kconfig/merge_config.sh -m .config "$fragment")
-    make -C build ARCH=um olddefconfig
+    make -C source ARCH=um O="$work/build" allnoconfig &&
+        (cd build && ../source/scripts/kconfig/merge_config.sh -m .config "$fragment") &&
+        make -C build ARCH=um olddefconfig
 }
 # The first make can stop on configuration remembered from allnoconfig; the second goes on.
 compile() {

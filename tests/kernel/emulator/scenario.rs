@@ -18,7 +18,7 @@ pub(crate) struct Scenario {
 }
 
 const PLUG_ALL: &[&str] = &["attach left", "attach right", "attach d435", "attach pedal"];
-const ROOMY_MIB: u32 = 1024;
+const ROOMY_MIB: u32 = 2048;
 
 /// One grasp: the gels are pressed at 2 s.
 const ONE_GRASP: &str = "\
@@ -218,9 +218,13 @@ quit
 wait live
 object mug
 +0.5 initial
+expect refused
+override
 expect saved
 wait contact
 +0.2 grasp
+expect refused
+override
 expect saved
 stable
 expect saved
