@@ -221,8 +221,11 @@ async fn collect(
             result
         })
     });
-    let lines = (screen.is_none() && !quiet)
-        .then(|| std::thread::spawn(move || tui::print_lines(newest, std::io::stderr())));
+    let lines = async {
+        if screen.is_none() && !quiet {
+            tui::print_lines(newest).await;
+        }
+    };
     drop(command_sender);
 
     let links = EngineLinks {
@@ -230,16 +233,12 @@ async fn collect(
         status,
         tones: tone_sender,
     };
-    let report = daemon::run(setup, links, stop).await;
+    let (report, ()) = tokio::join!(daemon::run(setup, links, stop), lines);
     ended.store(true, Ordering::Relaxed);
-    // The engine's ends of all channels are gone: screen, lines and pedals come to their ends.
+    // The engine's ends of all channels are gone: screen and pedals come to their ends.
     let screen = screen.map(std::thread::JoinHandle::join);
-    if let Some(lines) = lines {
-        // A line printer that panicked has printed why.
-        let _ = lines.join();
-    }
     for pedal in pedals {
-        // As above.
+        // A pedal thread that panicked has printed why.
         let _ = pedal.join();
     }
     let report = report?;

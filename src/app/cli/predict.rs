@@ -10,7 +10,6 @@
 //! Exit codes: 0 predicted, 1 the model or a picture is refused, 2 usage.
 
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;

@@ -12,12 +12,12 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
 use super::capture::CaptureThreads;
+use super::decode;
 use super::hub::{Hub, Soundness};
 use super::infer::{Inference, Live};
 use super::pairing::{Paired, pair};
 use super::status::{CameraState, CameraStatus, EngineStatus, PredictionStatus};
 use super::store::{Store, StoreContext, StoreMessage, pending_frame};
-use super::{decode, store};
 use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, Outcome, StageCapture};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Frame, Role};
@@ -26,8 +26,8 @@ use crate::rig::calibration::RigFile;
 use crate::rig::camera::{CameraOpener, Health, SupervisionPolicy, VirtualHand, monotonic_ns};
 use crate::rig::trigger::{self, Answer, Script, ScriptAction, ScriptRunner};
 use crate::session::{
-    CameraCondition, Command, CommandSource, Conditions, Effect, GuardLimits, Labels, MessageLevel,
-    Session, Step, StoreReply, StoreRequest, Summary, Tone,
+    CameraCondition, Command, CommandSource, Conditions, Effect, GuardLimits, Labels, Session,
+    Step, StoreReply, StoreRequest, Summary, Tone,
 };
 
 /// How often the status is renewed and the script asked.

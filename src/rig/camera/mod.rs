@@ -1,6 +1,7 @@
 //! Frame sources and their supervision.
 
 mod clock;
+mod rig_sources;
 mod source;
 mod stream_monitor;
 mod supervised;
@@ -14,6 +15,7 @@ mod virtual_camera;
 mod virtual_scene;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
+pub use rig_sources::RigSources;
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };

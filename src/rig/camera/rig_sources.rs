@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::replay::ReplayOpener;
 use super::{CameraOpener, MonotonicClock, V4l2Opener, VirtualHand, VirtualRig};
 use crate::error::Result;
 use crate::rig::calibration::{RigFile, SourceKind};
@@ -37,10 +36,15 @@ impl RigSources {
                     sources.present.push(opener());
                     Box::new(opener())
                 }
-                SourceKind::Replay => Box::new(ReplayOpener::new(*role, camera)?),
+                SourceKind::Replay => {
+                    return Err(crate::error::Error::new(
+                        crate::error::ErrorKind::Config,
+                        "replay sources are not there yet",
+                    ));
+                }
                 SourceKind::Virtual => {
-                    let scene =
-                        scene.get_or_insert_with(|| VirtualRig::new(seed, Arc::new(MonotonicClock)));
+                    let scene = scene
+                        .get_or_insert_with(|| VirtualRig::new(seed, Arc::new(MonotonicClock)));
                     sources.hand = Some(scene.hand());
                     Box::new(scene.camera(*role, camera)?)
                 }
@@ -56,7 +60,9 @@ impl RigSources {
     /// `Device` for the first one that is not, saying what was found instead.
     pub fn check_present(&self) -> Result<()> {
         for opener in &self.present {
-            opener.find().map_err(|e| e.at(format!("camera {}", opener.role())))?;
+            opener
+                .find()
+                .map_err(|e| e.at(format!("camera {}", opener.role())))?;
         }
         Ok(())
     }
