@@ -4,6 +4,7 @@
 
 mod collect;
 mod imaging;
+mod kernel;
 mod layers;
 mod model_contract;
 mod rig;

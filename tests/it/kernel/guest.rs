@@ -1,0 +1,249 @@
+//! Boots the User-Mode-Linux guest and reads what it left behind.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::mpsc;
+use std::sync::{Mutex, OnceLock, PoisonError};
+use std::time::Duration;
+
+use gripcast::dataset::GraspRecord;
+use serde_json::Value;
+use sha2::{Digest as _, Sha256};
+
+use super::pictures::Pictures;
+
+/// A guest that is not done by then hangs. Wall clock of the host.
+const WATCHDOG: Duration = Duration::from_secs(420);
+
+/// The kernel built by `tests/kernel/build-kernel.sh`, or the reason why there is none.
+fn find_kernel() -> Result<PathBuf, String> {
+    if std::env::var_os("GRIPCAST_SKIP_KERNEL").is_some() {
+        return Err("GRIPCAST_SKIP_KERNEL is set".into());
+    }
+    let cache = std::env::var_os("GRIPCAST_CACHE").map_or_else(
+        || PathBuf::from(std::env::var_os("HOME").unwrap_or_default()).join(".cache/gripcast"),
+        PathBuf::from,
+    );
+    let digest = Sha256::digest(include_bytes!("../../kernel/uml.fragment"));
+    let fragment: String = digest[..6].iter().map(|byte| format!("{byte:02x}")).collect();
+    let mut found: Vec<PathBuf> = fs::read_dir(cache.join("uml"))
+        .into_iter()
+        .flatten()
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|dir| dir.to_string_lossy().ends_with(&format!("-{fragment}")))
+        .map(|dir| dir.join("umlinux"))
+        .filter(|kernel| kernel.is_file())
+        .collect();
+    found.sort();
+    found.pop().ok_or_else(|| {
+        format!(
+            "no test kernel in {}; tests/kernel/build-kernel.sh builds it",
+            cache.join("uml").display()
+        )
+    })
+}
+
+/// The test kernel; without one the calling test is skipped, loudly.
+///
+/// # Panics
+/// Where `GRIPCAST_REQUIRE_KERNEL` says that a missing kernel is a failure.
+pub(super) fn kernel() -> Option<PathBuf> {
+    match find_kernel() {
+        Ok(kernel) => Some(kernel),
+        Err(reason) => {
+            assert!(
+                std::env::var_os("GRIPCAST_REQUIRE_KERNEL").is_none(),
+                "GRIPCAST_REQUIRE_KERNEL is set, but: {reason}"
+            );
+            eprintln!("SKIPPED: real-kernel test: {reason}");
+            None
+        }
+    }
+}
+
+/// The emulator, built from the sources of this moment.
+fn emulator() -> &'static Path {
+    static EMULATOR: OnceLock<PathBuf> = OnceLock::new();
+    EMULATOR.get_or_init(|| {
+        let program_dir = Path::new(env!("CARGO_BIN_EXE_gripcast")).parent().unwrap();
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo
+            .args(["build", "--offline", "--quiet", "--example", "usbip-cameras"])
+            .arg("--target-dir")
+            .arg(program_dir.parent().unwrap())
+            .current_dir(env!("CARGO_MANIFEST_DIR"));
+        if program_dir.ends_with("release") {
+            cargo.arg("--release");
+        }
+        assert!(cargo.status().unwrap().success(), "the emulator must build");
+        program_dir.join("examples/usbip-cameras")
+    })
+}
+
+fn quoted(path: &Path) -> String {
+    format!("'{}'", path.to_str().unwrap().replace('\'', r"'\''"))
+}
+
+/// Boots the guest with a command for its shell; returns the result directory once the guest
+/// has ended. `$OUT` and `$DISK` are known to the command.
+fn boot(kernel: &Path, name: &str, disk: &str, command: &str) -> PathBuf {
+    // One processor a guest, and each eats what it gets: more at a time are no faster.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _turn = ONE_AT_A_TIME
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner);
+
+    let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("kernel").join(name);
+    if out.exists() {
+        fs::remove_dir_all(&out).unwrap();
+    }
+    fs::create_dir_all(&out).unwrap();
+    fs::write(out.join("command.sh"), command).unwrap();
+    let init = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kernel/guest-init.sh");
+    let mut guest = Command::new(kernel)
+        .args(["mem=1024M", "root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro"])
+        .args(["con=null", "con0=null", "loglevel=2", "quiet", "time-travel=inf-cpu"])
+        .arg(format!("init={}", init.display()))
+        .arg(format!("GRIPCAST_OUT={}", out.display()))
+        .arg(format!("GRIPCAST_DISK={disk}"))
+        .arg(format!("GRIPCAST_POWEROFF={}", emulator().display()))
+        .env("TMPDIR", "/dev/shm")
+        .stdin(Stdio::null())
+        .stdout(fs::File::create(out.join("console.log")).unwrap())
+        .stderr(fs::File::create(out.join("console.err")).unwrap())
+        .process_group(0)
+        .spawn()
+        .unwrap();
+    let group = rustix::process::Pid::from_child(&guest);
+    let (ended, end) = mpsc::channel();
+    let waiter = std::thread::spawn(move || {
+        let status = guest.wait();
+        // The receiver is gone only where the watchdog has bitten.
+        let _ = ended.send(());
+        status
+    });
+    let in_time = end.recv_timeout(WATCHDOG).is_ok();
+    // Processes of the guest are processes of the host; none may outlive it.
+    let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+    waiter.join().unwrap().unwrap();
+    assert!(in_time, "{name}: the guest hangs; see {}", out.display());
+    let log = fs::read_to_string(out.join("guest.log")).unwrap_or_default();
+    let rc = fs::read_to_string(out.join("rc")).unwrap_or_default();
+    assert_eq!(rc.trim(), "0", "{name}: {}\n{log}", out.display());
+    out
+}
+
+/// Streams all emulated cameras without the program under test; the report of the emulator.
+pub(super) fn probe(kernel: &Path, pictures: &Pictures) -> Value {
+    let command = format!(
+        "{} probe {} {} \"$OUT\"\n",
+        quoted(emulator()),
+        quoted(&pictures.left),
+        quoted(&pictures.right)
+    );
+    let out = boot(kernel, "probe", "64m", &command);
+    read_json(&out.join("probe.json"))
+}
+
+fn read_json(path: &Path) -> Value {
+    let text = fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}: {text}", path.display()))
+}
+
+/// A grasp of the dataset.
+#[derive(Debug)]
+pub(super) struct SavedGrasp {
+    pub(super) dir: PathBuf,
+    pub(super) record: GraspRecord,
+}
+
+/// What a scenario came to.
+#[derive(Debug)]
+pub(super) struct Outcome {
+    /// Directory with all that the guest left behind.
+    pub(super) out: PathBuf,
+    /// Exit code of `gripcast collect`; `None` where it did not end.
+    pub(super) exit_code: Option<i64>,
+    /// Closing report of `gripcast collect --json`; null where it printed none.
+    pub(super) report: Value,
+    /// Pictures sent intact and spoilt, by camera and kind.
+    pub(super) sent: BTreeMap<String, BTreeMap<String, u64>>,
+    /// Grasps in the dataset, in the order of their keys.
+    pub(super) grasps: Vec<SavedGrasp>,
+}
+
+impl Outcome {
+    /// A number of a camera in the closing report.
+    pub(super) fn counter(&self, role: &str, name: &str) -> u64 {
+        self.report["cameras"][role][name]
+            .as_u64()
+            .unwrap_or_else(|| panic!("no {role}.{name} in the report: {self}"))
+    }
+
+    /// A number of the session in the closing report.
+    pub(super) fn session(&self, name: &str) -> u64 {
+        self.report["session"][name]
+            .as_u64()
+            .unwrap_or_else(|| panic!("no session.{name} in the report: {self}"))
+    }
+}
+
+impl std::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let stderr = fs::read_to_string(self.out.join("stderr.txt")).unwrap_or_default();
+        write!(
+            f,
+            "{}: exit code {:?}\nreport {:#}\nsent {:?}\nstderr:\n{stderr}",
+            self.out.display(),
+            self.exit_code,
+            self.report,
+            self.sent
+        )
+    }
+}
+
+fn saved_grasps(dataset: &Path) -> Vec<SavedGrasp> {
+    let Ok(entries) = fs::read_dir(dataset.join("grasps")) else {
+        return Vec::new();
+    };
+    let mut dirs: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    dirs.sort();
+    dirs.into_iter()
+        .filter(|dir| dir.join("grasp.json").exists())
+        .map(|dir| {
+            let text = fs::read_to_string(dir.join("grasp.json")).unwrap();
+            let record = serde_json::from_str(&text).unwrap();
+            SavedGrasp { dir, record }
+        })
+        .collect()
+}
+
+/// Runs `gripcast collect` through a scenario of the emulator.
+pub(super) fn run(kernel: &Path, name: &str, run: &str, pictures: &Pictures) -> Outcome {
+    let emulator = emulator();
+    let disk = Command::new(emulator)
+        .args(["disk-size", name])
+        .output()
+        .unwrap();
+    let command = format!(
+        "{} run {name} {} {} \"$OUT\" \"$DISK\" {}\n",
+        quoted(emulator),
+        quoted(&pictures.left),
+        quoted(&pictures.right),
+        quoted(Path::new(env!("CARGO_BIN_EXE_gripcast")))
+    );
+    let disk = String::from_utf8(disk.stdout).unwrap();
+    let out = boot(kernel, run, disk.trim(), &command);
+    let result = read_json(&out.join("result.json"));
+    let report = fs::read_to_string(out.join("stdout.json")).unwrap();
+    Outcome {
+        exit_code: result["exit_code"].as_i64(),
+        report: serde_json::from_str(&report).unwrap_or(Value::Null),
+        sent: serde_json::from_value(result["sent"].clone()).unwrap(),
+        grasps: saved_grasps(&out.join("dataset")),
+        out,
+    }
+}

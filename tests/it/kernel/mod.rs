@@ -1,0 +1,267 @@
+//! The unmodified program against the real USB, UVC and HID drivers of a Linux kernel, with
+//! emulated devices, in virtual time. `docs/kernel-tests.md` tells how it works.
+
+mod guest;
+mod pictures;
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use gripcast::dataset::{Outcome as Label, StageRecord};
+use gripcast::imaging::Role;
+
+use self::guest::{Outcome, SavedGrasp, kernel, run};
+use self::pictures::Pictures;
+
+/// All JPEGs that a sensor was fed with in one state of its gel.
+fn fed(dir: &Path, kind: &str) -> BTreeSet<Vec<u8>> {
+    fs::read_dir(dir.join(kind))
+        .unwrap()
+        .map(|entry| fs::read(entry.unwrap().path()).unwrap())
+        .collect()
+}
+
+fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
+    let record = &stage.cameras[&role];
+    fs::read(dir.join(&record.file)).unwrap()
+}
+
+/// The tactile pictures of a grasp are, byte for byte, some that the right sensor was fed with.
+fn assert_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
+    for (role, serial, dir) in [
+        (Role::Left, "2BNN4ZE7", &pictures.left),
+        (Role::Right, "28F5K4RR", &pictures.right),
+    ] {
+        for (stage, kind) in [
+            (&grasp.record.initial, "free"),
+            (&grasp.record.grasp, "pressed"),
+        ] {
+            let place = format!("{}: {role} {kind}", grasp.dir.display());
+            assert_eq!(stage.cameras[&role].serial, serial, "{place}");
+            let saved = camera_file(stage, role, &grasp.dir);
+            assert!(fed(dir, kind).contains(&saved), "{place}: not as sent");
+        }
+    }
+}
+
+/// The depth picture is one whole picture of the emulator: pixel (x, y) of picture n holds
+/// 400 + (x + y + n) mod 256.
+fn assert_depth_as_sent(grasp: &SavedGrasp) {
+    let record = &grasp.record.grasp.cameras[&Role::Depth];
+    let depth = image::open(grasp.dir.join(&record.file)).unwrap().to_luma16();
+    let number = u32::from(depth.get_pixel(0, 0).0[0]) - 400;
+    for (x, y, pixel) in depth.enumerate_pixels() {
+        assert_eq!(u32::from(pixel.0[0]), 400 + (x + y + number) % 256, "({x}, {y})");
+    }
+}
+
+/// Every file that the record names is there with its digest, and nothing half-written is.
+fn assert_dataset_is_clean(outcome: &Outcome) {
+    let dataset = outcome.out.join("dataset");
+    let verified = std::process::Command::new(env!("CARGO_BIN_EXE_gripcast"))
+        .args(["dataset", "verify", "--json"])
+        .arg(&dataset)
+        .output()
+        .unwrap();
+    assert!(
+        verified.status.success(),
+        "{outcome}\n{}{}",
+        String::from_utf8_lossy(&verified.stdout),
+        String::from_utf8_lossy(&verified.stderr)
+    );
+}
+
+/// One labelled grasp was saved, byte for byte as sent, and the program ended well.
+fn assert_one_good_grasp(outcome: &Outcome, pictures: &Pictures) {
+    assert_eq!(outcome.exit_code, Some(0), "{outcome}");
+    assert_eq!(outcome.grasps.len(), 1, "{outcome}");
+    let grasp = &outcome.grasps[0];
+    assert_eq!(grasp.record.object, "mug");
+    assert_eq!(grasp.record.outcome, Label::Stable);
+    assert_as_sent(grasp, pictures);
+    assert_depth_as_sent(grasp);
+    assert_dataset_is_clean(outcome);
+}
+
+/// Sequence gaps, damaged frames and reconnects of all cameras but `but` are 0.
+fn assert_others_undisturbed(outcome: &Outcome, but: &[&str]) {
+    for role in ["left", "right", "rgb", "depth"] {
+        if !but.contains(&role) {
+            for counter in ["sequence_gaps", "damaged", "reconnects"] {
+                assert_eq!(outcome.counter(role, counter), 0, "{role} {counter}: {outcome}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_emulated_camera_delivers_what_it_was_fed() {
+    let Some(kernel) = kernel() else { return };
+    let report = guest::probe(&kernel, pictures::drawn());
+    for (role, name, serial, interface, fps) in [
+        ("left", "GelSight Mini R0B 2BNN-4ZE7: Ge", "2BNN4ZE7", 0, 25.0),
+        ("right", "GelSight Mini R0B 28F5-K4RR: Ge", "28F5K4RR", 0, 25.0),
+        ("depth", "Intel(R) RealSense(TM) Depth Ca", "814412070123", 0, 30.0),
+        ("rgb", "Intel(R) RealSense(TM) Depth Ca", "814412070123", 3, 30.0),
+    ] {
+        let camera = &report["cameras"][role];
+        assert_eq!(camera["name"], name, "{report:#}");
+        assert_eq!(camera["serial"], serial, "{report:#}");
+        assert_eq!(camera["interface"], interface, "{report:#}");
+        assert_eq!(camera["identical"], camera["frames"], "{report:#}");
+        assert_eq!(camera["sequence_gaps"], 0, "{report:#}");
+        let measured = camera["fps"].as_f64().unwrap();
+        assert!((measured - fps).abs() < 0.01, "{report:#}");
+    }
+    assert_eq!(report["hid"], serde_json::json!(["PCsensor FootSwitch"]));
+}
+
+#[test]
+fn a_clean_run_saves_two_grasps_as_sent() {
+    let Some(kernel) = kernel() else { return };
+    let pictures = pictures::drawn();
+    let outcome = run(&kernel, "clean", "clean", pictures);
+    assert_eq!(outcome.exit_code, Some(0), "{outcome}");
+    let labels: Vec<_> = outcome.grasps.iter().map(|g| g.record.outcome).collect();
+    assert_eq!(labels, [Label::Stable, Label::Slip], "{outcome}");
+    for grasp in &outcome.grasps {
+        assert_as_sent(grasp, pictures);
+        assert_depth_as_sent(grasp);
+    }
+    assert_dataset_is_clean(&outcome);
+    assert_others_undisturbed(&outcome, &[]);
+    assert_eq!(outcome.session("saved"), 2);
+    assert_eq!(outcome.session("refused"), 0);
+}
+
+#[test]
+fn pictures_of_a_real_sensor_arrive_as_sent() {
+    let Some(kernel) = kernel() else { return };
+    let Some(pictures) = pictures::real() else {
+        return;
+    };
+    let outcome = run(&kernel, "clean", "real-pictures", &pictures);
+    assert_eq!(outcome.exit_code, Some(0), "{outcome}");
+    assert_eq!(outcome.grasps.len(), 2, "{outcome}");
+    for grasp in &outcome.grasps {
+        assert_as_sent(grasp, &pictures);
+    }
+    assert_dataset_is_clean(&outcome);
+}
+
+#[test]
+fn lost_frames_are_counted_and_do_no_harm() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "frames-lost", "frames-lost", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert_eq!(outcome.sent["left"]["error-bit"], 2);
+    assert_eq!(outcome.counter("left", "sequence_gaps"), 2, "{outcome}");
+    assert_eq!(outcome.counter("right", "sequence_gaps"), 3, "{outcome}");
+    assert!(outcome.counter("rgb", "late") >= 1, "{outcome}");
+    assert_others_undisturbed(&outcome, &["left", "right", "rgb"]);
+}
+
+#[test]
+fn truncated_pictures_are_counted_and_never_saved() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "truncated", "truncated", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    for role in ["left", "right"] {
+        assert_eq!(outcome.counter(role, "damaged"), 6, "{role}: {outcome}");
+    }
+    assert_others_undisturbed(&outcome, &["left", "right"]);
+}
+
+#[test]
+fn corrupted_pictures_are_never_saved() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "corrupted", "corrupted", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    for role in ["left", "right"] {
+        assert!(outcome.counter(role, "damaged") >= 1, "{role}: {outcome}");
+    }
+    assert_others_undisturbed(&outcome, &["left", "right"]);
+}
+
+#[test]
+fn a_frozen_picture_is_noticed_and_the_grasp_comes_after_it() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "frozen", "frozen", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert!(outcome.sent["left"]["freeze"] >= 70, "{outcome}");
+    assert!(outcome.counter("left", "duplicates") >= 1, "{outcome}");
+    assert_others_undisturbed(&outcome, &["left"]);
+}
+
+#[test]
+fn a_silent_camera_comes_back() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "silent", "silent", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert!(outcome.sent["left"]["silent"] >= 1, "{outcome}");
+    assert_others_undisturbed(&outcome, &["left"]);
+}
+
+#[test]
+fn a_sensor_pulled_out_while_idle_is_found_again() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "replug-idle", "replug-idle", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert_eq!(outcome.counter("left", "reconnects"), 1, "{outcome}");
+    assert_others_undisturbed(&outcome, &["left"]);
+}
+
+#[test]
+fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "replug-between", "replug-between", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert_eq!(outcome.counter("right", "reconnects"), 1, "{outcome}");
+    assert_others_undisturbed(&outcome, &["right"]);
+}
+
+#[test]
+fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "unplug-during-save", "unplug-during-save", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert_eq!(outcome.grasps[0].record.grasp.trigger, "pedal");
+    assert_others_undisturbed(&outcome, &["right"]);
+}
+
+#[test]
+fn roles_follow_serials_and_not_ports() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "swapped-ports", "swapped-ports", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert_others_undisturbed(&outcome, &[]);
+}
+
+#[test]
+fn a_full_disk_keeps_what_was_saved_and_says_so() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "disk-full", "disk-full", pictures::drawn());
+    assert_eq!(outcome.exit_code, Some(3), "{outcome}");
+    assert_eq!(outcome.grasps.len(), 1, "{outcome}");
+    assert_as_sent(&outcome.grasps[0], pictures::drawn());
+    let overridden = &outcome.grasps[0].record.overridden_guards;
+    assert!(overridden.iter().all(|g| g.guard == "disk_low"), "{overridden:?}");
+    assert_eq!(overridden.len(), 2, "{overridden:?}");
+    assert_dataset_is_clean(&outcome);
+    assert_eq!(outcome.session("failed"), 1, "{outcome}");
+}
+
+#[test]
+fn a_bouncing_pedal_triggers_once_a_press() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "pedal-bounce", "pedal-bounce", pictures::drawn());
+    assert_one_good_grasp(&outcome, pictures::drawn());
+    let grasp = &outcome.grasps[0].record;
+    assert_eq!(
+        [&grasp.initial.trigger, &grasp.grasp.trigger],
+        ["pedal", "pedal"]
+    );
+    assert_eq!(outcome.session("initials"), 1, "{outcome}");
+    assert_eq!(outcome.session("saved"), 1, "{outcome}");
+}

@@ -1,0 +1,342 @@
+//! What a camera stream shows, which faults it suffers and what it has sent.
+//!
+//! A feed belongs to the camera and not to its plug: it goes on where it was after a replug.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::pattern;
+use crate::profile::{Mode, Pixels};
+
+/// What is wrong with a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Fault {
+    /// The same picture again and again.
+    Freeze,
+    /// No picture, but the camera is still there.
+    Silent,
+    /// Only the first half is sent.
+    Truncate,
+    /// Some bytes in the middle are altered.
+    Corrupt,
+    /// The camera itself marks the picture as broken.
+    ErrorBit,
+    /// A packet of the picture is lost on the bus.
+    LosePacket,
+    /// The picture is skipped, without a trace in the stream.
+    Drop,
+}
+
+impl Fault {
+    pub(crate) const ALL: [Self; 7] = [
+        Self::Freeze,
+        Self::Silent,
+        Self::Truncate,
+        Self::Corrupt,
+        Self::ErrorBit,
+        Self::LosePacket,
+        Self::Drop,
+    ];
+
+    /// Name in commands and counters.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Freeze => "freeze",
+            Self::Silent => "silent",
+            Self::Truncate => "truncate",
+            Self::Corrupt => "corrupt",
+            Self::ErrorBit => "error-bit",
+            Self::LosePacket => "lose-packet",
+            Self::Drop => "drop",
+        }
+    }
+}
+
+impl FromStr for Fault {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|fault| fault.name() == text)
+            .ok_or_else(|| format!("unknown fault `{text}`"))
+    }
+}
+
+/// Whether the gel of a tactile camera touches something.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Touch {
+    #[default]
+    Free,
+    Pressed,
+}
+
+/// Where pictures come from.
+pub(crate) enum Pictures {
+    /// JPEG files, sent as they are, in a circle.
+    Files {
+        free: Vec<Arc<Vec<u8>>>,
+        pressed: Vec<Arc<Vec<u8>>>,
+    },
+    /// Drawn for each frame.
+    Drawn(Pixels),
+}
+
+impl Pictures {
+    /// Reads `dir/free/*.jpg` and `dir/pressed/*.jpg`, or `dir/*.jpg` for both.
+    pub(crate) fn from_dir(dir: &Path) -> io::Result<Self> {
+        let pressed = dir.join("pressed");
+        if pressed.is_dir() {
+            Ok(Self::Files {
+                free: jpeg_files(&dir.join("free"))?,
+                pressed: jpeg_files(&pressed)?,
+            })
+        } else {
+            let files = jpeg_files(dir)?;
+            Ok(Self::Files {
+                free: files.clone(),
+                pressed: files,
+            })
+        }
+    }
+
+    fn picture(&self, number: u64, touch: Touch, mode: Mode) -> Arc<Vec<u8>> {
+        let (width, height) = (u32::from(mode.width), u32::from(mode.height));
+        match self {
+            Self::Files { free, pressed } => {
+                let files = match touch {
+                    Touch::Free => free,
+                    Touch::Pressed => pressed,
+                };
+                files[(number % files.len() as u64) as usize].clone()
+            }
+            Self::Drawn(Pixels::Z16) => Arc::new(pattern::depth(number, width, height)),
+            Self::Drawn(Pixels::Grey) => Arc::new(pattern::grey(number, width, height)),
+            Self::Drawn(Pixels::Yuyv | Pixels::Mjpg) => {
+                Arc::new(pattern::colour(number, width, height))
+            }
+        }
+    }
+}
+
+fn jpeg_files(dir: &Path) -> io::Result<Vec<Arc<Vec<u8>>>> {
+    let place =
+        |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", dir.display()));
+    let mut paths: Vec<PathBuf> = fs::read_dir(dir)
+        .map_err(place)?
+        .map(|entry| entry.map(|e| e.path()))
+        .collect::<io::Result<_>>()
+        .map_err(place)?;
+    paths.retain(|path| path.extension().is_some_and(|e| e == "jpg"));
+    paths.sort();
+    if paths.is_empty() {
+        let what = format!("{}: holds no .jpg file", dir.display());
+        return Err(io::Error::new(io::ErrorKind::NotFound, what));
+    }
+    paths
+        .iter()
+        .map(|path| fs::read(path).map(Arc::new))
+        .collect()
+}
+
+/// One picture on its way.
+pub(crate) struct Transmission {
+    pub(crate) bytes: Arc<Vec<u8>>,
+    /// Error bit of the payload headers.
+    pub(crate) has_error_bit: bool,
+    /// The second packet does not arrive.
+    pub(crate) loses_packet: bool,
+}
+
+#[derive(Default)]
+struct State {
+    number: u64,
+    touch: Touch,
+    fault: Option<Fault>,
+    /// Pictures that the fault still hits; `None` = until it is taken away.
+    hits_left: Option<u32>,
+    sent: u64,
+    faults: BTreeMap<&'static str, u64>,
+    first_sent: Option<Instant>,
+}
+
+/// See the module.
+pub(crate) struct Feed {
+    pictures: Pictures,
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+impl Feed {
+    pub(crate) fn new(pictures: Pictures) -> Self {
+        Self {
+            pictures,
+            state: Mutex::default(),
+            changed: Condvar::new(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Sets or takes away a fault; it hits the next `pictures` pictures, or all.
+    pub(crate) fn set_fault(&self, fault: Option<Fault>, pictures: Option<u32>) {
+        let mut state = self.lock();
+        state.fault = fault;
+        state.hits_left = pictures;
+    }
+
+    pub(crate) fn set_touch(&self, touch: Touch) {
+        self.lock().touch = touch;
+    }
+
+    /// The next picture; `None` where a fault keeps it back.
+    pub(crate) fn next(&self, mode: Mode) -> Option<Transmission> {
+        let mut state = self.lock();
+        let fault = state.fault;
+        if let Some(fault) = fault {
+            *state.faults.entry(fault.name()).or_default() += 1;
+            if let Some(left) = &mut state.hits_left {
+                *left = left.saturating_sub(1);
+                if *left == 0 {
+                    state.fault = None;
+                }
+            }
+        } else {
+            state.sent += 1;
+        }
+        if fault != Some(Fault::Freeze) {
+            state.number += 1;
+        }
+        if matches!(fault, Some(Fault::Silent | Fault::Drop)) {
+            return None;
+        }
+        let mut bytes = self.pictures.picture(state.number, state.touch, mode);
+        match fault {
+            Some(Fault::Truncate) => bytes = Arc::new(bytes[..bytes.len() / 2].to_vec()),
+            Some(Fault::Corrupt) => bytes = Arc::new(corrupted(&bytes, state.number)),
+            _ => {}
+        }
+        state.first_sent.get_or_insert_with(Instant::now);
+        self.changed.notify_all();
+        Some(Transmission {
+            bytes,
+            has_error_bit: fault == Some(Fault::ErrorBit),
+            loses_packet: fault == Some(Fault::LosePacket),
+        })
+    }
+
+    /// When the first picture was sent; waits at most `timeout` for it.
+    pub(crate) fn first_sent(&self, timeout: Duration) -> Option<Instant> {
+        let (state, _) = self
+            .changed
+            .wait_timeout_while(self.lock(), timeout, |s| s.first_sent.is_none())
+            .unwrap_or_else(PoisonError::into_inner);
+        state.first_sent
+    }
+
+    /// Pictures sent intact, and hits by each fault.
+    pub(crate) fn counters(&self) -> BTreeMap<&'static str, u64> {
+        let state = self.lock();
+        let mut counters = state.faults.clone();
+        counters.insert("sent", state.sent);
+        counters
+    }
+}
+
+/// The picture with 200 bytes of its middle altered, each to a value that follows from `seed`.
+fn corrupted(bytes: &[u8], seed: u64) -> Vec<u8> {
+    const LENGTH: usize = 200;
+    let mut bytes = bytes.to_vec();
+    let start = bytes.len() / 2;
+    let mut noise = seed | 1;
+    for byte in bytes.iter_mut().skip(start).take(LENGTH) {
+        noise ^= noise << 13;
+        noise ^= noise >> 7;
+        noise ^= noise << 17;
+        // Never 0xff: that would start a marker and be found by a look at the markers alone.
+        *byte = (noise % 0xff) as u8;
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MODE: Mode = Mode {
+        width: 64,
+        height: 4,
+        fps: 30,
+    };
+
+    fn files() -> Feed {
+        let picture = |byte: u8| Arc::new(vec![byte; 1000]);
+        Feed::new(Pictures::Files {
+            free: vec![picture(1), picture(2)],
+            pressed: vec![picture(3)],
+        })
+    }
+
+    fn first_byte(feed: &Feed) -> Option<u8> {
+        feed.next(MODE).map(|t| t.bytes[0])
+    }
+
+    #[test]
+    fn pictures_go_round_and_follow_the_touch() {
+        let feed = files();
+        let seen: Vec<_> = (0..3).map(|_| first_byte(&feed)).collect();
+        assert_eq!(seen, [Some(2), Some(1), Some(2)]);
+        feed.set_touch(Touch::Pressed);
+        assert_eq!(first_byte(&feed), Some(3));
+        assert_eq!(feed.counters()["sent"], 4);
+    }
+
+    #[test]
+    fn a_fault_hits_as_many_pictures_as_asked() {
+        let feed = files();
+        feed.set_fault(Some(Fault::Truncate), Some(2));
+        let lengths: Vec<_> = (0..3)
+            .map(|_| feed.next(MODE).unwrap().bytes.len())
+            .collect();
+        assert_eq!(lengths, [500, 500, 1000]);
+        assert_eq!(feed.counters()["truncate"], 2);
+        assert_eq!(feed.counters()["sent"], 1);
+    }
+
+    #[test]
+    fn frozen_repeats_and_dropped_skips() {
+        let feed = files();
+        assert_eq!(first_byte(&feed), Some(2));
+        feed.set_fault(Some(Fault::Freeze), None);
+        assert_eq!(first_byte(&feed), Some(2));
+        assert_eq!(first_byte(&feed), Some(2));
+        feed.set_fault(Some(Fault::Drop), Some(1));
+        assert_eq!(first_byte(&feed), None);
+        assert_eq!(first_byte(&feed), Some(2));
+    }
+
+    #[test]
+    fn corruption_alters_the_middle_only() {
+        let before = vec![0xff; 1000];
+        let after = corrupted(&before, 7);
+        assert_eq!(after.len(), before.len());
+        assert_eq!(after[..500], before[..500]);
+        assert!(after[500..700].iter().all(|&byte| byte != 0xff));
+        assert_eq!(after[700..], before[700..]);
+    }
+
+    #[test]
+    fn every_fault_has_its_own_name() {
+        for fault in Fault::ALL {
+            assert_eq!(fault.name().parse(), Ok(fault));
+        }
+        assert!("fire".parse::<Fault>().is_err());
+    }
+}

@@ -1,0 +1,274 @@
+//! The driver inside the guest: plugs the rig in, runs the program under test against it, lets
+//! the scenario happen, and writes down what came of it.
+//!
+//! Below the result directory it leaves `rig.toml`, `script.txt`, `stdout.json`, `stderr.txt`,
+//! a copy of the dataset in `dataset/`, and `result.json`.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command as Process, ExitStatus, Stdio};
+use std::str::FromStr;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use gripcast::imaging::{PixelFormat, Role};
+use gripcast::rig::calibration::{CameraConfig, PedalConfig, RigFile, SourceKind};
+
+use crate::command::Command;
+use crate::probe;
+use crate::rig::Rig;
+use crate::scenario::Scenario;
+
+/// A step of a scenario: a command to the rig, or something done to the guest.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Action {
+    Rig(Command),
+    /// Fills the dataset's disk until this much is left, KiB.
+    FillDisk {
+        leave_kib: u64,
+    },
+}
+
+impl FromStr for Action {
+    type Err = String;
+
+    fn from_str(line: &str) -> Result<Self, String> {
+        match line.strip_prefix("fill-disk ") {
+            Some(kib) => kib
+                .parse()
+                .map(|leave_kib| Self::FillDisk { leave_kib })
+                .map_err(|_| format!("`{kib}` is no number of KiB")),
+            None => line.parse().map(Self::Rig),
+        }
+    }
+}
+
+/// What to run.
+pub(crate) struct Run<'a> {
+    pub(crate) scenario: &'a Scenario,
+    /// The program under test.
+    pub(crate) gripcast: &'a Path,
+    /// Directory for the results, on the host's disk.
+    pub(crate) out: &'a Path,
+    /// Disk of the guest that holds the dataset.
+    pub(crate) disk: &'a Path,
+    pub(crate) left: &'a Path,
+    pub(crate) right: &'a Path,
+}
+
+/// Cameras that the program uses.
+const ROLES: [&str; 4] = ["left", "right", "rgb", "depth"];
+/// The program has this long after the last step, on the guest's clock.
+const PATIENCE: Duration = Duration::from_secs(90);
+const POLL: Duration = Duration::from_millis(20);
+
+fn camera(
+    (product, serial, interface): (&str, &str, Option<u8>),
+    format: PixelFormat,
+    (width, height, fps): (u32, u32, f64),
+) -> CameraConfig {
+    CameraConfig {
+        source: SourceKind::V4l2,
+        product: product.into(),
+        serial: Some(serial.into()),
+        interface,
+        port: None,
+        path: None,
+        unpaced: false,
+        format,
+        width,
+        height,
+        fps,
+        crop_profile: None,
+        depth_unit_m: None,
+        controls: [].into(),
+    }
+}
+
+/// The rig file that binds roles to the emulated devices by serial.
+fn rig_file() -> RigFile {
+    let tactile = |serial| {
+        let mut mini = camera(
+            ("GelSight Mini", serial, None),
+            PixelFormat::Mjpg,
+            (3280, 2464, 25.0),
+        );
+        mini.crop_profile = Some("gsmini-seventh-v1".into());
+        mini.controls = [
+            ("auto_exposure", 1),
+            ("exposure_time_absolute", 180),
+            ("gain", 0),
+            ("white_balance_automatic", 0),
+            ("white_balance_temperature", 4500),
+        ]
+        .map(|(name, value)| (name.to_owned(), value))
+        .into();
+        mini
+    };
+    let d435 = |interface, format, (width, height)| {
+        let name = "Intel(R) RealSense(TM) Depth Camera 435";
+        camera(
+            (name, "814412070123", Some(interface)),
+            format,
+            (width, height, 30.0),
+        )
+    };
+    let rgb = d435(3, PixelFormat::Yuyv, (1280, 720));
+    let mut depth = d435(0, PixelFormat::Z16, (640, 480));
+    depth.depth_unit_m = Some(0.001);
+    RigFile {
+        schema: 1,
+        id: "kernel-test".into(),
+        cameras: [
+            (Role::Left, tactile("2BNN4ZE7")),
+            (Role::Right, tactile("28F5K4RR")),
+            (Role::Rgb, rgb),
+            (Role::Depth, depth),
+        ]
+        .into(),
+        pedals: vec![PedalConfig {
+            vendor: 0x3553,
+            product: 0xb001,
+            keys: [("b".to_owned(), "trigger".to_owned())].into(),
+            debounce_ms: 80,
+        }],
+    }
+}
+
+fn start(run: &Run<'_>, dataset: &Path) -> io::Result<Child> {
+    let rig = run.out.join("rig.toml");
+    let text = toml::to_string_pretty(&rig_file()).map_err(io::Error::other)?;
+    fs::write(&rig, text)?;
+    let script = run.out.join("script.txt");
+    fs::write(&script, run.scenario.script)?;
+    Process::new(run.gripcast)
+        .args(["collect", "--headless", "--json", "--rig"])
+        .arg(&rig)
+        .arg("--script")
+        .arg(&script)
+        .arg("--dataset")
+        .arg(dataset)
+        .current_dir(run.disk)
+        .env("HOME", run.disk)
+        .stdin(Stdio::null())
+        .stdout(File::create(run.out.join("stdout.json"))?)
+        .stderr(File::create(run.out.join("stderr.txt"))?)
+        .spawn()
+}
+
+/// Waits until all cameras have sent their first picture; `None` where the program ends before.
+fn first_pictures(rig: &Rig, child: &mut Child) -> io::Result<Option<Instant>> {
+    let start = Instant::now();
+    let mut latest = start;
+    for role in ROLES {
+        latest = loop {
+            if let Some(first) = rig.feed(role)?.first_sent(POLL) {
+                break latest.max(first);
+            }
+            if child.try_wait()?.is_some() || start.elapsed() > PATIENCE {
+                return Ok(None);
+            }
+        };
+    }
+    Ok(Some(latest))
+}
+
+/// Waits for the program's end; kills it when its time is over.
+fn finish(child: &mut Child) -> io::Result<Option<ExitStatus>> {
+    let start = Instant::now();
+    while start.elapsed() < PATIENCE {
+        if let Some(status) = child.try_wait()? {
+            return Ok(Some(status));
+        }
+        thread::sleep(POLL);
+    }
+    child.kill()?;
+    child.wait()?;
+    Ok(None)
+}
+
+/// Writes a file of zeroes until only `leave_kib` are left.
+fn fill_disk(disk: &Path, leave_kib: u64) -> io::Result<()> {
+    let stat = rustix::fs::statvfs(disk)?;
+    let free = stat.f_bavail * stat.f_frsize;
+    let bytes = free.saturating_sub(leave_kib * 1024);
+    io::copy(
+        &mut io::Read::take(io::repeat(0), bytes),
+        &mut File::create(disk.join("ballast"))?,
+    )?;
+    Ok(())
+}
+
+fn copy_tree(from: &Path, to: &Path) -> io::Result<()> {
+    fs::create_dir_all(to)?;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        let target = to.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            copy_tree(&entry.path(), &target)?;
+        } else {
+            fs::copy(entry.path(), target)?;
+        }
+    }
+    Ok(())
+}
+
+/// Runs a scenario from plugging in to the copy of the dataset.
+pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
+    let invalid = |what: String| io::Error::new(io::ErrorKind::InvalidInput, what);
+    let mut rig = Rig::new(run.left, run.right)?;
+    for line in run.scenario.setup {
+        rig.obey(&line.parse().map_err(invalid)?)?;
+    }
+    probe::wait_for_nodes()?;
+
+    let dataset: PathBuf = run.disk.join("dataset");
+    let started = Instant::now();
+    let mut child = start(run, &dataset)?;
+    let first = first_pictures(&rig, &mut child)?;
+    if let Some(first) = first {
+        for (at_s, line) in run.scenario.steps {
+            let due = first + Duration::from_secs_f64(*at_s);
+            thread::sleep(due.saturating_duration_since(Instant::now()));
+            match line.parse().map_err(invalid)? {
+                Action::Rig(command) => rig.obey(&command)?,
+                Action::FillDisk { leave_kib } => fill_disk(run.disk, leave_kib)?,
+            }
+        }
+    }
+    let status = finish(&mut child)?;
+    let result = serde_json::json!({
+        "scenario": run.scenario.name,
+        "exit_code": status.and_then(|s| s.code()),
+        "timed_out": status.is_none(),
+        "streams_started": first.is_some(),
+        "guest_s": started.elapsed().as_secs_f64(),
+        "sent": rig.counters(),
+    });
+    if dataset.is_dir() {
+        copy_tree(&dataset, &run.out.join("dataset"))?;
+    }
+    fs::write(run.out.join("result.json"), format!("{result:#}\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rig_file_reads_back() {
+        let text = toml::to_string_pretty(&rig_file()).unwrap();
+        assert_eq!(toml::from_str::<RigFile>(&text).unwrap(), rig_file());
+    }
+
+    #[test]
+    fn actions_are_rig_commands_or_guest_commands() {
+        assert_eq!(
+            "fill-disk 64".parse(),
+            Ok(Action::FillDisk { leave_kib: 64 })
+        );
+        assert_eq!("quit".parse(), Ok(Action::Rig(Command::Quit)));
+        assert!("fill-disk much".parse::<Action>().is_err());
+    }
+}
