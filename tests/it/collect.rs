@@ -21,14 +21,21 @@ fn three_grasps_are_collected_predicted_and_verified() {
     assert_eq!(report["grasps"][1]["object"], "tape-roll");
     assert_eq!(report["grasps"][1]["outcome"], "slip");
     for role in ["left", "right", "rgb", "depth"] {
-        assert!(report["cameras"][role]["received"].as_u64().unwrap() > 0, "{role}");
+        assert!(
+            report["cameras"][role]["received"].as_u64().unwrap() > 0,
+            "{role}"
+        );
         assert_eq!(report["cameras"][role]["damaged"], 0, "{role}");
     }
     assert!(report["prediction"]["predictions"].as_u64().unwrap() > 0);
 
     let verified = verify(&dataset);
     assert_eq!(verified["grasps"], 3);
-    assert_eq!(verified["problems"].as_array().unwrap().len(), 0, "{verified}");
+    assert_eq!(
+        verified["problems"].as_array().unwrap().len(),
+        0,
+        "{verified}"
+    );
 
     for (id, grasp) in grasps(&dataset) {
         for stage in ["initial", "grasp"] {
@@ -59,7 +66,9 @@ fn the_prediction_is_that_of_the_saved_files() {
         let name = grasp[stage]["cameras"][role]["file"].as_str().unwrap();
         dataset.join("grasps").join(&id).join(name)
     };
-    let crop = grasp["grasp"]["cameras"]["left"]["crop_profile"].as_str().unwrap();
+    let crop = grasp["grasp"]["cameras"]["left"]["crop_profile"]
+        .as_str()
+        .unwrap();
     let output = succeed(
         gripcast()
             .args(["predict", "images", "--json", "--crop", crop])
@@ -74,7 +83,10 @@ fn the_prediction_is_that_of_the_saved_files() {
     );
     let repeated = json(&output)["p_stable"].as_f64().unwrap();
     let stored = grasp["prediction"]["p_stable"].as_f64().unwrap();
-    assert!((repeated - stored).abs() < 1e-6, "stored {stored}, repeated {repeated}");
+    assert!(
+        (repeated - stored).abs() < 1e-6,
+        "stored {stored}, repeated {repeated}"
+    );
 }
 
 #[test]
@@ -121,7 +133,10 @@ fn an_initial_frame_survives_the_process_and_is_resumed() {
     succeed(&mut collect(&script(dir.path(), first), &dataset));
     assert_eq!(grasps(&dataset).len(), 0);
     let second = "wait live\nwait contact\ngrasp\nexpect saved\nquit\n";
-    let report = json(&succeed(&mut collect(&script(dir.path(), second), &dataset)));
+    let report = json(&succeed(&mut collect(
+        &script(dir.path(), second),
+        &dataset,
+    )));
     assert_eq!(report["session"]["initials"], 0);
     assert_eq!(report["session"]["saved"], 1);
     assert!(report["grasps"][0]["p_stable"].is_number(), "{report}");
@@ -144,12 +159,27 @@ fn wrong_input_is_explained_with_the_right_exit_code() {
     let nonsense = dir.path().join("nonsense.txt");
     std::fs::write(&nonsense, "wait live\ngrab it\n").unwrap();
     let nonsense = text(&nonsense);
-    let on_virtual = ["collect", "--rig", "virtual", "--dataset", &dataset, "--script"];
+    let on_virtual = [
+        "collect",
+        "--rig",
+        "virtual",
+        "--dataset",
+        &dataset,
+        "--script",
+    ];
     let with = |more: &[&str]| refused(&[&on_virtual[..], more].concat());
 
     let cases: Vec<((i32, String), i32, &[&str])> = vec![
-        (refused(&["collect", "--dataset", &dataset]), 2, &["which rig", "--rig virtual"]),
-        (refused(&["collect", "--rig", "virtual"]), 2, &["which dataset"]),
+        (
+            refused(&["collect", "--dataset", &dataset]),
+            2,
+            &["which rig", "--rig virtual"],
+        ),
+        (
+            refused(&["collect", "--rig", "virtual"]),
+            2,
+            &["which dataset"],
+        ),
         (
             refused(&["collect", "--rig", "virtul", "--dataset", &dataset]),
             2,
@@ -161,7 +191,11 @@ fn wrong_input_is_explained_with_the_right_exit_code() {
             &["no terminal", "--script"],
         ),
         (with(&[&wait, "--model", &not_onnx]), 1, &["model.onnx"]),
-        (with(&[&wait, "--model", "/nonexistent.onnx"]), 1, &["/nonexistent.onnx"]),
+        (
+            with(&[&wait, "--model", "/nonexistent.onnx"]),
+            1,
+            &["/nonexistent.onnx"],
+        ),
         (with(&[&nonsense]), 1, &["nonsense.txt:2", "grab it"]),
         (with(&[&wait, "--sound", "loud"]), 2, &["loud", "bell"]),
         (with(&["/nonexistent.txt"]), 1, &["/nonexistent.txt"]),
@@ -187,7 +221,9 @@ fn a_second_collection_on_the_same_dataset_is_told_who_holds_it() {
         .spawn()
         .unwrap();
     wait_until(&mut holder, || dataset.join("metadata.jsonl").exists());
-    let output = collect(&script(dir.path(), "wait live\nquit\n"), &dataset).output().unwrap();
+    let output = collect(&script(dir.path(), "wait live\nquit\n"), &dataset)
+        .output()
+        .unwrap();
     holder.kill().unwrap();
     holder.wait().unwrap();
     assert_eq!(output.status.code(), Some(1));

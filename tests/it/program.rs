@@ -97,7 +97,10 @@ pub fn grasps(dataset: &Path) -> std::collections::BTreeMap<String, Value> {
 /// Waits for what a running program does; it must not end before.
 pub fn wait_until(child: &mut std::process::Child, mut done: impl FnMut() -> bool) {
     while !done() {
-        assert!(child.try_wait().unwrap().is_none(), "the program ended too early");
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "the program ended too early"
+        );
         std::thread::yield_now();
     }
 }

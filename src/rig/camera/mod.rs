@@ -23,7 +23,6 @@ pub use stream_monitor::{
     CameraCounters, FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy,
 };
 pub use supervised::{CameraEvent, run_camera};
-pub use v4l2::{V4l2Opener, V4l2Source};
 pub use v4l2::V4l2Opener;
 pub(crate) use v4l2_controls::{CONTROLS, FORMER_NAMES};
 #[cfg(test)]

@@ -28,7 +28,10 @@ fn find_kernel() -> Result<PathBuf, String> {
         PathBuf::from,
     );
     let digest = Sha256::digest(include_bytes!("../../kernel/uml.fragment"));
-    let fragment: String = digest[..6].iter().map(|byte| format!("{byte:02x}")).collect();
+    let fragment: String = digest[..6]
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
     let mut found: Vec<PathBuf> = fs::read_dir(cache.join("uml"))
         .into_iter()
         .flatten()
@@ -71,7 +74,13 @@ fn emulator() -> &'static Path {
         let program_dir = Path::new(env!("CARGO_BIN_EXE_gripcast")).parent().unwrap();
         let mut cargo = Command::new(env!("CARGO"));
         cargo
-            .args(["build", "--offline", "--quiet", "--example", "usbip-cameras"])
+            .args([
+                "build",
+                "--offline",
+                "--quiet",
+                "--example",
+                "usbip-cameras",
+            ])
             .arg("--target-dir")
             .arg(program_dir.parent().unwrap())
             .current_dir(env!("CARGO_MANIFEST_DIR"));
@@ -92,11 +101,11 @@ fn quoted(path: &Path) -> String {
 fn boot(kernel: &Path, name: &str, disk: &str, command: &str) -> PathBuf {
     // One processor a guest, and each eats what it gets: more at a time are no faster.
     static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-    let _turn = ONE_AT_A_TIME
-        .lock()
-        .unwrap_or_else(PoisonError::into_inner);
+    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
 
-    let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("kernel").join(name);
+    let out = Path::new(env!("CARGO_TARGET_TMPDIR"))
+        .join("kernel")
+        .join(name);
     if out.exists() {
         fs::remove_dir_all(&out).unwrap();
     }
@@ -104,8 +113,20 @@ fn boot(kernel: &Path, name: &str, disk: &str, command: &str) -> PathBuf {
     fs::write(out.join("command.sh"), command).unwrap();
     let init = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kernel/guest-init.sh");
     let mut guest = Command::new(kernel)
-        .args(["mem=1024M", "root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro"])
-        .args(["con=null", "con0=null", "loglevel=2", "quiet", "time-travel=inf-cpu"])
+        .args([
+            "mem=1024M",
+            "root=/dev/root",
+            "rootfstype=hostfs",
+            "rootflags=/",
+            "ro",
+        ])
+        .args([
+            "con=null",
+            "con0=null",
+            "loglevel=2",
+            "quiet",
+            "time-travel=inf-cpu",
+        ])
         .arg(format!("init={}", init.display()))
         .arg(format!("GRIPCAST_OUT={}", out.display()))
         .arg(format!("GRIPCAST_DISK={disk}"))

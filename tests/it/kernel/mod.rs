@@ -49,10 +49,16 @@ fn assert_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
 /// 400 + (x + y + n) mod 256.
 fn assert_depth_as_sent(grasp: &SavedGrasp) {
     let record = &grasp.record.grasp.cameras[&Role::Depth];
-    let depth = image::open(grasp.dir.join(&record.file)).unwrap().to_luma16();
+    let depth = image::open(grasp.dir.join(&record.file))
+        .unwrap()
+        .to_luma16();
     let number = u32::from(depth.get_pixel(0, 0).0[0]) - 400;
     for (x, y, pixel) in depth.enumerate_pixels() {
-        assert_eq!(u32::from(pixel.0[0]), 400 + (x + y + number) % 256, "({x}, {y})");
+        assert_eq!(
+            u32::from(pixel.0[0]),
+            400 + (x + y + number) % 256,
+            "({x}, {y})"
+        );
     }
 }
 
@@ -89,7 +95,11 @@ fn assert_others_undisturbed(outcome: &Outcome, but: &[&str]) {
     for role in ["left", "right", "rgb", "depth"] {
         if !but.contains(&role) {
             for counter in ["sequence_gaps", "damaged", "reconnects"] {
-                assert_eq!(outcome.counter(role, counter), 0, "{role} {counter}: {outcome}");
+                assert_eq!(
+                    outcome.counter(role, counter),
+                    0,
+                    "{role} {counter}: {outcome}"
+                );
             }
         }
     }
@@ -100,10 +110,34 @@ fn every_emulated_camera_delivers_what_it_was_fed() {
     let Some(kernel) = kernel() else { return };
     let report = guest::probe(&kernel, pictures::drawn());
     for (role, name, serial, interface, fps) in [
-        ("left", "GelSight Mini R0B 2BNN-4ZE7: Ge", "2BNN4ZE7", 0, 25.0),
-        ("right", "GelSight Mini R0B 28F5-K4RR: Ge", "28F5K4RR", 0, 25.0),
-        ("depth", "Intel(R) RealSense(TM) Depth Ca", "814412070123", 0, 30.0),
-        ("rgb", "Intel(R) RealSense(TM) Depth Ca", "814412070123", 3, 30.0),
+        (
+            "left",
+            "GelSight Mini R0B 2BNN-4ZE7: Ge",
+            "2BNN4ZE7",
+            0,
+            25.0,
+        ),
+        (
+            "right",
+            "GelSight Mini R0B 28F5-K4RR: Ge",
+            "28F5K4RR",
+            0,
+            25.0,
+        ),
+        (
+            "depth",
+            "Intel(R) RealSense(TM) Depth Ca",
+            "814412070123",
+            0,
+            30.0,
+        ),
+        (
+            "rgb",
+            "Intel(R) RealSense(TM) Depth Ca",
+            "814412070123",
+            3,
+            30.0,
+        ),
     ] {
         let camera = &report["cameras"][role];
         assert_eq!(camera["name"], name, "{report:#}");
@@ -215,7 +249,12 @@ fn a_sensor_pulled_out_while_idle_is_found_again() {
 #[test]
 fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "replug-between", "replug-between", pictures::drawn());
+    let outcome = run(
+        &kernel,
+        "replug-between",
+        "replug-between",
+        pictures::drawn(),
+    );
     assert_one_good_grasp(&outcome, pictures::drawn());
     assert_eq!(outcome.counter("right", "reconnects"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["right"]);
@@ -224,7 +263,12 @@ fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
 #[test]
 fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "unplug-during-save", "unplug-during-save", pictures::drawn());
+    let outcome = run(
+        &kernel,
+        "unplug-during-save",
+        "unplug-during-save",
+        pictures::drawn(),
+    );
     assert_one_good_grasp(&outcome, pictures::drawn());
     assert_eq!(outcome.grasps[0].record.grasp.trigger, "pedal");
     assert_others_undisturbed(&outcome, &["right"]);
@@ -246,7 +290,10 @@ fn a_full_disk_keeps_what_was_saved_and_says_so() {
     assert_eq!(outcome.grasps.len(), 1, "{outcome}");
     assert_as_sent(&outcome.grasps[0], pictures::drawn());
     let overridden = &outcome.grasps[0].record.overridden_guards;
-    assert!(overridden.iter().all(|g| g.guard == "disk_low"), "{overridden:?}");
+    assert!(
+        overridden.iter().all(|g| g.guard == "disk_low"),
+        "{overridden:?}"
+    );
     assert_eq!(overridden.len(), 2, "{overridden:?}");
     assert_dataset_is_clean(&outcome);
     assert_eq!(outcome.session("failed"), 1, "{outcome}");
