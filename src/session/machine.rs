@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use serde::Serialize;
+
 use super::Command;
 use super::guard::{self, Conditions, Guard, GuardLimits, Objection};
 use super::view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
@@ -9,7 +11,7 @@ use crate::dataset::{GraspId, Outcome, OverriddenGuard};
 use crate::imaging::Role;
 
 /// Names that go into every grasp.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Labels {
     /// What is grasped.
     pub object: String,
@@ -20,7 +22,7 @@ pub struct Labels {
 }
 
 /// An initial frame that waits for its grasp.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PendingFrame {
     /// Key of the grasp that it begins.
     pub id: GraspId,
@@ -49,7 +51,8 @@ pub enum Effect {
 }
 
 /// A change of the dataset. At most one is under way.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum StoreRequest {
     /// Save the present frames as initial.
     SaveInitial {
@@ -97,7 +100,8 @@ pub enum StoreRequest {
 }
 
 /// Answer to a [`StoreRequest`].
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum StoreReply {
     /// An initial frame is durable (saved, restored, or reopened by an undone grasp).
     Initial(PendingFrame),
@@ -177,7 +181,7 @@ pub struct Session {
 }
 
 /// What happened, for the closing line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Summary {
     /// Initial frames saved.
     pub initials: u64,

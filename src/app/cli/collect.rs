@@ -74,6 +74,9 @@ pub(crate) struct Args {
     /// Closing report as one JSON object on stdout
     #[arg(long)]
     json: bool,
+    /// Every change of the dataset as a line of JSON on stdout, when it is durable
+    #[arg(long)]
+    events: bool,
     #[command(flatten)]
     config: ConfigFlag,
 }
@@ -112,6 +115,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let dataset = chosen_dataset(&settings)?;
     let script = args.script.as_deref().map(read_script).transpose()?;
     let screen = !args.headless
+        && !args.events
         && script.is_none()
         && std::io::stdin().is_terminal()
         && std::io::stdout().is_terminal();
@@ -157,6 +161,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         setup,
         pedals,
         screen.then_some(sound),
+        args.events,
         context.quiet,
     ))?;
     if args.json {
@@ -189,6 +194,7 @@ async fn collect(
     setup: EngineSetup,
     pedals: Vec<PedalConfig>,
     screen: Option<tui::Sound>,
+    events: bool,
     quiet: bool,
 ) -> Result<CollectReport> {
     let stop = stop_signals()?;
@@ -232,6 +238,12 @@ async fn collect(
         commands,
         status,
         tones: tone_sender,
+        stored: Box::new(move |stored| {
+            if events {
+                // A reader that has gone does not stop the collection.
+                let _ = serde_json::to_string(stored).map(|line| print(&line));
+            }
+        }),
     };
     let (report, ()) = tokio::join!(daemon::run(setup, links, stop), lines);
     ended.store(true, Ordering::Relaxed);

@@ -68,6 +68,19 @@ pub struct EngineLinks {
     pub status: watch::Sender<Arc<EngineStatus>>,
     /// Sounds to give.
     pub tones: mpsc::UnboundedSender<Tone>,
+    /// Is told every answered change of the dataset, when it is answered.
+    pub stored: Box<dyn FnMut(&Stored) + Send>,
+}
+
+/// A change of the dataset that was asked for and its answer; unless it failed, it is durable.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Stored {
+    /// Wall clock of the answer, RFC 3339 UTC.
+    pub at: String,
+    /// What was asked for.
+    pub request: StoreRequest,
+    /// The answer.
+    pub reply: StoreReply,
 }
 
 /// Why the engine ended.
@@ -190,6 +203,8 @@ struct Engine {
     script_command: ScriptCommand,
     /// Source of the command that is being carried out.
     source: CommandSource,
+    /// The request that the store is carrying out.
+    request: Option<StoreRequest>,
     /// Frames of the trigger that is being carried out.
     capture_now: Option<StageCapture>,
     grasps: Vec<GraspReport>,
@@ -268,6 +283,7 @@ impl Engine {
             script: setup.script.map(ScriptRunner::new),
             script_command: ScriptCommand::default(),
             source: CommandSource::Keyboard,
+            request: None,
             capture_now: None,
             grasps: Vec::new(),
             disk_free_bytes: None,
@@ -372,7 +388,8 @@ impl Engine {
 
     /// A fault tone for every camera that falls out.
     fn watch_cameras(&mut self) {
-        for slot in self.hub.slots() {
+        let hub = self.hub.clone();
+        for slot in hub.slots() {
             let (live, reason) = slot.facts(|facts| {
                 let live = facts.health == Health::Live;
                 (live, format!("{:?}", facts.health))
@@ -383,14 +400,9 @@ impl Engine {
                 let _ = self.links.tones.send(Tone::Fault);
             }
             if before.is_some_and(|before| before != live) {
-                let event = serde_json::json!({
-                    "at": Timestamp::now().to_string(),
-                    "event": if live { "camera_live" } else { "camera_fault" },
-                    "role": slot.role(),
-                    "health": reason,
-                });
-                // The log explains; it must not stop the collection.
-                let _ = self.store.send(StoreMessage::Log(event));
+                let event = if live { "camera_live" } else { "camera_fault" };
+                let role = slot.role();
+                self.log(event, &serde_json::json!({"role": role, "health": reason}));
             }
         }
     }
@@ -399,7 +411,10 @@ impl Engine {
         let now_ns = monotonic_ns();
         let paired = self.pair(now_ns);
         let conditions = self.conditions(&paired, now_ns);
-        self.log_command(&command, source);
+        self.log(
+            "command",
+            &serde_json::json!({"command": command.to_string(), "source": source.name()}),
+        );
         self.source = source;
         self.capture_now = Some(self.stage_capture(paired, now_ns, source));
         let labelled_before = self.session.step() == Step::Label;
@@ -415,6 +430,7 @@ impl Engine {
     }
 
     fn take_reply(&mut self, reply: StoreReply) -> Vec<Effect> {
+        self.tell_stored(&reply);
         self.note_grasp(&reply);
         let labelled_before = self.session.step() == Step::Label;
         let effects = self.session.completed(reply);
@@ -426,6 +442,29 @@ impl Engine {
         }
         self.refresh_grasps();
         effects
+    }
+
+    fn tell_stored(&mut self, reply: &StoreReply) {
+        let Some(request) = self.request.take() else {
+            return;
+        };
+        let stored = Stored {
+            at: Timestamp::now().to_string(),
+            request,
+            reply: reply.clone(),
+        };
+        (self.links.stored)(&stored);
+        self.log("stored", &stored);
+    }
+
+    /// A line of the log; it explains and must not stop the collection.
+    fn log(&self, event: &str, what: &impl Serialize) {
+        let line = serde_json::json!({
+            "at": Timestamp::now().to_string(),
+            "event": event,
+            "what": what,
+        });
+        let _ = self.store.send(StoreMessage::Log(line));
     }
 
     fn next_virtual_object(&self) {
@@ -496,6 +535,7 @@ impl Engine {
                         StoreRequest::SaveInitial { .. } | StoreRequest::SaveGrasp { .. }
                     );
                     let latency_ms = self.live().map_or(0.0, |live| live.latency_ms);
+                    self.request = Some(request.clone());
                     self.store.send(StoreMessage::Carry {
                         request,
                         capture: self.capture_now.take().filter(|_| saves),
@@ -515,17 +555,6 @@ impl Engine {
 
     fn live(&self) -> Option<Live> {
         self.inference.findings().live
-    }
-
-    fn log_command(&self, command: &Command, source: CommandSource) {
-        let event = serde_json::json!({
-            "at": Timestamp::now().to_string(),
-            "event": "command",
-            "command": command.to_string(),
-            "source": source.name(),
-        });
-        // The log explains; it must not stop the collection.
-        let _ = self.store.send(StoreMessage::Log(event));
     }
 
     fn pair(&self, now_ns: u64) -> Paired {
@@ -647,15 +676,11 @@ impl Engine {
             .hub
             .slots()
             .map(|slot| (slot.role(), camera_report(slot, &self.rig)))
-            .collect();
-        let event = serde_json::json!({
-            "at": Timestamp::now().to_string(),
-            "event": "end",
-            "session": session,
-            "cameras": cameras,
-        });
-        // The log explains; what it says is in the report as well.
-        let _ = self.store.send(StoreMessage::Log(event));
+            .collect::<BTreeMap<_, _>>();
+        self.log(
+            "end",
+            &serde_json::json!({"session": session, "cameras": cameras}),
+        );
         let stored = self.store.stop();
         self.hub.close();
         self.capture.stop();

@@ -20,6 +20,6 @@ mod store;
 
 pub use engine::{
     CameraReport, CollectReport, Ended, EngineLinks, EngineSetup, GraspReport, PredictionReport,
-    run,
+    Stored, run,
 };
 pub use status::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};

@@ -1,0 +1,177 @@
+//! Killing the collection at random moments: nothing acknowledged is lost, nothing half is seen.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead as _, BufReader};
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64;
+use serde_json::Value;
+
+use crate::program::{collect, grasps, script, verify};
+
+/// Moments at which the process is killed.
+const KILLS: u64 = 200;
+
+/// Kills that share a dataset, so that each run also starts on what the one before left behind.
+const KILLS_PER_DATASET: u64 = 20;
+
+/// Small fast cameras: the test is about the dataset.
+const RIG: &str = r#"
+schema = 1
+id = "crash"
+[cameras.left]
+source = "virtual"
+format = "MJPG"
+width = 160
+height = 120
+fps = 100.0
+crop_profile = "gsmini-seventh-v1"
+[cameras.right]
+source = "virtual"
+format = "MJPG"
+width = 160
+height = 120
+fps = 100.0
+crop_profile = "gsmini-seventh-v1"
+"#;
+
+/// What every acknowledged line of `--events` says about the dataset.
+#[derive(Clone, Debug, Default)]
+struct Acknowledged {
+    /// Outcome by grasp.
+    grasps: BTreeMap<String, String>,
+    /// The initial frame that waits for its grasp.
+    pending: Option<String>,
+}
+
+impl Acknowledged {
+    fn take(&mut self, event: &Value) {
+        let (request, reply) = (&event["request"], &event["reply"]);
+        assert!(reply.get("failed").is_none(), "a request failed: {event}");
+        let (kind, body) = request.as_object().unwrap().iter().next().unwrap();
+        let id = |value: &Value| value.as_str().unwrap().to_owned();
+        let reply_id = || {
+            let answer = reply.get("initial").or_else(|| reply.get("grasp")).unwrap();
+            id(&answer["id"])
+        };
+        match kind.as_str() {
+            "save_initial" | "restore_initial" => self.pending = Some(reply_id()),
+            "discard_initial" => {
+                if self.pending == Some(id(&body["id"])) {
+                    self.pending = None;
+                }
+            }
+            "save_grasp" | "redo_grasp" => {
+                self.pending = None;
+                self.grasps
+                    .insert(reply_id(), id(&reply["grasp"]["outcome"]));
+            }
+            "undo_grasp" => {
+                self.grasps.remove(&id(&body["id"]));
+                self.pending = Some(reply_id());
+            }
+            "set_outcome" => {
+                self.grasps.insert(id(&body["id"]), id(&body["outcome"]));
+            }
+            other => panic!("unknown request {other}"),
+        }
+    }
+}
+
+fn on_disk(dataset: &Path) -> BTreeMap<String, String> {
+    grasps(dataset)
+        .into_iter()
+        .map(|(id, grasp)| (id, grasp["outcome"].as_str().unwrap().to_owned()))
+        .collect()
+}
+
+/// Entries that are in one map and not, or not the same, in the other.
+fn differences(a: &BTreeMap<String, String>, b: &BTreeMap<String, String>) -> usize {
+    let changed = a
+        .iter()
+        .filter(|(id, outcome)| b.get(*id) != Some(outcome))
+        .count();
+    changed + b.keys().filter(|id| !a.contains_key(*id)).count()
+}
+
+#[test]
+fn nothing_acknowledged_is_lost_at_200_random_moments() {
+    let dir = tempfile::tempdir().unwrap();
+    let rig = dir.path().join("crash.toml");
+    std::fs::write(&rig, RIG).unwrap();
+    let cycle = "initial\nexpect saved\ngrasp\nexpect saved\nstable\nexpect saved\nundo\n\
+                 expect saved\nslip\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\n\
+                 redo\nexpect saved\ninitial\nexpect saved\ninitial\nexpect saved\n\
+                 undo\nexpect saved\ngrasp\nexpect saved\nslip\nexpect saved\n";
+    let steps = format!("wait live\n{}quit\n", cycle.repeat(50));
+    let script = script(dir.path(), &steps);
+    let mut rng = Pcg64::seed_from_u64(20);
+    let (mut acknowledged, mut in_flight) = (0, 0);
+    let mut known = Acknowledged::default();
+    for kill in 0..KILLS {
+        let dataset = dir.path().join(format!("d{}", kill / KILLS_PER_DATASET));
+        if kill % KILLS_PER_DATASET == 0 {
+            known = Acknowledged::default();
+        }
+        let mut child = collect(&script, &dataset)
+            .args(["--events", "--quiet", "--rig"])
+            .arg(&rig)
+            // Without contact no virtual hand has to be waited for.
+            .env("GRIPCAST__GUARDS__MIN_CONTACT_FRACTION", "0")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let events = rng.random_range(0..40);
+        for _ in 0..events {
+            let line = lines
+                .next()
+                .expect("the collection ended too early")
+                .unwrap();
+            known.take(&serde_json::from_str(&line).unwrap());
+        }
+        // Somewhere in the next request or two.
+        let moment = Instant::now() + Duration::from_micros(rng.random_range(0..12_000));
+        while Instant::now() < moment {
+            std::hint::spin_loop();
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        // What was written to the pipe before the kill was acknowledged too.
+        for line in lines {
+            let Ok(event) = serde_json::from_str(&line.unwrap()) else {
+                break;
+            };
+            known.take(&event);
+        }
+
+        let found = on_disk(&dataset);
+        let unacknowledged = differences(&known.grasps, &found);
+        assert!(
+            unacknowledged <= 1,
+            "kill {kill}: more than the one request in flight differs\n{known:?}\n{found:?}"
+        );
+        in_flight += unacknowledged;
+        acknowledged += known.grasps.len();
+        if dataset.join("dataset.toml").exists() {
+            let verified = verify(&dataset);
+            let torn: Vec<&Value> = verified["problems"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .filter(|problem| !matches!(problem["kind"].as_str(), Some("torn" | "stale_index")))
+                .collect();
+            assert!(torn.is_empty(), "kill {kill}: {torn:?}");
+        }
+        known.grasps = found;
+    }
+    println!("{KILLS} kills, {acknowledged} acknowledged grasps checked, {in_flight} in flight");
+    assert!(
+        acknowledged > KILLS as usize,
+        "the run hardly collected anything"
+    );
+}
