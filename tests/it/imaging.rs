@@ -421,6 +421,12 @@ fn depth_is_read_and_shown() {
 }
 
 #[test]
+fn a_decoder_can_move_to_its_thread() {
+    fn movable<T: Send + 'static>(_: &T) {}
+    movable(&Decoder::new().unwrap());
+}
+
+#[test]
 fn grey_frames_become_grey_pictures() {
     let frame = frame(PixelFormat::Grey, 4, 2, vec![0, 50, 100, 255, 1, 2, 3, 4]);
     let picture = Decoder::new().unwrap().decode_full(&frame).unwrap();

@@ -4,7 +4,7 @@ use super::code;
 use super::damage::JpegDamage;
 
 /// Pictures beyond this many pixels are refused before memory is taken for them.
-const MOST_PIXELS: u64 = 1 << 27;
+const MOST_PIXELS: u64 = 1 << 26;
 
 /// How colour is sampled against luminance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
