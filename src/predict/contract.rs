@@ -51,6 +51,8 @@ const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
 /// Crop profile of a model that does not depend on the crop.
 const ANY_CROP: &str = "any";
 const NONE: &str = "none";
+/// Largest kernel, stride, dilation or padding, pixels; beyond any picture that is an input.
+const LARGEST_WINDOW: i64 = 4096;
 const HOW_TO_EXPORT: &str = "export the model again with gripcast's contract, see models/README.md";
 
 /// An input tensor; the name in the graph.
@@ -514,6 +516,7 @@ impl ModelContract {
             .as_ref()
             .ok_or_else(|| refusal("the file has no graph"))?;
         check_constants(graph)?;
+        check_windows(graph)?;
         let found = graph_inputs(graph);
         let names: BTreeSet<&str> = found.iter().map(|input| input.name.as_str()).collect();
         let expected: BTreeSet<&str> = self.variant.inputs().iter().map(|n| n.name()).collect();
@@ -590,6 +593,30 @@ fn check_constants(graph: &GraphProto) -> Result<()> {
         ))
         .remedy("export the model without external data")),
     }
+}
+
+/// Windows of convolutions and pools. The engine computes shapes from them without a check, so a
+/// damaged one could ask for any amount of memory.
+fn check_windows(graph: &GraphProto) -> Result<()> {
+    for node in &graph.node {
+        for attribute in &node.attribute {
+            let least = match attribute.name.as_str() {
+                "kernel_shape" | "strides" | "dilations" => 1,
+                "pads" => 0,
+                _ => continue,
+            };
+            let allowed = least..=LARGEST_WINDOW;
+            if let Some(found) = attribute.ints.iter().find(|x| !allowed.contains(x)) {
+                return Err(refusal(format!(
+                    "operator `{}` ({}): expected `{}` between {least} and {LARGEST_WINDOW}, \
+                     found {found}",
+                    node.name, node.op_type, attribute.name
+                ))
+                .remedy("the file is damaged; copy or export it again"));
+            }
+        }
+    }
+    Ok(())
 }
 
 fn check_tensor(role: &str, value: &ValueInfoProto, expected: &[i64]) -> Result<()> {
@@ -974,6 +1001,18 @@ mod tests {
             (
                 |m| graph(m).initializer[0].data_location = Some(DataLocation::External as i32),
                 &["`noise` are in another file"],
+            ),
+            (
+                |m| graph(m).node[0].attribute[1].ints[0] = 0,
+                &[
+                    "`tactile_left_patches` (AveragePool)",
+                    "`strides`",
+                    "found 0",
+                ],
+            ),
+            (
+                |m| graph(m).node[0].attribute[0].ints[1] = i64::MAX,
+                &["expected `kernel_shape` between 1 and 4096"],
             ),
         ]);
     }
