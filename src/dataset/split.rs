@@ -199,20 +199,43 @@ impl SplitFile {
     }
 }
 
-fn check_name(name: &str) -> Result<()> {
+/// Words by which `imagefolder` takes a file for a part of the data, and then sees nothing else.
+const PART_WORDS: [&str; 10] = [
+    "train",
+    "training",
+    "validation",
+    "valid",
+    "val",
+    "dev",
+    "test",
+    "testing",
+    "eval",
+    "evaluation",
+];
+
+/// Refuses names that are no plain file names or would hide the dataset from `imagefolder`.
+pub(super) fn check_name(name: &str) -> Result<()> {
+    let refused = |why: &str| {
+        Err(Error::new(
+            ErrorKind::Usage,
+            format!("`{name}` cannot be the name of a split: {why}"),
+        ))
+    };
     let plain = !name.is_empty()
         && !name.starts_with('.')
         && name
             .chars()
             .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.'));
-    if plain {
-        Ok(())
-    } else {
-        Err(Error::new(
-            ErrorKind::Usage,
-            format!("`{name}` cannot be the name of a split"),
-        )
-        .remedy("use letters, digits, `-`, `_` and `.`"))
+    if !plain {
+        return refused("use letters, digits, `-`, `_` and `.`");
+    }
+    let mut words = name.split(|c: char| !c.is_ascii_alphabetic());
+    match words.find(|word| PART_WORDS.contains(&word.to_ascii_lowercase().as_str())) {
+        Some(word) => refused(&format!(
+            "`imagefolder` would take the file for the {word} part of the data and load nothing \
+             else; the parts are inside the file"
+        )),
+        None => Ok(()),
     }
 }
 
@@ -450,6 +473,20 @@ mod tests {
         assert!(shares(0.8, 0.3).is_err());
         assert!(shares(1.5, -0.5).is_err());
         assert!(shares(f64::NAN, 1.0).is_err());
+    }
+
+    #[test]
+    fn names_that_mislead_imagefolder_are_refused() {
+        for name in ["object-7", "fold_3", "contest", "v1.2"] {
+            assert!(check_name(name).is_ok(), "{name}");
+        }
+        for name in ["", ".x", "../x", "a b", "test", "my-Train_2", "val.1"] {
+            assert_eq!(
+                check_name(name).unwrap_err().kind(),
+                ErrorKind::Usage,
+                "{name}"
+            );
+        }
     }
 
     #[test]

@@ -18,7 +18,7 @@ use super::lock::DatasetLock;
 use super::picture;
 use super::reader::{entries, grasp_ids};
 use super::record_file::{Pending, read_grasp};
-use super::split::SplitFile;
+use super::split::{SplitFile, check_name};
 use crate::error::{ErrorKind, Result};
 
 /// Class of a problem.
@@ -560,6 +560,15 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
             continue;
         }
         let at = format!("splits/{name}");
+        if let Err(error) = check_name(name.trim_end_matches(".json")) {
+            found.add(
+                ProblemKind::Split,
+                None,
+                Some(&at),
+                error.to_string(),
+                "give the file another name",
+            );
+        }
         let split = match SplitFile::read(&entry.path()) {
             Ok(split) => split,
             Err(error) => {

@@ -6,6 +6,7 @@ mod collect;
 mod crash;
 mod imaging;
 mod kernel;
+mod dataset;
 mod layers;
 mod model_contract;
 mod program;

@@ -28,7 +28,7 @@ stored = {
 }
 
 table = pandas.read_json(root / "metadata.jsonl", lines=True)
-loaded = load_dataset("imagefolder", data_dir=str(root), split="train", cache_dir=None)
+loaded = load_dataset("imagefolder", data_dir=str(root), split="train")
 faults = []
 if len(table) != len(records) or loaded.num_rows != len(records):
     faults.append(f"{len(records)} records, {len(table)} index rows, {loaded.num_rows} loaded")

@@ -1,0 +1,442 @@
+//! The verb `dataset`, and datasets as other programs read them.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use gripcast::dataset::{
+    CapturedCamera, DatasetWriter, GraspId, GraspMeta, NewDataset, Outcome, PredictionRecord,
+    StageCapture,
+};
+use gripcast::imaging::{Frame, PixelFormat, Role};
+use serde_json::Value;
+
+const WIDTH: u32 = 32;
+const HEIGHT: u32 = 24;
+
+fn new_dataset() -> NewDataset {
+    NewDataset {
+        name: "kitchen".into(),
+        rig: "bench-1".into(),
+        licence: "CC-BY-4.0".into(),
+        label_definition: "stable = still held 3 s after the lift".into(),
+    }
+}
+
+fn jpeg(number: u32, role: Role) -> Vec<u8> {
+    let pixels: Vec<u8> = (0..WIDTH * HEIGHT * 3)
+        .map(|i| (i * (number + 1) + role as u32 * 50) as u8)
+        .collect();
+    let image = turbojpeg::Image {
+        pixels: pixels.as_slice(),
+        width: WIDTH as usize,
+        pitch: WIDTH as usize * 3,
+        height: HEIGHT as usize,
+        format: turbojpeg::PixelFormat::RGB,
+    };
+    turbojpeg::compress(image, 90, turbojpeg::Subsamp::Sub2x1)
+        .unwrap()
+        .to_vec()
+}
+
+fn camera(number: u32, role: Role) -> CapturedCamera {
+    let raw = |salt: u32| -> Vec<u8> {
+        (0..WIDTH * HEIGHT * 2)
+            .map(|i| (i * salt + number * 7) as u8)
+            .collect()
+    };
+    let (format, data) = match role {
+        Role::Left | Role::Right => (PixelFormat::Mjpg, jpeg(number, role)),
+        Role::Rgb | Role::External => (PixelFormat::Yuyv, raw(3)),
+        Role::Depth => (PixelFormat::Z16, raw(5)),
+    };
+    CapturedCamera {
+        frame: Frame {
+            format,
+            width: WIDTH,
+            height: HEIGHT,
+            data: data.into(),
+            sequence: number,
+            driver_time_ns: 1_000_000_000 + u64::from(number),
+            received_ns: 0,
+        },
+        product: "GelSight Mini".into(),
+        serial: format!("S-{role}"),
+        interface: 0,
+        port: "3-2".into(),
+        controls: BTreeMap::new(),
+        age_ms: 12.5,
+        crop_profile: None,
+        depth_unit_m: (role == Role::Depth).then_some(0.001),
+    }
+}
+
+fn capture(number: u32, roles: &[Role]) -> StageCapture {
+    StageCapture {
+        captured_at: format!("2026-11-20T10:15:{number:02}Z").parse().unwrap(),
+        trigger_time_ns: 1_000_000_100,
+        trigger: "script".into(),
+        cameras: roles
+            .iter()
+            .map(|&role| (role, camera(number, role)))
+            .collect(),
+    }
+}
+
+fn prediction() -> PredictionRecord {
+    PredictionRecord {
+        p_stable: 0.75,
+        threshold: 0.5,
+        model_sha256: "ab".repeat(32),
+        model: "baseline-contact".into(),
+        latency_ms: 31.0,
+        engine_ms: 4.0,
+    }
+}
+
+/// Grasps of `objects`, alternately stable and slip; the last one is not labelled and lacks depth.
+fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
+    let (mut writer, _) = DatasetWriter::open_or_create(root, &new_dataset()).unwrap();
+    let mut ids = Vec::new();
+    for (index, object) in objects.iter().enumerate() {
+        let number = 2 * index as u32;
+        let is_last = index + 1 == objects.len();
+        let all = [Role::Left, Role::Right, Role::Rgb, Role::Depth];
+        let roles = if is_last { &all[..3] } else { &all[..] };
+        let pending = writer
+            .save_initial(&capture(number, roles), Vec::new())
+            .unwrap();
+        let meta = GraspMeta {
+            object: (*object).into(),
+            scene: "table".into(),
+            operator: "Ada".into(),
+            rig: "bench-1".into(),
+            prediction: (index > 0).then(prediction),
+            ..GraspMeta::default()
+        };
+        let id = writer
+            .save_grasp(&pending, &capture(number + 1, roles), meta)
+            .unwrap()
+            .id;
+        if !is_last {
+            let outcome = [Outcome::Stable, Outcome::Slip][index % 2];
+            let at = "2026-11-20T11:00:00Z".parse().unwrap();
+            writer.set_outcome(&id, outcome, at).unwrap();
+        }
+        ids.push(id);
+    }
+    ids
+}
+
+fn gripcast(args: &[&str], dataset: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_gripcast"))
+        .arg("dataset")
+        .args(&args[..1])
+        .arg(dataset)
+        .args(&args[1..])
+        .output()
+        .unwrap()
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|e| panic!("{e}: {}{}", stdout(output), stderr(output)))
+}
+
+/// Ids hold the process id; their time is fixed.
+fn redacted(text: &str, ids: &[GraspId]) -> String {
+    ids.iter().fold(text.to_owned(), |text, id| {
+        let (time, _) = id.0.rsplit_once('-').unwrap();
+        text.replace(&id.0, &format!("{time}-XXXX"))
+    })
+}
+
+fn tree(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    for entry in fs::read_dir(root).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files.extend(tree(&path));
+        } else {
+            files.insert(path.clone(), fs::read(path).unwrap());
+        }
+    }
+    files
+}
+
+#[test]
+fn a_clean_dataset_verifies() {
+    let dir = tempfile::tempdir().unwrap();
+    write_dataset(dir.path(), &["mug", "bottle", "mug"]);
+    let output = gripcast(&["verify", "--json"], dir.path());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    insta::assert_snapshot!(stdout(&output), @r#"
+    {
+      "grasps": 3,
+      "notes": [],
+      "pending": 0,
+      "problems": [],
+      "unlabelled": 1
+    }
+    "#);
+    let output = gripcast(&["verify"], dir.path());
+    assert_eq!(
+        stdout(&output),
+        "3 grasps, 1 unlabelled, 0 pending, 0 problems\n"
+    );
+    assert_eq!(stderr(&output), "");
+}
+
+#[test]
+fn problems_are_reported_and_recovered() {
+    let dir = tempfile::tempdir().unwrap();
+    let ids = write_dataset(dir.path(), &["mug", "bottle", "mug"]);
+    fs::remove_file(dir.path().join(format!("grasps/{}/grasp.rgb.png", ids[0]))).unwrap();
+    let output = gripcast(&["verify", "--json"], dir.path());
+    assert_eq!(output.status.code(), Some(4));
+    insta::assert_snapshot!(redacted(&stdout(&output), &ids), @r#"
+    {
+      "grasps": 3,
+      "notes": [],
+      "pending": 0,
+      "problems": [
+        {
+          "detail": "the record names the file, but it cannot be read",
+          "file": "grasps/2026-11-20T10-15-00Z-XXXX/grasp.rgb.png",
+          "grasp": "2026-11-20T10-15-00Z-XXXX",
+          "kind": "missing-file",
+          "remedy": "restore it from a copy, or run `gripcast dataset recover`"
+        }
+      ],
+      "unlabelled": 1
+    }
+    "#);
+    assert!(stderr(&output).contains("1 problem found"));
+
+    let before = tree(dir.path());
+    let planned = gripcast(&["recover", "--dry-run", "--json"], dir.path());
+    assert_eq!(planned.status.code(), Some(3));
+    assert_eq!(tree(dir.path()), before, "a dry run changes nothing");
+    let done = gripcast(&["recover", "--json"], dir.path());
+    assert_eq!(done.status.code(), Some(3), "a grasp was lost");
+    assert_eq!(json(&planned)["actions"], json(&done)["actions"]);
+    assert_eq!(json(&done)["grasps"], 2);
+    assert!(dir.path().join(format!("trash/{}", ids[0])).is_dir());
+
+    let output = gripcast(&["verify"], dir.path());
+    assert_eq!(output.status.code(), Some(0), "{}", stdout(&output));
+    let output = gripcast(&["recover"], dir.path());
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(stderr(&output), "nothing to recover\n");
+}
+
+#[test]
+fn a_lost_index_comes_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let ids = write_dataset(dir.path(), &["mug", "bottle"]);
+    let index = dir.path().join("metadata.jsonl");
+    let before = fs::read_to_string(&index).unwrap();
+    fs::remove_file(&index).unwrap();
+    assert_eq!(gripcast(&["verify"], dir.path()).status.code(), Some(4));
+    let output = gripcast(&["reindex", "--json"], dir.path());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(json(&output)["changed"], true);
+    assert_eq!(fs::read_to_string(&index).unwrap(), before);
+    assert_eq!(
+        json(&gripcast(&["reindex", "--json"], dir.path()))["changed"],
+        false
+    );
+    let columns = |line: &str| -> Vec<String> {
+        let row: serde_json::Map<String, Value> = serde_json::from_str(line).unwrap();
+        row.keys().cloned().collect()
+    };
+    let mut lines = before.lines();
+    let first = columns(lines.next().unwrap());
+    assert!(lines.all(|line| columns(line) == first), "same columns");
+    insta::assert_snapshot!(redacted(before.lines().last().unwrap(), &ids), @r#"{"captured_at":"2026-11-20T10:15:03Z","grasp_depth_file_name":null,"grasp_left_file_name":"grasps/2026-11-20T10-15-02Z-XXXX/grasp.left.jpg","grasp_rgb_file_name":"grasps/2026-11-20T10-15-02Z-XXXX/grasp.rgb.png","grasp_right_file_name":"grasps/2026-11-20T10-15-02Z-XXXX/grasp.right.jpg","id":"2026-11-20T10-15-02Z-XXXX","initial_left_file_name":"grasps/2026-11-20T10-15-02Z-XXXX/initial.left.jpg","initial_rgb_file_name":"grasps/2026-11-20T10-15-02Z-XXXX/initial.rgb.png","initial_right_file_name":"grasps/2026-11-20T10-15-02Z-XXXX/initial.right.jpg","labelled_at":null,"object":"bottle","operator":"Ada","outcome":"unlabelled","pose_q_wxyz":null,"pose_t_m":null,"predicted_model":"baseline-contact","predicted_p_stable":0.75,"predicted_threshold":0.5,"rig":"bench-1","scene":"table"}"#);
+
+    fs::write(
+        dir.path().join(format!("grasps/{}/grasp.json", ids[0])),
+        "{",
+    )
+    .unwrap();
+    let output = gripcast(&["reindex"], dir.path());
+    assert_eq!(output.status.code(), Some(3), "a grasp was skipped");
+    assert!(stderr(&output).contains(&ids[0].0));
+}
+
+#[test]
+fn info_shows_counts_and_agreement() {
+    let dir = tempfile::tempdir().unwrap();
+    write_dataset(dir.path(), &["mug", "bottle", "mug", "sponge"]);
+    let output = gripcast(&["info", "--json"], dir.path());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let mut info = json(&output);
+    assert!(info["bytes"].as_u64().unwrap() > 10_000);
+    info["bytes"] = 0.into();
+    insta::assert_snapshot!(format!("{info:#}"), @r#"
+    {
+      "bytes": 0,
+      "first_captured_at": "2026-11-20T10:15:01Z",
+      "grasps": 4,
+      "label_definition": "stable = still held 3 s after the lift",
+      "last_captured_at": "2026-11-20T10:15:07Z",
+      "licence": "CC-BY-4.0",
+      "name": "kitchen",
+      "objects": {
+        "bottle": {
+          "slip": 1
+        },
+        "mug": {
+          "stable": 2
+        },
+        "sponge": {
+          "unlabelled": 1
+        }
+      },
+      "operators": {
+        "Ada": 4
+      },
+      "outcomes": {
+        "slip": 1,
+        "stable": 2,
+        "unlabelled": 1
+      },
+      "predictions": {
+        "baseline-contact": {
+          "held_unexpectedly": 0,
+          "slip_as_predicted": 0,
+          "slipped_unexpectedly": 1,
+          "stable_as_predicted": 1
+        }
+      },
+      "rigs": [
+        "bench-1"
+      ],
+      "scenes": {
+        "table": 4
+      },
+      "stable_share": 0.6666666666666666,
+      "trash_bytes": 0,
+      "unreadable": 0
+    }
+    "#);
+    let text = stdout(&gripcast(&["info"], dir.path()));
+    assert!(text.contains("67 % of the labelled are stable"), "{text}");
+    assert!(text.contains("baseline-contact: 1 of 2"), "{text}");
+}
+
+#[test]
+fn splits_are_by_object_and_reproducible() {
+    let dir = tempfile::tempdir().unwrap();
+    let objects = ["a", "b", "c", "d", "e", "f", "A ", "b", "c", "d"];
+    write_dataset(dir.path(), &objects);
+    let args = ["split", "--seed", "7", "--json"];
+    let output = gripcast(&args, dir.path());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let path = dir.path().join("splits/object-7.json");
+    let first = fs::read(&path).unwrap();
+    gripcast(&args, dir.path());
+    assert_eq!(fs::read(&path).unwrap(), first);
+    let parts = &json(&output)["split"]["parts"];
+    let mut items: Vec<&str> = ["train", "val", "test"]
+        .iter()
+        .flat_map(|part| parts[part]["items"].as_array().unwrap())
+        .map(|item| item.as_str().unwrap())
+        .collect();
+    items.sort_unstable();
+    assert_eq!(items, ["a", "b", "c", "d", "e", "f"], "each in one part");
+    assert_eq!(gripcast(&["verify"], dir.path()).status.code(), Some(0));
+
+    let few = tempfile::tempdir().unwrap();
+    write_dataset(few.path(), &["mug", "bottle"]);
+    let output = gripcast(&["split", "--seed", "1"], few.path());
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("3 different objects"));
+    let output = gripcast(&["split", "--train", "0.9"], few.path());
+    assert_eq!(output.status.code(), Some(2));
+    for name in ["../x", "train"] {
+        let output = gripcast(&["split", "--name", name], few.path());
+        assert_eq!(output.status.code(), Some(2), "{name}");
+    }
+}
+
+#[test]
+fn what_is_no_dataset_is_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    for verb in ["info", "verify", "recover", "reindex", "split"] {
+        let output = gripcast(&[verb], &dir.path().join("nowhere"));
+        assert_eq!(output.status.code(), Some(1), "{verb}");
+        let text = stderr(&output);
+        assert!(text.contains("no such dataset"), "{verb}: {text}");
+        let output = gripcast(&[verb], dir.path());
+        assert_eq!(output.status.code(), Some(1), "{verb}");
+        assert!(stderr(&output).contains("not a dataset"), "{verb}");
+    }
+    fs::write(dir.path().join("dataset.toml"), "schema = 99\n").unwrap();
+    let output = gripcast(&["verify"], dir.path());
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("update gripcast"));
+}
+
+#[test]
+fn a_dataset_that_is_written_is_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    write_dataset(dir.path(), &["mug"]);
+    let _writer = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
+    for verb in ["recover", "reindex"] {
+        let output = gripcast(&[verb], dir.path());
+        assert_eq!(output.status.code(), Some(1), "{verb}");
+        let owner = format!("process {}", std::process::id());
+        assert!(stderr(&output).contains(&owner), "{}", stderr(&output));
+    }
+    assert_eq!(gripcast(&["info"], dir.path()).status.code(), Some(0));
+}
+
+/// `GRIPCAST_PYTHON` names a Python with datasets, pandas and pillow.
+#[test]
+fn python_loads_all_image_columns() {
+    let Some(python) = std::env::var_os("GRIPCAST_PYTHON") else {
+        eprintln!("SKIPPED: set GRIPCAST_PYTHON to a Python with datasets, pandas and pillow");
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let cache = tempfile::tempdir().unwrap();
+    write_dataset(dir.path(), &["mug", "bottle", "sponge"]);
+    // What lies around must not reach the columns: undone, pending and divided grasps.
+    let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
+    let roles = [Role::Left, Role::Right, Role::Rgb];
+    let pending = writer
+        .save_initial(&capture(20, &roles), Vec::new())
+        .unwrap();
+    let id = writer
+        .save_grasp(&pending, &capture(21, &roles), GraspMeta::default())
+        .unwrap()
+        .id;
+    writer.undo_grasp(&id).unwrap();
+    drop(writer);
+    gripcast(&["split", "--name", "fold-1"], dir.path());
+    let output = Command::new(python)
+        .arg(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/tests/peers/load_imagefolder.py"
+        ))
+        .arg(dir.path())
+        .env("HF_HOME", cache.path())
+        .env("HF_HUB_OFFLINE", "1")
+        .output()
+        .unwrap();
+    let text = stdout(&output) + &stderr(&output);
+    assert!(output.status.success(), "{text}");
+    assert!(text.contains("7 image columns"), "{text}");
+    println!("{text}");
+}
