@@ -4,9 +4,9 @@
 
 mod collect;
 mod crash;
+mod dataset;
 mod imaging;
 mod kernel;
-mod dataset;
 mod layers;
 mod model_contract;
 mod program;
