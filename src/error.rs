@@ -180,7 +180,7 @@ pub fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str>) 
         .into_iter()
         .map(|name| (edit_distance(wanted, name), name))
         .min()
-        .filter(|(distance, name)| *distance <= 1 + name.chars().count().max(3) / 4)
+        .filter(|(distance, _)| *distance <= (wanted.chars().count() / 2).max(1))
         .map(|(_, name)| name)
 }
 

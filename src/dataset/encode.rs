@@ -2,11 +2,13 @@
 
 use std::borrow::Cow;
 
-use image::ImageEncoder as _;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::GrayImage;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::imaging::{Frame, PixelFormat};
+use crate::imaging::{
+    Decoder, Frame, PixelFormat, check_structure, encode_png_grey8, encode_png_grey16,
+    encode_png_rgb,
+};
 
 /// Bytes to store: a JPEG exactly as the camera sent it, raw formats as PNG.
 ///
@@ -16,81 +18,18 @@ pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
     if frame.data.is_empty() {
         return Err(Error::new(ErrorKind::Input, "the frame is empty"));
     }
-    if let Some(expected) = frame.format.frame_bytes(frame.width, frame.height)
-        && expected != frame.data.len()
-    {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "a {}×{} {} frame has {expected} bytes, this one {}",
-                frame.width,
-                frame.height,
-                frame.format,
-                frame.data.len()
-            ),
-        ));
-    }
-    let png = match frame.format {
-        PixelFormat::Mjpg => return Ok(Cow::Borrowed(&frame.data)),
-        PixelFormat::Yuyv => png(
-            frame,
-            &yuyv_to_rgb(&frame.data),
-            image::ExtendedColorType::Rgb8,
-        ),
-        PixelFormat::Grey => png(frame, &frame.data, image::ExtendedColorType::L8),
-        PixelFormat::Z16 => {
-            let counts: Vec<u8> = frame
-                .data
-                .chunks_exact(2)
-                .flat_map(|le| u16::from_le_bytes([le[0], le[1]]).to_ne_bytes())
-                .collect();
-            png(frame, &counts, image::ExtendedColorType::L16)
+    Ok(match frame.format {
+        PixelFormat::Mjpg => Cow::Borrowed(&frame.data),
+        PixelFormat::Yuyv => encode_png_rgb(&Decoder::new()?.decode_full(frame)?)?.into(),
+        PixelFormat::Z16 => encode_png_grey16(&Decoder::new()?.depth(frame)?)?.into(),
+        PixelFormat::Grey => {
+            check_structure(frame)?;
+            let picture = GrayImage::from_raw(frame.width, frame.height, frame.data.to_vec());
+            let picture = picture
+                .ok_or_else(|| Error::new(ErrorKind::Internal, "a checked frame has no size"))?;
+            encode_png_grey8(&picture)?.into()
         }
-    }?;
-    Ok(Cow::Owned(png))
-}
-
-/// `pixels` in rows from the top; 16-bit samples in native order.
-fn png(frame: &Frame, pixels: &[u8], colour: image::ExtendedColorType) -> Result<Vec<u8>> {
-    let mut bytes = Vec::with_capacity(pixels.len() / 2);
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Fast, FilterType::Up)
-        .write_image(pixels, frame.width, frame.height, colour)
-        .map_err(|e| {
-            Error::new(
-                ErrorKind::Input,
-                format!(
-                    "cannot encode the {}×{} frame as PNG",
-                    frame.width, frame.height
-                ),
-            )
-            .because(e)
-        })?;
-    Ok(bytes)
-}
-
-/// Y0 U Y1 V, BT.601 limited range, to RGB.
-fn yuyv_to_rgb(yuyv: &[u8]) -> Vec<u8> {
-    // Coefficients of BT.601 for 8-bit limited range, times 2¹⁶.
-    const Y: i32 = 76_309;
-    const V_RED: i32 = 104_597;
-    const U_GREEN: i32 = 25_675;
-    const V_GREEN: i32 = 53_279;
-    const U_BLUE: i32 = 132_201;
-    let level = |value: i32| ((value + 0x8000) >> 16).clamp(0, 255) as u8;
-    let mut rgb = Vec::with_capacity(yuyv.len() / 2 * 3);
-    for quad in yuyv.chunks_exact(4) {
-        let u = i32::from(quad[1]) - 128;
-        let v = i32::from(quad[3]) - 128;
-        for y in [quad[0], quad[2]] {
-            let y = (i32::from(y) - 16) * Y;
-            rgb.extend([
-                level(y + V_RED * v),
-                level(y - U_GREEN * u - V_GREEN * v),
-                level(y + U_BLUE * u),
-            ]);
-        }
-    }
-    rgb
+    })
 }
 
 #[cfg(test)]
@@ -151,9 +90,6 @@ mod tests {
     fn a_short_payload_is_refused() {
         let error = encode(&frame(PixelFormat::Z16, 4, 4, vec![0; 31])).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
-        assert!(
-            error.to_string().contains("32 bytes, this one 31"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("32 bytes, found 31"), "{error}");
     }
 }

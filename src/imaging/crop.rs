@@ -3,7 +3,7 @@
 //! Public code crops a GelSight Mini in three incompatible ways, so data and models name the one
 //! they use. A profile never changes: a different rule gets a new name.
 
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, ErrorKind, Result, nearest_name};
 
 /// A rectangle of whole pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -85,11 +85,8 @@ impl CropProfile {
             return Ok(profile);
         }
         let known = Self::ALL.map(|profile| profile.name);
-        let nearest = known
-            .into_iter()
-            .min_by_key(|known| edit_distance(known, name))
-            .filter(|known| edit_distance(known, name) <= known.len() / 2);
-        let hint = nearest.map_or(String::new(), |known| format!("did you mean `{known}`? "));
+        let hint = nearest_name(name, known)
+            .map_or(String::new(), |known| format!("did you mean `{known}`? "));
         Err(
             Error::new(ErrorKind::Config, format!("unknown crop profile `{name}`"))
                 .remedy(format!("{hint}known profiles: {}", known.join(", "))),
@@ -142,21 +139,6 @@ impl std::fmt::Display for CropProfile {
 /// `int(side * 0.15)` in double precision, as the source computes it.
 fn fifteen_percent(side: u32) -> u32 {
     (f64::from(side) * 0.15) as u32
-}
-
-/// Levenshtein distance in bytes.
-fn edit_distance(a: &str, b: &str) -> usize {
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.bytes().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.bytes().enumerate() {
-            let replaced = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }
 
 #[cfg(test)]

@@ -182,7 +182,7 @@ fn wrong_input_is_explained_with_the_right_exit_code() {
         ),
         (
             refused(&["collect", "--rig", "virtul", "--dataset", &dataset]),
-            2,
+            1,
             &["virtul", "virtual"],
         ),
         (

@@ -22,12 +22,19 @@ pub fn gripcast() -> Command {
     command
 }
 
-/// `collect` on the virtual rig with a script, and with guards that a loaded machine can hold:
-/// these tests are about what is saved, not about how fresh frames are.
+/// `collect` on the virtual rig with a script.
 pub fn collect(script: &Path, dataset: &Path) -> Command {
+    collect_on(Path::new("virtual"), script, dataset)
+}
+
+/// `collect` with a script, and with guards that a loaded machine can hold: these tests are about
+/// what is saved, not about how fresh frames are.
+pub fn collect_on(rig: &Path, script: &Path, dataset: &Path) -> Command {
     let mut command = gripcast();
     command
-        .args(["collect", "--rig", "virtual", "--json", "--script"])
+        .args(["collect", "--json", "--rig"])
+        .arg(rig)
+        .arg("--script")
         .arg(script)
         .arg("--dataset")
         .arg(dataset)

@@ -18,9 +18,9 @@ use serde_json::{Value, json};
 use super::Context;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{PixelFormat, Role};
-use crate::rig::calibration::{Intrinsics, RigFile, SourceKind, colour_intrinsics, draft};
+use crate::rig::calibration::{Intrinsics, RigFile, colour_intrinsics, draft};
 use crate::rig::camera::{
-    CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, StreamInfo, V4l2Opener,
+    CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, RigSources, StreamInfo,
 };
 use crate::rig::device::{
     Access, SystemRoot, VideoDevice, crowded_buses, permission_error, probe, scan,
@@ -123,7 +123,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Verb::Check { rig, seconds, json } => {
             let rig = RigFile::find(&rig)?;
             let checks = check(
-                openers(&rig, &root)?,
+                RigSources::of(&rig, &root, 1)?.openers,
                 &root,
                 Duration::from_secs_f64(seconds),
             );
@@ -353,27 +353,6 @@ fn init(
         }
     }
     Ok(())
-}
-
-/// Openers of all cameras of a rig.
-fn openers(rig: &RigFile, root: &SystemRoot) -> Result<Vec<Box<dyn CameraOpener>>> {
-    rig.cameras
-        .iter()
-        .map(|(role, camera)| -> Result<Box<dyn CameraOpener>> {
-            match camera.source {
-                SourceKind::V4l2 => Ok(Box::new(V4l2Opener::new(
-                    *role,
-                    camera.clone(),
-                    root.clone(),
-                ))),
-                SourceKind::Replay | SourceKind::Virtual => Err(Error::new(
-                    ErrorKind::Usage,
-                    format!("camera {role} of rig `{}` is not a real one", rig.id),
-                )
-                .remedy("check a rig with real cameras")),
-            }
-        })
-        .collect()
 }
 
 /// What the check of one camera found.

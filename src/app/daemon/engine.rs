@@ -305,6 +305,9 @@ impl Engine {
                     if let Some(ended) = self.carry_out(effects)? {
                         return Ok(ended);
                     }
+                    if let Some(ended) = self.advance_script()? {
+                        return Ok(ended);
+                    }
                 }
                 ended = &mut stop => return Ok(ended),
                 command = self.links.commands.recv(), if commands_open => match command {

@@ -145,7 +145,14 @@ impl CameraSlot {
             PixelFormat::Mjpg => Soundness::Unknown,
             PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => Soundness::Sound,
         };
-        state.ring.push_back(Held { frame, soundness });
+        // A driver may deliver a frame after one that was captured later.
+        let later = |held: &Held| held.frame.driver_time_ns > frame.driver_time_ns;
+        let place = state
+            .ring
+            .iter()
+            .rposition(|held| !later(held))
+            .map_or(0, |i| i + 1);
+        state.ring.insert(place, Held { frame, soundness });
         drop(state);
         self.arrived.notify_all();
     }
@@ -191,11 +198,6 @@ impl CameraSlot {
             serial,
         });
         mark_sound(&mut state, frame);
-    }
-
-    /// A frame was checked without keeping its picture.
-    pub fn verified(&self, frame: &Frame) {
-        mark_sound(&mut self.lock(), frame);
     }
 
     /// A frame is damaged: it leaves the ring.
@@ -354,6 +356,17 @@ mod tests {
         assert_eq!(frames.len(), 1);
         assert_eq!(frames[0].1, Soundness::Sound);
         assert_eq!(slot.facts(|f| f.damaged_when_decoded), 1);
+    }
+
+    #[test]
+    fn a_frame_that_comes_late_does_not_pass_for_the_newest() {
+        let slot = slot();
+        slot.push(frame(5, PixelFormat::Mjpg));
+        slot.push(frame(7, PixelFormat::Mjpg));
+        slot.push(frame(6, PixelFormat::Mjpg));
+        let order: Vec<u32> = slot.frames().iter().map(|(f, _)| f.sequence).collect();
+        assert_eq!(order, [5, 6, 7]);
+        assert_eq!(slot.take_newest(Duration::ZERO).unwrap().sequence, 7);
     }
 
     #[test]

@@ -3,7 +3,6 @@
 mod draft;
 mod factory;
 mod intrinsics;
-mod nearest;
 mod rig_file;
 
 pub use draft::{Draft, draft};

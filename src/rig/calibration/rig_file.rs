@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::nearest::nearest;
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, ErrorKind, Result, nearest_name};
 use crate::imaging::{PixelFormat, Role};
 use crate::rig::camera::{CONTROLS, FORMER_NAMES};
 
@@ -210,7 +209,7 @@ impl RigFile {
             known.extend(names);
         }
         known.dedup();
-        let hint = nearest(name, known.iter().map(String::as_str))
+        let hint = nearest_name(name, known.iter().map(String::as_str))
             .map(|near| format!("; did you mean `{near}`?"))
             .unwrap_or_default();
         let places: Vec<String> = directories
@@ -398,7 +397,7 @@ fn check_control(name: &str) -> Result<()> {
     let former = FORMER_NAMES.iter().find(|(former, _)| *former == name);
     let near = former
         .map(|(_, present)| *present)
-        .or_else(|| nearest(name, known()));
+        .or_else(|| nearest_name(name, known()));
     Err(
         wrong(format!("unknown control `{name}`")).remedy(match near {
             Some(near) => format!("did you mean `{near}`?"),
@@ -440,7 +439,9 @@ fn explain(text: &str, error: &toml::de::Error) -> Error {
     let unknown = message.starts_with("unknown ");
     let mut quoted = message.split('`').skip(1).step_by(2);
     let remedy = match (unknown, quoted.next()) {
-        (true, Some(name)) => nearest(name, quoted).map(|near| format!("did you mean `{near}`?")),
+        (true, Some(name)) => {
+            nearest_name(name, quoted).map(|near| format!("did you mean `{near}`?"))
+        }
         _ => None,
     };
     let what = match message.split_once(", expected") {
