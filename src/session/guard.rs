@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::machine::PendingFrame;
 use crate::imaging::Role;
 
 /// Limits of the guards; section `[guards]` of the configuration.
@@ -89,11 +90,14 @@ pub struct CameraCondition {
     pub role: Role,
     /// Age of the frame that would be saved, ms; `None` when there is none that can be used.
     pub age_ms: Option<f64>,
+    /// Driver time of that frame, ns.
+    pub frame_time_ns: u64,
     /// Why there is none.
     pub fault: Option<String>,
     /// Control values read back from the camera.
     pub controls: BTreeMap<String, i64>,
-    /// Part of the gel that changed since the initial frame, 0..1; tactile cameras only.
+    /// Part of the gel that changed since the pending initial frame, 0..1; tactile cameras only,
+    /// `None` until a frame was held against it.
     pub contact_fraction: Option<f64>,
 }
 
@@ -170,32 +174,51 @@ pub(crate) fn check_frames(limits: &GuardLimits, now: &Conditions) -> Vec<Object
     objections
 }
 
-/// Guards of the grasp frame against the initial one; `initial_controls` by role.
+/// Guards of the grasp frame against the initial one.
 pub(crate) fn check_against_initial(
     limits: &GuardLimits,
     now: &Conditions,
-    initial_controls: &BTreeMap<Role, BTreeMap<String, i64>>,
+    initial: &PendingFrame,
 ) -> Vec<Objection> {
     let mut objections = Vec::new();
+    let old: Vec<&str> = now
+        .cameras
+        .iter()
+        .filter(|camera| camera.age_ms.is_some() && camera.frame_time_ns <= initial.trigger_time_ns)
+        .map(|camera| camera.role.name())
+        .collect();
+    if !old.is_empty() {
+        objections.push(Objection {
+            guard: Guard::StaleFrame,
+            reason: format!("{}: no frame since the initial one", old.join(", ")),
+            can_override: false,
+        });
+    }
     let contacts: Vec<f64> = now
         .cameras
         .iter()
         .filter_map(|camera| camera.contact_fraction)
         .collect();
-    if !contacts.is_empty() && contacts.iter().all(|c| *c < limits.min_contact_fraction) {
-        let largest = contacts.iter().copied().fold(0.0, f64::max);
+    if contacts.iter().all(|c| *c < limits.min_contact_fraction) {
+        let largest = contacts.iter().copied().reduce(f64::max);
         objections.push(Objection {
             guard: Guard::NoContact,
-            reason: format!(
-                "no contact: at most {:.1} % of a gel changed since the initial frame, limit {:.1} %",
-                largest * 100.0,
-                limits.min_contact_fraction * 100.0
-            ),
+            reason: match largest {
+                Some(largest) => format!(
+                    "no contact: at most {:.1} % of a gel changed since the initial frame, limit \
+                     {:.1} %",
+                    largest * 100.0,
+                    limits.min_contact_fraction * 100.0
+                ),
+                None => {
+                    "contact is not known: no gel was held against the initial frame yet".into()
+                }
+            },
             can_override: true,
         });
     }
     for camera in &now.cameras {
-        let Some(initial) = initial_controls.get(&camera.role) else {
+        let Some(initial) = initial.controls.get(&camera.role) else {
             continue;
         };
         let changed: Vec<String> = EXPOSURE_CONTROLS

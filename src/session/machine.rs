@@ -443,11 +443,9 @@ impl Session {
         let mut objections = guard::check_frames(&self.limits, now);
         if grasp {
             match &self.pending {
-                Some(initial) => objections.extend(guard::check_against_initial(
-                    &self.limits,
-                    now,
-                    &initial.controls,
-                )),
+                Some(initial) => {
+                    objections.extend(guard::check_against_initial(&self.limits, now, initial))
+                }
                 None => objections.push(Objection {
                     guard: Guard::NoInitial,
                     reason: "there is no initial frame: open the gripper and take one".into(),
@@ -867,6 +865,7 @@ mod tests {
         let camera = |role| CameraCondition {
             role,
             age_ms: Some(20.0),
+            frame_time_ns: 2,
             fault: None,
             controls: BTreeMap::new(),
             contact_fraction: Some(0.2),
@@ -1009,6 +1008,29 @@ mod tests {
         session.handle(Command::Override, &bad);
         assert_eq!(store.grasps.len(), 0);
         assert_eq!(session.step(), Step::Grasp);
+    }
+
+    #[test]
+    fn the_initial_frame_is_never_saved_as_the_grasp() {
+        let (mut session, mut store) = (session(), Store::default());
+        play(&mut session, &mut store, Command::Initial, &good());
+        let mut now = good();
+        now.cameras[0].frame_time_ns = 1;
+        session.handle(Command::Grasp, &now);
+        let refusal = session.view(0).refusal.unwrap();
+        assert!(!refusal.can_override && refusal.reasons[0].contains("since the initial"));
+    }
+
+    #[test]
+    fn unknown_contact_is_refused() {
+        let (mut session, mut store) = (session(), Store::default());
+        play(&mut session, &mut store, Command::Initial, &good());
+        let mut now = good();
+        for camera in &mut now.cameras {
+            camera.contact_fraction = None;
+        }
+        session.handle(Command::Grasp, &now);
+        assert!(session.view(0).refusal.unwrap().reasons[0].contains("not known"));
     }
 
     #[test]

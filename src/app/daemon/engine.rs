@@ -380,13 +380,35 @@ impl Engine {
         })
     }
 
+    /// Something touches a gel. Every gel must have been held against the initial frame, the
+    /// pending one or else the last.
     fn touched(&self) -> bool {
         let findings = self.inference.findings();
+        let pending = self.session.pending().map(|frame| &frame.id);
+        if pending.is_some() && pending != findings.contact_since.as_ref() {
+            return false;
+        }
+        let since_ns = self.initial_time_ns();
+        let gels = self
+            .hub
+            .slots()
+            .filter(|slot| slot.role().is_tactile())
+            .count();
+        let known = || {
+            findings
+                .contact
+                .values()
+                .filter(|c| c.frame_time_ns > since_ns)
+        };
         let limit = self.guards.min_contact_fraction;
-        findings
-            .contact
-            .values()
-            .any(|c| c.changed_fraction >= limit)
+        known().count() == gels && known().any(|c| c.changed_fraction >= limit)
+    }
+
+    /// Trigger time of the pending initial frame, ns; 0 without one.
+    fn initial_time_ns(&self) -> u64 {
+        self.session
+            .pending()
+            .map_or(0, |frame| frame.trigger_time_ns)
     }
 
     /// A fault tone for every camera that falls out.
@@ -561,16 +583,21 @@ impl Engine {
     }
 
     fn pair(&self, now_ns: u64) -> Paired {
+        let since_ns = self.initial_time_ns();
         let good: BTreeMap<Role, Vec<Frame>> = self
             .hub
             .slots()
             .filter(|slot| slot.facts(|facts| usable(&facts.health)))
             .map(|slot| {
-                let frames = slot.frames().into_iter();
-                let sound = frames
+                let sound = slot
+                    .frames()
+                    .into_iter()
                     .filter(|(_, s)| *s == Soundness::Sound)
-                    .map(|(f, _)| f);
-                (slot.role(), sound.collect::<Vec<_>>())
+                    .map(|(frame, _)| frame);
+                let (new, old): (Vec<Frame>, Vec<Frame>) =
+                    sound.partition(|frame| frame.driver_time_ns > since_ns);
+                // Where there is none since the initial frame, a guard tells.
+                (slot.role(), if new.is_empty() { old } else { new })
             })
             .filter(|(_, frames)| !frames.is_empty())
             .collect();
@@ -580,22 +607,27 @@ impl Engine {
 
     fn conditions(&self, paired: &Paired, now_ns: u64) -> Conditions {
         let findings = self.inference.findings();
+        let pending = self.session.pending().map(|frame| &frame.id);
+        let contact_known = pending == findings.contact_since.as_ref();
+        let since_ns = self.initial_time_ns();
         let cameras = self
             .hub
             .slots()
             .map(|slot| {
                 let role = slot.role();
-                let age_ms = paired.frames.get(&role).map(|frame| age_ms(frame, now_ns));
+                let frame = paired.frames.get(&role);
                 let (fault, controls) =
                     slot.facts(|facts| (fault_text(&facts.health, now_ns), facts.controls.clone()));
                 CameraCondition {
                     role,
-                    age_ms,
+                    age_ms: frame.map(|frame| age_ms(frame, now_ns)),
+                    frame_time_ns: frame.map_or(0, |frame| frame.driver_time_ns),
                     fault,
                     controls,
                     contact_fraction: findings
                         .contact
                         .get(&role)
+                        .filter(|contact| contact_known && contact.frame_time_ns > since_ns)
                         .map(|contact| contact.changed_fraction),
                 }
             })

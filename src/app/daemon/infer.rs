@@ -11,6 +11,7 @@ use super::capture::spawn;
 use super::histogram::Histogram;
 use super::hub::Hub;
 use super::status::Preview;
+use crate::dataset::GraspId;
 use crate::error::Result;
 use crate::imaging::{Role, TactileDifference};
 use crate::predict::{LivePredictor, Model};
@@ -30,6 +31,8 @@ pub(super) enum InferRequest {
     Fresh(Role),
     /// Subtract these from now on.
     SetInitial {
+        /// Key of the pending grasp.
+        id: GraspId,
         /// Left gel, open gripper.
         left: Arc<RgbImage>,
         /// Right gel, open gripper.
@@ -88,6 +91,8 @@ pub(super) struct Live {
 pub(super) struct Contact {
     /// Mean absolute difference, grey levels.
     pub(super) mean_abs: f64,
+    /// Driver time of the frame that was held against it, ns.
+    pub(super) frame_time_ns: u64,
     /// Part of the gel that changed, 0..1.
     pub(super) changed_fraction: f64,
 }
@@ -99,8 +104,10 @@ pub(super) struct Findings {
     pub(super) live: Option<Live>,
     /// Why there is none.
     pub(super) absent: Option<String>,
-    /// Contact by gel.
+    /// Contact by gel, against the initial frame `contact_since`.
     pub(super) contact: BTreeMap<Role, Contact>,
+    /// The newest initial frame.
+    pub(super) contact_since: Option<GraspId>,
     /// Small pictures.
     pub(super) previews: BTreeMap<Role, Preview>,
     /// Predictions made.
@@ -200,7 +207,7 @@ impl Worker {
         while let Ok(request) = inbox.recv() {
             match request {
                 InferRequest::Fresh(role) => self.fresh(role),
-                InferRequest::SetInitial { left, right } => self.set_initial(left, right),
+                InferRequest::SetInitial { id, left, right } => self.set_initial(id, left, right),
                 InferRequest::ClearInitial => self.clear_initial(),
                 InferRequest::Judge { pictures, reply } => {
                     // The asker has given up when nobody receives.
@@ -211,17 +218,17 @@ impl Worker {
         }
     }
 
-    fn set_initial(&mut self, left: Arc<RgbImage>, right: Arc<RgbImage>) {
+    fn set_initial(&mut self, id: GraspId, left: Arc<RgbImage>, right: Arc<RgbImage>) {
         if let Some(predictor) = &mut self.predictor {
             predictor.set_initial((*left).clone(), (*right).clone());
         }
         self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
         self.predicting = true;
-        lock(&self.findings).live = None;
-        // The contact that guards and screens see belongs to the new initial frame at once.
-        for role in [Role::Left, Role::Right] {
-            self.seen.remove(&role);
-            self.fresh(role);
+        {
+            let mut findings = lock(&self.findings);
+            findings.live = None;
+            findings.contact.clear();
+            findings.contact_since = Some(id);
         }
     }
 
@@ -250,6 +257,7 @@ impl Worker {
             .and_then(|initial| TactileDifference::between(initial, &decoded.image).ok());
         let contact = difference.as_ref().map(|difference| Contact {
             mean_abs: f64::from(difference.mean_abs()),
+            frame_time_ns: decoded.driver_time_ns,
             changed_fraction: f64::from(difference.changed_fraction(TOUCHED_LEVELS)),
         });
         let shown = difference.filter(|_| self.predicting);

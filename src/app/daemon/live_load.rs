@@ -11,6 +11,7 @@ use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
+use crate::dataset::GraspId;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{
     CropProfile, Frame, FrameBytes, FramePool, PixelFormat, Role, encode_jpeg, synthetic_gel,
@@ -107,6 +108,7 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
         })
     };
     let request = InferRequest::SetInitial {
+        id: GraspId("load".into()),
         left: initial(Role::Left)?,
         right: initial(Role::Right)?,
     };

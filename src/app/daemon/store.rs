@@ -237,10 +237,11 @@ impl Worker {
             .and_then(|frames| {
                 let left = self.picture(frames.get(&Role::Left)?, Role::Left)?;
                 let right = self.picture(frames.get(&Role::Right)?, Role::Right)?;
-                Some((left, right))
+                Some((id?.clone(), left, right))
             });
         let request = match pictures {
-            Some((left, right)) => InferRequest::SetInitial {
+            Some((id, left, right)) => InferRequest::SetInitial {
+                id,
                 left: Arc::new(left),
                 right: Arc::new(right),
             },
