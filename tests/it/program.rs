@@ -6,7 +6,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 
 /// The program, without the settings of whoever runs the tests.
-pub fn gripcast() -> Command {
+pub(crate) fn gripcast() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_gripcast"));
     let inherited: Vec<String> = std::env::vars()
         .map(|(name, _)| name)
@@ -23,13 +23,13 @@ pub fn gripcast() -> Command {
 }
 
 /// `collect` on the virtual rig with a script.
-pub fn collect(script: &Path, dataset: &Path) -> Command {
+pub(crate) fn collect(script: &Path, dataset: &Path) -> Command {
     collect_on(Path::new("virtual"), script, dataset)
 }
 
 /// `collect` with a script, and with guards that a loaded machine can hold: these tests are about
 /// what is saved, not about how fresh frames are.
-pub fn collect_on(rig: &Path, script: &Path, dataset: &Path) -> Command {
+pub(crate) fn collect_on(rig: &Path, script: &Path, dataset: &Path) -> Command {
     let mut command = gripcast();
     command
         .args(["collect", "--json", "--rig"])
@@ -45,13 +45,13 @@ pub fn collect_on(rig: &Path, script: &Path, dataset: &Path) -> Command {
 }
 
 /// A script file in `dir`.
-pub fn script(dir: &Path, lines: &str) -> PathBuf {
+pub(crate) fn script(dir: &Path, lines: &str) -> PathBuf {
     let path = dir.join("script.txt");
     std::fs::write(&path, lines).unwrap();
     path
 }
 
-pub fn json(output: &Output) -> Value {
+pub(crate) fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout).unwrap_or_else(|error| {
         panic!(
             "no JSON on stdout: {error}\n{}\n{}",
@@ -61,19 +61,19 @@ pub fn json(output: &Output) -> Value {
     })
 }
 
-pub fn stderr(output: &Output) -> String {
+pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
 /// Runs a command that has to succeed.
-pub fn succeed(command: &mut Command) -> Output {
+pub(crate) fn succeed(command: &mut Command) -> Output {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{command:?}\n{}", stderr(&output));
     output
 }
 
 /// What `dataset verify --json` says.
-pub fn verify(dataset: &Path) -> Value {
+pub(crate) fn verify(dataset: &Path) -> Value {
     let output = gripcast()
         .args(["dataset", "verify", "--json"])
         .arg(dataset)
@@ -83,7 +83,7 @@ pub fn verify(dataset: &Path) -> Value {
 }
 
 /// Records of all grasps that are visible in a dataset, by id.
-pub fn grasps(dataset: &Path) -> std::collections::BTreeMap<String, Value> {
+pub(crate) fn grasps(dataset: &Path) -> std::collections::BTreeMap<String, Value> {
     let mut found = std::collections::BTreeMap::new();
     let Ok(entries) = std::fs::read_dir(dataset.join("grasps")) else {
         return found;
@@ -102,7 +102,7 @@ pub fn grasps(dataset: &Path) -> std::collections::BTreeMap<String, Value> {
 }
 
 /// Waits for what a running program does; it must not end before.
-pub fn wait_until(child: &mut std::process::Child, mut done: impl FnMut() -> bool) {
+pub(crate) fn wait_until(child: &mut std::process::Child, mut done: impl FnMut() -> bool) {
     while !done() {
         assert!(
             child.try_wait().unwrap().is_none(),

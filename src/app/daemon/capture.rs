@@ -13,7 +13,7 @@ use crate::rig::camera::{
 /// The running capture threads; dropping them without [`CaptureThreads::stop`] leaves them to the
 /// end of the process.
 #[derive(Debug)]
-pub struct CaptureThreads {
+pub(super) struct CaptureThreads {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
@@ -23,7 +23,7 @@ impl CaptureThreads {
     ///
     /// # Errors
     /// When the operating system gives no thread.
-    pub fn start(
+    pub(super) fn start(
         openers: Vec<Box<dyn CameraOpener>>,
         hub: &Hub,
         policy: &SupervisionPolicy,
@@ -55,7 +55,7 @@ impl CaptureThreads {
     }
 
     /// Stops all threads and waits for them.
-    pub fn stop(self) {
+    pub(super) fn stop(self) {
         self.stop.store(true, Ordering::Relaxed);
         for thread in self.threads {
             // A panicked capture thread has nothing left to give back.

@@ -7,7 +7,7 @@ const BINS: usize = 4000;
 
 /// A histogram of times from 0 to 1 s, exact to 0.25 ms.
 #[derive(Clone, Debug)]
-pub struct Histogram {
+pub(super) struct Histogram {
     bins: Vec<u32>,
     count: u64,
     longest_ms: f64,
@@ -25,7 +25,7 @@ impl Default for Histogram {
 
 impl Histogram {
     /// Counts a time.
-    pub fn add(&mut self, ms: f64) {
+    pub(super) fn add(&mut self, ms: f64) {
         let bin = ((ms / BIN_MS).max(0.0) as usize).min(BINS - 1);
         self.bins[bin] = self.bins[bin].saturating_add(1);
         self.count += 1;
@@ -35,7 +35,7 @@ impl Histogram {
     /// The time that a fraction `quantile` (0..1) of the counted ones do not exceed, ms, rounded
     /// up to the bin; `None` when nothing was counted.
     #[must_use]
-    pub fn quantile_ms(&self, quantile: f64) -> Option<f64> {
+    pub(super) fn quantile_ms(&self, quantile: f64) -> Option<f64> {
         let rank = (quantile * self.count as f64).ceil().max(1.0) as u64;
         let mut below = 0;
         for (bin, n) in self.bins.iter().enumerate() {

@@ -16,7 +16,7 @@ const RING: usize = 8;
 
 /// Whether a frame can be shown and saved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Soundness {
+pub(super) enum Soundness {
     /// Compressed and not decoded yet.
     Unknown,
     /// Complete: raw of the right size, or decoded without complaint.
@@ -31,7 +31,7 @@ struct Held {
 
 /// A frame that was decoded for inference and preview.
 #[derive(Clone, Debug)]
-pub struct Decoded {
+pub(super) struct Decoded {
     /// Cropped and scaled picture.
     pub image: Arc<RgbImage>,
     /// Driver time of its frame, ns.
@@ -42,7 +42,7 @@ pub struct Decoded {
 
 /// What is known of one camera.
 #[derive(Debug)]
-pub struct CameraFacts {
+pub(super) struct CameraFacts {
     /// Health as the supervision sees it.
     pub health: Health,
     /// Counters of the supervision.
@@ -73,7 +73,7 @@ struct SlotState {
 
 /// One camera's place in the hub.
 #[derive(Debug)]
-pub struct CameraSlot {
+pub(super) struct CameraSlot {
     role: Role,
     state: Mutex<SlotState>,
     arrived: Condvar,
@@ -110,17 +110,17 @@ impl CameraSlot {
 
     /// Role of the camera.
     #[must_use]
-    pub fn role(&self) -> Role {
+    pub(super) fn role(&self) -> Role {
         self.role
     }
 
     /// Reads or changes what is known of the camera.
-    pub fn facts<T>(&self, f: impl FnOnce(&mut CameraFacts) -> T) -> T {
+    pub(super) fn facts<T>(&self, f: impl FnOnce(&mut CameraFacts) -> T) -> T {
         f(&mut self.lock().facts)
     }
 
     /// A camera was opened: frames from before belong to another stream.
-    pub fn opened(&self, info: StreamInfo, controls: ControlValues) {
+    pub(super) fn opened(&self, info: StreamInfo, controls: ControlValues) {
         let mut state = self.lock();
         state.ring.clear();
         state.taken = None;
@@ -129,14 +129,14 @@ impl CameraSlot {
     }
 
     /// Forgets all frames: what an absent camera saw last must not be saved.
-    pub fn forget_frames(&self) {
+    pub(super) fn forget_frames(&self) {
         let mut state = self.lock();
         state.ring.clear();
         state.decoded = None;
     }
 
     /// Takes in a frame.
-    pub fn push(&self, frame: Frame) {
+    pub(super) fn push(&self, frame: Frame) {
         let mut state = self.lock();
         if state.ring.len() == RING {
             state.ring.pop_front();
@@ -160,7 +160,7 @@ impl CameraSlot {
     /// Waits for a frame newer than the last one taken; `None` after `timeout` or when closed.
     /// Frames in between are skipped and counted.
     #[must_use]
-    pub fn take_newest(&self, timeout: Duration) -> Option<Frame> {
+    pub(super) fn take_newest(&self, timeout: Duration) -> Option<Frame> {
         let fresh = |state: &SlotState| {
             let newest = &state.ring.back()?.frame;
             let key = (newest.driver_time_ns, newest.sequence);
@@ -189,7 +189,7 @@ impl CameraSlot {
     }
 
     /// A frame was decoded without complaint.
-    pub fn decoded(&self, frame: &Frame, image: RgbImage) {
+    pub(super) fn decoded(&self, frame: &Frame, image: RgbImage) {
         let mut state = self.lock();
         let serial = state.decoded.as_ref().map_or(0, |d| d.serial) + 1;
         state.decoded = Some(Decoded {
@@ -201,7 +201,7 @@ impl CameraSlot {
     }
 
     /// A frame is damaged: it leaves the ring.
-    pub fn damaged(&self, frame: &Frame) {
+    pub(super) fn damaged(&self, frame: &Frame) {
         let mut state = self.lock();
         state.facts.damaged_when_decoded += 1;
         state.ring.retain(|held| !same(&held.frame, frame));
@@ -209,13 +209,13 @@ impl CameraSlot {
 
     /// The newest decoded picture.
     #[must_use]
-    pub fn latest(&self) -> Option<Decoded> {
+    pub(super) fn latest(&self) -> Option<Decoded> {
         self.lock().decoded.clone()
     }
 
     /// Frames in the ring, oldest first.
     #[must_use]
-    pub fn frames(&self) -> Vec<(Frame, Soundness)> {
+    pub(super) fn frames(&self) -> Vec<(Frame, Soundness)> {
         self.lock()
             .ring
             .iter()
@@ -225,7 +225,7 @@ impl CameraSlot {
 
     /// Driver time of the newest frame, ns.
     #[must_use]
-    pub fn newest_time_ns(&self) -> Option<u64> {
+    pub(super) fn newest_time_ns(&self) -> Option<u64> {
         self.lock()
             .ring
             .back()
@@ -234,12 +234,12 @@ impl CameraSlot {
 
     /// Whether everything is ending.
     #[must_use]
-    pub fn is_closed(&self) -> bool {
+    pub(super) fn is_closed(&self) -> bool {
         self.lock().closed
     }
 
     /// Waits, unless everything is ending.
-    pub fn wait_closed(&self, pause: Duration) {
+    pub(super) fn wait_closed(&self, pause: Duration) {
         // Only whether it ended matters, and the caller asks for that anyway.
         let _ = self
             .arrived
@@ -264,14 +264,14 @@ fn mark_sound(state: &mut SlotState, frame: &Frame) {
 
 /// All cameras of the rig.
 #[derive(Clone, Debug)]
-pub struct Hub {
+pub(super) struct Hub {
     slots: Arc<BTreeMap<Role, Arc<CameraSlot>>>,
 }
 
 impl Hub {
     /// A hub for these cameras.
     #[must_use]
-    pub fn new(roles: impl IntoIterator<Item = Role>) -> Self {
+    pub(super) fn new(roles: impl IntoIterator<Item = Role>) -> Self {
         let slots = roles
             .into_iter()
             .map(|role| (role, Arc::new(CameraSlot::new(role))))
@@ -283,17 +283,17 @@ impl Hub {
 
     /// One camera.
     #[must_use]
-    pub fn slot(&self, role: Role) -> Option<&Arc<CameraSlot>> {
+    pub(super) fn slot(&self, role: Role) -> Option<&Arc<CameraSlot>> {
         self.slots.get(&role)
     }
 
     /// All cameras, in the order of [`Role::ALL`].
-    pub fn slots(&self) -> impl Iterator<Item = &Arc<CameraSlot>> {
+    pub(super) fn slots(&self) -> impl Iterator<Item = &Arc<CameraSlot>> {
         self.slots.values()
     }
 
     /// Wakes every reader for the last time.
-    pub fn close(&self) {
+    pub(super) fn close(&self) {
         for slot in self.slots() {
             slot.close();
         }

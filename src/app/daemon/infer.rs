@@ -141,7 +141,7 @@ impl Inference {
         let facts = model.as_ref().map(|model| ModelFacts {
             name: model.contract().name.clone(),
             sha256: model.sha256().to_owned(),
-            threshold: f64::from(model.contract().threshold),
+            threshold: model.contract().threshold,
             heuristic: model.contract().is_heuristic(),
         });
         let findings = Arc::new(Mutex::new(Findings {

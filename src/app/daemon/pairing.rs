@@ -6,7 +6,7 @@ use crate::imaging::{Frame, Role};
 
 /// The frames that a trigger would save.
 #[derive(Clone, Debug, Default)]
-pub struct Paired {
+pub(super) struct Paired {
     /// One frame a camera; cameras without a good frame are absent.
     pub frames: BTreeMap<Role, Frame>,
     /// Spread of their driver times, ms.
@@ -19,7 +19,7 @@ pub struct Paired {
 /// old: all others have a frame near it in their ring. A camera that has fallen silent does not
 /// drag the others back.
 #[must_use]
-pub fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64, max_age_ns: u64) -> Paired {
+pub(super) fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64, max_age_ns: u64) -> Paired {
     let newest: Vec<u64> = good
         .values()
         .filter_map(|frames| frames.iter().map(|f| f.driver_time_ns).max())
