@@ -12,6 +12,9 @@ use crate::session::{Counts, SessionView};
 /// Difference between the labels from which a hint is given: a tenth of all, at least this.
 const HINT_AT_LEAST: usize = 5;
 
+/// Puts the counts of the object under its name.
+const OBJECT_INDENT: &str = "       ";
+
 /// Rows with everything in them.
 pub(super) const ROWS: u16 = 5;
 
@@ -21,21 +24,26 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
     let object = if session.object.is_empty() {
         Span::styled("no object: press o", palette.warning())
     } else {
-        let room = width.saturating_sub(7);
+        let room = width.saturating_sub(OBJECT_INDENT.len());
         Span::styled(clipped(&session.object, room), palette.strong())
     };
     let object = Line::from(vec![Span::styled("object ", palette.faint()), object]);
     let most = counts.stable.max(counts.slip);
     let bar = |name, count, style| count_bar(name, count, most, width, style);
-    let this = both("of it ", counts.object_stable, counts.object_slip, palette);
     let hint = balance(counts, width, palette);
     let lines = if area.height < ROWS {
         let all = both("", counts.stable, counts.slip, palette);
-        vec![object, all, hint, this]
+        vec![object, all, hint]
     } else {
+        let this = both(
+            OBJECT_INDENT,
+            counts.object_stable,
+            counts.object_slip,
+            palette,
+        );
         let stable = bar("stable", counts.stable, palette.stable());
         let slip = bar("slip", counts.slip, palette.slip());
-        vec![object, stable, slip, this, hint]
+        vec![object, this, stable, slip, hint]
     };
     for (index, line) in (0..).zip(&lines) {
         write(buffer, row(area, index), line);

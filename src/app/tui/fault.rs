@@ -142,13 +142,17 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     }
     let written = used + u16::try_from(lines.len()).unwrap_or(u16::MAX);
     let free = inner.height.saturating_sub(written.saturating_add(1));
-    if free >= Size::Small.rows() {
+    let word = remedy_word(&first.state);
+    let size = Size::DESCENDING
+        .into_iter()
+        .find(|size| size.rows() <= free && size.columns(word) <= inner.width);
+    if let Some(size) = size {
         let foot = Rect {
-            y: inner.bottom() - Size::Small.rows(),
-            height: Size::Small.rows(),
+            y: inner.bottom() - size.rows(),
+            height: size.rows(),
             ..inner
         };
-        big_digits::draw(buffer, foot, remedy_word(&first.state), Size::Small, style);
+        big_digits::draw(buffer, foot, word, size, style);
     }
     let rest = Rect {
         y: block.bottom(),

@@ -21,7 +21,7 @@ pub(super) fn draw(
 ) {
     let lines = [
         last(session, area.width, palette),
-        message(session, notice, palette),
+        message(session, notice, area.width, palette),
         keys(session, area.width, palette),
     ];
     let skipped = lines.len().saturating_sub(usize::from(area.height));
@@ -86,9 +86,15 @@ fn predicted(last: &LastGrasp, palette: Palette) -> Vec<Span<'static>> {
     ]
 }
 
-fn message(session: &SessionView, notice: Option<&str>, palette: Palette) -> Line<'static> {
+fn message(
+    session: &SessionView,
+    notice: Option<&str>,
+    width: u16,
+    palette: Palette,
+) -> Line<'static> {
+    let fitted = |text: String| clipped(&text, usize::from(width));
     if let Some(notice) = notice {
-        return Line::styled(format!(" {notice}"), palette.warning());
+        return Line::styled(fitted(format!(" {notice}")), palette.warning());
     }
     let Some(message) = &session.message else {
         return Line::default();
@@ -98,7 +104,7 @@ fn message(session: &SessionView, notice: Option<&str>, palette: Palette) -> Lin
         MessageLevel::Warning => ("warning: ", palette.warning()),
         MessageLevel::Error => ("ERROR: ", palette.slip()),
     };
-    Line::styled(format!(" {mark}{}", message.text), style)
+    Line::styled(fitted(format!(" {mark}{}", message.text)), style)
 }
 
 /// The keys that matter now, the most important first; those that do not fit are left out.

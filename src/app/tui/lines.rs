@@ -170,13 +170,11 @@ fn live(prediction: &PredictionStatus, verdict: &str) -> String {
 pub async fn print_lines(mut status: watch::Receiver<Arc<EngineStatus>>) {
     let mut printer = LinePrinter::default();
     loop {
-        let now = Arc::clone(&status.borrow_and_update());
-        let mut stderr = std::io::stderr().lock();
-        for line in printer.lines(&now, Instant::now()) {
+        let newest = Arc::clone(&status.borrow_and_update());
+        for line in printer.lines(&newest, Instant::now()) {
             // A closed standard error must not end the collection.
-            let _ = writeln!(stderr, "{line}");
+            let _ = writeln!(std::io::stderr(), "{line}");
         }
-        drop(stderr);
         if status.changed().await.is_err() {
             return;
         }
