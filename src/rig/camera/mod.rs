@@ -1,6 +1,8 @@
 //! Frame sources and their supervision.
 
 mod clock;
+mod recorder;
+mod replay;
 mod source;
 mod stream_monitor;
 mod supervised;
@@ -8,6 +10,8 @@ mod virtual_camera;
 mod virtual_scene;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
+pub use recorder::Recorder;
+pub use replay::{ReplayOpener, ReplayPace, ReplaySource};
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
