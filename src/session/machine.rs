@@ -936,7 +936,8 @@ mod tests {
 
     #[test]
     fn every_guard_refuses_and_override_records_it() {
-        let cases: [(Guard, fn(&mut Conditions)); 4] = [
+        type Spoil = fn(&mut Conditions);
+        let cases: [(Guard, Spoil); 4] = [
             (Guard::StaleFrame, |c| c.cameras[0].age_ms = Some(500.0)),
             (Guard::Skew, |c| c.skew_ms = 90.0),
             (Guard::DiskLow, |c| c.disk_free_bytes = Some(5)),

@@ -377,6 +377,9 @@ fn summary(report: &CollectReport) -> String {
             camera.late,
             camera.reconnects
         );
+        for warning in &camera.warnings {
+            let _ = writeln!(text, "          {warning}");
+        }
     }
     let prediction = &report.prediction;
     if let (Some(model), Some(p50), Some(p99)) = (

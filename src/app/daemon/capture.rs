@@ -79,7 +79,11 @@ pub(super) fn spawn<T: Send + 'static>(
 
 fn take_in(slot: &CameraSlot, event: CameraEvent) {
     match event {
-        CameraEvent::Opened(info, controls) => slot.opened(info, controls),
+        CameraEvent::Opened {
+            info,
+            controls,
+            warnings,
+        } => slot.opened(info, controls, warnings),
         CameraEvent::Frame(frame) => slot.push(frame),
         CameraEvent::Controls(controls) => slot.facts(|facts| facts.controls = controls),
         CameraEvent::Report(report) => {

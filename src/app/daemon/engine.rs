@@ -120,6 +120,8 @@ pub struct CameraReport {
     pub not_decoded: u64,
     /// Measured frame rate at the end, 1/s.
     pub measured_fps: f64,
+    /// Wishes of the rig file that the camera did not follow.
+    pub warnings: Vec<String>,
 }
 
 /// What inference did.
@@ -201,8 +203,8 @@ struct Engine {
     waiting: VecDeque<(Command, CommandSource)>,
     script: Option<ScriptRunner>,
     script_command: ScriptCommand,
-    /// Source of the command that is being carried out.
-    source: CommandSource,
+    /// Whether the command that is being carried out is a label.
+    labelling: bool,
     /// The request that the store is carrying out.
     request: Option<StoreRequest>,
     /// Frames of the trigger that is being carried out.
@@ -282,7 +284,7 @@ impl Engine {
             waiting: VecDeque::new(),
             script: setup.script.map(ScriptRunner::new),
             script_command: ScriptCommand::default(),
-            source: CommandSource::Keyboard,
+            labelling: false,
             request: None,
             capture_now: None,
             grasps: Vec::new(),
@@ -427,7 +429,13 @@ impl Engine {
             if before.is_some_and(|before| before != live) {
                 let event = if live { "camera_live" } else { "camera_fault" };
                 let role = slot.role();
-                self.log(event, &serde_json::json!({"role": role, "health": reason}));
+                let warnings = slot.facts(|facts| facts.warnings.clone());
+                let what = serde_json::json!({
+                    "role": role,
+                    "health": reason,
+                    "warnings": warnings,
+                });
+                self.log(event, &what);
             }
         }
     }
@@ -440,18 +448,13 @@ impl Engine {
             "command",
             &serde_json::json!({"command": command.to_string(), "source": source.name()}),
         );
-        self.source = source;
         self.capture_now = Some(self.stage_capture(paired, now_ns, source));
-        let labelled_before = self.session.step() == Step::Label;
+        self.labelling = matches!(command, Command::Label(_));
         let effects = self.session.handle(command, &conditions);
         if !self.session.is_storing() {
             self.answer_script(&effects);
         }
-        let ended = self.carry_out(effects)?;
-        if labelled_before && self.session.step() == Step::Initial {
-            self.next_virtual_object();
-        }
-        Ok(ended)
+        self.carry_out(effects)
     }
 
     fn take_reply(&mut self, reply: StoreReply) -> Vec<Effect> {
@@ -462,8 +465,13 @@ impl Engine {
         if !self.session.is_storing() {
             self.answer_script(&effects);
         }
-        if labelled_before && self.session.step() == Step::Initial {
-            self.next_virtual_object();
+        // Undo and redo of a label stay with the object that is on the virtual table.
+        if self.labelling
+            && labelled_before
+            && self.session.step() == Step::Initial
+            && let Some(hand) = &self.hand
+        {
+            hand.next_object();
         }
         self.refresh_grasps();
         effects
@@ -490,12 +498,6 @@ impl Engine {
             "what": what,
         });
         let _ = self.store.send(StoreMessage::Log(line));
-    }
-
-    fn next_virtual_object(&self) {
-        if let Some(hand) = &self.hand {
-            hand.next_object();
-        }
     }
 
     fn note_grasp(&mut self, reply: &StoreReply) {
@@ -896,6 +898,7 @@ fn camera_report(slot: &super::hub::CameraSlot, rig: &RigFile) -> CameraReport {
             reconnects: facts.counters.reconnects,
             not_decoded: facts.not_decoded,
             measured_fps: facts.measured_fps,
+            warnings: facts.warnings.clone(),
         }
     })
 }

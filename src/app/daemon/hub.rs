@@ -120,12 +120,13 @@ impl CameraSlot {
     }
 
     /// A camera was opened: frames from before belong to another stream.
-    pub(super) fn opened(&self, info: StreamInfo, controls: ControlValues) {
+    pub(super) fn opened(&self, info: StreamInfo, controls: ControlValues, warnings: Vec<String>) {
         let mut state = self.lock();
         state.ring.clear();
         state.taken = None;
         state.facts.info = Some(info);
         state.facts.controls = controls;
+        state.facts.warnings = warnings;
     }
 
     /// Forgets all frames: what an absent camera saw last must not be saved.

@@ -1,6 +1,8 @@
 //! Frame sources and their supervision.
 
 mod clock;
+mod recorder;
+mod replay;
 mod rig_sources;
 mod source;
 mod stream_monitor;
@@ -15,6 +17,8 @@ mod virtual_camera;
 mod virtual_scene;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
+pub use recorder::Recorder;
+pub use replay::{ReplayOpener, ReplayPace, ReplaySource};
 pub use rig_sources::RigSources;
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,

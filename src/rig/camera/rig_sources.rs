@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::{CameraOpener, MonotonicClock, V4l2Opener, VirtualHand, VirtualRig};
+use super::{CameraOpener, MonotonicClock, ReplayOpener, V4l2Opener, VirtualHand, VirtualRig};
 use crate::error::Result;
 use crate::rig::calibration::{RigFile, SourceKind};
 use crate::rig::device::SystemRoot;
@@ -37,10 +37,7 @@ impl RigSources {
                     Box::new(opener())
                 }
                 SourceKind::Replay => {
-                    return Err(crate::error::Error::new(
-                        crate::error::ErrorKind::Config,
-                        "replay sources are not there yet",
-                    ));
+                    Box::new(ReplayOpener::new(*role, camera, Arc::new(MonotonicClock))?)
                 }
                 SourceKind::Virtual => {
                     let scene = scene

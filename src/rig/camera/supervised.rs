@@ -6,13 +6,20 @@ use std::time::Duration;
 use super::clock::Clock;
 use super::source::{CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo};
 use super::stream_monitor::{FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy};
-use crate::imaging::{Frame, FrameBytes, PixelFormat};
+use crate::imaging::{Frame, FrameBytes, check_structure};
 
 /// What a supervised camera tells.
 #[derive(Clone, Debug)]
 pub enum CameraEvent {
     /// The camera was opened, for the first time or again.
-    Opened(StreamInfo, ControlValues),
+    Opened {
+        /// What the stream delivers.
+        info: StreamInfo,
+        /// Control values read back.
+        controls: ControlValues,
+        /// Wishes of the rig file that did not hold.
+        warnings: Vec<String>,
+    },
     /// A usable frame.
     Frame(Frame),
     /// A frame that cannot be used.
@@ -93,7 +100,11 @@ fn read_frames(
         Err(error) => return Stop::Reopen(error.to_string()),
     };
     monitor.opened(clock.now_ns(), source.info().nominal_fps);
-    sink(CameraEvent::Opened(source.info().clone(), controls.clone()));
+    sink(CameraEvent::Opened {
+        info: source.info().clone(),
+        controls: controls.clone(),
+        warnings: source.warnings().to_vec(),
+    });
     sink(CameraEvent::Report(monitor.report(clock.now_ns())));
 
     let timeout = Duration::from_nanos(policy.frame_timeout_ns);
@@ -106,7 +117,7 @@ fn read_frames(
             return Stop::Requested;
         }
         match source.next_frame(timeout) {
-            Ok(frame) => match defect(&frame) {
+            Ok(frame) => match check_structure(&frame).err() {
                 None => {
                     monitor.frame(FrameFacts {
                         sequence: frame.sequence,
@@ -116,11 +127,11 @@ fn read_frames(
                     previous = Some(frame.data.clone());
                     sink(CameraEvent::Frame(frame));
                 }
-                Some(reason) => {
+                Some(damage) => {
                     monitor.damaged(frame.sequence);
                     sink(CameraEvent::Damaged {
                         sequence: frame.sequence,
-                        reason,
+                        reason: damage.to_string(),
                     });
                 }
             },
@@ -170,64 +181,6 @@ fn pause(clock: &dyn Clock, until_ns: u64, stop: &AtomicBool) {
     }
 }
 
-/// What makes a frame unusable although the driver thinks it is whole.
-fn defect(frame: &Frame) -> Option<String> {
-    match frame.format.frame_bytes(frame.width, frame.height) {
-        Some(expected) if frame.data.len() != expected => Some(format!(
-            "{} {}×{} needs {expected} bytes, got {}",
-            frame.format,
-            frame.width,
-            frame.height,
-            frame.data.len()
-        )),
-        None if frame.format == PixelFormat::Mjpg => jpeg_defect(&frame.data),
-        _ => None,
-    }
-}
-
-/// Walks the markers of a JPEG from SOI to EOI; bytes after EOI are padding.
-fn jpeg_defect(data: &[u8]) -> Option<String> {
-    if data.get(..2) != Some(&[0xFF, 0xD8]) {
-        return Some("JPEG does not begin with SOI".to_owned());
-    }
-    let ends_early = |at: usize| Some(format!("JPEG ends at byte {at} without EOI"));
-    let mut at = 2;
-    let mut in_scan = false;
-    loop {
-        if in_scan {
-            match data
-                .get(at..)
-                .and_then(|rest| rest.iter().position(|byte| *byte == 0xFF))
-            {
-                Some(step) => at += step,
-                None => return ends_early(data.len()),
-            }
-        }
-        let Some(&[lead, code]) = data.get(at..at + 2) else {
-            return ends_early(data.len());
-        };
-        if lead != 0xFF {
-            return Some(format!("JPEG has no marker at byte {at}"));
-        }
-        match code {
-            0xD9 if in_scan => return None,
-            0xD9 => return Some("JPEG has no scan".to_owned()),
-            0xFF => at += 1,
-            0x00 | 0xD0..=0xD7 if in_scan => at += 2,
-            0x00..=0xBF | 0xD0..=0xD8 => {
-                return Some(format!("JPEG has marker {code:02x} at byte {at}"));
-            }
-            _ => {
-                let Some(&[high, low]) = data.get(at + 2..at + 4) else {
-                    return ends_early(data.len());
-                };
-                at += 2 + usize::from(u16::from_be_bytes([high, low])).max(2);
-                in_scan = code == 0xDA;
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::{BTreeMap, VecDeque};
@@ -235,6 +188,7 @@ mod tests {
 
     use super::*;
     use crate::error::{Error, ErrorKind, Result};
+    use crate::imaging::PixelFormat;
     use crate::imaging::Role;
     use crate::rig::camera::{CameraIdentity, ManualClock};
 
@@ -402,7 +356,7 @@ mod tests {
         let (events, end_ns) = play(acts);
         let opened = events
             .iter()
-            .filter(|event| matches!(event, CameraEvent::Opened(..)))
+            .filter(|event| matches!(event, CameraEvent::Opened { .. }))
             .count();
         assert_eq!(opened, 2);
         let lost: Vec<_> = reports(&events)
@@ -518,23 +472,5 @@ mod tests {
         let mut bytes = vec![0xFF, 0xD8, 0xFF, 0xE0, 0, 4, 1, 2, 0xFF, 0xDA, 0, 3, 1];
         bytes.extend([0x12, 0xFF, 0x00, 0x34, 0xFF, 0xD0, 0x56, 0xFF, 0xD9]);
         bytes
-    }
-
-    #[test]
-    fn jpeg_structure_accepts_whole_and_padded_pictures_only() {
-        let whole = tiny_jpeg();
-        assert_eq!(jpeg_defect(&whole), None);
-        let mut padded = whole.clone();
-        padded.extend([0; 100]);
-        assert_eq!(jpeg_defect(&padded), None);
-        for length in 0..whole.len() {
-            assert!(jpeg_defect(&whole[..length]).is_some(), "length {length}");
-        }
-        let mut no_marker = whole;
-        no_marker[8] = 0;
-        assert_eq!(
-            jpeg_defect(&no_marker).unwrap(),
-            "JPEG has no marker at byte 8"
-        );
     }
 }

@@ -301,12 +301,12 @@ impl Painter {
                     "a gel has no depth picture",
                 ));
             };
-            let depth_m = painter.paint(moment, frame).depth_m;
+            let depth_m = painter.paint_depth_m(moment, frame);
             return Ok(self.depth_bytes(&depth_m));
         }
         let painted = match &mut self.scene {
             Scene::Gel(painter) => painter.paint(moment, frame),
-            Scene::View(painter) => painter.paint(moment, frame).colour,
+            Scene::View(painter) => painter.paint_colour(moment, frame),
         };
         let rgb = self.enlarged(painted)?;
         match (self.info.format, &mut self.compressor) {

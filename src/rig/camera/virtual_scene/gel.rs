@@ -29,6 +29,8 @@ pub(in crate::rig::camera) struct GelPainter {
     noise: Arc<NoiseTable>,
     relief: Option<(u64, Vec<f32>)>,
     shading: Vec<[f32; 3]>,
+    /// How much of the light reaches each cell: 1 on the pad, less beyond its rim.
+    pad: Vec<f32>,
 }
 
 impl GelPainter {
@@ -50,6 +52,7 @@ impl GelPainter {
             noise,
             relief: None,
             shading: vec![[0.0; 3]; CELLS],
+            pad: pad_map(),
         }
     }
 
@@ -132,12 +135,12 @@ impl GelPainter {
         self.relief = Some((grasp.number, relief));
 
         // The membrane rounds off edges and is drawn down around the contact.
-        let near = blurred(&indented, 1);
+        let near = blurred(&blurred(&indented, 1), 1);
         let skirt = blurred(&blurred(&indented, 10), 10);
         let height: Vec<f32> = near
             .iter()
             .zip(&skirt)
-            .map(|(near, skirt)| 0.72 * near + 0.28 * skirt)
+            .map(|(near, skirt)| 0.80 * near + 0.20 * skirt)
             .collect();
 
         let per_mm = (GRID[0] as f64 / FIELD_MM[0]) as f32;
@@ -152,13 +155,14 @@ impl GelPainter {
                 let scale = 1.0 / (1.0 + steep).sqrt();
                 let (tilt_x, tilt_y) = (slope_x * scale, slope_y * scale);
                 let pressed = at(row, column).min(1.0);
+                let inside = self.pad[row * GRID[0] + column];
                 let darker = 22.0 * steep * scale * scale;
                 let cell = &mut self.shading[row * GRID[0] + column];
                 for channel in 0..3 {
                     let toward = tilt_x * LIGHT[channel][0] + tilt_y * LIGHT[channel][1];
                     // Facing the light gives more than turning away takes.
                     let lit = if toward > 0.0 { toward } else { 0.62 * toward };
-                    cell[channel] = GAIN[channel] * lit - darker + 5.0 * pressed;
+                    cell[channel] = inside * (GAIN[channel] * lit - darker + 5.0 * pressed);
                 }
             }
         }
@@ -186,6 +190,31 @@ fn relief_map(grasp: &VirtualGrasp, contact: GelContact) -> Vec<f32> {
         }
     }
     relief
+}
+
+/// Light on the pad at `crop` (0–1 inside the crop of a seventh), and distance beyond that crop
+/// in parts of its rim.
+fn pad_light(crop: [f64; 2]) -> (f64, f64) {
+    let [x, y] = crop.map(|at| ((at - 0.5).abs() - 0.5).max(0.0));
+    let rim = x.hypot(y) / 0.2;
+    (1.0 - 0.62 * ease((rim - 0.25) / 0.75), rim)
+}
+
+fn pad_map() -> Vec<f32> {
+    let crop = |cell: usize, cells: usize| ((cell as f64 + 0.5) / cells as f64 * 7.0 - 1.0) / 5.0;
+    (0..CELLS)
+        .map(|cell| {
+            let at = [crop(cell % GRID[0], GRID[0]), crop(cell / GRID[0], GRID[1])];
+            let rim = pad_light(at).1;
+            (1.0 - ease((rim - 0.15) / 0.7)) as f32
+        })
+        .collect()
+}
+
+/// Rises smoothly from 0 at 0 to 1 at 1.
+fn ease(t: f64) -> f64 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
 }
 
 /// Box blur of `radius` cells in both directions; the rim repeats.
@@ -229,7 +258,7 @@ fn slide(
 /// pad, a few specks of dust, and colours of its own for each sensor.
 fn background(seed: u64, width: usize, height: usize) -> Vec<u8> {
     const TOP: [[f64; 3]; 2] = [[34.0, 98.0, 92.0], [42.0, 97.0, 110.0]];
-    const MIDDLE: [[f64; 3]; 2] = [[64.0, 106.0, 116.0], [128.0, 112.0, 148.0]];
+    const MIDDLE: [[f64; 3]; 2] = [[66.0, 106.0, 118.0], [136.0, 110.0, 152.0]];
     const BOTTOM: [[f64; 3]; 2] = [[54.0, 88.0, 70.0], [76.0, 93.0, 82.0]];
     let own: Vec<f64> = (0..3).map(|n| 5.0 * signed_unit(seed, 1, n)).collect();
     let specks: Vec<[f64; 3]> = (0..7)
@@ -241,10 +270,6 @@ fn background(seed: u64, width: usize, height: usize) -> Vec<u8> {
             ]
         })
         .collect();
-    let ease = |t: f64| {
-        let t = t.clamp(0.0, 1.0);
-        t * t * (3.0 - 2.0 * t)
-    };
     let mut picture = Vec::with_capacity(3 * width * height);
     for row in 0..height {
         let v = (row as f64 + 0.5) / height as f64;
@@ -253,10 +278,8 @@ fn background(seed: u64, width: usize, height: usize) -> Vec<u8> {
             let u = (column as f64 + 0.5) / width as f64;
             let crop_u = (u * 7.0 - 1.0) / 5.0;
             let inward = ease(1.0 - ((crop_u - 0.47) / 0.62).abs());
-            let outside = [crop_u, crop_v].map(|at| (at - 0.5).abs() - 0.5);
-            let rim = outside[0].max(0.0).hypot(outside[1].max(0.0)) / 0.2;
-            let pad = 1.0 - 0.62 * ease((rim - 0.25) / 0.75);
-            let glow = 0.16 * (-((rim - 0.62) / 0.10).powi(2)).exp();
+            let (pad, rim) = pad_light([crop_u, crop_v]);
+            let glow = 0.09 * (-((rim - 0.62) / 0.10).powi(2)).exp();
             let speck: f64 = specks
                 .iter()
                 .map(|[x, y, radius]| {
@@ -349,7 +372,7 @@ mod tests {
                 println!("{side} {number} {name}: mean {mean:.1} over {over:.2} peak {peak}");
                 assert!((6.0..20.0).contains(&mean), "{side} {name} mean {mean}");
                 assert!((0.11..0.6).contains(&over), "{side} {name} share {over}");
-                assert!(peak >= 60, "{side} {name} peak {peak}");
+                assert!(peak >= 50, "{side} {name} peak {peak}");
             }
         }
     }

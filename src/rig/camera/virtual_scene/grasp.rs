@@ -67,9 +67,9 @@ impl VirtualObject {
             }
         };
         match self {
-            Self::Mug => barrel(x, 13.0) + 0.30 * wave(y, 3.6),
+            Self::Mug => barrel(x, 10.0) + 0.14 * wave(y, 4.2),
             Self::TapeRoll => {
-                barrel(x, 24.0) + 2.2 * (y.abs() - 4.6).max(0.0) + 0.05 * wave(x, 1.1)
+                barrel(x, 24.0) + 2.2 * (y.abs() - 4.6).max(0.0) + 0.03 * wave(x, 1.1)
             }
             Self::Carton => {
                 let (dx, dy) = ((x.abs() - 4.6).max(0.0), (y.abs() - 3.4).max(0.0));

@@ -133,6 +133,7 @@ mod tests {
         }
         assert_eq!(last, 1.0);
 
+        clock.advance(600 * MS);
         hand.set_closed(false);
         clock.advance(300 * MS);
         let half = hand.moment(clock.now_ns()).closure;

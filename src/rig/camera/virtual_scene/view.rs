@@ -24,15 +24,15 @@ const OPEN_M: f64 = 0.047;
 const SWAY: usize = 6;
 /// Direction towards the lamp, object frame.
 const LAMP: Vec3 = [-0.45, -0.30, 0.84];
+/// Pixels between places where shade is computed.
+const SHADE_STEP: usize = 4;
 /// Time in which a new object is pushed into view, s.
 const ARRIVAL_S: f64 = 0.5;
 
-/// One painted picture.
-pub(in crate::rig::camera) struct View {
-    /// RGB rows.
-    pub(in crate::rig::camera) colour: Vec<u8>,
-    /// Depth, m; 0 where unknown.
-    pub(in crate::rig::camera) depth_m: Vec<f32>,
+/// RGB rows and the depth of each pixel in m, before noise.
+struct View {
+    colour: Vec<u8>,
+    depth_m: Vec<f32>,
 }
 
 /// A layer with its own size, placed over the picture.
@@ -66,7 +66,7 @@ impl ViewPainter {
         noise: Arc<NoiseTable>,
     ) -> Self {
         let mut painter = Self {
-            seed: mixed(seed, 0x76_6965_77, 0),
+            seed: mixed(seed, 0x7669_6577, 0),
             width,
             height,
             focal: 0.94 * zoom * (width as f64).min(height as f64 * 4.0 / 3.0),
@@ -79,8 +79,29 @@ impl ViewPainter {
         painter
     }
 
-    /// The picture at `moment`; `frame` picks the noise.
-    pub(in crate::rig::camera) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> View {
+    /// The colour picture at `moment` as RGB rows; `frame` picks the noise.
+    pub(in crate::rig::camera) fn paint_colour(
+        &mut self,
+        moment: &SceneMoment,
+        frame: u64,
+    ) -> Vec<u8> {
+        let mut colour = self.compose(moment).colour;
+        self.add_colour_noise(&mut colour, frame);
+        colour
+    }
+
+    /// The depth picture at `moment`, m; 0 where stereo is blind.
+    pub(in crate::rig::camera) fn paint_depth_m(
+        &mut self,
+        moment: &SceneMoment,
+        frame: u64,
+    ) -> Vec<f32> {
+        let mut depth_m = self.compose(moment).depth_m;
+        self.add_depth_noise(&mut depth_m, frame);
+        depth_m
+    }
+
+    fn compose(&mut self, moment: &SceneMoment) -> View {
         let sprite = match self.object.take() {
             Some((number, sprite)) if number == moment.grasp.number => sprite,
             _ => self.object_sprite(&moment.grasp),
@@ -99,7 +120,6 @@ impl ViewPainter {
         self.draw_sprite(&mut view, &sprite, sway_x + slide, sway_y);
         self.object = Some((moment.grasp.number, sprite));
         self.draw_fingers(&mut view, moment);
-        self.add_noise(&mut view, frame);
         view
     }
 
@@ -168,11 +188,37 @@ impl ViewPainter {
         let top = clip(low[1], self.height).floor() as i64;
         let width = (clip(high[0], self.width).ceil() as i64 - left).max(1) as usize;
         let height = (clip(high[1], self.height).ceil() as i64 - top).max(1) as usize;
+        // Shade is soft: every fourth pixel is enough.
+        let coarse = width / SHADE_STEP + 2;
+        let ray = |column: usize, row: usize| {
+            self.ray((left + column as i64) as f64, (top + row as i64) as f64)
+        };
+        let shades: Vec<f32> = (0..coarse * (height / SHADE_STEP + 2))
+            .map(|cell| {
+                let ray = ray(cell % coarse * SHADE_STEP, cell / coarse * SHADE_STEP);
+                table_shade(grasp.object, minus(on_table(ray).1, stand)) as f32
+            })
+            .collect();
+        let shade_at = |column: usize, row: usize| {
+            let cell = row / SHADE_STEP * coarse + column / SHADE_STEP;
+            let share = |at: usize| (at % SHADE_STEP) as f32 / SHADE_STEP as f32;
+            let (right, down) = (share(column), share(row));
+            let mix = |a: f32, b: f32, t: f32| a + t * (b - a);
+            let upper = mix(shades[cell], shades[cell + 1], right);
+            let lower = mix(shades[cell + coarse], shades[cell + coarse + 1], right);
+            mix(upper, lower, down)
+        };
         let mut pixels = Vec::with_capacity(width * height);
         for row in 0..height {
             for column in 0..width {
-                let ray = self.ray((left + column as i64) as f64, (top + row as i64) as f64);
-                pixels.push(march(grasp.object, stand, ray, 1.0 / self.focal));
+                let ray = ray(column, row);
+                let (colour, cover, depth_m) = march(grasp.object, stand, ray, 1.0 / self.focal);
+                let shade = shade_at(column, row);
+                pixels.push(if cover > 0.0 {
+                    (colour, cover, depth_m)
+                } else {
+                    (colour, shade, 0.0)
+                });
             }
         }
         Sprite {
@@ -285,16 +331,19 @@ impl ViewPainter {
         }
     }
 
-    fn add_noise(&self, view: &mut View, frame: u64) {
+    fn add_colour_noise(&self, colour: &mut [u8], frame: u64) {
         let row_bytes = 3 * self.width;
-        for (row, line) in view.colour.chunks_exact_mut(row_bytes).enumerate() {
+        for (row, line) in colour.chunks_exact_mut(row_bytes).enumerate() {
             let noise = self.noise.row(self.seed, frame, row, row_bytes);
             for (level, noise) in line.iter_mut().zip(noise) {
                 *level = level.saturating_add_signed(*noise);
             }
         }
-        // Stereo depth is noisy by a share of the distance and blind beside nearer edges.
-        for (row, line) in view.depth_m.chunks_exact_mut(self.width).enumerate() {
+    }
+
+    /// Stereo depth is noisy by a share of the distance and blind beside nearer edges.
+    fn add_depth_noise(&self, depth_m: &mut [f32], frame: u64) {
+        for (row, line) in depth_m.chunks_exact_mut(self.width).enumerate() {
             let noise = self.noise.row(self.seed ^ 1, frame, row, self.width);
             let mut blind = 0;
             let mut nearer_m = 0.0;
@@ -391,7 +440,7 @@ fn wood(seed: u64, x: f64, y: f64) -> [f64; 3] {
     let bend = 0.006 * plane_noise(own, x * 18.0, y * 5.0);
     let rings = ((x + bend) * 420.0 + 3.0 * plane_noise(own, x * 30.0, y * 3.0)).sin();
     let fibre = plane_noise(own, x * 900.0, y * 28.0);
-    let joint = if inside < 0.012 || inside > 0.992 {
+    let joint = if !(0.012..=0.992).contains(&inside) {
         0.55
     } else {
         1.0
@@ -402,28 +451,45 @@ fn wood(seed: u64, x: f64, y: f64) -> [f64; 3] {
 
 /// One pixel of the object: colour, opacity and depth.
 fn march(object: VirtualObject, stand: Vec3, ray: Vec3, pixel: f64) -> ([f32; 3], f32, f32) {
+    const MIDDLE: Vec3 = [0.0, 0.0, 0.045];
+    const REACH_M: f64 = 0.068;
     let direction = to_table(ray);
     let origin = minus(eye(), stand);
     let scale = dot(direction, direction).sqrt();
     let at = |depth: f64| [0, 1, 2].map(|n| origin[n] + depth * direction[n]);
-    let (table_m, ground) = on_table(ray);
-    let mut depth = 0.12;
+    let table_m = on_table(ray).0;
+    let on_table_only = ([18.0, 12.0, 8.0], 0.0, 0.0);
+    // Rays that pass the ball around every object need no marching.
+    let to_middle = minus(MIDDLE, origin);
+    let halfway = dot(to_middle, direction) / (scale * scale);
+    let beside = minus(at(halfway), MIDDLE);
+    let half_chord = (REACH_M * REACH_M - dot(beside, beside)).max(0.0).sqrt() / scale;
+    if half_chord == 0.0 {
+        return on_table_only;
+    }
+    let mut depth = halfway - half_chord;
+    let end = table_m.min(halfway + half_chord);
     let mut nearest = (f64::INFINITY, depth);
-    for _ in 0..56 {
+    let mut hit = false;
+    for _ in 0..48 {
         let distance = distance_m(object, at(depth));
         let width = distance / (pixel * depth);
         if width < nearest.0 {
             nearest = (width, depth);
         }
-        if distance < 1e-4 || depth > table_m {
+        hit = width < 0.2;
+        depth += distance / scale;
+        if hit || depth > end {
             break;
         }
-        depth += distance / scale;
     }
-    let cover = (0.75 - nearest.0).clamp(0.0, 1.0);
-    let shade = table_shade(object, minus(ground, stand));
+    let cover = if hit {
+        1.0
+    } else {
+        (0.75 - nearest.0).clamp(0.0, 1.0)
+    };
     if cover <= 0.0 || nearest.1 > table_m {
-        return ([18.0, 12.0, 8.0], shade as f32, 0.0);
+        return on_table_only;
     }
     let point = at(nearest.1);
     let normal = normal_at(object, point);
@@ -717,13 +783,9 @@ mod tests {
 
     #[test]
     fn depth_shows_table_object_and_fingers_in_order() {
-        let view = painter().paint(&moment(0, 0.0), 1);
-        let valid: Vec<f32> = view.depth_m.iter().copied().filter(|m| *m > 0.0).collect();
-        assert!(
-            valid.len() > view.depth_m.len() * 85 / 100,
-            "{}",
-            valid.len()
-        );
+        let depth_m = painter().paint_depth_m(&moment(0, 0.0), 1);
+        let valid: Vec<f32> = depth_m.iter().copied().filter(|m| *m > 0.0).collect();
+        assert!(valid.len() > depth_m.len() * 85 / 100, "{}", valid.len());
         let nearest = valid.iter().copied().fold(f32::INFINITY, f32::min);
         let farthest = valid.iter().copied().fold(0.0, f32::max);
         assert!((0.05..0.2).contains(&nearest), "{nearest}");
@@ -733,18 +795,14 @@ mod tests {
     #[test]
     fn closing_moves_the_fingers_and_another_object_changes_the_picture() {
         let mut painter = painter();
-        let changed = |a: &View, b: &View| {
+        let changed = |a: &[u8], b: &[u8]| {
             let moved = |(a, b): (&u8, &u8)| a.abs_diff(*b) > 20;
-            a.colour
-                .iter()
-                .zip(&b.colour)
-                .filter(|pair| moved(*pair))
-                .count()
+            a.iter().zip(b).filter(|pair| moved(*pair)).count()
         };
-        let open = painter.paint(&moment(0, 0.0), 1);
-        let again = painter.paint(&moment(0, 0.0), 2);
-        let closed = painter.paint(&moment(0, 1.0), 3);
-        let other = painter.paint(&moment(2, 0.0), 4);
+        let open = painter.paint_colour(&moment(0, 0.0), 1);
+        let again = painter.paint_colour(&moment(0, 0.0), 2);
+        let closed = painter.paint_colour(&moment(0, 1.0), 3);
+        let other = painter.paint_colour(&moment(2, 0.0), 4);
         assert_eq!(changed(&open, &again), 0);
         assert!(changed(&open, &closed) > 5_000);
         assert!(changed(&open, &other) > 2_000);
