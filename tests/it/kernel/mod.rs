@@ -4,7 +4,6 @@
 mod guest;
 mod pictures;
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
@@ -14,12 +13,17 @@ use gripcast::imaging::Role;
 use self::guest::{Outcome, SavedGrasp, kernel, run};
 use self::pictures::Pictures;
 
-/// All JPEGs that a sensor was fed with in one state of its gel.
-fn fed(dir: &Path, kind: &str) -> BTreeSet<Vec<u8>> {
-    fs::read_dir(dir.join(kind))
+/// The picture that a sensor sent: the fed file of its number's turn, with the number in a comment
+/// segment after the first marker.
+fn sent_picture(number: u64, dir: &Path, kind: &str) -> Vec<u8> {
+    let mut files: Vec<_> = fs::read_dir(dir.join(kind))
         .unwrap()
-        .map(|entry| fs::read(entry.unwrap().path()).unwrap())
-        .collect()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    files.sort();
+    let file = fs::read(&files[(number % files.len() as u64) as usize]).unwrap();
+    let comment = [[0xff, 0xfe, 0, 10].as_slice(), &number.to_be_bytes()].concat();
+    [&file[..2], &comment, &file[2..]].concat()
 }
 
 fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
@@ -27,7 +31,7 @@ fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
     fs::read(dir.join(&record.file)).unwrap()
 }
 
-/// The tactile pictures of a grasp are, byte for byte, some that the right sensor was fed with.
+/// The tactile pictures of a grasp are, byte for byte, what the sensor of that role sent.
 fn assert_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
     for (role, serial, dir) in [
         (Role::Left, "2BNN4ZE7", &pictures.left),
@@ -40,7 +44,9 @@ fn assert_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
             let place = format!("{}: {role} {kind}", grasp.dir.display());
             assert_eq!(stage.cameras[&role].serial, serial, "{place}");
             let saved = camera_file(stage, role, &grasp.dir);
-            assert!(fed(dir, kind).contains(&saved), "{place}: not as sent");
+            let number = u64::from_be_bytes(saved[6..14].try_into().unwrap());
+            let is_as_sent = saved == sent_picture(number, dir, kind);
+            assert!(is_as_sent, "{place}: picture {number} is not as sent");
         }
     }
 }
@@ -192,7 +198,7 @@ fn lost_frames_are_counted_and_do_no_harm() {
     assert_eq!(outcome.sent["left"]["error-bit"], 2);
     assert_eq!(outcome.counter("left", "sequence_gaps"), 2, "{outcome}");
     assert_eq!(outcome.counter("right", "sequence_gaps"), 3, "{outcome}");
-    assert!(outcome.counter("rgb", "late") >= 1, "{outcome}");
+    assert_eq!(outcome.counter("rgb", "late"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["left", "right", "rgb"]);
 }
 
@@ -204,6 +210,7 @@ fn truncated_pictures_are_counted_and_never_saved() {
     for role in ["left", "right"] {
         assert_eq!(outcome.counter(role, "damaged"), 6, "{role}: {outcome}");
     }
+    assert_eq!(outcome.session("refused"), 2, "{outcome}");
     assert_others_undisturbed(&outcome, &["left", "right"]);
 }
 
@@ -213,8 +220,9 @@ fn corrupted_pictures_are_never_saved() {
     let outcome = run(&kernel, "corrupted", "corrupted", pictures::drawn());
     assert_one_good_grasp(&outcome, pictures::drawn());
     for role in ["left", "right"] {
-        assert!(outcome.counter(role, "damaged") >= 1, "{role}: {outcome}");
+        assert_eq!(outcome.counter(role, "damaged"), 6, "{role}: {outcome}");
     }
+    assert_eq!(outcome.session("refused"), 2, "{outcome}");
     assert_others_undisturbed(&outcome, &["left", "right"]);
 }
 
@@ -223,8 +231,8 @@ fn a_frozen_picture_is_noticed_and_the_grasp_comes_after_it() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "frozen", "frozen", pictures::drawn());
     assert_one_good_grasp(&outcome, pictures::drawn());
-    assert!(outcome.sent["left"]["freeze"] >= 70, "{outcome}");
-    assert!(outcome.counter("left", "duplicates") >= 1, "{outcome}");
+    assert_eq!(outcome.sent["left"]["freeze"], 75, "{outcome}");
+    assert_eq!(outcome.counter("left", "duplicates"), 75, "{outcome}");
     assert_others_undisturbed(&outcome, &["left"]);
 }
 
@@ -233,7 +241,8 @@ fn a_silent_camera_comes_back() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "silent", "silent", pictures::drawn());
     assert_one_good_grasp(&outcome, pictures::drawn());
-    assert!(outcome.sent["left"]["silent"] >= 1, "{outcome}");
+    assert_eq!(outcome.sent["left"]["silent"], 75, "{outcome}");
+    assert_eq!(outcome.counter("left", "reconnects"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["left"]);
 }
 
@@ -271,6 +280,7 @@ fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
     );
     assert_one_good_grasp(&outcome, pictures::drawn());
     assert_eq!(outcome.grasps[0].record.grasp.trigger, "pedal");
+    assert_eq!(outcome.counter("right", "reconnects"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["right"]);
 }
 

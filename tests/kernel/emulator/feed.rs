@@ -78,7 +78,7 @@ pub(crate) enum Touch {
 
 /// Where pictures come from.
 pub(crate) enum Pictures {
-    /// JPEG files, sent as they are, in a circle.
+    /// JPEG files in a circle, each [`numbered`].
     Files {
         free: Vec<Arc<Vec<u8>>>,
         pressed: Vec<Arc<Vec<u8>>>,
@@ -113,7 +113,8 @@ impl Pictures {
                     Touch::Free => free,
                     Touch::Pressed => pressed,
                 };
-                files[(number % files.len() as u64) as usize].clone()
+                let file = &files[(number % files.len() as u64) as usize];
+                Arc::new(numbered(file, number))
             }
             Self::Drawn(Pixels::Z16) => Arc::new(pattern::depth(number, width, height)),
             Self::Drawn(Pixels::Grey) => Arc::new(pattern::grey(number, width, height)),
@@ -122,6 +123,14 @@ impl Pictures {
             }
         }
     }
+}
+
+/// The JPEG with a comment segment that holds the picture's number, big-endian, after its first
+/// marker: as with a real camera, no two pictures have the same bytes.
+pub(crate) fn numbered(jpeg: &[u8], number: u64) -> Vec<u8> {
+    const COMMENT: [u8; 4] = [0xff, 0xfe, 0, 10];
+    let (start, rest) = jpeg.split_at(jpeg.len().min(2));
+    [start, &COMMENT, &number.to_be_bytes(), rest].concat()
 }
 
 fn jpeg_files(dir: &Path) -> io::Result<Vec<Arc<Vec<u8>>>> {
@@ -277,7 +286,7 @@ mod tests {
     };
 
     fn files() -> Feed {
-        let picture = |byte: u8| Arc::new(vec![byte; 1000]);
+        let picture = |byte: u8| Arc::new(vec![byte; 986]);
         Feed::new(Pictures::Files {
             free: vec![picture(1), picture(2)],
             pressed: vec![picture(3)],
@@ -296,6 +305,15 @@ mod tests {
         feed.set_touch(Touch::Pressed);
         assert_eq!(first_byte(&feed), Some(3));
         assert_eq!(feed.counters()["sent"], 4);
+    }
+
+    #[test]
+    fn a_number_makes_equal_pictures_differ() {
+        let jpeg = [0xff, 0xd8, 0xff, 0xd9];
+        let sent = numbered(&jpeg, 0x0102);
+        assert_eq!(sent[2..14], [0xff, 0xfe, 0, 10, 0, 0, 0, 0, 0, 0, 1, 2]);
+        assert_eq!([&sent[..2], &sent[14..]].concat(), jpeg);
+        assert_ne!(numbered(&jpeg, 3), sent);
     }
 
     #[test]

@@ -15,6 +15,7 @@ use v4l::io::traits::CaptureStream as _;
 use v4l::prelude::{Device, MmapStream};
 use v4l::video::Capture as _;
 
+use crate::feed;
 use crate::pattern;
 use crate::sysfs::{self, VideoNode};
 
@@ -100,7 +101,14 @@ fn open(wanted: &Wanted, nodes: &[VideoNode]) -> io::Result<(VideoNode, Device)>
 fn is_as_sent(wanted: &Wanted, picture: &[u8], fed: &[Vec<u8>]) -> bool {
     let (width, height) = (wanted.width, wanted.height);
     match wanted.fourcc {
-        b"MJPG" => fed.iter().any(|sent| sent == picture),
+        b"MJPG" => {
+            let number = picture.get(6..14).and_then(|bytes| bytes.try_into().ok());
+            number.is_some_and(|bytes| {
+                let number = u64::from_be_bytes(bytes);
+                fed.iter()
+                    .any(|file| feed::numbered(file, number) == picture)
+            })
+        }
         b"Z16 " => {
             let first = u16::from_le_bytes([picture[0], picture[1]]);
             let number = u64::from(first.wrapping_sub(pattern::DEPTH_OFFSET));

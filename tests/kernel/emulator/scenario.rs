@@ -50,6 +50,24 @@ wait saved
 quit
 ";
 
+/// One grasp whose triggers are both refused at first, and come again half a second later.
+const SECOND_TRY: &str = "\
+wait live
+object mug
++0.5 initial
+expect refused
++0.5 initial
+expect saved
+wait contact
++0.2 grasp
+expect refused
++0.5 grasp
+expect saved
+stable
+wait saved
+quit
+";
+
 /// All scenarios.
 pub(crate) const SCENARIOS: &[Scenario] = &[
     Scenario {
@@ -105,7 +123,7 @@ quit
             (2.013, "touch pressed"),
             (2.113, "fault right truncate 6"),
         ],
-        script: ONE_GRASP,
+        script: SECOND_TRY,
         disk_mib: ROOMY_MIB,
     },
     Scenario {
@@ -117,7 +135,7 @@ quit
             (2.013, "touch pressed"),
             (2.113, "fault left corrupt 6"),
         ],
-        script: ONE_GRASP,
+        script: SECOND_TRY,
         disk_mib: ROOMY_MIB,
     },
     Scenario {
