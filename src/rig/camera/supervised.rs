@@ -467,10 +467,4 @@ mod tests {
         assert!(matches!(events.last(), Some(CameraEvent::Ended)));
         assert_eq!(reports(&events).pop().unwrap().health, Health::Ended);
     }
-
-    fn tiny_jpeg() -> Vec<u8> {
-        let mut bytes = vec![0xFF, 0xD8, 0xFF, 0xE0, 0, 4, 1, 2, 0xFF, 0xDA, 0, 3, 1];
-        bytes.extend([0x12, 0xFF, 0x00, 0x34, 0xFF, 0xD0, 0x56, 0xFF, 0xD9]);
-        bytes
-    }
 }
