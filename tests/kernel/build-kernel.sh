@@ -73,10 +73,9 @@ apt-get download -qq "$package=$version" >&2 || {
 } || cannot "$package could not be downloaded"
 
 say "unpacking"
-dpkg-deb --fsys-tarfile ./*.deb |
-    tar -x --wildcards --transform='s:.*/::' '*/linux-source-*.tar.*'
+dpkg-deb --fsys-tarfile ./*.deb | tar -x --wildcards '*/linux-source-*.tar.*'
 rm -f ./*.deb
-tarball=$(find . -maxdepth 1 -type f -name 'linux-source-*.tar.*' | head -n 1)
+tarball=$(find usr -type f -name 'linux-source-*.tar.*' | head -n 1)
 [ -n "$tarball" ] || cannot "$package holds no source archive"
 mkdir source build
 # Other architectures' code and the largest register tables are a third of the bytes; every

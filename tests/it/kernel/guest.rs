@@ -138,6 +138,8 @@ fn boot(kernel: &Path, name: &str, disk: &str, command: &str) -> PathBuf {
             "quiet",
             "time-travel=inf-cpu",
         ])
+        // Its default is below the home directory, which need not be there.
+        .arg(format!("uml_dir={}/", out.display()))
         .arg(format!("init={}", init.display()))
         .arg(format!("GRIPCAST_OUT={}", out.display()))
         .arg(format!("GRIPCAST_DISK={disk}"))
