@@ -29,7 +29,7 @@ use crate::rig::calibration::{PedalConfig, RigFile};
 use crate::rig::camera::{MonotonicClock, RigSources, SupervisionPolicy};
 use crate::rig::device::SystemRoot;
 use crate::rig::trigger::{PedalEvent, Script, run_pedal};
-use crate::session::{Command, CommandSource, Labels};
+use crate::session::{Command, CommandSource, Labels, StoreReply};
 
 /// Commands that wait for the engine; an operator cannot press faster than they are taken.
 const COMMAND_QUEUE: usize = 64;
@@ -128,8 +128,15 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     }
     let sound = sound(&settings.sound)?;
     let model = chosen_model(&settings.model)?;
-    let sources = RigSources::of(&rig, &SystemRoot::default(), args.seed)?;
+    let root = SystemRoot::default();
+    let sources = RigSources::of(&rig, &root, args.seed)?;
     sources.check_present()?;
+    let (intrinsics, notes) = sources.intrinsics(&rig, &root)?;
+    if !context.quiet {
+        for note in notes {
+            eprintln!("{note}");
+        }
+    }
 
     let pedals = rig.pedals.clone();
     let setup = EngineSetup {
@@ -140,6 +147,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
             label_definition: LABEL_DEFINITION.into(),
         },
         rig,
+        intrinsics,
         openers: sources.openers,
         supervision: SupervisionPolicy::default(),
         dataset,
@@ -234,11 +242,15 @@ async fn collect(
     };
     drop(command_sender);
 
+    let told = screen.is_none();
     let links = EngineLinks {
         commands,
         status,
         tones: tone_sender,
         stored: Box::new(move |stored| {
+            if let (true, StoreReply::Failed { message }) = (told, &stored.reply) {
+                eprintln!("NOT SAVED: {message}");
+            }
             if events {
                 // A reader that has gone does not stop the collection.
                 let _ = serde_json::to_string(stored).map(|line| print(&line));

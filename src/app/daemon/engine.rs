@@ -22,7 +22,7 @@ use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, Outcome, StageCa
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Frame, Role};
 use crate::predict::Model;
-use crate::rig::calibration::RigFile;
+use crate::rig::calibration::{CameraConfig, Intrinsics, RigFile};
 use crate::rig::camera::{CameraOpener, Health, SupervisionPolicy, VirtualHand, monotonic_ns};
 use crate::rig::trigger::{self, Answer, Script, ScriptAction, ScriptRunner};
 use crate::session::{
@@ -40,6 +40,8 @@ const DISK_TICKS: u64 = 20;
 pub struct EngineSetup {
     /// The rig.
     pub rig: RigFile,
+    /// Intrinsics of its colour cameras, where known.
+    pub intrinsics: BTreeMap<Role, Intrinsics>,
     /// Its cameras.
     pub openers: Vec<Box<dyn CameraOpener>>,
     /// How cameras are supervised.
@@ -236,7 +238,7 @@ impl Engine {
         }
         let (mut writer, opened) =
             DatasetWriter::open_or_create(&setup.dataset, &setup.new_dataset)?;
-        let calibration = store_calibration(&mut writer, &setup.rig)?;
+        let calibration = store_calibration(&mut writer, &setup.rig, &setup.intrinsics)?;
         if let Some(model) = &setup.model {
             writer.put_model(&model_card(model)?)?;
         }
@@ -783,11 +785,26 @@ fn crop_profiles(rig: &RigFile) -> Result<BTreeMap<Role, CropProfile>> {
         .collect()
 }
 
-fn store_calibration(writer: &mut DatasetWriter, rig: &RigFile) -> Result<BTreeMap<Role, String>> {
+/// What is stored of each camera's calibration.
+#[derive(Serialize)]
+struct Calibration<'a> {
+    camera: &'a CameraConfig,
+    intrinsics: Option<&'a Intrinsics>,
+}
+
+fn store_calibration(
+    writer: &mut DatasetWriter,
+    rig: &RigFile,
+    intrinsics: &BTreeMap<Role, Intrinsics>,
+) -> Result<BTreeMap<Role, String>> {
     rig.cameras
         .iter()
         .map(|(role, camera)| {
-            let text = toml::to_string_pretty(camera).map_err(|e| {
+            let calibration = Calibration {
+                camera,
+                intrinsics: intrinsics.get(role),
+            };
+            let text = toml::to_string_pretty(&calibration).map_err(|e| {
                 Error::new(ErrorKind::Internal, "cannot write the calibration").because(e)
             })?;
             Ok((*role, writer.put_calibration(&text)?))

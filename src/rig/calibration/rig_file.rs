@@ -85,6 +85,9 @@ pub struct CameraConfig {
     /// Metres per count of a depth camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth_unit_m: Option<f64>,
+    /// Intrinsics file of a colour camera; without one a D435 is asked for its factory values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<PathBuf>,
     /// Controls to set, by V4L2 name in snake case; read back and stored with every frame.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub controls: BTreeMap<String, i64>,
@@ -130,6 +133,7 @@ impl CameraConfig {
             fps,
             crop_profile: None,
             depth_unit_m: None,
+            intrinsics: None,
             controls: BTreeMap::new(),
         }
     }

@@ -474,6 +474,7 @@ mod tests {
             fps: 25.0,
             crop_profile: None,
             depth_unit_m: None,
+            intrinsics: None,
             controls: BTreeMap::new(),
         }
     }

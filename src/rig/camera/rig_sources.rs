@@ -1,10 +1,14 @@
 //! The cameras of a rig file, whatever kind they are.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use super::{CameraOpener, MonotonicClock, ReplayOpener, V4l2Opener, VirtualHand, VirtualRig};
+use super::{
+    CameraOpener, KernelNodes, MonotonicClock, ReplayOpener, V4l2Opener, VirtualHand, VirtualRig,
+};
 use crate::error::Result;
-use crate::rig::calibration::{RigFile, SourceKind};
+use crate::imaging::Role;
+use crate::rig::calibration::{Intrinsics, RigFile, SourceKind, colour_intrinsics};
 use crate::rig::device::SystemRoot;
 
 /// Openers for every camera of a rig.
@@ -49,6 +53,43 @@ impl RigSources {
             sources.openers.push(opener);
         }
         Ok(sources)
+    }
+
+    /// Intrinsics of the colour cameras: from the file that the rig names, else from the D435
+    /// itself. What could not be had is told in the second value and is no obstacle to collecting.
+    ///
+    /// # Errors
+    /// When an intrinsics file is named and wrong: its poses would be wrong later.
+    pub fn intrinsics(
+        &self,
+        rig: &RigFile,
+        root: &SystemRoot,
+    ) -> Result<(BTreeMap<Role, Intrinsics>, Vec<String>)> {
+        let (mut found, mut notes) = (BTreeMap::new(), Vec::new());
+        for (role, camera) in &rig.cameras {
+            if let Some(path) = &camera.intrinsics {
+                found.insert(*role, Intrinsics::load(path)?);
+            }
+        }
+        for opener in &self.present {
+            let role = opener.role();
+            let Some(camera) = rig.cameras.get(&role) else {
+                continue;
+            };
+            let is_d435_colour = role == Role::Rgb && camera.product.contains("RealSense");
+            if !is_d435_colour || found.contains_key(&role) {
+                continue;
+            }
+            let (device, _) = opener.find()?;
+            let (width, height) = (camera.width, camera.height);
+            match colour_intrinsics(root, &KernelNodes, &device.port, width, height) {
+                Ok(intrinsics) => {
+                    found.insert(role, intrinsics);
+                }
+                Err(error) => notes.push(format!("{role}: no factory intrinsics: {error}")),
+            }
+        }
+        Ok((found, notes))
     }
 
     /// Checks that every real camera is plugged in and unambiguous.

@@ -34,7 +34,7 @@ impl Default for SupervisionPolicy {
             reopen_after_ns: 3_000_000_000,
             freeze_after_ns: Some(1_000_000_000),
             first_backoff_ns: 250_000_000,
-            longest_backoff_ns: 4_000_000_000,
+            longest_backoff_ns: 1_000_000_000,
             frame_timeout_ns: 100_000_000,
             report_every_ns: 200_000_000,
             controls_every_ns: Some(1_000_000_000),

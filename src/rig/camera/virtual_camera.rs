@@ -428,6 +428,7 @@ mod tests {
             fps,
             crop_profile: None,
             depth_unit_m: None,
+            intrinsics: None,
             controls: BTreeMap::from([("gain".to_owned(), 7)]),
         }
     }

@@ -82,6 +82,7 @@ fn camera(
         fps,
         crop_profile: None,
         depth_unit_m: None,
+        intrinsics: None,
         controls: [].into(),
     }
 }
