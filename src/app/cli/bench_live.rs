@@ -4,10 +4,10 @@
 //! and a prediction at every tactile frame. The gel frames are synthesised: no original frame of
 //! full size could be had, and their size depends on `--quality`.
 
-use serde_json::json;
+use serde_json::{Map, json};
 
-use super::{Context, print};
-use crate::app::daemon::live_load::{LoadParams, drive};
+use super::{Context, print, python_peer};
+use crate::app::daemon::live_load::{LoadParams, decode_ms, drive, gel_frame};
 use crate::error::Result;
 use crate::predict::Model;
 
@@ -23,10 +23,23 @@ pub(crate) struct Args {
     /// ONNX model [default: the built-in contact heuristic]
     #[arg(long, value_name = "FILE")]
     model: Option<std::path::PathBuf>,
+    /// Another decoder to measure beside ours, on one of the same frames
+    #[arg(long, value_enum)]
+    peer: Option<Peer>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Peer {
+    /// PyPI's opencv-python-headless, through `python3`
+    Opencv,
+}
+
+const PEER_SCRIPT: &str = include_str!("../../../benches/peers/opencv_decode.py");
+/// Decodings that are measured, ours and the peer's.
+const PEER_RUNS: u64 = 30;
 
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
@@ -46,14 +59,35 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         quality: args.quality,
     };
     let figures = drive(model, params)?;
+    let mut peers = Map::new();
+    if let Some(Peer::Opencv) = args.peer {
+        let frame = gel_frame(args.quality)?;
+        match python_peer::measure("opencv", PEER_SCRIPT, PEER_RUNS, &frame.data)? {
+            Some(mut peer) => {
+                let ours = decode_ms(&frame, PEER_RUNS)?;
+                let theirs = peer["decode_ms_median"].as_f64().unwrap_or(f64::NAN);
+                peer["our_decode_ms_median"] = json!(ours);
+                peer["decode_ratio"] = json!(ours / theirs);
+                peers.insert("opencv".to_owned(), peer);
+            }
+            None if !context.quiet => eprintln!(
+                "gripcast: OpenCV is absent, so it was not measured\n  → pip install \
+                 opencv-python-headless"
+            ),
+            None => {}
+        }
+    }
     if args.json {
         let report = json!({
             "name": "live",
             "params": {"model": name, "seconds": args.seconds, "quality": args.quality},
             "figures": figures,
-            "peers": {},
+            "peers": peers,
         });
         return print(&format!("{report:#}"));
+    }
+    for (name, peer) in &peers {
+        print(&format!("{name}: {peer}"))?;
     }
     print(&format!(
         "frames {}  lost by us {}  tactile frames not decoded {}\n\

@@ -4,20 +4,16 @@
 //! and median in ms. `--peer onnxruntime` runs the same file through PyPI's onnxruntime in
 //! `python3`, on one thread, in the same run.
 
-use std::io::Write as _;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
 
 use serde_json::{Map, Value, json};
 
-use super::{Context, print};
-use crate::error::{Error, ErrorKind, Result};
+use super::{Context, print, python_peer};
+use crate::error::{Error, Result};
 use crate::predict::{Model, PredictFigures, baseline, measure, onnx};
 
 /// Runs below this give no usable median.
 const LEAST_RUNS: u64 = 30;
-/// Exit code of the peer's script when onnxruntime cannot be imported.
-const PEER_ABSENT: i32 = 3;
 const PEER_SCRIPT: &str = include_str!("../../../benches/peers/onnxruntime_predict.py");
 
 /// Arguments.
@@ -57,7 +53,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let figures = measure(&bytes, args.runs as usize).map_err(at_model)?;
     let mut peers = Map::new();
     if let Some(Peer::Onnxruntime) = args.peer {
-        match onnxruntime(&bytes, args.runs)? {
+        match python_peer::measure("onnxruntime", PEER_SCRIPT, args.runs, &bytes)? {
             Some(mut peer) => {
                 let theirs = peer["engine_ms_median"].as_f64().unwrap_or(f64::NAN);
                 peer["engine_ratio"] = json!(figures.engine_ms_median / theirs);
@@ -107,34 +103,4 @@ fn table(figures: &PredictFigures, peers: &Map<String, Value>) -> String {
         row(name, ms("engine_ms_min"), ms("engine_ms_median"));
     }
     lines.join("\n")
-}
-
-/// Figures of onnxruntime on the same bytes; `None` when Python or onnxruntime is absent.
-fn onnxruntime(model: &[u8], runs: u64) -> Result<Option<Value>> {
-    let failed = |what: &str| Error::new(ErrorKind::Internal, format!("onnxruntime bench: {what}"));
-    let runs = runs.to_string();
-    let spawned = Command::new("python3")
-        .args(["-c", PEER_SCRIPT, "-", "--runs", &runs])
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn();
-    let mut python = match spawned {
-        Ok(python) => python,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(Error::io("cannot start python3", error)),
-    };
-    if let Some(mut stdin) = python.stdin.take() {
-        // A peer that is absent ends without reading; its exit code says so.
-        let _ = stdin.write_all(model);
-    }
-    let output = python
-        .wait_with_output()
-        .map_err(|e| Error::io("cannot read from python3", e))?;
-    match output.status.code() {
-        Some(0) => serde_json::from_slice(&output.stdout)
-            .map(Some)
-            .map_err(|cause| failed("its answer is no JSON").because(cause)),
-        Some(PEER_ABSENT) => Ok(None),
-        _ => Err(failed("python3 failed, see its message above")),
-    }
 }

@@ -13,14 +13,14 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::{self, IsTerminal as _, Write as _};
+use std::io::{self, IsTerminal as _};
 use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
-use super::Context;
+use super::{Context, print, print_json};
 use crate::dataset::{
     Dataset, Outcome, RecoverReport, SplitBy, SplitFile, SplitPlan, Summary, VerifyReport, recover,
     reindex, split, summary, verify,
@@ -424,20 +424,6 @@ fn progress_bar(context: &Context, what: &'static str) -> ProgressBar {
 fn to_value(report: &impl serde::Serialize) -> Result<Value> {
     serde_json::to_value(report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the report as JSON").because(e))
-}
-
-fn print_json(value: &Value) -> Result<()> {
-    print(&format!("{value:#}\n"))
-}
-
-/// Prints data. A reader that has seen enough (`| head`) is no failure.
-fn print(text: &str) -> Result<()> {
-    match io::stdout().lock().write_all(text.as_bytes()) {
-        Err(e) if e.kind() != io::ErrorKind::BrokenPipe => {
-            Err(Error::io("cannot write to the standard output", e))
-        }
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

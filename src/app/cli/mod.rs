@@ -17,6 +17,7 @@ mod completions;
 mod config;
 mod dataset;
 mod predict;
+mod python_peer;
 mod rig;
 
 /// Collect grasps with touch; predict before the lift whether they hold.
@@ -60,9 +61,15 @@ impl ConfigFlag {
     }
 }
 
-/// Writes to stdout; a closed pipe is an error, not a panic.
+/// Writes a line or more to stdout; a reader that has seen enough (`| head`) is no failure.
 pub(crate) fn print(text: &str) -> Result<()> {
-    writeln!(std::io::stdout(), "{text}").map_err(|e| Error::io("cannot write to stdout", e))
+    let text = text.strip_suffix('\n').unwrap_or(text);
+    match writeln!(std::io::stdout().lock(), "{text}") {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Error::io("cannot write to stdout", e))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Prints one JSON object on stdout.

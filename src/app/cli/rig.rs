@@ -9,18 +9,19 @@
 
 use std::fs;
 use std::io::{self, Write as _};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use super::Context;
+use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{PixelFormat, Role};
 use crate::rig::calibration::{Intrinsics, RigFile, colour_intrinsics, draft};
 use crate::rig::camera::{
-    CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, RigSources, StreamInfo,
+    CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, Recorder, RigSources,
+    StreamInfo,
 };
 use crate::rig::device::{
     Access, SystemRoot, VideoDevice, crowded_buses, permission_error, probe, scan,
@@ -95,6 +96,9 @@ enum Verb {
         /// How long to measure, s
         #[arg(long, default_value_t = 2.0, value_parser = seconds)]
         seconds: f64,
+        /// Keep the frames as a recording that a `replay` camera plays
+        #[arg(long, value_name = "DIR")]
+        record: Option<PathBuf>,
         /// Print JSON
         #[arg(long)]
         json: bool,
@@ -120,12 +124,18 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.verb {
         Verb::List { json } => list(context, &root, json),
         Verb::Init { out, id } => init(context, &root, &out, id),
-        Verb::Check { rig, seconds, json } => {
+        Verb::Check {
+            rig,
+            seconds,
+            record,
+            json,
+        } => {
             let rig = RigFile::find(&rig)?;
             let checks = check(
                 RigSources::of(&rig, &root, 1)?.openers,
                 &root,
                 Duration::from_secs_f64(seconds),
+                record.as_deref(),
             );
             if json {
                 print_json(
@@ -133,25 +143,11 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
                 )?;
             } else {
                 for check in &checks {
-                    print_text(&check.text())?;
+                    print(&check.text())?;
                 }
             }
             verdict(&checks)
         }
-    }
-}
-
-fn print_json(value: &Value) -> Result<()> {
-    print_text(&format!("{value:#}\n"))
-}
-
-/// Writes to stdout; a reader that has seen enough (`| head`) is no failure.
-fn print_text(text: &str) -> Result<()> {
-    match io::stdout().lock().write_all(text.as_bytes()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(Error::io("cannot write to stdout", error))
-        }
-        _ => Ok(()),
     }
 }
 
@@ -172,7 +168,7 @@ fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
         print_json(&json!({ "cameras": cameras, "warnings": warnings }))?;
     } else {
         for device in &devices {
-            print_text(&device_text(device))?;
+            print(&device_text(device))?;
         }
         if !context.quiet {
             for warning in &warnings {
@@ -384,7 +380,12 @@ struct Frames {
     fps: Option<f64>,
 }
 
-fn check(openers: Vec<Box<dyn CameraOpener>>, root: &SystemRoot, duration: Duration) -> Vec<Check> {
+fn check(
+    openers: Vec<Box<dyn CameraOpener>>,
+    root: &SystemRoot,
+    duration: Duration,
+    record: Option<&Path>,
+) -> Vec<Check> {
     // All at once, because cameras compete for the bus.
     thread::scope(|scope| {
         let running: Vec<_> = openers
@@ -392,7 +393,8 @@ fn check(openers: Vec<Box<dyn CameraOpener>>, root: &SystemRoot, duration: Durat
             .map(|mut opener| {
                 let role = opener.role();
                 let wanted = opener.describe();
-                let worker = scope.spawn(move || check_one(opener.as_mut(), root, duration));
+                let worker =
+                    scope.spawn(move || check_one(opener.as_mut(), root, duration, record));
                 (role, wanted, worker)
             })
             .collect();
@@ -411,7 +413,12 @@ fn check(openers: Vec<Box<dyn CameraOpener>>, root: &SystemRoot, duration: Durat
     })
 }
 
-fn check_one(opener: &mut dyn CameraOpener, root: &SystemRoot, duration: Duration) -> Check {
+fn check_one(
+    opener: &mut dyn CameraOpener,
+    root: &SystemRoot,
+    duration: Duration,
+    record: Option<&Path>,
+) -> Check {
     let mut check = Check {
         role: opener.role(),
         wanted: opener.describe(),
@@ -431,7 +438,14 @@ fn check_one(opener: &mut dyn CameraOpener, root: &SystemRoot, duration: Duratio
         check.problems.push(error.to_string());
         ControlValues::new()
     });
-    let frames = measure(source.as_mut(), duration, &mut check.problems);
+    let recorder = record
+        .map(|dir| Recorder::create(dir, check.role, source.info()))
+        .transpose()
+        .unwrap_or_else(|error| {
+            check.problems.push(error.to_string());
+            None
+        });
+    let frames = measure(source.as_mut(), duration, recorder, &mut check.problems);
     let info = source.info().clone();
     let mut notes = source.warnings().to_vec();
     let asked =
@@ -484,7 +498,12 @@ impl Sequences {
 }
 
 /// Counts frames for `duration` from the first one, by the clock of the frames.
-fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<String>) -> Frames {
+fn measure(
+    source: &mut dyn FrameSource,
+    duration: Duration,
+    mut recorder: Option<Recorder>,
+    problems: &mut Vec<String>,
+) -> Frames {
     let nominal = source.info().nominal_fps;
     let damage_limit = 50 + (2.0 * nominal * duration.as_secs_f64()) as u64;
     let mut frames = Frames::default();
@@ -497,6 +516,12 @@ fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<
             Ok(frame) => {
                 timeouts = 0;
                 frames.received += 1;
+                if let Some(recording) = &mut recorder
+                    && let Err(error) = recording.write(&frame)
+                {
+                    problems.push(error.to_string());
+                    recorder = None;
+                }
                 sequences.count(frame.sequence);
                 last_time_ns = last_time_ns.max(frame.driver_time_ns);
                 let (_, began) = *first.get_or_insert((frame.driver_time_ns, frame.received_ns));
@@ -525,6 +550,9 @@ fn measure(source: &mut dyn FrameSource, duration: Duration, problems: &mut Vec<
                 break;
             }
         }
+    }
+    if let Some(Err(error)) = recorder.map(Recorder::finish) {
+        problems.push(error.to_string());
     }
     frames.lost = sequences.lost;
     frames.fps = first.and_then(|(from, _)| {
@@ -740,7 +768,7 @@ mod tests {
 
     fn measured(mut source: Scripted) -> (Frames, Vec<String>) {
         let mut problems = Vec::new();
-        let frames = measure(&mut source, Duration::from_secs(1), &mut problems);
+        let frames = measure(&mut source, Duration::from_secs(1), None, &mut problems);
         (frames, problems)
     }
 
@@ -808,7 +836,12 @@ mod tests {
                 Box::new(Opener(Role::Left, left)),
                 Box::new(Opener(Role::Right, right)),
             ];
-            let checks = check(openers, &SystemRoot::default(), Duration::from_secs(1));
+            let checks = check(
+                openers,
+                &SystemRoot::default(),
+                Duration::from_secs(1),
+                None,
+            );
             assert_eq!(verdict(&checks).err().map(|e| e.kind()), expected);
         }
     }
@@ -817,7 +850,7 @@ mod tests {
     fn report_has_stable_keys() {
         let mut opener = Opener(Role::Left, Some(Ok(Scripted::new(25.0, (0..99).map(Ok)))));
         let root = SystemRoot::default();
-        let check = check_one(&mut opener, &root, Duration::from_secs(1));
+        let check = check_one(&mut opener, &root, Duration::from_secs(1), None);
         let value = check.json();
         let keys: Vec<&str> = value
             .as_object()

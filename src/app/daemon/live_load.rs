@@ -14,7 +14,8 @@ use super::infer::{InferRequest, Inference};
 use crate::dataset::GraspId;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{
-    CropProfile, Frame, FrameBytes, FramePool, PixelFormat, Role, encode_jpeg, synthetic_gel,
+    CropProfile, Decoder, Frame, FrameBytes, FramePool, PixelFormat, Role, encode_jpeg,
+    synthetic_gel,
 };
 use crate::predict::Model;
 use crate::rig::camera::{
@@ -24,6 +25,9 @@ use crate::rig::camera::{
 
 /// Frames that a V4L2 queue holds for a late reader; later ones are lost, as with a driver.
 const QUEUE: u64 = 4;
+
+/// Size of a GelSight Mini's frame, pixels.
+const GEL_SIZE: (u32, u32) = (3280, 2464);
 
 /// Different frames that each camera repeats.
 const DISTINCT: u64 = 6;
@@ -171,6 +175,45 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
     })
 }
 
+/// One frame of the load, without contact.
+///
+/// # Errors
+/// When it cannot be encoded.
+pub fn gel_frame(quality: u8) -> Result<Frame> {
+    let (width, height) = GEL_SIZE;
+    let picture = synthetic_gel(width, height, 100, 0.0);
+    Ok(Frame {
+        format: PixelFormat::Mjpg,
+        width,
+        height,
+        data: encode_jpeg(&picture, quality)?.into(),
+        sequence: 0,
+        driver_time_ns: 0,
+        received_ns: 0,
+    })
+}
+
+/// CPU time of the live path's decoding of `frame` to the model's picture, median, ms.
+///
+/// # Errors
+/// When the frame is damaged.
+pub fn decode_ms(frame: &Frame, runs: u64) -> Result<f64> {
+    let mut decoder = Decoder::new()?;
+    let crop = Some(&CropProfile::GSMINI_SEVENTH);
+    let mut times_ms = (0..runs)
+        .map(|_| {
+            let started = cpu_seconds();
+            decode::model_picture(&mut decoder, frame, crop)?;
+            Ok((cpu_seconds() - started) * 1e3)
+        })
+        .collect::<Result<Vec<f64>>>()?;
+    times_ms.sort_by(f64::total_cmp);
+    Ok(times_ms
+        .get(times_ms.len() / 2)
+        .copied()
+        .unwrap_or(f64::NAN))
+}
+
 /// The frames of one camera.
 #[derive(Clone)]
 struct Recording {
@@ -204,7 +247,7 @@ fn recording(
 
 /// Gel frames as a GelSight Mini sends them, with a contact that grows and shrinks.
 fn gel_frames(seed: u64, quality: u8) -> Result<Recording> {
-    let size = (3280, 2464);
+    let size = GEL_SIZE;
     let frames = (0..DISTINCT)
         .map(|i| {
             let contact = (i as f32 / DISTINCT as f32 * std::f32::consts::PI).sin();
