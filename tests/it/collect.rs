@@ -95,7 +95,7 @@ fn a_grasp_without_contact_is_refused_and_an_override_is_on_record() {
     let dataset = dir.path().join("d");
     // The virtual hand is still open right after the initial frame: nothing touches the gels.
     let steps = "wait live\ngrasp\nexpect refused\ninitial\nexpect saved\n\
-                 grasp\nexpect refused\noverride\nexpect saved\nstable\nexpect saved\nquit\n";
+                 wait fresh\ngrasp\nexpect refused\noverride\nexpect saved\nstable\nexpect saved\nquit\n";
     let mut command = collect(&script(dir.path(), steps), &dataset);
     // A limit that no contact reaches keeps the test independent of the machine's speed.
     command.env("GRIPCAST__GUARDS__MIN_CONTACT_FRACTION", "1.1");

@@ -352,6 +352,7 @@ impl Engine {
         let conditions = trigger::Conditions {
             all_live: self.all_live(),
             contact: self.touched(),
+            fresh: self.fresh(),
             saving: self.session.is_storing(),
             last_answer: self.script_command.answer.clone(),
         };
@@ -381,6 +382,16 @@ impl Engine {
         self.hub.slots().all(|slot| {
             slot.facts(|facts| facts.health == Health::Live)
                 && slot.frames().iter().any(|(_, s)| *s == Soundness::Sound)
+        })
+    }
+
+    /// Every camera has a good frame newer than the pending initial one.
+    fn fresh(&self) -> bool {
+        let since_ns = self.initial_time_ns();
+        let frames = self.pair(monotonic_ns()).frames;
+        self.hub.slots().all(|slot| {
+            let frame = frames.get(&slot.role());
+            frame.is_some_and(|frame| frame.driver_time_ns > since_ns)
         })
     }
 
@@ -605,8 +616,7 @@ impl Engine {
             })
             .filter(|(_, frames)| !frames.is_empty())
             .collect();
-        let max_age_ns = (self.guards.max_frame_age_ms * 1e6) as u64;
-        pair(&good, now_ns, max_age_ns)
+        pair(&good, now_ns)
     }
 
     fn conditions(&self, paired: &Paired, now_ns: u64) -> Conditions {

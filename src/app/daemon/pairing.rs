@@ -13,13 +13,16 @@ pub(super) struct Paired {
     pub skew_ms: f64,
 }
 
+/// A camera whose newest frame is older does not set the time for the others, ns: half of what a
+/// ring of 8 frames spans at 25/s.
+const FALLEN_BEHIND_NS: u64 = 150_000_000;
+
 /// Picks one good frame a camera, as new as possible and as close together as possible.
 ///
-/// The camera whose newest frame is oldest sets the time, if that frame is at most `max_age_ns`
-/// old: all others have a frame near it in their ring. A camera that has fallen silent does not
-/// drag the others back.
+/// The camera whose newest frame is oldest sets the time: all others have a frame near it in
+/// their ring. A camera that has fallen behind does not drag the others back.
 #[must_use]
-pub(super) fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64, max_age_ns: u64) -> Paired {
+pub(super) fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64) -> Paired {
     let newest: Vec<u64> = good
         .values()
         .filter_map(|frames| frames.iter().map(|f| f.driver_time_ns).max())
@@ -27,7 +30,7 @@ pub(super) fn pair(good: &BTreeMap<Role, Vec<Frame>>, now_ns: u64, max_age_ns: u
     let fresh = newest
         .iter()
         .copied()
-        .filter(|t| now_ns.saturating_sub(*t) <= max_age_ns);
+        .filter(|t| now_ns.saturating_sub(*t) <= FALLEN_BEHIND_NS);
     let Some(target) = fresh.min().or_else(|| newest.iter().copied().max()) else {
         return Paired::default();
     };
@@ -74,7 +77,7 @@ mod tests {
 
     fn paired_ms(good: &[(Role, &[u64])], now_ms: u64) -> (Vec<u64>, f64) {
         let good = good.iter().map(|(r, t)| (*r, frames(t))).collect();
-        let paired = pair(&good, now_ms * 1_000_000, 150_000_000);
+        let paired = pair(&good, now_ms * 1_000_000);
         let times = paired.frames.values().map(|f| f.driver_time_ns / 1_000_000);
         (times.collect(), paired.skew_ms)
     }

@@ -394,7 +394,10 @@ mod tests {
             })
             .collect();
         assert_eq!(damaged.len(), 2);
-        assert_eq!(damaged[0], (3, "GREY 2×1 needs 2 bytes, got 1".to_owned()));
+        assert_eq!(
+            damaged[0],
+            (3, "a 2×1 GREY frame has 2 bytes, found 1".to_owned())
+        );
         let frames = events
             .iter()
             .filter(|event| matches!(event, CameraEvent::Frame(_)))

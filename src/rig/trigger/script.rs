@@ -7,6 +7,7 @@
 //! | `[+SECONDS] COMMAND` | gives a session command, after a pause |
 //! | `wait live [T]` | until every camera is live |
 //! | `wait contact [T]`, `wait no-contact [T]` | until the gels are touched, or not |
+//! | `wait fresh [T]` | until every camera has a frame newer than the pending initial one |
 //! | `wait saved [T]` | until the last command is on disk; a refusal ends the script |
 //! | `sleep S` | pause |
 //! | `expect saved`, `expect refused` | what the last command must be answered with |
@@ -20,7 +21,7 @@ use crate::error::{Error, ErrorKind, Result};
 
 const DEFAULT_TIMEOUT_S: f64 = 30.0;
 const LONGEST_S: f64 = 86_400.0;
-const FORMS: &str = "[+SECONDS] COMMAND, wait live|contact|no-contact|saved [SECONDS], sleep \
+const FORMS: &str = "[+SECONDS] COMMAND, wait live|contact|no-contact|fresh|saved [SECONDS], sleep \
                      SECONDS, expect saved|refused, stop-on-refusal";
 
 /// What the session answered to a command.
@@ -39,6 +40,8 @@ pub struct Conditions {
     pub all_live: bool,
     /// The gels are touched.
     pub contact: bool,
+    /// Every camera has a good frame newer than the pending initial one.
+    pub fresh: bool,
     /// A save is under way.
     pub saving: bool,
     /// The answer to the script's newest command; `None` until it is there.
@@ -63,17 +66,25 @@ enum Awaited {
     Live,
     Contact,
     NoContact,
+    Fresh,
     Saved,
 }
 
 impl Awaited {
-    const ALL: [Self; 4] = [Self::Live, Self::Contact, Self::NoContact, Self::Saved];
+    const ALL: [Self; 5] = [
+        Self::Live,
+        Self::Contact,
+        Self::NoContact,
+        Self::Fresh,
+        Self::Saved,
+    ];
 
     fn name(self) -> &'static str {
         match self {
             Self::Live => "live",
             Self::Contact => "contact",
             Self::NoContact => "no-contact",
+            Self::Fresh => "fresh",
             Self::Saved => "saved",
         }
     }
@@ -280,6 +291,7 @@ impl ScriptRunner {
                         Awaited::Live => conditions.all_live,
                         Awaited::Contact => conditions.contact,
                         Awaited::NoContact => !conditions.contact,
+                        Awaited::Fresh => conditions.fresh,
                         Awaited::Saved => {
                             !conditions.saving && conditions.last_answer == Some(Answer::Saved)
                         }

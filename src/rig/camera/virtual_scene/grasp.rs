@@ -155,7 +155,7 @@ impl VirtualGrasp {
             Grip::Shallow => (0.36 + 0.1 * pick(4), 0.36 + 0.1 * pick(5)),
         };
         let offset_mm = match grip {
-            Grip::OffCentre => [lean * (8.0 + 1.0 * pick(6)), 6.6 + 1.0 * pick(7)],
+            Grip::OffCentre => [lean * (6.5 + 1.0 * pick(6)), 4.6 + 1.0 * pick(7)],
             _ => [2.0 * around(6), 1.6 * around(7)],
         };
         let angle_rad = 0.35 * around(8);
