@@ -124,9 +124,27 @@ const EXPOSURE_CONTROLS: [&str; 6] = [
     "gamma",
 ];
 
-/// Guards of every frame, initial or grasp.
-pub(crate) fn check_frames(limits: &GuardLimits, now: &Conditions) -> Vec<Objection> {
+/// Guards of every frame, initial or grasp; `captured_ns` is the time of the last capture, whose
+/// frames must not be saved again.
+pub(crate) fn check_frames(
+    limits: &GuardLimits,
+    now: &Conditions,
+    captured_ns: u64,
+) -> Vec<Objection> {
     let mut objections = Vec::new();
+    let old: Vec<&str> = now
+        .cameras
+        .iter()
+        .filter(|camera| camera.age_ms.is_some() && camera.frame_time_ns <= captured_ns)
+        .map(|camera| camera.role.name())
+        .collect();
+    if !old.is_empty() {
+        objections.push(Objection {
+            guard: Guard::StaleFrame,
+            reason: format!("{}: no new frame since the last capture", old.join(", ")),
+            can_override: false,
+        });
+    }
     for camera in &now.cameras {
         match camera.age_ms {
             None => {
@@ -181,19 +199,6 @@ pub(crate) fn check_against_initial(
     initial: &PendingFrame,
 ) -> Vec<Objection> {
     let mut objections = Vec::new();
-    let old: Vec<&str> = now
-        .cameras
-        .iter()
-        .filter(|camera| camera.age_ms.is_some() && camera.frame_time_ns <= initial.trigger_time_ns)
-        .map(|camera| camera.role.name())
-        .collect();
-    if !old.is_empty() {
-        objections.push(Objection {
-            guard: Guard::StaleFrame,
-            reason: format!("{}: no frame since the initial one", old.join(", ")),
-            can_override: false,
-        });
-    }
     let contacts: Vec<f64> = now
         .cameras
         .iter()

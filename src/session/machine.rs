@@ -178,6 +178,8 @@ pub struct Session {
     refused: Option<(Command, Vec<Objection>)>,
     message: Option<Message>,
     summary: Summary,
+    /// Time of the last capture, ns; 0 before the first.
+    captured_ns: u64,
 }
 
 /// What happened, for the closing line.
@@ -229,6 +231,7 @@ impl Session {
             refused: None,
             message,
             summary: Summary::default(),
+            captured_ns: 0,
         }
     }
 
@@ -248,6 +251,12 @@ impl Session {
     #[must_use]
     pub fn pending(&self) -> Option<&PendingFrame> {
         self.pending.as_ref()
+    }
+
+    /// Time of the last capture, `CLOCK_MONOTONIC`, ns; only newer frames can be captured.
+    #[must_use]
+    pub fn captured_ns(&self) -> u64 {
+        self.captured_ns
     }
 
     /// Names that go into the next grasp.
@@ -440,7 +449,7 @@ impl Session {
 
     fn capture(&mut self, command: Command, now: &Conditions, overriding: bool) -> Vec<Effect> {
         let grasp = command == Command::Grasp;
-        let mut objections = guard::check_frames(&self.limits, now);
+        let mut objections = guard::check_frames(&self.limits, now, self.captured_ns);
         if grasp {
             match &self.pending {
                 Some(initial) => {
@@ -459,6 +468,7 @@ impl Session {
             self.refused = Some((command, objections));
             return vec![Effect::Tone(Tone::Refused)];
         }
+        self.captured_ns = now.now_ns;
         let stage = if grasp { "grasp" } else { "initial" };
         let overridden = objections
             .into_iter()
@@ -871,7 +881,7 @@ mod tests {
             contact_fraction: Some(0.2),
         };
         Conditions {
-            now_ns: 2,
+            now_ns: 0,
             cameras: vec![camera(Role::Left), camera(Role::Right)],
             skew_ms: 5.0,
             disk_free_bytes: Some(10_000_000_000),
@@ -1014,12 +1024,21 @@ mod tests {
     #[test]
     fn the_initial_frame_is_never_saved_as_the_grasp() {
         let (mut session, mut store) = (session(), Store::default());
-        play(&mut session, &mut store, Command::Initial, &good());
         let mut now = good();
-        now.cameras[0].frame_time_ns = 1;
+        now.now_ns = 1_000;
+        for camera in &mut now.cameras {
+            camera.frame_time_ns = 990;
+        }
+        play(&mut session, &mut store, Command::Initial, &now);
+        now.now_ns = 1_010;
         session.handle(Command::Grasp, &now);
         let refusal = session.view(0).refusal.unwrap();
-        assert!(!refusal.can_override && refusal.reasons[0].contains("since the initial"));
+        assert!(!refusal.can_override && refusal.reasons[0].contains("since the last capture"));
+        for camera in &mut now.cameras {
+            camera.frame_time_ns = 1_005;
+        }
+        play(&mut session, &mut store, Command::Grasp, &now);
+        assert_eq!(session.step(), Step::Label);
     }
 
     #[test]

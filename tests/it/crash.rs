@@ -102,9 +102,9 @@ fn nothing_acknowledged_is_lost_at_200_random_moments() {
     let dir = tempfile::tempdir().unwrap();
     let rig = dir.path().join("crash.toml");
     std::fs::write(&rig, RIG).unwrap();
-    let cycle = "initial\nexpect saved\nwait contact\ngrasp\nexpect saved\nstable\nexpect saved\nundo\n\
+    let cycle = "wait fresh\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\nstable\nexpect saved\nundo\n\
                  expect saved\nslip\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\n\
-                 redo\nexpect saved\ninitial\nexpect saved\ninitial\nexpect saved\n\
+                 redo\nexpect saved\nwait fresh\ninitial\nexpect saved\nwait fresh\ninitial\nexpect saved\n\
                  undo\nexpect saved\nwait contact\ngrasp\nexpect saved\nslip\nexpect saved\n";
     let steps = format!("wait live\n{}quit\n", cycle.repeat(50));
     let script = script(dir.path(), &steps);

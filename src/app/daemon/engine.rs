@@ -385,9 +385,9 @@ impl Engine {
         })
     }
 
-    /// Every camera has a good frame newer than the pending initial one.
+    /// Every camera has a good frame newer than the last capture.
     fn fresh(&self) -> bool {
-        let since_ns = self.initial_time_ns();
+        let since_ns = self.session.captured_ns();
         let frames = self.pair(monotonic_ns()).frames;
         self.hub.slots().all(|slot| {
             let frame = frames.get(&slot.role());
@@ -403,7 +403,7 @@ impl Engine {
         if pending.is_some() && pending != findings.contact_since.as_ref() {
             return false;
         }
-        let since_ns = self.initial_time_ns();
+        let since_ns = self.session.captured_ns();
         let gels = self
             .hub
             .slots()
@@ -417,13 +417,6 @@ impl Engine {
         };
         let limit = self.guards.min_contact_fraction;
         known().count() == gels && known().any(|c| c.changed_fraction >= limit)
-    }
-
-    /// Trigger time of the pending initial frame, ns; 0 without one.
-    fn initial_time_ns(&self) -> u64 {
-        self.session
-            .pending()
-            .map_or(0, |frame| frame.trigger_time_ns)
     }
 
     /// A fault tone for every camera that falls out.
@@ -598,7 +591,7 @@ impl Engine {
     }
 
     fn pair(&self, now_ns: u64) -> Paired {
-        let since_ns = self.initial_time_ns();
+        let since_ns = self.session.captured_ns();
         let good: BTreeMap<Role, Vec<Frame>> = self
             .hub
             .slots()
@@ -611,7 +604,7 @@ impl Engine {
                     .map(|(frame, _)| frame);
                 let (new, old): (Vec<Frame>, Vec<Frame>) =
                     sound.partition(|frame| frame.driver_time_ns > since_ns);
-                // Where there is none since the initial frame, a guard tells.
+                // Where there is none since the last capture, a guard tells.
                 (slot.role(), if new.is_empty() { old } else { new })
             })
             .filter(|(_, frames)| !frames.is_empty())
@@ -623,7 +616,7 @@ impl Engine {
         let findings = self.inference.findings();
         let pending = self.session.pending().map(|frame| &frame.id);
         let contact_known = pending == findings.contact_since.as_ref();
-        let since_ns = self.initial_time_ns();
+        let since_ns = self.session.captured_ns();
         let cameras = self
             .hub
             .slots()

@@ -7,7 +7,7 @@
 //! | `[+SECONDS] COMMAND` | gives a session command, after a pause |
 //! | `wait live [T]` | until every camera is live |
 //! | `wait contact [T]`, `wait no-contact [T]` | until the gels are touched, or not |
-//! | `wait fresh [T]` | until every camera has a frame newer than the pending initial one |
+//! | `wait fresh [T]` | until every camera has a frame newer than the last capture |
 //! | `wait saved [T]` | until the last command is on disk; a refusal ends the script |
 //! | `sleep S` | pause |
 //! | `expect saved`, `expect refused` | what the last command must be answered with |
@@ -40,7 +40,7 @@ pub struct Conditions {
     pub all_live: bool,
     /// The gels are touched.
     pub contact: bool,
-    /// Every camera has a good frame newer than the pending initial one.
+    /// Every camera has a good frame newer than the last capture.
     pub fresh: bool,
     /// A save is under way.
     pub saving: bool,
