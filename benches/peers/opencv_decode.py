@@ -16,6 +16,7 @@ except ImportError:
     sys.exit(3)
 
 parser = argparse.ArgumentParser()
+parser.add_argument("input", choices=["-"], help="the JPEG comes from standard input")
 parser.add_argument("--runs", type=int, default=30)
 runs = parser.parse_args().runs
 

@@ -266,5 +266,10 @@ fn interrupt_ends_cleanly_with_130_and_a_report() {
     let report: Value = json(&output);
     assert_eq!(report["ended"], "interrupted");
     assert_eq!(report["session"]["saved"], 1);
-    assert_eq!(verify(&dataset)["problems"].as_array().unwrap().len(), 0);
+    let verified = verify(&dataset);
+    assert_eq!(
+        verified["problems"].as_array().unwrap().len(),
+        0,
+        "{verified}"
+    );
 }

@@ -395,28 +395,27 @@ impl Engine {
         })
     }
 
-    /// Something touches a gel. Every gel must have been held against the initial frame, the
-    /// pending one or else the last.
-    fn touched(&self) -> bool {
+    /// Whether something touches a gel, against the pending initial frame or else the last one;
+    /// `None` until every gel was held against it in a frame newer than the last capture.
+    fn touched(&self) -> Option<bool> {
         let findings = self.inference.findings();
         let pending = self.session.pending().map(|frame| &frame.id);
-        if pending.is_some() && pending != findings.contact_since.as_ref() {
-            return false;
+        match (pending, &findings.contact_since) {
+            // Before the first initial frame nothing is known to touch.
+            (None, None) => return Some(false),
+            (Some(pending), since) if Some(pending) != since.as_ref() => return None,
+            _ => {}
         }
         let since_ns = self.session.captured_ns();
-        let gels = self
-            .hub
-            .slots()
-            .filter(|slot| slot.role().is_tactile())
-            .count();
-        let known = || {
-            findings
-                .contact
-                .values()
-                .filter(|c| c.frame_time_ns > since_ns)
-        };
+        let gels = self.hub.slots().filter(|slot| slot.role().is_tactile());
+        let contacts = gels
+            .map(|slot| {
+                let contact = findings.contact.get(&slot.role())?;
+                (contact.frame_time_ns > since_ns).then_some(contact.changed_fraction)
+            })
+            .collect::<Option<Vec<f64>>>()?;
         let limit = self.guards.min_contact_fraction;
-        known().count() == gels && known().any(|c| c.changed_fraction >= limit)
+        Some(contacts.iter().any(|changed| *changed >= limit))
     }
 
     /// A fault tone for every camera that falls out.

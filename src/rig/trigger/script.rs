@@ -38,8 +38,8 @@ pub enum Answer {
 pub struct Conditions {
     /// Every camera of the rig delivers frames.
     pub all_live: bool,
-    /// The gels are touched.
-    pub contact: bool,
+    /// Whether the gels are touched; `None` until frames newer than the last capture tell.
+    pub contact: Option<bool>,
     /// Every camera has a good frame newer than the last capture.
     pub fresh: bool,
     /// A save is under way.
@@ -174,7 +174,7 @@ fn parse_step(code: &str, check: &dyn Fn(&str) -> Result<(), String>) -> Result<
                 .find(|awaited| awaited.name() == *what)
                 .ok_or_else(|| {
                     format!(
-                        "`{what}` cannot be waited for; expected live, contact, no-contact or saved"
+                        "`{what}` cannot be waited for; expected live, contact, no-contact, fresh or saved"
                     )
                 })?;
             let limit_ns = match limit.first() {
@@ -289,8 +289,8 @@ impl ScriptRunner {
                     }
                     let holds = match awaited {
                         Awaited::Live => conditions.all_live,
-                        Awaited::Contact => conditions.contact,
-                        Awaited::NoContact => !conditions.contact,
+                        Awaited::Contact => conditions.contact == Some(true),
+                        Awaited::NoContact => conditions.contact == Some(false),
                         Awaited::Fresh => conditions.fresh,
                         Awaited::Saved => {
                             !conditions.saving && conditions.last_answer == Some(Answer::Saved)
@@ -437,10 +437,10 @@ mod tests {
         now.all_live = true;
         assert!(matches!(runner.next(1, &now), ScriptAction::Wait));
         assert_eq!(runner.progress().0, 1);
-        now.contact = true;
+        now.contact = Some(true);
         assert!(matches!(runner.next(2, &now), ScriptAction::Wait));
         assert_eq!(runner.progress().0, 2);
-        now.contact = false;
+        now.contact = Some(false);
         assert_eq!(command(runner.next(3, &now)), "trigger");
         assert!(matches!(runner.next(4, &now), ScriptAction::Wait));
         now.last_answer = Some(Answer::Saved);
