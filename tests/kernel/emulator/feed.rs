@@ -323,7 +323,7 @@ mod tests {
         let lengths: Vec<_> = (0..3)
             .map(|_| feed.next(MODE).unwrap().bytes.len())
             .collect();
-        assert_eq!(lengths, [500, 500, 1000]);
+        assert_eq!(lengths, [499, 499, 998]);
         assert_eq!(feed.counters()["truncate"], 2);
         assert_eq!(feed.counters()["sent"], 1);
     }
