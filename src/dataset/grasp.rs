@@ -220,3 +220,18 @@ pub struct FileDigest {
     /// sha256, lower-case hex; `sha256sum` prints the same.
     pub sha256: String,
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Otherwise `verify` would find records and index different.
+        #[test]
+        fn floats_read_back_exactly(value in proptest::num::f64::NORMAL) {
+            let text = serde_json::to_string(&value).unwrap();
+            let back: f64 = serde_json::from_str(&text).unwrap();
+            prop_assert_eq!(back.to_bits(), value.to_bits());
+        }
+    }
+}
