@@ -15,6 +15,8 @@
 mod command;
 mod guard;
 mod machine;
+#[cfg(test)]
+mod machine_test;
 mod view;
 
 pub use command::{Command, CommandSource, ParseCommandError};

@@ -16,9 +16,12 @@ use super::decode;
 use super::hub::{Hub, Soundness};
 use super::infer::{Inference, Live};
 use super::pairing::{Paired, pair};
-use super::status::{CameraState, CameraStatus, EngineStatus, PredictionStatus};
+use super::report::{
+    CollectReport, Ended, GraspReport, PredictionReport, camera_report, camera_status, fault_text,
+};
+use super::status::{EngineStatus, PredictionStatus};
 use super::store::{Store, StoreContext, StoreMessage, pending_frame};
-use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, Outcome, StageCapture};
+use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, StageCapture};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Frame, Role};
 use crate::predict::Model;
@@ -27,7 +30,7 @@ use crate::rig::camera::{CameraOpener, Health, SupervisionPolicy, VirtualHand, m
 use crate::rig::trigger::{self, Answer, Script, ScriptAction, ScriptRunner};
 use crate::session::{
     CameraCondition, Command, CommandSource, Conditions, Effect, GuardLimits, Labels, Session,
-    Step, StoreReply, StoreRequest, Summary, Tone,
+    Step, StoreReply, StoreRequest, Tone,
 };
 
 /// How often the status is renewed and the script asked.
@@ -83,94 +86,6 @@ pub struct Stored {
     pub request: StoreRequest,
     /// The answer.
     pub reply: StoreReply,
-}
-
-/// Why the engine ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Ended {
-    /// The operator quit.
-    Quit,
-    /// The script ran to its end.
-    ScriptDone,
-    /// Ctrl-C.
-    Interrupted,
-    /// Asked to end by the system (SIGTERM, closed terminal).
-    Terminated,
-}
-
-/// What a camera delivered.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CameraReport {
-    /// USB product string.
-    pub product: String,
-    /// USB serial.
-    pub serial: String,
-    /// Frames received.
-    pub received: u64,
-    /// Frames lost before they reached us.
-    pub sequence_gaps: u64,
-    /// Frames that were damaged.
-    pub damaged: u64,
-    /// Frames that came later than twice the nominal interval.
-    pub late: u64,
-    /// Frames with the same bytes as the one before.
-    pub duplicates: u64,
-    /// How often the camera was opened again.
-    pub reconnects: u64,
-    /// Frames that arrived while the decoder was busy with the one before.
-    pub not_decoded: u64,
-    /// Measured frame rate at the end, 1/s.
-    pub measured_fps: f64,
-    /// Wishes of the rig file that the camera did not follow.
-    pub warnings: Vec<String>,
-}
-
-/// What inference did.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PredictionReport {
-    /// Model name.
-    pub model: Option<String>,
-    /// Predictions made.
-    pub predictions: u64,
-    /// Predictions that failed.
-    pub failures: u64,
-    /// Camera frame to prediction, median, ms.
-    pub latency_p50_ms: Option<f64>,
-    /// Camera frame to prediction, 99th percentile, ms.
-    pub latency_p99_ms: Option<f64>,
-}
-
-/// A grasp of this session.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct GraspReport {
-    /// Its key.
-    pub id: String,
-    /// Object.
-    pub object: String,
-    /// Outcome at the end.
-    pub outcome: Outcome,
-    /// Probability predicted before the lift.
-    pub p_stable: Option<f64>,
-}
-
-/// The closing report of a collection.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct CollectReport {
-    /// Dataset directory.
-    pub dataset: String,
-    /// Rig id.
-    pub rig: String,
-    /// Why it ended.
-    pub ended: Ended,
-    /// What the session did.
-    pub session: Summary,
-    /// Grasps of this session that are in the dataset.
-    pub grasps: Vec<GraspReport>,
-    /// Cameras by role.
-    pub cameras: BTreeMap<Role, CameraReport>,
-    /// Inference.
-    pub prediction: PredictionReport,
 }
 
 /// Runs until the operator quits, the script ends, or `stop` resolves.
@@ -837,87 +752,4 @@ fn age_ms(frame: &Frame, now_ns: u64) -> f64 {
 /// Whether frames of a camera in this state may be saved; age is another matter.
 fn usable(health: &Health) -> bool {
     matches!(health, Health::Live | Health::Silent { .. } | Health::Ended)
-}
-
-fn fault_text(health: &Health, now_ns: u64) -> Option<String> {
-    let since_s = |since_ns: &u64| now_ns.saturating_sub(*since_ns) as f64 * 1e-9;
-    match health {
-        Health::Live => None,
-        Health::Opening => Some("not open yet".into()),
-        Health::Silent { since_ns } => Some(format!("silent for {:.1} s", since_s(since_ns))),
-        Health::Frozen { since_ns } => {
-            Some(format!("picture frozen for {:.1} s", since_s(since_ns)))
-        }
-        Health::Lost { reason } => Some(format!("lost: {reason}")),
-        Health::Ended => Some("the recording has ended".into()),
-    }
-}
-
-fn camera_state(health: &Health, now_ns: u64) -> CameraState {
-    let since_s = |since_ns: &u64| now_ns.saturating_sub(*since_ns) as f64 * 1e-9;
-    match health {
-        Health::Opening => CameraState::Opening,
-        Health::Live => CameraState::Live,
-        Health::Silent { since_ns } => CameraState::Silent {
-            for_s: since_s(since_ns),
-        },
-        Health::Frozen { since_ns } => CameraState::Frozen {
-            for_s: since_s(since_ns),
-        },
-        Health::Lost { reason } => CameraState::Lost {
-            reason: reason.clone(),
-        },
-        Health::Ended => CameraState::Ended,
-    }
-}
-
-fn camera_status(slot: &super::hub::CameraSlot, rig: &RigFile, now_ns: u64) -> CameraStatus {
-    let role = slot.role();
-    let newest_ns = slot.newest_time_ns();
-    let report = camera_report(slot, rig);
-    slot.facts(|facts| CameraStatus {
-        role,
-        product: report.product,
-        serial: report.serial,
-        port: facts
-            .info
-            .as_ref()
-            .map(|info| info.identity.port.clone())
-            .unwrap_or_default(),
-        state: camera_state(&facts.health, now_ns),
-        measured_fps: report.measured_fps,
-        nominal_fps: rig.cameras.get(&role).map_or(0.0, |camera| camera.fps),
-        frame_age_ms: newest_ns.map(|t| now_ns.saturating_sub(t) as f64 * 1e-6),
-        received: report.received,
-        sequence_gaps: report.sequence_gaps,
-        damaged: report.damaged,
-        late: report.late,
-        reconnects: report.reconnects,
-    })
-}
-
-fn camera_report(slot: &super::hub::CameraSlot, rig: &RigFile) -> CameraReport {
-    let config = rig.cameras.get(&slot.role());
-    slot.facts(|facts| {
-        let identity = facts.info.as_ref().map(|info| &info.identity);
-        CameraReport {
-            product: identity.map_or_else(
-                || config.map_or_else(String::new, |c| c.product.clone()),
-                |i| i.product.clone(),
-            ),
-            serial: identity.map_or_else(
-                || config.and_then(|c| c.serial.clone()).unwrap_or_default(),
-                |i| i.serial.clone(),
-            ),
-            received: facts.counters.received,
-            sequence_gaps: facts.counters.sequence_gaps,
-            damaged: facts.counters.damaged + facts.damaged_when_decoded,
-            late: facts.counters.late,
-            duplicates: facts.counters.duplicates,
-            reconnects: facts.counters.reconnects,
-            not_decoded: facts.not_decoded,
-            measured_fps: facts.measured_fps,
-            warnings: facts.warnings.clone(),
-        }
-    })
 }

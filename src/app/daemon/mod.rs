@@ -15,11 +15,10 @@ mod hub;
 mod infer;
 pub mod live_load;
 mod pairing;
+mod report;
 mod status;
 mod store;
 
-pub use engine::{
-    CameraReport, CollectReport, Ended, EngineLinks, EngineSetup, GraspReport, PredictionReport,
-    Stored, run,
-};
+pub use engine::{EngineLinks, EngineSetup, Stored, run};
+pub use report::{CameraReport, CollectReport, Ended, GraspReport, PredictionReport};
 pub use status::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
