@@ -59,7 +59,8 @@ fn three_grasps_are_collected_predicted_and_verified() {
 fn the_prediction_is_that_of_the_saved_files() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
-    let steps = "wait live\ninitial\nwait saved\nwait contact\ngrasp\nwait saved\nquit\n";
+    let steps =
+        "wait live\ninitial\nwait saved\nwait contact\nwait fresh\ngrasp\nwait saved\nquit\n";
     succeed(&mut collect(&script(dir.path(), steps), &dataset));
     let (id, grasp) = grasps(&dataset).pop_first().unwrap();
     let file = |stage: &str, role: &str| {
@@ -112,7 +113,7 @@ fn a_grasp_without_contact_is_refused_and_an_override_is_on_record() {
 fn undo_moves_to_the_trash_and_redo_brings_back() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
-    let steps = "wait live\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\n\
+    let steps = "wait live\ninitial\nexpect saved\nwait contact\nwait fresh\ngrasp\nexpect saved\n\
                  slip\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\nundo\nexpect saved\n\
                  undo\nexpect refused\nredo\nexpect saved\nredo\nexpect saved\nredo\nexpect saved\n\
                  redo\nexpect refused\nquit\n";
@@ -132,7 +133,7 @@ fn an_initial_frame_survives_the_process_and_is_resumed() {
     let first = "wait live\ninitial\nexpect saved\nquit\n";
     succeed(&mut collect(&script(dir.path(), first), &dataset));
     assert_eq!(grasps(&dataset).len(), 0);
-    let second = "wait live\nwait contact\ngrasp\nexpect saved\nquit\n";
+    let second = "wait live\nwait contact\nwait fresh\ngrasp\nexpect saved\nquit\n";
     let report = json(&succeed(&mut collect(
         &script(dir.path(), second),
         &dataset,
@@ -252,7 +253,7 @@ fn a_dataset_of_a_newer_schema_is_left_alone() {
 fn interrupt_ends_cleanly_with_130_and_a_report() {
     let dir = tempfile::tempdir().unwrap();
     let dataset = dir.path().join("d");
-    let steps = "wait live\ninitial\nexpect saved\nwait contact\ngrasp\nexpect saved\nsleep 600\n";
+    let steps = "wait live\ninitial\nexpect saved\nwait contact\nwait fresh\ngrasp\nexpect saved\nsleep 600\n";
     let mut child = collect(&script(dir.path(), steps), &dataset)
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::null())
