@@ -205,6 +205,8 @@ pub(super) struct Outcome {
     pub(super) report: Value,
     /// Pictures sent intact and spoilt, by camera and kind.
     pub(super) sent: BTreeMap<String, BTreeMap<String, u64>>,
+    /// Exit code and messages of a second start on the dataset, with the virtual rig.
+    pub(super) second_start: Value,
     /// Grasps in the dataset, in the order of their keys.
     pub(super) grasps: Vec<SavedGrasp>,
 }
@@ -277,6 +279,7 @@ pub(super) fn run(kernel: &Path, name: &str, run: &str, pictures: &Pictures) -> 
         exit_code: result["exit_code"].as_i64(),
         report: serde_json::from_str(&report).unwrap_or(Value::Null),
         sent: serde_json::from_value(result["sent"].clone()).unwrap(),
+        second_start: result["second_start"].clone(),
         grasps: saved_grasps(&out.join("dataset")),
         out,
     }

@@ -310,6 +310,23 @@ fn a_full_disk_keeps_what_was_saved_and_says_so() {
 }
 
 #[test]
+fn a_disk_that_becomes_read_only_keeps_what_was_saved_and_says_so() {
+    let Some(kernel) = kernel() else { return };
+    let outcome = run(&kernel, "read-only", "read-only", pictures::drawn());
+    assert_eq!(outcome.exit_code, Some(3), "{outcome}");
+    assert_eq!(outcome.grasps.len(), 1, "{outcome}");
+    assert_as_sent(&outcome.grasps[0], pictures::drawn());
+    assert_eq!(outcome.grasps[0].record.outcome, Label::Stable);
+    assert_dataset_is_clean(&outcome);
+    assert_eq!(outcome.session("failed"), 1, "{outcome}");
+    let second = &outcome.second_start;
+    assert_eq!(second["exit_code"], 1, "{second:#}");
+    let message = second["stderr"].as_str().unwrap();
+    assert!(message.contains("read-only"), "{message}");
+    assert!(!message.contains("panicked"), "{message}");
+}
+
+#[test]
 fn a_bouncing_pedal_triggers_once_a_press() {
     let Some(kernel) = kernel() else { return };
     let outcome = run(&kernel, "pedal-bounce", "pedal-bounce", pictures::drawn());

@@ -28,12 +28,17 @@ pub(crate) enum Action {
     FillDisk {
         leave_kib: u64,
     },
+    /// Makes the dataset read-only, as a kernel does with a disk that reports errors.
+    ReadOnly,
 }
 
 impl FromStr for Action {
     type Err = String;
 
     fn from_str(line: &str) -> Result<Self, String> {
+        if line == "read-only" {
+            return Ok(Self::ReadOnly);
+        }
         match line.strip_prefix("fill-disk ") {
             Some(kib) => kib
                 .parse()
@@ -201,6 +206,40 @@ fn fill_disk(disk: &Path, leave_kib: u64) -> io::Result<()> {
     Ok(())
 }
 
+/// Mounts the directory read-only over itself. The program's own files are open for writing, so
+/// the disk below cannot be remounted; every path below the directory becomes read-only at once.
+fn make_read_only(dir: &Path) -> io::Result<()> {
+    for options in ["bind", "remount,bind,ro"] {
+        let status = Process::new("mount")
+            .args(["-o", options])
+            .args([dir, dir])
+            .status()?;
+        if !status.success() {
+            return Err(io::Error::other(format!("mount -o {options}: {status}")));
+        }
+    }
+    Ok(())
+}
+
+/// What another start of the program says about the dataset as it is now.
+fn second_start(run: &Run<'_>, dataset: &Path) -> io::Result<serde_json::Value> {
+    let script = run.out.join("quit.txt");
+    fs::write(&script, "quit\n")?;
+    let output = Process::new(run.gripcast)
+        .args(["collect", "--headless", "--rig", "virtual", "--script"])
+        .arg(&script)
+        .arg("--dataset")
+        .arg(dataset)
+        .current_dir(run.disk)
+        .env("HOME", run.disk)
+        .stdin(Stdio::null())
+        .output()?;
+    Ok(serde_json::json!({
+        "exit_code": output.status.code(),
+        "stderr": String::from_utf8_lossy(&output.stderr),
+    }))
+}
+
 fn copy_tree(from: &Path, to: &Path) -> io::Result<()> {
     fs::create_dir_all(to)?;
     for entry in fs::read_dir(from)? {
@@ -235,10 +274,12 @@ pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
             match line.parse().map_err(invalid)? {
                 Action::Rig(command) => rig.obey(&command)?,
                 Action::FillDisk { leave_kib } => fill_disk(run.disk, leave_kib)?,
+                Action::ReadOnly => make_read_only(&dataset)?,
             }
         }
     }
     let status = finish(&mut child)?;
+    let second_start = second_start(run, &dataset)?;
     let result = serde_json::json!({
         "scenario": run.scenario.name,
         "exit_code": status.and_then(|s| s.code()),
@@ -246,6 +287,7 @@ pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
         "streams_started": first.is_some(),
         "guest_s": started.elapsed().as_secs_f64(),
         "sent": rig.counters(),
+        "second_start": second_start,
     });
     if dataset.is_dir() {
         copy_tree(&dataset, &run.out.join("dataset"))?;
@@ -269,6 +311,7 @@ mod tests {
             "fill-disk 64".parse(),
             Ok(Action::FillDisk { leave_kib: 64 })
         );
+        assert_eq!("read-only".parse(), Ok(Action::ReadOnly));
         assert_eq!("quit".parse(), Ok(Action::Rig(Command::Quit)));
         assert!("fill-disk much".parse::<Action>().is_err());
     }

@@ -256,6 +256,32 @@ quit
         disk_mib: 64,
     },
     Scenario {
+        name: "read-only",
+        about: "the disk becomes read-only after the first grasp",
+        setup: PLUG_ALL,
+        steps: &[
+            (2.013, "touch pressed"),
+            (4.013, "touch free"),
+            (5.013, "read-only"),
+        ],
+        script: "\
+wait live
+object mug
++0.5 initial
+expect saved
+wait contact
++0.2 grasp
+expect saved
+stable
+expect saved
+wait no-contact
++2.5 initial
+expect refused
+quit
+",
+        disk_mib: ROOMY_MIB,
+    },
+    Scenario {
         name: "pedal-bounce",
         about: "a worn pedal takes initial and grasp once each",
         setup: PLUG_ALL,
