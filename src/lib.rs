@@ -10,8 +10,8 @@
 //!
 //! | layer | area | job |
 //! | --- | --- | --- |
-//! | 0 | [`error`], [`imaging`] | errors; frames, decoding, crops, differences |
-//! | 1 | [`dataset`] | the crash-safe dataset on disk |
+//! | 0 | [`error`], [`geometry`], [`imaging`] | errors; meshes and poses; frames, decoding, crops, differences |
+//! | 1 | [`dataset`], [`sim`] | the crash-safe dataset on disk; the grasp simulator |
 //! | 2 | [`predict`] | model contract, preprocessing, ONNX engine |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
 //! | 5 | [`app`] | command line, engine, operator's screen |
@@ -21,7 +21,9 @@
 pub mod app;
 pub mod dataset;
 pub mod error;
+pub mod geometry;
 pub mod imaging;
 pub mod predict;
 pub mod rig;
 pub mod session;
+pub mod sim;

@@ -1,0 +1,2 @@
+//! Shapes and poses: rigid transforms, triangle meshes and their files, mass properties, stable
+//! poses, bounding volumes.

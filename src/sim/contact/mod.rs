@@ -1,0 +1,1 @@
+//! Contact mathematics: distances, barrier, edge-edge mollifier, friction, continuous collision.

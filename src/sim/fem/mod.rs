@@ -1,0 +1,1 @@
+//! The gels: tetrahedral grids with a log neo-Hookean law.

@@ -1,0 +1,1 @@
+//! The grasp of the paper: closure, force adjustment, lift.

@@ -1,0 +1,9 @@
+//! The grasp simulator: finite-element gels, incremental potential contact, an affine-body object.
+//!
+//! Deterministic, f64, without input or output, with no threads of its own but rayon's.
+
+pub mod affine;
+pub mod contact;
+pub mod fem;
+pub mod grasp;
+pub mod solver;

@@ -1,0 +1,1 @@
+//! One implicit Euler step: the incremental potential and its minimisation.
