@@ -1,2 +1,18 @@
 //! Shapes and poses: rigid transforms, triangle meshes and their files, mass properties, stable
 //! poses, bounding volumes.
+//!
+//! Lengths are metres, coordinates `f64`; `t_a_b` maps coordinates of frame b into frame a.
+
+mod aabb;
+mod builtin;
+mod bvh;
+mod mass_properties;
+mod mesh;
+mod pose;
+
+pub use aabb::Aabb;
+pub use builtin::{BUILTIN_NAMES, builtin};
+pub use bvh::Bvh;
+pub use mass_properties::MassProperties;
+pub use mesh::{MeshEdges, TriangleMesh};
+pub use pose::Pose;
