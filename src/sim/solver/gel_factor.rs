@@ -15,6 +15,7 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Par, Side};
 
+use super::lbfgs::dot;
 use crate::error::{Error, ErrorKind, Result};
 
 /// The matrix is not positive definite.
@@ -198,6 +199,49 @@ impl GelFactor {
         }
     }
 
+    /// `X ← L⁻¹ X` for `N` right-hand sides at once, rows in the factor's order.
+    pub fn solve_forward_many<const N: usize>(
+        &self,
+        x: &mut [[f64; N]],
+        scratch: &mut Vec<[f64; N]>,
+    ) {
+        for node in &self.supernodes {
+            let pattern = &self.patterns[node.pattern.0..node.pattern.1];
+            let rows = node.columns + pattern.len();
+            let block = &self.values[node.offset..node.offset + rows * node.columns];
+            scratch.clear();
+            scratch.resize(pattern.len(), [0.0; N]);
+            for column in 0..node.columns {
+                let entries = &block[column * rows..(column + 1) * rows];
+                let index = node.start + column;
+                let value = x[index].map(|value| value * self.inverse_diagonal[index]);
+                x[index] = value;
+                let (triangle, below) = entries.split_at(node.columns);
+                let rest = &mut x[index + 1..node.start + node.columns];
+                for (target, entry) in rest.iter_mut().zip(&triangle[column + 1..]) {
+                    for (target, value) in target.iter_mut().zip(value) {
+                        *target -= entry * value;
+                    }
+                }
+                for (target, entry) in scratch.iter_mut().zip(below) {
+                    for (target, value) in target.iter_mut().zip(value) {
+                        *target += entry * value;
+                    }
+                }
+            }
+            for (&row, value) in pattern.iter().zip(&*scratch) {
+                for (target, value) in x[row as usize].iter_mut().zip(value) {
+                    *target -= value;
+                }
+            }
+        }
+    }
+
+    /// Row of the matrix behind each row of the factor.
+    pub fn permutation(&self) -> &[usize] {
+        &self.permutation
+    }
+
     /// `x ← L⁻ᵀ x`, in the factor's order. `scratch` grows as needed.
     pub fn solve_backward(&self, x: &mut [f64], scratch: &mut Vec<f64>) {
         for node in self.supernodes.iter().rev() {
@@ -218,22 +262,6 @@ impl GelFactor {
     }
 }
 
-/// Scalar product in eight lanes of a fixed order, so that the compiler can use wide registers.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let n = a.len().min(b.len());
-    let (a, b) = (&a[..n], &b[..n]);
-    let mut lanes = [0.0; 8];
-    let mut pairs = a.chunks_exact(8).zip(b.chunks_exact(8));
-    for (x, y) in pairs.by_ref() {
-        for lane in 0..8 {
-            lanes[lane] += x[lane] * y[lane];
-        }
-    }
-    let tail = n - n % 8;
-    let rest: f64 = a[tail..].iter().zip(&b[tail..]).map(|(x, y)| x * y).sum();
-    let pair = |i: usize| lanes[i] + lanes[i + 4];
-    (pair(0) + pair(1)) + (pair(2) + pair(3)) + rest
-}
 
 #[cfg(test)]
 mod tests {
