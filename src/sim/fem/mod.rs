@@ -1,1 +1,19 @@
 //! The gels: tetrahedral grids with a log neo-Hookean law.
+
+mod grid;
+mod surface;
+
+mod batch;
+mod elastic;
+mod kernel;
+mod neo_hookean;
+mod pattern;
+mod projection;
+mod svd;
+
+pub use elastic::Elastic;
+pub use grid::{GelGrid, GelResolution, Grading, Side};
+pub use neo_hookean::{NeoHookean, Projection};
+pub use pattern::StiffnessPattern;
+pub use surface::Surface;
+pub use svd::{Svd, svd, symmetric_eigen};

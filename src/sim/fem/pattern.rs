@@ -1,0 +1,186 @@
+//! Sparsity of the stiffness matrix of a mesh: lower triangle, compressed columns.
+
+use glam::DMat3;
+
+/// Where the entries of a symmetric matrix over node blocks of 3x3 lie.
+///
+/// Row and column 3 n + a belong to axis a of node n. Only the lower triangle is stored, in
+/// compressed columns with ascending rows: what a sparse Cholesky factorisation takes. Two nodes
+/// are coupled when they share an element.
+#[derive(Clone, Debug)]
+pub struct StiffnessPattern {
+    /// Higher neighbours of each node, ascending: those of node n at `starts[n]..starts[n + 1]`.
+    starts: Vec<usize>,
+    neighbours: Vec<u32>,
+    column_starts: Vec<usize>,
+    rows: Vec<usize>,
+}
+
+impl StiffnessPattern {
+    /// Pattern of `nodes` nodes that are coupled within each of `elements`.
+    ///
+    /// Element corners must be below `nodes`; those that are not are left out.
+    #[must_use]
+    pub fn new(nodes: usize, elements: &[[u32; 4]]) -> Self {
+        let mut pairs: Vec<(u32, u32)> = Vec::with_capacity(6 * elements.len());
+        for e in elements {
+            for (k, &b) in e.iter().enumerate() {
+                pairs.extend(e[..k].iter().map(|&a| (a.min(b), a.max(b))));
+            }
+        }
+        pairs.retain(|&(a, b)| a != b && (b as usize) < nodes);
+        pairs.sort_unstable();
+        pairs.dedup();
+        let mut starts = vec![0; nodes + 1];
+        for &(a, _) in &pairs {
+            starts[a as usize + 1] += 1;
+        }
+        for n in 0..nodes {
+            starts[n + 1] += starts[n];
+        }
+        let neighbours: Vec<u32> = pairs.into_iter().map(|(_, b)| b).collect();
+        let (column_starts, rows) = columns(&starts, &neighbours);
+        Self {
+            starts,
+            neighbours,
+            column_starts,
+            rows,
+        }
+    }
+
+    /// Rows and columns of the matrix: three per node.
+    #[must_use]
+    pub fn dimension(&self) -> usize {
+        self.column_starts.len() - 1
+    }
+
+    /// Stored entries.
+    #[must_use]
+    pub fn entries(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// First entry of each column, and the number of entries at the end.
+    #[must_use]
+    pub fn column_starts(&self) -> &[usize] {
+        &self.column_starts
+    }
+
+    /// Row of each entry.
+    #[must_use]
+    pub fn rows(&self) -> &[usize] {
+        &self.rows
+    }
+
+    /// A matrix of zeros: one value an entry.
+    #[must_use]
+    pub fn zeros(&self) -> Vec<f64> {
+        vec![0.0; self.entries()]
+    }
+
+    /// Adds a symmetric 3x3 block on the diagonal; only its lower triangle is read.
+    pub fn add_diagonal_block(&self, node: usize, block: &DMat3, values: &mut [f64]) {
+        let c = block.to_cols_array_2d();
+        for (axis, column) in c.iter().enumerate() {
+            let at = self.column_starts[3 * node + axis];
+            for (value, entry) in values[at..at + 3 - axis].iter_mut().zip(&column[axis..]) {
+                *value += entry;
+            }
+        }
+    }
+
+    /// Adds `diagonal` on the three diagonal entries of a node.
+    pub fn add_diagonal(&self, node: usize, diagonal: [f64; 3], values: &mut [f64]) {
+        for (axis, entry) in diagonal.into_iter().enumerate() {
+            values[self.column_starts[3 * node + axis]] += entry;
+        }
+    }
+
+    /// Adds the block of rows of node `i` and columns of node `j`, and with it its transpose.
+    ///
+    /// False, and nothing added, when the two nodes share no element. `i` = `j` is the diagonal
+    /// block.
+    pub fn add_pair_block(&self, i: usize, j: usize, block: &DMat3, values: &mut [f64]) -> bool {
+        if i == j {
+            self.add_diagonal_block(i, block, values);
+            return true;
+        }
+        let (low, high) = (i.min(j), i.max(j));
+        let Some(at) = self.pair(low, high) else {
+            return false;
+        };
+        let lower = if i > j { *block } else { block.transpose() };
+        for (axis, column) in lower.to_cols_array_2d().iter().enumerate() {
+            let at = at.entry(axis);
+            for (value, entry) in values[at..at + 3].iter_mut().zip(column) {
+                *value += entry;
+            }
+        }
+        true
+    }
+
+    /// Where the block of two coupled nodes, `low` < `high`, is stored.
+    pub(super) fn pair(&self, low: usize, high: usize) -> Option<BlockPlace> {
+        let (start, end) = (self.starts[low], self.starts[low + 1]);
+        let neighbours = &self.neighbours[start..end];
+        let k = neighbours.binary_search(&(high as u32)).ok()?;
+        Some(BlockPlace {
+            start: self.column_starts[3 * low] + 3 + 3 * k,
+            stride: 3 + 3 * neighbours.len(),
+        })
+    }
+
+    /// Where the diagonal block of a node is stored.
+    pub(super) fn diagonal(&self, node: usize) -> BlockPlace {
+        BlockPlace {
+            start: self.column_starts[3 * node],
+            stride: 3 + 3 * (self.starts[node + 1] - self.starts[node]),
+        }
+    }
+
+    /// y = A x for the full symmetric matrix with these `values`; x and y have `dimension` entries.
+    pub fn multiply(&self, values: &[f64], x: &[f64], y: &mut [f64]) {
+        y.fill(0.0);
+        for column in 0..self.dimension() {
+            let entries = self.column_starts[column]..self.column_starts[column + 1];
+            for (&row, &value) in self.rows[entries.clone()].iter().zip(&values[entries]) {
+                y[row] += value * x[column];
+                if row != column {
+                    y[column] += value * x[row];
+                }
+            }
+        }
+    }
+}
+
+/// Place of a 3x3 block among the values: its first entry, and the length of its first column.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct BlockPlace {
+    pub(super) start: usize,
+    pub(super) stride: usize,
+}
+
+impl BlockPlace {
+    /// First of the three entries in the block's column `axis`. The diagonal block above it is
+    /// one entry shorter in every next column.
+    pub(super) fn entry(self, axis: usize) -> usize {
+        let shorter = [0, 1, 3][axis];
+        self.start + axis * self.stride - shorter
+    }
+}
+
+/// Column starts and rows of the scalar matrix from the nodes' higher neighbours.
+fn columns(starts: &[usize], neighbours: &[u32]) -> (Vec<usize>, Vec<usize>) {
+    let mut column_starts = vec![0];
+    let mut rows = Vec::with_capacity(9 * neighbours.len() + 6 * starts.len());
+    for (node, range) in starts.windows(2).enumerate() {
+        for axis in 0..3 {
+            rows.extend(3 * node + axis..3 * node + 3);
+            for &b in &neighbours[range[0]..range[1]] {
+                rows.extend(3 * b as usize..3 * b as usize + 3);
+            }
+            column_starts.push(rows.len());
+        }
+    }
+    (column_starts, rows)
+}
