@@ -88,6 +88,21 @@ impl Candidates {
         largest
     }
 
+    pub(super) fn is_gathered(&self) -> bool {
+        self.is_gathered
+    }
+
+    /// A lower bound of the distance when the pairs were gathered, m.
+    pub(super) fn nearest(&self, d_hat: f64) -> f64 {
+        let nodes = self.node_triangles.iter().map(|pair| pair.gathered);
+        let vertices = self.vertex_triangles.iter().map(|pair| pair.gathered);
+        let edges = self.edge_edges.iter().map(|pair| pair.gathered);
+        nodes
+            .chain(vertices)
+            .chain(edges)
+            .fold(d_hat + self.radius, f64::min)
+    }
+
     /// Whether the pairs are complete for nodes that have moved this far.
     pub(super) fn cover(&self, largest_move: f64) -> bool {
         self.is_gathered && largest_move <= self.radius
@@ -179,13 +194,7 @@ impl Candidates {
         }
     }
 
-    fn gather_edges(
-        &mut self,
-        surface: &Surface,
-        rest: &[DVec3],
-        collider: &Collider,
-        limit: f64,
-    ) {
+    fn gather_edges(&mut self, surface: &Surface, rest: &[DVec3], collider: &Collider, limit: f64) {
         self.edge_edges.clear();
         for (&nodes, &area) in surface.edges().iter().zip(surface.edge_areas()) {
             let [a0, a1] = nodes.map(|node| self.gathered_at[node as usize]);

@@ -92,7 +92,9 @@ fn is_convex(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32]) -> bool {
     let opposite = mesh.triangles[second as usize]
         .into_iter()
         .find(|vertex| !edge.contains(vertex));
-    let Some(opposite) = opposite else { return true };
+    let Some(opposite) = opposite else {
+        return true;
+    };
     let (n1, n2) = (normal(corners(first)), normal(corners(second)));
     let start = mesh.vertices[edge[0] as usize];
     let below = n1.dot(mesh.vertices[opposite as usize] - start) < 0.0;

@@ -11,7 +11,6 @@ use crate::sim::affine::{Matrix12, Vector12, axis_weights};
 /// Number of unknowns of the object.
 pub(super) const OBJECT: usize = 12;
 
-
 /// Gradient with respect to the object's unknowns.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct GeneralisedForce(pub(super) Vector12);

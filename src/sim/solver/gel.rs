@@ -141,10 +141,7 @@ impl Gel {
             contact_gradient: vec![DVec3::ZERO; n],
             gradient: vec![DVec3::ZERO; n],
             object_gradient: GeneralisedForce::default(),
-            contact: GelContact {
-                moved: vec![0.0; n],
-                ..Default::default()
-            },
+            contact: GelContact::new(n),
             coupling: Coupling::default(),
             eliminated: Vec::new(),
             permuted: vec![0.0; 3 * n],
@@ -232,6 +229,12 @@ impl Gel {
         for x in &mut self.x {
             *x += by;
         }
+    }
+
+    /// A lower bound of the distance to the object, m; candidates must be complete.
+    pub(super) fn clearance(&mut self, object: &AffineState, d_hat: f64) -> f64 {
+        let moved = self.moved(object);
+        self.contact.candidates.nearest(d_hat) - moved
     }
 
     /// Makes the candidate pairs complete for the present positions.

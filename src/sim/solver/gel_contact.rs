@@ -33,7 +33,13 @@ impl Stencil {
 
     /// Displacement of the gel's point minus that of the object's since the step's start.
     #[inline]
-    fn slip(&self, x: &[DVec3], start: &[DVec3], object: &AffineState, from: &AffineState) -> DVec3 {
+    fn slip(
+        &self,
+        x: &[DVec3],
+        start: &[DVec3],
+        object: &AffineState,
+        from: &AffineState,
+    ) -> DVec3 {
         let gel: DVec3 = self.gel().map(|(i, w)| (x[i] - start[i]) * w).sum();
         gel - (object.point(self.material) - from.point(self.material))
     }
@@ -123,6 +129,14 @@ pub(super) struct GelContact {
 }
 
 impl GelContact {
+    /// For a gel of `nodes` nodes.
+    pub(super) fn new(nodes: usize) -> Self {
+        Self {
+            moved: vec![0.0; nodes],
+            ..Self::default()
+        }
+    }
+
     fn place(&mut self, object: &AffineState) {
         self.world.clear();
         let material = self.candidates.material.iter();
@@ -137,11 +151,7 @@ impl GelContact {
 
     /// Calls `visit` with each pair nearer than `d_hat`. `self.moved` must be of this moment.
     #[inline]
-    fn for_each_near(
-        &mut self,
-        now: &Situation<'_>,
-        mut visit: impl FnMut(Pair<'_>, &Closest),
-    ) {
+    fn for_each_near(&mut self, now: &Situation<'_>, mut visit: impl FnMut(Pair<'_>, &Closest)) {
         self.place(now.object);
         let (x, d_hat) = (now.x, now.barrier.d_hat);
         let limit = now.barrier.d_hat_squared();
@@ -275,10 +285,7 @@ impl GelContact {
         from: &AffineState,
     ) -> f64 {
         let slip = |r: &Rubbing| r.stencil.slip(now.x, start, now.object, from);
-        self.rubbing
-            .iter()
-            .map(|r| r.friction.value(slip(r)))
-            .sum()
+        self.rubbing.iter().map(|r| r.friction.value(slip(r))).sum()
     }
 
     /// Adds the gradients of contact and friction; [`GelContact::update`] comes before.

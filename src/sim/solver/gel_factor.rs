@@ -63,7 +63,8 @@ impl GelFactor {
     pub fn new(column_pointers: &[usize], row_indices: &[usize]) -> Result<Self> {
         let n = column_pointers.len().saturating_sub(1);
         let defect = |what: &str| Error::new(ErrorKind::Internal, what.to_owned());
-        let pattern = SymbolicSparseColMatRef::new_checked(n, n, column_pointers, None, row_indices);
+        let pattern =
+            SymbolicSparseColMatRef::new_checked(n, n, column_pointers, None, row_indices);
         let parameters = CholeskySymbolicParams {
             // Below zero: a matrix without fill shall be supernodal too.
             supernodal_flop_ratio_threshold: SupernodalThreshold(-1.0),
@@ -73,7 +74,9 @@ impl GelFactor {
             factorize_symbolic_cholesky(pattern, Side::Lower, SymmetricOrdering::Amd, parameters)
                 .map_err(|_| defect("the gel's stiffness pattern cannot be factorised"))?;
         let SymbolicCholeskyRaw::Supernodal(raw) = symbolic.raw() else {
-            return Err(defect("the factor of the gel's stiffness is not supernodal"));
+            return Err(defect(
+                "the factor of the gel's stiffness is not supernodal",
+            ));
         };
         let mut supernodes = Vec::with_capacity(raw.n_supernodes());
         let mut patterns = Vec::new();
@@ -130,8 +133,13 @@ impl GelFactor {
     /// Where it is not positive definite; the factor is then unusable until the next success.
     pub fn factorize(&mut self, values: &[f64]) -> Result<(), NotPositiveDefinite> {
         let n = self.len();
-        let pattern =
-            SymbolicSparseColMatRef::new_checked(n, n, &self.column_pointers, None, &self.row_indices);
+        let pattern = SymbolicSparseColMatRef::new_checked(
+            n,
+            n,
+            &self.column_pointers,
+            None,
+            &self.row_indices,
+        );
         let matrix = SparseColMatRef::new(pattern, values);
         self.symbolic
             .factorize_numeric_llt(
@@ -261,7 +269,6 @@ impl GelFactor {
         }
     }
 }
-
 
 #[cfg(test)]
 mod tests {

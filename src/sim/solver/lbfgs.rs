@@ -99,9 +99,8 @@ mod tests {
         let iterations = |capacity: usize| {
             let mut memory = Memory::new(capacity);
             let mut x = vec![1.0, -2.0, 0.5, 3.0];
-            let gradient = |x: &[f64]| -> Vec<f64> {
-                x.iter().zip(stiffness).map(|(x, k)| x * k).collect()
-            };
+            let gradient =
+                |x: &[f64]| -> Vec<f64> { x.iter().zip(stiffness).map(|(x, k)| x * k).collect() };
             for count in 0..200 {
                 let before = gradient(&x);
                 if dot(&before, &before) < 1e-20 {

@@ -1,5 +1,20 @@
 //! One implicit Euler step: the incremental potential and its minimisation.
 
+mod candidates;
+mod ccd;
+mod collider;
+mod coupling;
+mod gel;
+mod gel_contact;
 mod gel_factor;
+mod lbfgs;
+mod object;
+mod parameters;
+mod system;
 
+pub use collider::Collider;
+pub use gel::{Drive, Gel, GelMaterial};
 pub use gel_factor::{GelFactor, NotPositiveDefinite};
+pub use object::Object;
+pub use parameters::SolverParameters;
+pub use system::{StepReport, StepStart, System};
