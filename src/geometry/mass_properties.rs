@@ -72,6 +72,7 @@ fn outer(v: DVec3) -> DMat3 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::builtin::uv_sphere;
     use crate::geometry::{Pose, builtin};
     use glam::DQuat;
     use std::f64::consts::PI;
@@ -123,13 +124,13 @@ mod tests {
         let r: f64 = 0.025;
         let exact = 4.0 / 3.0 * PI * r.powi(3);
         let error = |segments, stacks| {
-            let mesh = crate::geometry::builtin::uv_sphere(r, segments, stacks);
+            let mesh = uv_sphere(r, segments, stacks);
             1.0 - MassProperties::of(&mesh).unwrap().volume_m3 / exact
         };
         let (coarse, fine) = (error(36, 19), error(72, 38));
         assert!(coarse > 0.0 && coarse < 0.015, "{coarse}");
         assert!((coarse / fine - 4.0).abs() < 0.1, "{coarse} {fine}");
-        let mesh = crate::geometry::builtin::uv_sphere(r, 144, 76);
+        let mesh = uv_sphere(r, 144, 76);
         let found = MassProperties::of(&mesh).unwrap();
         assert_close(found.inertia_m5().x_axis.x, exact * 0.4 * r * r, 3e-3);
     }

@@ -146,6 +146,27 @@ impl TriangleMesh {
         }
     }
 
+    /// Copy without the vertices that no triangle uses; the others keep their order.
+    #[must_use]
+    pub fn without_unused_vertices(&self) -> Self {
+        let mut used = vec![false; self.vertices.len()];
+        for &v in self.triangles.iter().flatten() {
+            used[v as usize] = true;
+        }
+        let mut compact = Self::default();
+        let mut renamed = vec![0; self.vertices.len()];
+        for (v, _) in used.iter().enumerate().filter(|(_, is_used)| **is_used) {
+            renamed[v] = compact.vertices.len() as u32;
+            compact.vertices.push(self.vertices[v]);
+        }
+        compact.triangles = self
+            .triangles
+            .iter()
+            .map(|t| t.map(|v| renamed[v as usize]))
+            .collect();
+        compact
+    }
+
     /// Both meshes as one, without welding.
     #[must_use]
     pub fn joined(&self, other: &Self) -> Self {
@@ -250,6 +271,11 @@ mod tests {
         let two = mesh.joined(&mesh.scaled(0.5));
         assert_eq!(two.triangles[2], [4, 5, 6]);
         assert_eq!(two.area(), 5.0);
+        let second = TriangleMesh {
+            triangles: two.triangles[2..].to_vec(),
+            ..two
+        };
+        assert_eq!(second.without_unused_vertices(), mesh.scaled(0.5));
     }
 
     #[test]

@@ -8,6 +8,7 @@ mod builtin;
 mod bvh;
 mod mass_properties;
 mod mesh;
+mod mesh_query;
 mod pose;
 
 pub use aabb::Aabb;
@@ -15,4 +16,5 @@ pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
+pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
 pub use pose::Pose;
