@@ -1,17 +1,15 @@
 //! Closest points of a point and a triangle, and of two edges.
 //!
-//! Both are the minimum of a convex quadratic over a convex set of parameters. Where the
-//! unconstrained minimum lies outside, the answer lies on a side that it violates, so at most two
-//! sides are looked at. Degenerate triangles and parallel edges have no such minimum: all their
-//! sides are looked at. Finite input never gives NaN.
+//! Finite input never gives NaN, also where triangles or edges vanish or are parallel, and the
+//! closest points always lie on the features.
 
 use glam::DVec3;
 
-/// Below this squared sine a triangle or pair of edges counts as degenerate: only its sides count.
-const DEGENERATE: f64 = 1e-20;
+/// Below this squared sine of two sides a triangle takes the slower path that stays accurate.
+const THIN: f64 = 1e-8;
 
-/// Above this squared sine the normal is accurate to 1e-12 and the offset is taken along it.
-const WELL_SHAPED: f64 = 1e-8;
+/// Below this squared sine a triangle has no inside.
+const FLAT: f64 = 1e-20;
 
 /// Which features of the stencil hold the closest points; numbers are stencil indices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,8 +26,9 @@ pub enum Region {
 
 /// Closest points of a stencil.
 ///
-/// The offset is `Σ weights[i] x[i]`. The weights of the first feature add up to 1, those of the
-/// second to −1.
+/// The offset is `Σ weights[i] x[i]`. The weights of the first feature are not negative and add up
+/// to 1, those of the second are not positive and add up to −1; points that do not take part have
+/// exactly 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
     /// Weight of each stencil point: `(1, −b0, −b1, −b2)` for a point and a triangle,
@@ -39,18 +38,15 @@ pub struct Closest {
     pub offset: DVec3,
     /// Squared distance, m².
     pub squared: f64,
-    /// Features that hold the closest points.
-    pub region: Region,
 }
 
 impl Closest {
     #[inline]
-    fn new(weights: [f64; 4], offset: DVec3, region: Region) -> Self {
+    fn new(weights: [f64; 4], offset: DVec3) -> Self {
         Self {
             weights,
             offset,
             squared: offset.length_squared(),
-            region,
         }
     }
 
@@ -58,6 +54,21 @@ impl Closest {
     #[inline]
     pub fn distance(&self) -> f64 {
         self.squared.sqrt()
+    }
+
+    /// Features that hold the closest points: those whose weights are not 0.
+    pub fn region(&self) -> Region {
+        let find = |sign: f64| {
+            let mut found = (0..4_u8).filter(move |&i| self.weights[usize::from(i)] * sign > 0.0);
+            (found.next().unwrap_or(0), found.next(), found.next())
+        };
+        match (find(1.0), find(-1.0)) {
+            ((a, None, _), (b, None, _)) => Region::PointPoint(a, b),
+            ((a, None, _), (b, Some(c), None)) => Region::PointEdge(a, b, c),
+            ((a, Some(b), _), (c, None, _)) => Region::PointEdge(c, a, b),
+            ((_, None, _), (_, Some(_), Some(_))) => Region::PointTriangle,
+            ((_, Some(_), _), (_, Some(_), _)) => Region::EdgeEdge,
+        }
     }
 
     /// Derivative of the squared distance with respect to each stencil point, m:
@@ -76,38 +87,20 @@ impl Closest {
     }
 }
 
-/// Parameter in [0, 1] of the point of the edge from the origin to `edge` closest to `point`.
+/// `a / b` clamped to [0, 1]; 0 for `0 / 0`. Compiles without branches.
 #[inline]
-fn edge_parameter(point: DVec3, edge: DVec3) -> f64 {
-    let squared = edge.length_squared();
-    if squared > 0.0 {
-        (point.dot(edge) / squared).clamp(0.0, 1.0)
-    } else {
-        0.0
-    }
-}
-
-#[inline]
-fn on_edge_region(point: u8, start: u8, end: u8, t: f64) -> Region {
-    if t <= 0.0 {
-        Region::PointPoint(point, start)
-    } else if t >= 1.0 {
-        Region::PointPoint(point, end)
-    } else {
-        Region::PointEdge(point, start, end)
-    }
+fn unit_ratio(a: f64, b: f64) -> f64 {
+    let ratio = a / b;
+    let ratio = if ratio > 0.0 { ratio } else { 0.0 };
+    if ratio < 1.0 { ratio } else { 1.0 }
 }
 
 /// Closest points of a point and an edge, stencil `[p, e0, e1]`; the fourth weight is 0.
 #[inline]
 pub fn point_edge(p: DVec3, e0: DVec3, e1: DVec3) -> Closest {
     let (edge, from_start) = (e1 - e0, p - e0);
-    let t = edge_parameter(from_start, edge);
-    Closest::new(
-        [1.0, t - 1.0, -t, 0.0],
-        from_start - edge * t,
-        on_edge_region(0, 1, 2, t),
-    )
+    let t = unit_ratio(from_start.dot(edge), edge.length_squared());
+    Closest::new([1.0, t - 1.0, -t, 0.0], from_start - edge * t)
 }
 
 /// Signed distance (m) of a point from the plane through `origin` with unit normal `normal`,
@@ -117,259 +110,99 @@ pub fn point_plane(p: DVec3, origin: DVec3, normal: DVec3) -> f64 {
     (p - origin).dot(normal)
 }
 
-/// Differences and products of a point-triangle stencil that the regions share.
-struct TrianglePlane {
-    ab: DVec3,
-    ac: DVec3,
-    ap: DVec3,
-    normal: DVec3,
-    /// `|normal|²`, and `|ab|² |ac|²`.
-    area: f64,
-    scale: f64,
-}
-
-impl TrianglePlane {
-    #[inline]
-    fn new(p: DVec3, t0: DVec3, t1: DVec3, t2: DVec3) -> Self {
-        let (ab, ac, ap) = (t1 - t0, t2 - t0, p - t0);
-        let normal = ab.cross(ac);
-        Self {
-            ab,
-            ac,
-            ap,
-            normal,
-            area: normal.length_squared(),
-            scale: ab.length_squared() * ac.length_squared(),
-        }
-    }
-
-    #[inline]
-    fn closest(&self) -> Closest {
-        let &Self {
-            ab,
-            ac,
-            ap,
-            normal,
-            area,
-            scale,
-        } = self;
-        if area > DEGENERATE * scale {
-            let v = ap.dot(ac.cross(normal));
-            let w = ap.dot(normal.cross(ab));
-            let u = area - v - w;
-            if u >= 0.0 && v >= 0.0 && w >= 0.0 {
-                let (v, w) = (v / area, w / area);
-                let offset = if area > WELL_SHAPED * scale {
-                    normal * (ap.dot(normal) / area)
-                } else {
-                    ap - ab * v - ac * w
-                };
-                return Closest::new([1.0, v + w - 1.0, -v, -w], offset, Region::PointTriangle);
-            }
-            self.sides(w < 0.0, u < 0.0, v < 0.0)
-        } else {
-            self.sides(true, true, true)
-        }
-    }
-
-    /// Closest point of the named sides `t0 t1`, `t1 t2`, `t0 t2`; at least one must be named.
-    #[inline]
-    fn sides(&self, ab_side: bool, bc_side: bool, ac_side: bool) -> Closest {
-        let mut best = (f64::INFINITY, DVec3::ZERO, 0.0, 0, 1);
-        let mut consider = |start: DVec3, edge: DVec3, i: u8, j: u8| {
-            let t = edge_parameter(start, edge);
-            let offset = start - edge * t;
-            let squared = offset.length_squared();
-            if squared < best.0 {
-                best = (squared, offset, t, i, j);
-            }
-        };
-        if ab_side {
-            consider(self.ap, self.ab, 1, 2);
-        }
-        if bc_side {
-            consider(self.ap - self.ab, self.ac - self.ab, 2, 3);
-        }
-        if ac_side {
-            consider(self.ap, self.ac, 1, 3);
-        }
-        let (squared, offset, t, i, j) = best;
-        let mut weights = [1.0, 0.0, 0.0, 0.0];
-        weights[usize::from(i)] = t - 1.0;
-        weights[usize::from(j)] = -t;
-        Closest {
-            weights,
-            offset,
-            squared,
-            region: on_edge_region(0, i, j, t),
-        }
-    }
-}
-
 /// Closest points of a point and a triangle, stencil `[p, t0, t1, t2]`.
+///
+/// Walks the regions of the triangle's corners, sides and inside (Ericson 2005, §5.1.5).
 #[inline]
 pub fn point_triangle(p: DVec3, t0: DVec3, t1: DVec3, t2: DVec3) -> Closest {
-    TrianglePlane::new(p, t0, t1, t2).closest()
+    let (ab, ac, ap) = (t1 - t0, t2 - t0, p - t0);
+    let (bb, cc, bc) = (ab.length_squared(), ac.length_squared(), ab.dot(ac));
+    let area = bb * cc - bc * bc;
+    if area <= THIN * bb * cc {
+        return thin_triangle(ab, ac, ap);
+    }
+    let (ap_ab, ap_ac) = (ab.dot(ap), ac.dot(ap));
+    if ap_ab <= 0.0 && ap_ac <= 0.0 {
+        return Closest::new([1.0, -1.0, 0.0, 0.0], ap);
+    }
+    let bp = p - t1;
+    let (bp_ab, bp_ac) = (ab.dot(bp), ac.dot(bp));
+    if bp_ab >= 0.0 && bp_ac <= bp_ab {
+        return Closest::new([1.0, 0.0, -1.0, 0.0], bp);
+    }
+    let w = bb * ap_ac - bc * ap_ab;
+    if w <= 0.0 && ap_ab >= 0.0 && bp_ab <= 0.0 {
+        let t = unit_ratio(ap_ab, bb);
+        return Closest::new([1.0, t - 1.0, -t, 0.0], ap - ab * t);
+    }
+    let cp = p - t2;
+    let (cp_ab, cp_ac) = (ab.dot(cp), ac.dot(cp));
+    if cp_ac >= 0.0 && cp_ab <= cp_ac {
+        return Closest::new([1.0, 0.0, 0.0, -1.0], cp);
+    }
+    let v = cc * ap_ab - bc * ap_ac;
+    if v <= 0.0 && ap_ac >= 0.0 && cp_ac <= 0.0 {
+        let t = unit_ratio(ap_ac, cc);
+        return Closest::new([1.0, t - 1.0, 0.0, -t], ap - ac * t);
+    }
+    let u = area - v - w;
+    let (from_b, from_c) = (bp_ac - bp_ab, cp_ab - cp_ac);
+    if u <= 0.0 && from_b >= 0.0 && from_c >= 0.0 {
+        let t = unit_ratio(from_b, from_b + from_c);
+        return Closest::new([1.0, 0.0, t - 1.0, -t], bp - (t2 - t1) * t);
+    }
+    let inverse = 1.0 / area;
+    let (v, w) = (v * inverse, w * inverse);
+    Closest::new([1.0, v + w - 1.0, -v, -w], ap - ab * v - ac * w)
 }
 
-/// [`point_triangle`] where the squared distance is below `limit` (m²), else nothing. Points far
-/// from the triangle's plane leave early.
-#[inline]
-pub fn point_triangle_within(
-    p: DVec3,
-    t0: DVec3,
-    t1: DVec3,
-    t2: DVec3,
-    limit: f64,
-) -> Option<Closest> {
-    let plane = TrianglePlane::new(p, t0, t1, t2);
-    let height = plane.ap.dot(plane.normal);
-    if plane.area > WELL_SHAPED * plane.scale && height * height >= limit * plane.area {
-        return None;
+/// [`point_triangle`] by the triangle's normal, which a cross product gives to more digits than
+/// products of lengths; without an inside, the nearest of the three sides.
+#[cold]
+#[inline(never)]
+fn thin_triangle(ab: DVec3, ac: DVec3, ap: DVec3) -> Closest {
+    let normal = ab.cross(ac);
+    let area = normal.length_squared();
+    let v = ap.dot(ac.cross(normal));
+    let w = ap.dot(normal.cross(ab));
+    let u = area - v - w;
+    let flat = area <= FLAT * ab.length_squared() * ac.length_squared();
+    if !flat && u >= 0.0 && v >= 0.0 && w >= 0.0 {
+        let (v, w) = (v / area, w / area);
+        return Closest::new([1.0, v + w - 1.0, -v, -w], ap - ab * v - ac * w);
     }
-    let closest = plane.closest();
-    (closest.squared < limit).then_some(closest)
-}
-
-/// Differences and products of an edge-edge stencil that the regions share.
-struct EdgePair {
-    u: DVec3,
-    v: DVec3,
-    w: DVec3,
-    normal: DVec3,
-    area: f64,
-    scale: f64,
-}
-
-impl EdgePair {
-    #[inline]
-    fn new(a0: DVec3, a1: DVec3, b0: DVec3, b1: DVec3) -> Self {
-        let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
-        let normal = u.cross(v);
-        Self {
-            u,
-            v,
-            w,
-            normal,
-            area: normal.length_squared(),
-            scale: u.length_squared() * v.length_squared(),
-        }
-    }
-
-    #[inline]
-    fn closest(&self) -> Closest {
-        let &Self {
-            u,
-            v,
-            w,
-            normal,
-            area,
-            scale,
-        } = self;
-        if area > DEGENERATE * scale {
-            let s = w.dot(normal.cross(v));
-            let t = w.dot(normal.cross(u));
-            let (s_low, s_high) = (s < 0.0, s > area);
-            let (t_low, t_high) = (t < 0.0, t > area);
-            if !(s_low || s_high || t_low || t_high) {
-                let s = s / area;
-                if area > WELL_SHAPED * scale {
-                    let offset = normal * (w.dot(normal) / area);
-                    return Self::inside(s, t / area, offset);
-                }
-                // The valley is flat: take the partner of s rather than a second inexact quotient.
-                let t = edge_parameter(w + u * s, v);
-                return Self::inside(s, t, w + u * s - v * t);
-            }
-            self.sides(s_low, s_high, t_low, t_high)
-        } else {
-            self.sides(true, true, true, true)
-        }
-    }
-
-    #[inline]
-    fn inside(s: f64, t: f64, offset: DVec3) -> Closest {
-        Closest::new([1.0 - s, s, t - 1.0, -t], offset, Region::EdgeEdge)
-    }
-
-    /// Closest points with an end of one edge (`a0`, `a1`, `b0`, `b1` as named); at least one must
-    /// be named.
-    #[inline]
-    fn sides(&self, a0: bool, a1: bool, b0: bool, b1: bool) -> Closest {
-        let &Self { u, v, w, .. } = self;
-        let mut best = (f64::INFINITY, DVec3::ZERO, 0.0, 0.0);
-        let mut consider = |s: f64, t: f64, offset: DVec3| {
-            let squared = offset.length_squared();
-            if squared < best.0 {
-                best = (squared, offset, s, t);
-            }
-        };
-        let mut end_of_a = |s: f64, end: DVec3| {
-            let t = edge_parameter(end, v);
-            consider(s, t, end - v * t);
-        };
-        if a0 {
-            end_of_a(0.0, w);
-        }
-        if a1 {
-            end_of_a(1.0, w + u);
-        }
-        let mut end_of_b = |t: f64, end: DVec3| {
-            let s = edge_parameter(end, u);
-            consider(s, t, u * s - end);
-        };
-        if b0 {
-            end_of_b(0.0, -w);
-        }
-        if b1 {
-            end_of_b(1.0, v - w);
-        }
-        let (squared, offset, s, t) = best;
-        Closest {
-            weights: [1.0 - s, s, t - 1.0, -t],
-            offset,
-            squared,
-            region: edge_edge_region(s, t),
-        }
-    }
-}
-
-#[inline]
-fn edge_edge_region(s: f64, t: f64) -> Region {
-    let end = |parameter: f64, low: u8| {
-        if parameter <= 0.0 {
-            Some(low)
-        } else if parameter >= 1.0 {
-            Some(low + 1)
-        } else {
-            None
-        }
+    let side = |from_start: DVec3, edge: DVec3, weights: fn(f64) -> [f64; 4]| {
+        let t = unit_ratio(from_start.dot(edge), edge.length_squared());
+        Closest::new(weights(t), from_start - edge * t)
     };
-    match (end(s, 0), end(t, 2)) {
-        (Some(a), Some(b)) => Region::PointPoint(a, b),
-        (Some(a), None) => Region::PointEdge(a, 2, 3),
-        (None, Some(b)) => Region::PointEdge(b, 0, 1),
-        (None, None) => Region::EdgeEdge,
+    let mut best = side(ap, ab, |t| [1.0, t - 1.0, -t, 0.0]);
+    for other in [
+        side(ap, ac, |t| [1.0, t - 1.0, 0.0, -t]),
+        side(ap - ab, ac - ab, |t| [1.0, 0.0, t - 1.0, -t]),
+    ] {
+        if other.squared < best.squared {
+            best = other;
+        }
     }
+    best
 }
 
 /// Closest points of two edges, stencil `[a0, a1, b0, b1]`.
+///
+/// The closest point of line a to line b, clamped to edge a; then its partner on edge b; then that
+/// one's partner on edge a (Ericson 2005, §5.1.9). For parallel edges, where the first has no
+/// answer, any start leads to a closest pair. No branches, so the time does not depend on the
+/// region.
 #[inline]
 pub fn edge_edge(a0: DVec3, a1: DVec3, b0: DVec3, b1: DVec3) -> Closest {
-    EdgePair::new(a0, a1, b0, b1).closest()
-}
-
-/// [`edge_edge`] where the squared distance is below `limit` (m²), else nothing. Edges on lines
-/// far apart leave early.
-#[inline]
-pub fn edge_edge_within(a0: DVec3, a1: DVec3, b0: DVec3, b1: DVec3, limit: f64) -> Option<Closest> {
-    let pair = EdgePair::new(a0, a1, b0, b1);
-    let height = pair.w.dot(pair.normal);
-    if pair.area > WELL_SHAPED * pair.scale && height * height >= limit * pair.area {
-        return None;
-    }
-    let closest = pair.closest();
-    (closest.squared < limit).then_some(closest)
+    let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
+    // Products of lengths would lose the square of the sine.
+    let normal = u.cross(v);
+    let s = unit_ratio(v.cross(w).dot(normal), normal.length_squared());
+    let uv = u.dot(v);
+    let t = unit_ratio(uv * s + v.dot(w), v.length_squared());
+    let s = unit_ratio(uv * t - u.dot(w), u.length_squared());
+    Closest::new([1.0 - s, s, t - 1.0, -t], w + u * s - v * t)
 }
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ fn inverse_gram(j: [DVec3; 2], count: usize) -> [[f64; 2]; 2] {
 /// Exact inside each region; between regions the Hessian jumps.
 pub fn squared_distance_hessian(closest: &Closest, points: &[DVec3; 4]) -> Matrix12 {
     let weights = &closest.weights;
-    let (derivatives, count) = weight_derivatives(closest.region);
+    let (derivatives, count) = weight_derivatives(closest.region());
     let mut hessian = [[0.0; 12]; 12];
     for i in 0..4 {
         for j in 0..4 {
@@ -100,7 +100,7 @@ mod tests {
         let same = (0..12).all(|i| {
             [-step, step]
                 .iter()
-                .all(|&h| closest(&moved(points, i, h)).region == here.region)
+                .all(|&h| closest(&moved(points, i, h)).region() == here.region())
         });
         if !same {
             return 0;
