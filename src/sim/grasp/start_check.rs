@@ -45,7 +45,7 @@ fn overlaps_box(gel: &Gel, object: &Object, mesh: &TriangleMesh) -> bool {
         .triangles
         .iter()
         .any(|t| triangle_meets_box(t.map(|v| to_box(mesh.vertices[v as usize])), half));
-    meets || is_inside(mesh, |v| to_box(v))
+    meets || is_inside(mesh, to_box)
 }
 
 /// Rigid motion between the gel at rest in its own frame and in the world.

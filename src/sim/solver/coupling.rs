@@ -76,14 +76,6 @@ impl ObjectStiffness {
     pub(super) fn add_edge_block(&mut self, block: &DMat3, material: DVec3) {
         self.add_shaped(block, [0.0, material.x, material.y, material.z]);
     }
-
-    pub(super) fn add_all(&mut self, other: &Matrix12) {
-        for (row, other) in self.0.iter_mut().zip(other) {
-            for (a, b) in row.iter_mut().zip(other) {
-                *a += b;
-            }
-        }
-    }
 }
 
 /// Stiffness that contact of one gel adds off the gel's own block.

@@ -287,7 +287,7 @@ impl System {
             self.factor_age += 1;
             self.find_direction();
             let slope = dot(&self.gradient, &self.direction);
-            if !(slope < 0.0) {
+            if slope.is_nan() || slope >= 0.0 {
                 // Rounding at the minimum, or corrections that do not fit any more.
                 if self.factor_age == 1 {
                     report.converged = slope == 0.0 || self.direction_length() < tolerance;
