@@ -10,13 +10,19 @@ use glam::DVec3;
 use super::collider::Collider;
 use crate::geometry::Aabb;
 use crate::sim::affine::AffineState;
-use crate::sim::contact::distance::{edge_edge_within, point_triangle_within};
+use crate::sim::contact::distance::{Closest, edge_edge, point_triangle};
 use crate::sim::contact::mollifier;
 use crate::sim::fem::Surface;
 
 /// Share of the area that a pair acts with (Taccel; half for vertex-triangle and half for
 /// edge-edge pairs, and half of each for either side).
 const PAIR_SHARE: f64 = 0.25;
+
+/// The closest points if they are nearer than the root of `limit` (m²).
+#[inline]
+pub(super) fn near(closest: Closest, limit: f64) -> Option<Closest> {
+    (closest.squared < limit).then_some(closest)
+}
 
 /// A gel node and a triangle of the object.
 #[derive(Clone, Copy, Debug)]
@@ -150,7 +156,7 @@ impl Candidates {
             collider.triangle_tree.for_each_overlap(&query, |triangle| {
                 let corners = collider.triangles[triangle as usize];
                 let [a, b, c] = corners.map(|v| collider.vertices[v as usize]);
-                if let Some(closest) = point_triangle_within(x, a, b, c, limit * limit) {
+                if let Some(closest) = near(point_triangle(x, a, b, c), limit * limit) {
                     self.node_triangles.push(NodeTriangle {
                         node,
                         triangle: corners.map(|v| {
@@ -177,7 +183,7 @@ impl Candidates {
             collider.corner_tree.for_each_overlap(&query, |corner| {
                 let vertex = collider.corners[corner as usize];
                 let x = collider.vertices[vertex as usize];
-                if let Some(closest) = point_triangle_within(x, a, b, c, limit * limit) {
+                if let Some(closest) = near(point_triangle(x, a, b, c), limit * limit) {
                     self.vertex_triangles.push(VertexTriangle {
                         vertex: Self::local_vertex(
                             &mut self.local,
@@ -204,7 +210,7 @@ impl Candidates {
                 let edge = edge as usize;
                 let vertices = collider.edges[edge];
                 let [b0, b1] = vertices.map(|v| collider.vertices[v as usize]);
-                if let Some(closest) = edge_edge_within(a0, a1, b0, b1, limit * limit) {
+                if let Some(closest) = near(edge_edge(a0, a1, b0, b1), limit * limit) {
                     self.edge_edges.push(EdgeEdge {
                         nodes,
                         vertices: vertices.map(|v| {

@@ -7,11 +7,11 @@
 
 use glam::{DMat3, DVec3};
 
-use super::candidates::{Candidates, EdgeEdge};
+use super::candidates::{Candidates, EdgeEdge, near};
 use super::coupling::{Coupling, GeneralisedForce};
 use crate::sim::affine::AffineState;
 use crate::sim::contact::barrier::Barrier;
-use crate::sim::contact::distance::{Closest, edge_edge_within, point_triangle_within};
+use crate::sim::contact::distance::{Closest, edge_edge, point_triangle};
 use crate::sim::contact::friction::Friction;
 use crate::sim::contact::mollifier::{self, Mollifier};
 use crate::sim::fem::StiffnessPattern;
@@ -161,7 +161,7 @@ impl GelContact {
                 continue;
             }
             let [a, b, c] = pair.triangle.map(corner);
-            if let Some(closest) = point_triangle_within(x[pair.node as usize], a, b, c, limit) {
+            if let Some(closest) = near(point_triangle(x[pair.node as usize], a, b, c), limit) {
                 let [_, wa, wb, wc] = closest.weights;
                 let [ma, mb, mc] = pair.triangle.map(|v| self.candidates.material[v as usize]);
                 let stencil = Stencil {
@@ -179,7 +179,7 @@ impl GelContact {
             }
             let [a, b, c] = pair.nodes.map(|node| x[node as usize]);
             let vertex = corner(pair.vertex);
-            if let Some(closest) = point_triangle_within(vertex, a, b, c, limit) {
+            if let Some(closest) = near(point_triangle(vertex, a, b, c), limit) {
                 let [_, wa, wb, wc] = closest.weights;
                 let stencil = Stencil {
                     nodes: pair.nodes,
@@ -196,7 +196,7 @@ impl GelContact {
             }
             let [a0, a1] = pair.nodes.map(|node| x[node as usize]);
             let [b0, b1] = pair.vertices.map(corner);
-            if let Some(closest) = edge_edge_within(a0, a1, b0, b1, limit) {
+            if let Some(closest) = near(edge_edge(a0, a1, b0, b1), limit) {
                 let [w0, w1, v0, v1] = closest.weights;
                 let [m0, m1] = pair.vertices.map(|v| self.candidates.material[v as usize]);
                 let stencil = Stencil {
