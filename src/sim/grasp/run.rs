@@ -8,7 +8,7 @@ use super::scene::{Scene, Stage};
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep, pose_of};
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::sim::solver::{Gel, SolverParameters, StepReport, StepStart};
+use crate::sim::solver::{Gel, PhaseTimes, SolverParameters, StepReport, StepStart};
 
 /// The gels fly freely while they are further from the object than `d_hat` and this, m.
 const FLIGHT_MARGIN: f64 = 2e-4;
@@ -48,6 +48,8 @@ pub struct GraspResult {
     pub lifted_m: f64,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
+    /// Where the solver's time went.
+    pub times: PhaseTimes,
     /// All steps.
     pub trace: Trace,
 }
@@ -70,6 +72,7 @@ pub fn simulate(
             detail: Some(detail),
             lifted_m: 0.0,
             unconverged_steps: 0,
+            times: PhaseTimes::default(),
             trace: Trace::default(),
         });
     }
@@ -147,6 +150,7 @@ impl<'a> Run<'a> {
             detail,
             lifted_m: object.state().p.z - self.start_height,
             unconverged_steps: self.unconverged,
+            times: *self.stage.system.phase_times(),
             trace: self.trace,
         }
     }

@@ -6,6 +6,8 @@
 //! factorised stiffness that is kept over iterations and steps, corrected by the newest changes of
 //! the gradient.
 
+use std::time::Instant;
+
 use glam::DVec3;
 
 use super::collider::Collider;
@@ -42,6 +44,21 @@ pub struct StepReport {
     pub gathers: u32,
 }
 
+/// Wall time spent in the phases of all steps so far, s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct PhaseTimes {
+    /// Finding contacts, forces and gradient.
+    pub gradient_s: f64,
+    /// Assembly and factorisation of the stiffness.
+    pub factorisation_s: f64,
+    /// Solves for the direction.
+    pub direction_s: f64,
+    /// Continuous collision detection and gathering of candidates.
+    pub collision_s: f64,
+    /// Energies of the line search.
+    pub line_search_s: f64,
+}
+
 /// How a step begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepStart {
@@ -68,6 +85,7 @@ pub struct System {
     schur: Option<Cholesky>,
     factor_age: u32,
     corners: [DVec3; 8],
+    times: PhaseTimes,
 }
 
 impl System {
@@ -109,6 +127,7 @@ impl System {
             schur: None,
             factor_age: 0,
             corners,
+            times: PhaseTimes::default(),
             parameters,
         })
     }
@@ -136,6 +155,11 @@ impl System {
     /// Parameters of the solver.
     pub fn parameters(&self) -> &SolverParameters {
         &self.parameters
+    }
+
+    /// Where the time went.
+    pub fn phase_times(&self) -> &PhaseTimes {
+        &self.times
     }
 
     /// Pairs gathered at present.
@@ -279,13 +303,17 @@ impl System {
             report.iterations += 1;
             if self.schur.is_none() || self.factor_age >= self.parameters.max_factor_age || slow > 1
             {
+                let began = Instant::now();
                 self.factorise();
+                self.times.factorisation_s += began.elapsed().as_secs_f64();
                 report.factorisations += 1;
                 self.memory.clear();
                 slow = 0;
             }
             self.factor_age += 1;
+            let began = Instant::now();
             self.find_direction();
+            self.times.direction_s += began.elapsed().as_secs_f64();
             let slope = dot(&self.gradient, &self.direction);
             if slope.is_nan() || slope >= 0.0 {
                 // Rounding at the minimum, or corrections that do not fit any more.
@@ -297,9 +325,14 @@ impl System {
                 continue;
             }
             let whole = self.direction_length();
+            let began = Instant::now();
             let (share, gathers) = self.free_share();
+            self.times.collision_s += began.elapsed().as_secs_f64();
             report.gathers += gathers;
-            let Some((length, new_energy)) = self.line_search(energy, slope, share, report) else {
+            let began = Instant::now();
+            let found = self.line_search(energy, slope, share, report);
+            self.times.line_search_s += began.elapsed().as_secs_f64();
+            let Some((length, new_energy)) = found else {
                 if self.factor_age == 1 {
                     report.converged = whole < tolerance;
                     return;
@@ -308,7 +341,9 @@ impl System {
                 continue;
             };
             energy = new_energy;
+            let began = Instant::now();
             self.accept(length);
+            self.times.gradient_s += began.elapsed().as_secs_f64();
             let moved = whole * length;
             if whole < tolerance {
                 report.converged = true;
