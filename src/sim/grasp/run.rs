@@ -204,6 +204,7 @@ impl<'a> Run<'a> {
             self.move_targets(by, 0.0);
             let start = StepStart {
                 renew: true,
+                kind: kind(StageName::Closure, by),
                 ..Default::default()
             };
             self.step(StageName::Closure, &start);
@@ -225,7 +226,11 @@ impl<'a> Run<'a> {
             let by = self.protocol.adjustment(self.mean_force(), self.dt);
             let by = self.squeeze(by);
             self.move_targets(by, 0.0);
-            self.step(StageName::Adjustment, &StepStart::default());
+            let start = StepStart {
+                kind: kind(StageName::Adjustment, by),
+                ..Default::default()
+            };
+            self.step(StageName::Adjustment, &start);
             self.has_reached_force |= self.mean_force() >= self.protocol.stop_force_n;
         }
     }
@@ -250,7 +255,8 @@ impl<'a> Run<'a> {
                 } else {
                     DVec3::ZERO
                 },
-                renew: false,
+                kind: kind(StageName::Lift, by),
+                ..Default::default()
             };
             let before = self.stage.system.object().state().p.z;
             self.step(StageName::Lift, &start);
@@ -300,6 +306,11 @@ impl<'a> Run<'a> {
         };
         self.trace.snapshots.push(snapshot);
     }
+}
+
+/// Steps that move the fingers alike, numbered for [`StepStart::kind`].
+fn kind(stage: StageName, squeeze: f64) -> usize {
+    2 * stage as usize + usize::from(squeeze > 0.0)
 }
 
 /// What a gel feels on its passive nodes.

@@ -26,6 +26,8 @@ use crate::sim::fem::Projection;
 const SUFFICIENT: f64 = 1e-4;
 /// A step that shrinks by less than this share from one iteration to the next is slow.
 const SLOW: f64 = 0.5;
+/// Shortenings of the motion that a step begins with.
+const REPEAT_HALVINGS: u32 = 3;
 /// Halvings before the stiffness is assembled anew.
 const MAX_HALVINGS: u32 = 30;
 
@@ -67,6 +69,10 @@ pub struct StepStart {
     pub together: DVec3,
     /// The stiffness of earlier steps is not worth keeping.
     pub renew: bool,
+    /// What kind of step it is. It begins with the motion of the last step of its kind, as far as
+    /// nothing touches and if the energy falls by that: fingers that open and close in turn repeat
+    /// themselves every other step.
+    pub kind: usize,
 }
 
 /// The scene in motion.
@@ -86,6 +92,8 @@ pub struct System {
     factor_age: u32,
     corners: [DVec3; 8],
     times: PhaseTimes,
+    /// Motion of the last step of each kind.
+    motions: Vec<Vec<f64>>,
 }
 
 impl System {
@@ -128,6 +136,7 @@ impl System {
             factor_age: 0,
             corners,
             times: PhaseTimes::default(),
+            motions: Vec::new(),
             parameters,
         })
     }
@@ -210,6 +219,7 @@ impl System {
             report.gathers += self.ensure_candidates();
             self.find_contacts();
         }
+        report.gathers += self.repeat(start);
         if start.renew {
             self.schur = None;
         }
@@ -219,7 +229,61 @@ impl System {
             gel.end_step(dt);
         }
         self.object.end_step(dt);
+        self.remember(start.kind);
         report
+    }
+
+    /// Repeats the motion of the last step of this kind.
+    fn repeat(&mut self, start: &StepStart) -> u32 {
+        let Some(remembered) = self.motions.get(start.kind).filter(|m| !m.is_empty()) else {
+            return 0;
+        };
+        self.direction.clone_from(remembered);
+        let together = if self.object.is_fixed {
+            DVec3::ZERO
+        } else {
+            start.together
+        };
+        let at = self.direction.len() - OBJECT;
+        for flat in self.direction[..at + 3].chunks_exact_mut(3) {
+            for (value, together) in flat.iter_mut().zip(together.to_array()) {
+                *value -= together;
+            }
+        }
+        let before = self.energy();
+        let (share, gathers) = self.free_share();
+        for gel in &mut self.gels {
+            gel.save();
+        }
+        self.object.save();
+        let mut length = share;
+        for _ in 0..REPEAT_HALVINGS {
+            self.place_on_line(length);
+            if self.energy() < before {
+                self.find_contacts();
+                return gathers;
+            }
+            length *= 0.5;
+        }
+        self.place_on_line(0.0);
+        self.find_contacts();
+        gathers
+    }
+
+    /// Remembers the motion of the step that ends.
+    fn remember(&mut self, kind: usize) {
+        if self.motions.len() <= kind {
+            self.motions.resize(kind + 1, Vec::new());
+        }
+        let motion = &mut self.motions[kind];
+        motion.clear();
+        for gel in &self.gels {
+            for (x, start) in gel.x.iter().zip(&gel.start) {
+                motion.extend((*x - *start).to_array());
+            }
+        }
+        let (now, start) = (self.object.state.to_array(), self.object.start.to_array());
+        motion.extend(now.iter().zip(start).map(|(now, start)| now - start));
     }
 
     fn ensure_candidates(&mut self) -> u32 {
