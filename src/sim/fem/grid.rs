@@ -323,7 +323,7 @@ fn towards_end(nodes: usize, length: f64, exponent: f64) -> Vec<f64> {
 fn towards_point(nodes: usize, half: f64, centre: f64, exponent: f64) -> Vec<f64> {
     let cells = nodes - 1;
     if exponent == 1.0 {
-        let at = |i: usize| half * (2.0 * i as f64 - cells as f64) / cells as f64;
+        let at = |i: usize| half * ((2.0 * i as f64 - cells as f64) / cells as f64);
         return (0..nodes).map(at).collect();
     }
     // Place of the centre on the uniform parameter; it need not be a node.
@@ -403,3 +403,7 @@ fn tet_volume(tet: &[u32; 4], positions: &[DVec3]) -> f64 {
     let [a, b, c, d] = tet.map(|v| positions[v as usize]);
     (b - a).cross(c - a).dot(d - a) / 6.0
 }
+
+#[cfg(test)]
+#[path = "grid_test.rs"]
+mod tests;
