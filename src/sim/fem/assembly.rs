@@ -182,3 +182,52 @@ fn add_block(values: &mut [f64], start: usize, stride: usize, block: &[Lanes; 9]
         column[2] += block[3 * axis + 2][lane];
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::fem::pattern::StiffnessPattern;
+    use crate::sim::fem::{GelGrid, GelResolution};
+    use pulp::Arch;
+
+    /// Without wide vectors on this machine the two are one and the test says nothing.
+    #[test]
+    fn wide_vectors_change_no_bit() {
+        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        let law = NeoHookean::new(1e6, 0.3).unwrap();
+        let pattern = StiffnessPattern::new(grid.positions().len(), grid.tets());
+        let batches = Batch::group(grid.tets(), grid.positions(), &pattern);
+        let elements = Elements {
+            law: &law,
+            batches: &batches,
+        };
+        let wave = |p: &DVec3| *p * (0.8 + 0.1 * (500.0 * p.x + 900.0 * p.y).sin());
+        let x: Vec<DVec3> = grid.positions().iter().map(wave).collect();
+        let all = |arch: Arch| {
+            let mut gradient = vec![DVec3::ZERO; x.len()];
+            let mut values = pattern.zeros();
+            let x = &x[..];
+            let energy = arch.dispatch(EnergySum { elements, x });
+            let gradient = &mut gradient[..];
+            arch.dispatch(GradientSum {
+                elements,
+                x,
+                gradient,
+            });
+            arch.dispatch(HessianSum {
+                elements,
+                x,
+                projection: Projection::Abs,
+                values: &mut values,
+            });
+            let gradient: Vec<u64> = gradient
+                .iter()
+                .flat_map(|g| g.to_array())
+                .map(f64::to_bits)
+                .collect();
+            let values: Vec<u64> = values.into_iter().map(f64::to_bits).collect();
+            (energy.to_bits(), gradient, values)
+        };
+        assert!(all(Arch::new()) == all(Arch::Scalar));
+    }
+}

@@ -3,6 +3,9 @@
 //! Local frame: x and y in the plane of the faces, z from the back face (z = 0, driven) to the
 //! front face (z = thickness, the one that touches). Every cell has five tetrahedra; the two
 //! possible cuts alternate with the parity of the cell, so that neighbours share diagonals.
+//! Against the reference forces of a pressed gel five are nearer than six per cell on every mesh
+//! (26 x 21 x 5 nodes: flat plate +0.9 against +1.1 %, sphere of 10 mm at 0.4 mm +0.7 against
+//! +5.7 %), with a sixth fewer elements.
 
 use glam::DVec3;
 

@@ -244,3 +244,29 @@ pub(super) fn balance(out: &mut Blocks) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn logarithm_is_that_of_the_library() {
+        let near_one = (-40..40).map(|k| 1.0 + f64::from(k) * 1e-9);
+        let wide = (-3000..3000).map(|k| (f64::from(k) * 0.2).exp2());
+        let edges = [
+            0.5_f64.sqrt(),
+            2.0_f64.sqrt(),
+            0.999_999_999_999,
+            1e-300,
+            1e300,
+        ];
+        for x in near_one.chain(wide).chain(edges) {
+            let (found, expected) = (ln(x), x.ln());
+            assert!(
+                (found - expected).abs() <= 4.5e-16 * expected.abs(),
+                "{x}: {found} {expected}"
+            );
+        }
+        assert_eq!(ln(1.0), 0.0);
+    }
+}

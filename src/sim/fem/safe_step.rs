@@ -35,8 +35,8 @@ impl WithSimd for SafeStep<'_> {
             let cubic = volume_cubic(&batch.edges(self.x), &batch.edges(self.dx));
             let mut bound = [0.0; WIDTH];
             for l in 0..WIDTH {
-                let [_, first, second, third] = [0, 1, 2, 3].map(|k| cubic[k][l].abs());
-                bound[l] = step * (first + step * (second + step * third));
+                let tail = cubic[2][l].abs() + step * cubic[3][l].abs();
+                bound[l] = step * (cubic[1][l].abs() + step * tail);
             }
             // Far from a root for every step so far allowed: the usual case.
             if bound
