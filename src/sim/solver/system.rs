@@ -219,12 +219,12 @@ impl System {
             report.gathers += self.ensure_candidates();
             self.find_contacts();
         }
-        report.gathers += self.repeat(start);
+        let energy = self.repeat(start, &mut report);
         if start.renew {
             self.schur = None;
         }
         self.memory.clear();
-        self.minimise(&mut report);
+        self.minimise(energy, &mut report);
         for gel in &mut self.gels {
             gel.end_step(dt);
         }
@@ -233,10 +233,11 @@ impl System {
         report
     }
 
-    /// Repeats the motion of the last step of this kind.
-    fn repeat(&mut self, start: &StepStart) -> u32 {
+    /// Repeats the motion of the last step of this kind; the energy thereafter, J.
+    fn repeat(&mut self, start: &StepStart, report: &mut StepReport) -> f64 {
+        let before = self.energy();
         let Some(remembered) = self.motions.get(start.kind).filter(|m| !m.is_empty()) else {
-            return 0;
+            return before;
         };
         self.direction.clone_from(remembered);
         let together = if self.object.is_fixed {
@@ -250,8 +251,8 @@ impl System {
                 *value -= together;
             }
         }
-        let before = self.energy();
         let (share, gathers) = self.free_share();
+        report.gathers += gathers;
         for gel in &mut self.gels {
             gel.save();
         }
@@ -259,15 +260,16 @@ impl System {
         let mut length = share;
         for _ in 0..REPEAT_HALVINGS {
             self.place_on_line(length);
-            if self.energy() < before {
+            let energy = self.energy();
+            if energy < before {
                 self.find_contacts();
-                return gathers;
+                return energy;
             }
             length *= 0.5;
         }
         self.place_on_line(0.0);
         self.find_contacts();
-        gathers
+        before
     }
 
     /// Remembers the motion of the step that ends.
@@ -357,9 +359,8 @@ impl System {
         Ok(())
     }
 
-    fn minimise(&mut self, report: &mut StepReport) {
+    fn minimise(&mut self, mut energy: f64, report: &mut StepReport) {
         let tolerance = self.parameters.newton_tolerance_m_s * self.parameters.dt_s;
-        let mut energy = self.energy();
         let mut last_move = f64::INFINITY;
         let mut slow = 0;
         self.compute_gradient();
