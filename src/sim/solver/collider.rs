@@ -130,6 +130,9 @@ mod tests {
         assert_eq!(corners, mesh.vertices.len());
         // A quad has two triangles and one diagonal; the caps have triangles without one.
         let all = mesh.edges().len();
-        assert!(edges < all && edges > all - triangles / 2, "{edges} of {all}");
+        assert!(
+            edges < all && edges > all - triangles / 2,
+            "{edges} of {all}"
+        );
     }
 }

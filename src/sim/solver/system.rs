@@ -26,6 +26,8 @@ use crate::sim::fem::Projection;
 const SUFFICIENT: f64 = 1e-4;
 /// A step that shrinks by less than this share from one iteration to the next is slow.
 const SLOW: f64 = 0.5;
+/// Slow iterations in a row that are taken before the stiffness is assembled anew.
+const PATIENCE: u32 = 3;
 /// Shortenings of the motion that a step begins with.
 const REPEAT_HALVINGS: u32 = 3;
 /// Halvings before the stiffness is assembled anew.
@@ -59,6 +61,8 @@ pub struct PhaseTimes {
     pub collision_s: f64,
     /// Energies of the line search.
     pub line_search_s: f64,
+    /// Contacts, friction, first motion and first gradient of the steps.
+    pub begin_s: f64,
 }
 
 /// How a step begins.
@@ -196,6 +200,7 @@ impl System {
     ///
     /// Forces and contacts of the gels are those of the end of the step afterwards.
     pub fn step(&mut self, start: &StepStart) -> StepReport {
+        let began = Instant::now();
         let dt = self.parameters.dt_s;
         let epsilon = self.parameters.eps_v_m_s * dt;
         let mut report = StepReport::default();
@@ -224,6 +229,8 @@ impl System {
             self.schur = None;
         }
         self.memory.clear();
+        self.compute_gradient();
+        self.times.begin_s += began.elapsed().as_secs_f64();
         self.minimise(energy, &mut report);
         for gel in &mut self.gels {
             gel.end_step(dt);
@@ -363,10 +370,11 @@ impl System {
         let tolerance = self.parameters.newton_tolerance_m_s * self.parameters.dt_s;
         let mut last_move = f64::INFINITY;
         let mut slow = 0;
-        self.compute_gradient();
         while report.iterations < self.parameters.max_iterations {
             report.iterations += 1;
-            if self.schur.is_none() || self.factor_age >= self.parameters.max_factor_age || slow > 1
+            if self.schur.is_none()
+                || self.factor_age >= self.parameters.max_factor_age
+                || slow > PATIENCE
             {
                 let began = Instant::now();
                 self.factorise();
