@@ -8,13 +8,16 @@ mod builtin;
 mod bvh;
 mod mass_properties;
 mod mesh;
+mod mesh_file;
 mod mesh_query;
 mod pose;
+mod weld;
 
 pub use aabb::Aabb;
 pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
+pub use mesh_file::{LengthUnit, MeshFormat, load_mesh, read_mesh, save_mesh};
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
 pub use pose::Pose;
