@@ -6,6 +6,7 @@
 mod aabb;
 mod builtin;
 mod bvh;
+mod check;
 mod mass_properties;
 mod mesh;
 mod mesh_file;
@@ -16,6 +17,7 @@ mod weld;
 pub use aabb::Aabb;
 pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
+pub use check::{PrepareOptions, Prepared, prepare};
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
 pub use mesh_file::{LengthUnit, MeshFormat, load_mesh, read_mesh, save_mesh};
