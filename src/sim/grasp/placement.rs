@@ -64,16 +64,24 @@ impl Placement {
         origin.z = self.height_m.unwrap_or(origin.z);
         let width = |origin: DVec3| {
             let reach = points()
-                .map(|v| (t_world_object.transform_point(v) - origin).dot(closing).abs())
+                .map(|v| {
+                    (t_world_object.transform_point(v) - origin)
+                        .dot(closing)
+                        .abs()
+                })
                 .fold(0.0, f64::max);
             self.opening_m.unwrap_or(2.0 * (reach + SIDE_CLEARANCE_M))
         };
         let mut opening_m = width(origin);
         if self.height_m.is_none() {
-            origin.z = origin.z.max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M);
+            origin.z = origin
+                .z
+                .max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M);
             // Tilted fingers reach further where they stand higher.
             opening_m = width(origin);
-            origin.z = origin.z.max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M);
+            origin.z = origin
+                .z
+                .max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M);
         }
         Ok(Placed {
             t_world_gripper: Pose::new(rotation, origin),
@@ -108,7 +116,11 @@ fn lowest_height(rotation: DQuat, opening_m: f64) -> f64 {
     let [z, y, thickness] = GEL_M;
     let half = DVec3::new(0.5 * opening_m + thickness, y, z);
     // The lowest corner of the box around both gels is a corner of a gel.
-    DMat3::from_quat(rotation).transpose().z_axis.abs().dot(half)
+    DMat3::from_quat(rotation)
+        .transpose()
+        .z_axis
+        .abs()
+        .dot(half)
 }
 
 /// A recorded grasp pose, as in `--pose FILE`:
@@ -170,7 +182,9 @@ mod tests {
     #[test]
     fn from_above_at_mid_height() {
         let mesh = builtin("box").unwrap();
-        let placed = Placement::default().place(&mesh, &on_ground(&mesh)).unwrap();
+        let placed = Placement::default()
+            .place(&mesh, &on_ground(&mesh))
+            .unwrap();
         let axes = placed.t_world_gripper.rotation_matrix();
         assert!((axes.z_axis - DVec3::NEG_Z).length() < 1e-12);
         assert!((axes.x_axis - DVec3::X).length() < 1e-12);
@@ -181,7 +195,9 @@ mod tests {
     #[test]
     fn low_objects_leave_the_gels_above_the_ground() {
         let mesh = builtin("sphere").unwrap().scaled(0.4);
-        let placed = Placement::default().place(&mesh, &on_ground(&mesh)).unwrap();
+        let placed = Placement::default()
+            .place(&mesh, &on_ground(&mesh))
+            .unwrap();
         assert!((placed.t_world_gripper.translation_m.z - 0.013).abs() < 1e-12);
         let tilted = Placement {
             tilt_rad: 0.3,
@@ -189,8 +205,8 @@ mod tests {
         };
         let placed = tilted.place(&mesh, &on_ground(&mesh)).unwrap();
         let half = 0.5 * placed.opening_m + 0.004;
-        let lowest = placed.t_world_gripper.translation_m.z
-            - (0.0125 * 0.3f64.cos() + half * 0.3f64.sin());
+        let lowest =
+            placed.t_world_gripper.translation_m.z - (0.0125 * 0.3f64.cos() + half * 0.3f64.sin());
         assert!((lowest - 5e-4).abs() < 1e-9, "{lowest}");
     }
 
@@ -224,7 +240,10 @@ mod tests {
     fn misspelt_pose_files_are_explained() {
         let text = r#"{"t_object_griper": {"t_m": [0, 0, 0], "q_wxyz": [1, 0, 0, 0]}}"#;
         let error = GraspPose::from_json(text).unwrap_err().to_string();
-        assert!(error.contains("t_object_griper") && error.contains("q_wxyz"), "{error}");
+        assert!(
+            error.contains("t_object_griper") && error.contains("q_wxyz"),
+            "{error}"
+        );
         let text = r#"{"t_object_gripper": {"t_m": [0, 0, 0], "q_wxyz": [2, 0, 0, 0]}}"#;
         assert!(GraspPose::from_json(text).is_err());
         let bad = Placement {

@@ -31,23 +31,47 @@ pub fn plot(trace: &Trace, summary: &GraspSummary, success_height_m: f64, title:
         .flat_map(|step| step.force.map(|force| force.normal_n))
         .fold(summary.stop_force_n, f64::max);
     let risen = rises(trace);
-    let highest = risen.iter().map(|(_, object, gripper)| object.max(*gripper));
+    let highest = risen
+        .iter()
+        .map(|(_, object, gripper)| object.max(*gripper));
     let highest = highest.fold(1.2e3 * success_height_m, f64::max);
     let lowest = risen.iter().fold(0.0, |low: f64, (_, z, _)| low.min(*z));
     let force = Panel::new(end, [0.0, 1.15 * most], [FORCE_TOP, FORCE_BOTTOM]);
     let rise = Panel::new(end, [1.1 * lowest, 1.1 * highest], [RISE_TOP, RISE_BOTTOM]);
     let mut svg = Svg::new();
-    svg.text(LEFT, 26.0, "start", 15.0, "#111111", &format!("{title}: {}", verdict(summary)));
+    svg.text(
+        LEFT,
+        26.0,
+        "start",
+        15.0,
+        "#111111",
+        &format!("{title}: {}", verdict(summary)),
+    );
     stages(&mut svg, trace, &[&force, &rise]);
     force.axes(&mut svg, "force of each gel, N", None);
     rise.axes(&mut svg, "rise, mm", Some("time, s"));
     threshold(&mut svg, &force, summary.stop_force_n);
     threshold(&mut svg, &rise, 1e3 * success_height_m);
-    let curve = |gel: usize| trace.steps.iter().map(move |s| (s.t_s, s.force[gel].normal_n));
+    let curve = |gel: usize| {
+        trace
+            .steps
+            .iter()
+            .map(move |s| (s.t_s, s.force[gel].normal_n))
+    };
     force.curve(&mut svg, curve(0), LEFT_COLOUR, "");
     force.curve(&mut svg, curve(1), RIGHT_COLOUR, "7 4");
-    rise.curve(&mut svg, risen.iter().map(|r| (r.0, r.2)), GRIPPER_COLOUR, "7 4");
-    rise.curve(&mut svg, risen.iter().map(|r| (r.0, r.1)), OBJECT_COLOUR, "");
+    rise.curve(
+        &mut svg,
+        risen.iter().map(|r| (r.0, r.2)),
+        GRIPPER_COLOUR,
+        "7 4",
+    );
+    rise.curve(
+        &mut svg,
+        risen.iter().map(|r| (r.0, r.1)),
+        OBJECT_COLOUR,
+        "",
+    );
     legend(&mut svg, summary.stop_force_n, success_height_m);
     svg.finish()
 }
@@ -203,7 +227,11 @@ impl Panel {
         let mut path = String::new();
         for (t, value) in points {
             let (x, y) = (self.x(t), self.y(value));
-            let _ = write!(path, "{}{x:.1} {y:.1}", if path.is_empty() { "M" } else { "L" });
+            let _ = write!(
+                path,
+                "{}{x:.1} {y:.1}",
+                if path.is_empty() { "M" } else { "L" }
+            );
         }
         if !path.is_empty() {
             svg.path(&path, colour, dashes);
@@ -216,7 +244,9 @@ fn tick_step(range: f64, count: f64) -> (f64, usize) {
     let rough = range / count;
     let power = rough.log10().floor();
     let unit = 10f64.powf(power);
-    let factor = [1.0, 2.0, 5.0].into_iter().find(|f| f * unit >= rough * 0.999);
+    let factor = [1.0, 2.0, 5.0]
+        .into_iter()
+        .find(|f| f * unit >= rough * 0.999);
     let step = unit * factor.unwrap_or(10.0);
     let decimals = (-step.log10().floor()).clamp(0.0, 9.0) as usize;
     (step, decimals)
@@ -339,10 +369,20 @@ mod tests {
         let trace = sample_trace();
         let svg = plot(&trace, &summary(trace.clone()), 0.02, "builtin:box");
         assert_eq!(svg.matches("<path").count(), 4);
-        for word in ["closure", "adjustment", "lift", "left gel", "F_stop 40 N", "time, s"] {
+        for word in [
+            "closure",
+            "adjustment",
+            "lift",
+            "left gel",
+            "F_stop 40 N",
+            "time, s",
+        ] {
             assert!(svg.contains(word), "{word}");
         }
-        assert!(svg.contains("builtin:box: held, lifted 50.0 mm, 40.0 ± 0.5 N"), "{svg}");
+        assert!(
+            svg.contains("builtin:box: held, lifted 50.0 mm, 40.0 ± 0.5 N"),
+            "{svg}"
+        );
         assert_eq!(svg.matches("<text").count(), svg.matches("</text>").count());
     }
 

@@ -174,7 +174,10 @@ mod tests {
     #[test]
     fn presets_have_the_documented_stiffness() {
         let paper = GraspSettings::new(Preset::Paper);
-        assert_eq!((paper.material.young_pa, paper.material.poisson), (1e6, 0.3));
+        assert_eq!(
+            (paper.material.young_pa, paper.material.poisson),
+            (1e6, 0.3)
+        );
         assert_eq!(paper.protocol.stop_force_n, 40.0);
         let feats = GraspSettings::new(Preset::Feats);
         assert_eq!(feats.protocol, paper.protocol);
