@@ -236,7 +236,7 @@ fn throughput(gel: Option<GelName>) -> Result<[f64; 2]> {
         .iter()
         .filter(|case| case.class == CaseClass::Easy)
         .filter_map(|case| {
-            let mesh = case.object.load(&|_| Ok(None)).transpose()?;
+            let mesh = case.object.load(&|_, _| Ok(None)).transpose()?;
             Some(mesh.and_then(|mesh| case.scene(mesh, &settings)))
         })
         .collect::<Result<_>>()?;
@@ -282,8 +282,8 @@ fn pool(threads: usize) -> Result<ThreadPool> {
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot start threads").because(e))
 }
 
-/// A mesh of the folder of shared data in its own unit, if it is there.
-fn shared_mesh(item: &str) -> Result<Option<TriangleMesh>> {
+/// A mesh of the folder of shared data in metres, if it is there.
+fn shared_mesh(item: &str, unit_m: f64) -> Result<Option<TriangleMesh>> {
     let root = std::env::var_os("GRIPCAST_SHARED").map_or_else(
         || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"),
         PathBuf::from,
@@ -292,13 +292,8 @@ fn shared_mesh(item: &str) -> Result<Option<TriangleMesh>> {
     if !path.exists() {
         return Ok(None);
     }
-    // Its own unit is not the metre, so its size is checked by nobody here.
-    let any_size = PrepareOptions {
-        max_extent_m: f64::INFINITY,
-        ..PrepareOptions::default()
-    };
-    let mesh = load_mesh(&path, LengthUnit::Metre)?;
-    let prepared = prepare(&mesh, &any_size).map_err(|e| e.at(path.display()))?;
+    let mesh = load_mesh(&path, LengthUnit::Metre)?.scaled(unit_m);
+    let prepared = prepare(&mesh, &PrepareOptions::default()).map_err(|e| e.at(path.display()))?;
     Ok(Some(prepared.mesh))
 }
 

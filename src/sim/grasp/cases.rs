@@ -51,18 +51,18 @@ const B1: CaseObject = CaseObject::File {
 };
 
 impl CaseObject {
-    /// The mesh in metres. `shared` reads a file of the shared data in its own unit, or finds
-    /// nothing.
+    /// The mesh in metres. `shared` reads a file of the shared data whose unit has the given
+    /// length in m, or finds nothing.
     ///
     /// # Errors
     /// Those of `shared`.
     pub fn load(
         &self,
-        shared: &dyn Fn(&str) -> Result<Option<TriangleMesh>>,
+        shared: &dyn Fn(&str, f64) -> Result<Option<TriangleMesh>>,
     ) -> Result<Option<TriangleMesh>> {
         match self {
             Self::Builtin(name) => builtin(name).map(Some),
-            Self::File { path, unit_m } => Ok(shared(path)?.map(|mesh| mesh.scaled(*unit_m))),
+            Self::File { path, unit_m } => shared(path, *unit_m),
         }
     }
 }
@@ -218,7 +218,7 @@ mod tests {
     use crate::sim::fem::GelResolution;
     use crate::sim::grasp::simulate;
 
-    fn without_shared(_: &str) -> Result<Option<TriangleMesh>> {
+    fn without_shared(_: &str, _: f64) -> Result<Option<TriangleMesh>> {
         Ok(None)
     }
 

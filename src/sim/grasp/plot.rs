@@ -15,6 +15,11 @@ const FORCE_BOTTOM: f64 = 350.0;
 const RISE_TOP: f64 = 382.0;
 const RISE_BOTTOM: f64 = 504.0;
 
+/// Width of a character of the legend at most, px.
+const CHARACTER: f64 = 7.2;
+/// Height that the names of the stages need, px.
+const NAMES: f64 = 24.0;
+
 const LEFT_COLOUR: &str = "#1f6fb4";
 const RIGHT_COLOUR: &str = "#d95f0e";
 const OBJECT_COLOUR: &str = "#2b7a3d";
@@ -36,7 +41,7 @@ pub fn plot(trace: &Trace, summary: &GraspSummary, success_height_m: f64, title:
         .map(|(_, object, gripper)| object.max(*gripper));
     let highest = highest.fold(1.2e3 * success_height_m, f64::max);
     let lowest = risen.iter().fold(0.0, |low: f64, (_, z, _)| low.min(*z));
-    let force = Panel::new(end, [0.0, 1.15 * most], [FORCE_TOP, FORCE_BOTTOM]);
+    let force = Panel::new(end, [0.0, 1.2 * most], [FORCE_TOP, FORCE_BOTTOM]);
     let rise = Panel::new(end, [1.1 * lowest, 1.1 * highest], [RISE_TOP, RISE_BOTTOM]);
     let mut svg = Svg::new();
     svg.text(
@@ -155,10 +160,15 @@ fn legend(svg: &mut Svg, stop_force_n: f64, success_height_m: f64) {
     for (entries, y) in [(force, FORCE_TOP - 12.0), (rise, RISE_TOP - 9.0)] {
         let mut x = RIGHT;
         for (name, colour, dashes, thickness) in entries.into_iter().rev() {
-            svg.text(x, y, "end", 12.0, "#333333", name);
-            x -= 6.4 * name.len() as f64 + 8.0;
-            svg.stroke([x - 26.0, y - 4.0, x, y - 4.0], colour, dashes, thickness);
-            x -= 42.0;
+            x -= CHARACTER * name.len() as f64;
+            svg.text(x, y, "start", 12.0, "#333333", name);
+            svg.stroke(
+                [x - 32.0, y - 4.0, x - 6.0, y - 4.0],
+                colour,
+                dashes,
+                thickness,
+            );
+            x -= 50.0;
         }
     }
 }
@@ -170,6 +180,7 @@ struct Panel {
     high: f64,
     top: f64,
     bottom: f64,
+    has_names: bool,
 }
 
 impl Panel {
@@ -180,6 +191,7 @@ impl Panel {
             high: high.max(low + 1e-9),
             top,
             bottom,
+            has_names: top == FORCE_TOP,
         }
     }
 
@@ -195,7 +207,10 @@ impl Panel {
         let (step, digits) = tick_step(self.high - self.low, 6.0);
         for value in ticks(self.low, self.high, step) {
             let y = self.y(value);
-            svg.line([LEFT, y, RIGHT, y], "#e3e3e3", "");
+            let is_free = !self.has_names || y > self.top + NAMES;
+            if is_free {
+                svg.line([LEFT, y, RIGHT, y], "#dcdcdc", "");
+            }
             let text = format!("{value:.digits$}");
             svg.text(LEFT - 8.0, y + 4.0, "end", 12.0, "#333333", &text);
         }
