@@ -85,6 +85,7 @@ pub struct Gel {
     scratch: Vec<f64>,
     scratch_many: Vec<[f64; OBJECT]>,
     motion: Vec<f64>,
+    step: Vec<DVec3>,
 }
 
 impl Gel {
@@ -148,6 +149,7 @@ impl Gel {
             scratch: Vec::new(),
             scratch_many: Vec::new(),
             motion: vec![0.0; n],
+            step: Vec::new(),
             x,
             elastic,
             factor,
@@ -514,9 +516,11 @@ impl Gel {
     }
 
     /// Largest share of the step before an element inverts.
-    pub(super) fn inversion_free_share(&self, direction: &[f64]) -> f64 {
-        let _ = direction;
-        1.0
+    pub(super) fn inversion_free_share(&mut self, direction: &[f64]) -> f64 {
+        self.step.clear();
+        self.step
+            .extend(direction.chunks_exact(3).map(DVec3::from_slice));
+        self.elastic.inversion_free_step(&self.x, &self.step)
     }
 
     pub(super) fn candidates(&self) -> &Candidates {

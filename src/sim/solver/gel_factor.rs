@@ -15,7 +15,7 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Par, Side};
 
-use super::lbfgs::dot;
+use super::lbfgs::dot_lanes;
 use crate::error::{Error, ErrorKind, Result};
 
 /// The matrix is not positive definite.
@@ -181,6 +181,11 @@ impl GelFactor {
 
     /// `x ← L⁻¹ x`, in the factor's order. `scratch` grows as needed.
     pub fn solve_forward(&self, x: &mut [f64], scratch: &mut Vec<f64>) {
+        pulp::Arch::new().dispatch(|| self.solve_forward_lanes(x, scratch));
+    }
+
+    #[inline(always)]
+    fn solve_forward_lanes(&self, x: &mut [f64], scratch: &mut Vec<f64>) {
         for node in &self.supernodes {
             let pattern = &self.patterns[node.pattern.0..node.pattern.1];
             let rows = node.columns + pattern.len();
@@ -209,6 +214,15 @@ impl GelFactor {
 
     /// `X ← L⁻¹ X` for `N` right-hand sides at once, rows in the factor's order.
     pub fn solve_forward_many<const N: usize>(
+        &self,
+        x: &mut [[f64; N]],
+        scratch: &mut Vec<[f64; N]>,
+    ) {
+        pulp::Arch::new().dispatch(|| self.solve_forward_many_lanes(x, scratch));
+    }
+
+    #[inline(always)]
+    fn solve_forward_many_lanes<const N: usize>(
         &self,
         x: &mut [[f64; N]],
         scratch: &mut Vec<[f64; N]>,
@@ -252,6 +266,11 @@ impl GelFactor {
 
     /// `x ← L⁻ᵀ x`, in the factor's order. `scratch` grows as needed.
     pub fn solve_backward(&self, x: &mut [f64], scratch: &mut Vec<f64>) {
+        pulp::Arch::new().dispatch(|| self.solve_backward_lanes(x, scratch));
+    }
+
+    #[inline(always)]
+    fn solve_backward_lanes(&self, x: &mut [f64], scratch: &mut Vec<f64>) {
         for node in self.supernodes.iter().rev() {
             let pattern = &self.patterns[node.pattern.0..node.pattern.1];
             let rows = node.columns + pattern.len();
@@ -263,7 +282,7 @@ impl GelFactor {
                 let index = node.start + column;
                 let (triangle, below) = entries.split_at(node.columns);
                 let solved = &x[index + 1..node.start + node.columns];
-                let sum = dot(below, scratch) + dot(&triangle[column + 1..], solved);
+                let sum = dot_lanes(below, scratch) + dot_lanes(&triangle[column + 1..], solved);
                 x[index] = (x[index] - sum) * self.inverse_diagonal[index];
             }
         }

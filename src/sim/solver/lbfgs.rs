@@ -67,13 +67,21 @@ impl Memory {
 }
 
 fn add_scaled(x: &mut [f64], factor: f64, y: &[f64]) {
-    for (x, y) in x.iter_mut().zip(y) {
-        *x += factor * y;
-    }
+    pulp::Arch::new().dispatch(|| {
+        for (x, y) in x.iter_mut().zip(y) {
+            *x += factor * y;
+        }
+    });
 }
 
-/// Scalar product in eight lanes of a fixed order, so that the compiler can use wide registers.
+/// Scalar product, in the widest registers of this machine.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    pulp::Arch::new().dispatch(|| dot_lanes(a, b))
+}
+
+/// Scalar product in eight lanes of a fixed order: the same on every machine.
+#[inline(always)]
+pub(super) fn dot_lanes(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len().min(b.len());
     let (a, b) = (&a[..n], &b[..n]);
     let mut lanes = [0.0; 8];

@@ -1,1 +1,3 @@
+//! The simulator against other implementations and closed forms.
 
+mod ipctk;
