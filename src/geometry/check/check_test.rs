@@ -367,15 +367,7 @@ fn crossing_surfaces_are_refused_and_touching_ones_are_not() {
 #[test]
 fn shallow_crossings_are_tolerated_with_a_warning() {
     let spike = builtin("spike").unwrap();
-    let length = 2.0 * 0.035;
-    let overlapping = |depth: f64| {
-        let shift = DVec3::new(1e-5, 2e-5, length - depth);
-        let cut_off = mirrored(&spike, DVec3::new(1.0, 1.0, -1.0));
-        spike.joined(&moved(&cut_off, shift))
-    };
-    assert!(run(&overlapping(-1e-6)).unwrap().warnings.is_empty());
-    assert!(refused(&overlapping(3e-4)).contains("passes through itself"));
-    // The tip of a third body just through the side of the box.
+    // The tip of one body just through the side of another.
     let cube = builtin("box").unwrap();
     let pricked = |depth: f64| {
         let at = DVec3::new(1e-4, 2e-4, 0.03 + 0.035 - depth);

@@ -3,9 +3,9 @@
 //! Decided by the signs of exact determinants, so that touching is told from crossing.
 
 use glam::DVec3;
-use robust::{Coord3D, orient3d};
 
 use crate::geometry::bvh::Bvh;
+use crate::geometry::convex_hull::orientation;
 use crate::geometry::mesh::TriangleMesh;
 use crate::geometry::weld::first_in_place;
 
@@ -133,14 +133,4 @@ fn fold(a: &Placed, in_a: [bool; 3], b: &Placed, in_b: [bool; 3]) -> Option<Cros
         place: (s + t + p) / 3.0,
         depth_m: f64::INFINITY,
     })
-}
-
-/// Sign: on which side of the plane through a, b, c the point d lies; exact.
-fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
-    let [a, b, c, d] = [a, b, c, d].map(|v| Coord3D {
-        x: v.x,
-        y: v.y,
-        z: v.z,
-    });
-    orient3d(a, b, c, d)
 }
