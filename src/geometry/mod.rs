@@ -13,6 +13,8 @@ mod mesh;
 mod mesh_file;
 mod mesh_query;
 mod pose;
+#[cfg(test)]
+mod sample_data;
 mod stable_poses;
 mod weld;
 

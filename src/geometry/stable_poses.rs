@@ -33,7 +33,7 @@ pub struct StablePose {
 /// solid angle that is its share of landings (Goldberg et al., Part pose statistics, IJRR 1999,
 /// without dynamics). A facet whose polygon the centre of mass is not above tumbles over its
 /// nearest side, to where that neighbour comes to rest. So does a facet that is left after a tilt
-/// of less than `min_tip_rad`; 0 keeps all that are stable.
+/// of less than `min_tip_rad`: 0 keeps all that are stable, 0.02 those that survive a nudge.
 ///
 /// # Errors
 /// `Input` if the mesh encloses no volume, or if it tips over from each facet.

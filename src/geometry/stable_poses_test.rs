@@ -1,6 +1,7 @@
 use super::*;
+use crate::geometry::sample_data::egad_folder;
 use crate::geometry::{BUILTIN_NAMES, LengthUnit, PrepareOptions, builtin, load_mesh, prepare};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Direction of the object that points down in a pose.
 fn down(pose: &StablePose) -> DVec3 {
@@ -170,11 +171,11 @@ fn read_npy(path: &Path) -> Vec<f64> {
 /// triangles. So the poses must agree, and the probabilities within caps of 0.2 rad.
 #[test]
 fn poses_agree_with_trimesh() {
-    let Some(folder) = shared_folder() else {
+    let Some(folder) = egad_folder() else {
         return;
     };
     for name in ["B1", "B4", "C2", "C4"] {
-        let file = |suffix: &str| folder.join(format!("data/egad_eval/{name}{suffix}"));
+        let file = |suffix: &str| folder.join(format!("{name}{suffix}"));
         let mesh = load_mesh(&file(".obj"), LengthUnit::Millimetre).unwrap();
         let mesh = prepare(&mesh, &PrepareOptions::default()).unwrap().mesh;
         let center = MassProperties::of(&mesh).unwrap().center_of_mass_m;
@@ -220,17 +221,4 @@ fn poses_agree_with_trimesh() {
         );
         assert!(worst < 0.03, "{name}: {worst}");
     }
-}
-
-/// The folder with sample data, by `GRIPCAST_SHARED` or beside the repository.
-fn shared_folder() -> Option<PathBuf> {
-    let folder = std::env::var_os("GRIPCAST_SHARED").map_or("../shared".into(), PathBuf::from);
-    if folder.join("data/egad_eval").is_dir() {
-        return Some(folder);
-    }
-    eprintln!(
-        "SKIPPED: no sample data in {} (set GRIPCAST_SHARED)",
-        folder.display()
-    );
-    None
 }

@@ -51,8 +51,8 @@ fn first_within(mesh: &TriangleMesh, tolerance_m: f64) -> Vec<u32> {
         .collect();
     let bvh = Bvh::build(&boxes);
     let mut first: Vec<u32> = (0..boxes.len() as u32).collect();
-    for v in 0..boxes.len() {
-        bvh.for_each_overlap(&boxes[v].inflated(tolerance_m), |other| {
+    for (v, place) in boxes.iter().enumerate() {
+        bvh.for_each_overlap(&place.inflated(tolerance_m), |other| {
             let apart = mesh.vertices[v].distance(mesh.vertices[other as usize]);
             if apart <= tolerance_m {
                 let (a, b) = (root(&mut first, v as u32), root(&mut first, other));

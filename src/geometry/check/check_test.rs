@@ -1,8 +1,9 @@
 use super::*;
+use crate::geometry::sample_data::egad_folder;
 use crate::geometry::{
     BUILTIN_NAMES, LengthUnit, MassProperties, MeshQuery, Pose, builtin, load_mesh,
 };
-use std::path::PathBuf;
+use proptest::prelude::*;
 
 fn run(mesh: &TriangleMesh) -> Result<Prepared> {
     prepare(mesh, &PrepareOptions::default())
@@ -404,7 +405,7 @@ fn a_fold_is_a_crossing_and_a_flat_neighbour_is_not() {
 
 #[test]
 fn egad_meshes_can_be_used() {
-    let Some(folder) = shared_folder() else {
+    let Some(folder) = egad_folder() else {
         return;
     };
     for (name, warning) in [
@@ -413,7 +414,7 @@ fn egad_meshes_can_be_used() {
         ("C2", None),
         ("C4", None),
     ] {
-        let path = folder.join(format!("data/egad_eval/{name}.obj"));
+        let path = folder.join(format!("{name}.obj"));
         let unscaled = load_mesh(&path, LengthUnit::Metre).unwrap();
         assert!(refused(&unscaled).contains("--unit mm"), "{name}");
         let mesh = load_mesh(&path, LengthUnit::Millimetre).unwrap();
@@ -429,15 +430,33 @@ fn egad_meshes_can_be_used() {
     }
 }
 
-/// The folder with sample data, by `GRIPCAST_SHARED` or beside the repository.
-fn shared_folder() -> Option<PathBuf> {
-    let folder = std::env::var_os("GRIPCAST_SHARED").map_or("../shared".into(), PathBuf::from);
-    if folder.join("data/egad_eval").is_dir() {
-        return Some(folder);
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Cells of a lattice touch at edges and corners and leave cavities in all possible ways.
+    #[test]
+    fn every_body_of_cells_is_made_manifold(
+        filled in prop::collection::btree_set([0..4i32, 0..4, 0..4], 1..40)
+    ) {
+        let places: Vec<[i32; 3]> = filled.into_iter().collect();
+        let prepared = run(&cells(&places)).unwrap();
+        let found = volume(&prepared.mesh);
+        prop_assert!((found - 1e-6 * places.len() as f64).abs() < 1e-14, "{found}");
+        prop_assert!(prepared.mesh.edges().is_closed());
+        let again = run(&prepared.mesh).unwrap();
+        prop_assert!((volume(&again.mesh) - found).abs() < 1e-14);
     }
-    eprintln!(
-        "SKIPPED: no sample data in {} (set GRIPCAST_SHARED)",
-        folder.display()
-    );
-    None
+
+    #[test]
+    fn soups_of_triangles_never_panic(
+        corners in prop::collection::vec([0..3i32, 0..3, 0..3], 4..12),
+        triangles in prop::collection::vec([0..4u32, 0..4, 0..4], 1..24),
+    ) {
+        let vertices = corners.iter().map(|c| DVec3::from_array(c.map(f64::from)) * 0.01);
+        let mesh = TriangleMesh { vertices: vertices.collect(), triangles };
+        match run(&mesh) {
+            Ok(prepared) => prop_assert!(prepared.mesh.edges().is_closed()),
+            Err(error) => prop_assert!(error.remedy_text().is_some(), "{error}"),
+        }
+    }
 }

@@ -105,7 +105,7 @@ fn solid_wedges(mesh: &TriangleMesh, [a, b]: [u32; 2], around: &[u32]) -> Option
         .windows(2)
         .all(|w| (w[1].0 - w[0].0).abs() > MIN_WEDGE_RAD);
     let alternates = turn.iter().enumerate().all(|(i, t)| t.1 == (i % 2 == 1));
-    (clear && alternates && turn.len() % 2 == 0)
+    (clear && alternates && turn.len().is_multiple_of(2))
         .then(|| turn.chunks_exact(2).map(|w| [w[0].2, w[1].2]).collect())
 }
 

@@ -32,8 +32,8 @@ pub(super) fn find(mesh: &TriangleMesh, tolerance_m: f64) -> SelfIntersections {
         pairs: 0,
         first_place: None,
     };
-    for first in 0..mesh.triangles.len() {
-        bvh.for_each_overlap(&boxes[first], |second| {
+    for (first, bounds) in boxes.iter().enumerate() {
+        bvh.for_each_overlap(bounds, |second| {
             if second as usize <= first {
                 return;
             }

@@ -86,7 +86,7 @@ fn components(mesh: &TriangleMesh) -> Result<Vec<Component>> {
         let mut found = vec![seed];
         while let Some(t) = open.pop() {
             for &(next, agree) in &sides[t as usize] {
-                let wanted = turned[t as usize].map(|turn| turn != !agree);
+                let wanted = turned[t as usize].map(|turn| turn == agree);
                 match turned[next as usize] {
                     None => {
                         turned[next as usize] = wanted;

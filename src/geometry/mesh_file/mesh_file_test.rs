@@ -170,6 +170,68 @@ fn gltf_nodes_are_placed_and_mirrored_ones_turned() {
 }
 
 #[test]
+fn gltf_strips_and_fans_become_triangles() {
+    let mut mesh = tetrahedron();
+    mesh.triangles = vec![[0, 1, 2], [3, 0, 1]];
+    let with_mode = |mode: u32| {
+        let text = gltf_json(&mesh, Some("x.bin"), r#"{"mesh":0}"#);
+        let text = text.replace(r#""indices":1"#, &format!(r#""indices":1,"mode":{mode}"#));
+        let buffer = gltf_buffer(&mesh);
+        read_mesh(text.as_bytes(), MeshFormat::Gltf, &|_: &str| {
+            Ok(buffer.clone())
+        })
+    };
+    let strip = with_mode(5).unwrap();
+    assert_eq!(
+        strip.triangles,
+        [[0, 1, 2], [2, 1, 3], [2, 3, 0], [0, 3, 1]]
+    );
+    let fan = with_mode(6).unwrap();
+    assert_eq!(fan.triangles, [[0, 1, 2], [0, 2, 3], [0, 3, 0], [0, 0, 1]]);
+    assert!(
+        with_mode(1)
+            .unwrap_err()
+            .to_string()
+            .contains("no triangles")
+    );
+}
+
+#[test]
+fn gltf_references_into_nowhere_are_explained() {
+    let mesh = tetrahedron();
+    let good = gltf_json(&mesh, Some("x.bin"), r#"{"mesh":0}"#);
+    let buffer = gltf_buffer(&mesh);
+    let read = |text: &str| {
+        read_mesh(text.as_bytes(), MeshFormat::Gltf, &|_: &str| {
+            Ok(buffer.clone())
+        })
+    };
+    read(&good).unwrap();
+    for (from, to, told) in [
+        (r#""POSITION":0"#, r#""POSITION":7"#, "accessor 7"),
+        (r#""scene":0"#, r#""scene":2"#, "scene 2"),
+        (r#""mesh":0"#, r#""mesh":1"#, "mesh 1"),
+        (r#""nodes":[0]"#, r#""nodes":[3]"#, "node 3"),
+        (r#""bufferView":0,"#, r#""bufferView":9,"#, "bufferView 9"),
+        (r#""bufferView":0,"#, "", "compressed"),
+        (
+            r#""count":4"#,
+            r#""count":99999999999999999"#,
+            "more than the buffer",
+        ),
+        (r#""count":4"#, r#""count":0"#, "more than the buffer"),
+        (r#""type":"VEC3""#, r#""type":"VEC2""#, "found VEC2"),
+        ("5123", "5122", "found SCALAR of 5122"),
+    ] {
+        let text = good.replace(from, to);
+        assert_ne!(text, good);
+        let error = read(&text).unwrap_err();
+        assert!(error.to_string().contains(told), "{to}: {error}");
+        assert!(error.remedy_text().is_some(), "{error}");
+    }
+}
+
+#[test]
 fn polygons_become_fans() {
     let text = "v 0 0 0\nv 1 0 0\nv 2 1 0\nv 1 2 0\nv 0 2 0\nf 1 2 3 4 5\n";
     let mesh = parse(text, MeshFormat::Obj).unwrap();
@@ -324,7 +386,7 @@ fn absurd_headers_take_no_memory() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(512))]
+    #![proptest_config(ProptestConfig::with_cases(4096))]
 
     #[test]
     fn damaged_files_never_panic(
