@@ -27,6 +27,7 @@ use crate::sim::grasp::{
     CaseClass, GraspCase, GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, cases,
     resolution_name, simulate,
 };
+use crate::sim::solver::PhaseTimes;
 
 /// Grasps of each thread in the measurement of throughput.
 const GRASPS_A_THREAD: usize = 4;
@@ -90,6 +91,7 @@ struct Measured {
     newton_per_step: f64,
     newton_max: u32,
     stages: Vec<StageWork>,
+    times: PhaseTimes,
     outcome: GraspOutcome,
     outcome_ok: bool,
     lifted_m: f64,
@@ -197,18 +199,20 @@ fn measure_case(
     repeat: u32,
 ) -> Result<Measured> {
     let mut wall_s = f64::INFINITY;
-    let mut summary = None;
+    let mut best = None;
     for _ in 0..repeat {
         let started = Instant::now();
         let result = pool.install(|| simulate(scene, &settings.protocol, &settings.solver))?;
-        wall_s = wall_s.min(started.elapsed().as_secs_f64());
-        summary = Some(GraspSummary::of(
-            &result,
-            &settings.protocol,
-            settings.solver.dt_s,
-        ));
+        let elapsed = started.elapsed().as_secs_f64();
+        if elapsed < wall_s {
+            wall_s = elapsed;
+            let dt_s = settings.solver.dt_s;
+            let summary = GraspSummary::of(&result, &settings.protocol, dt_s);
+            best = Some((summary, result.times));
+        }
     }
-    let summary = summary.ok_or_else(|| Error::new(ErrorKind::Internal, "nothing was repeated"))?;
+    let (summary, times) =
+        best.ok_or_else(|| Error::new(ErrorKind::Internal, "nothing was repeated"))?;
     Ok(Measured {
         case: case.name,
         class: case.class,
@@ -218,6 +222,7 @@ fn measure_case(
         newton_per_step: summary.newton_per_step,
         newton_max: summary.newton_max,
         stages: summary.stages,
+        times,
         outcome: summary.outcome,
         outcome_ok: summary.outcome == case.expected,
         lifted_m: summary.lifted_m,

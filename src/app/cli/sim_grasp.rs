@@ -28,9 +28,10 @@ use crate::geometry::Pose;
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::{
     ForceRule, GraspOutcome, GraspPose, GraspResult, GraspSettings, GraspSummary, Placed,
-    Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT, TraceFile, plot, simulate,
+    Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT, TraceFile, plot, resting_pose,
+    simulate,
 };
-use crate::sim::solver::Drive;
+use crate::sim::solver::{Drive, PhaseTimes};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -222,6 +223,7 @@ struct Report {
     #[serde(flatten)]
     summary: GraspSummary,
     wall_s: f64,
+    times: PhaseTimes,
     object: ObjectRecord,
     pose: PoseRecord,
     parameters: GraspSettings,
@@ -232,13 +234,26 @@ struct PoseRecord {
     t_world_object: Pose,
     t_object_gripper: Pose,
     opening_m: f64,
+    /// How the object lies, where that was not given.
+    stable_pose: Option<StablePoseRecord>,
+}
+
+#[derive(Clone, Copy, Serialize)]
+struct StablePoseRecord {
+    index: usize,
+    probability: f64,
+    tip_angle_deg: f64,
 }
 
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     args.out.check()?;
     let object = SimObject::load(&args.object)?;
-    let (t_world_object, placed) = place(&object, &args.place)?;
+    let Place {
+        t_world_object,
+        stable_pose,
+        placed,
+    } = place(&object, &args.place)?;
     let settings = args.settings.settings();
     let scene = Scene {
         mesh: object.mesh.clone(),
@@ -262,11 +277,13 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         .splice(0..0, object.warnings.iter().cloned());
     let report = Report {
         wall_s,
+        times: result.times,
         object: object.record(&args.object),
         pose: PoseRecord {
             t_world_object,
             t_object_gripper: t_world_object.inverse() * placed.t_world_gripper,
             opening_m: placed.opening_m,
+            stable_pose,
         },
         parameters: settings,
         summary,
@@ -280,27 +297,36 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     finish(context, &report)
 }
 
-fn place(object: &SimObject, flags: &PlaceFlags) -> Result<(Pose, Placed)> {
-    if let Some(path) = &flags.pose {
-        let text = fs::read_to_string(path)
-            .map_err(|e| Error::io("cannot read the pose", e).at(path.display()))?;
-        let mut pose = GraspPose::from_json(&text).map_err(|e| e.at(path.display()))?;
-        pose.opening_m = flags.width.or(pose.opening_m);
-        let t_world_object = match (pose.t_world_object, flags.stable_pose) {
-            (Some(_), Some(_)) => {
-                return Err(Error::new(
-                    ErrorKind::Usage,
-                    "`--stable-pose` contradicts the `t_world_object` of the pose file",
-                )
-                .at(path.display())
-                .remedy("leave one of them out"));
-            }
-            (Some(given), None) => given,
-            (None, stable_pose) => object.resting_pose(stable_pose)?,
+/// Where the object lies and the gripper stands.
+struct Place {
+    t_world_object: Pose,
+    stable_pose: Option<StablePoseRecord>,
+    placed: Placed,
+}
+
+fn place(object: &SimObject, flags: &PlaceFlags) -> Result<Place> {
+    let resting = || -> Result<(Pose, Option<StablePoseRecord>)> {
+        let (index, pose) = resting_pose(&object.mesh, flags.stable_pose)?;
+        let record = StablePoseRecord {
+            index,
+            probability: pose.probability,
+            tip_angle_deg: pose.tip_angle_rad.to_degrees(),
         };
-        return Ok((t_world_object, pose.place(&object.mesh, &t_world_object)));
+        Ok((pose.t_world_object, Some(record)))
+    };
+    if let Some(path) = &flags.pose {
+        let pose = read_pose(path, flags)?;
+        let (t_world_object, stable_pose) = match pose.t_world_object {
+            Some(given) => (given, None),
+            None => resting()?,
+        };
+        return Ok(Place {
+            t_world_object,
+            stable_pose,
+            placed: pose.place(&object.mesh, &t_world_object),
+        });
     }
-    let t_world_object = object.resting_pose(flags.stable_pose)?;
+    let (t_world_object, stable_pose) = resting()?;
     let placement = Placement {
         yaw_rad: flags.yaw_deg.to_radians(),
         tilt_rad: flags.tilt_deg.to_radians(),
@@ -309,8 +335,27 @@ fn place(object: &SimObject, flags: &PlaceFlags) -> Result<(Pose, Placed)> {
         height_m: flags.height,
         opening_m: flags.width,
     };
-    let placed = placement.place(&object.mesh, &t_world_object)?;
-    Ok((t_world_object, placed))
+    Ok(Place {
+        t_world_object,
+        stable_pose,
+        placed: placement.place(&object.mesh, &t_world_object)?,
+    })
+}
+
+fn read_pose(path: &Path, flags: &PlaceFlags) -> Result<GraspPose> {
+    let text = fs::read_to_string(path)
+        .map_err(|e| Error::io("cannot read the pose", e).at(path.display()))?;
+    let mut pose = GraspPose::from_json(&text).map_err(|e| e.at(path.display()))?;
+    if pose.t_world_object.is_some() && flags.stable_pose.is_some() {
+        return Err(Error::new(
+            ErrorKind::Usage,
+            "`--stable-pose` contradicts the `t_world_object` of the pose file",
+        )
+        .at(path.display())
+        .remedy("leave one of them out"));
+    }
+    pose.opening_m = flags.width.or(pose.opening_m);
+    Ok(pose)
 }
 
 /// Simulates, and says how long it took.

@@ -2,12 +2,11 @@
 
 use std::path::Path;
 
-use glam::DVec3;
 use serde::Serialize;
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{
-    LengthUnit, Pose, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
+    LengthUnit, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
 };
 
 /// Flags that choose the object.
@@ -40,7 +39,6 @@ fn unit(text: &str) -> Result<LengthUnit, String> {
 pub(super) struct SimObject {
     pub(super) mesh: TriangleMesh,
     pub(super) warnings: Vec<String>,
-    is_builtin: bool,
 }
 
 /// What is said about the object in a result.
@@ -57,7 +55,6 @@ pub(super) struct ObjectRecord {
 impl SimObject {
     /// Reads, scales and checks the object.
     pub(super) fn load(flags: &ObjectFlags) -> Result<Self> {
-        let is_builtin = flags.object.starts_with("builtin:");
         if !(flags.scale.is_finite() && flags.scale > 0.0) {
             return Err(Error::new(
                 ErrorKind::Input,
@@ -65,7 +62,7 @@ impl SimObject {
             ));
         }
         let path = Path::new(&flags.object);
-        let mesh = if is_builtin {
+        let mesh = if flags.object.starts_with("builtin:") {
             builtin(&flags.object)?
         } else if builtin(&flags.object).is_ok() && !path.exists() {
             return Err(
@@ -79,11 +76,7 @@ impl SimObject {
         let Prepared { mesh, warnings } =
             prepare(&mesh.scaled(flags.scale), &PrepareOptions::default())
                 .map_err(|e| e.at(&flags.object))?;
-        Ok(Self {
-            mesh,
-            warnings,
-            is_builtin,
-        })
+        Ok(Self { mesh, warnings })
     }
 
     /// What is said about it in a result.
@@ -96,11 +89,5 @@ impl SimObject {
             mass_kg: flags.mass_kg,
             friction: flags.friction,
         }
-    }
-
-    /// The object on the ground.
-    pub(super) fn resting_pose(&self, stable_pose: Option<usize>) -> Result<Pose> {
-        let _ = (stable_pose, self.is_builtin);
-        Ok(Pose::from_translation(DVec3::Z * -self.mesh.bounds().min.z))
     }
 }

@@ -118,11 +118,15 @@ impl Display {
         if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} {elapsed}") {
             bar.set_style(style);
         }
+        let has_lines = !context.quiet && !on_terminal;
+        if has_lines {
+            eprintln!("{label}");
+        }
         Self {
             bar,
             label,
             started: Instant::now(),
-            has_lines: !context.quiet && !on_terminal,
+            has_lines,
         }
     }
 

@@ -15,7 +15,7 @@ mod trace;
 mod trace_file;
 
 pub use cases::{CaseClass, CaseObject, GraspCase, cases};
-pub use placement::{GraspPose, Placed, Placement};
+pub use placement::{GraspPose, Placed, Placement, resting_pose};
 pub use plot::plot;
 pub use protocol::{ForceRule, Protocol};
 pub use run::{GraspOutcome, GraspResult, simulate};

@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{Aabb, Pose, TriangleMesh};
+use crate::geometry::{Aabb, Pose, StablePose, TriangleMesh, stable_poses};
 
 /// Free space that is left between the object and each gel, m.
 const SIDE_CLEARANCE_M: f64 = 1e-3;
@@ -32,6 +32,38 @@ pub struct Placement {
     pub height_m: Option<f64>,
     /// Distance between the gels' faces at the start, m.
     pub opening_m: Option<f64>,
+}
+
+/// An object that lies this close to a stable pose already is put into that one, rad.
+const NEAR_STABLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+
+/// The stable pose of an object, and its number by falling probability: number `wanted`, else the
+/// one nearest to how the mesh stands if that is within 5°, else the most probable.
+///
+/// # Errors
+/// `Input` if there is no such pose, or none at all.
+pub fn resting_pose(mesh: &TriangleMesh, wanted: Option<usize>) -> Result<(usize, StablePose)> {
+    let poses = stable_poses(mesh, 0.0)?;
+    let turn = |pose: &StablePose| 2.0 * pose.t_world_object.rotation.w.abs().min(1.0).acos();
+    let nearest = || {
+        let all = poses.iter().map(turn).enumerate();
+        all.filter(|(_, turn)| *turn < NEAR_STABLE_RAD)
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(index, _)| index)
+    };
+    let index = wanted.or_else(nearest).unwrap_or(0);
+    let pose = poses.get(index).ok_or_else(|| {
+        Error::new(
+            ErrorKind::Input,
+            format!(
+                "there is no stable pose {index}: the object has {} (0 to {})",
+                poses.len(),
+                poses.len().saturating_sub(1)
+            ),
+        )
+        .remedy("pass a smaller --stable-pose, or --pose with t_world_object")
+    })?;
+    Ok((index, *pose))
 }
 
 /// Where the gripper stands.
@@ -224,6 +256,24 @@ mod tests {
         let shift = placed.t_world_gripper.rotation.conjugate()
             * (placed.t_world_gripper.translation_m - DVec3::Z * 0.03);
         assert!((shift - DVec3::new(0.005, 0.002, 0.0)).length() < 1e-12);
+    }
+
+    #[test]
+    fn objects_rest_as_they_stand_where_that_is_stable() {
+        for name in ["box", "mug", "wedge", "sphere"] {
+            let (_, pose) = resting_pose(&builtin(name).unwrap(), None).unwrap();
+            assert!(pose.t_world_object.rotation.w > 0.999, "{name}");
+        }
+        let (index, pose) = resting_pose(&builtin("spike").unwrap(), None).unwrap();
+        assert_eq!(index, 0);
+        assert!(
+            pose.t_world_object.rotation.w < 0.99,
+            "it falls off its tip"
+        );
+        let (_, lying) = resting_pose(&builtin("bar").unwrap(), Some(0)).unwrap();
+        assert!(lying.t_world_object.rotation.w < 0.9);
+        let error = resting_pose(&builtin("bar").unwrap(), Some(6)).unwrap_err();
+        assert!(error.to_string().contains("has 6 (0 to 5)"), "{error}");
     }
 
     #[test]

@@ -367,6 +367,7 @@ fn escaped(text: &str) -> String {
 mod tests {
     use super::*;
     use crate::sim::grasp::{GraspResult, Protocol, sample_trace};
+    use crate::sim::solver::PhaseTimes;
 
     fn summary(trace: Trace) -> GraspSummary {
         let result = GraspResult {
@@ -374,6 +375,7 @@ mod tests {
             detail: None,
             lifted_m: 0.05,
             unconverged_steps: 0,
+            times: PhaseTimes::default(),
             trace,
         };
         GraspSummary::of(&result, &Protocol::default(), 0.01)

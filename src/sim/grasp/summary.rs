@@ -14,6 +14,8 @@ const STEADY_SHARE: f64 = 0.02;
 const STEP_ALLOWANCE: f64 = 1.1;
 /// Changes below this share of the threshold are no restlessness.
 const REST_SHARE: f64 = 1e-3;
+/// The gels' forces in the lift may differ by this share.
+const LOPSIDED_SHARE: f64 = 0.05;
 
 /// A number for each gel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -90,6 +92,7 @@ impl GraspSummary {
                 trace.steps.len()
             ));
         }
+        warnings.extend(lopsided(trace));
         let stages = [StageName::Closure, StageName::Adjustment, StageName::Lift];
         Self {
             outcome: result.outcome,
@@ -115,6 +118,27 @@ impl GraspSummary {
             warnings,
         }
     }
+}
+
+/// Once the object is off the ground both gels must push alike. Where they do not, nodes that are
+/// driven carry a part of the contact, which the force per gel leaves out.
+fn lopsided(trace: &Trace) -> Option<String> {
+    let last: Vec<&TraceStep> = trace
+        .stage(StageName::Lift)
+        .rev()
+        .take(STEADY_STEPS)
+        .collect();
+    let force = |gel: usize| -> Vec<f64> {
+        let steps = last.iter();
+        steps.map(|step| step.force[gel].normal_n).collect()
+    };
+    let (left, right) = (mean(&force(0))?, mean(&force(1))?);
+    ((left - right).abs() > LOPSIDED_SHARE * left.max(right).max(1.0)).then(|| {
+        format!(
+            "in the lift the left gel feels {left:.1} N and the right {right:.1} N: the object \
+             also touches driven nodes at the edge of a gel's back, which the force leaves out"
+        )
+    })
 }
 
 fn work(trace: &Trace, stage: StageName) -> Option<StageWork> {
@@ -194,6 +218,7 @@ fn stiffness(trace: &Trace) -> f64 {
 mod tests {
     use super::*;
     use crate::sim::grasp::sample_trace;
+    use crate::sim::solver::PhaseTimes;
 
     fn result() -> GraspResult {
         GraspResult {
@@ -201,6 +226,7 @@ mod tests {
             detail: None,
             lifted_m: 0.05,
             unconverged_steps: 1,
+            times: PhaseTimes::default(),
             trace: sample_trace(),
         }
     }
@@ -238,12 +264,24 @@ mod tests {
     }
 
     #[test]
+    fn forces_that_do_not_balance_are_told() {
+        let mut result = result();
+        for step in &mut result.trace.steps {
+            step.force[1].normal_n *= 0.8;
+        }
+        let summary = GraspSummary::of(&result, &Protocol::default(), 0.01);
+        let told = &summary.warnings[1];
+        assert!(told.contains("40.0 N") && told.contains("32.0 N"), "{told}");
+    }
+
+    #[test]
     fn a_grasp_without_steps_has_no_force() {
         let result = GraspResult {
             outcome: GraspOutcome::PenetratingStart,
             detail: Some("the left gel is inside the object".into()),
             lifted_m: 0.0,
             unconverged_steps: 0,
+            times: PhaseTimes::default(),
             trace: Trace::default(),
         };
         let summary = GraspSummary::of(&result, &Protocol::default(), 0.01);
