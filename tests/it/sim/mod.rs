@@ -1,3 +1,4 @@
-//! The simulator against other implementations and closed forms.
+//! The simulator against other implementations and closed forms, and its commands.
 
+mod cli;
 mod ipctk;
