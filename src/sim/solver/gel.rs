@@ -56,6 +56,14 @@ impl Default for GelMaterial {
     }
 }
 
+/// A node held by springs along the world's axes.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    node: u32,
+    at: DVec3,
+    stiffness: DVec3,
+}
+
 /// A gel: a tetrahedral pad whose back face is driven.
 #[derive(Debug)]
 pub struct Gel {
@@ -64,6 +72,8 @@ pub struct Gel {
     rest: Vec<DVec3>,
     driven: Vec<u32>,
     drive: Vec<f64>,
+    /// Nodes held at a world position by springs that differ by axis, N/m.
+    held: Vec<Held>,
     /// Lumped mass over dt² of the nodes that are not driven, else 0.
     inertia: Vec<f64>,
     pub(super) x: Vec<DVec3>,
@@ -135,6 +145,7 @@ impl Gel {
             target: driven.iter().map(|&node| x[node as usize]).collect(),
             driven,
             drive,
+            held: Vec::new(),
             inertia,
             start: x.clone(),
             predicted: x.clone(),
@@ -157,6 +168,26 @@ impl Gel {
             factor,
             stiffness,
         })
+    }
+
+    /// Holds nodes where they are by springs of this stiffness along each axis of the world, N/m:
+    /// with a stiff one along an axis and none along the others, a plane of symmetry.
+    #[must_use]
+    pub fn holding(mut self, nodes: impl IntoIterator<Item = u32>, stiffness: DVec3) -> Self {
+        let x = &self.x;
+        self.held.extend(nodes.into_iter().map(|node| Held {
+            node,
+            at: x[node as usize],
+            stiffness,
+        }));
+        self
+    }
+
+    /// Lets only these triangles of the gel's nodes touch the object, not its front and sides.
+    #[must_use]
+    pub fn touching_with(mut self, surface: Surface) -> Self {
+        self.surface = surface;
+        self
     }
 
     /// Positions of all nodes in the world, m.
@@ -187,6 +218,12 @@ impl Gel {
     /// Smallest distance to the object among the pairs nearer than `d_hat`, m.
     pub fn min_gap(&self) -> Option<f64> {
         self.contact.min_gap()
+    }
+
+    /// Mean distance to the object of the pairs nearer than `d_hat`, weighted by the force that
+    /// each carries, m.
+    pub fn mean_gap(&self) -> Option<f64> {
+        self.contact.mean_gap()
     }
 
     /// Number of pairs nearer than `d_hat`.
@@ -310,6 +347,10 @@ impl Gel {
         for ((&node, stiffness), target) in springs {
             energy += 0.5 * stiffness * (x[node as usize] - *target).length_squared();
         }
+        for held in &self.held {
+            let off = x[held.node as usize] - held.at;
+            energy += 0.5 * off.dot(held.stiffness * off);
+        }
         energy + elastic
     }
 
@@ -389,6 +430,10 @@ impl Gel {
             let node = node as usize;
             self.gradient[node] += (self.x[node] - *target) * *stiffness;
         }
+        for held in &self.held {
+            let node = held.node as usize;
+            self.gradient[node] += (self.x[node] - held.at) * held.stiffness;
+        }
         for (flat, g) in flat.chunks_exact_mut(3).zip(&self.gradient) {
             flat.copy_from_slice(&g.to_array());
         }
@@ -412,6 +457,10 @@ impl Gel {
         }
         for (&node, &stiffness) in self.driven.iter().zip(&self.drive) {
             pattern.add_diagonal(node as usize, [stiffness; 3], &mut self.stiffness);
+        }
+        for held in &self.held {
+            let (node, stiffness) = (held.node as usize, held.stiffness.to_array());
+            pattern.add_diagonal(node, stiffness, &mut self.stiffness);
         }
         self.coupling.clear(3 * self.x.len());
         let now = Situation {
