@@ -20,10 +20,6 @@ const AIM: f64 = 1.01;
 /// The walk ends when the distance is at most this multiple of the gap that must remain.
 const CLOSE_ENOUGH: f64 = 1.1;
 
-/// Share of the gap (times `1 - slack`) that the walk keeps more than it must; below
-/// [`CLOSE_ENOUGH`].
-const AIM: f64 = 0.05;
-
 /// Bound of the walk; the time reached by then is safe, only early.
 const MAX_ITERATIONS: usize = 1000;
 
@@ -103,9 +99,6 @@ fn time_of_impact<S: Stencil>(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> O
     if distance <= 0.0 {
         return Some(0.0);
     }
-    // A little above the gap: parallel faces meet their plane exactly, and rounding must not bring
-    // them below.
-    let aim = gap * (1.0 + AIM * (1.0 - slack));
     let mut time = 0.0;
     let mut x = *x0;
     for _ in 0..MAX_ITERATIONS {

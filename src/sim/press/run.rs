@@ -198,7 +198,11 @@ impl Press {
             system: System::new(vec![gel], object, collider, self.friction, parameters)?,
             areas,
             clearance,
-            copies: self.symmetric.iter().map(|s| if *s { 2.0 } else { 1.0 }).product(),
+            copies: self
+                .symmetric
+                .iter()
+                .map(|s| if *s { 2.0 } else { 1.0 })
+                .product(),
             step_m: self.step_m,
             driven: Goal::default(),
         })

@@ -365,7 +365,7 @@ mod tests {
             let (pointers, rows, values) = chain(n);
             let mut factor = GelFactor::new(&pointers, &rows).unwrap();
             factor.factorize(&values).unwrap();
-            let wanted: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7).sin()).collect();
+            let wanted: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7 + 0.3).sin()).collect();
             let right = times(&pointers, &rows, &values, &wanted);
             let (mut x, mut found) = (vec![0.0_f32; n], vec![0.0; n]);
             let mut scratch = Vec::new();
