@@ -124,9 +124,16 @@ fn cap(radius: f64, fineness: &Fineness) -> TriangleMesh {
         vertices: vec![at(0, 0)],
         triangles: Vec::new(),
     };
-    let start = |ring: u32| if ring == 0 { 0 } else { 1 + 3 * ring * (ring - 1) };
+    let start = |ring: u32| {
+        if ring == 0 {
+            0
+        } else {
+            1 + 3 * ring * (ring - 1)
+        }
+    };
     for ring in 1..=rings {
-        mesh.vertices.extend((0..6 * ring).map(|part| at(ring, part)));
+        mesh.vertices
+            .extend((0..6 * ring).map(|part| at(ring, part)));
         for sector in 0..6 {
             // Along one sector the outer ring has `ring` faces, the inner one less by one.
             let outer = |k: u32| start(ring) + (sector * ring + k) % (6 * ring);

@@ -201,7 +201,11 @@ impl Press {
         Ok(Run {
             system: System::new(vec![gel], object, collider, self.friction, parameters)?,
             clearance,
-            copies: self.symmetric.iter().map(|s| if *s { 2.0 } else { 1.0 }).product(),
+            copies: self
+                .symmetric
+                .iter()
+                .map(|s| if *s { 2.0 } else { 1.0 })
+                .product(),
             step_m: self.step_m,
             driven: Goal::default(),
         })

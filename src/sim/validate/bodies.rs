@@ -11,10 +11,7 @@ use crate::sim::contact::barrier::Barrier;
 use crate::sim::solver::{Object, SolverParameters, StepStart, System};
 
 /// Object without gels; the object itself is made by `place` and put at z = 1 m.
-fn alone(
-    gravity: f64,
-    make: impl FnOnce(Object) -> Object,
-) -> Result<System> {
+fn alone(gravity: f64, make: impl FnOnce(Object) -> Object) -> Result<System> {
     let parameters = SolverParameters {
         gravity_m_s2: gravity,
         newton_tolerance_m_s: 1e-10,
@@ -58,7 +55,8 @@ pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
     let angular = |system: &System| {
         // L = Σ m x × v = axial part of Ȧ S Aᵀ.
         let object = system.object();
-        let moment = object.rate().a * *object.body().second_moment() * object.state().a.transpose();
+        let moment =
+            object.rate().a * *object.body().second_moment() * object.state().a.transpose();
         moment.x_axis.y - moment.y_axis.x
     };
     system.step(&StepStart::default());
@@ -70,7 +68,12 @@ pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
     let found = system.object().rate().p * mass;
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         let pair = (velocity[axis] * mass, found[axis]);
-        recorder.check(format!("linear {name}"), pair, "kg m/s", Tolerance::Absolute(1e-12));
+        recorder.check(
+            format!("linear {name}"),
+            pair,
+            "kg m/s",
+            Tolerance::Absolute(1e-12),
+        );
     }
     let angle = spin * dt;
     let after = |n: f64| (1.0 + 2.0 * n * angle * angle).sqrt().recip();
@@ -87,16 +90,46 @@ struct Incline {
 }
 
 const INCLINES: [Incline; 10] = [
-    Incline { mu: 0.4, degrees: 15.0 },
-    Incline { mu: 0.4, degrees: 20.0 },
-    Incline { mu: 0.4, degrees: 21.5 },
-    Incline { mu: 0.4, degrees: 22.1 },
-    Incline { mu: 0.4, degrees: 23.0 },
-    Incline { mu: 0.4, degrees: 30.0 },
-    Incline { mu: 0.2, degrees: 11.0 },
-    Incline { mu: 0.2, degrees: 12.0 },
-    Incline { mu: 0.8, degrees: 38.0 },
-    Incline { mu: 0.8, degrees: 39.0 },
+    Incline {
+        mu: 0.4,
+        degrees: 15.0,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 20.0,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 21.5,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 22.1,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 23.0,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 30.0,
+    },
+    Incline {
+        mu: 0.2,
+        degrees: 11.0,
+    },
+    Incline {
+        mu: 0.2,
+        degrees: 12.0,
+    },
+    Incline {
+        mu: 0.8,
+        degrees: 38.0,
+    },
+    Incline {
+        mu: 0.8,
+        degrees: 39.0,
+    },
 ];
 
 /// Below tan θ = µ a block creeps at eps_v (1 - sqrt(1 - tan θ / µ)); above, it speeds up by
@@ -123,11 +156,21 @@ pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
             let tolerance = Tolerance::Relative(0.005);
             recorder.check(format!("{name}: creep"), (expected, now), "m/s", tolerance);
             let tolerance = Tolerance::Absolute(1e-5);
-            recorder.check(format!("{name}: no slip"), (0.0, acceleration), "m/s2", tolerance);
+            recorder.check(
+                format!("{name}: no slip"),
+                (0.0, acceleration),
+                "m/s2",
+                tolerance,
+            );
         } else {
             let expected = GRAVITY * (angle.sin() - case.mu * angle.cos());
             let tolerance = Tolerance::Relative(0.005);
-            recorder.check(format!("{name}: slip"), (expected, acceleration), "m/s2", tolerance);
+            recorder.check(
+                format!("{name}: slip"),
+                (expected, acceleration),
+                "m/s2",
+                tolerance,
+            );
         }
     }
     Ok(())

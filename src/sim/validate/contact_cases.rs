@@ -33,7 +33,12 @@ pub(super) fn balance(recorder: &mut Recorder) -> Result<()> {
             worst = worst.max((pinch.force_on_gels() + change - weight).length());
         }
         let pair = (0.0, worst);
-        recorder.check(format!("{name}: residual"), pair, "N", Tolerance::Absolute(1e-6));
+        recorder.check(
+            format!("{name}: residual"),
+            pair,
+            "N",
+            Tolerance::Absolute(1e-6),
+        );
         recorder.hold(format!("{name}: converged"), pinch.unconverged == 0);
     }
     Ok(())
@@ -69,7 +74,13 @@ pub(super) fn creep(recorder: &mut Recorder) -> Result<()> {
 
 /// A box between two fingers lifts exactly if 2 µ F exceeds its weight.
 pub(super) fn lift(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
-    let all = [(0.057, 0.4), (0.2, 0.4), (0.057, 0.1), (0.07, 0.8), (1.0, 0.4)];
+    let all = [
+        (0.057, 0.4),
+        (0.2, 0.4),
+        (0.057, 0.1),
+        (0.07, 0.8),
+        (1.0, 0.4),
+    ];
     let some = if is_quick { &all[..1] } else { &all[..] };
     for &(mass, mu) in some {
         let critical = mass * GRAVITY / (2.0 * mu);
@@ -77,7 +88,10 @@ pub(super) fn lift(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
             let outcome = lift_box(mass, mu, share * critical)?;
             let lifts = outcome == GraspOutcome::Success;
             let name = format!("{mass} kg, mu {mu}, {share} of {critical:.3} N");
-            recorder.hold(name, lifts == (share > 1.0) && outcome != GraspOutcome::NotConverged);
+            recorder.hold(
+                name,
+                lifts == (share > 1.0) && outcome != GraspOutcome::NotConverged,
+            );
         }
     }
     Ok(())
@@ -151,7 +165,12 @@ pub(super) fn gap(recorder: &mut Recorder) -> Result<()> {
         let mean = point.normal_n / (0.025 * 0.02);
         let expected = gap_at(&barrier, NODE_WEIGHT, mean);
         let name = format!("{:.1} kPa", 1e-3 * mean);
-        recorder.check(name, (expected, point.gap_m), "m", Tolerance::Relative(0.01));
+        recorder.check(
+            name,
+            (expected, point.gap_m),
+            "m",
+            Tolerance::Relative(0.01),
+        );
     }
     Ok(())
 }
@@ -177,14 +196,24 @@ pub(super) fn drive(recorder: &mut Recorder) -> Result<()> {
         let name = format!("{}x{}x{}", nodes[0], nodes[1], nodes[2]);
         let found = compliance(&grid, Drive::PerArea(5e9))?;
         let pair = (5e9 * area, found);
-        recorder.check(format!("area {name}"), pair, "N/m", Tolerance::Relative(1e-3));
+        recorder.check(
+            format!("area {name}"),
+            pair,
+            "N/m",
+            Tolerance::Relative(1e-3),
+        );
         let dt = SolverParameters::default().dt_s;
         let back_mass = 1000.0 * area * 0.5 * 0.004 / (nodes[2] - 1) as f64;
         let pair = (
             5e4 * back_mass / (dt * dt),
             compliance(&grid, Drive::PerMass(5e4))?,
         );
-        recorder.check(format!("taccel {name}"), pair, "N/m", Tolerance::Relative(1e-2));
+        recorder.check(
+            format!("taccel {name}"),
+            pair,
+            "N/m",
+            Tolerance::Relative(1e-2),
+        );
     }
     Ok(())
 }

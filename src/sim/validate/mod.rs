@@ -60,11 +60,10 @@ pub fn run(names: &[String], effort: Effort) -> Result<Report> {
     if let Some(name) = names.iter().find(|n| !CASE_NAMES.contains(&n.as_str())) {
         let hint = nearest_name(name, CASE_NAMES.iter().copied());
         let hint = hint.map_or(String::new(), |n| format!("did you mean {n}? "));
-        return Err(Error::new(
-            ErrorKind::Usage,
-            format!("there is no case named {name:?}"),
-        )
-        .remedy(format!("{hint}known are: {}", CASE_NAMES.join(", "))));
+        return Err(
+            Error::new(ErrorKind::Usage, format!("there is no case named {name:?}"))
+                .remedy(format!("{hint}known are: {}", CASE_NAMES.join(", "))),
+        );
     }
     let mut report = Report::default();
     for &group in CASE_NAMES {
@@ -87,7 +86,7 @@ fn run_group(group: &str, is_quick: bool, recorder: &mut Recorder) -> Result<()>
         "gap" => contact_cases::gap(recorder),
         "drive" => contact_cases::drive(recorder),
         "lift" => contact_cases::lift(recorder, is_quick),
-        "determinism" => grasp_cases::determinism(recorder),
+        "determinism" => grasp_cases::determinism(recorder, is_quick),
         "penetration" => grasp_cases::penetration(recorder, if is_quick { 7 } else { 200 }),
         "press-plate" => press_cases::plate().run(recorder, is_quick),
         "press-cylinder" => press_cases::cylinder().run(recorder, is_quick),
