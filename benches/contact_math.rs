@@ -20,7 +20,7 @@ use rand_pcg::Pcg64;
 
 type Points = [DVec3; 4];
 
-const COUNT: usize = 1024;
+const COUNT: usize = 8192;
 const BARRIER: Barrier = Barrier {
     kappa: 3e6,
     d_hat: 5e-4,

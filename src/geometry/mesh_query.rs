@@ -166,7 +166,7 @@ impl MeshQuery {
 
 /// Point of a triangle nearest to `p`, with its weights (Ericson, Real-Time Collision Detection,
 /// 2005, §5.1.5: the Voronoi regions of corners, sides and face in turn).
-fn closest_on_triangle(p: DVec3, &[a, b, c]: &[DVec3; 3]) -> ([f64; 3], DVec3) {
+pub(super) fn closest_on_triangle(p: DVec3, &[a, b, c]: &[DVec3; 3]) -> ([f64; 3], DVec3) {
     let weights = closest_weights(p, a, b, c);
     let [wa, wb, wc] = weights;
     (weights, a * wa + b * wb + c * wc)

@@ -6,15 +6,26 @@
 mod aabb;
 mod builtin;
 mod bvh;
+mod check;
+mod convex_hull;
 mod mass_properties;
 mod mesh;
+mod mesh_file;
 mod mesh_query;
 mod pose;
+#[cfg(test)]
+mod sample_data;
+mod stable_poses;
+mod weld;
 
 pub use aabb::Aabb;
 pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
+pub use check::{PrepareOptions, Prepared, prepare};
+pub use convex_hull::convex_hull;
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
+pub use mesh_file::{LengthUnit, MeshFormat, load_mesh, read_mesh, save_mesh};
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
 pub use pose::Pose;
+pub use stable_poses::{StablePose, stable_poses};

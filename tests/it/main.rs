@@ -13,3 +13,4 @@ mod program;
 mod rig;
 mod screen;
 mod shared_data;
+mod sim;

@@ -10,6 +10,7 @@ use crate::app::config as settings;
 use crate::error::{Error, ErrorKind, Result};
 
 mod bench;
+mod bench_grasp;
 mod bench_live;
 mod bench_predict;
 mod collect;
@@ -19,6 +20,10 @@ mod dataset;
 mod predict;
 mod python_peer;
 mod rig;
+mod sim;
+mod sim_grasp;
+mod sim_object;
+mod working;
 
 /// Collect grasps with touch; predict before the lift whether they hold.
 #[derive(Debug, Parser)]
@@ -89,6 +94,8 @@ enum Verb {
     Predict(predict::Args),
     /// Look at, verify, repair, index and split a dataset
     Dataset(dataset::Args),
+    /// Simulate grasps
+    Sim(sim::Args),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -117,6 +124,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Rig(args) => rig::run(&context, args),
         Verb::Predict(args) => predict::run(&context, args),
         Verb::Dataset(args) => dataset::run(&context, args),
+        Verb::Sim(args) => sim::run(&context, args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),

@@ -23,7 +23,8 @@ use crate::session::{PendingFrame, StoreReply, StoreRequest};
 const INDEX_PAUSE: Duration = Duration::from_millis(150);
 
 /// How long a save waits for the model; the grasp is saved without a prediction after that.
-const JUDGE_PATIENCE: Duration = Duration::from_millis(500);
+/// Only a model that hangs takes this long; a loaded machine has needed more than half a second.
+const JUDGE_PATIENCE: Duration = Duration::from_secs(5);
 
 /// What the writing thread is asked.
 #[derive(Debug)]

@@ -23,7 +23,7 @@ pub const BUILTIN_NAMES: &[&str] = &["box", "sphere", "cylinder", "mug", "wedge"
 /// | `sphere` | radius 25 mm, 36 meridians, 19 rings of faces | 1296 |
 /// | `cylinder` | upright, diameter 50 mm, height 80 mm | 3920 |
 /// | `mug` | diameter 60 mm, height 80 mm, wall 4 mm, handle towards +x to 63 mm from the axis | 8896 |
-/// | `wedge` | 40 mm deep, 50 mm high; 50 mm wide at the bottom, 30 mm at the top: sides tilted by 11.3° | 2640 |
+/// | `wedge` | 40 mm deep, 50 mm high; 50 mm wide at the bottom, 30 mm at the top: sides tilted by 11.3° | 3312 |
 /// | `bar` | 10 × 20 × 120 mm | 2048 |
 /// | `spike` | octahedron, corners at ±20, ±20, ±35 mm | 1152 |
 ///
@@ -112,7 +112,7 @@ mod tests {
             ("sphere", [50.0, 50.0, 50.0], 1296),
             ("cylinder", [50.0, 50.0, 80.0], 3920),
             ("mug", [93.0, 60.0, 80.0], 8896),
-            ("wedge", [50.0, 40.0, 50.0], 2640),
+            ("wedge", [50.0, 40.0, 50.0], 3312),
             ("bar", [10.0, 20.0, 120.0], 2048),
             ("spike", [40.0, 40.0, 70.0], 1152),
         ];

@@ -221,3 +221,7 @@ fn add_mode(hessian: &mut Matrix12, weight: f64, mode: &DMat3) {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "body_test.rs"]
+mod tests;

@@ -53,3 +53,47 @@ impl Cholesky {
         x
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    /// B B^T + I for a random B: positive definite.
+    fn matrix(rng: &mut Pcg64) -> Matrix12 {
+        let b: Matrix12 =
+            std::array::from_fn(|_| std::array::from_fn(|_| rng.random_range(-1.0..1.0)));
+        std::array::from_fn(|i| {
+            std::array::from_fn(|j| {
+                let product: f64 = (0..12).map(|k| b[i][k] * b[j][k]).sum();
+                product + if i == j { 1.0 } else { 0.0 }
+            })
+        })
+    }
+
+    #[test]
+    fn solutions_satisfy_the_equations() {
+        let mut rng = Pcg64::seed_from_u64(2);
+        for _ in 0..20 {
+            let m = matrix(&mut rng);
+            let b: Vector12 = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
+            let x = Cholesky::new(&m).unwrap().solve(&b);
+            for (row, b) in m.iter().zip(b) {
+                let found: f64 = row.iter().zip(&x).map(|(a, x)| a * x).sum();
+                assert!((found - b).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn indefinite_and_broken_matrices_have_no_factor() {
+        let mut rng = Pcg64::seed_from_u64(2);
+        let good = matrix(&mut rng);
+        for (value, k) in [(-1.0, 0), (-1.0, 11), (f64::NAN, 5), (f64::INFINITY, 5)] {
+            let mut m = good;
+            m[k][k] = value;
+            assert!(Cholesky::new(&m).is_none(), "{value}");
+        }
+    }
+}

@@ -165,3 +165,118 @@ pub fn add_point_hessian(x: DVec3, y: DVec3, block: &DMat3, hessian: &mut Matrix
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::needless_range_loop,
+        reason = "rows and columns of several matrices at once"
+    )]
+
+    use super::*;
+
+    fn turn() -> DMat3 {
+        DMat3::from_rotation_z(0.8) * DMat3::from_rotation_x(-0.3)
+    }
+
+    #[test]
+    fn the_twelve_numbers_are_p_and_the_columns() {
+        let s = AffineState {
+            p: DVec3::new(1.0, 2.0, 3.0),
+            a: DMat3::from_cols_array(&[4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0]),
+        };
+        let q = s.to_array();
+        assert_eq!(q, std::array::from_fn(|k| k as f64 + 1.0));
+        assert_eq!(AffineState::from_array(&q), s);
+        let x = DVec3::new(0.5, -1.0, 2.0);
+        let w = axis_weights(x);
+        let point: DVec3 = (0..4).map(|k| w[k] * DVec3::from_slice(&q[3 * k..])).sum();
+        assert!(point.abs_diff_eq(s.point(x), 1e-14));
+    }
+
+    #[test]
+    fn point_gradient_and_hessian_are_those_of_the_jacobian() {
+        let (x, y) = (DVec3::new(0.1, -0.2, 0.3), DVec3::new(-0.4, 0.5, 0.6));
+        let force = DVec3::new(1.0, -2.0, 4.0);
+        let block = DMat3::from_cols_array(&std::array::from_fn(|k| k as f64 - 3.5));
+        let (mut g, mut h) = ([0.0; 12], [[0.0; 12]; 12]);
+        add_point_gradient(x, force, &mut g);
+        add_point_hessian(x, y, &block, &mut h);
+        let jacobian = |p: DVec3, k: usize| {
+            let mut unit = [0.0; 12];
+            unit[k] = 1.0;
+            AffineState::from_array(&unit).point(p)
+        };
+        for r in 0..12 {
+            assert!((g[r] - jacobian(x, r).dot(force)).abs() < 1e-14);
+            for c in 0..12 {
+                let expected = jacobian(x, r).dot(block * jacobian(y, c));
+                assert!((h[r][c] - expected).abs() < 1e-14, "{r} {c}");
+            }
+        }
+    }
+
+    #[test]
+    fn nearest_rotation_of_a_stretch_is_its_rotation() {
+        let stretch = DMat3::from_rotation_y(0.4)
+            * DMat3::from_diagonal(DVec3::new(0.5, 1.0, 1.7))
+            * DMat3::from_rotation_y(-0.4);
+        for a in [turn(), turn() * 3.0, turn() * stretch] {
+            let s = AffineState { p: DVec3::ZERO, a };
+            assert!(s.nearest_rotation().abs_diff_eq(turn(), 1e-13));
+        }
+    }
+
+    #[test]
+    fn nearest_rotation_is_one_even_for_mirrored_and_flat() {
+        let mirrored = turn() * DMat3::from_diagonal(DVec3::new(1.0, 0.9, -0.1));
+        for a in [
+            mirrored,
+            turn() * DMat3::from_diagonal(DVec3::new(1.0, 0.9, 0.0)),
+            DMat3::ZERO,
+        ] {
+            let r = AffineState { p: DVec3::ZERO, a }.nearest_rotation();
+            assert!((r.determinant() - 1.0).abs() < 1e-13);
+            assert!((r.transpose() * r).abs_diff_eq(DMat3::IDENTITY, 1e-13));
+        }
+        let nearest = AffineState {
+            p: DVec3::ZERO,
+            a: mirrored,
+        }
+        .nearest_rotation();
+        assert!(nearest.abs_diff_eq(turn(), 1e-13));
+    }
+
+    #[test]
+    fn rigid_predictor_turns_without_strain() {
+        let start = AffineState::rigid(DVec3::X, turn());
+        let omega = DVec3::new(0.3, -0.4, 1.2);
+        let spin = DMat3::from_cols(
+            omega.cross(DVec3::X),
+            omega.cross(DVec3::Y),
+            omega.cross(DVec3::Z),
+        );
+        let rate = AffineRate {
+            p: DVec3::Y,
+            a: spin * start.a,
+        };
+        let (g, dt) = (DVec3::new(0.0, 0.0, -9.81), 0.1);
+        let next = start.rigid_predictor(&rate, g, dt);
+        let inertial = start.inertial(&rate, g, dt);
+        assert_eq!(next.p, inertial.p);
+        assert!((next.a.transpose() * next.a).abs_diff_eq(DMat3::IDENTITY, 1e-14));
+        let expected = DMat3::from_quat(glam::DQuat::from_scaled_axis(omega * dt)) * turn();
+        assert!(next.a.abs_diff_eq(expected, 1e-14));
+        assert!(next.a.abs_diff_eq(inertial.a, 0.5 * (0.13_f64).powi(2)));
+    }
+
+    #[test]
+    fn steps_and_rates_undo_each_other() {
+        let start = AffineState::rigid(DVec3::X, turn());
+        let step = std::array::from_fn(|k| 0.01 * k as f64);
+        let next = start.stepped(&step, 0.5);
+        let rate = next.rate_since(&start, 0.1);
+        let back = next.inertial(&rate, DVec3::ZERO, -0.1);
+        assert!(back.p.abs_diff_eq(start.p, 1e-15) && back.a.abs_diff_eq(start.a, 1e-15));
+    }
+}

@@ -6,23 +6,22 @@
 //! features (conservative advancement, Mirtich 1996), which lets features slide past each other in
 //! few steps.
 //!
-//! With `g = slack · (initial distance)`, both bounds keep the distance at g or more. So for a
-//! returned time t, and up to the end of the step if there is none, the distance never falls
-//! below g, and the returned time is where it comes within a tenth of g.
+//! With `g = slack · (initial distance)`, both bounds keep the distance at g or more. So up to a
+//! returned time, and up to the end of the step if there is none, the distance never falls below
+//! g; at the returned time it is at most 1.1 g.
 
 use glam::DVec3;
 
 use super::distance::{Closest, edge_edge, point_triangle};
 
+/// Steps aim at this multiple of the gap that must remain, so that rounding does not go below it.
+const AIM: f64 = 1.01;
+
 /// The walk ends when the distance is at most this multiple of the gap that must remain.
 const CLOSE_ENOUGH: f64 = 1.1;
 
-/// Share of the gap (times `1 - slack`) that the walk keeps more than it must; below
-/// [`CLOSE_ENOUGH`].
-const AIM: f64 = 0.05;
-
 /// Bound of the walk; the time reached by then is safe, only early.
-const MAX_ITERATIONS: usize = 256;
+const MAX_ITERATIONS: usize = 1000;
 
 /// A stencil with its split into two convex features.
 trait Stencil {
@@ -93,15 +92,13 @@ fn time_of_impact<S: Stencil>(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> O
     let mut closest = S::closest(x0);
     let mut distance = closest.distance();
     let gap = slack * distance;
-    if bound <= distance - gap {
+    let aim = AIM * gap;
+    if bound <= distance - aim {
         return None;
     }
     if distance <= 0.0 {
         return Some(0.0);
     }
-    // A little above the gap: parallel faces meet their plane exactly, and rounding must not bring
-    // them below.
-    let aim = gap * (1.0 + AIM * (1.0 - slack));
     let mut time = 0.0;
     let mut x = *x0;
     for _ in 0..MAX_ITERATIONS {
@@ -113,7 +110,7 @@ fn time_of_impact<S: Stencil>(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> O
         x = std::array::from_fn(|i| x0[i] + motion[i] * next);
         closest = S::closest(&x);
         distance = closest.distance();
-        // Rounding alone can bring it below.
+        // Only where the gap is as small as the rounding of positions.
         if distance < gap {
             return Some(time);
         }
@@ -139,7 +136,7 @@ pub fn edge_edge_reach(motion: &[DVec3; 4]) -> f64 {
 }
 
 /// Time in [0, 1] up to which a point and a triangle may move from `x0` to `x1`, stencil
-/// `[p, t0, t1, t2]`, so that `slack` (in (0, 1)) of their distance remains; nothing when the whole
+/// `[p, t0, t1, t2]`, so that `slack` (in (0, 0.9]) of their distance remains; nothing when the whole
 /// step may be taken. 0 when they touch already and move against each other.
 #[inline]
 pub fn point_triangle_toi(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> Option<f64> {

@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 /// Below this squared sine of two sides a triangle takes the slower path that stays accurate.
-const THIN: f64 = 1e-8;
+const THIN: f64 = 1e-4;
 
 /// Below this squared sine a triangle has no inside.
 const FLAT: f64 = 1e-20;

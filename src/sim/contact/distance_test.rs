@@ -1,4 +1,5 @@
-use glam::DVec3;
+use glam::{DQuat, DVec3};
+use proptest::prelude::*;
 
 use super::super::stencil_cases::{self as cases, Points, SCALES, assert_close, difference, flat};
 use super::*;
@@ -167,6 +168,31 @@ fn degenerate_stencils_have_finite_answers() {
 }
 
 #[test]
+fn thin_triangles_keep_their_inside() {
+    for width in [1e-2, 1e-4, 1e-5, 1e-7, 1e-9, 1e-11, 0.0] {
+        for (share, height) in [
+            (0.4, 1e-6),
+            (0.4, 0.1),
+            (-2.0, 0.1),
+            (3.0, 1e-6),
+            (0.1, 0.0),
+        ] {
+            let p = DVec3::new(0.7, share * width, height);
+            let x = [p, DVec3::ZERO, DVec3::X, DVec3::new(0.8, width, 0.0)];
+            for (i, j, k) in [(1, 2, 3), (2, 3, 1), (3, 1, 2), (3, 2, 1)] {
+                let turned = [x[0], x[i], x[j], x[k]];
+                let closest = closest_pt(&turned);
+                check(&turned, &closest, 1.0, false);
+                if (0.0..1.0).contains(&share) && width > 1e-8 {
+                    let error = (closest.distance() - height).abs();
+                    assert!(error <= 1e-12 + 1e-17 / width, "{error:e} at {turned:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn point_over_edge_and_plane() {
     let closest = point_edge(DVec3::new(0.25, 2.0, 0.0), DVec3::ZERO, DVec3::X);
     assert_eq!(closest.weights, [1.0, -0.75, -0.25, 0.0]);
@@ -174,4 +200,58 @@ fn point_over_edge_and_plane() {
     assert_eq!(closest.region(), Region::PointEdge(0, 1, 2));
     let height = point_plane(DVec3::new(3.0, 2.0, 0.5), DVec3::Z, DVec3::Z);
     assert_eq!(height, -0.5);
+}
+
+/// Coordinates that often coincide or line up.
+fn coordinate() -> impl Strategy<Value = f64> {
+    prop_oneof![-1.0..1.0_f64, (-2_i32..=2).prop_map(|n| f64::from(n) * 0.5)]
+}
+
+fn stencil() -> impl Strategy<Value = Points> {
+    let point = || prop::array::uniform3(coordinate()).prop_map(DVec3::from_array);
+    [point(), point(), point(), point()]
+}
+
+/// Both squared distances of a stencil.
+fn squared(x: &Points) -> [f64; 2] {
+    [closest_pt(x).squared, closest_ee(x).squared]
+}
+
+fn same_distance(a: f64, b: f64) -> bool {
+    (a.sqrt() - b.sqrt()).abs() <= 1e-8
+}
+
+proptest! {
+    #[test]
+    fn distance_is_invariant_to_rigid_motion(
+        x in stencil(),
+        angles in prop::array::uniform3(-3.0..3.0_f64),
+        shift in prop::array::uniform3(-1.0..1.0_f64),
+    ) {
+        let [a, b, c] = angles;
+        let turn = DQuat::from_euler(glam::EulerRot::XYZ, a, b, c);
+        let moved = x.map(|p| turn * p + DVec3::from_array(shift));
+        for (before, after) in squared(&x).into_iter().zip(squared(&moved)) {
+            prop_assert!(same_distance(before, after), "{before} became {after}");
+        }
+    }
+
+    #[test]
+    fn distance_does_not_depend_on_the_order_of_points(x in stencil()) {
+        let [pt, ee] = squared(&x);
+        for order in [[0, 2, 3, 1], [0, 3, 1, 2], [0, 1, 3, 2]] {
+            let [other, _] = squared(&order.map(|i: usize| x[i]));
+            prop_assert!(same_distance(pt, other), "{pt} became {other}");
+        }
+        for order in [[1, 0, 2, 3], [0, 1, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]] {
+            let [_, other] = squared(&order.map(|i: usize| x[i]));
+            prop_assert!(same_distance(ee, other), "{ee} became {other}");
+        }
+    }
+
+    #[test]
+    fn closest_points_beat_samples_where_points_coincide(x in stencil()) {
+        check(&x, &closest_pt(&x), 1.0, false);
+        check(&x, &closest_ee(&x), 1.0, true);
+    }
 }

@@ -3,6 +3,9 @@
 //! Local frame: x and y in the plane of the faces, z from the back face (z = 0, driven) to the
 //! front face (z = thickness, the one that touches). Every cell has five tetrahedra; the two
 //! possible cuts alternate with the parity of the cell, so that neighbours share diagonals.
+//! Against the reference forces of a pressed gel five are nearer than six per cell (26 x 21 x 5
+//! nodes: flat plate +0.9 against +1.1 %, sphere of 10 mm at 0.4 mm +0.7 against +5.7 %), with a
+//! sixth fewer elements; not so where the patch is one element wide (13 x 11 x 3, 0.2 mm).
 
 use glam::DVec3;
 
@@ -323,7 +326,7 @@ fn towards_end(nodes: usize, length: f64, exponent: f64) -> Vec<f64> {
 fn towards_point(nodes: usize, half: f64, centre: f64, exponent: f64) -> Vec<f64> {
     let cells = nodes - 1;
     if exponent == 1.0 {
-        let at = |i: usize| half * (2.0 * i as f64 - cells as f64) / cells as f64;
+        let at = |i: usize| half * ((2.0 * i as f64 - cells as f64) / cells as f64);
         return (0..nodes).map(at).collect();
     }
     // Place of the centre on the uniform parameter; it need not be a node.
@@ -403,3 +406,7 @@ fn tet_volume(tet: &[u32; 4], positions: &[DVec3]) -> f64 {
     let [a, b, c, d] = tet.map(|v| positions[v as usize]);
     (b - a).cross(c - a).dot(d - a) / 6.0
 }
+
+#[cfg(test)]
+#[path = "grid_test.rs"]
+mod tests;

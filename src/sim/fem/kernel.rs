@@ -100,42 +100,173 @@ pub(super) fn gradient(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3]) -> 
     g
 }
 
-/// Hessian blocks in N/m over corners 1 to 3: 11, 22, 33, 21, 31, 32, each as entry 3 column + row.
-pub(super) type Blocks = [[Lanes; 9]; 6];
+/// Hessian blocks of a group in N/m.
+#[derive(Clone, Debug)]
+pub(super) struct Blocks {
+    /// Lower triangles on the diagonal by corner, columns one after the other.
+    pub(super) diagonal: [[Lanes; 6]; 4],
+    /// Blocks of [`super::batch::PAIRS`], rows of the higher corner: entry 3 column + row.
+    pub(super) pairs: [[Lanes; 9]; 6],
+}
 
-/// Exact Hessian blocks.
+impl Blocks {
+    pub(super) const ZERO: Self = Self {
+        diagonal: [[[0.0; WIDTH]; 6]; 4],
+        pairs: [[[0.0; WIDTH]; 9]; 6],
+    };
+}
+
+/// Row and column of the entries of a lower triangle.
+pub(super) const LOWER: [(usize, usize); 6] = [(0, 0), (1, 0), (2, 0), (1, 1), (2, 1), (2, 2)];
+
+/// Entry 3 column + row of a symmetric block in its lower triangle.
+const FROM_LOWER: [usize; 9] = [0, 1, 2, 1, 3, 4, 2, 4, 5];
+
+/// Entry 3 row + column for entry 3 column + row.
+const TRANSPOSED: [usize; 9] = [0, 3, 6, 1, 4, 7, 2, 5, 8];
+
+/// The pairs among corners 1 to 3: place in [`Blocks::pairs`], higher and lower corner less one.
+const INNER: [(usize, usize, usize); 3] = [(3, 1, 0), (4, 2, 0), (5, 2, 1)];
+
+/// Exact Hessian blocks of corners 1 to 3.
 #[inline(always)]
 pub(super) fn hessian(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3], out: &mut Blocks) {
+    let (mu, m) = (law.mu(), &batch.metric);
+    let (normals, curvature, turn) = bending(law, batch, edges);
+    for (corner, metric) in [(0, &m[0]), (1, &m[3]), (2, &m[5])] {
+        let q = &normals[corner];
+        for (e, (row, column)) in LOWER.into_iter().enumerate() {
+            let straight = if row == column { mu } else { 0.0 };
+            for l in 0..WIDTH {
+                out.diagonal[corner + 1][e][l] =
+                    curvature[l] * q[row][l] * q[column][l] + straight * metric[l];
+            }
+        }
+    }
+    for ((pair, high, low), metric) in INNER.into_iter().zip([&m[1], &m[2], &m[4]]) {
+        let block = &mut out.pairs[pair];
+        let (p, q) = (&normals[high], &normals[low]);
+        for column in 0..3 {
+            for row in 0..3 {
+                let straight = if row == column { mu } else { 0.0 };
+                for l in 0..WIDTH {
+                    block[3 * column + row][l] =
+                        curvature[l] * p[row][l] * q[column][l] + straight * metric[l];
+                }
+            }
+        }
+    }
+    for (pair, edge, sign) in [(3, 2, 1.0), (4, 1, -1.0), (5, 0, 1.0)] {
+        add_cross(&mut out.pairs[pair], &edges[edge], &turn, sign);
+    }
+}
+
+/// The vectors e_j x e_k = det d ln J / d x_i, and the factors of their products and of the edges.
+#[inline(always)]
+fn bending(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3]) -> ([Vector; 3], Lanes, Lanes) {
     let (mu, lambda) = (law.mu(), law.lambda());
-    let m = &batch.metric;
+    let mut normals = [[[0.0; WIDTH]; 3]; 3];
+    let (mut curvature, mut turn) = ([0.0; WIDTH], [0.0; WIDTH]);
     for l in 0..WIDTH {
         let (a, b, c) = (at(&edges[0], l), at(&edges[1], l), at(&edges[2], l));
         let (ab, bc, ca) = (cross(a, b), cross(b, c), cross(c, a));
         let det = dot(ab, c);
         let slope = lambda * ln(det * batch.inverse_det[l]) - mu;
-        let curvature = batch.volume[l] * (lambda - slope) / (det * det);
-        let turn = batch.volume[l] * slope / det;
-        let q = [bc, ca, ab];
-        let metric = [m[0][l], m[3][l], m[5][l], m[1][l], m[2][l], m[4][l]];
-        for (k, (i, j)) in [(0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1)]
-            .into_iter()
-            .enumerate()
-        {
-            for column in 0..3 {
-                for row in 0..3 {
-                    out[k][3 * column + row][l] = curvature * q[i][row] * q[j][column];
-                }
-                out[k][4 * column][l] += mu * metric[k];
+        curvature[l] = batch.volume[l] * (lambda - slope) / (det * det);
+        turn[l] = batch.volume[l] * slope / det;
+        for axis in 0..3 {
+            normals[0][axis][l] = bc[axis];
+            normals[1][axis][l] = ca[axis];
+            normals[2][axis][l] = ab[axis];
+        }
+    }
+    (normals, curvature, turn)
+}
+
+/// Adds sign * turn * the cross product matrix of an edge.
+#[inline(always)]
+fn add_cross(block: &mut [Lanes; 9], edge: &Vector, turn: &Lanes, sign: f64) {
+    for (entry, axis, sign) in [
+        (1, 2, sign),
+        (2, 1, -sign),
+        (3, 2, -sign),
+        (5, 0, sign),
+        (6, 1, sign),
+        (7, 0, -sign),
+    ] {
+        for l in 0..WIDTH {
+            block[entry][l] += sign * turn[l] * edge[axis][l];
+        }
+    }
+}
+
+/// Adds weight m_i m_j^T to the block of each two corners i, j in 1 to 3.
+#[inline(always)]
+pub(super) fn add_outer(weight: &Lanes, m: &[Vector; 3], out: &mut Blocks) {
+    for corner in 0..3 {
+        for (e, (row, column)) in LOWER.into_iter().enumerate() {
+            for l in 0..WIDTH {
+                out.diagonal[corner + 1][e][l] +=
+                    weight[l] * m[corner][row][l] * m[corner][column][l];
             }
         }
-        for (k, axis, sign) in [(3, c, 1.0), (4, b, -1.0), (5, a, 1.0)] {
-            let [x, y, z] = axis.map(|w| sign * turn * w);
-            out[k][1][l] += z;
-            out[k][2][l] -= y;
-            out[k][3][l] -= z;
-            out[k][5][l] += x;
-            out[k][6][l] += y;
-            out[k][7][l] -= x;
+    }
+    for (pair, high, low) in INNER {
+        for column in 0..3 {
+            for row in 0..3 {
+                for l in 0..WIDTH {
+                    out.pairs[pair][3 * column + row][l] +=
+                        weight[l] * m[high][row][l] * m[low][column][l];
+                }
+            }
         }
+    }
+}
+
+/// Blocks of corner 0 from the others: a translation costs nothing, so rows of blocks sum to zero.
+#[inline(always)]
+pub(super) fn balance(out: &mut Blocks) {
+    let [_, k11, k22, k33] = out.diagonal;
+    let [.., k21, k31, k32] = out.pairs;
+    for e in 0..9 {
+        let (t, s) = (TRANSPOSED[e], FROM_LOWER[e]);
+        for l in 0..WIDTH {
+            out.pairs[0][e][l] = -(k11[s][l] + k21[t][l] + k31[t][l]);
+            out.pairs[1][e][l] = -(k21[e][l] + k22[s][l] + k32[t][l]);
+            out.pairs[2][e][l] = -(k31[e][l] + k32[e][l] + k33[s][l]);
+        }
+    }
+    let [k10, k20, k30, ..] = &out.pairs;
+    for (e, (row, column)) in LOWER.into_iter().enumerate() {
+        let e9 = 3 * column + row;
+        for l in 0..WIDTH {
+            out.diagonal[0][e][l] = -(k10[e9][l] + k20[e9][l] + k30[e9][l]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn logarithm_is_that_of_the_library() {
+        let near_one = (-40..40).map(|k| 1.0 + f64::from(k) * 1e-9);
+        let wide = (-3000..3000).map(|k| (f64::from(k) * 0.2).exp2());
+        let edges = [
+            0.5_f64.sqrt(),
+            2.0_f64.sqrt(),
+            0.999_999_999_999,
+            1e-300,
+            1e300,
+        ];
+        for x in near_one.chain(wide).chain(edges) {
+            let (found, expected) = (ln(x), x.ln());
+            assert!(
+                (found - expected).abs() <= 4.5e-16 * expected.abs(),
+                "{x}: {found} {expected}"
+            );
+        }
+        assert_eq!(ln(1.0), 0.0);
     }
 }

@@ -3,12 +3,14 @@
 mod grid;
 mod surface;
 
+mod assembly;
 mod batch;
 mod elastic;
 mod kernel;
 mod neo_hookean;
 mod pattern;
 mod projection;
+mod safe_step;
 mod svd;
 
 pub use elastic::Elastic;

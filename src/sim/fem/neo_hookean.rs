@@ -219,3 +219,7 @@ fn add_outer(h: &mut [[f64; 9]; 9], weight: f64, mode: &DMat3) {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "neo_hookean_test.rs"]
+mod tests;

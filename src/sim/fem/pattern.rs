@@ -184,3 +184,81 @@ fn columns(starts: &[usize], neighbours: &[u32]) -> (Vec<usize>, Vec<usize>) {
     }
     (column_starts, rows)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    /// Two tetrahedra that share the face 1, 2, 3.
+    fn pattern() -> StiffnessPattern {
+        StiffnessPattern::new(5, &[[0, 1, 2, 3], [4, 3, 2, 1]])
+    }
+
+    fn dense(p: &StiffnessPattern, values: &[f64]) -> Vec<Vec<f64>> {
+        let n = p.dimension();
+        let mut columns = vec![vec![0.0; n]; n];
+        for (c, column) in columns.iter_mut().enumerate() {
+            let mut unit = vec![0.0; n];
+            unit[c] = 1.0;
+            p.multiply(values, &unit, column);
+        }
+        columns
+    }
+
+    #[test]
+    fn columns_hold_the_lower_triangle_in_order() {
+        let p = pattern();
+        assert_eq!(p.dimension(), 15);
+        // 5 diagonal blocks of 6 and 9 pairs of 9; nodes 0 and 4 share no element.
+        assert_eq!(p.entries(), 5 * 6 + 9 * 9);
+        for c in 0..15 {
+            let rows = &p.rows()[p.column_starts()[c]..p.column_starts()[c + 1]];
+            assert_eq!(rows[0], c);
+            assert!(rows.is_sorted_by(|a, b| a < b));
+        }
+    }
+
+    #[test]
+    fn blocks_land_in_rows_and_columns_of_their_nodes() {
+        let p = pattern();
+        let block = DMat3::from_cols_array(&std::array::from_fn(|k| 1.0 + k as f64));
+        for (i, j) in [(0, 1), (1, 0), (3, 1), (1, 4), (2, 3)] {
+            let mut values = p.zeros();
+            assert!(p.add_pair_block(i, j, &block, &mut values));
+            let m = dense(&p, &values);
+            for r in 0..3 {
+                for c in 0..3 {
+                    assert_eq!(m[3 * j + c][3 * i + r], block.col(c)[r], "{i} {j}");
+                    assert_eq!(m[3 * i + r][3 * j + c], block.col(c)[r], "{i} {j}");
+                }
+            }
+            let sum: f64 = m.iter().flatten().sum();
+            assert_eq!(sum, 2.0 * 45.0);
+        }
+    }
+
+    #[test]
+    fn strangers_are_refused() {
+        let p = pattern();
+        let mut values = p.zeros();
+        assert!(!p.add_pair_block(0, 4, &DMat3::IDENTITY, &mut values));
+        assert!(values.iter().all(|v| *v == 0.0));
+    }
+
+    #[test]
+    fn diagonal_blocks_and_entries() {
+        let p = pattern();
+        let half = DMat3::from_cols_array(&[1.0, 2.0, 3.0, 2.0, 4.0, 5.0, 3.0, 5.0, 6.0]);
+        let mut values = p.zeros();
+        assert!(p.add_pair_block(2, 2, &half, &mut values));
+        p.add_diagonal(2, [10.0, 20.0, 30.0], &mut values);
+        let expected = half + DMat3::from_diagonal(DVec3::new(10.0, 20.0, 30.0));
+        let m = dense(&p, &values);
+        for c in 0..3 {
+            for r in 0..3 {
+                assert_eq!(m[6 + c][6 + r], expected.col(c)[r]);
+            }
+        }
+    }
+}

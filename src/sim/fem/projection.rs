@@ -12,9 +12,18 @@
 use glam::{DMat3, DVec3};
 
 use super::batch::{Batch, Lanes, WIDTH};
-use super::kernel::{Blocks, Vector, at, cross, dot, ln};
+use super::kernel::{Blocks, Vector, add_outer, at, cross, dot, ln};
 use super::neo_hookean::{NeoHookean, Projection};
 use super::svd::svd;
+
+/// Sweeps of rotations after which the rest is taken as it is; four or five are usual.
+const MAX_SWEEPS: usize = 10;
+
+/// Squared cosine between columns below which the next sweep would only change rounding.
+const SMALL_SKEW: f64 = 1e-14;
+
+/// Singular directions of the three shear modes.
+const SHEARS: [(usize, usize); 3] = [(0, 1), (0, 2), (1, 2)];
 
 /// Adds to `blocks` what turns their negative eigenvalues to zero or positive.
 #[inline(always)]
@@ -26,12 +35,17 @@ pub(super) fn project(
     blocks: &mut Blocks,
 ) {
     let f = deformation(batch, edges);
-    let (g, v) = orthogonal_columns(&f);
-    let (weights, slope) = shear_weights(law, batch, edges, &g, projection.factor());
-    if weights.iter().flatten().any(|w| *w > 0.0) {
-        for (k, (p, q)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-            let modes = shear_modes(batch, &g, &v, &slope, p, q);
-            add_modes(&weights[k], &modes, blocks);
+    let (mut u, v) = orthogonal_columns(&f);
+    let sigma = normalise(&mut u);
+    let (weights, slope) = shear_weights(law, batch, edges, &sigma, projection.factor());
+    if weights
+        .iter()
+        .flatten()
+        .fold(false, |any, w| any | (*w > 0.0))
+    {
+        for (weight, (p, q)) in weights.iter().zip(SHEARS) {
+            let modes = shear_modes(batch, [&u[p], &u[q]], [&v[p], &v[q]], &slope);
+            add_outer(weight, &modes, blocks);
         }
     }
     for lane in 0..WIDTH {
@@ -60,43 +74,57 @@ fn deformation(batch: &Batch, edges: &[Vector; 3]) -> [Vector; 3] {
 /// F V with orthogonal columns, and V, by one-sided Jacobi rotations of all elements at once.
 #[inline(always)]
 fn orthogonal_columns(f: &[Vector; 3]) -> ([Vector; 3], [Vector; 3]) {
-    let mut g = *f;
-    let mut v = [[[0.0; WIDTH]; 3]; 3];
-    for (axis, column) in v.iter_mut().enumerate() {
-        column[axis] = [1.0; WIDTH];
-    }
-    for _ in 0..10 {
+    let [mut g0, mut g1, mut g2] = *f;
+    let (none, one) = ([0.0; WIDTH], [1.0; WIDTH]);
+    let (mut v0, mut v1, mut v2) = ([one, none, none], [none, one, none], [none, none, one]);
+    for _ in 0..MAX_SWEEPS {
         let mut skew = [0.0; WIDTH];
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            rotate(&mut g, &mut v, p, q, &mut skew);
-        }
-        if skew.iter().all(|s| *s < 1e-15) {
+        rotate(&mut g0, &mut g1, &mut v0, &mut v1, &mut skew);
+        rotate(&mut g0, &mut g2, &mut v0, &mut v2, &mut skew);
+        rotate(&mut g1, &mut g2, &mut v1, &mut v2, &mut skew);
+        if skew.iter().fold(true, |done, s| done & (*s < SMALL_SKEW)) {
             break;
         }
     }
-    (g, v)
+    ([g0, g1, g2], [v0, v1, v2])
 }
 
-/// Makes columns p and q of g orthogonal; `skew` keeps the largest squared cosine found.
+/// Makes two columns of F V orthogonal; `skew` keeps the largest squared cosine found.
 #[inline(always)]
-fn rotate(g: &mut [Vector; 3], v: &mut [Vector; 3], p: usize, q: usize, skew: &mut Lanes) {
+fn rotate(gp: &mut Vector, gq: &mut Vector, vp: &mut Vector, vq: &mut Vector, skew: &mut Lanes) {
     for l in 0..WIDTH {
-        let (x, y) = (at(&g[p], l), at(&g[q], l));
+        let (x, y) = (at(gp, l), at(gq, l));
         let (a, b, c2) = (dot(x, x), dot(y, y), 2.0 * dot(x, y));
         let d = b - a;
         let t = c2.copysign(c2 * d) / (d.abs() + (d * d + c2 * c2).sqrt() + f64::MIN_POSITIVE);
         let cos = 1.0 / (1.0 + t * t).sqrt();
         let sin = cos * t;
-        let (vx, vy) = (at(&v[p], l), at(&v[q], l));
+        let (vx, vy) = (at(vp, l), at(vq, l));
         for axis in 0..3 {
-            g[p][axis][l] = cos * x[axis] - sin * y[axis];
-            g[q][axis][l] = sin * x[axis] + cos * y[axis];
-            v[p][axis][l] = cos * vx[axis] - sin * vy[axis];
-            v[q][axis][l] = sin * vx[axis] + cos * vy[axis];
+            gp[axis][l] = cos * x[axis] - sin * y[axis];
+            gq[axis][l] = sin * x[axis] + cos * y[axis];
+            vp[axis][l] = cos * vx[axis] - sin * vy[axis];
+            vq[axis][l] = sin * vx[axis] + cos * vy[axis];
         }
         let cosine2 = c2 * c2 / (a * b);
         skew[l] = if cosine2 > skew[l] { cosine2 } else { skew[l] };
     }
+}
+
+/// Divides columns by their lengths, which it returns.
+#[inline(always)]
+fn normalise(columns: &mut [Vector; 3]) -> [Lanes; 3] {
+    let mut lengths = [[0.0; WIDTH]; 3];
+    for (column, length) in columns.iter_mut().zip(&mut lengths) {
+        for l in 0..WIDTH {
+            let v = at(column, l);
+            length[l] = dot(v, v).sqrt();
+            for axis in 0..3 {
+                column[axis][l] = v[axis] / length[l];
+            }
+        }
+    }
+    lengths
 }
 
 /// Weight in N m of the three shear modes, halved for their length, and c.
@@ -105,7 +133,7 @@ fn shear_weights(
     law: &NeoHookean,
     batch: &Batch,
     edges: &[Vector; 3],
-    g: &[Vector; 3],
+    sigma: &[Lanes; 3],
     factor: f64,
 ) -> ([Lanes; 3], Lanes) {
     let mut weights = [[0.0; WIDTH]; 3];
@@ -113,11 +141,12 @@ fn shear_weights(
     for l in 0..WIDTH {
         let det = dot(cross(at(&edges[0], l), at(&edges[1], l)), at(&edges[2], l));
         slope[l] = law.lambda() * ln(det * batch.inverse_det[l]) - law.mu();
-        let s = [0, 1, 2].map(|i| dot(at(&g[i], l), at(&g[i], l)));
-        for (k, (p, q)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
-            let eigenvalue = law.mu() - slope[l].abs() / (s[p] * s[q]).sqrt();
+    }
+    for (weight, (p, q)) in weights.iter_mut().zip(SHEARS) {
+        for l in 0..WIDTH {
+            let eigenvalue = law.mu() - slope[l].abs() / (sigma[p][l] * sigma[q][l]);
             let negative = if eigenvalue < 0.0 { -eigenvalue } else { 0.0 };
-            weights[k][l] = 0.5 * factor * batch.volume[l] * negative;
+            weight[l] = 0.5 * factor * batch.volume[l] * negative;
         }
     }
     (weights, slope)
@@ -125,47 +154,19 @@ fn shear_weights(
 
 /// Displacements of corners 1 to 3 in mode u_p v_q^T + sign(c) u_q v_p^T, times grad N_i.
 #[inline(always)]
-fn shear_modes(
-    batch: &Batch,
-    g: &[Vector; 3],
-    v: &[Vector; 3],
-    slope: &Lanes,
-    p: usize,
-    q: usize,
-) -> [Vector; 3] {
+fn shear_modes(batch: &Batch, u: [&Vector; 2], v: [&Vector; 2], slope: &Lanes) -> [Vector; 3] {
     let mut modes = [[[0.0; WIDTH]; 3]; 3];
-    for l in 0..WIDTH {
-        let (gp, gq) = (at(&g[p], l), at(&g[q], l));
-        let inverse_p = 1.0 / dot(gp, gp).sqrt();
-        let inverse_q = 1.0f64.copysign(slope[l]) / dot(gq, gq).sqrt();
-        for corner in 0..3 {
-            let shape = at(&batch.shape[corner], l);
-            let along_q = dot(at(&v[q], l), shape) * inverse_p;
-            let along_p = dot(at(&v[p], l), shape) * inverse_q;
+    for (shape, mode) in batch.shape.iter().zip(&mut modes) {
+        for l in 0..WIDTH {
+            let shape = at(shape, l);
+            let along_q = dot(at(v[1], l), shape);
+            let along_p = dot(at(v[0], l), shape) * 1.0_f64.copysign(slope[l]);
             for axis in 0..3 {
-                modes[corner][axis][l] = gp[axis] * along_q + gq[axis] * along_p;
+                mode[axis][l] = u[0][axis][l] * along_q + u[1][axis][l] * along_p;
             }
         }
     }
     modes
-}
-
-/// Adds weight m_i m_j^T to each block of corners (i, j).
-#[inline(always)]
-fn add_modes(weight: &Lanes, modes: &[Vector; 3], blocks: &mut Blocks) {
-    for (k, (i, j)) in [(0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1)]
-        .into_iter()
-        .enumerate()
-    {
-        for column in 0..3 {
-            for row in 0..3 {
-                for l in 0..WIDTH {
-                    blocks[k][3 * column + row][l] +=
-                        weight[l] * modes[i][row][l] * modes[j][column][l];
-                }
-            }
-        }
-    }
 }
 
 /// The stretch modes of one element.
@@ -190,6 +191,6 @@ fn add_stretches(
                 motion[axis][lane] = along[axis];
             }
         }
-        add_modes(&weights, &moves, blocks);
+        add_outer(&weights, &moves, blocks);
     }
 }

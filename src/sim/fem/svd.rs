@@ -133,3 +133,79 @@ fn rotate_symmetric(a: &mut [[f64; 3]; 3], p: usize, q: usize, (cos, sin): (f64,
     a[p][q] = 0.0;
     a[q][p] = 0.0;
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    fn random(rng: &mut Pcg64) -> DMat3 {
+        DMat3::from_cols_array(&std::array::from_fn(|_| rng.random_range(-1.0..1.0)))
+    }
+
+    fn cases() -> Vec<DMat3> {
+        let mut rng = Pcg64::seed_from_u64(3);
+        let turn = DMat3::from_rotation_y(0.3) * DMat3::from_rotation_x(-1.2);
+        let mut all = vec![
+            DMat3::IDENTITY,
+            turn,
+            turn * 1e-9,
+            turn * DMat3::from_diagonal(DVec3::new(2.0, 2.0, 0.5)),
+            DMat3::from_diagonal(DVec3::new(1.0, 1.0 + 1e-13, -1.0)),
+            turn * DMat3::from_diagonal(DVec3::new(1.0, 1e-3, 1e-9)) * turn,
+            turn * DMat3::from_diagonal(DVec3::new(1.0, 0.0, 0.0)) * turn,
+            turn * DMat3::from_diagonal(DVec3::new(1.0, 0.0, 2.0)) * turn,
+            DMat3::from_cols(DVec3::X, DVec3::X, DVec3::X),
+            DMat3::ZERO,
+        ];
+        all.extend((0..50).map(|_| random(&mut rng)));
+        all
+    }
+
+    fn orthogonal(m: &DMat3) -> bool {
+        (m.transpose() * *m).abs_diff_eq(DMat3::IDENTITY, 1e-14)
+    }
+
+    #[test]
+    fn singular_parts_rebuild_the_matrix() {
+        for f in cases() {
+            let Svd { u, sigma, v } = svd(&f);
+            let size = f
+                .to_cols_array()
+                .iter()
+                .fold(0.0, |m: f64, e| m.max(e.abs()));
+            let back = u * DMat3::from_diagonal(sigma) * v.transpose();
+            assert!(back.abs_diff_eq(f, 4e-15 * size), "{f}: {back}");
+            assert!(orthogonal(&u) && orthogonal(&v), "{f}: {u} {v}");
+            assert!(sigma.min_element() >= 0.0);
+            assert!((v.determinant() - 1.0).abs() < 1e-14);
+        }
+    }
+
+    #[test]
+    fn small_singular_values_keep_their_digits() {
+        let turn = DMat3::from_rotation_y(0.3) * DMat3::from_rotation_x(-1.2);
+        let f = turn * DMat3::from_diagonal(DVec3::new(1.0, 1e-4, 1e-8));
+        let mut sigma = svd(&f).sigma.to_array();
+        sigma.sort_by(f64::total_cmp);
+        for (found, expected) in sigma.into_iter().zip([1e-8, 1e-4, 1.0]) {
+            assert!((found / expected - 1.0).abs() < 1e-13, "{found}");
+        }
+    }
+
+    #[test]
+    fn eigenvectors_rebuild_the_matrix() {
+        for f in cases() {
+            let m = f + f.transpose();
+            let (values, vectors) = symmetric_eigen(&m);
+            let size = m
+                .to_cols_array()
+                .iter()
+                .fold(0.0, |a: f64, e| a.max(e.abs()));
+            let back = vectors * DMat3::from_diagonal(values) * vectors.transpose();
+            assert!(back.abs_diff_eq(m, 4e-15 * size), "{m}: {back}");
+            assert!(orthogonal(&vectors));
+        }
+    }
+}

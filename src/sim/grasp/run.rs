@@ -8,7 +8,7 @@ use super::scene::{Scene, Stage};
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep, pose_of};
 use crate::error::Result;
 use crate::geometry::Pose;
-use crate::sim::solver::{Gel, SolverParameters, StepReport, StepStart};
+use crate::sim::solver::{Gel, PhaseTimes, SolverParameters, StepReport, StepStart};
 
 /// The gels fly freely while they are further from the object than `d_hat` and this, m.
 const FLIGHT_MARGIN: f64 = 2e-4;
@@ -48,6 +48,8 @@ pub struct GraspResult {
     pub lifted_m: f64,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
+    /// Where the solver's time went.
+    pub times: PhaseTimes,
     /// All steps.
     pub trace: Trace,
 }
@@ -70,6 +72,7 @@ pub fn simulate(
             detail: Some(detail),
             lifted_m: 0.0,
             unconverged_steps: 0,
+            times: PhaseTimes::default(),
             trace: Trace::default(),
         });
     }
@@ -147,6 +150,7 @@ impl<'a> Run<'a> {
             detail,
             lifted_m: object.state().p.z - self.start_height,
             unconverged_steps: self.unconverged,
+            times: *self.stage.system.phase_times(),
             trace: self.trace,
         }
     }
@@ -200,6 +204,7 @@ impl<'a> Run<'a> {
             self.move_targets(by, 0.0);
             let start = StepStart {
                 renew: true,
+                kind: kind(StageName::Closure, by),
                 ..Default::default()
             };
             self.step(StageName::Closure, &start);
@@ -221,7 +226,11 @@ impl<'a> Run<'a> {
             let by = self.protocol.adjustment(self.mean_force(), self.dt);
             let by = self.squeeze(by);
             self.move_targets(by, 0.0);
-            self.step(StageName::Adjustment, &StepStart::default());
+            let start = StepStart {
+                kind: kind(StageName::Adjustment, by),
+                ..Default::default()
+            };
+            self.step(StageName::Adjustment, &start);
             self.has_reached_force |= self.mean_force() >= self.protocol.stop_force_n;
         }
     }
@@ -246,7 +255,8 @@ impl<'a> Run<'a> {
                 } else {
                     DVec3::ZERO
                 },
-                renew: false,
+                kind: kind(StageName::Lift, by),
+                ..Default::default()
             };
             let before = self.stage.system.object().state().p.z;
             self.step(StageName::Lift, &start);
@@ -296,6 +306,11 @@ impl<'a> Run<'a> {
         };
         self.trace.snapshots.push(snapshot);
     }
+}
+
+/// Steps that move the fingers alike, numbered for [`StepStart::kind`].
+fn kind(stage: StageName, squeeze: f64) -> usize {
+    2 * stage as usize + usize::from(squeeze > 0.0)
 }
 
 /// What a gel feels on its passive nodes.

@@ -30,7 +30,7 @@ pub struct GelForce {
 }
 
 /// One time step.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TraceStep {
     /// Stage.
     pub stage: StageName,
@@ -71,7 +71,7 @@ pub struct Snapshot {
 pub type DVec3Array = [f64; 3];
 
 /// A whole grasp.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Trace {
     /// All steps.
     pub steps: Vec<TraceStep>,
@@ -79,15 +79,22 @@ pub struct Trace {
     pub snapshots: Vec<Snapshot>,
 }
 
+impl TraceStep {
+    /// Mean of both gels' normal forces, N.
+    pub fn mean_force_n(&self) -> f64 {
+        0.5 * (self.force[0].normal_n + self.force[1].normal_n)
+    }
+}
+
 impl Trace {
+    /// The steps of a stage, in order.
+    pub fn stage(&self, stage: StageName) -> impl DoubleEndedIterator<Item = &TraceStep> {
+        self.steps.iter().filter(move |step| step.stage == stage)
+    }
+
     /// Mean of both gels' normal forces over the last `count` steps of a stage, N.
     pub fn mean_force(&self, stage: StageName, count: usize) -> Option<f64> {
-        let forces: Vec<f64> = self
-            .steps
-            .iter()
-            .filter(|step| step.stage == stage)
-            .map(|step| 0.5 * (step.force[0].normal_n + step.force[1].normal_n))
-            .collect();
+        let forces: Vec<f64> = self.stage(stage).map(TraceStep::mean_force_n).collect();
         let last = &forces[forces.len().saturating_sub(count)..];
         (!last.is_empty()).then(|| last.iter().sum::<f64>() / last.len() as f64)
     }

@@ -89,12 +89,14 @@ pub struct Gel {
     factor: GelFactor,
     stiffness: Vec<f64>,
     coupling: Coupling,
-    /// `L⁻¹ P B` of the coupling B.
+    /// `L⁻¹ P B` of the coupling B, and the same in single precision.
     eliminated: Vec<[f64; OBJECT]>,
-    permuted: Vec<f64>,
-    scratch: Vec<f64>,
+    single_eliminated: Vec<[f32; OBJECT]>,
+    permuted: Vec<f32>,
+    scratch: Vec<f32>,
     scratch_many: Vec<[f64; OBJECT]>,
     motion: Vec<f64>,
+    step: Vec<DVec3>,
 }
 
 impl Gel {
@@ -155,10 +157,12 @@ impl Gel {
             contact: GelContact::new(n),
             coupling: Coupling::default(),
             eliminated: Vec::new(),
+            single_eliminated: Vec::new(),
             permuted: vec![0.0; 3 * n],
             scratch: Vec::new(),
             scratch_many: Vec::new(),
             motion: vec![0.0; n],
+            step: Vec::new(),
             x,
             elastic,
             factor,
@@ -484,6 +488,9 @@ impl Gel {
             .extend(self.factor.permutation().iter().map(|&row| rows[row]));
         self.factor
             .solve_forward_many(&mut self.eliminated, &mut self.scratch_many);
+        self.single_eliminated.clear();
+        self.single_eliminated
+            .extend(self.eliminated.iter().map(|w| w.map(|value| value as f32)));
         Ok(())
     }
 
@@ -509,21 +516,29 @@ impl Gel {
         self.factor.permute(flat, &mut self.permuted);
         self.factor
             .solve_forward(&mut self.permuted, &mut self.scratch);
-        let mut taken = [0.0; OBJECT];
-        for (w, value) in self.eliminated.iter().zip(&self.permuted) {
-            for (taken, w) in taken.iter_mut().zip(w) {
-                *taken += w * value;
+        pulp::Arch::new().dispatch(|| {
+            let mut taken = [0.0; OBJECT];
+            for (w, value) in self.single_eliminated.iter().zip(&self.permuted) {
+                for (taken, w) in taken.iter_mut().zip(w) {
+                    *taken += f64::from(w * value);
+                }
             }
-        }
-        taken
+            taken
+        })
     }
 
     /// Second half: the gel's unknowns from the object's.
     pub(super) fn solve_up(&mut self, object: &[f64; OBJECT], flat: &mut [f64]) {
-        for (w, value) in self.eliminated.iter().zip(&mut self.permuted) {
-            let sum: f64 = w.iter().zip(object).map(|(w, q)| w * q).sum();
-            *value -= sum;
-        }
+        let object = object.map(|value| value as f32);
+        pulp::Arch::new().dispatch(|| {
+            for (w, value) in self.single_eliminated.iter().zip(&mut self.permuted) {
+                let mut sum = 0.0;
+                for (w, q) in w.iter().zip(&object) {
+                    sum += w * q;
+                }
+                *value -= sum;
+            }
+        });
         self.factor
             .solve_backward(&mut self.permuted, &mut self.scratch);
         self.factor.unpermute(&self.permuted, flat);
@@ -568,9 +583,11 @@ impl Gel {
     }
 
     /// Largest share of the step before an element inverts.
-    pub(super) fn inversion_free_share(&self, direction: &[f64]) -> f64 {
-        let _ = direction;
-        1.0
+    pub(super) fn inversion_free_share(&mut self, direction: &[f64]) -> f64 {
+        self.step.clear();
+        self.step
+            .extend(direction.chunks_exact(3).map(DVec3::from_slice));
+        self.elastic.inversion_free_step(&self.x, &self.step)
     }
 
     pub(super) fn candidates(&self) -> &Candidates {

@@ -17,4 +17,4 @@ pub use gel::{Drive, Gel, GelMaterial};
 pub use gel_factor::{GelFactor, NotPositiveDefinite};
 pub use object::Object;
 pub use parameters::SolverParameters;
-pub use system::{StepReport, StepStart, System};
+pub use system::{PhaseTimes, StepReport, StepStart, System};

@@ -6,6 +6,8 @@
 //! factorised stiffness that is kept over iterations and steps, corrected by the newest changes of
 //! the gradient.
 
+use std::time::Instant;
+
 use glam::DVec3;
 
 use super::collider::Collider;
@@ -24,6 +26,10 @@ use crate::sim::fem::Projection;
 const SUFFICIENT: f64 = 1e-4;
 /// A step that shrinks by less than this share from one iteration to the next is slow.
 const SLOW: f64 = 0.5;
+/// Slow iterations in a row that are taken before the stiffness is assembled anew.
+const PATIENCE: u32 = 3;
+/// Shortenings of the motion that a step begins with.
+const REPEAT_HALVINGS: u32 = 3;
 /// Halvings before the stiffness is assembled anew.
 const MAX_HALVINGS: u32 = 30;
 
@@ -42,6 +48,23 @@ pub struct StepReport {
     pub gathers: u32,
 }
 
+/// Wall time spent in the phases of all steps so far, s.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct PhaseTimes {
+    /// Finding contacts, forces and gradient.
+    pub gradient_s: f64,
+    /// Assembly and factorisation of the stiffness.
+    pub factorisation_s: f64,
+    /// Solves for the direction.
+    pub direction_s: f64,
+    /// Continuous collision detection and gathering of candidates.
+    pub collision_s: f64,
+    /// Energies of the line search.
+    pub line_search_s: f64,
+    /// Contacts, friction, first motion and first gradient of the steps.
+    pub begin_s: f64,
+}
+
 /// How a step begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepStart {
@@ -50,6 +73,10 @@ pub struct StepStart {
     pub together: DVec3,
     /// The stiffness of earlier steps is not worth keeping.
     pub renew: bool,
+    /// What kind of step it is. It begins with the motion of the last step of its kind, as far as
+    /// nothing touches and if the energy falls by that: fingers that open and close in turn repeat
+    /// themselves every other step.
+    pub kind: usize,
 }
 
 /// The scene in motion.
@@ -68,6 +95,9 @@ pub struct System {
     schur: Option<Cholesky>,
     factor_age: u32,
     corners: [DVec3; 8],
+    times: PhaseTimes,
+    /// Motion of the last step of each kind.
+    motions: Vec<Vec<f64>>,
 }
 
 impl System {
@@ -109,6 +139,8 @@ impl System {
             schur: None,
             factor_age: 0,
             corners,
+            times: PhaseTimes::default(),
+            motions: Vec::new(),
             parameters,
         })
     }
@@ -138,6 +170,11 @@ impl System {
         &self.parameters
     }
 
+    /// Where the time went.
+    pub fn phase_times(&self) -> &PhaseTimes {
+        &self.times
+    }
+
     /// Pairs gathered at present.
     pub fn candidate_pairs(&self) -> usize {
         self.gels.iter().map(|gel| gel.candidates().len()).sum()
@@ -163,6 +200,7 @@ impl System {
     ///
     /// Forces and contacts of the gels are those of the end of the step afterwards.
     pub fn step(&mut self, start: &StepStart) -> StepReport {
+        let began = Instant::now();
         let dt = self.parameters.dt_s;
         let epsilon = self.parameters.eps_v_m_s * dt;
         let mut report = StepReport::default();
@@ -186,16 +224,75 @@ impl System {
             report.gathers += self.ensure_candidates();
             self.find_contacts();
         }
+        let energy = self.repeat(start, &mut report);
         if start.renew {
             self.schur = None;
         }
         self.memory.clear();
-        self.minimise(&mut report);
+        self.compute_gradient();
+        self.times.begin_s += began.elapsed().as_secs_f64();
+        self.minimise(energy, &mut report);
         for gel in &mut self.gels {
             gel.end_step(dt);
         }
         self.object.end_step(dt);
+        self.remember(start.kind);
         report
+    }
+
+    /// Repeats the motion of the last step of this kind; the energy thereafter, J.
+    fn repeat(&mut self, start: &StepStart, report: &mut StepReport) -> f64 {
+        let before = self.energy();
+        let Some(remembered) = self.motions.get(start.kind).filter(|m| !m.is_empty()) else {
+            return before;
+        };
+        self.direction.clone_from(remembered);
+        let together = if self.object.is_fixed {
+            DVec3::ZERO
+        } else {
+            start.together
+        };
+        let at = self.direction.len() - OBJECT;
+        for flat in self.direction[..at + 3].chunks_exact_mut(3) {
+            for (value, together) in flat.iter_mut().zip(together.to_array()) {
+                *value -= together;
+            }
+        }
+        let (share, gathers) = self.free_share();
+        report.gathers += gathers;
+        for gel in &mut self.gels {
+            gel.save();
+        }
+        self.object.save();
+        let mut length = share;
+        for _ in 0..REPEAT_HALVINGS {
+            self.place_on_line(length);
+            let energy = self.energy();
+            if energy < before {
+                self.find_contacts();
+                return energy;
+            }
+            length *= 0.5;
+        }
+        self.place_on_line(0.0);
+        self.find_contacts();
+        before
+    }
+
+    /// Remembers the motion of the step that ends.
+    fn remember(&mut self, kind: usize) {
+        if self.motions.len() <= kind {
+            self.motions.resize(kind + 1, Vec::new());
+        }
+        let motion = &mut self.motions[kind];
+        motion.clear();
+        for gel in &self.gels {
+            for (x, start) in gel.x.iter().zip(&gel.start) {
+                motion.extend((*x - *start).to_array());
+            }
+        }
+        let (now, start) = (self.object.state.to_array(), self.object.start.to_array());
+        motion.extend(now.iter().zip(start).map(|(now, start)| now - start));
     }
 
     fn ensure_candidates(&mut self) -> u32 {
@@ -269,23 +366,27 @@ impl System {
         Ok(())
     }
 
-    fn minimise(&mut self, report: &mut StepReport) {
+    fn minimise(&mut self, mut energy: f64, report: &mut StepReport) {
         let tolerance = self.parameters.newton_tolerance_m_s * self.parameters.dt_s;
-        let mut energy = self.energy();
         let mut last_move = f64::INFINITY;
         let mut slow = 0;
-        self.compute_gradient();
         while report.iterations < self.parameters.max_iterations {
             report.iterations += 1;
-            if self.schur.is_none() || self.factor_age >= self.parameters.max_factor_age || slow > 1
+            if self.schur.is_none()
+                || self.factor_age >= self.parameters.max_factor_age
+                || slow > PATIENCE
             {
+                let began = Instant::now();
                 self.factorise();
+                self.times.factorisation_s += began.elapsed().as_secs_f64();
                 report.factorisations += 1;
                 self.memory.clear();
                 slow = 0;
             }
             self.factor_age += 1;
+            let began = Instant::now();
             self.find_direction();
+            self.times.direction_s += began.elapsed().as_secs_f64();
             let slope = dot(&self.gradient, &self.direction);
             if slope.is_nan() || slope >= 0.0 {
                 // Rounding at the minimum, or corrections that do not fit any more.
@@ -297,9 +398,14 @@ impl System {
                 continue;
             }
             let whole = self.direction_length();
+            let began = Instant::now();
             let (share, gathers) = self.free_share();
+            self.times.collision_s += began.elapsed().as_secs_f64();
             report.gathers += gathers;
-            let Some((length, new_energy)) = self.line_search(energy, slope, share, report) else {
+            let began = Instant::now();
+            let found = self.line_search(energy, slope, share, report);
+            self.times.line_search_s += began.elapsed().as_secs_f64();
+            let Some((length, new_energy)) = found else {
                 if self.factor_age == 1 {
                     report.converged = whole < tolerance;
                     return;
@@ -308,7 +414,9 @@ impl System {
                 continue;
             };
             energy = new_energy;
+            let began = Instant::now();
             self.accept(length);
+            self.times.gradient_s += began.elapsed().as_secs_f64();
             let moved = whole * length;
             if whole < tolerance {
                 report.converged = true;

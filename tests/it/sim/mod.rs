@@ -1,1 +1,4 @@
+//! The simulator against other implementations and closed forms, and its commands.
 
+mod cli;
+mod ipctk;

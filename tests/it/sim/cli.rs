@@ -1,0 +1,359 @@
+//! `gripcast sim grasp` as a user runs it.
+
+use std::fs;
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use gripcast::sim::grasp::TraceFile;
+use serde_json::Value;
+
+use crate::program::{gripcast, json, stderr, succeed};
+
+/// A grasp on the coarse gel, as JSON.
+fn grasp(object: &str, more: &str) -> Command {
+    let mut command = gripcast();
+    command
+        .args(["sim", "grasp", "--json", "--gel", "coarse", "--object"])
+        .arg(object)
+        .args(more.split_whitespace());
+    command
+}
+
+fn result(object: &str, more: &str) -> Value {
+    json(&succeed(&mut grasp(object, more)))
+}
+
+/// What is said when a grasp is refused with exit code 1.
+fn refusal(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(output.stdout.is_empty(), "nothing is printed as data");
+    text
+}
+
+/// A box of 40 × 40 × 60 of the file's units as OBJ text, closed and facing outwards.
+fn box_obj() -> String {
+    let mut text = String::new();
+    for corner in 0..8 {
+        let pick = |bit: usize, half: f64| if corner & bit == 0 { -half } else { half };
+        let (x, y, z) = (pick(1, 20.0), pick(2, 20.0), pick(4, 30.0));
+        text += &format!("v {x} {y} {z}\n");
+    }
+    for face in [
+        "1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6",
+    ] {
+        text += &format!("f {face}\n");
+    }
+    text
+}
+
+fn write(dir: &Path, name: &str, text: &str) -> PathBuf {
+    let path = dir.join(name);
+    fs::write(&path, text).unwrap();
+    path
+}
+
+#[test]
+fn a_mug_is_held_through_three_stages() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let (plot, trace) = (at("f.svg"), at("f.bin"));
+    let found = result(
+        "builtin:mug",
+        &format!("--stop-force-n 40 --plot {plot} --trace {trace}"),
+    );
+    assert_eq!(found["outcome"], "success");
+    let lifted = found["lifted_m"].as_f64().unwrap();
+    assert!((0.045..0.055).contains(&lifted), "{lifted}");
+    let mean = found["mean_force_n"].as_f64().unwrap();
+    assert!((mean - 40.0).abs() <= 0.8, "{mean}");
+    assert_eq!(found["steady"], true);
+    assert!(found["wall_s"].as_f64().unwrap() > 0.0);
+    assert_eq!(found["parameters"]["preset"], "paper");
+    assert_eq!(found["parameters"]["material"]["young_pa"], 1e6);
+    let stages: Vec<&str> = found["stages"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|stage| stage["stage"].as_str().unwrap())
+        .collect();
+    assert_eq!(stages, ["closure", "adjustment", "lift"]);
+
+    let svg = fs::read_to_string(plot).unwrap();
+    for word in [
+        "closure",
+        "adjustment",
+        "lift",
+        "F_stop 40 N",
+        "builtin:mug: held",
+    ] {
+        assert!(svg.contains(word), "{word}");
+    }
+    let file = TraceFile::from_bytes(&fs::read(trace).unwrap()).unwrap();
+    assert_eq!(file.header["outcome"], "success");
+    let axes = file.header["gel_axes_m"].as_array().unwrap();
+    let nodes: usize = axes.iter().map(|a| a.as_array().unwrap().len()).product();
+    assert_eq!(file.trace.snapshots.len(), 3);
+    assert_eq!(file.trace.snapshots[1].gels[0].len(), nodes);
+    assert_eq!(Some(file.trace.steps.len() as u64), found["steps"].as_u64());
+}
+
+#[test]
+fn friction_decides_whether_a_box_is_held() {
+    // 2 μ F = 0.5 N against a weight of 1.96 N.
+    let loose = result(
+        "builtin:box",
+        "--mass-kg 0.2 --friction 0.05 --stop-force-n 5",
+    );
+    assert_eq!(loose["outcome"], "slip");
+    let firm = result(
+        "builtin:box",
+        "--mass-kg 0.2 --friction 0.4 --stop-force-n 40",
+    );
+    assert_eq!(firm["outcome"], "success");
+}
+
+#[test]
+fn a_tilted_off_centre_grasp_is_lost_and_a_high_one_misses() {
+    let lost = result(
+        "builtin:sphere",
+        "--tilt-deg 10 --offset-y 0.018 --adjust-s 0.2",
+    );
+    let outcome = lost["outcome"].as_str().unwrap();
+    assert!(["eject", "slip"].contains(&outcome), "{outcome}");
+    assert!(lost["lifted_m"].as_f64().unwrap() < 0.02);
+    let miss = result("builtin:sphere", "--height 0.08");
+    assert_eq!(miss["outcome"], "miss");
+    assert_eq!(miss["mean_force_n"], Value::Null);
+}
+
+#[test]
+fn a_collision_at_the_start_is_an_outcome_with_advice() {
+    let output = succeed(&mut grasp("builtin:box", "--width 0.03"));
+    assert_eq!(json(&output)["outcome"], "penetrating_start");
+    assert!(stderr(&output).contains("--width"), "{}", stderr(&output));
+    let low = json(&succeed(&mut grasp("builtin:box", "--height 0.005")));
+    assert_eq!(low["outcome"], "penetrating_start");
+    let detail = low["detail"].as_str().unwrap();
+    assert!(detail.contains("below the ground"), "{detail}");
+}
+
+#[test]
+fn no_convergence_is_no_outcome() {
+    let output = grasp("builtin:box", "--max-iterations 1").output().unwrap();
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    let found = json(&output);
+    assert_eq!(found["outcome"], "not_converged");
+    assert!(found["unconverged_steps"].as_u64().unwrap() > 0);
+    assert!(stderr(&output).contains("did not converge"));
+}
+
+#[test]
+fn threads_and_repetition_change_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let trace = |name: &str, threads: &str| {
+        let path = dir.path().join(name);
+        let more = format!(
+            "--adjust-s 0.1 --lift 0.004 --offset-y 0.012 --threads {threads} --trace {}",
+            path.display()
+        );
+        result("builtin:sphere", &more);
+        let file = TraceFile::from_bytes(&fs::read(path).unwrap()).unwrap();
+        file.trace
+    };
+    let one = trace("a.bin", "1");
+    assert_eq!(one, trace("b.bin", "2"));
+    assert_eq!(one, trace("c.bin", "2"));
+}
+
+#[test]
+fn a_pose_file_says_where_the_gripper_stands() {
+    let dir = tempfile::tempdir().unwrap();
+    let pose = write(
+        dir.path(),
+        "pose.json",
+        r#"{"t_object_gripper": {"t_m": [0, 0.004, 0.005], "q_wxyz": [0, 1, 0, 0]},
+            "t_world_object": {"t_m": [0.1, 0, 0.03], "q_wxyz": [1, 0, 0, 0]},
+            "opening_m": 0.05}"#,
+    );
+    let short = "--adjust-s 0.05 --lift 0.002";
+    let found = result("builtin:box", &format!("{short} --pose {}", pose.display()));
+    assert_eq!(found["pose"]["opening_m"], 0.05);
+    assert_eq!(found["pose"]["t_world_object"]["t_m"][0], 0.1);
+    let across = found["pose"]["t_object_gripper"]["t_m"][1]
+        .as_f64()
+        .unwrap();
+    assert!((across - 0.004).abs() < 1e-12);
+    assert_eq!(found["pose"]["stable_pose"], Value::Null);
+
+    let misspelt = write(
+        dir.path(),
+        "misspelt.json",
+        r#"{"t_object_gripper": {"t_m": [0, 0, 0], "q_wxyz": [0, 1, 0, 0]}, "opening": 0.05}"#,
+    );
+    let text = refusal(grasp("builtin:box", "--pose").arg(&misspelt));
+    assert!(
+        text.contains("`opening`") && text.contains("misspelt.json"),
+        "{text}"
+    );
+
+    let buried = write(
+        dir.path(),
+        "buried.json",
+        r#"{"t_object_gripper": {"t_m": [0, 0, 0], "q_wxyz": [0, 1, 0, 0]},
+            "t_world_object": {"t_m": [0, 0, 0.01], "q_wxyz": [1, 0, 0, 0]}}"#,
+    );
+    let text = refusal(grasp("builtin:box", "--pose").arg(&buried));
+    assert!(
+        text.contains("20.0 mm into the ground") && text.contains("stable"),
+        "{text}"
+    );
+}
+
+#[test]
+fn mesh_files_are_checked_mended_or_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = box_obj();
+    let good = write(dir.path(), "box.obj", &text);
+    let good = good.display().to_string();
+    let short = "--adjust-s 0.05 --lift 0.002";
+
+    let said = refusal(&mut grasp(&good, ""));
+    assert!(said.contains("--unit mm"), "{said}");
+    let found = result(&good, &format!("--unit mm {short}"));
+    let height = found["object"]["size_m"][2].as_f64().unwrap();
+    assert!((height - 0.06).abs() < 1e-9);
+    let half = result(&good, &format!("--unit mm --scale 0.5 {short}"));
+    let height = half["object"]["size_m"][2].as_f64().unwrap();
+    assert!((height - 0.03).abs() < 1e-9);
+
+    let inverted: String = text
+        .lines()
+        .map(|line| match line.strip_prefix("f ") {
+            Some(face) => {
+                let corners: Vec<&str> = face.split(' ').rev().collect();
+                format!("f {}\n", corners.join(" "))
+            }
+            None => format!("{line}\n"),
+        })
+        .collect();
+    let inverted = write(dir.path(), "inverted.obj", &inverted);
+    let output = succeed(&mut grasp(
+        &inverted.display().to_string(),
+        &format!("--unit mm {short}"),
+    ));
+    let warnings = json(&output)["warnings"].to_string();
+    assert!(
+        warnings.contains("outward") || warnings.contains("winding"),
+        "{warnings}"
+    );
+    assert!(
+        stderr(&output).contains("inverted.obj"),
+        "{}",
+        stderr(&output)
+    );
+
+    let refused = |name: &str, text: &str| {
+        let path = write(dir.path(), name, text);
+        refusal(&mut grasp(&path.display().to_string(), "--unit mm"))
+    };
+    let open = text.rsplit_once("f ").unwrap().0;
+    let said = refused("open.obj", open);
+    assert!(
+        said.contains("closed") && said.contains("open.obj"),
+        "{said}"
+    );
+    let said = refused("nan.obj", &text.replacen("v -20", "v nan", 1));
+    assert!(said.contains("finite") || said.contains("number"), "{said}");
+    let said = refused("empty.obj", "");
+    assert!(said.contains("empty"), "{said}");
+    let flat = text.replace(" 30\n", " 0\n").replace(" -30\n", " 0\n");
+    refused("flat.obj", &flat);
+    // The same box again, shifted into itself.
+    let twice = format!("{text}{}", shifted(&text));
+    let said = refused("twice.obj", &twice);
+    assert!(said.contains("through itself"), "{said}");
+    let tiny = refusal(&mut grasp(&good, "--unit mm --scale 0.001"));
+    assert!(tiny.contains("--unit m"), "{tiny}");
+}
+
+/// The box of [`box_obj`] once more, 10 units away in x and y, as further lines of the same file.
+fn shifted(text: &str) -> String {
+    let mut more = String::new();
+    for line in text.lines() {
+        let words: Vec<&str> = line.split(' ').collect();
+        match words[0] {
+            "v" => {
+                let at = |i: usize| words[i].parse::<f64>().unwrap();
+                more += &format!("v {} {} {}\n", at(1) + 10.0, at(2) + 10.0, at(3) + 5.0);
+            }
+            _ => {
+                let corners = words[1..].iter().map(|w| w.parse::<u32>().unwrap() + 8);
+                let corners: Vec<String> = corners.map(|c| c.to_string()).collect();
+                more += &format!("f {}\n", corners.join(" "));
+            }
+        }
+    }
+    more
+}
+
+#[test]
+fn numbers_that_cannot_be_are_explained() {
+    let cases = [
+        ("--mass-kg 0", "mass"),
+        ("--mass-kg -1", "mass"),
+        ("--mass-kg nan", "mass"),
+        ("--friction -0.4", "friction"),
+        ("--width 3", "opening"),
+        ("--width 0", "opening"),
+        ("--yaw-deg inf", "--yaw-deg"),
+        ("--scale 0", "--scale"),
+        ("--stable-pose 99", "stable pose 99"),
+    ];
+    for (flags, word) in cases {
+        let text = refusal(&mut grasp("builtin:box", flags));
+        assert!(text.contains(word), "{flags}: {text}");
+    }
+    for object in ["builtin:bx", "nowhere.obj", "box"] {
+        let text = refusal(&mut grasp(object, ""));
+        assert!(text.contains('→'), "{object}: {text}");
+    }
+}
+
+#[test]
+fn a_wrong_command_line_is_told_before_anything_is_simulated() {
+    let usage = |more: &str| -> Output {
+        let output = grasp("builtin:box", more).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{more}: {}", stderr(&output));
+        output
+    };
+    let text = stderr(&usage("--trace f.csv"));
+    assert!(text.contains(".json or .bin"), "{text}");
+    usage("--plot f.png");
+    usage("--stop-force-n -4");
+    usage("--dt 0");
+    usage("--unit parsec");
+    let text = refusal(&mut grasp("builtin:box", "--plot /nowhere/at/all/f.svg"));
+    assert!(text.contains("/nowhere/at/all"), "{text}");
+}
+
+#[test]
+fn ctrl_c_ends_a_grasp_with_130() {
+    let mut command = gripcast();
+    command.args(["sim", "grasp", "--gel", "fine", "--object", "builtin:mug"]);
+    let mut child = command
+        .args(["--dt", "0.0001", "--adjust-s", "1000"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    // It listens for Ctrl-C before it says that it starts.
+    let first = lines.next().unwrap().unwrap();
+    assert!(first.contains("simulating"), "{first}");
+    let id = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+}
