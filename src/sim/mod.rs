@@ -8,3 +8,4 @@ pub mod fem;
 pub mod grasp;
 pub mod press;
 pub mod solver;
+pub mod validate;

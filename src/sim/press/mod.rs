@@ -4,4 +4,4 @@ mod indenter;
 mod run;
 
 pub use indenter::Indenter;
-pub use run::{Goal, Press, PressPoint, quarter_pad};
+pub use run::{Goal, Press, PressPoint, half_pad, quarter_pad};

@@ -21,7 +21,7 @@ use crate::sim::solver::{
 /// Long enough for inertia to be nothing: 2 g over its square is 2e-5 N/m.
 const DT_S: f64 = 10.0;
 /// Stiffness of the back's drive, N/m³: it gives by 0.3 µm under 0.3 MPa, and that is measured.
-const DRIVE: f64 = 1e12;
+const STIFF_DRIVE: f64 = 1e12;
 /// Stiffness that holds a plane of symmetry, N/m for each node.
 const PLANE: f64 = 1e7;
 /// Newton's iteration ends when nothing moves further than this, m.
@@ -38,6 +38,8 @@ pub struct Press {
     pub grid: GelGrid,
     /// Whether x = 0 and y = 0 are planes of symmetry that the grid ends at.
     pub symmetric: [bool; 2],
+    /// Drive of the back.
+    pub drive: Drive,
     /// The gel's material.
     pub material: GelMaterial,
     /// What it meets, above the middle of the whole gel.
@@ -56,6 +58,8 @@ pub struct Press {
     pub along_m: f64,
     /// Longest motion in one step, m.
     pub step_m: f64,
+    /// Time of a step, s; by default so long that inertia is nothing.
+    pub dt_s: f64,
 }
 
 /// Where a press is to be measured.
@@ -82,7 +86,7 @@ pub struct PressPoint {
     pub gap_m: f64,
     /// Smallest contact gap, m.
     pub min_gap_m: f64,
-    /// Mean motion of the back against the drive, m.
+    /// Mean motion of the back against the drive, weighted by the drive's stiffness, m.
     pub lag_m: f64,
     /// Steps since the goal before.
     pub steps: u32,
@@ -98,6 +102,7 @@ impl Press {
         Self {
             grid,
             symmetric: [false; 2],
+            drive: Drive::PerArea(STIFF_DRIVE),
             material: GelMaterial::default(),
             indenter,
             friction: 0.0,
@@ -107,6 +112,7 @@ impl Press {
             face_m: 2e-4,
             along_m: 5e-4,
             step_m: 5e-5,
+            dt_s: DT_S,
         }
     }
 
@@ -160,11 +166,11 @@ impl Press {
             depth_m: depth,
         };
         let parameters = SolverParameters {
-            dt_s: DT_S,
+            dt_s: self.dt_s,
             kappa_pa: self.kappa_pa,
             d_hat_m: self.d_hat_m,
-            eps_v_m_s: self.slip_m / DT_S,
-            newton_tolerance_m_s: TOLERANCE_M / DT_S,
+            eps_v_m_s: self.slip_m / self.dt_s,
+            newton_tolerance_m_s: TOLERANCE_M / self.dt_s,
             max_iterations: 400,
             gravity_m_s2: 0.0,
             candidate_margin_m: 2.0 * self.step_m + self.d_hat_m,
@@ -179,8 +185,7 @@ impl Press {
         let place = DVec3::Z * (self.grid.thickness_m() + clearance);
         let state = AffineState::rigid(place, DMat3::IDENTITY);
         let object = Object::new(body, state, &collider).fixed();
-        let drive = Drive::PerArea(DRIVE);
-        let mut gel = Gel::new(&self.grid, &self.material, drive, &parameters, |p| p)?;
+        let mut gel = Gel::new(&self.grid, &self.material, self.drive, &parameters, |p| p)?;
         for (axis, direction) in [DVec3::X, DVec3::Y].into_iter().enumerate() {
             if self.symmetric[axis] {
                 let nodes = self.grid.positions().iter().enumerate();
@@ -193,10 +198,8 @@ impl Press {
             let front = self.grid.triangles(Side::Front);
             gel = gel.touching_with(Surface::new(front, self.grid.positions()));
         }
-        let areas = self.grid.driven_areas().to_vec();
         Ok(Run {
             system: System::new(vec![gel], object, collider, self.friction, parameters)?,
-            areas,
             clearance,
             copies: self
                 .symmetric
@@ -212,7 +215,6 @@ impl Press {
 /// A press under way.
 struct Run {
     system: System,
-    areas: Vec<f64>,
     clearance: f64,
     /// Copies of the grid in the whole gel.
     copies: f64,
@@ -258,13 +260,13 @@ impl Run {
     fn measure(&self) -> PressPoint {
         let gel = &self.system.gels()[0];
         let force: DVec3 = gel.contact_forces().sum();
-        let (mut moved, mut area) = (DVec3::ZERO, 0.0);
-        for (&node, share) in gel.driven().iter().zip(&self.areas) {
+        let (mut moved, mut whole) = (DVec3::ZERO, 0.0);
+        for (&node, stiffness) in gel.driven().iter().zip(gel.drive_stiffness()) {
             let node = node as usize;
-            moved += (gel.positions()[node] - gel.rest()[node]) * *share;
-            area += share;
+            moved += (gel.positions()[node] - gel.rest()[node]) * *stiffness;
+            whole += stiffness;
         }
-        moved /= area;
+        moved /= whole;
         let d_hat = self.system.parameters().d_hat_m;
         let gap_m = gel.mean_gap().unwrap_or(d_hat);
         PressPoint {
@@ -282,33 +284,43 @@ impl Run {
     }
 }
 
-/// A quarter of the 25 x 20 x 4 mm pad, cells growing from the first at the middle of the face.
+/// The quarter at positive x and y of the 25 x 20 x 4 mm pad.
 ///
-/// `first_m` are the first cells along x, y and from the front along z, `growth` the factor from
-/// cell to cell along each.
+/// `cells` along x, y, z; each is `growth` times as long as the one before it, counted from the
+/// middle of the front face.
 ///
 /// # Errors
-/// As [`GelGrid::new`].
-pub fn quarter_pad(first_m: [f64; 3], growth: [f64; 3]) -> Result<GelGrid> {
+/// `Input` where an axis has no cells or a growth is not a positive number.
+pub fn quarter_pad(cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
     let [x, y, depth] = [(0, 0.0125), (1, 0.01), (2, 0.004)]
-        .map(|(axis, length)| growing(first_m[axis], growth[axis], length));
+        .map(|(axis, length)| growing(cells[axis], growth[axis], length));
     let z = depth.iter().rev().map(|d| 0.004 - d).collect();
     GelGrid::new([x, y, z])
 }
 
-/// Coordinates from 0 to `length` in cells that grow by a factor, all scaled to fit.
-fn growing(first: f64, growth: f64, length: f64) -> Vec<f64> {
+/// The half at positive y, finest around the middle: `cells` along half of x, along y and z.
+///
+/// # Errors
+/// As [`quarter_pad`].
+pub fn half_pad(cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
+    let quarter = quarter_pad(cells, growth)?;
+    let [right, y, z] = quarter.axes().clone();
+    let left = right.iter().skip(1).rev().map(|x| -x);
+    GelGrid::new([left.chain(right.iter().copied()).collect(), y, z])
+}
+
+/// Coordinates from 0 to `length` of cells that grow by a factor.
+fn growing(cells: usize, growth: f64, length: f64) -> Vec<f64> {
     let mut at = vec![0.0];
-    let (mut end, mut cell) = (0.0, first);
-    while end < length * (1.0 - 1e-9) {
+    let (mut end, mut cell) = (0.0, 1.0);
+    for _ in 0..cells {
         end += cell;
         cell *= growth;
         at.push(end);
     }
-    let last = at.len() - 1;
     for coordinate in &mut at {
         *coordinate *= length / end;
     }
-    at[last] = length;
+    at[cells] = length;
     at
 }

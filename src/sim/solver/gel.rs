@@ -205,6 +205,11 @@ impl Gel {
         &self.driven
     }
 
+    /// Stiffness that drives each of [`Gel::driven`], N/m.
+    pub fn drive_stiffness(&self) -> &[f64] {
+        &self.drive
+    }
+
     /// Surface that can touch the object.
     pub fn surface(&self) -> &Surface {
         &self.surface

@@ -103,6 +103,13 @@ impl Object {
         self
     }
 
+    /// Lets the object start with this rate instead of at rest.
+    #[must_use]
+    pub fn moving(mut self, rate: AffineRate) -> Self {
+        self.rate = rate;
+        self
+    }
+
     /// Adds a constant acceleration besides gravity, m/s²: a tilted ground, for instance, is
     /// gravity that is not along z.
     #[must_use]
