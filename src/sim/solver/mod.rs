@@ -11,6 +11,8 @@ mod lbfgs;
 mod object;
 mod parameters;
 mod system;
+#[cfg(test)]
+mod test_scene;
 
 pub use collider::Collider;
 pub use gel::{Drive, Gel, GelMaterial};
