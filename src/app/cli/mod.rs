@@ -23,6 +23,8 @@ mod rig;
 mod sim;
 mod sim_grasp;
 mod sim_object;
+mod sim_press;
+mod sim_validate;
 mod working;
 
 /// Collect grasps with touch; predict before the lift whether they hold.

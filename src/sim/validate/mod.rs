@@ -51,20 +51,27 @@ pub const CASE_NAMES: &[&str] = &[
     "mesh",
 ];
 
+/// Checks that all names are of [`CASE_NAMES`].
+///
+/// # Errors
+/// `Usage` with the first that is not, and the nearest that is.
+pub fn check_names(names: &[String]) -> Result<()> {
+    let Some(name) = names.iter().find(|n| !CASE_NAMES.contains(&n.as_str())) else {
+        return Ok(());
+    };
+    let hint = nearest_name(name, CASE_NAMES.iter().copied());
+    let hint = hint.map_or(String::new(), |n| format!("did you mean {n}? "));
+    let what = format!("there is no case named {name:?}");
+    let remedy = format!("{hint}known are: {}", CASE_NAMES.join(", "));
+    Err(Error::new(ErrorKind::Usage, what).remedy(remedy))
+}
+
 /// Runs the named groups of cases, or all if none is named.
 ///
 /// # Errors
-/// `Usage` for a name that is not of [`CASE_NAMES`]. A number that does not hold is no error but
-/// counted as failed.
+/// As [`check_names`]. A number that does not hold is no error but counted as failed.
 pub fn run(names: &[String], effort: Effort) -> Result<Report> {
-    if let Some(name) = names.iter().find(|n| !CASE_NAMES.contains(&n.as_str())) {
-        let hint = nearest_name(name, CASE_NAMES.iter().copied());
-        let hint = hint.map_or(String::new(), |n| format!("did you mean {n}? "));
-        return Err(
-            Error::new(ErrorKind::Usage, format!("there is no case named {name:?}"))
-                .remedy(format!("{hint}known are: {}", CASE_NAMES.join(", "))),
-        );
-    }
+    check_names(names)?;
     let mut report = Report::default();
     for &group in CASE_NAMES {
         if names.is_empty() || names.iter().any(|name| name == group) {

@@ -111,6 +111,11 @@ impl Recorder {
 }
 
 impl Report {
+    /// Takes in another report's numbers.
+    pub fn absorb(&mut self, other: Self) {
+        self.add(other.cases);
+    }
+
     pub(super) fn add(&mut self, cases: Vec<CaseResult>) {
         self.passed += cases.iter().filter(|case| case.passed).count();
         self.failed += cases.iter().filter(|case| !case.passed).count();
