@@ -6,4 +6,5 @@ pub mod affine;
 pub mod contact;
 pub mod fem;
 pub mod grasp;
+pub mod press;
 pub mod solver;

@@ -73,6 +73,23 @@ fn head_on_keeps_a_tenth_of_the_gap() {
     assert_eq!(point_triangle_toi(&x0, &x1, SLACK), None);
 }
 
+/// Faces in one plane meet the plane at the gap exactly; rounding there must not give a time of 0.
+#[test]
+fn parallel_faces_are_not_stopped_early() {
+    for k in 1..200 {
+        let height = 1e-5 * f64::from(k).sqrt();
+        let point = DVec3::new(2e-4, 2e-4, 4e-3 + height);
+        let at = |x: f64, y: f64| DVec3::new(x, y, 4e-3);
+        let x0 = [point, at(0.0, 0.0), at(1e-3, 0.0), at(0.0, 1e-3)];
+        let mut x1 = x0;
+        for corner in &mut x1[1..] {
+            corner.z += 3.0 * height;
+        }
+        let found = point_triangle_toi(&x0, &x1, SLACK).unwrap();
+        assert!((0.29..=0.3 + 1e-9).contains(&found), "{height}: {found}");
+    }
+}
+
 #[test]
 fn sliding_past_is_no_impact() {
     let over = DVec3::new(0.1, 0.1, 1e-5);

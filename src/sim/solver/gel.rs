@@ -56,6 +56,14 @@ impl Default for GelMaterial {
     }
 }
 
+/// A node held by springs along the world's axes.
+#[derive(Clone, Copy, Debug)]
+struct Held {
+    node: u32,
+    at: DVec3,
+    stiffness: DVec3,
+}
+
 /// A gel: a tetrahedral pad whose back face is driven.
 #[derive(Debug)]
 pub struct Gel {
@@ -64,6 +72,8 @@ pub struct Gel {
     rest: Vec<DVec3>,
     driven: Vec<u32>,
     drive: Vec<f64>,
+    /// Nodes held at a world position by springs that differ by axis, N/m.
+    held: Vec<Held>,
     /// Lumped mass over dt² of the nodes that are not driven, else 0.
     inertia: Vec<f64>,
     pub(super) x: Vec<DVec3>,
@@ -79,10 +89,11 @@ pub struct Gel {
     factor: GelFactor,
     stiffness: Vec<f64>,
     coupling: Coupling,
-    /// `L⁻¹ P B` of the coupling B.
+    /// `L⁻¹ P B` of the coupling B, and the same in single precision.
     eliminated: Vec<[f64; OBJECT]>,
-    permuted: Vec<f64>,
-    scratch: Vec<f64>,
+    single_eliminated: Vec<[f32; OBJECT]>,
+    permuted: Vec<f32>,
+    scratch: Vec<f32>,
     scratch_many: Vec<[f64; OBJECT]>,
     motion: Vec<f64>,
     step: Vec<DVec3>,
@@ -134,6 +145,7 @@ impl Gel {
             target: driven.iter().map(|&node| x[node as usize]).collect(),
             driven,
             drive,
+            held: Vec::new(),
             inertia,
             start: x.clone(),
             predicted: x.clone(),
@@ -145,6 +157,7 @@ impl Gel {
             contact: GelContact::new(n),
             coupling: Coupling::default(),
             eliminated: Vec::new(),
+            single_eliminated: Vec::new(),
             permuted: vec![0.0; 3 * n],
             scratch: Vec::new(),
             scratch_many: Vec::new(),
@@ -155,6 +168,26 @@ impl Gel {
             factor,
             stiffness,
         })
+    }
+
+    /// Holds nodes where they are by springs of this stiffness along each axis of the world, N/m:
+    /// with a stiff one along an axis and none along the others, a plane of symmetry.
+    #[must_use]
+    pub fn holding(mut self, nodes: impl IntoIterator<Item = u32>, stiffness: DVec3) -> Self {
+        let x = &self.x;
+        self.held.extend(nodes.into_iter().map(|node| Held {
+            node,
+            at: x[node as usize],
+            stiffness,
+        }));
+        self
+    }
+
+    /// Lets only these triangles of the gel's nodes touch the object, not its front and sides.
+    #[must_use]
+    pub fn touching_with(mut self, surface: Surface) -> Self {
+        self.surface = surface;
+        self
     }
 
     /// Positions of all nodes in the world, m.
@@ -185,6 +218,12 @@ impl Gel {
     /// Smallest distance to the object among the pairs nearer than `d_hat`, m.
     pub fn min_gap(&self) -> Option<f64> {
         self.contact.min_gap()
+    }
+
+    /// Mean distance to the object of the pairs nearer than `d_hat`, weighted by the force that
+    /// each carries, m.
+    pub fn mean_gap(&self) -> Option<f64> {
+        self.contact.mean_gap()
     }
 
     /// Number of pairs nearer than `d_hat`.
@@ -308,6 +347,10 @@ impl Gel {
         for ((&node, stiffness), target) in springs {
             energy += 0.5 * stiffness * (x[node as usize] - *target).length_squared();
         }
+        for held in &self.held {
+            let off = x[held.node as usize] - held.at;
+            energy += 0.5 * off.dot(held.stiffness * off);
+        }
         energy + elastic
     }
 
@@ -387,6 +430,10 @@ impl Gel {
             let node = node as usize;
             self.gradient[node] += (self.x[node] - *target) * *stiffness;
         }
+        for held in &self.held {
+            let node = held.node as usize;
+            self.gradient[node] += (self.x[node] - held.at) * held.stiffness;
+        }
         for (flat, g) in flat.chunks_exact_mut(3).zip(&self.gradient) {
             flat.copy_from_slice(&g.to_array());
         }
@@ -411,6 +458,10 @@ impl Gel {
         for (&node, &stiffness) in self.driven.iter().zip(&self.drive) {
             pattern.add_diagonal(node as usize, [stiffness; 3], &mut self.stiffness);
         }
+        for held in &self.held {
+            let (node, stiffness) = (held.node as usize, held.stiffness.to_array());
+            pattern.add_diagonal(node, stiffness, &mut self.stiffness);
+        }
         self.coupling.clear(3 * self.x.len());
         let now = Situation {
             barrier,
@@ -432,6 +483,9 @@ impl Gel {
             .extend(self.factor.permutation().iter().map(|&row| rows[row]));
         self.factor
             .solve_forward_many(&mut self.eliminated, &mut self.scratch_many);
+        self.single_eliminated.clear();
+        self.single_eliminated
+            .extend(self.eliminated.iter().map(|w| w.map(|value| value as f32)));
         Ok(())
     }
 
@@ -457,21 +511,29 @@ impl Gel {
         self.factor.permute(flat, &mut self.permuted);
         self.factor
             .solve_forward(&mut self.permuted, &mut self.scratch);
-        let mut taken = [0.0; OBJECT];
-        for (w, value) in self.eliminated.iter().zip(&self.permuted) {
-            for (taken, w) in taken.iter_mut().zip(w) {
-                *taken += w * value;
+        pulp::Arch::new().dispatch(|| {
+            let mut taken = [0.0; OBJECT];
+            for (w, value) in self.single_eliminated.iter().zip(&self.permuted) {
+                for (taken, w) in taken.iter_mut().zip(w) {
+                    *taken += f64::from(w * value);
+                }
             }
-        }
-        taken
+            taken
+        })
     }
 
     /// Second half: the gel's unknowns from the object's.
     pub(super) fn solve_up(&mut self, object: &[f64; OBJECT], flat: &mut [f64]) {
-        for (w, value) in self.eliminated.iter().zip(&mut self.permuted) {
-            let sum: f64 = w.iter().zip(object).map(|(w, q)| w * q).sum();
-            *value -= sum;
-        }
+        let object = object.map(|value| value as f32);
+        pulp::Arch::new().dispatch(|| {
+            for (w, value) in self.single_eliminated.iter().zip(&mut self.permuted) {
+                let mut sum = 0.0;
+                for (w, q) in w.iter().zip(&object) {
+                    sum += w * q;
+                }
+                *value -= sum;
+            }
+        });
         self.factor
             .solve_backward(&mut self.permuted, &mut self.scratch);
         self.factor.unpermute(&self.permuted, flat);

@@ -343,6 +343,14 @@ impl GelContact {
         }
     }
 
+    /// Mean distance among the active contacts, weighted by their forces, m.
+    pub(super) fn mean_gap(&self) -> Option<f64> {
+        let sums = self.contacts.iter().fold((0.0, 0.0), |(force, moment), c| {
+            (force - c.first, moment - c.first * c.distance)
+        });
+        (sums.0 > 0.0).then(|| sums.1 / sums.0)
+    }
+
     /// Smallest distance among the active contacts, m.
     pub(super) fn min_gap(&self) -> Option<f64> {
         self.contacts.iter().map(|c| c.distance).reduce(f64::min)

@@ -100,30 +100,31 @@ pub(super) fn dot_lanes(a: &[f64], b: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Minimises a badly scaled quadratic with the identity as the stale stiffness.
-    #[test]
-    fn memory_makes_a_wrong_stiffness_converge() {
-        let stiffness = [1.0, 10.0, 100.0, 3.0];
-        let iterations = |capacity: usize| {
-            let mut memory = Memory::new(capacity);
-            let mut x = vec![1.0, -2.0, 0.5, 3.0];
-            let gradient =
-                |x: &[f64]| -> Vec<f64> { x.iter().zip(stiffness).map(|(x, k)| x * k).collect() };
-            for count in 0..200 {
-                let before = gradient(&x);
-                if dot(&before, &before) < 1e-20 {
-                    return count;
-                }
-                let mut direction: Vec<f64> = before.iter().map(|g| -g).collect();
-                memory.apply(&mut direction, |d| d.iter_mut().for_each(|d| *d *= 0.01));
-                for (x, d) in x.iter_mut().zip(&direction) {
-                    *x += d;
-                }
-                memory.push(&direction, &gradient(&x), &before);
+    /// Minimises a quadratic whose true stiffness is up to 2.5 times the factorised one.
+    fn iterations(capacity: usize) -> usize {
+        let stiffness = [1.0, 1.7, 0.4, 1.9, 0.9, 1.3];
+        let mut memory = Memory::new(capacity);
+        let mut x = vec![1.0, -2.0, 0.5, 3.0, -1.0, 0.2];
+        let gradient =
+            |x: &[f64]| -> Vec<f64> { x.iter().zip(stiffness).map(|(x, k)| x * k).collect() };
+        for count in 0..200 {
+            let before = gradient(&x);
+            if dot(&before, &before) < 1e-20 {
+                return count;
             }
-            200
-        };
-        assert_eq!(iterations(0), 200);
-        assert!(iterations(5) < 40, "{}", iterations(5));
+            let mut direction: Vec<f64> = before.iter().map(|g| -g).collect();
+            memory.apply(&mut direction, |_| {});
+            for (x, d) in x.iter_mut().zip(&direction) {
+                *x += d;
+            }
+            memory.push(&direction, &gradient(&x), &before);
+        }
+        200
+    }
+
+    #[test]
+    fn memory_makes_a_stale_stiffness_converge_faster() {
+        let (without, with) = (iterations(0), iterations(5));
+        assert!(2 * with < without, "{with} against {without}");
     }
 }

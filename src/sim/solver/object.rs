@@ -31,6 +31,8 @@ pub struct Object {
     rubbing: Vec<Rubbing>,
     /// It stays where it is.
     pub(super) is_fixed: bool,
+    /// Acceleration besides gravity, m/s².
+    pull: DVec3,
     reach: f64,
     pub(super) ground_gradient: GeneralisedForce,
 }
@@ -49,6 +51,7 @@ impl Object {
             ground_mu: None,
             rubbing: Vec::new(),
             is_fixed: false,
+            pull: DVec3::ZERO,
             reach: lengths.fold(0.0, f64::max) * 1.01,
             ground_gradient: GeneralisedForce::default(),
         }
@@ -100,6 +103,14 @@ impl Object {
         self
     }
 
+    /// Adds a constant acceleration besides gravity, m/s²: a tilted ground, for instance, is
+    /// gravity that is not along z.
+    #[must_use]
+    pub fn pulled(mut self, acceleration: DVec3) -> Self {
+        self.pull = acceleration;
+        self
+    }
+
     /// Place and shape.
     pub fn state(&self) -> &AffineState {
         &self.state
@@ -117,7 +128,7 @@ impl Object {
 
     pub(super) fn begin_step(&mut self, dt: f64, gravity: f64) {
         self.start = self.state;
-        let acceleration = DVec3::new(0.0, 0.0, gravity);
+        let acceleration = DVec3::new(0.0, 0.0, gravity) + self.pull;
         self.predicted = self.state.inertial(&self.rate, acceleration, dt);
     }
 

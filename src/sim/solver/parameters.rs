@@ -49,8 +49,8 @@ impl Default for SolverParameters {
             gravity_m_s2: -9.81,
             affine_stiffness_pa: 1e9,
             candidate_margin_m: 4e-4,
-            memory: 5,
-            max_factor_age: 12,
+            memory: 8,
+            max_factor_age: 20,
             ccd_slack: 0.1,
         }
     }

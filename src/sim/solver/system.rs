@@ -26,6 +26,8 @@ use crate::sim::fem::Projection;
 const SUFFICIENT: f64 = 1e-4;
 /// A step that shrinks by less than this share from one iteration to the next is slow.
 const SLOW: f64 = 0.5;
+/// Slow iterations in a row that are taken before the stiffness is assembled anew.
+const PATIENCE: u32 = 3;
 /// Shortenings of the motion that a step begins with.
 const REPEAT_HALVINGS: u32 = 3;
 /// Halvings before the stiffness is assembled anew.
@@ -59,6 +61,8 @@ pub struct PhaseTimes {
     pub collision_s: f64,
     /// Energies of the line search.
     pub line_search_s: f64,
+    /// Contacts, friction, first motion and first gradient of the steps.
+    pub begin_s: f64,
 }
 
 /// How a step begins.
@@ -196,6 +200,7 @@ impl System {
     ///
     /// Forces and contacts of the gels are those of the end of the step afterwards.
     pub fn step(&mut self, start: &StepStart) -> StepReport {
+        let began = Instant::now();
         let dt = self.parameters.dt_s;
         let epsilon = self.parameters.eps_v_m_s * dt;
         let mut report = StepReport::default();
@@ -219,12 +224,14 @@ impl System {
             report.gathers += self.ensure_candidates();
             self.find_contacts();
         }
-        report.gathers += self.repeat(start);
+        let energy = self.repeat(start, &mut report);
         if start.renew {
             self.schur = None;
         }
         self.memory.clear();
-        self.minimise(&mut report);
+        self.compute_gradient();
+        self.times.begin_s += began.elapsed().as_secs_f64();
+        self.minimise(energy, &mut report);
         for gel in &mut self.gels {
             gel.end_step(dt);
         }
@@ -233,10 +240,11 @@ impl System {
         report
     }
 
-    /// Repeats the motion of the last step of this kind.
-    fn repeat(&mut self, start: &StepStart) -> u32 {
+    /// Repeats the motion of the last step of this kind; the energy thereafter, J.
+    fn repeat(&mut self, start: &StepStart, report: &mut StepReport) -> f64 {
+        let before = self.energy();
         let Some(remembered) = self.motions.get(start.kind).filter(|m| !m.is_empty()) else {
-            return 0;
+            return before;
         };
         self.direction.clone_from(remembered);
         let together = if self.object.is_fixed {
@@ -250,8 +258,8 @@ impl System {
                 *value -= together;
             }
         }
-        let before = self.energy();
         let (share, gathers) = self.free_share();
+        report.gathers += gathers;
         for gel in &mut self.gels {
             gel.save();
         }
@@ -259,15 +267,16 @@ impl System {
         let mut length = share;
         for _ in 0..REPEAT_HALVINGS {
             self.place_on_line(length);
-            if self.energy() < before {
+            let energy = self.energy();
+            if energy < before {
                 self.find_contacts();
-                return gathers;
+                return energy;
             }
             length *= 0.5;
         }
         self.place_on_line(0.0);
         self.find_contacts();
-        gathers
+        before
     }
 
     /// Remembers the motion of the step that ends.
@@ -357,15 +366,15 @@ impl System {
         Ok(())
     }
 
-    fn minimise(&mut self, report: &mut StepReport) {
+    fn minimise(&mut self, mut energy: f64, report: &mut StepReport) {
         let tolerance = self.parameters.newton_tolerance_m_s * self.parameters.dt_s;
-        let mut energy = self.energy();
         let mut last_move = f64::INFINITY;
         let mut slow = 0;
-        self.compute_gradient();
         while report.iterations < self.parameters.max_iterations {
             report.iterations += 1;
-            if self.schur.is_none() || self.factor_age >= self.parameters.max_factor_age || slow > 1
+            if self.schur.is_none()
+                || self.factor_age >= self.parameters.max_factor_age
+                || slow > PATIENCE
             {
                 let began = Instant::now();
                 self.factorise();

@@ -1,0 +1,7 @@
+//! Pressing a gel against a fixed rigid indenter, quasi-statically: force against depth.
+
+mod indenter;
+mod run;
+
+pub use indenter::Indenter;
+pub use run::{Goal, Press, PressPoint, quarter_pad};
