@@ -245,10 +245,7 @@ fn mesh_files_are_checked_mended_or_refused() {
         &format!("--unit mm {short}"),
     ));
     let warnings = json(&output)["warnings"].to_string();
-    assert!(
-        warnings.contains("outward") || warnings.contains("winding"),
-        "{warnings}"
-    );
+    assert!(warnings.contains("faced the wrong way"), "{warnings}");
     assert!(
         stderr(&output).contains("inverted.obj"),
         "{}",
