@@ -202,20 +202,6 @@ impl Pressed {
         );
     }
 
-    /// Split borrow: the contacts, and what they look at.
-    fn parts<'a>(
-        &'a mut self,
-        barrier: &'a Barrier,
-        object: &'a AffineState,
-    ) -> (&'a mut GelContact, Situation<'a>, &'a Surface) {
-        let now = Situation {
-            barrier,
-            x: &self.x,
-            object,
-        };
-        (&mut self.contact, now, &self.surface)
-    }
-
     fn note_motion(&mut self, object: &AffineState) {
         let Self {
             contact,
@@ -231,14 +217,22 @@ impl Pressed {
 
     fn find(&mut self, barrier: &Barrier, object: &AffineState) {
         self.note_motion(object);
-        let (contact, now, _) = self.parts(barrier, object);
-        contact.update(&now);
+        let now = Situation {
+            barrier,
+            x: &self.x,
+            object,
+        };
+        self.contact.update(&now);
     }
 
     fn energy(&mut self, barrier: &Barrier, object: &AffineState) -> f64 {
         self.note_motion(object);
-        let (contact, now, _) = self.parts(barrier, object);
-        contact.energy(&now)
+        let now = Situation {
+            barrier,
+            x: &self.x,
+            object,
+        };
+        self.contact.energy(&now)
     }
 
     fn write_gradient(&mut self, barrier: &Barrier, object: &AffineState) -> GeneralisedForce {
