@@ -7,7 +7,8 @@
 //! Two gels are pressed 1.5 mm on an icosphere of radius 20 mm and are about to move by 0.2 mm
 //! over it; contact begins at 0.5 mm. One thread, shortest and median wall time of each phase for
 //! both gels. `--peer ipctk` runs PyPI's ipctk in `python3` on the same surfaces in the same run,
-//! on one thread.
+//! on one thread; of it the CPU time is taken, so that other work on the machine, which only a
+//! short phase escapes, does not count against it.
 //!
 //! What is compared, per iteration (`ours_ms`, `ipctk_ms`; the sum of the shortest times of the
 //! phases, because a busy machine only ever adds to them):

@@ -313,7 +313,7 @@ impl ContactLoad {
             },
             parameters,
         };
-        load.on_gels(|gel, load| gel.gather(&load.object, load.collider, load.parameters));
+        load.on_gels(|gel, f| gel.gather(&f.object, f.collider, f.parameters));
         Ok(load)
     }
 
