@@ -107,19 +107,15 @@ struct Outcome {
 
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    let (json, class, repeat, threads) = (args.json, args.class, args.repeat, args.threads);
+    let json = args.json;
+    let params = params(&args);
     let outcome = interruptible(context, "simulating grasps", move |progress| {
         measure(&args, progress)
     })??;
     if json {
         let report = json!({
             "name": "grasp",
-            "params": {
-                "class": class,
-                "repeat": repeat,
-                "threads": threads,
-                "stop_force_n": GraspSettings::default().protocol.stop_force_n,
-            },
+            "params": params,
             "figures": figures(&outcome),
             "cases": outcome.measured,
             "skipped": outcome.skipped,
@@ -137,14 +133,42 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     if outcome.skipped.is_empty() && unconverged == 0 {
         return Ok(());
     }
-    Err(Error::new(
+    let skipped = outcome.skipped.len();
+    let error = Error::new(
         ErrorKind::Partial,
-        format!(
-            "{} case(s) skipped, {unconverged} not converged",
-            outcome.skipped.len()
-        ),
-    )
-    .remedy("set GRIPCAST_SHARED to the folder that has data/egad_eval/B1.obj"))
+        format!("{skipped} case(s) skipped, {unconverged} not converged"),
+    );
+    Err(if skipped > 0 {
+        error.remedy("set GRIPCAST_SHARED to the folder that has data/egad_eval/B1.obj")
+    } else {
+        error
+    })
+}
+
+fn params(args: &Args) -> Value {
+    let settings = args.settings(GelName::Default);
+    let gels = args.gel.iter().map(|&gel| resolution_name(gel.into()));
+    json!({
+        "class": args.class,
+        "gel": gels.collect::<Vec<_>>(),
+        "repeat": args.repeat,
+        "threads": args.threads,
+        "stop_force_n": settings.protocol.stop_force_n,
+        "tolerance_m_s": settings.solver.newton_tolerance_m_s,
+    })
+}
+
+impl Args {
+    fn settings(&self, gel: GelName) -> GraspSettings {
+        let mut settings = GraspSettings {
+            resolution: gel.into(),
+            ..GraspSettings::default()
+        };
+        if let Some(tolerance) = self.tolerance {
+            settings.solver.newton_tolerance_m_s = tolerance;
+        }
+        settings
+    }
 }
 
 fn measure(args: &Args, progress: &Progress) -> Result<Outcome> {
@@ -158,16 +182,17 @@ fn measure(args: &Args, progress: &Progress) -> Result<Outcome> {
         .into_iter()
         .filter(|case| args.class.has(case.class) && case.name.contains(&args.only))
         .collect();
+    if chosen.is_empty() {
+        return Err(Error::new(
+            ErrorKind::Usage,
+            format!("no case of this class has {:?} in its name", args.only),
+        )
+        .remedy("leave --only out to see the names"));
+    }
     let all = (chosen.len() * args.gel.len()) as u64;
     let mut done = 0;
     for (at, &gel) in args.gel.iter().enumerate() {
-        let mut settings = GraspSettings {
-            resolution: gel.into(),
-            ..GraspSettings::default()
-        };
-        if let Some(tolerance) = args.tolerance {
-            settings.solver.newton_tolerance_m_s = tolerance;
-        }
+        let settings = args.settings(gel);
         for case in &chosen {
             progress.at(done, all);
             done += 1;
@@ -186,7 +211,7 @@ fn measure(args: &Args, progress: &Progress) -> Result<Outcome> {
     }
     if !args.no_throughput {
         progress.line("throughput of independent grasps");
-        outcome.throughput = Some(throughput(args.gel.first().copied())?);
+        outcome.throughput = Some(throughput(args)?);
     }
     Ok(outcome)
 }
@@ -232,11 +257,8 @@ fn measure_case(
 }
 
 /// Independent grasps a second on one thread and on two.
-fn throughput(gel: Option<GelName>) -> Result<[f64; 2]> {
-    let settings = GraspSettings {
-        resolution: gel.unwrap_or(GelName::Coarse).into(),
-        ..GraspSettings::default()
-    };
+fn throughput(args: &Args) -> Result<[f64; 2]> {
+    let settings = args.settings(args.gel.first().copied().unwrap_or(GelName::Coarse));
     let scenes: Vec<Scene> = cases()
         .iter()
         .filter(|case| case.class == CaseClass::Easy)
