@@ -2,7 +2,7 @@
 //!
 //! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
 
-use super::{Context, bench_grasp, bench_live, bench_predict};
+use super::{Context, bench_contact, bench_grasp, bench_live, bench_predict};
 use crate::error::Result;
 
 /// Arguments.
@@ -16,6 +16,8 @@ pub(crate) struct Args {
 enum Bench {
     /// The complete live path: frames lost, latency, cores, memory
     Live(bench_live::Args),
+    /// The contact phases of one Newton iteration
+    Contact(bench_contact::Args),
     /// Simulated grasps, easy and hard: time, steps, Newton iterations, outcomes
     Grasp(bench_grasp::Args),
     /// One prediction: load, preprocess, engine
@@ -26,6 +28,7 @@ enum Bench {
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.bench {
         Bench::Live(args) => bench_live::run(context, &args),
+        Bench::Contact(args) => bench_contact::run(context, &args),
         Bench::Grasp(args) => bench_grasp::run(context, args),
         Bench::Predict(args) => bench_predict::run(context, &args),
     }

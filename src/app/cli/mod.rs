@@ -10,6 +10,7 @@ use crate::app::config as settings;
 use crate::error::{Error, ErrorKind, Result};
 
 mod bench;
+mod bench_contact;
 mod bench_grasp;
 mod bench_live;
 mod bench_predict;

@@ -455,10 +455,15 @@ fn text(report: &Report) -> String {
             .map_or(String::new(), |d| format!(": {d}"))
     )];
     if summary.steps > 0 {
-        lines.push(format!("lifted      {:.1} mm", 1e3 * summary.lifted_m));
         lines.push(format!(
-            "force       {:.2} N left, {:.2} N right, threshold {} N",
-            summary.force_n.left, summary.force_n.right, summary.stop_force_n
+            "lifted      {} mm",
+            rounded(1e3 * summary.lifted_m, 1)
+        ));
+        lines.push(format!(
+            "force       {} N left, {} N right, threshold {} N",
+            rounded(summary.force_n.left, 2),
+            rounded(summary.force_n.right, 2),
+            summary.stop_force_n
         ));
     }
     if let (Some(mean), Some(std)) = (summary.mean_force_n, summary.std_force_n) {
@@ -468,7 +473,8 @@ fn text(report: &Report) -> String {
             "not steady"
         };
         lines.push(format!(
-            "adjustment  {mean:.2} ± {std:.2} N over its last {STEADY_STEPS} steps, {steady}"
+            "adjustment  {} ± {std:.2} N over its last {STEADY_STEPS} steps, {steady}",
+            rounded(mean, 2)
         ));
     }
     lines.push(format!(
@@ -476,6 +482,21 @@ fn text(report: &Report) -> String {
         summary.simulated_s, report.wall_s, summary.steps, summary.newton_per_step
     ));
     lines.join("\n")
+}
+
+/// A number with some decimals, and never minus zero.
+fn rounded(value: f64, digits: usize) -> String {
+    let text = format!("{value:.digits$}");
+    let is_zero = text
+        .trim_start_matches('-')
+        .chars()
+        .all(|c| c == '0' || c == '.');
+    let text = if is_zero {
+        text.trim_start_matches('-')
+    } else {
+        &text
+    };
+    text.to_owned()
 }
 
 fn outcome_text(outcome: GraspOutcome) -> &'static str {

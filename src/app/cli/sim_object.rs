@@ -11,6 +11,7 @@ use crate::geometry::{
 
 /// Flags that choose the object.
 #[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "What is grasped")]
 pub(super) struct ObjectFlags {
     /// Mesh file (obj, stl, ply, glb, gltf) or builtin:NAME (box, sphere, cylinder, mug, wedge,
     /// bar, spike)

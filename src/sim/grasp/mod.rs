@@ -1,6 +1,8 @@
 //! The grasp of the paper: closure, force adjustment, lift.
 
 mod cases;
+#[cfg(test)]
+mod not_converged_test;
 mod placement;
 mod plot;
 mod protocol;

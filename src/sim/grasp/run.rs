@@ -141,7 +141,8 @@ impl<'a> Run<'a> {
         } else if !was_held {
             (GraspOutcome::Eject, None)
         } else if self.is_closed && !self.has_reached_force {
-            (GraspOutcome::Closed, None)
+            let detail = "the gels met each other before the force was reached".to_owned();
+            (GraspOutcome::Closed, Some(detail))
         } else {
             (GraspOutcome::Slip, None)
         };
@@ -165,10 +166,14 @@ impl<'a> Run<'a> {
         0.5 * (left.normal_n + right.normal_n)
     }
 
-    /// Moves each finger by `by` (m) towards the other, but not through it; what was moved.
+    /// Moves each finger by `by` (m) towards the other, as long as the gels do not meet; what was
+    /// moved.
     fn squeeze(&mut self, by: f64) -> f64 {
         let room = 0.5 * (self.opening - self.stage.system.parameters().d_hat_m);
-        let by = if by >= room {
+        let by = if by > 0.0 && self.stage.gels_meet() {
+            self.is_closed = true;
+            0.0
+        } else if by >= room {
             self.is_closed = true;
             room.max(0.0)
         } else {

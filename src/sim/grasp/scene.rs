@@ -97,6 +97,29 @@ pub struct Stage {
     /// How far scene was raised for the object to rest at its contact gap, m.
     pub(super) raised_m: f64,
     pub(super) starts_penetrating: Option<String>,
+    /// Nodes of the left and the right face that lie opposite each other.
+    facing: Vec<[u32; 2]>,
+}
+
+impl Stage {
+    /// Whether the gels touch each other, which nothing would keep them from passing through.
+    pub(super) fn gels_meet(&self) -> bool {
+        let [left, right] = [0, 1].map(|i| self.system.gels()[i].positions());
+        let d_hat = self.system.parameters().d_hat_m;
+        self.facing.iter().any(|[l, r]| {
+            let apart = right[*r as usize] - left[*l as usize];
+            apart.dot(self.closing[0]) < d_hat
+        })
+    }
+}
+
+/// Opposite nodes of two equal pads: y points in opposite directions on them.
+fn facing_nodes(grid: &GelGrid) -> Vec<[u32; 2]> {
+    let [nx, ny, nz] = grid.nodes();
+    (0..ny)
+        .flat_map(|j| (0..nx).map(move |i| (i, j)))
+        .map(|(i, j)| [j, ny - 1 - j].map(|j| grid.node(i, j, nz - 1) as u32))
+        .collect()
 }
 
 fn input(what: String, remedy: &str) -> Error {
@@ -169,6 +192,7 @@ impl Scene {
             center_of_mass: center,
             raised_m,
             starts_penetrating,
+            facing: facing_nodes(&self.gel.grid),
             system: System::new(gels, object, collider, self.friction, *parameters)?,
         })
     }

@@ -64,11 +64,8 @@ pub struct Snapshot {
     /// Distance between the undeformed faces, m.
     pub opening_m: f64,
     /// Node positions of both gels in the world, m.
-    pub gels: [Vec<DVec3Array>; 2],
+    pub gels: [Vec<[f64; 3]>; 2],
 }
-
-/// A point as three numbers, m.
-pub type DVec3Array = [f64; 3];
 
 /// A whole grasp.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

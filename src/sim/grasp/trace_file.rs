@@ -27,7 +27,7 @@ use glam::{DQuat, DVec3};
 use serde::Serialize;
 use serde_json::Value;
 
-use super::trace::{DVec3Array, GelForce, Snapshot, StageName, Trace, TraceStep};
+use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::sim::solver::StepReport;
@@ -316,7 +316,7 @@ impl<'a> Reader<'a> {
         })
     }
 
-    fn nodes(&mut self, count: u32) -> Result<Vec<DVec3Array>> {
+    fn nodes(&mut self, count: u32) -> Result<Vec<[f64; 3]>> {
         (0..count).map(|_| self.floats()).collect()
     }
 

@@ -230,3 +230,7 @@ impl Candidates {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "candidates_test.rs"]
+mod tests;

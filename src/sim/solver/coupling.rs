@@ -6,7 +6,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::sim::affine::{Matrix12, Vector12, axis_weights};
+use crate::sim::affine::{Matrix12, Vector12, add_point_gradient, add_point_hessian, axis_weights};
 
 /// Number of unknowns of the object.
 pub(super) const OBJECT: usize = 12;
@@ -19,11 +19,7 @@ impl GeneralisedForce {
     /// Adds a gradient with respect to the world position of a material point.
     #[inline]
     pub(super) fn add(&mut self, gradient: DVec3, material: DVec3) {
-        for (block, s) in self.0.chunks_exact_mut(3).zip(axis_weights(material)) {
-            block[0] += gradient.x * s;
-            block[1] += gradient.y * s;
-            block[2] += gradient.z * s;
-        }
+        add_point_gradient(material, gradient, &mut self.0);
     }
 
     /// Adds a gradient with respect to a vector that is `material` in the object's frame.
@@ -53,28 +49,24 @@ impl Default for ObjectStiffness {
 }
 
 impl ObjectStiffness {
-    fn add_shaped(&mut self, block: &DMat3, shape: [f64; 4]) {
-        let columns = block.to_cols_array_2d();
-        for (k, sk) in shape.into_iter().enumerate() {
-            for (l, sl) in shape.into_iter().enumerate() {
-                let s = sk * sl;
-                for (c, column) in columns.iter().enumerate() {
-                    for (r, value) in column.iter().enumerate() {
-                        self.0[3 * k + r][3 * l + c] += s * value;
-                    }
-                }
-            }
-        }
-    }
-
     /// Adds a stiffness with respect to the position of a material point.
     pub(super) fn add_block(&mut self, block: &DMat3, material: DVec3) {
-        self.add_shaped(block, axis_weights(material));
+        add_point_hessian(material, material, block, &mut self.0);
     }
 
     /// Adds a stiffness with respect to a vector that is `material` in the object's frame.
     pub(super) fn add_edge_block(&mut self, block: &DMat3, material: DVec3) {
-        self.add_shaped(block, [0.0, material.x, material.y, material.z]);
+        let columns = block.to_cols_array_2d();
+        for k in 0..3 {
+            for l in 0..3 {
+                let s = material[k] * material[l];
+                for (c, column) in columns.iter().enumerate() {
+                    for (r, value) in column.iter().enumerate() {
+                        self.0[3 + 3 * k + r][3 + 3 * l + c] += s * value;
+                    }
+                }
+            }
+        }
     }
 }
 

@@ -594,3 +594,7 @@ impl Gel {
         &self.contact.candidates
     }
 }
+
+#[cfg(test)]
+#[path = "gel_probe.rs"]
+mod probe;

@@ -436,3 +436,7 @@ fn across(e: DVec3, coefficient: f64) -> DMat3 {
     let identity = DMat3::from_diagonal(DVec3::splat(e.length_squared()));
     (identity - DMat3::from_cols(e * e.x, e * e.y, e * e.z)) * coefficient
 }
+
+#[cfg(test)]
+#[path = "gel_contact_probe.rs"]
+mod probe;

@@ -3,6 +3,7 @@
 mod candidates;
 mod ccd;
 mod collider;
+mod contact_load;
 mod coupling;
 mod gel;
 mod gel_contact;
@@ -11,8 +12,11 @@ mod lbfgs;
 mod object;
 mod parameters;
 mod system;
+#[cfg(test)]
+mod test_scene;
 
 pub use collider::Collider;
+pub use contact_load::{ContactLoad, ContactPhases, ContactState, LoadMesh, PhaseMs};
 pub use gel::{Drive, Gel, GelMaterial};
 pub use gel_factor::{GelFactor, NotPositiveDefinite};
 pub use object::Object;

@@ -99,3 +99,7 @@ fn wrong(name: &str, value: f64, expected: &str) -> Error {
         format!("`{name}` must be {expected}, found {value}"),
     )
 }
+
+#[cfg(test)]
+#[path = "parameters_test.rs"]
+mod tests;

@@ -596,3 +596,7 @@ fn on_each_with<R: Send>(
         .map(|(gel, part)| work(gel, part))
         .collect()
 }
+
+#[cfg(test)]
+#[path = "system_test.rs"]
+mod tests;

@@ -245,10 +245,7 @@ fn mesh_files_are_checked_mended_or_refused() {
         &format!("--unit mm {short}"),
     ));
     let warnings = json(&output)["warnings"].to_string();
-    assert!(
-        warnings.contains("outward") || warnings.contains("winding"),
-        "{warnings}"
-    );
+    assert!(warnings.contains("faced the wrong way"), "{warnings}");
     assert!(
         stderr(&output).contains("inverted.obj"),
         "{}",
@@ -356,4 +353,42 @@ fn ctrl_c_ends_a_grasp_with_130() {
     let id = rustix::process::Pid::from_child(&child);
     rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
+}
+
+#[test]
+fn the_contact_bench_prints_every_phase_and_the_promised_figure() {
+    let bench = |more: &str| {
+        let mut command = gripcast();
+        command
+            .args(["bench", "contact", "--json"])
+            .args(more.split_whitespace());
+        command
+    };
+    let report = json(&succeed(&mut bench("--faces 1280 --runs 20")));
+    assert_eq!(report["name"], "contact");
+    assert_eq!(report["params"]["threads"], 1);
+    assert!(report["peers"].as_object().unwrap().is_empty());
+    let ours = report["figures"]["coarse_1280_ours_ms"].as_f64().unwrap();
+    let phases = &report["meshes"][0]["phases"];
+    for phase in ["find", "energy", "gradient", "hessian", "ccd"] {
+        let figure = |kind: &str| phases[phase][kind].as_f64().unwrap();
+        assert!(
+            0.0 < figure("min") && figure("min") <= figure("median"),
+            "{phase}"
+        );
+        assert!(figure("min") < ours, "{phase}");
+    }
+    assert!(
+        report["meshes"][0]["state"]["edge_edge_pairs"]
+            .as_u64()
+            .unwrap()
+            > 100
+    );
+    for wrong in ["--faces 1000", "--runs 3"] {
+        assert_eq!(
+            bench(wrong).output().unwrap().status.code(),
+            Some(2),
+            "{wrong}"
+        );
+    }
 }

@@ -142,22 +142,31 @@ fn rig_file() -> RigFile {
     }
 }
 
+/// The program under test, following a script without a terminal.
+fn collect(run: &Run<'_>, arguments: &[&str], script: &Path, dataset: &Path) -> Process {
+    let mut command = Process::new(run.gripcast);
+    command
+        .args(["collect", "--headless"])
+        .args(arguments)
+        .arg("--script")
+        .arg(script)
+        .arg("--dataset")
+        .arg(dataset)
+        .current_dir(run.disk)
+        .env("HOME", run.disk)
+        .stdin(Stdio::null());
+    command
+}
+
 fn start(run: &Run<'_>, dataset: &Path) -> io::Result<Child> {
     let rig = run.out.join("rig.toml");
     let text = toml::to_string_pretty(&rig_file()).map_err(io::Error::other)?;
     fs::write(&rig, text)?;
     let script = run.out.join("script.txt");
     fs::write(&script, run.scenario.script)?;
-    Process::new(run.gripcast)
-        .args(["collect", "--headless", "--json", "--rig"])
+    collect(run, &["--json"], &script, dataset)
+        .arg("--rig")
         .arg(&rig)
-        .arg("--script")
-        .arg(&script)
-        .arg("--dataset")
-        .arg(dataset)
-        .current_dir(run.disk)
-        .env("HOME", run.disk)
-        .stdin(Stdio::null())
         .stdout(File::create(run.out.join("stdout.json"))?)
         .stderr(File::create(run.out.join("stderr.txt"))?)
         .spawn()
@@ -225,15 +234,7 @@ fn make_read_only(dir: &Path) -> io::Result<()> {
 fn second_start(run: &Run<'_>, dataset: &Path) -> io::Result<serde_json::Value> {
     let script = run.out.join("quit.txt");
     fs::write(&script, "quit\n")?;
-    let output = Process::new(run.gripcast)
-        .args(["collect", "--headless", "--rig", "virtual", "--script"])
-        .arg(&script)
-        .arg("--dataset")
-        .arg(dataset)
-        .current_dir(run.disk)
-        .env("HOME", run.disk)
-        .stdin(Stdio::null())
-        .output()?;
+    let output = collect(run, &["--rig", "virtual"], &script, dataset).output()?;
     Ok(serde_json::json!({
         "exit_code": output.status.code(),
         "stderr": String::from_utf8_lossy(&output.stderr),

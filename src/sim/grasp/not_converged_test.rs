@@ -1,0 +1,22 @@
+//! A grasp whose steps do not converge has no outcome.
+
+use super::{GraspOutcome, GraspSettings, Protocol, cases, simulate};
+use crate::sim::fem::GelGrid;
+use crate::sim::solver::SolverParameters;
+
+#[test]
+fn a_grasp_whose_steps_do_not_converge_has_no_outcome() {
+    let case = cases().into_iter().find(|case| case.name == "box").unwrap();
+    let mesh = case.object.load(&|_, _| Ok(None)).unwrap().unwrap();
+    let mut scene = case.scene(mesh, &GraspSettings::default()).unwrap();
+    scene.gel.grid = GelGrid::uniform([5, 5, 3], [0.025, 0.020, 0.004]).unwrap();
+    let parameters = SolverParameters {
+        max_iterations: 1,
+        ..Default::default()
+    };
+    let result = simulate(&scene, &Protocol::default(), &parameters).unwrap();
+    assert_eq!(result.outcome, GraspOutcome::NotConverged);
+    assert!(result.unconverged_steps > 1);
+    let detail = result.detail.unwrap();
+    assert!(detail.contains("did not converge"), "{detail}");
+}
