@@ -14,7 +14,7 @@
 //! Exit codes: 0 pressed · 1 the indenter is refused · 2 usage · 4 a point did not converge · 130
 //! interrupted.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
@@ -23,7 +23,7 @@ use super::sim_grasp::GelName;
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{LengthUnit, load_mesh};
+use crate::geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
 use crate::sim::fem::GelGrid;
 use crate::sim::press::{Goal, Indenter, Press, PressPoint, half_pad, quarter_pad};
 use crate::sim::solver::GelMaterial;
@@ -119,7 +119,7 @@ struct Report {
 
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    let press = build(&args)?;
+    let press = build(context, &args)?;
     let goals = goals(&args)?;
     let gel_nodes = press.grid.nodes();
     let (points, wall_s) = interruptible(context, "pressing", move |_| {
@@ -156,13 +156,24 @@ fn goals(args: &Args) -> Result<Vec<Goal>> {
         .collect())
 }
 
-fn build(args: &Args) -> Result<Press> {
+fn load(context: &Context, path: &Path, unit: LengthUnit) -> Result<TriangleMesh> {
+    let prepared = prepare(&load_mesh(path, unit)?, &PrepareOptions::default())
+        .map_err(|e| e.at(path.display()))?;
+    if !context.quiet {
+        for warning in &prepared.warnings {
+            eprintln!("gripcast: {}: {warning}", path.display());
+        }
+    }
+    Ok(prepared.mesh)
+}
+
+fn build(context: &Context, args: &Args) -> Result<Press> {
     let radius_m = args.radius_m.unwrap_or(0.0);
     let indenter = match (args.indenter, &args.mesh) {
         (Shape::Sphere, _) => Indenter::Sphere { radius_m },
         (Shape::Cylinder, _) => Indenter::Cylinder { radius_m },
         (Shape::Edge, _) => Indenter::Edge { radius_m },
-        (Shape::Mesh, Some(path)) => Indenter::Mesh(load_mesh(path, args.unit)?),
+        (Shape::Mesh, Some(path)) => Indenter::Mesh(load(context, path, args.unit)?),
         (Shape::Plate | Shape::Mesh, _) => Indenter::Plate,
     };
     if args.indenter == Shape::Mesh && args.gel == Mesh::Refined {

@@ -2,3 +2,4 @@
 
 mod cli;
 mod ipctk;
+mod press_cli;

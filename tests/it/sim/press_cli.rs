@@ -1,0 +1,58 @@
+//! `gripcast sim press` and `gripcast sim validate` as a user runs them.
+
+use std::process::Command;
+
+use crate::program::{gripcast, json, stderr, succeed};
+
+fn sim(arguments: &str) -> Command {
+    let mut command = gripcast();
+    command.arg("sim").args(arguments.split_whitespace());
+    command
+}
+
+#[test]
+fn a_plate_presses_as_stiffly_as_finite_elements_say() {
+    let found = json(&succeed(&mut sim(
+        "press --indenter plate --gel coarse --depth-m 1e-4,2e-4 --face-m 1e-3 --json",
+    )));
+    assert_eq!(found["gel_nodes"][0], 13);
+    let points = found["points"].as_array().unwrap();
+    assert_eq!(points.len(), 2);
+    // The converged reference is 30.755 N; the coarse gel is 2.5 % too stiff.
+    let force = points[1]["normal_n"].as_f64().unwrap();
+    assert!((30.7..32.3).contains(&force), "{force}");
+    let depth = points[1]["depth_m"].as_f64().unwrap();
+    assert!((depth - 2e-4).abs() < 1e-7, "{depth}");
+}
+
+#[test]
+fn a_press_that_cannot_be_is_explained() {
+    for (arguments, code, says) in [
+        ("press --indenter sphere", 2, "--radius-m"),
+        ("press --indenter sphere --radius-m 0", 1, "radius"),
+        ("press --indenter plate --depth-m 0.003", 1, "depths"),
+        ("press --indenter mesh", 2, "--mesh"),
+        ("press --indenter mesh --mesh no.stl", 1, "no.stl"),
+    ] {
+        let output = sim(arguments).output().unwrap();
+        let text = stderr(&output);
+        assert_eq!(output.status.code(), Some(code), "{arguments}: {text}");
+        assert!(text.contains(says), "{arguments}: {text}");
+    }
+}
+
+#[test]
+fn validation_counts_what_holds() {
+    let found = json(&succeed(&mut sim(
+        "validate --cases free-fall,momentum --json",
+    )));
+    assert_eq!(found["failed"], 0);
+    assert_eq!(found["passed"], found["cases"].as_array().unwrap().len());
+    let first = &found["cases"][0];
+    assert_eq!(first["name"], "free-fall/25 steps");
+    assert_eq!(first["passed"], true);
+    assert!(first["expected"].is_f64() && first["found"].is_f64());
+    let output = sim("validate --cases fre-fall").output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("did you mean free-fall?"));
+}
