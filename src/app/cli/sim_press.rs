@@ -24,7 +24,7 @@ use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
-use crate::sim::fem::GelGrid;
+use crate::sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
 use crate::sim::press::{Goal, Indenter, Press, PressPoint, half_pad, quarter_pad};
 use crate::sim::solver::GelMaterial;
 
@@ -55,6 +55,13 @@ pub(crate) struct Args {
     /// Mesh of the gel
     #[arg(long, value_enum, default_value_t = Mesh::Default)]
     gel: Mesh,
+    /// How much closer the nodes of coarse, default and fine lie towards the middle of the face: 1
+    /// is equally spaced
+    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
+    towards_middle: f64,
+    /// And towards the face
+    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
+    towards_face: f64,
     /// Coulomb friction coefficient
     #[arg(long, value_name = "MU", default_value_t = 0.0)]
     friction: f64,
@@ -181,9 +188,9 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
         return Err(Error::new(ErrorKind::Usage, what));
     }
     let (grid, symmetric) = match args.gel {
-        Mesh::Coarse => (GelGrid::pad(GelName::Coarse.into())?, [false; 2]),
-        Mesh::Default => (GelGrid::pad(GelName::Default.into())?, [false; 2]),
-        Mesh::Fine => (GelGrid::pad(GelName::Fine.into())?, [false; 2]),
+        Mesh::Coarse => (pad(GelName::Coarse, args)?, [false; 2]),
+        Mesh::Default => (pad(GelName::Default, args)?, [false; 2]),
+        Mesh::Fine => (pad(GelName::Fine, args)?, [false; 2]),
         Mesh::Refined if args.shift_m.is_empty() => {
             (quarter_pad([27, 25, 14], [1.1, 1.1, 1.13])?, [true; 2])
         }
@@ -204,6 +211,15 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
     press.kappa_pa = args.kappa_pa;
     press.face_m = args.face_m;
     Ok(press)
+}
+
+fn pad(name: GelName, args: &Args) -> Result<GelGrid> {
+    let grading = Grading {
+        front: args.towards_face,
+        plane: args.towards_middle,
+        ..Grading::default()
+    };
+    GelGrid::graded(GelResolution::from(name).nodes(), PAD_SIZE_M, grading)
 }
 
 fn text(points: &[PressPoint]) -> String {

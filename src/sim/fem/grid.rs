@@ -13,7 +13,7 @@ use super::surface::{Surface, boundary_triangles};
 use crate::error::{Error, ErrorKind, Result};
 
 /// Extent of the standard gel pad in m: x, y, thickness.
-const PAD_SIZE_M: [f64; 3] = [0.025, 0.020, 0.004];
+pub const PAD_SIZE_M: [f64; 3] = [0.025, 0.020, 0.004];
 
 /// Mesh sizes of the standard 25 x 20 x 4 mm pad, equally spaced.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -14,7 +14,7 @@ mod safe_step;
 mod svd;
 
 pub use elastic::Elastic;
-pub use grid::{GelGrid, GelResolution, Grading, Side};
+pub use grid::{GelGrid, GelResolution, Grading, PAD_SIZE_M, Side};
 pub use neo_hookean::{NeoHookean, Projection};
 pub use pattern::StiffnessPattern;
 pub use surface::Surface;
