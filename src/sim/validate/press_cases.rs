@@ -239,7 +239,7 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
         let mesh = meshing(0.6, [9, 8, 6], [1.2, 1.2, 1.25], 0.3, 20.0, 0.1);
         (mesh, [0.12, 0.12])
     } else {
-        let mesh = meshing(0.6, [19, 17, 12], [1.1, 1.1, 1.15], 0.2, 20.0, 0.05);
+        let mesh = meshing(0.6, [19, 17, 12], [1.1, 1.1, 1.15], 0.2, 20.0, 0.025);
         (mesh, [0.03, 0.04])
     };
     let keep = |row: &Row| !is_quick || row.depth_m > 5e-4 && row.shift_m < 5.5e-4;
