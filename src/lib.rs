@@ -24,6 +24,7 @@ pub mod error;
 pub mod geometry;
 pub mod imaging;
 pub mod predict;
+pub mod render;
 pub mod rig;
 pub mod session;
 pub mod sim;

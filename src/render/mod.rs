@@ -1,0 +1,5 @@
+//! What the sensors would see of a simulated grasp: tactile pictures and the camera between the
+//! fingers.
+
+pub mod tactile;
+pub mod visual;

@@ -1,0 +1,1 @@
+//! Path-traced pictures of the scene of a grasp.
