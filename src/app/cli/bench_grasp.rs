@@ -249,7 +249,7 @@ fn measure_case(
         stages: summary.stages,
         times,
         outcome: summary.outcome,
-        outcome_ok: summary.outcome == case.expected,
+        outcome_ok: summary.outcome == case.expected_on(settings.resolution),
         lifted_m: summary.lifted_m,
         mean_force_n: summary.mean_force_n,
         unconverged_steps: summary.unconverged_steps,

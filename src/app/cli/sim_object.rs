@@ -46,6 +46,8 @@ pub(super) struct SimObject {
 #[derive(Debug, Serialize)]
 pub(super) struct ObjectRecord {
     source: String,
+    unit: String,
+    scale: f64,
     sha256: String,
     triangles: usize,
     size_m: [f64; 3],
@@ -84,6 +86,8 @@ impl SimObject {
     pub(super) fn record(&self, flags: &ObjectFlags) -> ObjectRecord {
         ObjectRecord {
             source: flags.object.clone(),
+            unit: flags.unit.to_string(),
+            scale: flags.scale,
             sha256: self.mesh.content_hash(),
             triangles: self.mesh.triangles.len(),
             size_m: self.mesh.bounds().extent().to_array(),

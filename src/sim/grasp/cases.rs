@@ -9,6 +9,7 @@ use super::scene::Scene;
 use super::settings::GraspSettings;
 use crate::error::Result;
 use crate::geometry::{Aabb, Pose, TriangleMesh, builtin};
+use crate::sim::fem::GelResolution;
 
 /// How much a grasp asks of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -80,7 +81,9 @@ pub struct GraspCase {
     pub q_wxyz: [f64; 4],
     /// Where the gripper stands.
     pub placement: Placement,
-    /// Outcome of the paper's protocol at 40 N, solved to 1e-6 m/s.
+    /// Outcome of the paper's protocol at 40 N on the coarse gel, solved to 1e-6 m/s.
+    pub expected_coarse: GraspOutcome,
+    /// The same on the default and the fine gel.
     pub expected: GraspOutcome,
 }
 
@@ -98,6 +101,7 @@ impl GraspCase {
             object,
             q_wxyz: UPRIGHT,
             placement: Placement::default(),
+            expected_coarse: GraspOutcome::Success,
             expected: GraspOutcome::Success,
         }
     }
@@ -115,7 +119,24 @@ impl GraspCase {
     }
 
     fn expecting(self, expected: GraspOutcome) -> Self {
+        Self {
+            expected_coarse: expected,
+            expected,
+            ..self
+        }
+    }
+
+    /// A grasp so close to the limit that its outcome depends on the mesh.
+    fn expecting_on_finer_gels(self, expected: GraspOutcome) -> Self {
         Self { expected, ..self }
+    }
+
+    /// Outcome that is expected on a mesh.
+    pub fn expected_on(&self, resolution: GelResolution) -> GraspOutcome {
+        match resolution {
+            GelResolution::Coarse => self.expected_coarse,
+            GelResolution::Default | GelResolution::Fine => self.expected,
+        }
     }
 
     /// The object on the ground.
@@ -190,7 +211,7 @@ pub fn cases() -> Vec<GraspCase> {
         easy("sphere", Builtin("sphere")),
         easy("mug", Builtin("mug")),
         easy("b1", B1).lying([0.707218, -0.706996, -0.000014, -0.000014]),
-        hard("sphere_off_14mm", Builtin("sphere"), across(0.014)),
+        hard("sphere_off_14mm", Builtin("sphere"), across(0.014)).expecting_on_finer_gels(Slip),
         hard("sphere_off_18mm", Builtin("sphere"), across(0.018)).expecting(Eject),
         hard("box_turned_10deg", Builtin("box"), yaw(10.0)),
         hard("box_turned_20deg", Builtin("box"), yaw(20.0)),
@@ -215,7 +236,6 @@ pub fn cases() -> Vec<GraspCase> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::fem::GelResolution;
     use crate::sim::grasp::simulate;
 
     fn without_shared(_: &str, _: f64) -> Result<Option<TriangleMesh>> {
@@ -267,6 +287,6 @@ mod tests {
         let mesh = case.object.load(&without_shared).unwrap().unwrap();
         let scene = case.scene(mesh, &settings).unwrap();
         let result = simulate(&scene, &settings.protocol, &settings.solver).unwrap();
-        assert_eq!(result.outcome, case.expected);
+        assert_eq!(result.outcome, case.expected_coarse);
     }
 }

@@ -1,13 +1,13 @@
 //! What happened in a grasp, step by step.
 
 use glam::{DQuat, DVec3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::geometry::Pose;
 use crate::sim::solver::StepReport;
 
 /// Stage of a grasp.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StageName {
     /// The fingers close.
@@ -19,7 +19,7 @@ pub enum StageName {
 }
 
 /// What a gel feels, on its passive (not driven) nodes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GelForce {
     /// Component of contact and friction against the closing direction, N: f_c of the paper.
     pub normal_n: f64,
@@ -30,7 +30,7 @@ pub struct GelForce {
 }
 
 /// One time step.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TraceStep {
     /// Stage.
     pub stage: StageName,
@@ -51,7 +51,7 @@ pub struct TraceStep {
 }
 
 /// State that the renderers need.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Snapshot {
     /// End of which stage.
     pub stage: StageName,
@@ -68,7 +68,7 @@ pub struct Snapshot {
 }
 
 /// A whole grasp.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Trace {
     /// All steps.
     pub steps: Vec<TraceStep>,

@@ -24,7 +24,7 @@
 //! time, opening · object pose · gripper pose · node positions x y z of the left gel, of the right.
 
 use glam::{DQuat, DVec3};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
@@ -34,6 +34,7 @@ use crate::sim::solver::StepReport;
 
 const MAGIC: [u8; 8] = *b"\x89GCT\r\n\x1a\n";
 const VERSION: u32 = 1;
+const FORMAT: &str = "gripcast-trace";
 const STEP_BYTES: usize = 24 + 20 * 8;
 
 const SOLVED: u8 = 1;
@@ -65,7 +66,7 @@ impl TraceFile {
             trace: &'a Trace,
         }
         let document = Document {
-            format: "gripcast-trace",
+            format: FORMAT,
             version: VERSION,
             result: &self.header,
             trace: &self.trace,
@@ -98,6 +99,49 @@ impl TraceFile {
         Ok(out.0)
     }
 
+    /// Reads either form.
+    ///
+    /// # Errors
+    /// `Input` where the bytes are something else, of another version, or cut off.
+    pub fn read(bytes: &[u8]) -> Result<Self> {
+        if bytes.trim_ascii_start().starts_with(b"{") {
+            Self::from_json(bytes)
+        } else {
+            Self::from_bytes(bytes)
+        }
+    }
+
+    /// Reads the JSON form.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
+    pub fn from_json(bytes: &[u8]) -> Result<Self> {
+        #[derive(Deserialize)]
+        struct Head {
+            format: String,
+            version: u32,
+        }
+        #[derive(Deserialize)]
+        struct Document {
+            result: Value,
+            #[serde(flatten)]
+            trace: Trace,
+        }
+        let head: Head = serde_json::from_slice(bytes)
+            .map_err(|e| not_a_trace("this JSON is no trace of a grasp").because(e))?;
+        if head.format != FORMAT {
+            let what = format!("expected the format `{FORMAT}`, found `{}`", head.format);
+            return Err(not_a_trace(&what));
+        }
+        check_version(head.version)?;
+        let document: Document = serde_json::from_slice(bytes)
+            .map_err(|e| damaged("its content does not fit the format".into()).because(e))?;
+        Ok(Self {
+            header: document.result,
+            trace: document.trace,
+        })
+    }
+
     /// Reads the binary form.
     ///
     /// # Errors
@@ -105,20 +149,10 @@ impl TraceFile {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let mut from = Reader { bytes, at: 0 };
         if !bytes.starts_with(&MAGIC[..bytes.len().min(MAGIC.len())]) {
-            return Err(
-                Error::new(ErrorKind::Input, "this is no binary trace of a grasp")
-                    .remedy("write one with `gripcast sim grasp … --trace FILE.bin`"),
-            );
+            return Err(not_a_trace("this is no trace of a grasp"));
         }
         from.take(MAGIC.len())?;
-        let version = from.u32()?;
-        if version != VERSION {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("expected a trace of version {VERSION}, found {version}"),
-            )
-            .remedy("use the gripcast that wrote it, or simulate the grasp again"));
-        }
+        check_version(from.u32()?)?;
         let header_bytes = from.u32()? as usize;
         let step_count = from.u64()?;
         let snapshot_count = from.u32()?;
@@ -143,6 +177,22 @@ impl TraceFile {
         }
         Ok(Self { header, trace })
     }
+}
+
+fn not_a_trace(what: &str) -> Error {
+    Error::new(ErrorKind::Input, what)
+        .remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
+}
+
+fn check_version(version: u32) -> Result<()> {
+    if version == VERSION {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Input,
+        format!("expected a trace of version {VERSION}, found {version}"),
+    )
+    .remedy("use the gripcast that wrote it, or simulate the grasp again"))
 }
 
 fn damaged(what: String) -> Error {

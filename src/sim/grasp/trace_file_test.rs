@@ -57,7 +57,7 @@ fn every_cut_is_noticed() {
 #[test]
 fn foreign_newer_and_longer_files_are_explained() {
     let text = TraceFile::from_bytes(b"{\"steps\": []}").unwrap_err();
-    assert!(text.to_string().contains("no binary trace"), "{text}");
+    assert!(text.to_string().contains("no trace of a grasp"), "{text}");
     let mut bytes = file().to_bytes().unwrap();
     bytes.push(0);
     let text = TraceFile::from_bytes(&bytes).unwrap_err();
@@ -86,4 +86,37 @@ fn json_has_steps_snapshots_and_the_result() {
         file.trace.steps[3].force[1].normal_n
     );
     assert_eq!(value["snapshots"][1]["stage"], "adjustment");
+}
+
+#[test]
+fn json_traces_read_back() {
+    let file = file();
+    let bytes = file.to_json().unwrap();
+    let back = TraceFile::read(&bytes).unwrap();
+    assert_eq!(back.header, file.header);
+    assert_eq!(back.trace.steps.len(), file.trace.steps.len());
+    for (back, wrote) in back.trace.steps.iter().zip(&file.trace.steps) {
+        assert_eq!(back.force, wrote.force);
+        assert_eq!(back.solver, wrote.solver);
+        let (b, w) = (back.t_world_object, wrote.t_world_object);
+        assert_eq!(b.translation_m, w.translation_m);
+        assert!(b.rotation.dot(w.rotation).abs() > 1.0 - 1e-12);
+    }
+    for (back, wrote) in back.trace.snapshots.iter().zip(&file.trace.snapshots) {
+        assert_eq!(back.gels, wrote.gels);
+    }
+    let binary = TraceFile::read(&file.to_bytes().unwrap()).unwrap();
+    assert_eq!(binary.trace, file.trace);
+}
+
+#[test]
+fn json_of_something_else_is_explained() {
+    let other = TraceFile::read(br#"{"outcome": "success"}"#).unwrap_err();
+    assert!(other.to_string().contains("no trace of a grasp"), "{other}");
+    let newer = br#"{"format": "gripcast-trace", "version": 9}"#;
+    let newer = TraceFile::read(newer).unwrap_err();
+    assert!(newer.to_string().contains("found 9"), "{newer}");
+    let cut = br#"{"format": "gripcast-trace", "version": 1, "result": {}, "steps": [{}]}"#;
+    let cut = TraceFile::read(cut).unwrap_err();
+    assert!(cut.to_string().contains("damaged"), "{cut}");
 }

@@ -34,7 +34,7 @@ const REPEAT_HALVINGS: u32 = 3;
 const MAX_HALVINGS: u32 = 30;
 
 /// What one step took.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct StepReport {
     /// Whether the tolerance was met.
     pub converged: bool,
