@@ -31,7 +31,7 @@ pub(super) struct ObjectFlags {
     pub(super) friction: f64,
 }
 
-fn unit(text: &str) -> Result<LengthUnit, String> {
+pub(super) fn unit(text: &str) -> Result<LengthUnit, String> {
     text.parse()
         .map_err(|_| "must be mm, cm, m or in".to_owned())
 }

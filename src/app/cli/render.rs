@@ -1,0 +1,30 @@
+//! `gripcast render`: what the sensors would see of simulated grasps.
+
+use super::{Context, render_calibrate, render_tactile, render_visual};
+use crate::error::Result;
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Pictures of the GelSight Minis
+    Tactile(Box<render_tactile::Args>),
+    /// Path-traced pictures of the camera between the fingers
+    Visual(Box<render_visual::Args>),
+    /// Fit a sensor's profile to presses of a ball
+    Calibrate(render_calibrate::Args),
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    match args.action {
+        Action::Tactile(args) => render_tactile::run(context, *args),
+        Action::Visual(args) => render_visual::run(context, *args),
+        Action::Calibrate(args) => render_calibrate::run(context, args),
+    }
+}

@@ -1,0 +1,111 @@
+//! Where rendered pictures go, and what is said about them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::error::{Error, ErrorKind, Result};
+
+/// One picture, or a folder of several.
+pub(super) struct OutPlan {
+    pub(super) out: PathBuf,
+    pub(super) is_single: bool,
+}
+
+impl OutPlan {
+    /// Checks the name and makes folders; `single` says how to ask for one picture.
+    pub(super) fn prepare(&self, single: &str) -> Result<()> {
+        let out = &self.out;
+        let is_png = out
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("png"));
+        if is_png != self.is_single {
+            let what = if self.is_single {
+                "`--out` must end in .png for one picture"
+            } else {
+                "`--out` must be a folder for several pictures"
+            };
+            return Err(Error::new(ErrorKind::Usage, what)
+                .at(out.display())
+                .remedy(format!("one picture is {single} of one trace")));
+        }
+        let parent = out.parent().filter(|f| !f.as_os_str().is_empty());
+        let folder = if self.is_single { parent } else { Some(&**out) };
+        folder.map_or(Ok(()), |folder| {
+            fs::create_dir_all(folder)
+                .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))
+        })
+    }
+
+    /// Where a picture goes that is called `name` among several.
+    pub(super) fn place(&self, name: &str) -> PathBuf {
+        if self.is_single {
+            self.out.clone()
+        } else {
+            self.out.join(name)
+        }
+    }
+}
+
+/// Writes a file.
+pub(super) fn save(path: &Path, bytes: &[u8]) -> Result<()> {
+    fs::write(path, bytes).map_err(|e| Error::io("cannot write the picture", e).at(path.display()))
+}
+
+/// What was written and what was not.
+#[derive(Debug, Serialize)]
+pub(super) struct Report<T> {
+    pub(super) pictures: Vec<T>,
+    failed: Vec<Failed>,
+}
+
+#[derive(Debug, Serialize)]
+struct Failed {
+    trace: PathBuf,
+    error: String,
+}
+
+impl<T> Default for Report<T> {
+    fn default() -> Self {
+        Self::of(Vec::new())
+    }
+}
+
+impl<T> Report<T> {
+    /// All went well.
+    pub(super) fn of(pictures: Vec<T>) -> Self {
+        Self {
+            pictures,
+            failed: Vec::new(),
+        }
+    }
+
+    /// A trace that could not be rendered.
+    pub(super) fn fail(&mut self, trace: &Path, error: &Error) {
+        self.failed.push(Failed {
+            trace: trace.to_owned(),
+            error: error.to_string(),
+        });
+    }
+
+    /// The report, or an error where there is no picture.
+    pub(super) fn or_nothing(self) -> Result<Self> {
+        if self.pictures.is_empty() {
+            return Err(Error::new(ErrorKind::Input, "no trace could be rendered"));
+        }
+        Ok(self)
+    }
+
+    /// The end of the command: an error of kind `Partial` where a trace was left out.
+    pub(super) fn finish(&self) -> Result<()> {
+        match self.failed.len() {
+            0 => Ok(()),
+            count => Err(Error::new(
+                ErrorKind::Partial,
+                format!("{count} traces could not be rendered"),
+            )
+            .remedy("their errors are above")),
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Calibration of a sensor.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use gripcast::imaging::encode_png_rgb;
+use gripcast::render::tactile::calibrate::ball_press;
+use gripcast::render::tactile::{FrameLook, SensorProfile, TactileRenderer};
+use serde_json::{Value, json as value};
+
+use super::{png, refused, render};
+use crate::program::{json, succeed};
+use crate::shared_data::shared;
+
+/// Presses of a 4 mm ball rendered with the built-in profile.
+fn rendered_presses(dir: &Path) -> PathBuf {
+    let folder = dir.join("ball");
+    fs::create_dir(&folder).unwrap();
+    let profile = SensorProfile::gelsight_mini().unwrap();
+    let mut renderer = TactileRenderer::new(&profile).unwrap();
+    let grid = profile.geometry;
+    let save = |name: &str, picture: &image::RgbImage| {
+        fs::write(folder.join(name), encode_png_rgb(picture).unwrap()).unwrap();
+    };
+    let mut presses = Vec::new();
+    let radius_px = 1.2e-3 / grid.pixel_m;
+    for number in 0..8_u64 {
+        let centre = [90.0 + 45.0 * (number % 4) as f64, 80.0 + 75.0 * (number / 4) as f64];
+        let press = ball_press(&grid, centre, radius_px, 2e-3);
+        let look = FrameLook { noise_seed: Some(number), ..FrameLook::default() };
+        let name = format!("press_{number}.png");
+        save(&name, &renderer.render(&press, &look).unwrap());
+        presses.push(value!({"file": name, "center_px": centre, "radius_px": radius_px}));
+    }
+    let nothing = gripcast::render::tactile::PressDepth::untouched(grid);
+    let look = FrameLook { noise_seed: Some(99), ..FrameLook::default() };
+    save("no_contact.png", &renderer.render(&nothing, &look).unwrap());
+    let list = value!({
+        "no_contact": "no_contact.png",
+        "sensor": "rendered",
+        "image_size_hw": [grid.height, grid.width],
+        "ball_diameter_m": 4e-3,
+        "m_per_px": grid.pixel_m,
+        "label_origin": "known",
+        "presses": presses,
+    });
+    fs::write(folder.join("presses.json"), list.to_string()).unwrap();
+    folder
+}
+
+fn calibrate(folder: &Path, more: &str) -> Value {
+    let words = format!("--presses {} --json {more}", folder.display());
+    json(&succeed(&mut render("calibrate", &words)))
+}
+
+#[test]
+fn a_rendered_sensor_is_found_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = rendered_presses(dir.path());
+    let out = dir.path().join("sensor.toml");
+    let report = calibrate(&folder, &format!("--serial AB12 --out {}", out.display()));
+    assert_eq!(report["held_out"], 4);
+    let fve = report["fve"].as_f64().unwrap();
+    assert!(fve > 0.95, "{fve}");
+    assert!(report["patch_psnr_db"].as_f64().unwrap() > report["no_contact_psnr_db"].as_f64().unwrap());
+    let profile = SensorProfile::load(&out).unwrap();
+    assert_eq!(profile.serial, "AB12");
+    assert!(profile.background.picture.is_some());
+    assert!(png(out.with_extension("fit.png")).width() > 320);
+    // The profile works in `render tactile`.
+    let picture = dir.path().join("p.png");
+    let words = format!(
+        "--object builtin:sphere --profile {} --out {}",
+        out.display(),
+        picture.display()
+    );
+    succeed(&mut render("tactile", &words));
+    assert_eq!(png(picture).dimensions(), (320, 240));
+}
+
+#[test]
+fn wrong_presses_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = rendered_presses(dir.path());
+    let out = dir.path().join("s.toml").display().to_string();
+    let at = folder.display();
+    let nowhere = dir.path().join("nowhere");
+    let (code, said) = refused(&mut render(
+        "calibrate",
+        &format!("--presses {} --out {out}", nowhere.display()),
+    ));
+    assert_eq!(code, 1, "{said}");
+    let (code, said) = refused(&mut render(
+        "calibrate",
+        &format!("--presses {at} --train-fraction 0 --out {out}"),
+    ));
+    assert_eq!(code, 2, "{said}");
+    // One press of another sensor: the others are fitted, and the exit code tells.
+    let other = image::RgbImage::from_pixel(320, 240, image::Rgb([250, 10, 200]));
+    fs::write(folder.join("press_3.png"), encode_png_rgb(&other).unwrap()).unwrap();
+    let (code, said) = refused(&mut render("calibrate", &format!("--presses {at} --out {out}")));
+    assert_eq!(code, 3, "{said}");
+    assert!(said.contains("press_3.png"), "{said}");
+}
+
+#[test]
+fn real_presses_are_explained_well_enough() {
+    let Some(folder) = shared("data/fots_ball") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("s.toml").display().to_string();
+    let half = calibrate(&folder, &format!("--out {out}"));
+    assert!(half["fve"].as_f64().unwrap() >= 0.85, "{}", half["fve"]);
+    assert!(half["patch_psnr_db"].as_f64().unwrap() >= 26.0);
+    let five = calibrate(&folder, &format!("--most-fitted 5 --out {out}"));
+    assert_eq!(five["fitted"], 5);
+    assert!(five["fve"].as_f64().unwrap() >= 0.70, "{}", five["fve"]);
+}

@@ -1,0 +1,50 @@
+//! `gripcast render` as a user runs it.
+
+mod calibrate;
+mod tactile;
+mod visual;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use crate::program::{gripcast, stderr, succeed};
+
+/// A simulated grasp of the built-in box, shared by the tests of this process.
+fn trace() -> &'static Path {
+    static TRACE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
+    let (_, path) = TRACE.get_or_init(|| {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("box.bin");
+        succeed(
+            gripcast()
+                .args(["sim", "grasp", "--object", "builtin:box", "--gel", "coarse"])
+                .args(["--adjust-s", "0.1", "--lift", "0.005", "--trace"])
+                .arg(&path),
+        );
+        (dir, path)
+    });
+    path
+}
+
+fn render(kind: &str, words: &str) -> Command {
+    let mut command = gripcast();
+    command.args(["render", kind]).args(words.split_whitespace());
+    command
+}
+
+/// Exit code and what is said.
+fn refused(command: &mut Command) -> (i32, String) {
+    let output = command.output().unwrap();
+    (output.status.code().unwrap(), stderr(&output))
+}
+
+fn png(path: impl AsRef<Path>) -> image::RgbImage {
+    let bytes = fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.as_ref().display()));
+    gripcast::imaging::decode_png_rgb(&bytes).unwrap()
+}
+
+fn depth_png(path: impl AsRef<Path>) -> gripcast::imaging::DepthImage {
+    gripcast::imaging::decode_png_grey16(&fs::read(path).unwrap()).unwrap()
+}

@@ -1,0 +1,137 @@
+//! Tactile pictures.
+
+use std::fs;
+
+use super::{depth_png, png, refused, render, trace};
+use crate::program::{json, succeed};
+
+#[test]
+fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("pictures");
+    let words = format!(
+        "--trace {} --moment initial,grasp --depth --difference --json --out {}",
+        trace().display(),
+        out.display()
+    );
+    let report = json(&succeed(&mut render("tactile", &words)));
+    let pictures = report["pictures"].as_array().unwrap();
+    assert_eq!(pictures.len(), 4);
+    for picture in pictures {
+        let touched = picture["contact"].as_f64().unwrap();
+        let deepest = picture["deepest_m"].as_f64().unwrap();
+        if picture["moment"] == "initial" {
+            assert_eq!((touched, deepest), (0.0, 0.0));
+        } else {
+            // A box of 40 mm covers the whole picture.
+            assert!(touched > 0.9, "{picture}");
+            assert!((5e-5..2e-3).contains(&deepest), "{picture}");
+        }
+    }
+    let initial = png(out.join("box.initial.left.png"));
+    let grasp = png(out.join("box.grasp.left.png"));
+    assert_eq!(grasp.dimensions(), (320, 240));
+    assert_ne!(initial, grasp);
+    let depth = depth_png(out.join("box.grasp.right.depth.png"));
+    let deepest = depth.iter().max().copied().unwrap();
+    let said = pictures.iter().find(|p| p["side"] == "right" && p["moment"] == "grasp");
+    let said = said.unwrap()["deepest_m"].as_f64().unwrap();
+    assert!((f64::from(deepest) - 1e6 * said).abs() <= 0.51, "{deepest} µm, {said} m");
+    let quiet = png(out.join("box.initial.left.difference.png"));
+    assert!(quiet.iter().all(|&v| v == 128), "nothing has changed before contact");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_and_another_another_noise() {
+    let dir = tempfile::tempdir().unwrap();
+    let take = |name: &str, seed: &str| {
+        let out = dir.path().join(name);
+        let words = format!(
+            "--trace {} --side left --seed {seed} --out {}",
+            trace().display(),
+            out.display()
+        );
+        succeed(&mut render("tactile", &words));
+        fs::read(out).unwrap()
+    };
+    let first = take("a.png", "1");
+    assert_eq!(first, take("b.png", "1"));
+    assert_ne!(first, take("c.png", "2"));
+}
+
+#[test]
+fn every_method_renders_and_they_differ() {
+    let dir = tempfile::tempdir().unwrap();
+    let take = |method: &str| {
+        let out = dir.path().join(method).with_extension("png");
+        let words = format!(
+            "--trace {} --side left --no-noise --method {method} --out {}",
+            trace().display(),
+            out.display()
+        );
+        succeed(&mut render("tactile", &words));
+        png(out)
+    };
+    let [object, gel, lookup] = ["object", "gel-surface", "lookup"].map(take);
+    assert_ne!(object, gel);
+    assert_ne!(object, lookup);
+}
+
+#[test]
+fn a_mesh_alone_is_pressed_as_deep_as_asked() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("press.png");
+    let words = format!(
+        "--object builtin:sphere --press-m 7e-4 --json --out {}",
+        out.display()
+    );
+    let report = json(&succeed(&mut render("tactile", &words)));
+    let picture = &report["pictures"][0];
+    let deepest = picture["deepest_m"].as_f64().unwrap();
+    assert!((deepest - 7e-4).abs() < 2e-6, "{deepest}");
+    let touched = picture["contact"].as_f64().unwrap();
+    assert!((0.02..0.6).contains(&touched), "{touched}");
+    assert_eq!(png(out).dimensions(), (320, 240));
+}
+
+#[test]
+fn a_batch_goes_on_after_a_broken_trace() {
+    let dir = tempfile::tempdir().unwrap();
+    let broken = dir.path().join("broken.bin");
+    let whole = fs::read(trace()).unwrap();
+    fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
+    let out = dir.path().join("out");
+    let words = format!(
+        "--trace {} {} --side left --out {}",
+        broken.display(),
+        trace().display(),
+        out.display()
+    );
+    let (code, said) = refused(&mut render("tactile", &words));
+    assert_eq!(code, 3, "{said}");
+    assert!(said.contains("broken.bin") && said.contains("it ends after"), "{said}");
+    assert!(out.join("box.grasp.left.png").exists());
+}
+
+#[test]
+fn wrong_input_is_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let trace = trace().display().to_string();
+    let out = dir.path().join("x.png").display().to_string();
+    let not = dir.path().join("not.toml");
+    fs::write(&not, "schema = 7").unwrap();
+    let cases = [
+        (format!("--trace {trace} --out {out}"), 2, "must be a folder"),
+        (format!("--trace {trace} --side left --object builtin:mug --out {out}"), 1, "another mesh"),
+        (format!("--trace {out} --side left --out {out}"), 1, "cannot read the trace"),
+        (format!("--trace {trace} --side left --profile {} --out {out}", not.display()), 2, "schema"),
+        (format!("--object builtin:box --press-m 1 --out {out}"), 1, "depth of a press"),
+        (format!("--trace {trace} --side left --mounting 45 --out {out}"), 2, "0, 90, 180"),
+        (format!("--trace {trace} --side left --moment lift,grasp --out {out}"), 2, "folder"),
+    ];
+    for (words, code, part) in cases {
+        let (found, said) = refused(&mut render("tactile", &words));
+        assert_eq!(found, code, "{words}: {said}");
+        assert!(said.contains(part), "{words}: {said}");
+    }
+}

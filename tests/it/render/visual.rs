@@ -1,0 +1,66 @@
+//! Path-traced pictures.
+
+use std::fs;
+
+use super::{depth_png, png, refused, render, trace};
+use crate::program::{json, succeed};
+
+const SMALL: &str = "--size 48x36 --samples 4";
+
+#[test]
+fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let take = |name: &str, threads: u32| {
+        let out = dir.path().join(name);
+        let words = format!(
+            "--trace {} {SMALL} --depth --threads {threads} --out {}",
+            trace().display(),
+            out.display()
+        );
+        succeed(&mut render("visual", &words));
+        (fs::read(&out).unwrap(), fs::read(out.with_extension("depth.png")).unwrap())
+    };
+    assert!(take("one.png", 1) == take("two.png", 2), "threads change the picture");
+    let picture = png(dir.path().join("one.png"));
+    let mean = picture.iter().map(|&v| f64::from(v)).sum::<f64>() / (48.0 * 36.0 * 3.0);
+    assert!((70.0..150.0).contains(&mean), "{mean}");
+    let depth = depth_png(dir.path().join("one.depth.png"));
+    let known = depth.iter().filter(|&&d| (80..1000).contains(&d)).count();
+    assert!(known > 48 * 36 / 4, "{known} depths of a table or hand");
+}
+
+#[test]
+fn several_pictures_differ_in_light_and_ground() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("many");
+    let words = format!(
+        "--object builtin:mug {SMALL} --count 2 --json --out {}",
+        out.display()
+    );
+    let report = json(&succeed(&mut render("visual", &words)));
+    assert_eq!(report["pictures"].as_array().unwrap().len(), 2);
+    let [a, b] = [0, 1].map(|n| png(out.join(format!("builtin-mug.initial.{n}.png"))));
+    assert_ne!(a, b);
+}
+
+#[test]
+fn wrong_input_is_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("x.png").display().to_string();
+    let not = dir.path().join("not.hdr");
+    fs::write(&not, "hello").unwrap();
+    let not = not.display();
+    let cases = [
+        (format!("--object builtin:box --hdri {not} --out {out}"), 1, "not.hdr"),
+        (format!("--object builtin:box --ground {not} --out {out}"), 1, "not.hdr"),
+        (format!("--object builtin:bax --out {out}"), 1, "builtin:box"),
+        (format!("--object builtin:box --finish glas --out {out}"), 2, "glass"),
+        (format!("--object builtin:box --size 0x4 --out {out}"), 2, "320x240"),
+        (format!("--object builtin:box --count 2 --out {out}"), 2, "folder"),
+    ];
+    for (words, code, part) in cases {
+        let (found, said) = refused(&mut render("visual", &words));
+        assert_eq!(found, code, "{words}: {said}");
+        assert!(said.contains(part), "{words}: {said}");
+    }
+}
