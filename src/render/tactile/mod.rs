@@ -6,12 +6,14 @@
 
 mod contact_gap;
 mod depth;
+mod depth_timing;
 mod press_depth;
 mod rasteriser;
 mod scene;
 
 pub use contact_gap::contact_gap;
 pub use depth::{gel_surface_depth, object_depth};
+pub use depth_timing::{DepthLoad, DepthMs, DepthTiming};
 pub use press_depth::{PressDepth, SensorGeometry};
 pub use rasteriser::{NO_TRIANGLE, Rasteriser};
 pub use scene::{Mounting, SensorPlace, SimulatedGel, TactileScene};

@@ -107,11 +107,11 @@ impl SceneRenderer for LookupRenderer {
         "lookup"
     }
 
-    fn grid(&self) -> &SensorGeometry {
-        &self.grid
+    fn grid(&self) -> SensorGeometry {
+        self.grid
     }
 
-    fn render(&mut self, scene: &TactileScene<'_>, _seed: u64) -> Result<RgbImage> {
+    fn render(&mut self, scene: &TactileScene<'_>, _seed: Option<u64>) -> Result<RgbImage> {
         let press = object_depth(scene, &self.grid, &mut self.rasteriser);
         Ok(self.picture(&press))
     }
