@@ -98,7 +98,10 @@ fn a_simulated_press_has_the_gap_of_its_forces() {
         let found = contact_gap(&placed, &Pose::IDENTITY, &face, D_HAT_M).unwrap();
         let (mean, least) = (gel.mean_gap().unwrap(), gel.min_gap().unwrap());
         println!("{found:e} {mean:e} {least:e}");
-        assert!((found - mean).abs() < 1.5e-5, "{found:e} {mean:e} {least:e}");
+        assert!(
+            (found - mean).abs() < 1.5e-5,
+            "{found:e} {mean:e} {least:e}"
+        );
         assert!(found > least && found < D_HAT_M);
     }
 }

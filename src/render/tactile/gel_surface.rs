@@ -65,3 +65,107 @@ impl SceneRenderer for GelSurfaceRenderer {
         self.shading.render(&press, &look(&self.drift, seed))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::geometry::{Pose, TriangleMesh, builtin};
+    use crate::render::tactile::ObjectDepthRenderer;
+    use crate::render::tactile::lookup::{LookupRenderer, TaximHeights, TaximTable};
+
+    /// The middle of the face sunk by `depth_m`, the object far away.
+    fn scene(object: &TriangleMesh, depth_m: f64) -> TactileScene<'_> {
+        let corner = |x: f64, y: f64, z: f64| DVec3::new(0.0125 * x, 0.01 * y, z);
+        let face = TriangleMesh {
+            vertices: vec![
+                corner(-1.0, -1.0, 4e-3),
+                corner(1.0, -1.0, 4e-3),
+                corner(1.0, 1.0, 4e-3),
+                corner(-1.0, 1.0, 4e-3),
+                corner(0.0, 0.0, 4e-3 - depth_m),
+            ],
+            triangles: vec![[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]],
+        };
+        TactileScene {
+            object,
+            t_sensor_object: Pose::from_translation(DVec3::Z),
+            face_m: 4e-3,
+            gap_m: 0.0,
+            gel_face: Some(face),
+        }
+    }
+
+    #[test]
+    fn an_undeformed_gel_is_the_untouched_picture_for_every_renderer() {
+        let object = builtin("builtin:sphere").unwrap();
+        let profile = SensorProfile::gelsight_mini().unwrap();
+        let untouched = profile.background.picture.clone().unwrap();
+        let table = TaximTable::constant(9, [640, 480], [5.0, 0.0, 0.0]);
+        let lookup = LookupRenderer::new(
+            profile.geometry,
+            untouched.clone(),
+            table,
+            TaximHeights::default(),
+        );
+        let renderers: [Box<dyn SceneRenderer>; 3] = [
+            Box::new(ObjectDepthRenderer::new(&profile).unwrap()),
+            Box::new(GelSurfaceRenderer::new(&profile).unwrap()),
+            Box::new(lookup.unwrap()),
+        ];
+        for mut renderer in renderers {
+            assert_eq!(renderer.grid(), profile.geometry);
+            let picture = renderer.render(&scene(&object, 0.0), None).unwrap();
+            assert_eq!(picture, untouched, "{}", renderer.name());
+        }
+    }
+
+    #[test]
+    fn each_face_of_the_mesh_has_one_colour() {
+        let object = builtin("builtin:sphere").unwrap();
+        let mut profile = SensorProfile::gelsight_mini().unwrap();
+        // A flat background and colours that do not depend on the place.
+        profile.background.picture = None;
+        let mut renderer = GelSurfaceRenderer::new(&profile).unwrap();
+        let change = |renderer: &mut GelSurfaceRenderer, depth: f64| {
+            let grid = renderer.grid();
+            let press =
+                gel_surface_depth(&scene(&object, depth), &grid, &mut renderer.rasteriser).unwrap();
+            renderer.shading.change(&press).unwrap().clone()
+        };
+        let sunk = change(&mut renderer, 2e-3);
+        let grid = renderer.grid();
+        let at = |column: usize, row: usize| sunk[0][row * grid.width + column];
+        let (column, row) = (grid.width / 2, grid.height / 2);
+        // The same slope on both sides of a face's middle line, another on the next face.
+        assert!((at(column, 20) - at(column, 30)).abs() < 1.0);
+        assert!((at(column, 20) - at(30, row)).abs() > 1.0);
+    }
+
+    #[test]
+    fn a_scene_without_gel_is_explained() {
+        let object = builtin("builtin:sphere").unwrap();
+        let profile = SensorProfile::gelsight_mini().unwrap();
+        let lacking = TactileScene {
+            gel_face: None,
+            ..scene(&object, 0.0)
+        };
+        let error = GelSurfaceRenderer::new(&profile)
+            .unwrap()
+            .render(&lacking, Some(1))
+            .unwrap_err();
+        assert!(error.to_string().contains("deformed gel"), "{error}");
+    }
+
+    #[test]
+    fn a_seed_gives_the_same_bytes_and_another_other_noise() {
+        let object = builtin("builtin:sphere").unwrap();
+        let profile = SensorProfile::gelsight_mini().unwrap();
+        let mut renderer = ObjectDepthRenderer::new(&profile).unwrap();
+        let first = renderer.render(&scene(&object, 0.0), Some(7)).unwrap();
+        let again = renderer.render(&scene(&object, 0.0), Some(7)).unwrap();
+        let other = renderer.render(&scene(&object, 0.0), Some(8)).unwrap();
+        assert!(first == again && first != other);
+    }
+}

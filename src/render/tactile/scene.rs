@@ -154,7 +154,8 @@ impl<'a> TactileScene<'a> {
     /// Any step of a simulated grasp; the deformed face is not known.
     ///
     /// `t_world_gripper` is the gripper before the lift, as the first snapshot has it. The gap is
-    /// the smallest one of the step, or `d_hat` where nothing touches.
+    /// halfway between the step's smallest one and `d_hat`, which is within 10 µm of the one
+    /// that is measured where the face is known; `d_hat` where nothing touches.
     ///
     /// # Errors
     /// `Input` where the mesh is invalid.
@@ -170,12 +171,12 @@ impl<'a> TactileScene<'a> {
         let t_gripper_sensor = place.t_gripper_sensor(step.opening_m, thickness);
         let lift = Pose::from_translation(DVec3::Z * step.lifted_m);
         let t_sensor_world = (lift * *t_world_gripper * t_gripper_sensor).inverse();
-        let gap = step.min_gap_m[place.finger as usize];
+        let least = step.min_gap_m[place.finger as usize].unwrap_or(gel.d_hat_m);
         Ok(Self {
             object,
             t_sensor_object: t_sensor_world * step.t_world_object,
             face_m: thickness,
-            gap_m: gap.unwrap_or(gel.d_hat_m),
+            gap_m: 0.5 * (least + gel.d_hat_m),
             gel_face: None,
         })
     }

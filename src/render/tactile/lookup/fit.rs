@@ -94,8 +94,8 @@ impl BallPress<'_> {
             let angle = (radius / self.ball_radius_px).asin();
             let (count, sum) = &mut sums[bin(bins, angle, (-y).atan2(-x))];
             *count += 1.0;
-            for axis in 0..2 {
-                sum.place[axis] += place[axis];
+            for (sum, place) in sum.place.iter_mut().zip(place) {
+                *sum += place;
             }
             for (sum, change) in sum.change.iter_mut().zip(change) {
                 *sum += f64::from(*change);
@@ -150,12 +150,12 @@ fn polynomial(samples: &[Sample], [width, height]: [usize; 2]) -> [Coefficients;
     for sample in samples {
         let place = [0, 1].map(|axis| (sample.place[axis] - middle[axis]) * scale);
         let row = terms(place);
-        for i in 0..6 {
-            for j in 0..6 {
-                normal[i][j] += row[i] * row[j];
+        for (i, term) in row.iter().enumerate() {
+            for (entry, other) in normal[i].iter_mut().zip(row) {
+                *entry += term * other;
             }
-            for channel in 0..3 {
-                right[channel][i] += row[i] * sample.change[channel];
+            for (right, change) in right.iter_mut().zip(sample.change) {
+                right[i] += term * change;
             }
         }
     }

@@ -71,34 +71,62 @@ impl LookupRenderer {
         self
     }
 
-    /// Picture of a press.
-    pub fn picture(&self, press: &PressDepth) -> RgbImage {
+    /// What a press changes in the no-contact picture, grey levels: red, green, blue, row by row,
+    /// not rounded and not clipped.
+    ///
+    /// A face without any slope changes nothing; Taxim's own renderer adds its bin of no slope.
+    ///
+    /// # Errors
+    /// `Input` where the press was taken on another grid.
+    pub fn change(&self, press: &PressDepth) -> Result<Vec<[f32; 3]>> {
+        if press.geometry != self.grid {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the press must be on the grid {:?}, found {:?}",
+                    self.grid, press.geometry
+                ),
+            ));
+        }
         let heights = self.heights.heights(press);
         let light = self.shadows.as_ref().map(|s| s.light(&heights, &self.grid));
-        let mut picture = self.background.clone();
-        let SensorGeometry {
-            width,
-            height,
-            pixel_m,
-            ..
-        } = self.grid;
+        let SensorGeometry { width, height, .. } = self.grid;
         // The polynomials count in pixels of the table's own picture.
         let [columns, rows] = self.table.image_size();
         let zoom = [columns as f64 / width as f64, rows as f64 / height as f64];
-        for (x, y, pixel) in picture.enumerate_pixels_mut() {
-            let (x, y) = (x as usize, y as usize);
-            let slope = slope(&heights, [width, height], [x, y], pixel_m);
-            let place = [x, y].map(|v| v as f64 + 0.5);
-            let place = [place[0] * zoom[0] - 0.5, place[1] * zoom[1] - 0.5];
-            let change = self.table.change(slope, place);
-            let Rgb(colours) = *pixel;
-            *pixel = Rgb([0, 1, 2].map(|channel| {
-                let lit = light.as_ref().map_or(1.0, |l| l[channel][y * width + x]);
-                let value = (f64::from(colours[channel]) + change[channel]) * f64::from(lit);
-                value.round().clamp(0.0, 255.0) as u8
-            }));
+        let untouched = self.background.pixels();
+        let change = |(pixel, Rgb(untouched)): (usize, &Rgb<u8>)| {
+            let at = [pixel % width, pixel / width];
+            let slope = slope(&heights, &self.grid, at);
+            let place = [0, 1].map(|axis| (at[axis] as f64 + 0.5) * zoom[axis] - 0.5);
+            let change = if slope == [0.0; 2] {
+                [0.0; 3]
+            } else {
+                self.table.change(slope, place)
+            };
+            [0, 1, 2].map(|channel| {
+                let change = change[channel] as f32;
+                let Some(light) = &light else { return change };
+                let untouched = f32::from(untouched[channel]);
+                (untouched + change) * light[channel][pixel] - untouched
+            })
+        };
+        Ok(untouched.enumerate().map(change).collect())
+    }
+
+    /// Picture of a press.
+    ///
+    /// # Errors
+    /// `Input` where the press was taken on another grid.
+    pub fn picture(&self, press: &PressDepth) -> Result<RgbImage> {
+        let mut picture = self.background.clone();
+        for (Rgb(pixel), change) in picture.pixels_mut().zip(self.change(press)?) {
+            for (value, change) in pixel.iter_mut().zip(change) {
+                // The cast saturates at 0 and 255.
+                *value = (f32::from(*value) + change).round() as u8;
+            }
         }
-        picture
+        Ok(picture)
     }
 }
 
@@ -113,26 +141,88 @@ impl SceneRenderer for LookupRenderer {
 
     fn render(&mut self, scene: &TactileScene<'_>, _seed: Option<u64>) -> Result<RgbImage> {
         let press = object_depth(scene, &self.grid, &mut self.rasteriser);
-        Ok(self.picture(&press))
+        self.picture(&press)
     }
 }
 
 /// Rise of a height map (m) along columns and rows, pixels per pixel, by central differences;
 /// border pixels take those of their neighbours further in.
-fn slope(
-    heights_m: &[f32],
-    [width, height]: [usize; 2],
-    [x, y]: [usize; 2],
-    pixel_m: f64,
-) -> [f32; 2] {
+fn slope(heights_m: &[f32], grid: &SensorGeometry, [x, y]: [usize; 2]) -> [f32; 2] {
+    let SensorGeometry { width, height, .. } = *grid;
     if width < 3 || height < 3 {
         return [0.0; 2];
     }
     let (x, y) = (x.clamp(1, width - 2), y.clamp(1, height - 2));
     let at = |x: usize, y: usize| heights_m[y * width + x];
-    let scale = (0.5 / pixel_m) as f32;
+    let scale = (0.5 / grid.pixel_m) as f32;
     [
         (at(x + 1, y) - at(x - 1, y)) * scale,
         (at(x, y + 1) - at(x, y - 1)) * scale,
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: SensorGeometry = SensorGeometry {
+        width: 64,
+        height: 48,
+        pixel_m: 1e-4,
+        gel_thickness_m: 4e-3,
+    };
+
+    fn renderer(table: TaximTable) -> LookupRenderer {
+        let untouched = RgbImage::from_pixel(64, 48, Rgb([100, 110, 120]));
+        LookupRenderer::new(GRID, untouched, table, TaximHeights::default()).unwrap()
+    }
+
+    fn block() -> PressDepth {
+        let inside = |i: usize| (24..40).contains(&(i % 64)) && (16..32).contains(&(i / 64));
+        let depth = |i| if inside(i) { 8e-4 } else { 0.0 };
+        PressDepth {
+            geometry: GRID,
+            depth_m: (0..64 * 48).map(depth).collect(),
+        }
+    }
+
+    #[test]
+    fn slopes_take_the_tables_colours_and_saturate() {
+        let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 0.4]);
+        let picture = renderer(table).picture(&block()).unwrap();
+        assert_eq!(picture.get_pixel(24, 24), &Rgb([255, 90, 120]));
+    }
+
+    #[test]
+    fn places_are_scaled_to_the_tables_picture() {
+        // Ten times as large: pixel (24, 24) lies at (244.5, 244.5).
+        let table = TaximTable::linear_in_column(9, [640, 480]);
+        let change = renderer(table).change(&block()).unwrap();
+        assert!((change[24 * 64 + 24][0] - 244.5).abs() < 1e-4);
+    }
+
+    #[test]
+    fn shadows_only_darken() {
+        let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
+        let plain = renderer(table.clone()).picture(&block()).unwrap();
+        let shaded = renderer(table).with_shadows(Shadows::default());
+        let shaded = shaded.picture(&block()).unwrap();
+        assert!(shaded.iter().zip(plain.iter()).all(|(a, b)| a <= b));
+        assert!(shaded != plain);
+    }
+
+    #[test]
+    fn pictures_and_presses_of_another_size_are_explained() {
+        let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
+        let small = RgbImage::new(32, 48);
+        let text = LookupRenderer::new(GRID, small, table.clone(), TaximHeights::default());
+        let text = text.unwrap_err().to_string();
+        assert!(
+            text.contains("64 × 48") && text.contains("32 × 48"),
+            "{text}"
+        );
+        let mut press = block();
+        press.geometry.pixel_m = 2e-4;
+        assert!(renderer(table).picture(&press).is_err());
+    }
 }

@@ -114,11 +114,11 @@ mod tests {
             pixel_m: 1e-4,
             gel_thickness_m: 4e-3,
         };
-        // A plateau of 0.5 mm over columns 20 to 29.
+        // A plateau of 0.49 mm over columns 20 to 29.
         let heights: Vec<f32> = (0..1200)
             .map(|i| {
                 if (20..30).contains(&(i % 60)) {
-                    5e-4
+                    4.9e-4
                 } else {
                     0.0
                 }
@@ -138,7 +138,7 @@ mod tests {
         assert!(red.iter().all(|light| *light == 1.0));
         let row = &green[600..660];
         for (column, light) in row.iter().enumerate() {
-            // The light rises 0.5 mm over 1 mm: ten columns behind the plateau.
+            // The light rises 0.05 mm a column: nine columns behind the plateau lie below it.
             let expected = if (30..39).contains(&column) { 0.6 } else { 1.0 };
             assert!((light - expected).abs() < 1e-6, "{column}: {light}");
         }

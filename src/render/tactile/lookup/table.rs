@@ -12,9 +12,10 @@ pub(super) type Coefficients = [f64; 6];
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ChannelOrder {
     /// `grad_r` is red.
-    #[default]
     Rgb,
-    /// `grad_r` is blue: the table was fitted on pictures in OpenCV's order.
+    /// `grad_r` is blue: the table was fitted on pictures in OpenCV's order, as Taxim's own
+    /// calibration does.
+    #[default]
     Bgr,
 }
 
@@ -83,6 +84,24 @@ impl TaximTable {
             image_size,
             channels,
         }
+    }
+
+    /// The same change everywhere.
+    #[cfg(test)]
+    pub(in crate::render::tactile) fn constant(
+        bins: usize,
+        image_size: [usize; 2],
+        change: [f64; 3],
+    ) -> Self {
+        let same = |value| vec![[0.0, 0.0, 0.0, 0.0, 0.0, value]; bins * bins];
+        Self::new(bins, image_size, change.map(same))
+    }
+
+    /// A change of each channel by one grey level a column.
+    #[cfg(test)]
+    pub(super) fn linear_in_column(bins: usize, image_size: [usize; 2]) -> Self {
+        let coefficients = vec![[0.0, 0.0, 0.0, 1.0, 0.0, 0.0]; bins * bins];
+        Self::new(bins, image_size, [0; 3].map(|_| coefficients.clone()))
     }
 
     /// Bins of each axis.

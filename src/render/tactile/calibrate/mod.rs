@@ -1,0 +1,1 @@
+//! Fits a sensor's profile to real presses of a ball.

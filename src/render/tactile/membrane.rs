@@ -1,0 +1,242 @@
+//! How the gel sinks around an object: an obstacle problem.
+//!
+//! The face is a stretched membrane on an elastic bed that the object pushes in: u minimises
+//! ∫ λ²|∇u|² + u² under u ≥ h, with h the object's depth below the untouched face. Where the
+//! face is free, u = λ²∇²u: it leaves the object without a kink and falls off over the length λ.
+//! A ball in contact over the radius a sinks a further λ · tan φ · K₀(a/λ)/K₁(a/λ) below the far
+//! face, φ the slope at the border (modified Bessel functions).
+//!
+//! Solved from coarse to fine by red-black Gauss-Seidel with over-relaxation and projection on
+//! u ≥ h, down to half the resolution; on the full grid u is the larger of h and the
+//! interpolation.
+
+use super::bessel::{k0, k1};
+
+/// Sweeps on every level; the coarser one gives the start.
+const SWEEPS: usize = 10;
+/// Over-relaxation.
+const OMEGA: f32 = 1.4;
+/// The coarsest level has at least this many pixels on its shorter side.
+const COARSEST: usize = 6;
+
+/// Depth of the border of a ball's contact below the untouched face, m.
+///
+/// `contact_m` is the radius of the contact, `ball_m` that of the ball, `length_m` the length λ.
+pub fn sink_of_ball_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
+    if length_m <= 0.0 || contact_m <= 0.0 {
+        return 0.0;
+    }
+    let slope = contact_m / (ball_m * ball_m - contact_m * contact_m).max(0.0).sqrt();
+    let x = contact_m / length_m;
+    slope * length_m * k0(x) / k1(x)
+}
+
+/// Grids of one size, coarsest last; level 0 has half the resolution of the picture.
+#[derive(Clone, Debug)]
+pub(super) struct Membrane {
+    length_px: f64,
+    levels: Vec<Level>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Level {
+    width: usize,
+    height: usize,
+    obstacle: Vec<f32>,
+    face: Vec<f32>,
+}
+
+impl Membrane {
+    /// Prepares a membrane of length λ in pixels.
+    pub(super) fn new(length_px: f64) -> Self {
+        Self {
+            length_px,
+            levels: Vec::new(),
+        }
+    }
+
+    /// Raises the object's depth to the depth of the face, in place.
+    pub(super) fn settle(&mut self, depth: &mut [f32], width: usize) {
+        if self.length_px <= 0.0 || depth.iter().all(|d| *d == 0.0) {
+            return;
+        }
+        self.lay_out(width, depth.len() / width);
+        halve(depth, width, &mut self.levels[0]);
+        for i in 1..self.levels.len() {
+            let (finer, coarser) = self.levels.split_at_mut(i);
+            let finer = &finer[i - 1];
+            halve(&finer.obstacle, finer.width, &mut coarser[0]);
+        }
+        for i in (0..self.levels.len()).rev() {
+            let length = self.length_px / (2 << i) as f64;
+            let (finer, coarser) = self.levels.split_at_mut(i + 1);
+            let level = &mut finer[i];
+            match coarser.first() {
+                Some(coarser) => {
+                    level.face.copy_from_slice(&level.obstacle);
+                    raise(&mut level.face, level.width, coarser);
+                }
+                None => level.face.copy_from_slice(&level.obstacle),
+            }
+            level.relax((length * length) as f32);
+        }
+        raise(depth, width, &self.levels[0]);
+    }
+
+    fn lay_out(&mut self, width: usize, height: usize) {
+        let (mut w, mut h) = (width.div_ceil(2), height.div_ceil(2));
+        if self
+            .levels
+            .first()
+            .is_some_and(|level| (level.width, level.height) == (w, h))
+        {
+            return;
+        }
+        self.levels.clear();
+        loop {
+            self.levels.push(Level {
+                width: w,
+                height: h,
+                obstacle: vec![0.0; w * h],
+                face: vec![0.0; w * h],
+            });
+            if w.min(h) < 2 * COARSEST {
+                return;
+            }
+            (w, h) = (w.div_ceil(2), h.div_ceil(2));
+        }
+    }
+}
+
+impl Level {
+    fn relax(&mut self, length_square: f32) {
+        let weight = length_square / (1.0 + 4.0 * length_square);
+        for sweep in 0..2 * SWEEPS {
+            for y in 0..self.height {
+                self.relax_row(y, (y + sweep) % 2, weight);
+            }
+        }
+    }
+
+    /// Every second pixel of a row; the border continues outwards.
+    fn relax_row(&mut self, y: usize, first: usize, weight: f32) {
+        let (width, last) = (self.width, self.width - 1);
+        let above = y.saturating_sub(1) * width;
+        let below = (y + 1).min(self.height - 1) * width;
+        let here = y * width;
+        for x in (first..width).step_by(2) {
+            let sum = self.face[here + x.saturating_sub(1)]
+                + self.face[here + (x + 1).min(last)]
+                + self.face[above + x]
+                + self.face[below + x];
+            let old = self.face[here + x];
+            let free = old + OMEGA * (weight * sum - old);
+            self.face[here + x] = free.max(self.obstacle[here + x]);
+        }
+    }
+}
+
+/// Means of 2 × 2 pixels into a level's obstacle.
+fn halve(fine: &[f32], width: usize, coarse: &mut Level) {
+    for (rows, out) in fine
+        .chunks(2 * width)
+        .zip(coarse.obstacle.chunks_exact_mut(coarse.width))
+    {
+        let (upper, lower) = rows.split_at(width);
+        // An odd last row counts twice, an odd last column too.
+        let lower = if lower.is_empty() { upper } else { lower };
+        for (out, (u, l)) in out.iter_mut().zip(upper.chunks(2).zip(lower.chunks(2))) {
+            *out = 0.25 * (u[0] + u[u.len() - 1] + l[0] + l[l.len() - 1]);
+        }
+    }
+}
+
+/// Raises a plane to the interpolation of a level of half its resolution.
+fn raise(fine: &mut [f32], width: usize, coarse: &Level) {
+    let mut blended = vec![0.0f32; coarse.width];
+    for (y, row) in fine.chunks_exact_mut(width).enumerate() {
+        let near = &coarse.face[y / 2 * coarse.width..][..coarse.width];
+        let other = beside(y, coarse.height) * coarse.width;
+        let far = &coarse.face[other..][..coarse.width];
+        for (out, (near, far)) in blended.iter_mut().zip(near.iter().zip(far)) {
+            *out = 0.75 * near + 0.25 * far;
+        }
+        for (x, pixels) in row.chunks_mut(2).enumerate() {
+            let left = 0.25 * blended[x.saturating_sub(1)] + 0.75 * blended[x];
+            pixels[0] = pixels[0].max(left);
+            if let Some(pixel) = pixels.get_mut(1) {
+                let right = 0.25 * blended[(x + 1).min(coarse.width - 1)] + 0.75 * blended[x];
+                *pixel = pixel.max(right);
+            }
+        }
+    }
+}
+
+/// The coarse row on the other side of fine row `y`.
+fn beside(y: usize, height: usize) -> usize {
+    if y.is_multiple_of(2) {
+        (y / 2).saturating_sub(1)
+    } else {
+        (y / 2 + 1).min(height - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball pressed until its contact has the radius `a`, all in pixels.
+    fn pressed(width: usize, height: usize, a: f64, ball: f64, length: f64) -> Vec<f32> {
+        let sink = sink_of_ball_m(a, ball, length);
+        let border = (ball * ball - a * a).sqrt();
+        let depth = |i: usize| {
+            let x = (i % width) as f64 - 0.5 * (width as f64 - 1.0);
+            let y = (i / width) as f64 - 0.5 * (height as f64 - 1.0);
+            let square = ball * ball - x * x - y * y;
+            (square.max(0.0).sqrt() - border + sink).max(0.0) as f32
+        };
+        (0..width * height).map(depth).collect()
+    }
+
+    #[test]
+    fn a_ball_settles_as_the_closed_form() {
+        let (width, height, a, ball, length) = (320, 240, 40.0, 46.0, 20.0);
+        let object = pressed(width, height, a, ball, length);
+        let mut face = object.clone();
+        Membrane::new(length).settle(&mut face, width);
+        let sink = sink_of_ball_m(a, ball, length);
+        for i in 0..face.len() {
+            let x = (i % width) as f64 - 159.5;
+            let y = (i / width) as f64 - 119.5;
+            let d = x.hypot(y);
+            let expected = if d < a {
+                f64::from(object[i])
+            } else {
+                sink * k0(d / length) / k0(a / length)
+            };
+            let error = (f64::from(face[i]) - expected).abs();
+            assert!(error < 0.05 * sink, "{d}: {} {expected}", face[i]);
+        }
+    }
+
+    #[test]
+    fn the_face_is_never_above_the_object_and_length_0_changes_nothing() {
+        let object = pressed(101, 77, 20.0, 30.0, 9.0);
+        let mut face = object.clone();
+        Membrane::new(9.0).settle(&mut face, 101);
+        assert!(face.iter().zip(&object).all(|(u, h)| u >= h));
+        let mut same = object.clone();
+        Membrane::new(0.0).settle(&mut same, 101);
+        assert_eq!(same, object);
+    }
+
+    #[test]
+    fn odd_and_tiny_grids_work() {
+        for (width, height) in [(1, 1), (2, 2), (3, 1), (13, 7)] {
+            let mut face = vec![0.0; width * height];
+            face[0] = 1.0;
+            Membrane::new(3.0).settle(&mut face, width);
+            assert!(face.iter().all(|u| (0.0..=1.0).contains(u)));
+        }
+    }
+}
