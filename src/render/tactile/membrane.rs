@@ -193,7 +193,10 @@ mod tests {
             let x = (i % width) as f64 - 0.5 * (width as f64 - 1.0);
             let y = (i / width) as f64 - 0.5 * (height as f64 - 1.0);
             let square = ball * ball - x * x - y * y;
-            (square.max(0.0).sqrt() - border + sink).max(0.0) as f32
+            if square <= 0.0 {
+                return 0.0;
+            }
+            (square.sqrt() - border + sink).max(0.0) as f32
         };
         (0..width * height).map(depth).collect()
     }
