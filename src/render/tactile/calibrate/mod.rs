@@ -1,1 +1,27 @@
 //! Fits a sensor's profile to real presses of a ball.
+//!
+//! A folder holds a picture of the untouched gel and presses of a ball of known diameter
+//! ([`PressSet`]; contacts without a label are found). Part of the presses, drawn by seed, is
+//! fitted: shape of the gel, terms and ridge of the shading by cross-validation among them, then
+//! the coefficients on all of them. The others are scored ([`score`]).
+
+mod ball;
+mod detect;
+mod glyphs;
+mod led_fit;
+mod press_file;
+mod press_set;
+mod report;
+mod run;
+mod score;
+mod select;
+mod sheet;
+mod simplex;
+mod sums;
+
+pub use ball::{BallContact, ball_press};
+pub use press_set::{LabelledPress, PressSet, ReadOptions, ScaleSource, SkippedPress};
+pub use report::CalibrationReport;
+pub use run::{CalibrateOptions, Calibration, ModelChoice, run};
+pub use score::{ChangePlanes, ObservedChange, PressScore, Score, change_between, observe, score};
+pub use select::{ChosenModel, Terms};
