@@ -5,11 +5,12 @@
 //! shows as a flat patch, and the face sinks beyond the contact. Colours are those of the sensor's
 //! profile; Taccel's own are a neural network of another sensor.
 
+use glam::DVec3;
 use image::RgbImage;
 
-use super::depth::gel_surface_depth;
+use super::depth::{depth_below, gel_surface_depth};
 use super::noise::Drift;
-use super::press_depth::SensorGeometry;
+use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::SensorProfile;
 use super::rasteriser::Rasteriser;
 use super::renderer::TactileRenderer;
@@ -17,6 +18,8 @@ use super::scene::TactileScene;
 use super::scene_renderer::{SceneRenderer, look};
 use super::smooth::Smoothing;
 use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::{Pose, TriangleMesh};
+use crate::sim::fem::{GelGrid, Side};
 
 /// Renders the deformed face of the gel, without smoothing.
 #[derive(Clone, Debug)]
@@ -66,12 +69,44 @@ impl SceneRenderer for GelSurfaceRenderer {
     }
 }
 
+/// A press as flat triangles between the nodes of a gel's face that lie on it: the best that a
+/// mesh of the gel can show of it.
+pub fn faceted(press: &PressDepth, gel: &GelGrid, rasteriser: &mut Rasteriser) -> PressDepth {
+    let grid = &press.geometry;
+    let thickness = gel.thickness_m();
+    let [_, _, layers] = gel.nodes();
+    let first = gel.node(0, 0, layers - 1);
+    let sunken = |node: &DVec3| DVec3::new(node.x, node.y, thickness - depth_at(press, node));
+    let face = TriangleMesh {
+        vertices: gel.positions()[first..].iter().map(sunken).collect(),
+        triangles: gel
+            .triangles(Side::Front)
+            .iter()
+            .map(|t| t.map(|v| v - first as u32))
+            .collect(),
+    };
+    let range = [f64::NEG_INFINITY, thickness];
+    let seen = rasteriser.nearest(&face, &Pose::IDENTITY, grid, range);
+    depth_below(seen, thickness, grid)
+}
+
+/// Depth at the pixel nearest to a point of the face; 0 outside the picture.
+fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
+    let grid = &press.geometry;
+    let pixel = |at: f64, count: usize| {
+        let pixel = (at / grid.pixel_m + 0.5 * (count as f64 - 1.0)).round();
+        (pixel >= 0.0 && pixel < count as f64).then_some(pixel as usize)
+    };
+    match (pixel(point.x, grid.width), pixel(point.y, grid.height)) {
+        (Some(column), Some(row)) => f64::from(press.depth_m[row * grid.width + column]),
+        _ => 0.0,
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
-
     use super::*;
-    use crate::geometry::{Pose, TriangleMesh, builtin};
+    use crate::geometry::builtin;
     use crate::render::tactile::ObjectDepthRenderer;
     use crate::render::tactile::lookup::{LookupRenderer, TaximHeights, TaximTable};
 
@@ -141,6 +176,34 @@ mod tests {
         // The same slope on both sides of a face's middle line, another on the next face.
         assert!((at(column, 20) - at(column, 30)).abs() < 1.0);
         assert!((at(column, 20) - at(30, row)).abs() > 1.0);
+    }
+
+    #[test]
+    fn facets_meet_the_press_at_the_nodes_of_the_gel() {
+        let geometry = SensorGeometry {
+            width: 200,
+            height: 160,
+            pixel_m: 1e-4,
+            gel_thickness_m: 4e-3,
+        };
+        let mut press = PressDepth::untouched(geometry);
+        for (pixel, depth) in press.depth_m.iter_mut().enumerate() {
+            let [x, y] = geometry.pixel_to_gel_m((pixel % 200) as f64, (pixel / 200) as f64);
+            *depth = (1e-3 - 20.0 * (x * x + y * y)).max(0.0) as f32;
+        }
+        let gel = GelGrid::pad(crate::sim::fem::GelResolution::Fine).unwrap();
+        let facets = faceted(&press, &gel, &mut Rasteriser::new());
+        // A node lies 0.5 mm beside the middle of x, and in the middle of y.
+        let at = |press: &PressDepth, column: usize| press.depth_m[80 * 200 + column];
+        assert!((at(&facets, 105) - at(&press, 105)).abs() < 1e-5);
+        let between = (at(&facets, 110) - at(&press, 110)).abs();
+        assert!(between > 2e-6 && between < 2e-5, "{between}");
+        let nothing = faceted(
+            &PressDepth::untouched(geometry),
+            &gel,
+            &mut Rasteriser::new(),
+        );
+        assert_eq!(nothing.deepest_m(), 0.0);
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub use background::BackgroundFit;
 pub use contact_gap::contact_gap;
 pub use depth::{gel_surface_depth, object_depth};
 pub use depth_timing::{DepthLoad, DepthMs, DepthTiming};
-pub use gel_surface::GelSurfaceRenderer;
+pub use gel_surface::{GelSurfaceRenderer, faceted};
 pub use led::{Led, LedShading};
 pub use membrane::sink_of_ball_m;
 pub use noise::{Drift, FrameLook};
