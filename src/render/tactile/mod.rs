@@ -34,6 +34,7 @@ mod scene;
 mod scene_renderer;
 mod shading;
 mod smooth;
+mod trace_header;
 
 pub use background::BackgroundFit;
 pub use contact_gap::contact_gap;
@@ -52,3 +53,4 @@ pub use scene::{Mounting, SensorPlace, SimulatedGel, TactileScene};
 pub use scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 pub use shading::{NormalOrder, PolynomialShading, PositionOrder};
 pub use smooth::{Smoother, Smoothing};
+pub use trace_header::{TraceHeader, TraceObject};
