@@ -4,6 +4,11 @@
 //! picture of it. Columns of the picture run along the gel's x axis (the gripper's approach,
 //! 25 mm), rows along its y axis, as the sensor's camera sees it from behind the gel.
 //!
+//! A [`TactileScene`] is what a sensor meets, of a simulated grasp or of a mesh pressed by hand;
+//! every [`SceneRenderer`] makes pictures of it. That of the paper is [`ObjectDepthRenderer`]:
+//! [`object_depth`] by a z-buffer ([`Rasteriser`]), then [`TactileRenderer`]. To compare with are
+//! [`GelSurfaceRenderer`] and [`lookup::LookupRenderer`].
+//!
 //! [`TactileRenderer`] works by a [`SensorProfile`], which [`calibrate`] fits to real presses:
 //! depth → shape of the gel ([`Smoothing`]) → normals → change of light ([`ShadingModel`]) on the
 //! picture of the untouched gel → drift and noise ([`FrameLook`]).
@@ -11,24 +16,41 @@
 mod background;
 mod bessel;
 pub mod calibrate;
+mod contact_gap;
+mod depth;
+mod depth_timing;
 mod gaussian;
+mod gel_surface;
 mod led;
+pub mod lookup;
 mod membrane;
 mod noise;
 mod normals;
 mod press_depth;
 mod profile;
+mod rasteriser;
 mod renderer;
+mod scene;
+mod scene_renderer;
 mod shading;
 mod smooth;
+mod trace_header;
 
 pub use background::BackgroundFit;
+pub use contact_gap::contact_gap;
+pub use depth::{gel_surface_depth, object_depth};
+pub use depth_timing::{DepthLoad, DepthMs, DepthTiming};
+pub use gel_surface::{GelSurfaceRenderer, faceted};
 pub use led::{Led, LedShading};
 pub use membrane::sink_of_ball_m;
 pub use noise::{Drift, FrameLook};
 pub use normals::Normals;
 pub use press_depth::{PressDepth, SensorGeometry};
 pub use profile::{Background, SensorProfile, ShadingModel};
+pub use rasteriser::{NO_TRIANGLE, Rasteriser};
 pub use renderer::TactileRenderer;
+pub use scene::{Mounting, SensorPlace, SimulatedGel, TactileScene};
+pub use scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 pub use shading::{NormalOrder, PolynomialShading, PositionOrder};
 pub use smooth::{Smoother, Smoothing};
+pub use trace_header::{TraceHeader, TraceObject};

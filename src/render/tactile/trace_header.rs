@@ -1,0 +1,195 @@
+//! What a trace says about its object and its gels.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use super::scene::SimulatedGel;
+use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::{
+    LengthUnit, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
+};
+use crate::sim::fem::GelGrid;
+
+/// The object of a trace. From its header's `object`: `{"source", "sha256", "unit", "scale"}`.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+pub struct TraceObject {
+    /// Mesh file, or `builtin:NAME`.
+    pub source: String,
+    /// Hash of the mesh that was simulated ([`TriangleMesh::content_hash`]).
+    pub sha256: String,
+    /// Unit of the coordinates in the file: mm, cm, m, in.
+    #[serde(default = "metre")]
+    pub unit: String,
+    /// Factor on its size.
+    #[serde(default = "one")]
+    pub scale: f64,
+}
+
+fn metre() -> String {
+    LengthUnit::Metre.to_string()
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// What a renderer needs of a trace's header.
+#[derive(Clone, Debug)]
+pub struct TraceHeader {
+    /// The gels: the header's `gel_axes_m` and `parameters.solver.d_hat_m`.
+    pub gel: SimulatedGel,
+    /// The object.
+    pub object: TraceObject,
+}
+
+#[derive(Deserialize)]
+struct Record {
+    gel_axes_m: [Vec<f64>; 3],
+    object: TraceObject,
+    parameters: Parameters,
+}
+
+#[derive(Deserialize)]
+struct Parameters {
+    solver: Solver,
+}
+
+#[derive(Deserialize)]
+struct Solver {
+    d_hat_m: f64,
+}
+
+impl TraceHeader {
+    /// Reads the header of a trace file.
+    ///
+    /// # Errors
+    /// `Input` where it lacks gels or object, or the gel's mesh is none.
+    pub fn read(header: &Value) -> Result<Self> {
+        let record = Record::deserialize(header).map_err(|cause| {
+            Error::new(
+                ErrorKind::Input,
+                "the trace's header does not tell its object and gels",
+            )
+            .because(cause)
+            .remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
+        })?;
+        Ok(Self {
+            gel: SimulatedGel {
+                grid: GelGrid::new(record.gel_axes_m)?,
+                d_hat_m: record.parameters.solver.d_hat_m,
+            },
+            object: record.object,
+        })
+    }
+}
+
+impl TraceObject {
+    /// The simulated mesh, read again and compared with the trace. A relative path that is not
+    /// there is looked for in the trace's folder as well.
+    ///
+    /// # Errors
+    /// `NotFound`, `Io`, `Input` as of reading a mesh; `Input` where the mesh is no longer the
+    /// one that was simulated.
+    pub fn load(&self, trace: &Path) -> Result<TriangleMesh> {
+        let mesh = if self.source.starts_with("builtin:") {
+            builtin(&self.source)?
+        } else {
+            load_mesh(&self.path(trace), self.unit.parse()?)?
+        };
+        let Prepared { mesh, .. } = prepare(&mesh.scaled(self.scale), &PrepareOptions::default())
+            .map_err(|e| e.at(&self.source))?;
+        if mesh.content_hash() != self.sha256 {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the mesh is not the one that was simulated, at unit {} and scale {}",
+                    self.unit, self.scale
+                ),
+            )
+            .at(&self.source)
+            .remedy("bring the mesh of that time back, or simulate the grasp again"));
+        }
+        Ok(mesh)
+    }
+
+    fn path(&self, trace: &Path) -> PathBuf {
+        let given = PathBuf::from(&self.source);
+        let beside = trace.parent().map(|folder| folder.join(&given));
+        match beside {
+            Some(beside) if !given.exists() && beside.exists() => beside,
+            _ => given,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::save_mesh;
+    use crate::sim::fem::GelResolution;
+    use serde_json::json;
+
+    fn header(object: Value) -> Value {
+        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        json!({
+            "outcome": "success",
+            "object": object,
+            "parameters": {"solver": {"d_hat_m": 5e-4, "dt_s": 0.01}},
+            "gel_axes_m": grid.axes(),
+        })
+    }
+
+    fn simulated(source: &str, scale: f64) -> String {
+        let mesh = builtin(source).unwrap().scaled(scale);
+        let prepared = prepare(&mesh, &PrepareOptions::default()).unwrap();
+        prepared.mesh.content_hash()
+    }
+
+    #[test]
+    fn a_header_gives_gel_and_object() {
+        let sha256 = simulated("builtin:mug", 0.9);
+        let object = json!({"source": "builtin:mug", "sha256": sha256, "scale": 0.9,
+            "triangles": 1, "mass_kg": 0.06});
+        let read = TraceHeader::read(&header(object)).unwrap();
+        assert_eq!(read.gel.grid.nodes(), [13, 11, 3]);
+        assert_eq!((read.gel.d_hat_m, read.object.unit.as_str()), (5e-4, "m"));
+        let mesh = read.object.load(Path::new("grasp.bin")).unwrap();
+        assert_eq!(mesh.content_hash(), sha256);
+    }
+
+    #[test]
+    fn a_mesh_file_is_found_beside_the_trace_and_compared() {
+        let folder = tempfile::tempdir().unwrap();
+        let mesh = builtin("builtin:wedge").unwrap();
+        save_mesh(&folder.path().join("part.obj"), &mesh).unwrap();
+        let again = load_mesh(&folder.path().join("part.obj"), LengthUnit::Metre).unwrap();
+        let prepared = prepare(&again, &PrepareOptions::default()).unwrap();
+        let mut object = TraceObject {
+            source: "part.obj".to_owned(),
+            sha256: prepared.mesh.content_hash(),
+            unit: metre(),
+            scale: 1.0,
+        };
+        let trace = folder.path().join("grasp.bin");
+        assert_eq!(object.load(&trace).unwrap(), prepared.mesh);
+        object.scale = 1.01;
+        let text = object.load(&trace).unwrap_err().to_string();
+        assert!(text.contains("not the one that was simulated"), "{text}");
+        object.source = "lost.obj".to_owned();
+        assert_eq!(object.load(&trace).unwrap_err().kind(), ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn headers_without_gels_are_explained() {
+        for broken in [
+            json!({}),
+            json!([1]),
+            json!({"gel_axes_m": [[0.0], [1.0], [2.0]]}),
+        ] {
+            let text = TraceHeader::read(&broken).unwrap_err().to_string();
+            assert!(text.contains("sim grasp"), "{text}");
+        }
+    }
+}
