@@ -1,1 +1,24 @@
 //! Path-traced pictures of the scene of a grasp.
+//!
+//! A [`Scene`] (meshes, materials, textures, dome of light) is prepared once as a [`Renderer`],
+//! which then makes pictures of it from any [`Camera`]. Light is linear RGB with the primaries of
+//! sRGB; [`Picture::to_srgb8`] makes the 8-bit picture.
+//!
+//! World: z up, metres. Camera: OpenCV optical frame. Pixel (0, 0) is the centre of the top-left
+//! pixel.
+
+mod camera;
+mod environment;
+mod material;
+mod picture;
+mod scene;
+mod settings;
+mod texture;
+
+pub use camera::Camera;
+pub use environment::Environment;
+pub use material::{Colour, Material};
+pub use picture::Picture;
+pub use scene::{Mesh, Scene};
+pub use settings::{PixelFilter, RenderSettings, Watch};
+pub use texture::{Bitmap, ProceduralTexture, Texture};
