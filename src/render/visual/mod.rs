@@ -10,6 +10,7 @@
 mod bsdf;
 mod bvh;
 mod camera;
+mod denoise;
 mod dome;
 mod environment;
 mod film;
@@ -25,6 +26,7 @@ mod texture;
 mod trigonometry;
 
 pub use camera::Camera;
+pub use denoise::{DenoiseSettings, denoise};
 pub use environment::Environment;
 pub use material::{Colour, Material};
 pub use picture::Picture;
