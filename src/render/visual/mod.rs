@@ -15,6 +15,12 @@ mod scene;
 mod settings;
 mod texture;
 
+mod hdr;
+mod pattern;
+mod room;
+mod seed;
+mod sky;
+
 pub use camera::Camera;
 pub use environment::Environment;
 pub use material::{Colour, Material};
@@ -22,3 +28,8 @@ pub use picture::Picture;
 pub use scene::{Mesh, Scene};
 pub use settings::{PixelFilter, RenderSettings, Watch};
 pub use texture::{Bitmap, ProceduralTexture, Texture};
+
+pub use hdr::{load_hdr, read_hdr};
+pub use pattern::{PaintedSurface, Pattern};
+pub use seed::SeedStream;
+pub use sky::{Sky, normalise, white_table_luminance};
