@@ -17,9 +17,13 @@ mod texture;
 
 mod hdr;
 mod pattern;
+mod d435;
+mod gripper;
 mod room;
 mod seed;
+mod shading;
 mod sky;
+mod solids;
 
 pub use camera::Camera;
 pub use environment::Environment;
@@ -29,7 +33,13 @@ pub use scene::{Mesh, Scene};
 pub use settings::{PixelFilter, RenderSettings, Watch};
 pub use texture::{Bitmap, ProceduralTexture, Texture};
 
+pub use d435::{
+    COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale, develop, measure_depth,
+    t_gripper_camera,
+};
+pub use gripper::{GripperPart, GripperSurface, gripper_parts};
 pub use hdr::{load_hdr, read_hdr};
 pub use pattern::{PaintedSurface, Pattern};
 pub use seed::SeedStream;
+pub use shading::{CREASE_RAD, Projection, shaded_mesh};
 pub use sky::{Sky, normalise, white_table_luminance};
