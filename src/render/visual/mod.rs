@@ -7,13 +7,22 @@
 //! World: z up, metres. Camera: OpenCV optical frame. Pixel (0, 0) is the centre of the top-left
 //! pixel.
 
+mod bsdf;
+mod bvh;
 mod camera;
+mod dome;
 mod environment;
+mod film;
+mod integrator;
 mod material;
 mod picture;
+mod renderer;
+mod sampler;
 mod scene;
 mod settings;
+mod surface;
 mod texture;
+mod trigonometry;
 
 mod hdr;
 mod pattern;
@@ -29,6 +38,7 @@ pub use camera::Camera;
 pub use environment::Environment;
 pub use material::{Colour, Material};
 pub use picture::Picture;
+pub use renderer::{Renderer, Rendering};
 pub use scene::{Mesh, Scene};
 pub use settings::{PixelFilter, RenderSettings, Watch};
 pub use texture::{Bitmap, ProceduralTexture, Texture};

@@ -1,6 +1,6 @@
 //! How a picture is made.
 
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::error::{Error, ErrorKind, Result};
 
@@ -72,4 +72,11 @@ pub struct Watch<'a> {
     pub progress: Option<&'a (dyn Fn(usize, usize) + Sync)>,
     /// Once true, rendering ends soon with an error of kind `Interrupted`.
     pub cancel: Option<&'a AtomicBool>,
+}
+
+impl Watch<'_> {
+    /// Whether the rendering is to end.
+    pub(super) fn cancelled(&self) -> bool {
+        self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed))
+    }
 }

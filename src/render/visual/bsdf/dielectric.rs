@@ -1,0 +1,167 @@
+//! Solid glass, clear or frosted (Walter et al., *Microfacet models for refraction through rough
+//! surfaces*, 2007).
+//!
+//! What is carried along a path is radiance over the square of the index of refraction, which
+//! refraction does not change. The share that facets lose by hiding one another is made up by a
+//! factor that depends on the outgoing direction alone, so frosted glass conserves energy but is
+//! reciprocal only up to that factor.
+
+use glam::Vec3;
+
+use super::albedo_table::AlbedoTable;
+use super::fresnel::dielectric;
+use super::ggx::{Ggx, SMOOTH};
+use super::{Sample, Value};
+
+/// Surface of glass. A direction with z > 0 is outside.
+#[derive(Clone, Debug)]
+pub(in super::super) struct Dielectric {
+    ior: f32,
+    transmittance: Vec3,
+    facets: Option<Facets>,
+}
+
+/// Roughness of a surface that is not clear.
+#[derive(Clone, Debug)]
+struct Facets {
+    ggx: Ggx,
+    /// Share of the light that single scattering keeps, seen from outside and from inside.
+    kept: [AlbedoTable; 2],
+}
+
+impl Dielectric {
+    pub(super) fn new(ior: f32, roughness: f32, transmittance: Vec3) -> Self {
+        let rough = roughness * roughness >= SMOOTH && ior != 1.0;
+        let facets = rough.then(|| {
+            let ggx = Ggx::of_roughness(roughness);
+            let kept = [ior, 1.0 / ior].map(|ior| {
+                AlbedoTable::new(|v, u| {
+                    let m = ggx.sample_visible(v, u);
+                    let (reflected, cos_t) = dielectric(v.dot(m), ior);
+                    let up = 2.0 * v.dot(m) * m - v;
+                    let down = refracted(v, m, cos_t, ior);
+                    let up = if up.z > 0.0 { ggx.visible(up) } else { 0.0 };
+                    let down = if down.z < 0.0 { ggx.visible(down) } else { 0.0 };
+                    reflected * up + (1.0 - reflected) * down
+                })
+            });
+            Facets { ggx, kept }
+        });
+        Self {
+            ior,
+            transmittance,
+            facets,
+        }
+    }
+
+    pub(super) fn is_clear(&self) -> bool {
+        self.facets.is_none()
+    }
+
+    /// Index of refraction of the far side over the near side, and the factor that turns the near
+    /// side up.
+    #[inline(always)]
+    fn seen_from(&self, outgoing: Vec3) -> (f32, f32) {
+        if outgoing.z > 0.0 {
+            (self.ior, 1.0)
+        } else {
+            (1.0 / self.ior, -1.0)
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn value(&self, outgoing: Vec3, incoming: Vec3) -> Value {
+        let Some(rough) = &self.facets else {
+            return Value::NONE;
+        };
+        let (ior, side) = self.seen_from(outgoing);
+        let (o, i) = (outgoing * side, incoming * side);
+        let reflects = i.z > 0.0;
+        let m = if reflects { o + i } else { -(o + ior * i) };
+        let m = m.normalize_or_zero();
+        let m = if m.z < 0.0 { -m } else { m };
+        let (cos_o, cos_i) = (o.dot(m), i.dot(m));
+        if cos_o <= 0.0 || (cos_i > 0.0) != reflects {
+            return Value::NONE;
+        }
+        let (fresnel, _) = dielectric(cos_o, ior);
+        let visible = rough.ggx.visible_density(o, m);
+        let (pdf, tint) = if reflects {
+            (fresnel * visible / (4.0 * cos_o), Vec3::ONE)
+        } else {
+            let stretch = cos_o + ior * cos_i;
+            let jacobian = ior * ior * -cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
+            ((1.0 - fresnel) * visible * jacobian, self.transmittance)
+        };
+        Value {
+            value: tint * (pdf * rough.weight(o, i, side)),
+            pdf,
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<Sample> {
+        let (ior, side) = self.seen_from(outgoing);
+        let o = outgoing * side;
+        let m = match &self.facets {
+            Some(rough) => rough.ggx.sample_visible(o, u),
+            None => Vec3::Z,
+        };
+        let cos_o = o.dot(m);
+        let (fresnel, cos_t) = dielectric(cos_o, ior);
+        let reflects = choice < fresnel;
+        let i = if reflects {
+            2.0 * cos_o * m - o
+        } else {
+            refracted(o, m, cos_t, ior)
+        };
+        if (i.z > 0.0) != reflects || i.z == 0.0 {
+            return None;
+        }
+        let tint = if reflects {
+            Vec3::ONE
+        } else {
+            self.transmittance
+        };
+        let Some(rough) = &self.facets else {
+            return Some(Sample {
+                direction: i * side,
+                weight: tint,
+                pdf: 1.0,
+                delta: true,
+            });
+        };
+        let visible = rough.ggx.visible_density(o, m);
+        let pdf = if reflects {
+            fresnel * visible / (4.0 * cos_o)
+        } else {
+            let cos_i = -i.dot(m);
+            let stretch = cos_o - ior * cos_i;
+            let jacobian = ior * ior * cos_i / (stretch * stretch).max(f32::MIN_POSITIVE);
+            (1.0 - fresnel) * visible * jacobian
+        };
+        let weight = tint * rough.weight(o, i, side);
+        (pdf > 0.0 && pdf.is_finite()).then_some(Sample {
+            direction: i * side,
+            weight,
+            pdf,
+            delta: false,
+        })
+    }
+}
+
+impl Facets {
+    /// Value over density of the samples, without tint.
+    #[inline(always)]
+    fn weight(&self, o: Vec3, i: Vec3, side: f32) -> f32 {
+        let kept = &self.kept[usize::from(side < 0.0)];
+        self.ggx.visible(i) / kept.at(o.z).max(1e-3)
+    }
+}
+
+/// Direction of the light that is refracted at a facet towards `o`.
+#[inline(always)]
+fn refracted(o: Vec3, m: Vec3, cos_t: f32, ior: f32) -> Vec3 {
+    let cos_o = o.dot(m);
+    (cos_o / ior - cos_t) * m - o / ior
+}

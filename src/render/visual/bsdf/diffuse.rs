@@ -1,0 +1,42 @@
+//! Ideal diffuse reflection.
+
+use std::f32::consts::{FRAC_1_PI, PI};
+
+use glam::Vec3;
+
+use super::super::trigonometry::sin_cos_turns;
+use super::{Sample, Value};
+
+/// Direction above the surface with density cos/π.
+#[inline(always)]
+pub(super) fn sample_cosine([u1, u2]: [f32; 2]) -> Vec3 {
+    let (sin, cos) = sin_cos_turns(u2);
+    let flat = u1.sqrt();
+    Vec3::new(flat * cos, flat * sin, (1.0 - u1).max(1e-12).sqrt())
+}
+
+/// Density of [`sample_cosine`].
+#[inline(always)]
+pub(super) fn cosine_density(direction: Vec3) -> f32 {
+    direction.z.max(0.0) * FRAC_1_PI
+}
+
+#[inline(always)]
+pub(super) fn value(reflectance: Vec3, incoming: Vec3) -> Value {
+    let pdf = cosine_density(incoming);
+    Value {
+        value: reflectance * pdf,
+        pdf,
+    }
+}
+
+#[inline(always)]
+pub(super) fn sample(reflectance: Vec3, u: [f32; 2]) -> Sample {
+    let direction = sample_cosine(u);
+    Sample {
+        direction,
+        weight: reflectance,
+        pdf: direction.z / PI,
+        delta: false,
+    }
+}

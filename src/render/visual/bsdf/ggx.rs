@@ -1,0 +1,75 @@
+//! GGX distribution of microfacets, sampled by what is visible.
+//!
+//! Sources: Walter et al., *Microfacet models for refraction through rough surfaces* (2007); Heitz,
+//! *Understanding the masking-shadowing function* (2014); Dupuy and Benyoub, *Sampling visible GGX
+//! normals with spherical caps* (2023).
+
+use std::f32::consts::PI;
+
+use glam::Vec3;
+
+use super::super::trigonometry::sin_cos_turns;
+
+/// Below this width a surface is taken as a perfect mirror where that is possible.
+pub(super) const SMOOTH: f32 = 1e-3;
+
+/// Isotropic distribution. Vectors are in the frame of the surface, z along the normal.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ggx {
+    /// Width α.
+    alpha: f32,
+}
+
+impl Ggx {
+    /// Distribution of a roughness in [0, 1].
+    pub(super) fn of_roughness(roughness: f32) -> Self {
+        Self {
+            alpha: (roughness * roughness).max(SMOOTH),
+        }
+    }
+
+    /// Density of facets with normal `m`, m.z > 0.
+    #[inline(always)]
+    pub(super) fn density(&self, m: Vec3) -> f32 {
+        let a2 = self.alpha * self.alpha;
+        // 1 - m.z² from the other components, which keep their precision near the normal.
+        let spread = m.x * m.x + m.y * m.y + a2 * m.z * m.z;
+        a2 / (PI * spread * spread)
+    }
+
+    /// Smith's Λ of a direction.
+    #[inline(always)]
+    fn lambda(&self, v: Vec3) -> f32 {
+        let tan2 = (v.x * v.x + v.y * v.y) / (v.z * v.z).max(f32::MIN_POSITIVE);
+        0.5 * ((1.0 + self.alpha * self.alpha * tan2).sqrt() - 1.0)
+    }
+
+    /// Share of the facets that are visible from `v`.
+    #[inline(always)]
+    pub(super) fn visible(&self, v: Vec3) -> f32 {
+        1.0 / (1.0 + self.lambda(v))
+    }
+
+    /// Share of the facets that are visible from both directions (height-correlated).
+    #[inline(always)]
+    pub(super) fn visible_from_both(&self, a: Vec3, b: Vec3) -> f32 {
+        1.0 / (1.0 + self.lambda(a) + self.lambda(b))
+    }
+
+    /// Normal of a facet that is visible from `v` (v.z > 0), from two numbers in [0, 1).
+    #[inline(always)]
+    pub(super) fn sample_visible(&self, v: Vec3, [u1, u2]: [f32; 2]) -> Vec3 {
+        let stretched = Vec3::new(self.alpha * v.x, self.alpha * v.y, v.z).normalize();
+        let (sin, cos) = sin_cos_turns(u1);
+        let z = (1.0 - u2) * (1.0 + stretched.z) - stretched.z;
+        let flat = (1.0 - z * z).max(0.0).sqrt();
+        let half = Vec3::new(flat * cos, flat * sin, z) + stretched;
+        Vec3::new(self.alpha * half.x, self.alpha * half.y, half.z.max(1e-7)).normalize()
+    }
+
+    /// Density with which [`Ggx::sample_visible`] takes `m`.
+    #[inline(always)]
+    pub(super) fn visible_density(&self, v: Vec3, m: Vec3) -> f32 {
+        self.visible(v) * v.dot(m).max(0.0) * self.density(m) / v.z.max(f32::MIN_POSITIVE)
+    }
+}

@@ -1,0 +1,267 @@
+//! Where a ray meets triangles first: a hierarchy of eight boxes a node and eight triangles a leaf,
+//! in single precision.
+//!
+//! The ray–triangle test is watertight: Woop, Benthin, Wald, *Watertight ray/triangle intersection*
+//! (2013). Boxes are hit conservatively, so no ray slips through an edge that two triangles share.
+
+mod build;
+mod lanes;
+mod triangles;
+
+use glam::Vec3;
+
+use self::build::{Bounds, Child, Tree};
+use self::lanes::WIDTH;
+pub(super) use self::lanes::{Lanes, WithLanes, dispatch};
+use self::triangles::{Shear, Triangles};
+use super::camera::Ray;
+
+/// Bit that tells leaves from nodes in a reference.
+const LEAF: u32 = 1 << 31;
+/// Reference to nothing.
+const NOTHING: u32 = u32::MAX;
+/// Farther ends of boxes are moved by the largest error of their distance (3 roundings).
+const SAFETY: f32 = 1.000_000_6;
+/// Smallest component of a direction, so that its inverse is finite.
+const LEAST_COMPONENT: f32 = 1e-18;
+
+/// Boxes of eight children and what is in them.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+struct Node {
+    /// Lower x, y, z and upper x, y, z of the children; empty ones are never hit.
+    planes: [[f32; WIDTH]; 6],
+    /// Index of a node, or of triangles with [`LEAF`].
+    children: [u32; WIDTH],
+}
+
+/// First hit of a ray.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Hit {
+    /// Distance in lengths of the ray's direction.
+    pub(super) t: f32,
+    /// Index of the triangle in the order of [`Bvh::order`].
+    pub(super) face: u32,
+    /// Weights of the second and third corner.
+    pub(super) weights: [f32; 2],
+}
+
+/// Scratch space of traversals.
+#[derive(Clone, Debug)]
+pub(super) struct Stack(Vec<(u32, f32)>);
+
+/// Hierarchy over triangles.
+#[derive(Debug)]
+pub(super) struct Bvh {
+    nodes: Vec<Node>,
+    leaves: Vec<Triangles>,
+    order: Vec<u32>,
+    depth: usize,
+}
+
+/// A ray as the tests want it.
+struct Prepared<L: Lanes> {
+    origin: [L::F; 3],
+    inverse: [L::F; 3],
+    /// Which of the six planes of a box is nearer, for each axis.
+    near: [usize; 3],
+    far: [usize; 3],
+    shear: Shear<L>,
+}
+
+impl<L: Lanes> Prepared<L> {
+    #[inline(always)]
+    fn new(lanes: L, ray: &Ray) -> Self {
+        let direction = ray.direction.to_array();
+        let inverse = direction.map(|d| {
+            let apart = if d.abs() < LEAST_COMPONENT {
+                LEAST_COMPONENT.copysign(d)
+            } else {
+                d
+            };
+            1.0 / apart
+        });
+        let upper = inverse.map(|i| if i < 0.0 { 3 } else { 0 });
+        Self {
+            origin: ray.origin.to_array().map(|o| lanes.splat(o)),
+            inverse: inverse.map(|i| lanes.splat(i)),
+            near: [upper[0], 1 + upper[1], 2 + upper[2]],
+            far: [3 - upper[0], 4 - upper[1], 5 - upper[2]],
+            shear: Shear::new(lanes, ray),
+        }
+    }
+}
+
+impl Bvh {
+    /// Builds the hierarchy over triangles by their corners, which must be finite. Triangles
+    /// without area are never hit.
+    pub(super) fn build(corners: &[[Vec3; 3]]) -> Self {
+        let boxes: Vec<Bounds> = corners.iter().map(|&c| Bounds::of(c)).collect();
+        let tree = Tree::build(&boxes);
+        let mut bvh = Self {
+            nodes: Vec::with_capacity(tree.nodes.len()),
+            leaves: Vec::new(),
+            order: tree.order,
+            depth: tree.depth,
+        };
+        for wide in &tree.nodes {
+            let mut node = Node {
+                planes: [[f32::INFINITY; WIDTH]; 6],
+                children: [NOTHING; WIDTH],
+            };
+            node.planes[3..].fill([f32::NEG_INFINITY; WIDTH]);
+            for (slot, (bounds, child)) in wide.children.iter().enumerate() {
+                for axis in 0..3 {
+                    node.planes[axis][slot] = bounds.min[axis];
+                    node.planes[3 + axis][slot] = bounds.max[axis];
+                }
+                node.children[slot] = match *child {
+                    Child::Node(index) => index,
+                    Child::Leaf { first, count } => {
+                        let range = first as usize..(first + count) as usize;
+                        let faces = bvh.order[range].iter().map(|&f| corners[f as usize]);
+                        bvh.leaves.push(Triangles::new(first, faces));
+                        LEAF | (bvh.leaves.len() - 1) as u32
+                    }
+                };
+            }
+            bvh.nodes.push(node);
+        }
+        bvh
+    }
+
+    /// Index of each triangle in the order of the leaves.
+    pub(super) fn order(&self) -> &[u32] {
+        &self.order
+    }
+
+    /// Scratch space that is large enough for this hierarchy.
+    pub(super) fn stack(&self) -> Stack {
+        Stack(vec![(NOTHING, 0.0); (WIDTH - 1) * self.depth + WIDTH])
+    }
+
+    /// First triangle that the ray meets at a distance in (0, `reach`).
+    #[inline(always)]
+    pub(super) fn closest<L: Lanes>(
+        &self,
+        lanes: L,
+        ray: &Ray,
+        reach: f32,
+        stack: &mut Stack,
+    ) -> Option<Hit> {
+        if self.nodes.is_empty() {
+            return None;
+        }
+        let prepared = Prepared::new(lanes, ray);
+        let stack = stack.0.as_mut_slice();
+        let mut best = Hit {
+            t: reach,
+            face: NOTHING,
+            weights: [0.0; 2],
+        };
+        let mut height = 0;
+        let mut current = 0u32;
+        loop {
+            if current & LEAF == 0 {
+                let node = &self.nodes[current as usize];
+                let (mut mask, near) = node.enter(lanes, &prepared, best.t);
+                if mask != 0 {
+                    let first = mask.trailing_zeros() as usize & (WIDTH - 1);
+                    mask &= mask - 1;
+                    current = node.children[first];
+                    if mask == 0 {
+                        continue;
+                    }
+                    let near = lanes.store(near);
+                    let mut distance = near[first];
+                    let floor = height;
+                    while mask != 0 {
+                        let slot = mask.trailing_zeros() as usize & (WIDTH - 1);
+                        mask &= mask - 1;
+                        let mut entry = (node.children[slot], near[slot]);
+                        if entry.1 < distance {
+                            (current, distance, entry) = (entry.0, entry.1, (current, distance));
+                        }
+                        // Nearest on top.
+                        let mut at = height;
+                        while at > floor && stack[at - 1].1 < entry.1 {
+                            stack[at] = stack[at - 1];
+                            at -= 1;
+                        }
+                        stack[at] = entry;
+                        height += 1;
+                    }
+                    continue;
+                }
+            } else {
+                let leaf = &self.leaves[(current & !LEAF) as usize];
+                if let Some(hit) = leaf.closest(lanes, &prepared.shear, best.t) {
+                    best = hit;
+                }
+            }
+            loop {
+                if height == 0 {
+                    return (best.face != NOTHING).then_some(best);
+                }
+                height -= 1;
+                let (next, distance) = stack[height];
+                if distance < best.t {
+                    current = next;
+                    break;
+                }
+            }
+        }
+    }
+
+    /// Whether the ray meets any triangle at a distance in (0, `reach`).
+    #[inline(always)]
+    pub(super) fn any<L: Lanes>(&self, lanes: L, ray: &Ray, reach: f32, stack: &mut Stack) -> bool {
+        if self.nodes.is_empty() {
+            return false;
+        }
+        let prepared = Prepared::new(lanes, ray);
+        let stack = stack.0.as_mut_slice();
+        let mut height = 0;
+        let mut current = 0u32;
+        loop {
+            if current & LEAF == 0 {
+                let node = &self.nodes[current as usize];
+                let (mut mask, _) = node.enter(lanes, &prepared, reach);
+                while mask != 0 {
+                    let slot = mask.trailing_zeros() as usize & (WIDTH - 1);
+                    mask &= mask - 1;
+                    stack[height].0 = node.children[slot];
+                    height += 1;
+                }
+            } else if self.leaves[(current & !LEAF) as usize].any(lanes, &prepared.shear, reach) {
+                return true;
+            }
+            if height == 0 {
+                return false;
+            }
+            height -= 1;
+            current = stack[height].0;
+        }
+    }
+}
+
+impl Node {
+    /// Children that the ray enters before `reach`, and the distances at which it does.
+    #[inline(always)]
+    fn enter<L: Lanes>(&self, lanes: L, ray: &Prepared<L>, reach: f32) -> (u32, L::F) {
+        let distance = |plane: usize, axis: usize| {
+            let from = lanes.sub(lanes.load(&self.planes[plane]), ray.origin[axis]);
+            lanes.mul(from, ray.inverse[axis])
+        };
+        let [nx, ny, nz] = [0, 1, 2].map(|axis| distance(ray.near[axis], axis));
+        let [fx, fy, fz] = [0, 1, 2].map(|axis| distance(ray.far[axis], axis));
+        let near = lanes.max(lanes.max(nx, ny), lanes.max(nz, lanes.splat(0.0)));
+        let far = lanes.mul(lanes.min(fx, lanes.min(fy, fz)), lanes.splat(SAFETY));
+        let far = lanes.min(far, lanes.splat(reach));
+        (lanes.le(near, far), near)
+    }
+}
+
+#[cfg(test)]
+#[path = "bvh_test.rs"]
+mod tests;

@@ -1,0 +1,277 @@
+//! The dome of light, prepared for sampling directions in proportion to luminance.
+//!
+//! Between the centres of four texels radiance is bilinear, and so is the density of the samples:
+//! luminance times the sine of the polar angle at each row of centres. A patch between centres is
+//! chosen by inverting cumulative sums, which keeps evenly spread numbers evenly spread; the place
+//! in it by inverting two linear densities.
+
+use std::f32::consts::PI;
+
+use glam::Vec3;
+
+use super::environment::Environment;
+use super::picture::luminance;
+use super::trigonometry::{sin_cos_turns, turns_of};
+
+/// Smallest sine of the polar angle in densities; nearer to the pole nothing is to be gained.
+const LEAST_SINE: f32 = 1e-6;
+
+/// Light that comes from a direction.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Incident {
+    /// Unit vector towards the light.
+    pub(super) direction: Vec3,
+    pub(super) radiance: Vec3,
+    /// Density of the samples at the direction, 1/sr.
+    pub(super) pdf: f32,
+}
+
+/// Cumulative sums of many distributions with the same number of entries.
+#[derive(Debug)]
+struct Cumulative {
+    entries: usize,
+    /// `entries + 1` sums from 0 to 1 each.
+    sums: Vec<f32>,
+    /// For each of `entries` equal intervals of [0, 1) the entry that holds its start.
+    guide: Vec<u16>,
+}
+
+/// Dome of light.
+#[derive(Debug)]
+pub(super) struct Dome {
+    width: usize,
+    height: usize,
+    /// Radiance and its luminance, row by row.
+    texels: Vec<[f32; 4]>,
+    /// Sine of the polar angle at the edges of the rows of patches: the poles and the rows of
+    /// texel centres.
+    sines: Vec<f32>,
+    rows: Cumulative,
+    columns: Cumulative,
+    /// 1 / integral of the density over the unit square; 0 for darkness.
+    inverse_total: f32,
+    /// Rotation in turns.
+    turn: f32,
+}
+
+/// Place in a patch.
+struct Place {
+    row: usize,
+    column: usize,
+    fx: f32,
+    fy: f32,
+}
+
+impl Cumulative {
+    fn new(entries: usize, distributions: usize) -> Self {
+        Self {
+            entries,
+            sums: Vec::with_capacity((entries + 1) * distributions),
+            guide: Vec::with_capacity(entries * distributions),
+        }
+    }
+
+    /// Appends a distribution in proportion to `weights`; returns their sum.
+    fn push(&mut self, weights: impl Iterator<Item = f64> + Clone) -> f64 {
+        let total: f64 = weights.clone().sum();
+        let scale = if total > 0.0 { 1.0 / total } else { 0.0 };
+        let first = self.sums.len();
+        let mut sum = 0.0;
+        self.sums.push(0.0);
+        for weight in weights {
+            sum += weight;
+            self.sums.push(((sum * scale) as f32).min(1.0));
+        }
+        let sums = &self.sums[first..];
+        let mut entry = 0;
+        for interval in 0..self.entries {
+            let start = interval as f32 / self.entries as f32;
+            while entry + 1 < self.entries && sums[entry + 1] <= start {
+                entry += 1;
+            }
+            self.guide.push(entry as u16);
+        }
+        total
+    }
+
+    /// Entry of a distribution for a number in [0, 1), and how far in the entry it lies.
+    #[inline(always)]
+    fn invert(&self, distribution: usize, u: f32) -> (usize, f32) {
+        let interval = ((u * self.entries as f32) as usize).min(self.entries - 1);
+        let mut entry = usize::from(self.guide[distribution * self.entries + interval]);
+        let sums = &self.sums[distribution * (self.entries + 1)..][..self.entries + 1];
+        while entry + 1 < self.entries && sums[entry + 1] <= u {
+            entry += 1;
+        }
+        let (low, high) = (sums[entry], sums[entry + 1]);
+        let width = high - low;
+        let within = if width > 0.0 { (u - low) / width } else { 0.5 };
+        (entry, within.clamp(0.0, 1.0))
+    }
+}
+
+/// Inverts the density on [0, 1] that runs linearly from `a` to `b`.
+#[inline(always)]
+fn invert_linear(a: f32, b: f32, u: f32) -> f32 {
+    let root = (a * a + (b * b - a * a) * u).max(0.0).sqrt();
+    let t = u * (a + b) / (a + root);
+    if t.is_finite() { t.min(1.0) } else { u }
+}
+
+#[inline(always)]
+fn lerp(a: f32, b: f32, t: f32) -> f32 {
+    a + (b - a) * t
+}
+
+impl Dome {
+    /// Prepares a valid environment.
+    pub(super) fn new(environment: &Environment) -> Self {
+        let (width, height) = (environment.map.width, environment.map.height);
+        let texel = |p: &[f32; 3]| {
+            let [r, g, b] = p.map(|v| v * environment.intensity);
+            [r, g, b, luminance([r, g, b])]
+        };
+        let edge = |e: usize| (e as f64 - 0.5).clamp(0.0, height as f64) / height as f64;
+        let sines: Vec<f32> = (0..height + 2)
+            .map(|e| (std::f64::consts::PI * edge(e)).sin() as f32)
+            .collect();
+        let mut dome = Self {
+            width,
+            height,
+            texels: environment.map.pixels.iter().map(texel).collect(),
+            sines,
+            rows: Cumulative::new(height + 1, 1),
+            columns: Cumulative::new(0, 0),
+            inverse_total: 0.0,
+            turn: (environment.rotation_rad / (2.0 * PI)).rem_euclid(1.0),
+        };
+        let mut columns = Cumulative::new(width, height + 1);
+        let mut masses = Vec::with_capacity(height + 1);
+        for row in 0..=height {
+            let weight = |column: usize| {
+                let [a, b, c, d] = dome.corners(row, column).map(|t| f64::from(t[3]));
+                let [top, bottom] = [row, row + 1].map(|e| f64::from(dome.sines[e]));
+                0.25 * (top * (a + b) + bottom * (c + d))
+            };
+            let mass = columns.push((0..width).map(weight));
+            masses.push(mass * (edge(row + 1) - edge(row)) / width as f64);
+        }
+        dome.columns = columns;
+        let total = dome.rows.push(masses.iter().copied());
+        if total > 0.0 {
+            dome.inverse_total = (1.0 / total) as f32;
+        }
+        dome
+    }
+
+    /// Whether no light comes from anywhere.
+    #[inline(always)]
+    pub(super) fn is_dark(&self) -> bool {
+        self.inverse_total == 0.0
+    }
+
+    /// Texels at the corners of a patch: top left, top right, bottom left, bottom right.
+    #[inline(always)]
+    fn corners(&self, row: usize, column: usize) -> [[f32; 4]; 4] {
+        let next = if column + 1 == self.width {
+            0
+        } else {
+            column + 1
+        };
+        let top = row.saturating_sub(1) * self.width;
+        let bottom = row.min(self.height - 1) * self.width;
+        [top + column, top + next, bottom + column, bottom + next].map(|i| self.texels[i])
+    }
+
+    /// Radiance and density at a place in the patch with these corners.
+    #[inline(always)]
+    fn light_at(&self, place: &Place, corners: &[[f32; 4]; 4], direction: Vec3) -> Incident {
+        let [a, b, c, d] = corners;
+        let top: [f32; 4] = std::array::from_fn(|k| lerp(a[k], b[k], place.fx));
+        let bottom: [f32; 4] = std::array::from_fn(|k| lerp(c[k], d[k], place.fx));
+        let radiance: [f32; 3] = std::array::from_fn(|k| lerp(top[k], bottom[k], place.fy));
+        let density = lerp(
+            self.sines[place.row] * top[3],
+            self.sines[place.row + 1] * bottom[3],
+            place.fy,
+        );
+        let flat = direction.x * direction.x + direction.y * direction.y;
+        let sine = flat.sqrt().max(LEAST_SINE);
+        Incident {
+            direction,
+            radiance: Vec3::from_array(radiance),
+            pdf: density * self.inverse_total / (2.0 * PI * PI * sine),
+        }
+    }
+
+    /// Light from a direction (unit vector), with the density at which it is sampled.
+    #[inline(always)]
+    pub(super) fn light_from(&self, direction: Vec3) -> Incident {
+        let azimuth = turns_of(direction.y, direction.x);
+        let u = 0.5 - azimuth + self.turn;
+        let flat = (direction.x * direction.x + direction.y * direction.y).sqrt();
+        let v = 2.0 * turns_of(flat, direction.z);
+        let x = (u - u.floor()) * self.width as f32 - 0.5;
+        let low = x.floor();
+        let column = if low < 0.0 {
+            self.width - 1
+        } else {
+            low as usize
+        };
+        let y = v * self.height as f32 + 0.5;
+        let row = (y as usize).min(self.height);
+        let fy = y - row as f32;
+        let fy = if row == 0 {
+            2.0 * fy - 1.0
+        } else if row == self.height {
+            2.0 * fy
+        } else {
+            fy
+        };
+        let place = Place {
+            row,
+            column: column.min(self.width - 1),
+            fx: x - low,
+            fy: fy.clamp(0.0, 1.0),
+        };
+        self.light_at(&place, &self.corners(place.row, place.column), direction)
+    }
+
+    /// Direction in proportion to luminance, from two numbers in [0, 1).
+    #[inline(always)]
+    pub(super) fn sample(&self, [u1, u2]: [f32; 2]) -> Incident {
+        let (row, u1) = self.rows.invert(0, u1);
+        let (column, u2) = self.columns.invert(row, u2);
+        let corners = self.corners(row, column);
+        let [a, b, c, d] = corners.map(|t| t[3]);
+        let [top, bottom] = [self.sines[row], self.sines[row + 1]];
+        let fy = invert_linear(top * (a + b), bottom * (c + d), u1);
+        let left = lerp(top * a, bottom * c, fy);
+        let right = lerp(top * b, bottom * d, fy);
+        let fx = invert_linear(left, right, u2);
+        let y = if row == 0 {
+            0.5 * (fy + 1.0)
+        } else if row == self.height {
+            row as f32 + 0.5 * fy
+        } else {
+            row as f32 + fy
+        };
+        let u = (column as f32 + 0.5 + fx) / self.width as f32;
+        let v = (y - 0.5) / self.height as f32;
+        let azimuth = 0.5 - u + self.turn;
+        let (sin_azimuth, cos_azimuth) = sin_cos_turns(azimuth - azimuth.floor());
+        let (sin_polar, cos_polar) = sin_cos_turns(0.5 * v);
+        let direction = Vec3::new(sin_polar * cos_azimuth, sin_polar * sin_azimuth, cos_polar);
+        let place = Place {
+            row,
+            column,
+            fx,
+            fy,
+        };
+        self.light_at(&place, &corners, direction)
+    }
+}
+
+#[cfg(test)]
+#[path = "dome_test.rs"]
+mod tests;

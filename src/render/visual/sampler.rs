@@ -1,0 +1,178 @@
+//! Numbers in [0, 1) that fill the space of paths evenly.
+//!
+//! Pairs of dimensions are the first two of Sobol's sequence, scrambled and shuffled as Owen does,
+//! each pair on its own; a pixel adds its own digital shift. A power of two of samples of a pixel is
+//! then a (0, m, 2)-net in every pair, and any two pixels or pairs are independent. Sources: Owen,
+//! *Scrambled net variance for integrals of smooth functions* (1997); Kollig and Keller, *Efficient
+//! multidimensional sampling* (2002); Burley, *Practical hash-based Owen scrambling* (2020).
+
+/// Pairs that are spread evenly; later ones are plainly random.
+const PAIRS: usize = 24;
+/// Longest net, samples; more samples start another with other shifts.
+const LONGEST_NET: u32 = 4096;
+const TURN: u64 = 0x9e37_79b9_7f4a_7c15;
+/// 2^-24.
+const UNIT: f32 = 1.0 / 16_777_216.0;
+
+/// Points of one net for all pairs.
+#[derive(Debug)]
+pub(super) struct Net {
+    /// Sample by sample.
+    points: Vec<[[u32; 2]; PAIRS]>,
+    seed: u64,
+}
+
+/// The numbers of one sample of a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PixelSample<'a> {
+    points: &'a [[u32; 2]; PAIRS],
+    key: u64,
+    /// Differs between samples that share a key.
+    index: u32,
+}
+
+impl Net {
+    /// Net for a number of samples.
+    pub(super) fn new(samples: u32, seed: u64) -> Self {
+        let length = samples.next_power_of_two().min(LONGEST_NET);
+        let point = |index: u32, pair: u64| {
+            let shuffled =
+                scrambled(index.reverse_bits(), mix(seed ^ mix(3 * pair))).reverse_bits();
+            let [x, y] = sobol(shuffled);
+            [
+                scrambled(x, mix(seed ^ mix(3 * pair + 1))),
+                scrambled(y, mix(seed ^ mix(3 * pair + 2))),
+            ]
+        };
+        let points = (0..length)
+            .map(|index| std::array::from_fn(|pair| point(index, pair as u64)))
+            .collect();
+        Self { points, seed }
+    }
+
+    /// A sample of the pixel with this number.
+    #[inline(always)]
+    pub(super) fn sample(&self, pixel: u64, index: u32) -> PixelSample<'_> {
+        let length = self.points.len() as u32;
+        let net = u64::from(index / length);
+        PixelSample {
+            points: &self.points[(index % length) as usize],
+            key: mix(self.seed ^ mix(pixel ^ (net << 40))),
+            index,
+        }
+    }
+}
+
+impl PixelSample<'_> {
+    /// The two numbers of a pair of dimensions.
+    #[inline(always)]
+    pub(super) fn pair(&self, pair: usize) -> [f32; 2] {
+        let shift = mix(self.key.wrapping_add((pair as u64 + 1).wrapping_mul(TURN)));
+        let [x, y] = match self.points.get(pair) {
+            Some(&point) => point,
+            None => {
+                let random = mix(shift ^ mix(u64::from(self.index)));
+                [random as u32, (random >> 32) as u32]
+            }
+        };
+        [
+            ((x ^ shift as u32) >> 8) as f32 * UNIT,
+            ((y ^ (shift >> 32) as u32) >> 8) as f32 * UNIT,
+        ]
+    }
+}
+
+/// Hash of 64 bits (finaliser of SplitMix64: Steele, Lea, Flood, *Fast splittable pseudorandom
+/// number generators*, 2014).
+#[inline(always)]
+fn mix(value: u64) -> u64 {
+    let z = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// First two dimensions of Sobol's sequence, as fractions of 2³².
+fn sobol(index: u32) -> [u32; 2] {
+    let mut direction = 1u32 << 31;
+    let mut second = 0;
+    for bit in 0..32 {
+        if index >> bit & 1 == 1 {
+            second ^= direction;
+        }
+        direction ^= direction >> 1;
+    }
+    [index.reverse_bits(), second]
+}
+
+/// Owen's nested uniform scrambling: each of the leading 24 bits is flipped or not depending on
+/// all bits before it.
+fn scrambled(value: u32, seed: u64) -> u32 {
+    let mut flips = 0;
+    for bit in 0..24 {
+        // A leading 1 tells prefixes of different length apart.
+        let prefix = (1u64 << bit) | (u64::from(value) >> (32 - bit));
+        let flip = mix(seed ^ prefix.wrapping_mul(TURN)) >> 63;
+        flips |= (flip as u32) << (31 - bit);
+    }
+    value ^ flips
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_pair_of_a_pixel_is_a_net() {
+        let net = Net::new(64, 5);
+        for pair in [0, 1, 7, PAIRS - 1] {
+            for pixel in [0, 9] {
+                let points: Vec<_> = (0..64).map(|i| net.sample(pixel, i).pair(pair)).collect();
+                // Each elementary box of area 1/64 holds exactly one point.
+                for log_x in 0..=6 {
+                    let (nx, ny) = (1usize << log_x, 64usize >> log_x);
+                    let mut seen = vec![false; 64];
+                    for [x, y] in &points {
+                        let at = (x * nx as f32) as usize * ny + (y * ny as f32) as usize;
+                        assert!(!seen[at], "pair {pair}, {nx}×{ny}");
+                        seen[at] = true;
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pairs_and_pixels_are_uncorrelated() {
+        let net = Net::new(1024, 1);
+        let centred = |pixel, pair: usize, index| net.sample(pixel, index).pair(pair)[0] - 0.5;
+        for (a, b) in [
+            ((0, 0), (0, 1)),
+            ((0, 0), (1, 0)),
+            ((3, 2), (3, 5)),
+            ((0, 30), (0, 31)),
+        ] {
+            let sum: f32 = (0..1024)
+                .map(|i| centred(a.0, a.1, i) * centred(b.0, b.1, i))
+                .sum();
+            // Variance of the product of two uniform numbers: 1/144.
+            assert!(
+                (sum / 1024.0).abs() < 4.0 / (12.0 * 32.0),
+                "{a:?} {b:?}: {sum}"
+            );
+        }
+    }
+
+    #[test]
+    fn longer_runs_start_other_nets_and_seeds_differ() {
+        let net = Net::new(1 << 14, 0);
+        assert_eq!(net.points.len(), LONGEST_NET as usize);
+        assert_ne!(
+            net.sample(0, 1).pair(0),
+            net.sample(0, LONGEST_NET + 1).pair(0)
+        );
+        assert_ne!(
+            net.sample(0, 1).pair(0),
+            Net::new(1 << 14, 1).sample(0, 1).pair(0)
+        );
+    }
+}

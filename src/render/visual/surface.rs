@@ -1,0 +1,154 @@
+//! The triangles of a scene as shading wants them, and the place where a ray meets one.
+
+use glam::Vec3;
+
+use super::bvh::Hit;
+use super::scene::{Mesh, Scene};
+
+/// Offset of new rays from the surface as a share of the largest coordinate: 64 roundings.
+const OFFSET: f32 = 64.0 * f32::EPSILON;
+/// Coordinates below this size, m, do not make the offset smaller.
+const LEAST_SIZE: f32 = 0.03;
+
+/// Triangle with everything that shading needs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Face {
+    pub(super) corners: [Vec3; 3],
+    normals: [Vec3; 3],
+    uvs: [[f32; 2]; 3],
+    /// Index of the material.
+    pub(super) material: u32,
+}
+
+/// Place where a ray meets a surface.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub(super) position: Vec3,
+    /// Unit normal of the triangle, by the order of its corners.
+    pub(super) normal: Vec3,
+    /// Unit normal for shading, on the same side.
+    pub(super) shading_normal: Vec3,
+    pub(super) uv: [f32; 2],
+}
+
+/// Orthonormal axes with the third along a normal.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Frame {
+    x: Vec3,
+    y: Vec3,
+    z: Vec3,
+}
+
+impl Face {
+    fn new(mesh: &Mesh, triangle: [u32; 3]) -> Self {
+        let at = triangle.map(|v| v as usize);
+        let corners = at.map(|v| mesh.positions[v]);
+        let flat = normal_of(corners);
+        let smooth = |v: usize| mesh.normals.get(v).and_then(|n| n.try_normalize());
+        Self {
+            corners,
+            normals: at.map(|v| smooth(v).unwrap_or(flat)),
+            uvs: at.map(|v| mesh.uvs.get(v).copied().unwrap_or_default()),
+            material: mesh.material as u32,
+        }
+    }
+
+    /// All triangles of a scene, mesh by mesh.
+    pub(super) fn all(scene: &Scene) -> Vec<Self> {
+        let meshes = scene.meshes.iter();
+        meshes
+            .flat_map(|mesh| mesh.triangles.iter().map(|&t| Self::new(mesh, t)))
+            .collect()
+    }
+
+    /// The place of a hit.
+    #[inline(always)]
+    pub(super) fn place(&self, hit: &Hit) -> Place {
+        let [v, w] = hit.weights;
+        let u = 1.0 - v - w;
+        let mix = |p: [Vec3; 3]| u * p[0] + v * p[1] + w * p[2];
+        let normal = normal_of(self.corners);
+        let shading = mix(self.normals).normalize_or(normal);
+        let uv = |k: usize| u * self.uvs[0][k] + v * self.uvs[1][k] + w * self.uvs[2][k];
+        Place {
+            position: mix(self.corners),
+            normal,
+            shading_normal: if shading.dot(normal) < 0.0 {
+                -shading
+            } else {
+                shading
+            },
+            uv: [uv(0), uv(1)],
+        }
+    }
+}
+
+#[inline(always)]
+fn normal_of([a, b, c]: [Vec3; 3]) -> Vec3 {
+    // Scaled up, since the square of an area of small triangles falls below what f32 can hold.
+    let cross = ((b - a) * 1e4).cross((c - a) * 1e4);
+    cross.normalize_or(Vec3::Z)
+}
+
+impl Place {
+    /// Start of a ray that leaves towards `direction`, moved off the surface so that rounding does
+    /// not let the ray meet it again.
+    #[inline(always)]
+    pub(super) fn start(&self, direction: Vec3) -> Vec3 {
+        let size = self.position.abs().max_element().max(LEAST_SIZE);
+        let offset = self.normal * (OFFSET * size);
+        if direction.dot(self.normal) < 0.0 {
+            self.position - offset
+        } else {
+            self.position + offset
+        }
+    }
+}
+
+impl Frame {
+    /// Axes around a unit vector (Duff et al., *Building an orthonormal basis, revisited*, 2017).
+    #[inline(always)]
+    pub(super) fn around(z: Vec3) -> Self {
+        let sign = 1f32.copysign(z.z);
+        let a = -1.0 / (sign + z.z);
+        let b = z.x * z.y * a;
+        Self {
+            x: Vec3::new(1.0 + sign * z.x * z.x * a, sign * b, -sign * z.x),
+            y: Vec3::new(b, sign + z.y * z.y * a, -z.y),
+            z,
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn to_local(self, v: Vec3) -> Vec3 {
+        Vec3::new(v.dot(self.x), v.dot(self.y), v.dot(self.z))
+    }
+
+    #[inline(always)]
+    pub(super) fn to_world(self, v: Vec3) -> Vec3 {
+        self.x * v.x + self.y * v.y + self.z * v.z
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_orthonormal_and_right_handed() {
+        for z in [
+            Vec3::Z,
+            -Vec3::Z,
+            Vec3::new(0.3, -0.4, 0.1).normalize(),
+            Vec3::new(-1.0, 0.0, -1e-7).normalize(),
+        ] {
+            let frame = Frame::around(z);
+            assert!((frame.x.cross(frame.y) - z).length() < 1e-6, "{z}");
+            let v = Vec3::new(0.2, 0.7, -0.5);
+            assert!(
+                (frame.to_world(frame.to_local(v)) - v).length() < 1e-6,
+                "{z}"
+            );
+        }
+    }
+}
