@@ -26,8 +26,14 @@ mod trigonometry;
 
 mod hdr;
 mod pattern;
+mod bitmap_file;
+mod conditions;
 mod d435;
+mod demo;
+mod finish;
+mod grasp_scene;
 mod gripper;
+mod model;
 mod room;
 mod seed;
 mod shading;
@@ -43,12 +49,18 @@ pub use scene::{Mesh, Scene};
 pub use settings::{PixelFilter, RenderSettings, Watch};
 pub use texture::{Bitmap, ProceduralTexture, Texture};
 
+pub use bitmap_file::load_bitmap;
+pub use conditions::{DomeChoice, GroundChoice, VisualConditions, VisualRandomisation};
 pub use d435::{
     COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale, develop, measure_depth,
     t_gripper_camera,
 };
+pub use demo::{demo_model, usual_finishes};
+pub use finish::Finish;
+pub use grasp_scene::{GraspState, View, eye_in_hand, grasp_scene, sees_gels};
 pub use gripper::{GripperPart, GripperSurface, gripper_parts};
 pub use hdr::{load_hdr, read_hdr};
+pub use model::{LoadedModel, Model};
 pub use pattern::{PaintedSurface, Pattern};
 pub use seed::SeedStream;
 pub use shading::{CREASE_RAD, Projection, shaded_mesh};

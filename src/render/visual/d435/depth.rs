@@ -1,6 +1,5 @@
 //! Exact depth to what the stereo camera would measure.
 
-use image::Luma;
 use rayon::prelude::*;
 
 use super::{BASELINE_M, LEFT_IMAGER_M};
