@@ -5,7 +5,7 @@
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use glam::{DMat4, DQuat, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec3};
 use serde::Deserialize;
 
 use super::{from_f32, malformed};
@@ -72,6 +72,7 @@ struct Mesh {
 struct Primitive {
     attributes: Attributes,
     indices: Option<usize>,
+    material: Option<usize>,
     #[serde(default = "triangle_list")]
     mode: u32,
 }
@@ -85,6 +86,10 @@ fn triangle_list() -> u32 {
 struct Attributes {
     #[serde(rename = "POSITION")]
     position: Option<usize>,
+    #[serde(rename = "NORMAL")]
+    normal: Option<usize>,
+    #[serde(rename = "TEXCOORD_0")]
+    uv: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -115,28 +120,103 @@ struct Buffer {
     uri: Option<String>,
 }
 
+/// A document with the bytes of its buffers.
+pub(super) struct Gltf {
+    document: Document,
+    buffers: Vec<Vec<u8>>,
+}
+
+/// The triangles of one primitive in the frame of the scene.
+pub(super) struct Piece {
+    pub(super) shape: TriangleMesh,
+    /// Unit normals, one for each vertex.
+    pub(super) normals: Option<Vec<DVec3>>,
+    /// One for each vertex; u to the right, v downwards.
+    pub(super) uvs: Option<Vec<[f64; 2]>>,
+    pub(super) material: Option<usize>,
+}
+
 /// Parses the document and joins all its triangles in the frame of the scene.
 pub(super) fn read(bytes: &[u8], beside: Beside<'_>) -> Result<TriangleMesh> {
-    let (json, blob) = if bytes.starts_with(b"glTF") {
-        chunks(bytes)?
-    } else {
-        (bytes, None)
-    };
-    let document: Document = serde_json::from_slice(json)
-        .map_err(|e| malformed("the glTF cannot be read").because(e))?;
-    let buffers = document
-        .buffers
-        .iter()
-        .map(|buffer| contents(buffer, blob, beside))
-        .collect::<Result<Vec<_>>>()?;
+    let gltf = Gltf::open(bytes, beside)?;
     let mut mesh = TriangleMesh::default();
-    for (node, t_scene_node) in placed_nodes(&document)? {
-        let Some(index) = node.mesh else { continue };
-        for primitive in &item(&document.meshes, index, "mesh")?.primitives {
-            append(&mut mesh, primitive, &document, &buffers, &t_scene_node)?;
+    for (primitive, t_scene_node) in gltf.primitives()? {
+        if let Some(shape) = gltf.shape(primitive, &t_scene_node)? {
+            let offset = mesh.vertices.len() as u32;
+            mesh.vertices.extend(shape.vertices);
+            let triangles = shape.triangles.into_iter();
+            mesh.triangles
+                .extend(triangles.map(|t| t.map(|v| v + offset)));
         }
     }
     Ok(mesh)
+}
+
+impl Gltf {
+    /// Parses the document and gathers its buffers.
+    pub(super) fn open(bytes: &[u8], beside: Beside<'_>) -> Result<Self> {
+        let (json, blob) = parts(bytes)?;
+        let document: Document = serde_json::from_slice(json)
+            .map_err(|e| malformed("the glTF cannot be read").because(e))?;
+        let buffers = document
+            .buffers
+            .iter()
+            .map(|buffer| contents(buffer, blob, beside))
+            .collect::<Result<Vec<_>>>()?;
+        Ok(Self { document, buffers })
+    }
+
+    /// All primitives with normals and texture coordinates, placed in the scene.
+    pub(super) fn pieces(&self) -> Result<Vec<Piece>> {
+        let mut pieces = Vec::new();
+        for (primitive, t_scene_node) in self.primitives()? {
+            let Some(shape) = self.shape(primitive, &t_scene_node)? else {
+                continue;
+            };
+            let count = shape.vertices.len();
+            let turn = DMat3::from_mat4(t_scene_node).inverse().transpose();
+            let normals = primitive.attributes.normal.and_then(|index| {
+                let all = self.normals(index).ok()?;
+                let placed = all.into_iter().map(|n| (turn * n).try_normalize());
+                placed.collect::<Option<Vec<_>>>()
+            });
+            let uvs = primitive.attributes.uv.map(|index| self.uvs(index));
+            pieces.push(Piece {
+                shape,
+                normals: normals.filter(|n| n.len() == count),
+                uvs: uvs.transpose()?.filter(|uvs| uvs.len() == count),
+                material: primitive.material,
+            });
+        }
+        Ok(pieces)
+    }
+
+    /// The bytes of a buffer view.
+    pub(super) fn view(&self, index: usize) -> Option<&[u8]> {
+        let view = self.document.buffer_views.get(index)?;
+        let end = view.byte_offset.checked_add(view.byte_length)?;
+        self.buffers.get(view.buffer)?.get(view.byte_offset..end)
+    }
+
+    /// Primitives of the default scene with the place of their nodes in it.
+    fn primitives(&self) -> Result<Vec<(&Primitive, DMat4)>> {
+        let mut all = Vec::new();
+        for (node, t_scene_node) in placed_nodes(&self.document)? {
+            let Some(index) = node.mesh else { continue };
+            let mesh = item(&self.document.meshes, index, "mesh")?;
+            all.extend(mesh.primitives.iter().map(|p| (p, t_scene_node)));
+        }
+        Ok(all)
+    }
+}
+
+/// The document and the binary part of either form.
+pub(super) fn parts(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
+    if bytes.starts_with(b"glTF") {
+        chunks(bytes)
+    } else {
+        Ok((bytes, None))
+    }
 }
 
 /// An object of the document by its index.
@@ -215,40 +295,99 @@ fn transform(node: &Node) -> DMat4 {
     )
 }
 
-/// Appends the triangles of a primitive; lines and points are left out.
-fn append(
-    mesh: &mut TriangleMesh,
-    primitive: &Primitive,
-    document: &Document,
-    buffers: &[Vec<u8>],
-    t_scene_node: &DMat4,
-) -> Result<()> {
-    let Some(index) = primitive.attributes.position else {
-        return Ok(());
-    };
-    let positions = positions(document, index, buffers)?;
-    let corners = match primitive.indices {
-        Some(index) => indices(document, index, buffers)?,
-        None => (0..positions.len() as u32).collect(),
-    };
-    let mut triangles = assemble(primitive.mode, &corners);
-    let count = positions.len();
-    if let Some(bad) = triangles.iter().flatten().find(|&&v| v as usize >= count) {
-        return Err(malformed(format!(
-            "a triangle names vertex {bad}, but the primitive has {count}"
-        )));
+impl Gltf {
+    /// Triangles of a primitive in the frame of the scene; none for lines, points and primitives
+    /// without positions.
+    fn shape(
+        &self,
+        primitive: &Primitive,
+        t_scene_node: &DMat4,
+    ) -> Result<Option<TriangleMesh>> {
+        let Some(index) = primitive.attributes.position else {
+            return Ok(None);
+        };
+        let positions = self.positions(index)?;
+        let corners = match primitive.indices {
+            Some(index) => indices(&self.document, index, &self.buffers)?,
+            None => (0..positions.len() as u32).collect(),
+        };
+        let mut triangles = assemble(primitive.mode, &corners);
+        let count = positions.len();
+        if let Some(bad) = triangles.iter().flatten().find(|&&v| v as usize >= count) {
+            return Err(malformed(format!(
+                "a triangle names vertex {bad}, but the primitive has {count}"
+            )));
+        }
+        if t_scene_node.determinant() < 0.0 {
+            triangles.iter_mut().for_each(|t| t.swap(0, 1));
+        }
+        let placed = positions
+            .iter()
+            .map(|&p| (*t_scene_node * p.extend(1.0)).truncate());
+        Ok(Some(TriangleMesh {
+            vertices: placed.collect(),
+            triangles,
+        }))
     }
-    if t_scene_node.determinant() < 0.0 {
-        triangles.iter_mut().for_each(|t| t.swap(0, 1));
+
+    fn positions(&self, index: usize) -> Result<Vec<DVec3>> {
+        let accessor = item(&self.document.accessors, index, "accessor")?;
+        if (accessor.component_type, accessor.dimensions.as_str()) != (FLOAT, "VEC3") {
+            return Err(malformed(format!(
+                "positions must be VEC3 of 32-bit floats ({FLOAT}), found {} of {}",
+                accessor.dimensions, accessor.component_type
+            )));
+        }
+        self.vectors(index)
     }
-    let offset = mesh.vertices.len() as u32;
-    let placed = positions
-        .iter()
-        .map(|&p| (*t_scene_node * p.extend(1.0)).truncate());
-    mesh.vertices.extend(placed);
-    mesh.triangles
-        .extend(triangles.into_iter().map(|t| t.map(|v| v + offset)));
-    Ok(())
+
+    /// Normals in the frame of the node.
+    fn normals(&self, index: usize) -> Result<Vec<DVec3>> {
+        let accessor = item(&self.document.accessors, index, "accessor")?;
+        if (accessor.component_type, accessor.dimensions.as_str()) != (FLOAT, "VEC3") {
+            return Err(malformed("normals must be VEC3 of 32-bit floats"));
+        }
+        self.vectors(index)
+    }
+
+    /// An accessor that is known to be VEC3 of floats.
+    fn vectors(&self, index: usize) -> Result<Vec<DVec3>> {
+        let accessor = item(&self.document.accessors, index, "accessor")?;
+        let all = elements(&self.document, accessor, 12, &self.buffers);
+        Ok(all
+            .map_err(|e| e.at(format!("accessor {index}")))?
+            .map(|bytes| from_f32([0, 4, 8].map(|at| float(bytes, at))))
+            .collect())
+    }
+
+    /// Texture coordinates: floats, or integers that stand for 0 to 1.
+    fn uvs(&self, index: usize) -> Result<Vec<[f64; 2]>> {
+        let accessor = item(&self.document.accessors, index, "accessor")?;
+        let read: (usize, fn(&[u8], usize) -> f32) =
+            match (accessor.component_type, accessor.dimensions.as_str()) {
+                (FLOAT, "VEC2") => (4, |bytes, k| float(bytes, 4 * k)),
+                (UNSIGNED_BYTE, "VEC2") => (1, |bytes, k| f32::from(bytes[k]) / 255.0),
+                (UNSIGNED_SHORT, "VEC2") => (2, |bytes, k| {
+                    f32::from(u16::from_le_bytes([bytes[2 * k], bytes[2 * k + 1]])) / 65535.0
+                }),
+                (found, dimensions) => {
+                    return Err(malformed(format!(
+                        "texture coordinates must be VEC2 of floats or normalised integers, \
+                         found {dimensions} of {found}"
+                    )));
+                }
+            };
+        let (size, part) = read;
+        let all = elements(&self.document, accessor, 2 * size, &self.buffers);
+        Ok(all
+            .map_err(|e| e.at(format!("accessor {index}")))?
+            .map(|bytes| [0, 1].map(|k| f64::from(part(bytes, k))))
+            .collect())
+    }
+}
+
+fn float(bytes: &[u8], at: usize) -> f32 {
+    f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
 }
 
 /// Triangles of a list (mode 4), strip (5) or fan (6) of corners.
@@ -273,25 +412,6 @@ fn assemble(mode: u32, corners: &[u32]) -> Vec<[u32; 3]> {
             .collect(),
         _ => Vec::new(),
     }
-}
-
-fn positions(document: &Document, index: usize, buffers: &[Vec<u8>]) -> Result<Vec<DVec3>> {
-    let accessor = item(&document.accessors, index, "accessor")?;
-    if (accessor.component_type, accessor.dimensions.as_str()) != (FLOAT, "VEC3") {
-        return Err(malformed(format!(
-            "positions must be VEC3 of 32-bit floats ({FLOAT}), found {} of {}",
-            accessor.dimensions, accessor.component_type
-        )));
-    }
-    let coordinate = |bytes: &[u8], at: usize| {
-        f32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
-    };
-    let position = |bytes: &[u8]| from_f32([0, 4, 8].map(|at| coordinate(bytes, at)));
-    let all = elements(document, accessor, 12, buffers);
-    Ok(all
-        .map_err(|e| e.at(format!("accessor {index}")))?
-        .map(position)
-        .collect())
 }
 
 fn indices(document: &Document, index: usize, buffers: &[Vec<u8>]) -> Result<Vec<u32>> {

@@ -3,10 +3,14 @@
 //! Polygons become fans of triangles, and vertices with equal coordinates become one. Colours,
 //! normals, materials and texture coordinates are left out.
 
+mod appearance;
 mod glb;
+mod glb_material;
+mod mtl;
 mod obj;
 mod ply;
 mod stl;
+mod textured;
 
 use std::fmt;
 use std::fs;
@@ -14,6 +18,9 @@ use std::path::Path;
 use std::str::FromStr;
 
 use glam::DVec3;
+
+pub use appearance::{MeshMaterial, PictureSource};
+pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mesh};
 
 use super::mesh::TriangleMesh;
 use super::weld::weld;
@@ -126,15 +133,20 @@ fn unknown_suffix(suffix: &str) -> Error {
 /// finite.
 pub fn load_mesh(path: &Path, unit: LengthUnit) -> Result<TriangleMesh> {
     let format = MeshFormat::of_path(path)?;
-    let bytes = fs::read(path).map_err(|e| {
-        Error::io("cannot read the mesh", e)
-            .at(path.display())
-            .remedy("check the path and its permissions")
-    })?;
+    let bytes = file_bytes(path)?;
     let beside = |name: &str| fs::read(path.with_file_name(name));
     read_mesh(&bytes, format, &beside)
         .map(|mesh| mesh.scaled(unit.in_metres()))
         .map_err(|e| e.at(path.display()))
+}
+
+/// The bytes of a mesh file.
+fn file_bytes(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).map_err(|e| {
+        Error::io("cannot read the mesh", e)
+            .at(path.display())
+            .remedy("check the path and its permissions")
+    })
 }
 
 /// Parses a mesh; coordinates stay in the unit of the file. `beside` reads a file that a glTF
@@ -203,7 +215,7 @@ fn malformed(what: impl Into<String>) -> Error {
 }
 
 /// Appends a polygon as a fan around its first corner; fewer than three corners are no face.
-fn push_polygon(triangles: &mut Vec<[u32; 3]>, corners: &[u32]) -> Result<()> {
+fn push_polygon<T: Copy>(triangles: &mut Vec<[T; 3]>, corners: &[T]) -> Result<()> {
     let [first, rest @ ..] = corners else {
         return Err(malformed("a face must have at least 3 corners, found 0"));
     };

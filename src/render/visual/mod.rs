@@ -25,6 +25,22 @@ mod surface;
 mod texture;
 mod trigonometry;
 
+mod hdr;
+mod pattern;
+mod bitmap_file;
+mod conditions;
+mod d435;
+mod demo;
+mod finish;
+mod grasp_scene;
+mod gripper;
+mod model;
+mod room;
+mod seed;
+mod shading;
+mod sky;
+mod solids;
+
 pub use camera::Camera;
 pub use denoise::{DenoiseSettings, denoise};
 pub use environment::Environment;
@@ -34,3 +50,20 @@ pub use renderer::{Renderer, Rendering};
 pub use scene::{Mesh, Scene};
 pub use settings::{PixelFilter, RenderSettings, Watch};
 pub use texture::{Bitmap, ProceduralTexture, Texture};
+
+pub use bitmap_file::load_bitmap;
+pub use conditions::{DomeChoice, GroundChoice, VisualConditions, VisualRandomisation};
+pub use d435::{
+    COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale, develop, measure_depth,
+    t_gripper_camera,
+};
+pub use demo::{demo_model, usual_finishes};
+pub use finish::Finish;
+pub use grasp_scene::{GraspState, View, eye_in_hand, grasp_scene, sees_gels};
+pub use gripper::{GripperPart, GripperSurface, gripper_parts};
+pub use hdr::{load_hdr, read_hdr};
+pub use model::{LoadedModel, Model};
+pub use pattern::{PaintedSurface, Pattern};
+pub use seed::SeedStream;
+pub use shading::{CREASE_RAD, Projection, shaded_mesh};
+pub use sky::{Sky, normalise, white_table_luminance};

@@ -1,0 +1,201 @@
+//! Material libraries of Wavefront OBJ, with the PBR statements `Pr` and `Pm` of later programs.
+//!
+//! A library never makes its mesh unreadable: what cannot be understood becomes a warning.
+//!
+//! The Phong exponent `Ns` becomes the roughness `(2 / (Ns + 2))^(1/4)` (Blinn–Phong exponent to
+//! GGX alpha, Walter et al., *Microfacet Models for Refraction*, 2007, then its square root).
+//! A body with `d` below 1, or with one of the `illum` models 4, 6, 7, 9, is transparent; one
+//! without colour of its own but a bright `Ks` is metal.
+
+use super::appearance::{MeshMaterial, PictureSource};
+
+/// `illum` models that let light through.
+const GLASS_MODELS: [u32; 4] = [4, 6, 7, 9];
+/// Brightest `Ks` from which a body with hardly any `Kd` is taken for metal.
+const METAL_SPECULAR: f64 = 0.4;
+/// `Kd` against `Ks` below which a body has no colour of its own.
+const METAL_DIFFUSE_SHARE: f64 = 0.2;
+
+/// Options of `map_…` statements and the most values each takes.
+const MAP_OPTIONS: [(&str, usize); 12] = [
+    ("-blendu", 1),
+    ("-blendv", 1),
+    ("-boost", 1),
+    ("-mm", 2),
+    ("-o", 3),
+    ("-s", 3),
+    ("-t", 3),
+    ("-texres", 1),
+    ("-clamp", 1),
+    ("-bm", 1),
+    ("-imfchan", 1),
+    ("-type", 1),
+];
+
+/// Statements of one `newmtl`, before they are weighed against each other.
+#[derive(Default)]
+struct Entry {
+    name: String,
+    diffuse: Option<[f64; 3]>,
+    diffuse_map: Option<String>,
+    specular: Option<[f64; 3]>,
+    emission: Option<[f64; 3]>,
+    filter: Option<[f64; 3]>,
+    exponent: Option<f64>,
+    opacity: Option<f64>,
+    ior: Option<f64>,
+    model: Option<u32>,
+    roughness: Option<f64>,
+    metallic: Option<f64>,
+}
+
+/// Parses a library; each warning names its line.
+pub(super) fn read(bytes: &[u8], warnings: &mut Vec<String>) -> Vec<MeshMaterial> {
+    let text = String::from_utf8_lossy(bytes);
+    let mut entries: Vec<Entry> = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let line = line.trim();
+        let (keyword, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
+        let rest = rest.trim();
+        if keyword == "newmtl" {
+            entries.push(Entry {
+                name: rest.to_string(),
+                ..Entry::default()
+            });
+            continue;
+        }
+        let told = match entries.last_mut() {
+            Some(entry) => entry.read(keyword, rest),
+            None if keyword.is_empty() || keyword.starts_with('#') => None,
+            None => Some(format!("{keyword:?} stands before the first `newmtl`")),
+        };
+        warnings.extend(told.map(|text| format!("line {}: {text}", index + 1)));
+    }
+    entries.into_iter().map(Entry::material).collect()
+}
+
+impl Entry {
+    /// Takes one statement; the warning where it cannot be used.
+    fn read(&mut self, keyword: &str, rest: &str) -> Option<String> {
+        let bad = || Some(format!("`{keyword} {rest}` cannot be read and is ignored"));
+        let number = || rest.split_whitespace().next()?.parse::<f64>().ok();
+        let number = || number().filter(|n| n.is_finite());
+        let slot = match keyword {
+            "Kd" => return store(&mut self.diffuse, color(rest), bad),
+            "Ks" => return store(&mut self.specular, color(rest), bad),
+            "Ke" => return store(&mut self.emission, color(rest), bad),
+            "Tf" => return store(&mut self.filter, color(rest), bad),
+            "map_Kd" => return store(&mut self.diffuse_map, picture_name(rest), bad),
+            "illum" => return store(&mut self.model, rest.parse().ok(), bad),
+            "Tr" => return store(&mut self.opacity, number().map(|n| 1.0 - n), bad),
+            "d" => {
+                let word = rest.strip_prefix("-halo").unwrap_or(rest).trim();
+                return store(&mut self.opacity, word.parse().ok(), bad);
+            }
+            "Ns" => &mut self.exponent,
+            "Ni" => &mut self.ior,
+            "Pr" => &mut self.roughness,
+            "Pm" => &mut self.metallic,
+            _ if keyword.starts_with("map_") || matches!(keyword, "bump" | "norm" | "disp") => {
+                return Some(format!("`{keyword}` is not supported and is ignored"));
+            }
+            _ => return None,
+        };
+        store(slot, number(), bad)
+    }
+
+    fn material(self) -> MeshMaterial {
+        let plain = MeshMaterial::default();
+        let peak = |c: [f64; 3]| c.into_iter().fold(0.0, f64::max);
+        let default_color = if self.diffuse_map.is_some() {
+            [1.0; 3]
+        } else {
+            plain.base_color
+        };
+        let diffuse = self.diffuse.unwrap_or(default_color);
+        let specular = self.specular.unwrap_or([0.0; 3]);
+        let opacity = self.opacity.unwrap_or(1.0).clamp(0.0, 1.0);
+        let is_glass_model = self.model.is_some_and(|m| GLASS_MODELS.contains(&m));
+        let transmission = match opacity {
+            1.0 if is_glass_model => 1.0,
+            opacity => 1.0 - opacity,
+        };
+        let seems_metal = transmission == 0.0
+            && self.model.is_none_or(|m| m >= 2)
+            && peak(specular) >= METAL_SPECULAR
+            && self.diffuse_map.is_none()
+            && peak(diffuse) < METAL_DIFFUSE_SHARE * peak(specular);
+        let metallic = self.metallic.unwrap_or(f64::from(u8::from(seems_metal)));
+        let base_color = if self.metallic.is_none() && seems_metal {
+            specular
+        } else if transmission > 0.5 {
+            self.filter.unwrap_or([1.0; 3])
+        } else {
+            diffuse
+        };
+        // Programs write `Ns` whether or not anything shines.
+        let shines = seems_metal || transmission > 0.0 || peak(specular) > 0.0;
+        let from_exponent = self
+            .exponent
+            .filter(|_| shines)
+            .map(|n| (2.0 / (n.max(0.0) + 2.0)).powf(0.25));
+        MeshMaterial {
+            name: self.name,
+            base_color: base_color.map(|c| c.clamp(0.0, 1.0)),
+            base_color_picture: self.diffuse_map.map(PictureSource::Beside),
+            metallic: metallic.clamp(0.0, 1.0),
+            roughness: self
+                .roughness
+                .or(from_exponent)
+                .unwrap_or(if transmission > 0.0 { 0.0 } else { plain.roughness })
+                .clamp(0.0, 1.0),
+            transmission,
+            ior: self.ior.filter(|n| (1.0..=4.0).contains(n)).unwrap_or(plain.ior),
+            emission: self.emission.unwrap_or_default().map(|c| c.max(0.0)),
+            ..plain
+        }
+    }
+}
+
+/// Stores a value, or tells that there is none.
+fn store<T>(
+    slot: &mut Option<T>,
+    value: Option<T>,
+    bad: impl Fn() -> Option<String>,
+) -> Option<String> {
+    if value.is_none() {
+        return bad();
+    }
+    *slot = value;
+    None
+}
+
+/// One to three numbers; one alone is grey. Spectral files and XYZ are not read.
+fn color(words: &str) -> Option<[f64; 3]> {
+    let mut numbers = words.split_whitespace().map(|word| word.parse::<f64>());
+    let red = numbers.next()?.ok()?;
+    let green = numbers.next().map_or(Some(red), Result::ok)?;
+    let blue = numbers.next().map_or(Some(red), Result::ok)?;
+    let all = [red, green, blue];
+    all.iter().all(|c| c.is_finite()).then_some(all)
+}
+
+/// The file name after the options; names may hold spaces and backslashes.
+fn picture_name(words: &str) -> Option<String> {
+    let mut rest = words.trim();
+    while let Some((option, most)) = MAP_OPTIONS
+        .iter()
+        .find(|(option, _)| rest.split_whitespace().next() == Some(*option))
+    {
+        rest = rest[option.len()..].trim_start();
+        for taken in 0..*most {
+            let word = rest.split_whitespace().next()?;
+            if taken > 0 && word.parse::<f64>().is_err() {
+                break;
+            }
+            rest = rest[word.len()..].trim_start();
+        }
+    }
+    let name = rest.trim_matches('"').replace('\\', "/");
+    (!name.is_empty()).then_some(name)
+}
