@@ -12,7 +12,7 @@
 //! | --- | --- | --- |
 //! | 0 | [`error`], [`geometry`], [`imaging`] | errors; meshes and poses; frames, decoding, crops, differences |
 //! | 1 | [`dataset`], [`sim`] | the crash-safe dataset on disk; the grasp simulator |
-//! | 2 | [`predict`] | model contract, preprocessing, ONNX engine |
+//! | 2 | [`render`], [`predict`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
 //! | 5 | [`app`] | command line, engine, operator's screen |
 

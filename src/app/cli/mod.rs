@@ -20,6 +20,12 @@ mod config;
 mod dataset;
 mod predict;
 mod python_peer;
+mod render;
+mod render_calibrate;
+mod render_out;
+mod render_source;
+mod render_tactile;
+mod render_visual;
 mod rig;
 mod sim;
 mod sim_grasp;
@@ -99,6 +105,8 @@ enum Verb {
     Dataset(dataset::Args),
     /// Simulate grasps
     Sim(sim::Args),
+    /// Render what the sensors would see of simulated grasps
+    Render(render::Args),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -128,6 +136,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Predict(args) => predict::run(&context, args),
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),
+        Verb::Render(args) => render::run(&context, args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),

@@ -1,14 +1,15 @@
 //! What is rendered: a trace of a simulated grasp with its object.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{LengthUnit, PrepareOptions, TriangleMesh, builtin, load_mesh, prepare};
-use crate::render::tactile::SimulatedGel;
-use crate::sim::fem::GelGrid;
+use crate::geometry::{
+    LengthUnit, Pose, PrepareOptions, TriangleMesh, builtin, load_mesh, prepare,
+};
+use crate::render::tactile::{SimulatedGel, TraceHeader, TraceObject};
 use crate::sim::grasp::{Snapshot, StageName, Trace, TraceFile};
 
 /// The moment of a grasp that is rendered.
@@ -83,45 +84,23 @@ pub(super) struct SimulatedGrasp {
     pub(super) start: Start,
 }
 
-/// How the grasp began.
+/// How the grasp began: the header's `pose`.
 #[derive(Clone, Copy, Debug, Deserialize)]
 pub(super) struct Start {
-    pub(super) t_world_object: crate::geometry::Pose,
-    pub(super) t_object_gripper: crate::geometry::Pose,
+    pub(super) t_world_object: Pose,
+    pub(super) t_object_gripper: Pose,
     pub(super) opening_m: f64,
 }
 
-/// The parts of a trace's header that rendering needs.
-#[derive(Deserialize)]
-struct Header {
-    object: ObjectHeader,
-    pose: Start,
-    parameters: Parameters,
-    gel_axes_m: [Vec<f64>; 3],
-}
-
-#[derive(Deserialize)]
-struct ObjectHeader {
-    source: String,
-    unit: String,
-    scale: f64,
-    sha256: String,
-}
-
-#[derive(Deserialize)]
-struct Parameters {
-    solver: Solver,
-}
-
-#[derive(Deserialize)]
-struct Solver {
-    d_hat_m: f64,
+impl Start {
+    /// The gripper in the world.
+    pub(super) fn t_world_gripper(&self) -> Pose {
+        self.t_world_object * self.t_object_gripper
+    }
 }
 
 impl SimulatedGrasp {
     /// Reads a trace and the mesh that it names; `object` replaces the name of the mesh.
-    ///
-    /// A mesh file is looked for where the trace says, then relative to the trace, then beside it.
     pub(super) fn read(path: &Path, object: Option<&str>) -> Result<Self> {
         let bytes = fs::read(path)
             .map_err(|e| Error::io("cannot read the trace", e).at(path.display()))?;
@@ -130,48 +109,31 @@ impl SimulatedGrasp {
 
     fn parse(bytes: &[u8], path: &Path, object: Option<&str>) -> Result<Self> {
         let file = TraceFile::read(bytes)?;
-        let header: Header = serde_json::from_value(file.header).map_err(|e| {
+        let TraceHeader { gel, object: named } = TraceHeader::read(&file.header)?;
+        let named = TraceObject {
+            source: object.map_or(named.source, str::to_owned),
+            ..named
+        };
+        let start = Start::deserialize(&file.header["pose"]).map_err(|e| {
             Error::new(
                 ErrorKind::Input,
-                "the trace does not say which object, gel or pose it belongs to",
+                "the trace's header does not tell how the grasp began",
             )
             .because(e)
             .remedy("simulate the grasp again with this gripcast")
         })?;
-        let name = match object {
-            Some(name) => name.to_owned(),
-            None => found(&header.object.source, path),
-        };
-        let object = ObjectSource {
-            name,
-            unit: header.object.unit.parse()?,
-            scale: header.object.scale,
-        };
-        let mesh = object
-            .load()
-            .map_err(|e| e.remedy("name the mesh that was simulated with --object"))?;
-        let hash = mesh.content_hash();
-        if hash != header.object.sha256 {
-            let (expected, found) = (short(&header.object.sha256), short(&hash));
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "{} is another mesh than the simulated one: expected {expected}, found {found}",
-                    object.name
-                ),
-            )
-            .remedy("name the mesh that was simulated with --object, or simulate again"));
-        }
-        let gel = SimulatedGel {
-            grid: GelGrid::new(header.gel_axes_m)?,
-            d_hat_m: header.parameters.solver.d_hat_m,
-        };
+        let mesh = named.load(path)?;
+        let file_name = named.file(path);
         Ok(Self {
-            object,
+            object: ObjectSource {
+                name: file_name.map_or(named.source, |file| file.display().to_string()),
+                unit: named.unit.parse()?,
+                scale: named.scale,
+            },
             mesh,
             gel,
             trace: file.trace,
-            start: header.pose,
+            start,
         })
     }
 
@@ -194,20 +156,4 @@ impl SimulatedGrasp {
             .remedy(format!("it has: initial {}", reached.join(" ")))
         })
     }
-}
-
-fn short(hash: &str) -> &str {
-    hash.get(..12).unwrap_or(hash)
-}
-
-/// Where a mesh named by a trace lies.
-fn found(source: &str, trace: &Path) -> String {
-    if source.starts_with("builtin:") || Path::new(source).exists() {
-        return source.to_owned();
-    }
-    let folder = trace.parent().unwrap_or_else(|| Path::new(""));
-    let file_name = Path::new(source).file_name().unwrap_or_default();
-    let places: [PathBuf; 2] = [folder.join(source), folder.join(file_name)];
-    let there = places.into_iter().find(|place| place.exists());
-    there.map_or_else(|| source.to_owned(), |place| place.display().to_string())
 }

@@ -32,9 +32,11 @@ use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
+use crate::render::tactile::calibrate::{PressSet, ReadOptions};
+use crate::render::tactile::lookup::{LookupRenderer, Shadows, TaximHeights, fit_to_presses};
 use crate::render::tactile::{
-    GelSurfaceRenderer, LookupRenderer, Mounting, ObjectDepthRenderer, PressDepth,
-    Rasteriser, SceneRenderer, SensorPlace, SensorProfile, TactileScene, object_depth,
+    GelSurfaceRenderer, Mounting, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer,
+    SensorPlace, SensorProfile, TactileScene, object_depth,
 };
 use crate::sim::grasp::Finger;
 
@@ -65,6 +67,12 @@ pub(crate) struct Args {
     /// How the picture is made
     #[arg(long, value_enum, default_value_t = Method::Object)]
     method: Method,
+    /// Presses of a ball to fit the table of --method lookup to, as `render calibrate` reads them
+    #[arg(long, value_name = "DIR")]
+    presses: Option<PathBuf>,
+    /// Diameter of that ball [default: that of presses.json]
+    #[arg(long, value_name = "MM")]
+    ball_mm: Option<f64>,
     /// Profile of the left or only sensor [default: a generic GelSight Mini]
     #[arg(long, value_name = "FILE.toml")]
     profile: Option<PathBuf>,
@@ -212,16 +220,34 @@ impl Args {
 
     fn eye(&self, finger: Finger) -> Result<Eye> {
         let profile = self.profile(finger)?;
-        let with_noise = !self.no_noise;
         let renderer: Box<dyn SceneRenderer> = match self.method {
-            Method::Object => Box::new(ObjectDepthRenderer::new(&profile, with_noise)?),
-            Method::GelSurface => Box::new(GelSurfaceRenderer::new(&profile, with_noise)?),
-            Method::Lookup => Box::new(LookupRenderer::new(&profile, with_noise)?),
+            Method::Object => Box::new(ObjectDepthRenderer::new(&profile)?),
+            Method::GelSurface => Box::new(GelSurfaceRenderer::new(&profile)?),
+            Method::Lookup => Box::new(self.lookup()?),
         };
         Ok(Eye {
             renderer,
-            rasteriser: Rasteriser::default(),
+            rasteriser: Rasteriser::new(),
         })
+    }
+
+    /// Taxim's renderer with a table fitted to all presses of `--presses`.
+    fn lookup(&self) -> Result<LookupRenderer> {
+        let Some(folder) = &self.presses else {
+            let what = "`--method lookup` needs `--presses`, the presses to fit its table to";
+            return Err(Error::new(ErrorKind::Usage, what));
+        };
+        let set = PressSet::read(&ReadOptions {
+            ball_diameter_m: self.ball_mm.map(|mm| 1e-3 * mm),
+            ..ReadOptions::of_folder(folder)
+        })?;
+        let all: Vec<usize> = (0..set.presses.len()).collect();
+        let renderer = fit_to_presses(&set, &all, TaximHeights::default())?;
+        Ok(renderer.with_shadows(Shadows::default()))
+    }
+
+    fn noise(&self) -> Option<u64> {
+        (!self.no_noise).then_some(self.seed)
     }
 }
 
@@ -264,7 +290,7 @@ fn one_press(args: &Args) -> Result<Written> {
     let mesh = source.load()?;
     let finger = args.side.fingers()[0];
     let mut eye = args.eye(finger)?;
-    let grid = *eye.renderer.grid();
+    let grid = eye.renderer.grid();
     let scene = TactileScene::pressed(&mesh, &t_sensor_object, args.press_m, &grid)?;
     write(args, &mut eye, &scene, &args.out, finger, "press")
 }
@@ -317,14 +343,11 @@ pub(super) fn scene(
 ) -> Result<TactileScene<'_>> {
     match grasp.snapshot(moment)? {
         Some(snapshot) => TactileScene::of_snapshot(&grasp.mesh, &grasp.gel, snapshot, place),
-        None => TactileScene::at_start(
-            &grasp.mesh,
-            &grasp.gel,
-            &grasp.start.t_world_object,
-            &(grasp.start.t_world_object * grasp.start.t_object_gripper),
-            grasp.start.opening_m,
-            place,
-        ),
+        None => {
+            let start = &grasp.start;
+            let poses = [&start.t_world_object, &start.t_world_gripper()];
+            TactileScene::at_start(&grasp.mesh, &grasp.gel, poses, start.opening_m, place)
+        }
     }
 }
 
@@ -336,9 +359,9 @@ fn write(
     finger: Finger,
     moment: &'static str,
 ) -> Result<Written> {
-    let picture = eye.renderer.render(scene, args.seed)?;
+    let picture = eye.renderer.render(scene, args.noise())?;
     save(out, &encode_png_rgb(&picture)?)?;
-    let grid = *eye.renderer.grid();
+    let grid = eye.renderer.grid();
     let press = object_depth(scene, &grid, &mut eye.rasteriser);
     let touched = press.depth_m.iter().filter(|&&d| d > 0.0).count();
     let depth = args.depth.then(|| out.with_extension("depth.png"));
@@ -347,7 +370,7 @@ fn write(
     }
     let difference = args.difference.then(|| out.with_extension("difference.png"));
     if let Some(path) = &difference {
-        let untouched = eye.renderer.render(&scene.untouched(), args.seed)?;
+        let untouched = eye.renderer.render(&scene.untouched(), args.noise())?;
         let change = TactileDifference::between(&untouched, &picture)?;
         save(path, &encode_png_rgb(&change.to_picture(1.0))?)?;
     }

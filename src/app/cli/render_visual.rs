@@ -272,7 +272,7 @@ impl<'a> Job<'a> {
                     let start = &grasp.start;
                     GraspState {
                         t_world_object: start.t_world_object,
-                        t_world_gripper: start.t_world_object * start.t_object_gripper,
+                        t_world_gripper: start.t_world_gripper(),
                         opening_m: start.opening_m,
                         gels: None,
                     }

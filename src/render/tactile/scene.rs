@@ -17,7 +17,7 @@ use super::rasteriser::Rasteriser;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Pose, TriangleMesh};
 use crate::sim::fem::{GelGrid, Side};
-use crate::sim::grasp::{Finger, Scene, Snapshot, TraceStep};
+use crate::sim::grasp::{Finger, Snapshot, TraceStep};
 
 /// How a sensor is turned on its finger, in quarter turns: its picture's columns run along the
 /// gel's x axis turned by this angle about the gel's z axis, towards its y axis.
@@ -93,6 +93,9 @@ impl SensorPlace {
         Pose::new(rotation, self.finger.closing() * back)
     }
 }
+
+/// How far an object is taken away so that nothing touches, m.
+const AWAY_M: f64 = 10.0;
 
 /// The gels of a simulated grasp.
 #[derive(Clone, Debug)]
@@ -181,25 +184,50 @@ impl<'a> TactileScene<'a> {
         })
     }
 
-    /// A grasp before the fingers close.
+    /// A grasp before the fingers close, their undeformed faces `opening_m` apart.
     ///
     /// # Errors
     /// `Input` where the mesh is invalid.
-    pub fn at_start(scene: &'a Scene, d_hat_m: f64, place: SensorPlace) -> Result<Self> {
-        scene.mesh.validate()?;
-        let grid = &scene.gel.grid;
-        let thickness = grid.thickness_m();
-        let t_gripper_sensor = place.t_gripper_sensor(scene.opening_m, thickness);
-        let t_sensor_world = (scene.t_world_gripper * t_gripper_sensor).inverse();
-        let rest: Vec<_> = grid.positions().iter().map(|p| p.to_array()).collect();
+    pub fn at_start(
+        object: &'a TriangleMesh,
+        gel: &SimulatedGel,
+        [t_world_object, t_world_gripper]: [&Pose; 2],
+        opening_m: f64,
+        place: SensorPlace,
+    ) -> Result<Self> {
+        object.validate()?;
+        let thickness = gel.grid.thickness_m();
+        let t_gripper_sensor = place.t_gripper_sensor(opening_m, thickness);
+        let t_sensor_world = (*t_world_gripper * t_gripper_sensor).inverse();
+        let positions = gel.grid.positions();
+        let rest: Vec<_> = positions.iter().map(|p| p.to_array()).collect();
         let unturned = Pose::from_rotation(place.mounting.rotation().conjugate());
         Ok(Self {
-            object: &scene.mesh,
-            t_sensor_object: t_sensor_world * scene.t_world_object,
+            object,
+            t_sensor_object: t_sensor_world * *t_world_object,
             face_m: thickness,
-            gap_m: d_hat_m,
-            gel_face: Some(deformed_face(grid, &rest, &unturned)?.0),
+            gap_m: gel.d_hat_m,
+            gel_face: Some(deformed_face(&gel.grid, &rest, &unturned)?.0),
         })
+    }
+
+    /// The same sensor with the object taken away and its face flat.
+    #[must_use]
+    pub fn untouched(&self) -> Self {
+        let away = Pose::from_translation(DVec3::Z * AWAY_M);
+        let flat = |face: &TriangleMesh| TriangleMesh {
+            vertices: face
+                .vertices
+                .iter()
+                .map(|v| v.with_z(self.face_m))
+                .collect(),
+            triangles: face.triangles.clone(),
+        };
+        Self {
+            t_sensor_object: away * self.t_sensor_object,
+            gel_face: self.gel_face.as_ref().map(flat),
+            ..*self
+        }
     }
 
     /// An object pressed in along the sensor's z axis until the deepest pixel of the picture is

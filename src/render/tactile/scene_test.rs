@@ -183,7 +183,15 @@ fn before_the_fingers_close_nothing_is_pressed() {
         gel: GelSpec::standard(GelResolution::Coarse).unwrap(),
     };
     for finger in Finger::BOTH {
-        let start = TactileScene::at_start(&scene, 5e-4, SensorPlace::on(finger)).unwrap();
+        let start = {
+            let gel = SimulatedGel {
+                grid: scene.gel.grid.clone(),
+                d_hat_m: 5e-4,
+            };
+            let poses = [&scene.t_world_object, &scene.t_world_gripper];
+            let place = SensorPlace::on(finger);
+            TactileScene::at_start(&scene.mesh, &gel, poses, scene.opening_m, place).unwrap()
+        };
         let press = object_depth(&start, &GRID, &mut Rasteriser::new());
         assert_eq!(press.deepest_m(), 0.0);
         let face = start.gel_face.unwrap();

@@ -86,17 +86,15 @@ impl TraceHeader {
 }
 
 impl TraceObject {
-    /// The simulated mesh, read again and compared with the trace. A relative path that is not
-    /// there is looked for in the trace's folder as well.
+    /// The simulated mesh, read again from [`Self::file`] and compared with the trace.
     ///
     /// # Errors
     /// `NotFound`, `Io`, `Input` as of reading a mesh; `Input` where the mesh is no longer the
     /// one that was simulated.
     pub fn load(&self, trace: &Path) -> Result<TriangleMesh> {
-        let mesh = if self.source.starts_with("builtin:") {
-            builtin(&self.source)?
-        } else {
-            load_mesh(&self.path(trace), self.unit.parse()?)?
+        let mesh = match self.file(trace) {
+            None => builtin(&self.source)?,
+            Some(path) => load_mesh(&path, self.unit.parse()?)?,
         };
         let Prepared { mesh, .. } = prepare(&mesh.scaled(self.scale), &PrepareOptions::default())
             .map_err(|e| e.at(&self.source))?;
@@ -104,23 +102,28 @@ impl TraceObject {
             return Err(Error::new(
                 ErrorKind::Input,
                 format!(
-                    "the mesh is not the one that was simulated, at unit {} and scale {}",
+                    "this is another mesh than the simulated one, at unit {} and scale {}",
                     self.unit, self.scale
                 ),
             )
             .at(&self.source)
-            .remedy("bring the mesh of that time back, or simulate the grasp again"));
+            .remedy("name the mesh that was simulated with --object, or simulate the grasp again"));
         }
         Ok(mesh)
     }
 
-    fn path(&self, trace: &Path) -> PathBuf {
-        let given = PathBuf::from(&self.source);
-        let beside = trace.parent().map(|folder| folder.join(&given));
-        match beside {
-            Some(beside) if !given.exists() && beside.exists() => beside,
-            _ => given,
+    /// The mesh file, `None` for a built-in shape. A relative path that is not there is looked for
+    /// from the trace's folder, then by its name in that folder.
+    pub fn file(&self, trace: &Path) -> Option<PathBuf> {
+        if self.source.starts_with("builtin:") {
+            return None;
         }
+        let given = PathBuf::from(&self.source);
+        let folder = trace.parent().unwrap_or_else(|| Path::new(""));
+        let name = given.file_name().unwrap_or_default();
+        let places = [given.clone(), folder.join(&given), folder.join(name)];
+        let found = places.into_iter().find(|place| place.exists());
+        Some(found.unwrap_or(given))
     }
 }
 

@@ -13,7 +13,7 @@ use crate::program::{json, succeed};
 use crate::shared_data::shared;
 
 /// Presses of a 4 mm ball rendered with the built-in profile.
-fn rendered_presses(dir: &Path) -> PathBuf {
+pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
     let folder = dir.join("ball");
     fs::create_dir(&folder).unwrap();
     let profile = SensorProfile::gelsight_mini().unwrap();

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use super::calibrate::rendered_presses;
 use super::{depth_png, png, refused, render, trace};
 use crate::program::{json, succeed};
 
@@ -62,11 +63,13 @@ fn the_same_seed_gives_the_same_bytes_and_another_another_noise() {
 #[test]
 fn every_method_renders_and_they_differ() {
     let dir = tempfile::tempdir().unwrap();
+    let presses = rendered_presses(dir.path());
     let take = |method: &str| {
         let out = dir.path().join(method).with_extension("png");
         let words = format!(
-            "--trace {} --side left --no-noise --method {method} --out {}",
+            "--trace {} --side left --no-noise --method {method} --presses {} --out {}",
             trace().display(),
+            presses.display(),
             out.display()
         );
         succeed(&mut render("tactile", &words));
