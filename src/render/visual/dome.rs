@@ -7,7 +7,7 @@
 
 use std::f32::consts::PI;
 
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 
 use super::environment::Environment;
 use super::picture::luminance;
@@ -26,6 +26,15 @@ pub(super) struct Incident {
     pub(super) pdf: f32,
 }
 
+impl Incident {
+    /// No direction.
+    pub(super) const NONE: Self = Self {
+        direction: Vec3::ZERO,
+        radiance: Vec3::ZERO,
+        pdf: 0.0,
+    };
+}
+
 /// Cumulative sums of many distributions with the same number of entries.
 #[derive(Debug)]
 struct Cumulative {
@@ -42,7 +51,7 @@ pub(super) struct Dome {
     width: usize,
     height: usize,
     /// Radiance and its luminance, row by row.
-    texels: Vec<[f32; 4]>,
+    texels: Vec<Vec4>,
     /// Sine of the polar angle at the edges of the rows of patches: the poles and the rows of
     /// texel centres.
     sines: Vec<f32>,
@@ -129,7 +138,7 @@ impl Dome {
         let (width, height) = (environment.map.width, environment.map.height);
         let texel = |p: &[f32; 3]| {
             let [r, g, b] = p.map(|v| v * environment.intensity);
-            [r, g, b, luminance([r, g, b])]
+            Vec4::new(r, g, b, luminance([r, g, b]))
         };
         let edge = |e: usize| (e as f64 - 0.5).clamp(0.0, height as f64) / height as f64;
         let sines: Vec<f32> = (0..height + 2)
@@ -149,7 +158,7 @@ impl Dome {
         let mut masses = Vec::with_capacity(height + 1);
         for row in 0..=height {
             let weight = |column: usize| {
-                let [a, b, c, d] = dome.corners(row, column).map(|t| f64::from(t[3]));
+                let [a, b, c, d] = dome.corners(row, column).map(|t| f64::from(t.w));
                 let [top, bottom] = [row, row + 1].map(|e| f64::from(dome.sines[e]));
                 0.25 * (top * (a + b) + bottom * (c + d))
             };
@@ -164,15 +173,9 @@ impl Dome {
         dome
     }
 
-    /// Whether no light comes from anywhere.
-    #[inline(always)]
-    pub(super) fn is_dark(&self) -> bool {
-        self.inverse_total == 0.0
-    }
-
     /// Texels at the corners of a patch: top left, top right, bottom left, bottom right.
     #[inline(always)]
-    fn corners(&self, row: usize, column: usize) -> [[f32; 4]; 4] {
+    fn corners(&self, row: usize, column: usize) -> [Vec4; 4] {
         let next = if column + 1 == self.width {
             0
         } else {
@@ -180,26 +183,31 @@ impl Dome {
         };
         let top = row.saturating_sub(1) * self.width;
         let bottom = row.min(self.height - 1) * self.width;
-        [top + column, top + next, bottom + column, bottom + next].map(|i| self.texels[i])
+        [
+            self.texels[top + column],
+            self.texels[top + next],
+            self.texels[bottom + column],
+            self.texels[bottom + next],
+        ]
     }
 
     /// Radiance and density at a place in the patch with these corners.
     #[inline(always)]
-    fn light_at(&self, place: &Place, corners: &[[f32; 4]; 4], direction: Vec3) -> Incident {
-        let [a, b, c, d] = corners;
-        let top: [f32; 4] = std::array::from_fn(|k| lerp(a[k], b[k], place.fx));
-        let bottom: [f32; 4] = std::array::from_fn(|k| lerp(c[k], d[k], place.fx));
-        let radiance: [f32; 3] = std::array::from_fn(|k| lerp(top[k], bottom[k], place.fy));
+    fn light_at(&self, place: &Place, corners: &[Vec4; 4], direction: Vec3) -> Incident {
+        let [a, b, c, d] = *corners;
+        let top = a + (b - a) * place.fx;
+        let bottom = c + (d - c) * place.fx;
+        let radiance = top + (bottom - top) * place.fy;
         let density = lerp(
-            self.sines[place.row] * top[3],
-            self.sines[place.row + 1] * bottom[3],
+            self.sines[place.row] * top.w,
+            self.sines[place.row + 1] * bottom.w,
             place.fy,
         );
         let flat = direction.x * direction.x + direction.y * direction.y;
         let sine = flat.sqrt().max(LEAST_SINE);
         Incident {
             direction,
-            radiance: Vec3::from_array(radiance),
+            radiance: radiance.truncate(),
             pdf: density * self.inverse_total / (2.0 * PI * PI * sine),
         }
     }
@@ -243,7 +251,7 @@ impl Dome {
         let (row, u1) = self.rows.invert(0, u1);
         let (column, u2) = self.columns.invert(row, u2);
         let corners = self.corners(row, column);
-        let [a, b, c, d] = corners.map(|t| t[3]);
+        let [a, b, c, d] = [corners[0].w, corners[1].w, corners[2].w, corners[3].w];
         let [top, bottom] = [self.sines[row], self.sines[row + 1]];
         let fy = invert_linear(top * (a + b), bottom * (c + d), u1);
         let left = lerp(top * a, bottom * c, fy);

@@ -1,6 +1,6 @@
 //! Where in a pixel the paths start, and what is gathered of them.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::settings::PixelFilter;
 
@@ -69,10 +69,10 @@ pub(super) struct PathSample {
 /// Sums over the paths of a pixel.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct PixelSums {
-    radiance: [f64; 3],
-    squares: [f64; 3],
+    radiance: DVec3,
+    squares: DVec3,
     /// Radiance of the first half of the paths.
-    first_half: [f64; 3],
+    first_half: DVec3,
     albedo: Vec3,
     normal: Vec3,
 }
@@ -92,13 +92,11 @@ pub(super) struct PixelMeans {
 impl PixelSums {
     #[inline(always)]
     pub(super) fn add(&mut self, sample: &PathSample, in_first_half: bool) {
-        let radiance = sample.radiance.to_array().map(f64::from);
-        for k in 0..3 {
-            self.radiance[k] += radiance[k];
-            self.squares[k] += radiance[k] * radiance[k];
-            if in_first_half {
-                self.first_half[k] += radiance[k];
-            }
+        let radiance = sample.radiance.as_dvec3();
+        self.radiance += radiance;
+        self.squares += radiance * radiance;
+        if in_first_half {
+            self.first_half += radiance;
         }
         self.albedo += sample.albedo;
         self.normal += sample.normal;
@@ -107,7 +105,7 @@ impl PixelSums {
     /// Means over `samples` paths, of which `first` are the first half.
     pub(super) fn means(&self, samples: u32, first: u32) -> PixelMeans {
         let n = f64::from(samples);
-        let mean = self.radiance.map(|s| s / n);
+        let mean = self.radiance / n;
         let variance = std::array::from_fn(|k| {
             let spread = (self.squares[k] / n - mean[k] * mean[k]).max(0.0);
             (spread / (n - 1.0).max(1.0)) as f32
@@ -127,7 +125,7 @@ impl PixelSums {
             }),
         ];
         PixelMeans {
-            radiance: mean.map(|m| m as f32),
+            radiance: mean.as_vec3().to_array(),
             variance,
             halves,
             albedo: (self.albedo / samples as f32).to_array(),

@@ -10,6 +10,7 @@
 mod bsdf;
 mod bvh;
 mod camera;
+mod denoise;
 mod dome;
 mod environment;
 mod film;
@@ -41,6 +42,7 @@ mod sky;
 mod solids;
 
 pub use camera::Camera;
+pub use denoise::{DenoiseSettings, denoise};
 pub use environment::Environment;
 pub use material::{Colour, Material};
 pub use picture::Picture;

@@ -1,5 +1,6 @@
 //! From a scene to pictures.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::Vec3;
@@ -9,8 +10,8 @@ use super::bsdf::Prepared;
 use super::bvh::{Bvh, Lanes, WithLanes, dispatch};
 use super::camera::{Camera, Ray};
 use super::dome::Dome;
-use super::film::{FilterTable, PixelMeans, PixelSums};
-use super::integrator::{Integrator, Strategy};
+use super::film::{FilterTable, PathSample, PixelMeans, PixelSums};
+use super::integrator::{Batch, Integrator, Strategy};
 use super::picture::Picture;
 use super::sampler::Net;
 use super::scene::Scene;
@@ -21,6 +22,8 @@ use crate::error::{Error, ErrorKind, Result};
 
 /// Columns and rows of a tile.
 const TILE: usize = 16;
+/// Most paths that advance together.
+const BATCH: u32 = 64;
 
 /// A picture and what a denoiser and a depth camera want beside it. Row by row.
 #[derive(Clone, Debug, PartialEq)]
@@ -230,6 +233,35 @@ struct Job<'a> {
     filter: &'a FilterTable,
 }
 
+impl<'a> Job<'a> {
+    /// Fills the batch with the paths of these samples of a pixel.
+    #[inline(always)]
+    fn start(&self, [column, row]: [usize; 2], samples: Range<u32>, batch: &mut Batch<'a>) {
+        let pixel = (row as u64) << 16 | column as u64;
+        batch.clear();
+        for index in samples {
+            let numbers = self.net.sample(pixel, index);
+            let [u, v] = numbers.pair(0);
+            let x = column as f32 + self.filter.offset(u);
+            let y = row as f32 + self.filter.offset(v);
+            batch.push(self.camera.ray(x, y), numbers);
+        }
+    }
+
+    /// Adds what the paths of these samples gave.
+    #[inline(always)]
+    fn gather(&self, samples: Range<u32>, batch: &Batch<'a>, sums: &mut PixelSums) {
+        let ceiling = Vec3::splat(self.settings.clamp.unwrap_or(f32::INFINITY));
+        for (index, path) in samples.zip(&batch.samples) {
+            let path = PathSample {
+                radiance: path.radiance.min(ceiling),
+                ..*path
+            };
+            sums.add(&path, index < self.settings.samples / 2);
+        }
+    }
+}
+
 /// A finished pixel with its column and row.
 struct TilePixel {
     place: [usize; 2],
@@ -240,8 +272,8 @@ struct TilePixel {
 /// A tile to be rendered.
 struct Tile<'a> {
     job: &'a Job<'a>,
-    columns: std::ops::Range<usize>,
-    rows: std::ops::Range<usize>,
+    columns: Range<usize>,
+    rows: Range<usize>,
 }
 
 impl WithLanes for Tile<'_> {
@@ -250,30 +282,24 @@ impl WithLanes for Tile<'_> {
     #[inline(always)]
     fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output {
         let job = self.job;
-        let mut stack = job.integrator.bvh.stack();
+        let bvh = job.integrator.bvh;
+        let mut stack = bvh.stack();
         let samples = job.settings.samples;
-        let ceiling = job.settings.clamp.unwrap_or(f32::INFINITY);
+        let mut batch = Batch::new(samples.min(BATCH) as usize, bvh.stack());
         let mut pixels = Vec::with_capacity(self.columns.len() * self.rows.len());
         for row in self.rows {
             for column in self.columns.clone() {
-                let pixel = (row as u64) << 16 | column as u64;
                 let mut sums = PixelSums::default();
-                for index in 0..samples {
-                    let numbers = job.net.sample(pixel, index);
-                    let [u, v] = numbers.pair(0);
-                    let x = column as f32 + job.filter.offset(u);
-                    let y = row as f32 + job.filter.offset(v);
-                    let ray = job.camera.ray(x, y);
-                    let mut path = job.integrator.trace(lanes, ray, &numbers, &mut stack);
-                    // `min` also keeps numbers that are none out of the picture.
-                    path.radiance = path.radiance.min(Vec3::splat(ceiling));
-                    sums.add(&path, index < samples / 2);
+                let mut first = 0;
+                while first < samples {
+                    let range = first..samples.min(first + BATCH);
+                    job.start([column, row], range.clone(), &mut batch);
+                    job.integrator.trace(lanes, &mut batch);
+                    job.gather(range, &batch, &mut sums);
+                    first += BATCH;
                 }
                 let middle = job.camera.ray(column as f32, row as f32);
-                let hit = job
-                    .integrator
-                    .bvh
-                    .closest(lanes, &middle, f32::INFINITY, &mut stack);
+                let hit = bvh.closest(lanes, &middle, f32::INFINITY, &mut stack);
                 pixels.push(TilePixel {
                     place: [column, row],
                     means: sums.means(samples, samples / 2),

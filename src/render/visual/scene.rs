@@ -1,6 +1,6 @@
 //! All that is rendered: meshes, materials, textures, light and camera.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 use super::camera::Camera;
 use super::environment::Environment;
@@ -8,6 +8,9 @@ use super::material::{Colour, Material};
 use super::texture::Texture;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Pose, TriangleMesh};
+
+/// Winding number above which a point is inside.
+const INSIDE: f64 = 0.9;
 
 /// Triangle mesh of one material, in world coordinates.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -157,5 +160,65 @@ impl Scene {
             .validate()
             .map_err(|e| e.at("environment"))?;
         self.camera.validate().map_err(|e| e.at("camera"))
+    }
+
+    /// Whether the camera is outside of all solids.
+    ///
+    /// # Errors
+    /// `Input` if it is inside of a closed mesh, whose inner side would fill the picture. Found by
+    /// the winding number of each mesh around the camera (sum of the solid angles of its
+    /// triangles; van Oosterom and Strackee 1983), which open meshes do not bring near 1.
+    pub fn check_camera_outside(&self, camera: &Camera) -> Result<()> {
+        let eye = camera.t_world_camera.translation_m;
+        for (m, mesh) in self.meshes.iter().enumerate() {
+            let turns: f64 = mesh
+                .triangles
+                .iter()
+                .map(|t| solid_angle(t.map(|v| mesh.positions[v as usize].as_dvec3() - eye)))
+                .sum::<f64>()
+                / (4.0 * std::f64::consts::PI);
+            if turns.abs() > INSIDE {
+                return Err(Error::new(
+                    ErrorKind::Input,
+                    format!("the camera at {eye} m is inside of mesh {m}"),
+                )
+                .remedy("move the camera or the mesh, or check the unit of the mesh"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Signed solid angle of a triangle seen from the origin, sr.
+fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
+    let (la, lb, lc) = (a.length(), b.length(), c.length());
+    let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+    2.0 * a.dot(b.cross(c)).atan2(below)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::builtin;
+
+    #[test]
+    fn a_camera_inside_of_a_solid_is_found() {
+        let at =
+            |x: f64| Camera::centred(4, 4, 1.0, Pose::from_translation(DVec3::new(x, 0.0, 0.0)));
+        let scene = Scene {
+            meshes: vec![
+                Mesh::ground(Vec3::new(0.0, 0.0, -1e-3), 0.5, 0.1, 0),
+                Mesh::from_triangles(&builtin("mug").unwrap(), 0),
+            ],
+            materials: vec![Material::grey(0.5)],
+            textures: Vec::new(),
+            environment: Environment::uniform([1.0; 3]),
+            camera: at(1.0),
+        };
+        // In the hollow of the mug, in its wall, and far away.
+        assert!(scene.check_camera_outside(&at(0.0)).is_ok());
+        assert!(scene.check_camera_outside(&at(0.5)).is_ok());
+        let text = scene.check_camera_outside(&at(-0.028)).unwrap_err();
+        assert!(text.to_string().contains("inside of mesh 1"), "{text}");
     }
 }

@@ -66,21 +66,28 @@ impl Face {
     pub(super) fn place(&self, hit: &Hit) -> Place {
         let [v, w] = hit.weights;
         let u = 1.0 - v - w;
-        let mix = |p: [Vec3; 3]| u * p[0] + v * p[1] + w * p[2];
         let normal = normal_of(self.corners);
-        let shading = mix(self.normals).normalize_or(normal);
-        let uv = |k: usize| u * self.uvs[0][k] + v * self.uvs[1][k] + w * self.uvs[2][k];
+        let shading = mix(self.normals, [u, v, w]).normalize_or(normal);
+        let [a, b, c] = self.uvs;
         Place {
-            position: mix(self.corners),
+            position: mix(self.corners, [u, v, w]),
             normal,
             shading_normal: if shading.dot(normal) < 0.0 {
                 -shading
             } else {
                 shading
             },
-            uv: [uv(0), uv(1)],
+            uv: [
+                u * a[0] + v * b[0] + w * c[0],
+                u * a[1] + v * b[1] + w * c[1],
+            ],
         }
     }
+}
+
+#[inline(always)]
+fn mix(p: [Vec3; 3], weights: [f32; 3]) -> Vec3 {
+    p[0] * weights[0] + p[1] * weights[1] + p[2] * weights[2]
 }
 
 #[inline(always)]

@@ -7,7 +7,11 @@ use std::f32::consts::{FRAC_PI_2, PI};
 /// Value of the polynomial with these coefficients, lowest first.
 #[inline(always)]
 fn polynomial<const N: usize>(x: f32, coefficients: [f32; N]) -> f32 {
-    coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
+    let mut sum = 0.0;
+    for at in (0..N).rev() {
+        sum = sum * x + coefficients[at];
+    }
+    sum
 }
 
 /// Sine and cosine of 2π times a number in [0, 1].

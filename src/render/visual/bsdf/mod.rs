@@ -120,6 +120,16 @@ impl Prepared {
         matches!(self.kind, Kind::Dielectric(_))
     }
 
+    /// Whether only sampling finds the directions that scatter.
+    #[inline(always)]
+    pub(super) fn is_delta(&self) -> bool {
+        match &self.kind {
+            Kind::Diffuse | Kind::Principled(_) => false,
+            Kind::Conductor(surface) => surface.is_mirror(),
+            Kind::Dielectric(surface) => surface.is_clear(),
+        }
+    }
+
     /// The material at texture coordinates and a position, seen from `outgoing`.
     #[inline(always)]
     pub(super) fn at(
@@ -143,16 +153,6 @@ impl Prepared {
 }
 
 impl Bsdf<'_> {
-    /// Whether only sampling finds the directions that scatter.
-    #[inline(always)]
-    pub(super) fn is_delta(&self) -> bool {
-        match self {
-            Self::Diffuse(_) | Self::Principled(_) => false,
-            Self::Conductor(surface) => surface.is_mirror(),
-            Self::Dielectric(surface) => surface.is_clear(),
-        }
-    }
-
     /// Whether light passes through.
     #[inline(always)]
     pub(super) fn transmits(&self) -> bool {

@@ -72,24 +72,38 @@ struct Prepared<L: Lanes> {
 impl<L: Lanes> Prepared<L> {
     #[inline(always)]
     fn new(lanes: L, ray: &Ray) -> Self {
-        let direction = ray.direction.to_array();
-        let inverse = direction.map(|d| {
-            let apart = if d.abs() < LEAST_COMPONENT {
-                LEAST_COMPONENT.copysign(d)
-            } else {
-                d
-            };
-            1.0 / apart
-        });
-        let upper = inverse.map(|i| if i < 0.0 { 3 } else { 0 });
+        // Written out: the compiler does not widen what runs inside closures.
+        let [ix, iy, iz] = [
+            inverse(ray.direction.x),
+            inverse(ray.direction.y),
+            inverse(ray.direction.z),
+        ];
+        let [ux, uy, uz] = [upper(ix), upper(iy), upper(iz)];
+        let o = ray.origin;
         Self {
-            origin: ray.origin.to_array().map(|o| lanes.splat(o)),
-            inverse: inverse.map(|i| lanes.splat(i)),
-            near: [upper[0], 1 + upper[1], 2 + upper[2]],
-            far: [3 - upper[0], 4 - upper[1], 5 - upper[2]],
+            origin: [lanes.splat(o.x), lanes.splat(o.y), lanes.splat(o.z)],
+            inverse: [lanes.splat(ix), lanes.splat(iy), lanes.splat(iz)],
+            near: [ux, 1 + uy, 2 + uz],
+            far: [3 - ux, 4 - uy, 5 - uz],
             shear: Shear::new(lanes, ray),
         }
     }
+}
+
+/// Inverse of a component of a direction, finite.
+#[inline(always)]
+fn inverse(component: f32) -> f32 {
+    if component.abs() < LEAST_COMPONENT {
+        1.0 / LEAST_COMPONENT.copysign(component)
+    } else {
+        1.0 / component
+    }
+}
+
+/// Offset of the upper planes of boxes where they are the nearer ones.
+#[inline(always)]
+fn upper(inverse: f32) -> usize {
+    if inverse < 0.0 { 3 } else { 0 }
 }
 
 impl Bvh {
@@ -249,16 +263,23 @@ impl Node {
     /// Children that the ray enters before `reach`, and the distances at which it does.
     #[inline(always)]
     fn enter<L: Lanes>(&self, lanes: L, ray: &Prepared<L>, reach: f32) -> (u32, L::F) {
-        let distance = |plane: usize, axis: usize| {
-            let from = lanes.sub(lanes.load(&self.planes[plane]), ray.origin[axis]);
-            lanes.mul(from, ray.inverse[axis])
-        };
-        let [nx, ny, nz] = [0, 1, 2].map(|axis| distance(ray.near[axis], axis));
-        let [fx, fy, fz] = [0, 1, 2].map(|axis| distance(ray.far[axis], axis));
+        let nx = self.distance(lanes, ray, ray.near[0], 0);
+        let ny = self.distance(lanes, ray, ray.near[1], 1);
+        let nz = self.distance(lanes, ray, ray.near[2], 2);
+        let fx = self.distance(lanes, ray, ray.far[0], 0);
+        let fy = self.distance(lanes, ray, ray.far[1], 1);
+        let fz = self.distance(lanes, ray, ray.far[2], 2);
         let near = lanes.max(lanes.max(nx, ny), lanes.max(nz, lanes.splat(0.0)));
         let far = lanes.mul(lanes.min(fx, lanes.min(fy, fz)), lanes.splat(SAFETY));
         let far = lanes.min(far, lanes.splat(reach));
         (lanes.le(near, far), near)
+    }
+
+    /// Distances to one plane of each box.
+    #[inline(always)]
+    fn distance<L: Lanes>(&self, lanes: L, ray: &Prepared<L>, plane: usize, axis: usize) -> L::F {
+        let from = lanes.sub(lanes.load(&self.planes[plane]), ray.origin[axis]);
+        lanes.mul(from, ray.inverse[axis])
     }
 }
 

@@ -32,28 +32,34 @@ pub(super) struct Shear<L: Lanes> {
 impl<L: Lanes> Shear<L> {
     #[inline(always)]
     pub(super) fn new(lanes: L, ray: &Ray) -> Self {
-        let d = ray.direction.to_array();
-        let size = d.map(f32::abs);
-        let z = if size[0] > size[1] && size[0] > size[2] {
-            0
-        } else if size[1] > size[2] {
-            1
+        let d = ray.direction;
+        let size = d.abs();
+        let axes = if size.x > size.y && size.x > size.z {
+            [1, 2, 0]
+        } else if size.y > size.z {
+            [2, 0, 1]
         } else {
-            2
+            [0, 1, 2]
         };
-        let axes = [[1, 2, 0], [2, 0, 1], [0, 1, 2]][z];
+        let [x, y, z] = axes;
         let o = ray.origin.to_array();
-        let origin = axes.map(|a| o[a]);
+        let d = d.to_array();
         let scale = 1.0 / d[z];
-        let shear = [d[axes[0]] * scale, d[axes[1]] * scale, scale];
+        let origin = [o[x], o[y], o[z]];
+        let shear = [d[x] * scale, d[y] * scale, scale];
         Self {
             axes,
             origin,
-            lanes_origin: origin.map(|v| lanes.splat(v)),
+            lanes_origin: splat(lanes, origin),
             shear,
-            lanes_shear: shear.map(|v| lanes.splat(v)),
+            lanes_shear: splat(lanes, shear),
         }
     }
+}
+
+#[inline(always)]
+fn splat<L: Lanes>(lanes: L, [x, y, z]: [f32; 3]) -> [L::F; 3] {
+    [lanes.splat(x), lanes.splat(y), lanes.splat(z)]
 }
 
 /// What the test gives for eight triangles.
@@ -98,7 +104,11 @@ impl Triangles {
             }
         }
         let inverse = lanes.store(tested.inverse_sum)[nearest];
-        let weights = tested.weights.map(|w| lanes.store(w)[nearest] * inverse);
+        let [v, w] = tested.weights;
+        let weights = [
+            lanes.store(v)[nearest] * inverse,
+            lanes.store(w)[nearest] * inverse,
+        ];
         debug_assert!(self.first != NOTHING);
         Some(Hit {
             t: t[nearest],
@@ -115,24 +125,17 @@ impl Triangles {
     #[inline(always)]
     fn test<L: Lanes>(&self, lanes: L, ray: &Shear<L>, reach: f32) -> Tested<L> {
         let zero = lanes.splat(0.0);
-        let [sx, sy, sz] = ray.lanes_shear;
-        let sheared = |corner: &[[f32; WIDTH]; 3]| {
-            let [x, y, z] = [0, 1, 2].map(|k| {
-                let axis = ray.axes[k];
-                lanes.sub(lanes.load(&corner[axis]), ray.lanes_origin[k])
-            });
-            let x = lanes.sub(x, lanes.mul(sx, z));
-            let y = lanes.sub(y, lanes.mul(sy, z));
-            [x, y, z]
-        };
-        let [a, b, c] = [0, 1, 2].map(|corner| sheared(&self.corners[corner]));
-        let edge =
-            |p: [L::F; 3], q: [L::F; 3]| lanes.sub(lanes.mul(p[0], q[1]), lanes.mul(p[1], q[0]));
-        let mut edges = [edge(c, b), edge(a, c), edge(b, a)];
-        let on_edge = edges.iter().fold(0, |m, &e| m | lanes.eq(e, zero));
+        let a = self.sheared(lanes, ray, 0);
+        let b = self.sheared(lanes, ray, 1);
+        let c = self.sheared(lanes, ray, 2);
+        let mut edges = [edge(lanes, c, b), edge(lanes, a, c), edge(lanes, b, a)];
+        let on_edge =
+            lanes.eq(edges[0], zero) | lanes.eq(edges[1], zero) | lanes.eq(edges[2], zero);
         if on_edge != 0 {
-            let exact = self.exact_edges(on_edge, ray, edges.map(|e| lanes.store(e)));
-            edges = [0, 1, 2].map(|k| lanes.load(&exact[k]));
+            let [u, v, w] = edges;
+            let edges_f32 = [lanes.store(u), lanes.store(v), lanes.store(w)];
+            let [u, v, w] = self.exact_edges(on_edge, ray.axes, ray.origin, ray.shear, edges_f32);
+            edges = [lanes.load(&u), lanes.load(&v), lanes.load(&w)];
         }
         let [u, v, w] = edges;
         let sum = lanes.add(u, lanes.add(v, w));
@@ -141,7 +144,7 @@ impl Triangles {
             lanes.mul(u, a[2]),
             lanes.add(lanes.mul(v, b[2]), lanes.mul(w, c[2])),
         );
-        let t = lanes.mul(lanes.mul(scaled, sz), inverse_sum);
+        let t = lanes.mul(lanes.mul(scaled, ray.lanes_shear[2]), inverse_sum);
         let least = lanes.min(u, lanes.min(v, w));
         let most = lanes.max(u, lanes.max(v, w));
         // Lanes that hold no number fail every comparison, also that of the distance.
@@ -156,14 +159,30 @@ impl Triangles {
         }
     }
 
+    /// A corner of each triangle relative to the origin, sheared.
+    #[inline(always)]
+    fn sheared<L: Lanes>(&self, lanes: L, ray: &Shear<L>, corner: usize) -> [L::F; 3] {
+        let corner = &self.corners[corner];
+        let x = lanes.sub(lanes.load(&corner[ray.axes[0]]), ray.lanes_origin[0]);
+        let y = lanes.sub(lanes.load(&corner[ray.axes[1]]), ray.lanes_origin[1]);
+        let z = lanes.sub(lanes.load(&corner[ray.axes[2]]), ray.lanes_origin[2]);
+        [
+            lanes.sub(x, lanes.mul(ray.lanes_shear[0], z)),
+            lanes.sub(y, lanes.mul(ray.lanes_shear[1], z)),
+            z,
+        ]
+    }
+
     /// Edge functions in double precision for rays that meet an edge exactly, as far as single
     /// precision can tell: the sign must be the same for both triangles at the edge.
     #[cold]
     #[inline(never)]
-    fn exact_edges<L: Lanes>(
+    fn exact_edges(
         &self,
         mut mask: u32,
-        ray: &Shear<L>,
+        axes: [usize; 3],
+        origin: [f32; 3],
+        shear: [f32; 3],
         mut edges: [[f32; WIDTH]; 3],
     ) -> [[f32; WIDTH]; 3] {
         while mask != 0 {
@@ -171,9 +190,9 @@ impl Triangles {
             mask &= mask - 1;
             // The same single-precision coordinates as in the wide test.
             let [a, b, c] = [0, 1, 2].map(|corner| {
-                let place = |k: usize| self.corners[corner][ray.axes[k]][lane] - ray.origin[k];
+                let place = |k: usize| self.corners[corner][axes[k]][lane] - origin[k];
                 let z = place(2);
-                [0, 1].map(|k| f64::from(place(k) - ray.shear[k] * z))
+                [0, 1].map(|k| f64::from(place(k) - shear[k] * z))
             });
             let edge = |p: [f64; 2], q: [f64; 2]| (p[0] * q[1] - p[1] * q[0]) as f32;
             edges[0][lane] = edge(c, b);
@@ -182,4 +201,10 @@ impl Triangles {
         }
         edges
     }
+}
+
+/// Edge function of two sheared corners: twice the signed area with the ray.
+#[inline(always)]
+fn edge<L: Lanes>(lanes: L, p: [L::F; 3], q: [L::F; 3]) -> L::F {
+    lanes.sub(lanes.mul(p[0], q[1]), lanes.mul(p[1], q[0]))
 }
