@@ -248,3 +248,7 @@ fn obj_part(file: &ObjFile, triangles: &[[Corner; 3]]) -> MeshPart {
         material: None,
     }
 }
+
+#[cfg(test)]
+#[path = "textured_test.rs"]
+mod tests;
