@@ -35,8 +35,8 @@ use crate::error::{Error, ErrorKind, Result, nearest_name};
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{encode_png_grey16, encode_png_rgb};
 use crate::render::visual::{
-    Bitmap, ColourSettings, DepthSettings, Finish, GraspState, Model, Picture, RenderSettings,
-    Renderer, View, VisualConditions, VisualRandomisation, Watch, demo_model, develop, grasp_scene,
+    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Picture, RenderSettings,
+    Renderer, View, VisualConditions, VisualRandomisation, Watch, demo_model, denoise, develop, drawn_finish, grasp_scene,
     load_bitmap, load_hdr, measure_depth, normalise,
 };
 use crate::sim::grasp::{GraspPose, Placed, Placement, resting_pose};
@@ -349,8 +349,8 @@ impl<'a> Job<'a> {
                 Some(finish) => Model::plain(&object.load()?, finish, seed),
             };
         };
-        let usual = Finish::usual(seed);
-        let loaded = Model::load(path, object.unit, finish.unwrap_or(usual), seed)?;
+        let finish = finish.unwrap_or_else(|| drawn_finish(seed));
+        let loaded = Model::load(path, object.unit, finish, seed)?;
         for warning in &loaded.warnings {
             self.progress.line(format!("{}: {warning}", path.display()));
         }
@@ -388,7 +388,7 @@ impl<'a> Job<'a> {
         let renderer = Renderer::new(&scene)?;
         let rendering = renderer.render(&scene.camera, &settings, &watch)?;
         let light = if quality.denoise {
-            denoise(&rendering)
+            denoise(&rendering, &DenoiseSettings::default())
         } else {
             rendering.picture
         };

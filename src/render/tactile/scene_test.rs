@@ -6,7 +6,7 @@ use super::*;
 use crate::geometry::builtin;
 use crate::render::tactile::object_depth;
 use crate::sim::fem::GelResolution;
-use crate::sim::grasp::{GelSpec, StageName};
+use crate::sim::grasp::{GelSpec, Scene, StageName};
 
 const GRID: SensorGeometry = SensorGeometry {
     width: 80,

@@ -50,6 +50,12 @@ pub fn demo_model(name: &str, seed: u64) -> Result<Model> {
     Model::plain(&shape, finish, stream.bits())
 }
 
+/// A finish for a shape of the user, drawn by the seed.
+pub fn drawn_finish(seed: u64) -> Finish {
+    let finishes = usual_finishes("");
+    finishes[SeedStream::named(seed, "finish").index(finishes.len())]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

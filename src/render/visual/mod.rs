@@ -57,7 +57,7 @@ pub use d435::{
     COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale, develop, measure_depth,
     t_gripper_camera,
 };
-pub use demo::{demo_model, usual_finishes};
+pub use demo::{demo_model, drawn_finish, usual_finishes};
 pub use finish::Finish;
 pub use grasp_scene::{GraspState, View, eye_in_hand, grasp_scene, sees_gels};
 pub use gripper::{GripperPart, GripperSurface, gripper_parts};

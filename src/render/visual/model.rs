@@ -117,6 +117,17 @@ impl Model {
         })
     }
 
+    /// The same model, larger by a factor.
+    #[must_use]
+    pub fn scaled(mut self, factor: f64) -> Self {
+        for mesh in &mut self.meshes {
+            for position in &mut mesh.positions {
+                *position *= factor as f32;
+            }
+        }
+        self
+    }
+
     /// Puts the model into a scene at a place.
     pub fn add_to(&self, scene: &mut Scene, t_world_model: &Pose) {
         let (materials, textures) = (scene.materials.len(), scene.textures.len());
