@@ -6,6 +6,7 @@ use image::RgbImage;
 use rand::SeedableRng as _;
 use rand::seq::SliceRandom as _;
 use rand_pcg::Pcg64;
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::ball::BallContact;
@@ -26,8 +27,9 @@ const GEL_THICKNESS_M: f64 = 4e-3;
 const BALL_M: std::ops::RangeInclusive<f64> = 5e-4..=0.1;
 /// Pixel sizes that are believed, m.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
-/// A press is saturated when this fraction of its disc is newly at 0 or 255 in some channel.
-const MOST_SATURATED: f64 = 0.1;
+/// A press is saturated when this fraction of the values in its disc is newly at 0 or 255. One
+/// channel at its end is common under the bright side of a real ball.
+const MOST_SATURATED: f64 = 0.25;
 /// At least this fraction of the contact's disc has to lie in the picture.
 const LEAST_INSIDE: f64 = 0.8;
 /// Change in the disc that counts as a contact, grey levels (root mean square of a channel).
@@ -156,8 +158,13 @@ impl PressSet {
             presses: Vec::new(),
             skipped: Vec::new(),
         };
-        for entry in &list.presses {
-            match set.read_press(options, &frame, entry) {
+        let read: Vec<Result<LabelledPress, String>> = list
+            .presses
+            .par_iter()
+            .map(|entry| set.read_press(options, &frame, entry))
+            .collect();
+        for (entry, press) in list.presses.iter().zip(read) {
+            match press {
                 Ok(press) => set.presses.push(press),
                 Err(reason) => set.skipped.push(SkippedPress {
                     file: entry.file.clone(),
@@ -247,8 +254,8 @@ impl PressSet {
         let saturated = disc.saturated(press, &self.no_contact);
         if saturated > MOST_SATURATED {
             return Err(format!(
-                "it is saturated: {:.0} % of the contact is at 0 or 255; lower the exposure or \
-                 press less",
+                "it is saturated: {:.0} % of the values in the contact are at 0 or 255; lower the \
+                 exposure or press less",
                 100.0 * saturated
             ));
         }
@@ -409,11 +416,9 @@ impl Disc {
     fn saturated(&self, press: &LabelledPress, no_contact: &RgbImage) -> f64 {
         let at_end = |level: u8| level == 0 || level == 255;
         let (real, free) = (press.picture.as_raw(), no_contact.as_raw());
-        let count = self.pixels.iter().filter(|i| {
-            let channels = 3 * **i..3 * **i + 3;
-            channels.into_iter().any(|c| at_end(real[c]) && !at_end(free[c]))
-        });
-        count.count() as f64 / self.pixels.len().max(1) as f64
+        let values = self.pixels.iter().flat_map(|i| 3 * i..3 * i + 3);
+        let count = values.filter(|v| at_end(real[*v]) && !at_end(free[*v])).count();
+        count as f64 / (3 * self.pixels.len()).max(1) as f64
     }
 
     /// Root mean square of the change over the channel where it is largest.
