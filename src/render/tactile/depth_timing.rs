@@ -10,6 +10,7 @@ use super::depth::{IMAGE_PLANE_M, depth_below, object_depth};
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::rasteriser::Rasteriser;
 use super::scene::TactileScene;
+use super::scene_renderer::SceneRenderer;
 use crate::error::Result;
 use crate::geometry::{MeshQuery, Pose, TriangleMesh};
 
@@ -54,23 +55,28 @@ pub struct DepthLoad {
 }
 
 impl Default for DepthLoad {
-    /// 99 904 triangles, 320 × 240 pixels of 0.0634 mm.
+    /// On 320 × 240 pixels of 0.0634 mm.
     fn default() -> Self {
-        let turn = DQuat::from_rotation_x(1.1) * DQuat::from_rotation_y(0.4);
-        Self {
-            object: bumpy_ball(0.025, 5e-4, 224, 224),
-            t_sensor_object: Pose::from_rotation(turn),
-            grid: SensorGeometry {
-                width: 320,
-                height: 240,
-                pixel_m: 6.34e-5,
-                gel_thickness_m: 4e-3,
-            },
-        }
+        Self::on(SensorGeometry {
+            width: 320,
+            height: 240,
+            pixel_m: 6.34e-5,
+            gel_thickness_m: 4e-3,
+        })
     }
 }
 
 impl DepthLoad {
+    /// 99 904 triangles on a sensor's grid.
+    pub fn on(grid: SensorGeometry) -> Self {
+        let turn = DQuat::from_rotation_x(1.1) * DQuat::from_rotation_y(0.4);
+        Self {
+            object: bumpy_ball(0.025, 5e-4, 224, 224),
+            t_sensor_object: Pose::from_rotation(turn),
+            grid,
+        }
+    }
+
     /// The object pressed in.
     ///
     /// # Errors
@@ -84,7 +90,22 @@ impl DepthLoad {
         &self.grid
     }
 
-    /// Times each way `runs` times.
+    /// Times whole pictures of a renderer on the load's grid, `runs` times.
+    ///
+    /// # Errors
+    /// Those of the renderer.
+    pub fn measure_pictures(
+        &self,
+        renderer: &mut dyn SceneRenderer,
+        runs: usize,
+    ) -> Result<DepthMs> {
+        let scene = self.scene()?;
+        let first = renderer.render(&scene, Some(0)).map(|_| ());
+        let took = timed(runs, || renderer.render(&scene, Some(1)).is_ok());
+        first.map(|()| took)
+    }
+
+    /// Times each way of the depth `runs` times.
     ///
     /// # Errors
     /// None.
@@ -212,6 +233,7 @@ pub(super) fn bumpy_ball(radius: f64, bump: f64, rings: u32, segments: u32) -> T
 mod tests {
     use super::*;
     use crate::geometry::MassProperties;
+    use crate::render::tactile::{ObjectDepthRenderer, SensorProfile};
 
     #[test]
     fn the_ball_is_closed_and_as_large_as_said() {
@@ -230,6 +252,11 @@ mod tests {
         };
         let timing = load.measure(1).unwrap();
         assert!(timing.largest_difference_m < 1e-7, "{timing:?}");
-        assert_eq!(DepthLoad::default().object.triangles.len(), 99_904);
+        let load = DepthLoad::default();
+        assert_eq!(load.object.triangles.len(), 99_904);
+        let profile = SensorProfile::gelsight_mini().unwrap();
+        let mut renderer = ObjectDepthRenderer::new(&profile).unwrap();
+        let whole = load.measure_pictures(&mut renderer, 1).unwrap();
+        assert!(whole.min > 0.0);
     }
 }
