@@ -39,6 +39,9 @@ impl Incident {
 /// Patches of a row that share an entry of the cumulative sums.
 const GROUP: usize = 4;
 
+/// Intervals of a guide for each entry.
+const INTERVALS: usize = 2;
+
 /// Radiance of a texel: three values of 18 bits and their common exponent.
 #[derive(Clone, Copy, Debug)]
 struct Texel(u64);
@@ -78,7 +81,7 @@ struct Cumulative {
     entries: usize,
     /// `entries + 1` sums from 0 to 1 each.
     sums: Vec<f32>,
-    /// For each of `entries` equal intervals of [0, 1) the entry that holds its start.
+    /// For each of `INTERVALS * entries` equal intervals of [0, 1) the entry that holds its start.
     guide: Vec<u16>,
 }
 
@@ -115,7 +118,7 @@ impl Cumulative {
         Self {
             entries,
             sums: Vec::with_capacity((entries + 1) * distributions),
-            guide: Vec::with_capacity(entries * distributions),
+            guide: Vec::with_capacity(INTERVALS * entries * distributions),
         }
     }
 
@@ -132,8 +135,8 @@ impl Cumulative {
         }
         let sums = &self.sums[first..];
         let mut entry = 0;
-        for interval in 0..self.entries {
-            let start = interval as f32 / self.entries as f32;
+        for interval in 0..INTERVALS * self.entries {
+            let start = interval as f32 / (INTERVALS * self.entries) as f32;
             while entry + 1 < self.entries && sums[entry + 1] <= start {
                 entry += 1;
             }
@@ -145,12 +148,18 @@ impl Cumulative {
     /// Entry of a distribution for a number in [0, 1), and how far in the entry it lies.
     #[inline(always)]
     fn invert(&self, distribution: usize, u: f32) -> (usize, f32) {
-        let interval = ((u * self.entries as f32) as usize).min(self.entries - 1);
-        let mut entry = usize::from(self.guide[distribution * self.entries + interval]);
+        let intervals = INTERVALS * self.entries;
+        let interval = ((u * intervals as f32) as usize).min(intervals - 1);
+        let mut entry = usize::from(self.guide[distribution * intervals + interval]);
         let sums = &self.sums[distribution * (self.entries + 1)..][..self.entries + 1];
+        // The first steps without branches: a branch that waits for memory and is then guessed
+        // wrongly would end the overlap with the next look-up. The last sum is 1 and never passed.
+        entry += usize::from(sums[entry + 1] <= u);
+        entry += usize::from(sums[(entry + 1).min(self.entries)] <= u);
         while entry + 1 < self.entries && sums[entry + 1] <= u {
             entry += 1;
         }
+        let entry = entry.min(self.entries - 1);
         let (low, high) = (sums[entry], sums[entry + 1]);
         let width = high - low;
         let within = if width > 0.0 { (u - low) / width } else { 0.5 };
@@ -244,7 +253,9 @@ impl Dome {
         let [sine_top, sine_bottom] = [self.sines[row], self.sines[row + 1]];
         let mut above = [Vec4::ZERO; GROUP + 1];
         let mut below = [Vec4::ZERO; GROUP + 1];
-        let mut sums = [0.0f32; GROUP + 1];
+        // Absent patches have no end that could be passed.
+        let mut sums = [f32::INFINITY; GROUP + 1];
+        sums[0] = 0.0;
         for k in 0..=count {
             let column = first + k;
             let column = if column == self.width { 0 } else { column };
@@ -258,9 +269,10 @@ impl Dome {
         }
         let target = u * sums[count];
         let mut k = 0;
-        while k + 1 < count && sums[k + 1] <= target {
-            k += 1;
+        for end in &sums[1..GROUP] {
+            k += usize::from(*end <= target);
         }
+        let k = k.min(count - 1);
         let width = sums[k + 1] - sums[k];
         let rest = if width > 0.0 {
             (target - sums[k]) / width

@@ -76,9 +76,9 @@ fn density_is_proportional_to_luminance_and_integrates_to_one() {
     let cell = 2.0 * std::f64::consts::PI.powi(2) / f64::from(rows * columns);
     assert!((sum * cell - 1.0).abs() < 2e-3, "{}", sum * cell);
     ratios.sort_by(f32::total_cmp);
-    // Only the interpolation of the sine between rows makes a difference.
+    // Only the interpolation of the sine between the coarse rows makes a difference.
     let (low, high) = (ratios[0], ratios[ratios.len() - 1]);
-    assert!(high / low < 1.02, "{low} {high}");
+    assert!(high / low < 1.15, "{low} {high}");
 }
 
 #[test]

@@ -109,7 +109,8 @@ fn white_things_vanish_in_a_white_furnace() {
         };
         let rendering = render(&scene, &settings);
         let mean = rendering.picture.mean();
-        assert!((mean[0] - 1.0).abs() < 3e-3, "{material:?}: {mean:?}");
+        // Rough glass by interpolated tables, several times along a path.
+        assert!((mean[0] - 1.0).abs() < 5e-3, "{material:?}: {mean:?}");
         let ball = rendering.depth_m.iter().filter(|d| **d > 0.0).count();
         assert!(ball > SIZE * SIZE / 3);
     }
