@@ -232,10 +232,7 @@ fn text(report: &CalibrationReport, out: &Path) -> String {
         ),
         format!(
             "error       {:.1} dB, {:.1} grey levels; without contact {:.1} dB, {:.1}",
-            score.patch_psnr_db,
-            score.patch_l1,
-            score.no_contact_psnr_db,
-            score.no_contact_l1
+            score.patch_psnr_db, score.patch_l1, score.no_contact_psnr_db, score.no_contact_l1
         ),
         format!("scale       {:.5} mm a pixel", 1e3 * report.pixel_m),
         format!("profile     {}", out.display()),

@@ -102,8 +102,8 @@ impl Start {
 impl SimulatedGrasp {
     /// Reads a trace and the mesh that it names; `object` replaces the name of the mesh.
     pub(super) fn read(path: &Path, object: Option<&str>) -> Result<Self> {
-        let bytes = fs::read(path)
-            .map_err(|e| Error::io("cannot read the trace", e).at(path.display()))?;
+        let bytes =
+            fs::read(path).map_err(|e| Error::io("cannot read the trace", e).at(path.display()))?;
         Self::parse(&bytes, path, object).map_err(|e| e.at(path.display()))
     }
 
@@ -146,7 +146,12 @@ impl SimulatedGrasp {
         found.map(Some).ok_or_else(|| {
             let reached: Vec<_> = [Moment::Closure, Moment::Grasp, Moment::Lift]
                 .into_iter()
-                .filter(|m| self.trace.snapshots.iter().any(|s| Some(s.stage) == m.stage()))
+                .filter(|m| {
+                    self.trace
+                        .snapshots
+                        .iter()
+                        .any(|s| Some(s.stage) == m.stage())
+                })
                 .map(Moment::name)
                 .collect();
             Error::new(

@@ -53,7 +53,12 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = LengthUnit::Metre, value_parser = unit)]
     unit: LengthUnit,
     /// JSON with t_sensor_object, for an object without a trace [default: its own frame]
-    #[arg(long, value_name = "FILE", conflicts_with = "trace", requires = "object")]
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with = "trace",
+        requires = "object"
+    )]
     pose: Option<PathBuf>,
     /// How deep an object without a trace is pressed in
     #[arg(long, value_name = "M", default_value_t = 5e-4)]
@@ -181,7 +186,14 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
                 w.file.display()
             )
         };
-        print(&report.pictures.iter().map(line).collect::<Vec<_>>().join("\n"))?;
+        print(
+            &report
+                .pictures
+                .iter()
+                .map(line)
+                .collect::<Vec<_>>()
+                .join("\n"),
+        )?;
     }
     report.finish()
 }
@@ -264,7 +276,10 @@ fn one_press(args: &Args) -> Result<Written> {
         t_sensor_object: Pose,
     }
     let Some(name) = &args.object else {
-        return Err(Error::new(ErrorKind::Usage, "`--trace` or `--object` is needed"));
+        return Err(Error::new(
+            ErrorKind::Usage,
+            "`--trace` or `--object` is needed",
+        ));
     };
     let t_sensor_object = match &args.pose {
         None => Pose::IDENTITY,
@@ -368,7 +383,9 @@ fn write(
     if let Some(path) = &depth {
         save(path, &encode_png_grey16(&micrometres(&press))?)?;
     }
-    let difference = args.difference.then(|| out.with_extension("difference.png"));
+    let difference = args
+        .difference
+        .then(|| out.with_extension("difference.png"));
     if let Some(path) = &difference {
         let untouched = eye.renderer.render(&scene.untouched(), args.noise())?;
         let change = TactileDifference::between(&untouched, &picture)?;

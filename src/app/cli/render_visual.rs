@@ -35,9 +35,9 @@ use crate::error::{Error, ErrorKind, Result, nearest_name};
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{encode_png_grey16, encode_png_rgb};
 use crate::render::visual::{
-    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Picture, RenderSettings,
-    Renderer, View, VisualConditions, VisualRandomisation, Watch, demo_model, denoise, develop, drawn_finish, grasp_scene,
-    load_bitmap, load_hdr, measure_depth, normalise,
+    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Picture,
+    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch, demo_model,
+    denoise, develop, drawn_finish, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
 };
 use crate::sim::grasp::{GraspPose, Placed, Placement, resting_pose};
 
@@ -83,7 +83,12 @@ struct ObjectFlags {
     #[arg(long, default_value_t = 1.0)]
     scale: f64,
     /// JSON with t_object_gripper, as `sim grasp` takes it, for an object without a trace
-    #[arg(long, value_name = "FILE", conflicts_with = "trace", requires = "object")]
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with = "trace",
+        requires = "object"
+    )]
     pose: Option<PathBuf>,
     /// Material of what has none of its own [default: drawn from the seed]
     #[arg(long, value_name = "NAME", value_parser = finish)]
@@ -189,15 +194,21 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         print_json(&report)?;
     } else {
         let line = |w: &Written| format!("{}: {:.1} s", w.file.display(), w.wall_s);
-        print(&report.pictures.iter().map(line).collect::<Vec<_>>().join("\n"))?;
+        print(
+            &report
+                .pictures
+                .iter()
+                .map(line)
+                .collect::<Vec<_>>()
+                .join("\n"),
+        )?;
     }
     report.finish()
 }
 
 impl Args {
     fn plan(&self) -> OutPlan {
-        let is_single =
-            self.trace.len() <= 1 && self.moment.len() == 1 && self.look.count == 1;
+        let is_single = self.trace.len() <= 1 && self.moment.len() == 1 && self.look.count == 1;
         OutPlan {
             out: self.out.clone(),
             is_single,

@@ -115,8 +115,8 @@ impl LedShading {
                     let [x, y] = geometry.pixel_to_gel_m(column as f64, row as f64);
                     let [diffuse, specular] = lamp.change([x as f32, y as f32], normal);
                     for (channel, plane) in planes.iter_mut().enumerate() {
-                        plane[i] += lamp.diffuse[channel] * diffuse
-                            + lamp.specular[channel] * specular;
+                        plane[i] +=
+                            lamp.diffuse[channel] * diffuse + lamp.specular[channel] * specular;
                     }
                 }
             }
@@ -218,7 +218,13 @@ mod tests {
     fn lamps_behind_the_face_are_refused() {
         let mut shading = LedShading::mini_guess();
         shading.leds[1].position_m[2] = 0.0;
-        assert!(shading.validate().unwrap_err().to_string().contains("leds[1]"));
+        assert!(
+            shading
+                .validate()
+                .unwrap_err()
+                .to_string()
+                .contains("leds[1]")
+        );
         shading.leds.clear();
         assert!(shading.validate().is_err());
     }

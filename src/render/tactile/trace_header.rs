@@ -107,7 +107,9 @@ impl TraceObject {
                 ),
             )
             .at(&self.source)
-            .remedy("name the mesh that was simulated with --object, or simulate the grasp again"));
+            .remedy(
+                "name the mesh that was simulated with --object, or simulate the grasp again",
+            ));
         }
         Ok(mesh)
     }

@@ -197,15 +197,17 @@ pub fn sees_gels(camera: &Camera, state: &GraspState) -> bool {
     let [y, z] = GEL_HALF_M;
     let half = 0.5 * state.opening_m;
     [-half, half].into_iter().all(|x| {
-        [[-y, -z], [-y, z], [y, -z], [y, z]].into_iter().all(|[y, z]| {
-            let corner = state.t_world_gripper.transform_point(DVec3::new(x, y, z));
-            camera.project(corner).is_some_and(|place| {
-                (0..2).all(|a| {
-                    let border = BORDER_SHARE * size[a];
-                    (border..=size[a] - 1.0 - border).contains(&place[a])
+        [[-y, -z], [-y, z], [y, -z], [y, z]]
+            .into_iter()
+            .all(|[y, z]| {
+                let corner = state.t_world_gripper.transform_point(DVec3::new(x, y, z));
+                camera.project(corner).is_some_and(|place| {
+                    (0..2).all(|a| {
+                        let border = BORDER_SHARE * size[a];
+                        (border..=size[a] - 1.0 - border).contains(&place[a])
+                    })
                 })
             })
-        })
     })
 }
 
@@ -269,7 +271,12 @@ fn ground(conditions: &VisualConditions) -> Result<Model> {
                     format!("the width of the ground's texture must be positive, found {width} m"),
                 ));
             }
-            (bitmap.clone(), *width, conditions.ground_roughness as f32, 0.0)
+            (
+                bitmap.clone(),
+                *width,
+                conditions.ground_roughness as f32,
+                0.0,
+            )
         }
     };
     let mut mesh = Mesh::ground(Vec3::ZERO, TABLE_HALF_M, tile_m as f32, 0);
@@ -277,7 +284,9 @@ fn ground(conditions: &VisualConditions) -> Result<Model> {
     for uv in &mut mesh.uvs {
         *uv = [uv[0] + across, uv[1] + down];
     }
-    let turn = Pose::from_rotation(DQuat::from_rotation_z(conditions.ground_turn_rad % (2.0 * PI)));
+    let turn = Pose::from_rotation(DQuat::from_rotation_z(
+        conditions.ground_turn_rad % (2.0 * PI),
+    ));
     Ok(Model {
         meshes: vec![mesh.transformed(&turn)],
         materials: vec![Material::Principled {

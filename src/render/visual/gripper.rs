@@ -119,15 +119,51 @@ fn block(x: [f64; 2], y: [f64; 2], z: [f64; 2], rounding: f64) -> TriangleMesh {
 fn finger() -> Vec<(&'static str, GripperSurface, TriangleMesh)> {
     use GripperSurface::{Anodised, Gel, Housing, Label, Print, Rubber, Steel};
     let mut parts = vec![
-        ("gel", Gel, block([0.0, 4.0], [-10.0, 10.0], [-12.5, 12.5], 0.4)),
-        ("housing", Housing, block([2.0, 25.0], [-14.0, 14.0], [-19.1, 12.9], 2.5)),
-        ("back cover", Anodised, block([25.0, 27.0], [-12.5, 12.5], [-17.5, 11.5], 1.0)),
-        ("label", Label, block([8.0, 20.0], [-14.15, 14.15], [-9.0, -7.6], 0.05)),
-        ("label", Label, block([8.0, 15.0], [-14.15, 14.15], [-6.4, -5.4], 0.05)),
-        ("plate", Print, block([27.0, 32.0], [-13.0, 13.0], [-72.0, 6.0], 1.5)),
-        ("rib", Print, block([32.0, 38.0], [-3.5, 3.5], [-86.0, -14.0], 1.5)),
-        ("foot", Print, block([8.0, 34.0], [-13.0, 13.0], [-86.0, -70.0], 2.0)),
-        ("carriage", Anodised, block([4.0, 38.0], [-17.0, 17.0], [-104.0, -86.0], 1.5)),
+        (
+            "gel",
+            Gel,
+            block([0.0, 4.0], [-10.0, 10.0], [-12.5, 12.5], 0.4),
+        ),
+        (
+            "housing",
+            Housing,
+            block([2.0, 25.0], [-14.0, 14.0], [-19.1, 12.9], 2.5),
+        ),
+        (
+            "back cover",
+            Anodised,
+            block([25.0, 27.0], [-12.5, 12.5], [-17.5, 11.5], 1.0),
+        ),
+        (
+            "label",
+            Label,
+            block([8.0, 20.0], [-14.15, 14.15], [-9.0, -7.6], 0.05),
+        ),
+        (
+            "label",
+            Label,
+            block([8.0, 15.0], [-14.15, 14.15], [-6.4, -5.4], 0.05),
+        ),
+        (
+            "plate",
+            Print,
+            block([27.0, 32.0], [-13.0, 13.0], [-72.0, 6.0], 1.5),
+        ),
+        (
+            "rib",
+            Print,
+            block([32.0, 38.0], [-3.5, 3.5], [-86.0, -14.0], 1.5),
+        ),
+        (
+            "foot",
+            Print,
+            block([8.0, 34.0], [-13.0, 13.0], [-86.0, -70.0], 2.0),
+        ),
+        (
+            "carriage",
+            Anodised,
+            block([4.0, 38.0], [-17.0, 17.0], [-104.0, -86.0], 1.5),
+        ),
     ];
     for side in [-1.0, 1.0_f64] {
         let y = [14.0 * side, 16.5 * side];
@@ -144,7 +180,11 @@ fn finger() -> Vec<(&'static str, GripperSurface, TriangleMesh)> {
         ] {
             let end = |y: f64| DVec3::new(x, y * side, z) * MM;
             let inside = reach - 3.0;
-            parts.push(("screw", Steel, cylinder(end(inside), end(reach), radius * MM, 20)));
+            parts.push((
+                "screw",
+                Steel,
+                cylinder(end(inside), end(reach), radius * MM, 20),
+            ));
         }
     }
     let cable = [
@@ -170,12 +210,28 @@ fn body(opening_m: f64) -> Vec<GripperPart> {
         block(x, [-12.0, 12.0], [-117.0, -97.0], 1.5)
     };
     vec![
-        part("rail", Steel, block([-half, half], [-7.5, 7.5], [-113.0, -101.0], 1.0)),
+        part(
+            "rail",
+            Steel,
+            block([-half, half], [-7.5, 7.5], [-113.0, -101.0], 1.0),
+        ),
         part("rail end", Anodised, end(-1.0)),
         part("rail end", Anodised, end(1.0)),
-        part("palm", Print, block([-62.0, 62.0], [-28.0, 28.0], [-152.0, -112.0], 6.0)),
-        part("handle", Rubber, block([-17.0, 17.0], [-15.0, 15.0], [-262.0, -150.0], 12.0)),
-        part("arm", Print, block([-12.0, 12.0], [-62.0, -24.0], [-172.0, -148.0], 3.0)),
+        part(
+            "palm",
+            Print,
+            block([-62.0, 62.0], [-28.0, 28.0], [-152.0, -112.0], 6.0),
+        ),
+        part(
+            "handle",
+            Rubber,
+            block([-17.0, 17.0], [-15.0, 15.0], [-262.0, -150.0], 12.0),
+        ),
+        part(
+            "arm",
+            Print,
+            block([-12.0, 12.0], [-62.0, -24.0], [-172.0, -148.0], 3.0),
+        ),
     ]
 }
 
@@ -189,7 +245,12 @@ fn camera() -> Vec<GripperPart> {
         (
             "camera shell",
             CameraShell,
-            block([middle - 45.0, middle + 45.0], [-12.5, 12.5], [-20.8, 3.6], 11.0),
+            block(
+                [middle - 45.0, middle + 45.0],
+                [-12.5, 12.5],
+                [-20.8, 3.6],
+                11.0,
+            ),
         ),
         (
             "camera window",
@@ -239,7 +300,10 @@ mod tests {
             assert!((left.max.x + 0.5 * opening).abs() < 1e-12);
             assert!((right.min.x - 0.5 * opening).abs() < 1e-12);
             let size = (right.max - right.min) * 1e3;
-            assert!((size - DVec3::new(4.0, 20.0, 25.0)).length() < 1e-9, "{size}");
+            assert!(
+                (size - DVec3::new(4.0, 20.0, 25.0)).length() < 1e-9,
+                "{size}"
+            );
             assert!((right.center() * DVec3::new(0.0, 1.0, 1.0)).length() < 1e-12);
         }
     }
@@ -249,8 +313,14 @@ mod tests {
         let parts = gripper_parts(0.05).unwrap();
         let mini = parts[0].shape.bounds().union(&parts[2].shape.bounds());
         let size = (mini.max - mini.min) * 1e3;
-        assert!((size - DVec3::new(25.0, 28.0, 32.0)).length() < 1e-9, "{size}");
-        for part in parts.iter().filter(|part| part.surface != GripperSurface::Gel) {
+        assert!(
+            (size - DVec3::new(25.0, 28.0, 32.0)).length() < 1e-9,
+            "{size}"
+        );
+        for part in parts
+            .iter()
+            .filter(|part| part.surface != GripperSurface::Gel)
+        {
             let query = MeshQuery::new(&part.shape);
             for z in [-0.012, 0.0, 0.012] {
                 for x in [-0.02, 0.0, 0.02] {

@@ -25,8 +25,6 @@ mod surface;
 mod texture;
 mod trigonometry;
 
-mod hdr;
-mod pattern;
 mod bitmap_file;
 mod conditions;
 mod d435;
@@ -34,7 +32,9 @@ mod demo;
 mod finish;
 mod grasp_scene;
 mod gripper;
+mod hdr;
 mod model;
+mod pattern;
 mod room;
 mod seed;
 mod shading;
@@ -54,8 +54,8 @@ pub use texture::{Bitmap, ProceduralTexture, Texture};
 pub use bitmap_file::load_bitmap;
 pub use conditions::{DomeChoice, GroundChoice, VisualConditions, VisualRandomisation};
 pub use d435::{
-    COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale, develop, measure_depth,
-    t_gripper_camera,
+    COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale,
+    develop, measure_depth, t_gripper_camera,
 };
 pub use demo::{demo_model, drawn_finish, usual_finishes};
 pub use finish::Finish;

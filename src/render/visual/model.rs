@@ -162,7 +162,9 @@ impl Model {
         let mut shape = TriangleMesh::default();
         for mesh in &self.meshes {
             let offset = shape.vertices.len() as u32;
-            shape.vertices.extend(mesh.positions.iter().map(|p| p.as_dvec3()));
+            shape
+                .vertices
+                .extend(mesh.positions.iter().map(|p| p.as_dvec3()));
             let triangles = mesh.triangles.iter();
             shape
                 .triangles

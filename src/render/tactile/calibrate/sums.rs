@@ -102,8 +102,22 @@ impl SquareSums {
             count: pixels.len() as f64,
         };
         let turned = terms.transpose();
-        matmul(&mut sums.gram, Accum::Replace, turned, &terms, 1.0, Par::Seq);
-        matmul(&mut sums.cross, Accum::Replace, turned, &values, 1.0, Par::Seq);
+        matmul(
+            &mut sums.gram,
+            Accum::Replace,
+            turned,
+            &terms,
+            1.0,
+            Par::Seq,
+        );
+        matmul(
+            &mut sums.cross,
+            Accum::Replace,
+            turned,
+            &values,
+            1.0,
+            Par::Seq,
+        );
         sums
     }
 

@@ -63,7 +63,10 @@ mod tests {
         let camera = colour_camera(1280, 720, t_gripper_camera());
         let at = |p: [f64; 3]| camera.project(DVec3::from_array(p)).unwrap();
         let [column, row, depth] = at([0.0, 0.0, 0.0]);
-        assert!((column - 639.5).abs() < 1e-9 && (300.0..520.0).contains(&row), "{row}");
+        assert!(
+            (column - 639.5).abs() < 1e-9 && (300.0..520.0).contains(&row),
+            "{row}"
+        );
         assert!((0.15..0.2).contains(&depth));
         assert!(at([-0.03, 0.0, 0.0])[0] < column && at([0.03, 0.0, 0.0])[0] > column);
         assert!(at([0.0, 0.01, 0.0])[1] > row);
