@@ -53,7 +53,7 @@ impl SeedStream {
 }
 
 /// Two normally distributed numbers (mean 0, deviation 1) for an item of a seed.
-pub fn gaussians(seed: u64, item: u64) -> [f32; 2] {
+pub(super) fn gaussians(seed: u64, item: u64) -> [f32; 2] {
     let bits = mix(seed ^ mix(item.wrapping_add(0x9e37_79b9_7f4a_7c15)));
     // Above 0, for the logarithm.
     let a = ((bits >> 40) as f64 + 1.0) / f64::from(1 << 24);

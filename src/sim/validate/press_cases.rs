@@ -159,7 +159,7 @@ pub(super) fn sphere_10() -> Curve {
         case: "A",
         indenter: Indenter::Sphere { radius_m: 0.01 },
         fine: vec![
-            meshing(0.1, [27, 25, 14], [1.12, 1.12, 1.18], 0.1, 10.0, 0.05),
+            meshing(0.1, [36, 34, 20], [1.1, 1.1, 1.13], 0.08, 10.0, 0.05),
             meshing(1.5, [29, 27, 15], [1.08, 1.08, 1.12], 0.15, 20.0, 0.1),
         ],
         quick: vec![meshing(
@@ -233,6 +233,9 @@ pub(super) fn edge() -> Curve {
     }
 }
 
+/// Depth below which the contact of the friction case is few elements wide, m.
+const FEW_ELEMENTS_M: f64 = 3e-4;
+
 /// Sphere of radius 10 mm, friction 0.4: pressed to 0.6 mm, then shifted by 1 mm.
 pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     let (mesh, shares) = if is_quick {
@@ -262,13 +265,14 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
             rounded(1e3 * row.depth_m),
             rounded(1e3 * row.shift_m)
         );
-        let tolerance = Tolerance::Relative(shares[0]);
-        recorder.check(
-            format!("{name}: N"),
-            (row.force_n, point.normal_n),
-            "N",
-            tolerance,
-        );
+        // The contact of the first depth is few elements wide on this mesh.
+        let share = if row.depth_m < FEW_ELEMENTS_M {
+            shares[1]
+        } else {
+            shares[0]
+        };
+        let pair = (row.force_n, point.normal_n);
+        recorder.check(format!("{name}: N"), pair, "N", Tolerance::Relative(share));
         if row.shift_m > 4.5e-4 {
             let ratio = point.shear_n / point.normal_n;
             let tolerance = Tolerance::Absolute(0.005);

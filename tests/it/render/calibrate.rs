@@ -25,15 +25,24 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
     let mut presses = Vec::new();
     let radius_px = 1.2e-3 / grid.pixel_m;
     for number in 0..8_u64 {
-        let centre = [90.0 + 45.0 * (number % 4) as f64, 80.0 + 75.0 * (number / 4) as f64];
+        let centre = [
+            90.0 + 45.0 * (number % 4) as f64,
+            80.0 + 75.0 * (number / 4) as f64,
+        ];
         let press = ball_press(&grid, centre, radius_px, 2e-3);
-        let look = FrameLook { noise_seed: Some(number), ..FrameLook::default() };
+        let look = FrameLook {
+            noise_seed: Some(number),
+            ..FrameLook::default()
+        };
         let name = format!("press_{number}.png");
         save(&name, &renderer.render(&press, &look).unwrap());
         presses.push(value!({"file": name, "center_px": centre, "radius_px": radius_px}));
     }
     let nothing = gripcast::render::tactile::PressDepth::untouched(grid);
-    let look = FrameLook { noise_seed: Some(99), ..FrameLook::default() };
+    let look = FrameLook {
+        noise_seed: Some(99),
+        ..FrameLook::default()
+    };
     save("no_contact.png", &renderer.render(&nothing, &look).unwrap());
     let list = value!({
         "no_contact": "no_contact.png",
@@ -62,7 +71,9 @@ fn a_rendered_sensor_is_found_again() {
     assert_eq!(report["held_out"], 4);
     let fve = report["fve"].as_f64().unwrap();
     assert!(fve > 0.95, "{fve}");
-    assert!(report["patch_psnr_db"].as_f64().unwrap() > report["no_contact_psnr_db"].as_f64().unwrap());
+    assert!(
+        report["patch_psnr_db"].as_f64().unwrap() > report["no_contact_psnr_db"].as_f64().unwrap()
+    );
     let profile = SensorProfile::load(&out).unwrap();
     assert_eq!(profile.serial, "AB12");
     assert!(profile.background.picture.is_some());
@@ -98,7 +109,10 @@ fn wrong_presses_are_explained() {
     // One press of another sensor: the others are fitted, and the exit code tells.
     let other = image::RgbImage::from_pixel(320, 240, image::Rgb([250, 10, 200]));
     fs::write(folder.join("press_3.png"), encode_png_rgb(&other).unwrap()).unwrap();
-    let (code, said) = refused(&mut render("calibrate", &format!("--presses {at} --out {out}")));
+    let (code, said) = refused(&mut render(
+        "calibrate",
+        &format!("--presses {at} --out {out}"),
+    ));
     assert_eq!(code, 3, "{said}");
     assert!(said.contains("press_3.png"), "{said}");
 }

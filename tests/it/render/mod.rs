@@ -30,7 +30,9 @@ fn trace() -> &'static Path {
 
 fn render(kind: &str, words: &str) -> Command {
     let mut command = gripcast();
-    command.args(["render", kind]).args(words.split_whitespace());
+    command
+        .args(["render", kind])
+        .args(words.split_whitespace());
     command
 }
 

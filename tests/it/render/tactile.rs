@@ -35,11 +35,19 @@ fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
     assert_ne!(initial, grasp);
     let depth = depth_png(out.join("box.grasp.right.depth.png"));
     let deepest = depth.iter().max().copied().unwrap();
-    let said = pictures.iter().find(|p| p["side"] == "right" && p["moment"] == "grasp");
+    let said = pictures
+        .iter()
+        .find(|p| p["side"] == "right" && p["moment"] == "grasp");
     let said = said.unwrap()["deepest_m"].as_f64().unwrap();
-    assert!((f64::from(deepest) - 1e6 * said).abs() <= 0.51, "{deepest} µm, {said} m");
+    assert!(
+        (f64::from(deepest) - 1e6 * said).abs() <= 0.51,
+        "{deepest} µm, {said} m"
+    );
     let quiet = png(out.join("box.initial.left.difference.png"));
-    assert!(quiet.iter().all(|&v| v == 128), "nothing has changed before contact");
+    assert!(
+        quiet.iter().all(|&v| v == 128),
+        "nothing has changed before contact"
+    );
 }
 
 #[test]
@@ -112,7 +120,10 @@ fn a_batch_goes_on_after_a_broken_trace() {
     );
     let (code, said) = refused(&mut render("tactile", &words));
     assert_eq!(code, 3, "{said}");
-    assert!(said.contains("broken.bin") && said.contains("it ends after"), "{said}");
+    assert!(
+        said.contains("broken.bin") && said.contains("it ends after"),
+        "{said}"
+    );
     assert!(out.join("box.grasp.left.png").exists());
 }
 
@@ -124,13 +135,44 @@ fn wrong_input_is_explained() {
     let not = dir.path().join("not.toml");
     fs::write(&not, "schema = 7").unwrap();
     let cases = [
-        (format!("--trace {trace} --out {out}"), 2, "must be a folder"),
-        (format!("--trace {trace} --side left --object builtin:mug --out {out}"), 1, "another mesh"),
-        (format!("--trace {out} --side left --out {out}"), 1, "cannot read the trace"),
-        (format!("--trace {trace} --side left --profile {} --out {out}", not.display()), 2, "schema"),
-        (format!("--object builtin:box --press-m 1 --out {out}"), 1, "depth of a press"),
-        (format!("--trace {trace} --side left --mounting 45 --out {out}"), 2, "0, 90, 180"),
-        (format!("--trace {trace} --side left --moment lift,grasp --out {out}"), 2, "folder"),
+        (
+            format!("--trace {trace} --out {out}"),
+            2,
+            "must be a folder",
+        ),
+        (
+            format!("--trace {trace} --side left --object builtin:mug --out {out}"),
+            1,
+            "another mesh",
+        ),
+        (
+            format!("--trace {out} --side left --out {out}"),
+            1,
+            "cannot read the trace",
+        ),
+        (
+            format!(
+                "--trace {trace} --side left --profile {} --out {out}",
+                not.display()
+            ),
+            2,
+            "schema",
+        ),
+        (
+            format!("--object builtin:box --press-m 1 --out {out}"),
+            1,
+            "depth of a press",
+        ),
+        (
+            format!("--trace {trace} --side left --mounting 45 --out {out}"),
+            2,
+            "0, 90, 180",
+        ),
+        (
+            format!("--trace {trace} --side left --moment lift,grasp --out {out}"),
+            2,
+            "folder",
+        ),
     ];
     for (words, code, part) in cases {
         let (found, said) = refused(&mut render("tactile", &words));

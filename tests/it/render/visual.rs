@@ -18,9 +18,15 @@ fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {
             out.display()
         );
         succeed(&mut render("visual", &words));
-        (fs::read(&out).unwrap(), fs::read(out.with_extension("depth.png")).unwrap())
+        (
+            fs::read(&out).unwrap(),
+            fs::read(out.with_extension("depth.png")).unwrap(),
+        )
     };
-    assert!(take("one.png", 1) == take("two.png", 2), "threads change the picture");
+    assert!(
+        take("one.png", 1) == take("two.png", 2),
+        "threads change the picture"
+    );
     let picture = png(dir.path().join("one.png"));
     let mean = picture.iter().map(|&v| f64::from(v)).sum::<f64>() / (48.0 * 36.0 * 3.0);
     assert!((70.0..150.0).contains(&mean), "{mean}");
@@ -51,12 +57,36 @@ fn wrong_input_is_explained() {
     fs::write(&not, "hello").unwrap();
     let not = not.display();
     let cases = [
-        (format!("--object builtin:box --hdri {not} --out {out}"), 1, "not.hdr"),
-        (format!("--object builtin:box --ground {not} --out {out}"), 1, "not.hdr"),
-        (format!("--object builtin:bax --out {out}"), 1, "builtin:box"),
-        (format!("--object builtin:box --finish glas --out {out}"), 2, "glass"),
-        (format!("--object builtin:box --size 0x4 --out {out}"), 2, "320x240"),
-        (format!("--object builtin:box --count 2 --out {out}"), 2, "folder"),
+        (
+            format!("--object builtin:box --hdri {not} --out {out}"),
+            1,
+            "not.hdr",
+        ),
+        (
+            format!("--object builtin:box --ground {not} --out {out}"),
+            1,
+            "not.hdr",
+        ),
+        (
+            format!("--object builtin:bax --out {out}"),
+            1,
+            "builtin:box",
+        ),
+        (
+            format!("--object builtin:box --finish glas --out {out}"),
+            2,
+            "glass",
+        ),
+        (
+            format!("--object builtin:box --size 0x4 --out {out}"),
+            2,
+            "320x240",
+        ),
+        (
+            format!("--object builtin:box --count 2 --out {out}"),
+            2,
+            "folder",
+        ),
     ];
     for (words, code, part) in cases {
         let (found, said) = refused(&mut render("visual", &words));

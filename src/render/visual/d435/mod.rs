@@ -26,9 +26,9 @@ pub const COLOUR_SIZE: [usize; 2] = [1280, 720];
 /// Focal length at that size, px: 69.4° × 42.5° (data sheet of the D400 series).
 pub const COLOUR_FOCAL_PX: f64 = 925.0;
 /// Distance between the infrared imagers, m.
-pub const BASELINE_M: f64 = 0.050;
+pub(super) const BASELINE_M: f64 = 0.050;
 /// Place of the left imager to the right of the colour camera, m.
-pub const LEFT_IMAGER_M: f64 = 0.0147;
+pub(super) const LEFT_IMAGER_M: f64 = 0.0147;
 
 /// The colour camera in the gripper frame.
 pub fn t_gripper_camera() -> Pose {
