@@ -129,7 +129,7 @@ mod tests {
                 // Each elementary box of area 1/64 holds exactly one point.
                 for log_x in 0..=6 {
                     let (nx, ny) = (1usize << log_x, 64usize >> log_x);
-                    let mut seen = vec![false; 64];
+                    let mut seen = [false; 64];
                     for [x, y] in &points {
                         let at = (x * nx as f32) as usize * ny + (y * ny as f32) as usize;
                         assert!(!seen[at], "pair {pair}, {nx}×{ny}");
