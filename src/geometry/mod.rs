@@ -25,8 +25,10 @@ pub use check::{PrepareOptions, Prepared, prepare};
 pub use convex_hull::convex_hull;
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
-pub use mesh_file::{LengthUnit, MeshFormat, MeshMaterial, MeshPart, PictureSource, TexturedMesh, load_mesh,
-    load_textured_mesh, read_mesh, read_textured_mesh, save_mesh};
+pub use mesh_file::{
+    LengthUnit, MeshFormat, MeshMaterial, MeshPart, PictureSource, TexturedMesh, load_mesh,
+    load_textured_mesh, read_mesh, read_textured_mesh, save_mesh,
+};
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
 pub use pose::Pose;
 pub use stable_poses::{StablePose, stable_poses};

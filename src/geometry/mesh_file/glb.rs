@@ -298,11 +298,7 @@ fn transform(node: &Node) -> DMat4 {
 impl Gltf {
     /// Triangles of a primitive in the frame of the scene; none for lines, points and primitives
     /// without positions.
-    fn shape(
-        &self,
-        primitive: &Primitive,
-        t_scene_node: &DMat4,
-    ) -> Result<Option<TriangleMesh>> {
+    fn shape(&self, primitive: &Primitive, t_scene_node: &DMat4) -> Result<Option<TriangleMesh>> {
         let Some(index) = primitive.attributes.position else {
             return Ok(None);
         };

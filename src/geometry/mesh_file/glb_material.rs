@@ -131,7 +131,12 @@ pub(super) fn read(json: &[u8], gltf: &Gltf, warnings: &mut Vec<String>) -> Vec<
         warnings.extend(told.into_iter().map(|text| format!("{label}: {text}")));
         read
     };
-    document.materials.iter().enumerate().map(material).collect()
+    document
+        .materials
+        .iter()
+        .enumerate()
+        .map(material)
+        .collect()
 }
 
 fn convert(
@@ -171,7 +176,11 @@ fn convert(
         roughness: finite(pbr.roughness_factor, 1.0).clamp(0.0, 1.0),
         metallic_roughness_picture: picture(&pbr.metallic_roughness_texture),
         transmission: finite(transmission.max(see_through), 0.0).clamp(0.0, 1.0),
-        ior: if (1.0..=4.0).contains(&ior) { ior } else { plain.ior },
+        ior: if (1.0..=4.0).contains(&ior) {
+            ior
+        } else {
+            plain.ior
+        },
         emission: entry.emissive_factor.map(|c| finite(c, 0.0).max(0.0)),
     }
 }
@@ -187,7 +196,10 @@ fn source(of: &TextureUse, document: &Document, gltf: &Gltf) -> Result<PictureSo
     let texture = document.textures.get(of.index);
     let texture = texture.ok_or_else(|| format!("there is no texture {}", of.index))?;
     let index = texture.source.ok_or_else(|| {
-        format!("texture {} has no PNG or JPEG picture and is left out", of.index)
+        format!(
+            "texture {} has no PNG or JPEG picture and is left out",
+            of.index
+        )
     })?;
     let picture = document.images.get(index);
     let picture = picture.ok_or_else(|| format!("there is no image {index}"))?;

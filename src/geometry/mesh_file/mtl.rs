@@ -147,10 +147,17 @@ impl Entry {
             roughness: self
                 .roughness
                 .or(from_exponent)
-                .unwrap_or(if transmission > 0.0 { 0.0 } else { plain.roughness })
+                .unwrap_or(if transmission > 0.0 {
+                    0.0
+                } else {
+                    plain.roughness
+                })
                 .clamp(0.0, 1.0),
             transmission,
-            ior: self.ior.filter(|n| (1.0..=4.0).contains(n)).unwrap_or(plain.ior),
+            ior: self
+                .ior
+                .filter(|n| (1.0..=4.0).contains(n))
+                .unwrap_or(plain.ior),
             emission: self.emission.unwrap_or_default().map(|c| c.max(0.0)),
             ..plain
         }

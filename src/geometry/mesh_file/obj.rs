@@ -161,7 +161,12 @@ fn index_of(number: i64, count: usize) -> Option<u32> {
 /// The first three numbers; NaN for what is missing or no number.
 fn numbers(words: &str) -> [f64; 3] {
     let mut words = words.split_whitespace();
-    std::array::from_fn(|_| words.next().and_then(|w| w.parse().ok()).unwrap_or(f64::NAN))
+    std::array::from_fn(|_| {
+        words
+            .next()
+            .and_then(|w| w.parse().ok())
+            .unwrap_or(f64::NAN)
+    })
 }
 
 /// The first three numbers; a weight or a colour may follow.

@@ -66,8 +66,7 @@ pub fn load_textured_mesh(path: &Path, unit: LengthUnit) -> Result<TexturedMesh>
     let format = MeshFormat::of_path(path)?;
     let bytes = file_bytes(path)?;
     let beside = |name: &str| fs::read(path.with_file_name(name));
-    let mut mesh =
-        read_textured_mesh(&bytes, format, &beside).map_err(|e| e.at(path.display()))?;
+    let mut mesh = read_textured_mesh(&bytes, format, &beside).map_err(|e| e.at(path.display()))?;
     for part in &mut mesh.parts {
         part.shape = part.shape.scaled(unit.in_metres());
     }
@@ -233,8 +232,14 @@ fn obj_part(file: &ObjFile, triangles: &[[Corner; 3]]) -> MeshPart {
         })
     });
     let triangles = renamed.collect();
-    let uv = |c: &Corner| c.uv.map(|i| file.uvs[i as usize]).map(|[u, v]| [u, 1.0 - v]);
-    let normal = |c: &Corner| c.normal.and_then(|i| file.normals[i as usize].try_normalize());
+    let uv = |c: &Corner| {
+        c.uv.map(|i| file.uvs[i as usize])
+            .map(|[u, v]| [u, 1.0 - v])
+    };
+    let normal = |c: &Corner| {
+        c.normal
+            .and_then(|i| file.normals[i as usize].try_normalize())
+    };
     MeshPart {
         uvs: has_uvs.then(|| corners.iter().filter_map(uv).collect()),
         normals: has_normals.then(|| corners.iter().filter_map(normal).collect()),

@@ -24,10 +24,15 @@ const CUBE_CORNER: &str = "mtllib a b.mtl\n\
 
 #[test]
 fn obj_parts_have_one_material_each_and_vertices_split_at_seams() {
-    let mesh = read(CUBE_CORNER, "newmtl Side\nKd 1 0 0\nnewmtl Bottom\nKd 0 1 0\n");
+    let mesh = read(
+        CUBE_CORNER,
+        "newmtl Side\nKd 1 0 0\nnewmtl Bottom\nKd 0 1 0\n",
+    );
     assert!(mesh.warnings.is_empty(), "{:?}", mesh.warnings);
     assert_eq!(mesh.parts.len(), 2);
-    let [bottom, side] = &mesh.parts[..] else { panic!() };
+    let [bottom, side] = &mesh.parts[..] else {
+        panic!()
+    };
     assert_eq!(bottom.shape.triangles.len(), 3);
     // Two of the four corners are there again with other texture coordinates.
     assert_eq!(bottom.shape.vertices.len(), 6);
@@ -36,7 +41,10 @@ fn obj_parts_have_one_material_each_and_vertices_split_at_seams() {
     assert_eq!(bottom.normals.as_ref().unwrap()[0], DVec3::NEG_Z);
     assert!(side.uvs.is_none() && side.normals.is_none());
     let colour = |part: &MeshPart| mesh.materials[part.material.unwrap()].base_color;
-    assert_eq!((colour(bottom), colour(side)), ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]));
+    assert_eq!(
+        (colour(bottom), colour(side)),
+        ([0.0, 1.0, 0.0], [1.0, 0.0, 0.0])
+    );
 }
 
 #[test]
@@ -45,7 +53,11 @@ fn the_shape_is_that_of_the_plain_reader() {
     let plain = super::super::read_mesh(CUBE_CORNER.as_bytes(), MeshFormat::Obj, &no_file);
     let plain = plain.unwrap();
     let corners = |mesh: &TriangleMesh| mesh.all_corners().collect::<Vec<_>>();
-    let mut of_parts: Vec<_> = textured.parts.iter().flat_map(|p| corners(&p.shape)).collect();
+    let mut of_parts: Vec<_> = textured
+        .parts
+        .iter()
+        .flat_map(|p| corners(&p.shape))
+        .collect();
     let mut of_plain = corners(&plain);
     let key = |c: &[DVec3; 3]| format!("{c:?}");
     of_parts.sort_by_key(key);
@@ -57,7 +69,10 @@ fn the_shape_is_that_of_the_plain_reader() {
 fn broken_looks_are_warnings_and_never_errors() {
     let text = "mtllib gone.mtl\nmtllib a b.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt x\nvn 0 0 0\n\
                 usemtl here\nf 1/1/1 2/7/-9 3/one/1\n";
-    let mesh = read(text, "Kd 1 1 1\nnewmtl here\nKd one two\nNs nan\nmap_bump b.png\nKs 2\n");
+    let mesh = read(
+        text,
+        "Kd 1 1 1\nnewmtl here\nKd one two\nNs nan\nmap_bump b.png\nKs 2\n",
+    );
     let told = mesh.warnings.join("\n");
     for expected in [
         "gone.mtl",
@@ -92,8 +107,14 @@ fn mtl_statements_become_metallic_roughness() {
     assert_eq!((fork.metallic, fork.base_color), (1.0, [0.9, 0.9, 0.85]));
     assert!(fork.roughness < 0.3);
     let glass = material("Kd 0 0 0\nKs 0.9\nillum 4\nNi 1.45\nTf 0.9 1 0.9");
-    assert_eq!((glass.transmission, glass.ior, glass.metallic), (1.0, 1.45, 0.0));
-    assert_eq!((glass.base_color, glass.roughness), ([0.9, 1.0, 0.9], 0.0_f64.max(glass.roughness)));
+    assert_eq!(
+        (glass.transmission, glass.ior, glass.metallic),
+        (1.0, 1.45, 0.0)
+    );
+    assert_eq!(
+        (glass.base_color, glass.roughness),
+        ([0.9, 1.0, 0.9], 0.0_f64.max(glass.roughness))
+    );
     let tinted = material("d 0.25");
     assert_eq!((tinted.transmission, tinted.roughness), (0.75, 0.0));
     assert_eq!(material("Tr 0.75").transmission, 0.75);
@@ -110,7 +131,11 @@ fn picture_names_may_have_options_and_spaces() {
         ("-clamp on \"wood 2.png\"", "wood 2.png"),
     ] {
         let found = material(&format!("map_Kd {words}")).base_color_picture;
-        assert_eq!(found, Some(PictureSource::Beside(name.to_string())), "{words}");
+        assert_eq!(
+            found,
+            Some(PictureSource::Beside(name.to_string())),
+            "{words}"
+        );
     }
     assert_eq!(material("map_Kd a.png").base_color, [1.0; 3]);
 }
@@ -164,7 +189,10 @@ fn gltf_parts_are_placed_with_normals_coordinates_and_pictures() {
     assert_eq!(material.base_color, [1.0, 0.5, 0.25]);
     assert_eq!((material.metallic, material.roughness), (0.0, 0.4));
     let picture = material.base_color_picture.clone().unwrap();
-    assert_eq!(picture, PictureSource::Embedded("image 0".into(), b"PICTURE!".to_vec()));
+    assert_eq!(
+        picture,
+        PictureSource::Embedded("image 0".into(), b"PICTURE!".to_vec())
+    );
 }
 
 #[test]
@@ -177,7 +205,9 @@ fn gltf_glass_and_what_is_not_supported() {
           {"alphaMode":"MASK","pbrMetallicRoughness":{"baseColorTexture":{"index":9}}}"#,
         "",
     ));
-    let [glass, blend, mask] = &mesh.materials[..] else { panic!() };
+    let [glass, blend, mask] = &mesh.materials[..] else {
+        panic!()
+    };
     assert_eq!((glass.transmission, glass.ior), (0.9, 1.33));
     assert!((blend.transmission - 0.8).abs() < 1e-12);
     // What the format implies.
@@ -192,7 +222,11 @@ fn gltf_glass_and_what_is_not_supported() {
 fn damaged_gltf_materials_leave_the_shape() {
     let mesh = read_gltf_text(&gltf(r#"{"pbrMetallicRoughness":7}"#, ""));
     assert!(mesh.materials.is_empty() && mesh.parts[0].material.is_none());
-    assert!(mesh.warnings[0].contains("cannot be read"), "{:?}", mesh.warnings);
+    assert!(
+        mesh.warnings[0].contains("cannot be read"),
+        "{:?}",
+        mesh.warnings
+    );
     let text = gltf("{}", "").replace(r#""type":"VEC2""#, r#""type":"VEC4""#);
     let error = read_textured_mesh(text.as_bytes(), MeshFormat::Gltf, &no_file).unwrap_err();
     assert!(error.to_string().contains("texture coordinates"), "{error}");

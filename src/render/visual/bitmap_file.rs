@@ -75,7 +75,9 @@ fn too_large(width: u32, height: u32) -> Error {
         ErrorKind::Input,
         format!("a texture may have {LARGEST_SIDE} pixels a side, found {width}×{height}"),
     )
-    .remedy(format!("scale it down; {LARGEST_TEXTURE} pixels are used at most"))
+    .remedy(format!(
+        "scale it down; {LARGEST_TEXTURE} pixels are used at most"
+    ))
 }
 
 fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage> {

@@ -23,7 +23,9 @@ fn snapshot(state: &GraspState, resolution: GelResolution) -> Snapshot {
         let back = finger.closing() * -(0.5 * state.opening_m + grid.thickness_m());
         let place = state.t_world_gripper * Pose::new(DQuat::from_mat3(&finger.rotation()), back);
         let nodes = grid.positions().iter();
-        nodes.map(|p| place.transform_point(*p).to_array()).collect()
+        nodes
+            .map(|p| place.transform_point(*p).to_array())
+            .collect()
     });
     Snapshot {
         stage: StageName::Adjustment,
@@ -42,7 +44,9 @@ fn both_gels_and_the_object_are_in_view_for_every_seed() {
     for seed in 0..100 {
         let camera = eye_in_hand(&state, &ranges.sample(seed), [320, 240]);
         assert!(sees_gels(&camera, &state), "{seed}");
-        let places = model.positions().map(|p| state.t_world_object.transform_point(p));
+        let places = model
+            .positions()
+            .map(|p| state.t_world_object.transform_point(p));
         let seen = places.filter(|p| {
             camera.project(*p).is_some_and(|[column, row, _]| {
                 (0.0..319.0).contains(&column) && (0.0..239.0).contains(&row)
@@ -69,9 +73,16 @@ fn the_scene_holds_object_ground_gripper_and_gels() {
     let view = View::EyeInHand([64, 48]);
     let scene = grasp_scene(&model, &state, &conditions, view).unwrap();
     let outside = grasp_scene(&model, &state, &conditions, View::External([64, 48])).unwrap();
-    assert!(outside.meshes.len() > scene.meshes.len(), "the D435 is seen from outside only");
+    assert!(
+        outside.meshes.len() > scene.meshes.len(),
+        "the D435 is seen from outside only"
+    );
 
-    for resolution in [GelResolution::Coarse, GelResolution::Default, GelResolution::Fine] {
+    for resolution in [
+        GelResolution::Coarse,
+        GelResolution::Default,
+        GelResolution::Fine,
+    ] {
         let snapshot = snapshot(&state, resolution);
         let pressed = GraspState::at(&snapshot, None).unwrap();
         let scene_pressed = grasp_scene(&model, &pressed, &conditions, view).unwrap();
@@ -81,7 +92,10 @@ fn the_scene_holds_object_ground_gripper_and_gels() {
         // At rest the deformed gels are the undeformed ones.
         let t_gripper_world = state.t_world_gripper.inverse();
         let left = Aabb::from_points(
-            gels[0].vertices.iter().map(|p| t_gripper_world.transform_point(*p)),
+            gels[0]
+                .vertices
+                .iter()
+                .map(|p| t_gripper_world.transform_point(*p)),
         );
         assert!((left.max.x + 0.5 * state.opening_m).abs() < 1e-9);
         assert!((left.extent() - DVec3::new(0.004, 0.020, 0.025)).length() < 1e-9);
@@ -96,7 +110,11 @@ fn gels_of_unknown_meshes_are_explained() {
     let text = GraspState::at(&snapshot, None).unwrap_err().to_string();
     assert!(text.contains("428 nodes"), "{text}");
     let grid = GelGrid::uniform([5, 4, 2], [0.025, 0.02, 0.004]).unwrap();
-    let own = grid.positions().iter().map(|p| p.to_array()).collect::<Vec<_>>();
+    let own = grid
+        .positions()
+        .iter()
+        .map(|p| p.to_array())
+        .collect::<Vec<_>>();
     snapshot.gels = [own.clone(), own];
     assert!(GraspState::at(&snapshot, None).is_err());
     assert!(GraspState::at(&snapshot, Some(&grid)).is_ok());
@@ -112,7 +130,9 @@ fn cameras_inside_something_are_explained() {
     }
     let view = View::EyeInHand([64, 48]);
     // The wall of a mug as high as a person.
-    let eye = eye_in_hand(&state, &conditions, [64, 48]).t_world_camera.translation_m;
+    let eye = eye_in_hand(&state, &conditions, [64, 48])
+        .t_world_camera
+        .translation_m;
     let wall = DVec3::new(0.58, 0.1, 0.3);
     let moved = GraspState {
         t_world_object: Pose::from_translation(eye - wall),
@@ -120,11 +140,16 @@ fn cameras_inside_something_are_explained() {
     };
     let error = grasp_scene(&big, &moved, &conditions, view).unwrap_err();
     let text = error.to_string();
-    assert!(text.contains("inside the object") && text.contains("unit"), "{text}");
+    assert!(
+        text.contains("inside the object") && text.contains("unit"),
+        "{text}"
+    );
     let low = GraspState {
         t_world_gripper: Pose::from_translation(DVec3::Z * -1.0),
         ..state
     };
-    let text = grasp_scene(&model, &low, &conditions, view).unwrap_err().to_string();
+    let text = grasp_scene(&model, &low, &conditions, view)
+        .unwrap_err()
+        .to_string();
     assert!(text.contains("below the ground"), "{text}");
 }

@@ -25,10 +25,10 @@
 //! | --- | --- | --- | --- | --- |
 //! | rail | ±112, longer for openings above 140 | ±7.5 | −113 to −101 | 1 |
 //! | rail ends | 6 long | ±12 | −117 to −97 | 1.5 |
-//! | palm | ±62 | ±28 | −152 to −112 | 6 |
+//! | palm | ±62 | ±24 | −156 to −116 | 6 |
 //! | handle | ±17 | ±15 | −262 to −150 | 12 |
-//! | camera arm | ±12 | −62 to −24 | −172 to −148 | 3 |
-//! | D435 | 90 wide, 25 high, 25 deep, behind the camera's place (see [`super::d435`]) | | | 11 |
+//! | camera arm | ±12 | −68 to −10 | −192 to −170 | 3 |
+//! | D435 | 90 wide, 25 high, 25 deep, its ends round, behind the camera’s place | | | 12.5 |
 
 use glam::{DQuat, DVec3};
 
@@ -119,15 +119,51 @@ fn block(x: [f64; 2], y: [f64; 2], z: [f64; 2], rounding: f64) -> TriangleMesh {
 fn finger() -> Vec<(&'static str, GripperSurface, TriangleMesh)> {
     use GripperSurface::{Anodised, Gel, Housing, Label, Print, Rubber, Steel};
     let mut parts = vec![
-        ("gel", Gel, block([0.0, 4.0], [-10.0, 10.0], [-12.5, 12.5], 0.4)),
-        ("housing", Housing, block([2.0, 25.0], [-14.0, 14.0], [-19.1, 12.9], 2.5)),
-        ("back cover", Anodised, block([25.0, 27.0], [-12.5, 12.5], [-17.5, 11.5], 1.0)),
-        ("label", Label, block([8.0, 20.0], [-14.15, 14.15], [-9.0, -7.6], 0.05)),
-        ("label", Label, block([8.0, 15.0], [-14.15, 14.15], [-6.4, -5.4], 0.05)),
-        ("plate", Print, block([27.0, 32.0], [-13.0, 13.0], [-72.0, 6.0], 1.5)),
-        ("rib", Print, block([32.0, 38.0], [-3.5, 3.5], [-86.0, -14.0], 1.5)),
-        ("foot", Print, block([8.0, 34.0], [-13.0, 13.0], [-86.0, -70.0], 2.0)),
-        ("carriage", Anodised, block([4.0, 38.0], [-17.0, 17.0], [-104.0, -86.0], 1.5)),
+        (
+            "gel",
+            Gel,
+            block([0.0, 4.0], [-10.0, 10.0], [-12.5, 12.5], 0.4),
+        ),
+        (
+            "housing",
+            Housing,
+            block([2.0, 25.0], [-14.0, 14.0], [-19.1, 12.9], 2.5),
+        ),
+        (
+            "back cover",
+            Anodised,
+            block([25.0, 27.0], [-12.5, 12.5], [-17.5, 11.5], 1.0),
+        ),
+        (
+            "label",
+            Label,
+            block([8.0, 20.0], [-14.15, 14.15], [-9.0, -7.6], 0.05),
+        ),
+        (
+            "label",
+            Label,
+            block([8.0, 15.0], [-14.15, 14.15], [-6.4, -5.4], 0.05),
+        ),
+        (
+            "plate",
+            Print,
+            block([27.0, 32.0], [-13.0, 13.0], [-72.0, 6.0], 1.5),
+        ),
+        (
+            "rib",
+            Print,
+            block([32.0, 38.0], [-3.5, 3.5], [-86.0, -14.0], 1.5),
+        ),
+        (
+            "foot",
+            Print,
+            block([8.0, 34.0], [-13.0, 13.0], [-86.0, -70.0], 2.0),
+        ),
+        (
+            "carriage",
+            Anodised,
+            block([4.0, 38.0], [-17.0, 17.0], [-104.0, -86.0], 1.5),
+        ),
     ];
     for side in [-1.0, 1.0_f64] {
         let y = [14.0 * side, 16.5 * side];
@@ -144,7 +180,11 @@ fn finger() -> Vec<(&'static str, GripperSurface, TriangleMesh)> {
         ] {
             let end = |y: f64| DVec3::new(x, y * side, z) * MM;
             let inside = reach - 3.0;
-            parts.push(("screw", Steel, cylinder(end(inside), end(reach), radius * MM, 20)));
+            parts.push((
+                "screw",
+                Steel,
+                cylinder(end(inside), end(reach), radius * MM, 20),
+            ));
         }
     }
     let cable = [
@@ -170,12 +210,28 @@ fn body(opening_m: f64) -> Vec<GripperPart> {
         block(x, [-12.0, 12.0], [-117.0, -97.0], 1.5)
     };
     vec![
-        part("rail", Steel, block([-half, half], [-7.5, 7.5], [-113.0, -101.0], 1.0)),
+        part(
+            "rail",
+            Steel,
+            block([-half, half], [-7.5, 7.5], [-113.0, -101.0], 1.0),
+        ),
         part("rail end", Anodised, end(-1.0)),
         part("rail end", Anodised, end(1.0)),
-        part("palm", Print, block([-62.0, 62.0], [-28.0, 28.0], [-152.0, -112.0], 6.0)),
-        part("handle", Rubber, block([-17.0, 17.0], [-15.0, 15.0], [-262.0, -150.0], 12.0)),
-        part("arm", Print, block([-12.0, 12.0], [-62.0, -24.0], [-172.0, -148.0], 3.0)),
+        part(
+            "palm",
+            Print,
+            block([-62.0, 62.0], [-24.0, 24.0], [-156.0, -116.0], 6.0),
+        ),
+        part(
+            "handle",
+            Rubber,
+            block([-17.0, 17.0], [-15.0, 15.0], [-262.0, -150.0], 12.0),
+        ),
+        part(
+            "arm",
+            Print,
+            block([-12.0, 12.0], [-68.0, -10.0], [-192.0, -170.0], 3.0),
+        ),
     ]
 }
 
@@ -185,16 +241,27 @@ fn camera() -> Vec<GripperPart> {
     use GripperSurface::{CameraShell, CameraWindow, Housing};
     let place = t_gripper_camera();
     let middle = 14.7 + 17.5;
+    let end = |x: f64| {
+        let [from, to] = [-20.8, 3.6].map(|z| DVec3::new(middle + x, 0.0, z) * MM);
+        cylinder(from, to, 12.5 * MM, 48)
+    };
     let mut parts = vec![
         (
             "camera shell",
             CameraShell,
-            block([middle - 45.0, middle + 45.0], [-12.5, 12.5], [-20.8, 3.6], 11.0),
+            block(
+                [middle - 32.5, middle + 32.5],
+                [-12.5, 12.5],
+                [-20.8, 3.6],
+                0.2,
+            ),
         ),
+        ("camera shell", CameraShell, end(-32.5)),
+        ("camera shell", CameraShell, end(32.5)),
         (
             "camera window",
             CameraWindow,
-            block([middle - 41.0, middle + 41.0], [-8.0, 8.0], [0.0, 4.2], 0.5),
+            block([middle - 40.0, middle + 40.0], [-8.0, 8.0], [0.0, 4.2], 0.5),
         ),
     ];
     for x in [0.0, 14.7, 45.0, 64.7] {
@@ -239,7 +306,10 @@ mod tests {
             assert!((left.max.x + 0.5 * opening).abs() < 1e-12);
             assert!((right.min.x - 0.5 * opening).abs() < 1e-12);
             let size = (right.max - right.min) * 1e3;
-            assert!((size - DVec3::new(4.0, 20.0, 25.0)).length() < 1e-9, "{size}");
+            assert!(
+                (size - DVec3::new(4.0, 20.0, 25.0)).length() < 1e-9,
+                "{size}"
+            );
             assert!((right.center() * DVec3::new(0.0, 1.0, 1.0)).length() < 1e-12);
         }
     }
@@ -249,8 +319,14 @@ mod tests {
         let parts = gripper_parts(0.05).unwrap();
         let mini = parts[0].shape.bounds().union(&parts[2].shape.bounds());
         let size = (mini.max - mini.min) * 1e3;
-        assert!((size - DVec3::new(25.0, 28.0, 32.0)).length() < 1e-9, "{size}");
-        for part in parts.iter().filter(|part| part.surface != GripperSurface::Gel) {
+        assert!(
+            (size - DVec3::new(25.0, 28.0, 32.0)).length() < 1e-9,
+            "{size}"
+        );
+        for part in parts
+            .iter()
+            .filter(|part| part.surface != GripperSurface::Gel)
+        {
             let query = MeshQuery::new(&part.shape);
             for z in [-0.012, 0.0, 0.012] {
                 for x in [-0.02, 0.0, 0.02] {

@@ -48,7 +48,11 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Picture> {
             bad(format!("{what} in row {row} of {height}"))
                 .remedy("check that the file was copied whole")
         })?;
-        pixels.extend(codes.iter().map(|&code| radiance(code).map(|v| v / exposure)));
+        pixels.extend(
+            codes
+                .iter()
+                .map(|&code| radiance(code).map(|v| v / exposure)),
+        );
         if size.right_to_left {
             pixels[row * width..].reverse();
         }
@@ -132,8 +136,10 @@ impl Reader<'_> {
                 return Ok((layout(&line)?, exposure));
             }
         }
-        Err(bad("the HDR header does not end in a size such as `-Y 512 +X 1024`")
-            .remedy("check that the file was copied whole"))
+        Err(
+            bad("the HDR header does not end in a size such as `-Y 512 +X 1024`")
+                .remedy("check that the file was copied whole"),
+        )
     }
 
     /// One row, in any of the three encodings.
@@ -159,7 +165,9 @@ impl Reader<'_> {
             }
             if count > 128 {
                 let value = self.byte()?;
-                codes[at..at + length].iter_mut().for_each(|c| c[channel] = value);
+                codes[at..at + length]
+                    .iter_mut()
+                    .for_each(|c| c[channel] = value);
             } else {
                 for code in &mut codes[at..at + length] {
                     code[channel] = self.byte()?;
@@ -277,7 +285,10 @@ mod tests {
             (b"\x89PNG\r\n".to_vec(), "PNG"),
             (b"\xff\xd8\xff\xe0".to_vec(), "JPEG"),
             (b"\x76\x2f\x31\x01".to_vec(), "OpenEXR"),
-            (b"version https://git-lfs.github.com".to_vec(), "git lfs pull"),
+            (
+                b"version https://git-lfs.github.com".to_vec(),
+                "git lfs pull",
+            ),
             (b"hello".to_vec(), "#?RADIANCE"),
             (b"#?RADIANCE\nno size".to_vec(), "-Y 512 +X 1024"),
             (xyze, "32-bit_rle_xyze"),

@@ -24,7 +24,9 @@ fn read(obj: &str, files: &[(&str, Vec<u8>)]) -> LoadedModel {
 }
 
 fn red_top() -> Vec<u8> {
-    let picture = RgbImage::from_fn(2, 2, |_, y| image::Rgb([if y == 0 { 255 } else { 0 }, 0, 0]));
+    let picture = RgbImage::from_fn(2, 2, |_, y| {
+        image::Rgb([if y == 0 { 255 } else { 0 }, 0, 0])
+    });
     encode_png_rgb(&picture).unwrap()
 }
 
@@ -51,7 +53,10 @@ fn what_is_missing_becomes_a_warning_and_grey() {
     for (files, told) in [
         (vec![], "a.mtl"),
         (vec![("a.mtl", mtl.clone())], "gone.png"),
-        (vec![("a.mtl", mtl), ("gone.png", b"no picture".to_vec())], "PNG or JPEG"),
+        (
+            vec![("a.mtl", mtl), ("gone.png", b"no picture".to_vec())],
+            "PNG or JPEG",
+        ),
         (vec![("a.mtl", b"newmtl other\n".to_vec())], "paint"),
         (vec![("a.mtl", b"\x00\x01".to_vec())], "no material"),
     ] {
@@ -67,7 +72,11 @@ fn a_texture_without_coordinates_is_projected_with_a_warning() {
     let obj = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl paint\nf 1 2 3\n";
     let mtl = b"newmtl paint\nmap_Kd top.png\n".to_vec();
     let loaded = read(obj, &[("a.mtl", mtl), ("top.png", red_top())]);
-    assert!(loaded.warnings[0].contains("projected"), "{:?}", loaded.warnings);
+    assert!(
+        loaded.warnings[0].contains("projected"),
+        "{:?}",
+        loaded.warnings
+    );
     assert_eq!(loaded.model.meshes[0].uvs.len(), 3);
 }
 
@@ -82,10 +91,15 @@ fn glass_and_metal_get_their_materials() {
         panic!("{:?}", loaded.model.materials);
     };
     assert!(matches!(glass, Material::Dielectric { ior, .. } if ior == 1.45));
-    assert!(matches!(steel, Material::Principled { metallic, roughness, .. }
-        if metallic == 1.0 && roughness == 0.3));
+    assert!(
+        matches!(steel, Material::Principled { metallic, roughness, .. }
+        if metallic == 1.0 && roughness == 0.3)
+    );
     let text = loaded.warnings.join("\n");
-    assert!(text.contains("not closed") && text.contains("shines"), "{text}");
+    assert!(
+        text.contains("not closed") && text.contains("shines"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -93,8 +107,16 @@ fn meshes_inside_out_are_turned() {
     let mut shape = builtin("box").unwrap();
     shape.triangles.iter_mut().for_each(|t| t.swap(0, 1));
     let loaded = Model::from_textured(&shape.into(), &no_file, Finish::Glass, 0).unwrap();
-    assert!(loaded.warnings[0].contains("inside out"), "{:?}", loaded.warnings);
-    let turned = loaded.model.shape();
+    assert!(
+        loaded.warnings[0].contains("inside out"),
+        "{:?}",
+        loaded.warnings
+    );
+    let mesh = &loaded.model.meshes[0];
+    let turned = TriangleMesh {
+        vertices: mesh.positions.iter().map(|p| p.as_dvec3()).collect(),
+        triangles: mesh.triangles.clone(),
+    };
     assert!(signed_volume(&turned.into()) > 0.0);
     let normal_out = |mesh: &Mesh| {
         let pairs = mesh.positions.iter().zip(&mesh.normals);

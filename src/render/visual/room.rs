@@ -57,7 +57,10 @@ impl Room {
         let [columns, rows] = [stream.pick([1, 2, 3]), stream.pick([1, 2])];
         // Square panels, long tubes, or small spots.
         let half = stream.pick([[0.3, 0.3], [0.6, 0.08], [0.6, 0.15], [0.12, 0.12]]);
-        let shift = [stream.between(-0.6, 0.6) as f32, stream.between(-0.6, 0.6) as f32];
+        let shift = [
+            stream.between(-0.6, 0.6) as f32,
+            stream.between(-0.6, 0.6) as f32,
+        ];
         let is_out = stream.uniform() < 0.3;
         let out = stream.index(columns * rows);
         for k in 0..columns * rows {
@@ -68,7 +71,11 @@ impl Room {
                 face: Face::Ceiling,
                 centre: [0, 1].map(|a| 1.6 * room.half[a] * place[a] + shift[a]),
                 half,
-                color: if shines { light.map(|l| level * l) } else { [0.85; 3] },
+                color: if shines {
+                    light.map(|l| level * l)
+                } else {
+                    [0.85; 3]
+                },
                 shines,
                 panes: [1, 1],
             });
@@ -85,7 +92,11 @@ impl Room {
         let level = stream.between_log(6.0, 30.0) as f32;
         let wall = stream.index(4) as u8;
         let is_corner = stream.uniform() < 0.4;
-        let walls = if is_corner { vec![wall, (wall + 1) % 4] } else { vec![wall] };
+        let walls = if is_corner {
+            vec![wall, (wall + 1) % 4]
+        } else {
+            vec![wall]
+        };
         for wall in walls {
             let count = stream.pick([1_usize, 2, 3]);
             let width = 2.0 * room.half[usize::from(wall % 2 == 0)];
@@ -119,7 +130,10 @@ impl Room {
             walls[stream.index(4)] = paint(stream, 0.15, 0.6, 0.4);
         }
         Self {
-            half: [stream.between(1.6, 4.5) as f32, stream.between(1.6, 4.5) as f32],
+            half: [
+                stream.between(1.6, 4.5) as f32,
+                stream.between(1.6, 4.5) as f32,
+            ],
             heights: [
                 stream.between(0.7, 0.95) as f32,
                 stream.between(2.4, 3.4) as f32,
@@ -194,7 +208,9 @@ impl Room {
         // Panels listed later hang in front of earlier ones, windows and lamps in front of all.
         let mut seen = lit;
         for panel in self.panels.iter().filter(|panel| panel.face == face) {
-            let Some(is_frame) = panel.covers(place) else { continue };
+            let Some(is_frame) = panel.covers(place) else {
+                continue;
+            };
             if panel.shines && !is_frame {
                 return panel.color;
             }
@@ -220,7 +236,11 @@ impl Room {
         let inset = |half: f32, at: f32| (half - at.abs()).max(0.0);
         if t == tz {
             let edge = inset(self.half[0], p.x).min(inset(self.half[1], p.y));
-            let face = if d.z > 0.0 { Face::Ceiling } else { Face::Floor };
+            let face = if d.z > 0.0 {
+                Face::Ceiling
+            } else {
+                Face::Floor
+            };
             return (face, [p.x, p.y], edge);
         }
         let above_floor = p.z + eye;

@@ -105,7 +105,10 @@ mod tests {
         let n = all.len() as f64;
         let mean = all.iter().sum::<f64>() / n;
         let variance = all.iter().map(|v| v * v).sum::<f64>() / n;
-        assert!(mean.abs() < 0.03 && (variance - 1.0).abs() < 0.03, "{mean} {variance}");
+        assert!(
+            mean.abs() < 0.03 && (variance - 1.0).abs() < 0.03,
+            "{mean} {variance}"
+        );
         assert!(all.iter().all(|v| v.is_finite()));
     }
 }

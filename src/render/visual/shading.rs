@@ -93,7 +93,9 @@ fn corner_normals(mesh: &TriangleMesh, faces: &[DVec3], crease_rad: f64) -> Vec<
         sum.normalize_or(units[t]).normalize_or(DVec3::Z).as_vec3()
     };
     let triangles = mesh.triangles.iter().enumerate();
-    triangles.map(|(t, tri)| tri.map(|v| corner(t, v))).collect()
+    triangles
+        .map(|(t, tri)| tri.map(|v| corner(t, v)))
+        .collect()
 }
 
 /// Which of the six sides of a box a normal points to: twice the axis, plus 1 for its lower end.
@@ -155,10 +157,12 @@ mod tests {
             let [a, b, c] = t.map(|v| shaded.positions[v as usize]);
             let [p, q, r] = t.map(|v| shaded.uvs[v as usize]);
             let area = 0.5 * (b - a).cross(c - a).length() / (0.02 * 0.02);
-            let signed =
-                0.5 * ((q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1]));
+            let signed = 0.5 * ((q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1]));
             // v runs down, so that a picture seen from outside has negative area.
-            assert!((signed + area).abs() < 1e-3 * area.max(1.0), "{signed} {area}");
+            assert!(
+                (signed + area).abs() < 1e-3 * area.max(1.0),
+                "{signed} {area}"
+            );
         }
     }
 
@@ -169,6 +173,11 @@ mod tests {
             triangles: vec![[0, 1, 2]],
         };
         let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::Box(0.1), 0);
-        assert!(shaded.normals.iter().all(|n| (n.length() - 1.0).abs() < 1e-6));
+        assert!(
+            shaded
+                .normals
+                .iter()
+                .all(|n| (n.length() - 1.0).abs() < 1e-6)
+        );
     }
 }

@@ -142,8 +142,7 @@ fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync)
                     let turn = (column as f32 + part[1]) / width as f32;
                     let azimuth = TAU * (0.5 - turn);
                     let (z, ring) = (polar.cos(), polar.sin());
-                    let value =
-                        radiance(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), z));
+                    let value = radiance(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), z));
                     for (sum, value) in pixel.iter_mut().zip(value) {
                         *sum += 0.25 * value;
                     }
@@ -285,7 +284,12 @@ mod tests {
                 let dome = sky.paint(64, seed);
                 assert_eq!((dome.width, dome.height), (128, 64));
                 assert_eq!(dome, sky.paint(64, seed), "{sky}");
-                assert!(dome.pixels.iter().flatten().all(|v| v.is_finite() && *v >= 0.0));
+                assert!(
+                    dome.pixels
+                        .iter()
+                        .flatten()
+                        .all(|v| v.is_finite() && *v >= 0.0)
+                );
                 let table = white_table_luminance(&dome);
                 assert!((table - 1.0).abs() < 1e-3, "{sky} {seed}: {table}");
             }
@@ -313,7 +317,11 @@ mod tests {
             peak / (levels.sum::<f32>() / dome.pixels.len() as f32)
         };
         for seed in 0..4 {
-            assert!(contrast(Sky::Sunny, seed) > 500.0, "{}", contrast(Sky::Sunny, seed));
+            assert!(
+                contrast(Sky::Sunny, seed) > 500.0,
+                "{}",
+                contrast(Sky::Sunny, seed)
+            );
             assert!(contrast(Sky::Studio, seed) > 4.0);
             assert!(contrast(Sky::WindowRoom, seed) > 4.0);
             assert!(contrast(Sky::Overcast, seed) < 4.0);
@@ -323,7 +331,10 @@ mod tests {
     #[test]
     fn warm_light_is_red_and_cold_light_blue() {
         let (warm, cold) = (light_of_kelvin(2700.0), light_of_kelvin(9000.0));
-        assert!(warm[0] > 2.0 * warm[2] && cold[2] > 1.2 * cold[0], "{warm:?} {cold:?}");
+        assert!(
+            warm[0] > 2.0 * warm[2] && cold[2] > 1.2 * cold[0],
+            "{warm:?} {cold:?}"
+        );
         let white = light_of_kelvin(6500.0);
         assert!(white.iter().all(|c| (c - 1.0).abs() < 0.08), "{white:?}");
         assert!((luminance(warm) - 1.0).abs() < 0.02);

@@ -34,8 +34,7 @@ pub(super) fn rounded_box(low: DVec3, high: DVec3, radius: f64) -> TriangleMesh 
                     let mut at = [0; 3];
                     (at[axis], at[u], at[v]) = (end, i + di, j + dj);
                     *known.entry(at).or_insert_with(|| {
-                        let on_box =
-                            DVec3::new(lines[0][at[0]], lines[1][at[1]], lines[2][at[2]]);
+                        let on_box = DVec3::new(lines[0][at[0]], lines[1][at[1]], lines[2][at[2]]);
                         let core = on_box.clamp(-inner, inner);
                         let outwards = (on_box - core).normalize_or_zero();
                         push(&mut mesh, center + core + radius * outwards)
@@ -81,7 +80,10 @@ pub(super) fn tube(path: &[DVec3], radius: f64, segments: u32) -> TriangleMesh {
     for pair in rings.windows(2) {
         for s in 0..pair[0].len() {
             let next = (s + 1) % pair[0].len();
-            push_quad(&mut mesh, [pair[0][s], pair[0][next], pair[1][next], pair[1][s]]);
+            push_quad(
+                &mut mesh,
+                [pair[0][s], pair[0][next], pair[1][next], pair[1][s]],
+            );
         }
     }
     if let (Some(first), Some(last)) = (rings.first(), rings.last()) {
@@ -164,7 +166,10 @@ mod tests {
         ] {
             assert!(mesh.edges().is_closed(), "{name}");
             let found = MassProperties::of(mesh).unwrap().volume_m3;
-            assert!((found - volume).abs() < tolerance * volume.max(1.0), "{name}: {found}");
+            assert!(
+                (found - volume).abs() < tolerance * volume.max(1.0),
+                "{name}: {found}"
+            );
         }
     }
 

@@ -53,7 +53,10 @@ pub fn develop(light: &Picture, settings: &ColourSettings, seed: u64) -> RgbImag
     blur(&mut picture, settings.blur_px);
     let balance = white_balance(&picture, settings.white_balance);
     let gain = exposure(&picture, balance, settings);
-    let (full_well, read) = (settings.full_well_e.max(1.0), settings.read_noise_e.max(0.0));
+    let (full_well, read) = (
+        settings.full_well_e.max(1.0),
+        settings.read_noise_e.max(0.0),
+    );
     let pixels: Vec<[u8; 3]> = picture
         .pixels
         .par_iter()
@@ -80,7 +83,11 @@ pub fn develop(light: &Picture, settings: &ColourSettings, seed: u64) -> RgbImag
 fn cleaned(light: &Picture) -> Picture {
     let mut picture = light.clone();
     for value in picture.pixels.iter_mut().flatten() {
-        *value = if value.is_finite() { value.max(0.0) } else { 0.0 };
+        *value = if value.is_finite() {
+            value.max(0.0)
+        } else {
+            0.0
+        };
     }
     picture
 }
@@ -199,7 +206,11 @@ fn finish(light: [f32; 3], saturation: f32) -> [f32; 3] {
     light.map(|v| {
         let v = (grey + saturation * (v - grey)).max(0.0);
         // Straight up to 0.7, then towards 1.
-        if v < 0.7 { v } else { 0.7 + 0.3 * (1.0 - (-(v - 0.7) / 0.3).exp()) }
+        if v < 0.7 {
+            v
+        } else {
+            0.7 + 0.3 * (1.0 - (-(v - 0.7) / 0.3).exp())
+        }
     })
 }
 
@@ -255,13 +266,19 @@ mod tests {
             ..flat()
         };
         for full_well in [1500.0_f32, 13_500.0] {
-            let settings = ColourSettings { full_well_e: full_well, ..settings };
+            let settings = ColourSettings {
+                full_well_e: full_well,
+                ..settings
+            };
             let (mean, deviation) = statistics(&develop(&light, &settings, 3), 1);
             assert!((mean - 110.0).abs() < 1.5, "{mean}");
             // 110 of 255 is 0.156 linear; there the transfer function has a slope of 365 levels.
             let electrons = 0.156 * f64::from(full_well);
             let expected = 365.0 * (electrons + 144.0).sqrt() / f64::from(full_well);
-            assert!((deviation / expected - 1.0).abs() < 0.1, "{deviation} {expected}");
+            assert!(
+                (deviation / expected - 1.0).abs() < 0.1,
+                "{deviation} {expected}"
+            );
         }
     }
 
@@ -269,7 +286,10 @@ mod tests {
     fn warm_light_is_balanced_in_part() {
         let light = Picture::filled(40, 30, [1.4, 1.0, 0.5]);
         let ratio = |share: f32| {
-            let settings = ColourSettings { white_balance: share, ..flat() };
+            let settings = ColourSettings {
+                white_balance: share,
+                ..flat()
+            };
             let picture = develop(&light, &settings, 0);
             statistics(&picture, 0).0 / statistics(&picture, 2).0
         };

@@ -127,9 +127,8 @@ pub fn measure_depth(
                 }
             }
         });
-    DepthImage::from_vec(width as u32, height as u32, codes).ok_or_else(|| {
-        Error::new(ErrorKind::Internal, "the depth picture has the wrong size")
-    })
+    DepthImage::from_vec(width as u32, height as u32, codes)
+        .ok_or_else(|| Error::new(ErrorKind::Internal, "the depth picture has the wrong size"))
 }
 
 /// One depth with its noise and quantisation.
@@ -147,7 +146,11 @@ fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u
     }
     // Depths beyond 16 bits have no code.
     let code = (scale / disparity / settings.unit_m).round();
-    if code <= f64::from(u16::MAX) { code as u16 } else { 0 }
+    if code <= f64::from(u16::MAX) {
+        code as u16
+    } else {
+        0
+    }
 }
 
 /// Noise of unit variance: a part from a coarse lattice, which neighbours share, and one of the
@@ -260,8 +263,14 @@ mod tests {
             let mean = values.iter().sum::<f64>() / n;
             let deviation = (values.iter().map(|z| (z - mean).powi(2)).sum::<f64>() / n).sqrt();
             let expected = DepthSettings::default().deviation_m(f64::from(depth));
-            assert!((mean - f64::from(depth)).abs() < 0.1 * expected + 5e-5, "{mean}");
-            assert!((deviation / expected - 1.0).abs() < 0.12, "{deviation} {expected}");
+            assert!(
+                (mean - f64::from(depth)).abs() < 0.1 * expected + 5e-5,
+                "{mean}"
+            );
+            assert!(
+                (deviation / expected - 1.0).abs() < 0.12,
+                "{deviation} {expected}"
+            );
         }
     }
 
@@ -284,7 +293,13 @@ mod tests {
     fn near_edges_throw_a_shadow_on_one_side() {
         let camera = camera();
         let depth: Vec<f32> = (0..320 * 240)
-            .map(|i| if (100..200).contains(&(i % 320)) { 0.3 } else { 0.6 })
+            .map(|i| {
+                if (100..200).contains(&(i % 320)) {
+                    0.3
+                } else {
+                    0.6
+                }
+            })
             .collect();
         let codes = measure_depth(&depth, &camera, &DepthSettings::default(), 1).unwrap();
         let holes = |from: u32, to: u32| (from..to).filter(|&x| codes.get_pixel(x, 99)[0] == 0);

@@ -63,14 +63,13 @@ impl Pattern {
     ];
 
     /// Those that table tops and floors have.
-    pub const GROUNDS: [Self; 7] = [
+    pub const GROUNDS: [Self; 6] = [
         Self::Wood,
         Self::Plastic,
         Self::Fabric,
         Self::Stone,
         Self::Concrete,
         Self::Tiles,
-        Self::Noise,
     ];
 
     /// Name in commands and files.
@@ -147,10 +146,7 @@ pub struct PaintedSurface {
 }
 
 /// Linear colour of each pixel of a square picture from its place in the unit square.
-fn paint_by_place(
-    size_px: u32,
-    color: impl Fn(f32, f32) -> [f32; 3] + Sync,
-) -> RgbImage {
+fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
     let size = size_px.max(1) as usize;
     let place = |index: usize| (index as f32 + 0.5) / size as f32;
     let mut picture = Picture::filled(size, size, [0.0; 3]);
@@ -177,11 +173,7 @@ fn scaled(color: [f32; 3], factor: f32) -> [f32; 3] {
 }
 
 /// A random colour by hue, saturation and value in the given ranges, linear.
-fn random_color(
-    stream: &mut SeedStream,
-    saturation: [f64; 2],
-    value: [f64; 2],
-) -> [f32; 3] {
+fn random_color(stream: &mut SeedStream, saturation: [f64; 2], value: [f64; 2]) -> [f32; 3] {
     let hue = stream.between(0.0, 6.0);
     let s = stream.between(saturation[0], saturation[1]);
     let v = stream.between(value[0], value[1]);
@@ -225,7 +217,10 @@ mod tests {
                 let border = step(&painted.picture, n - 1, 0, by_row);
                 let inside = (1..n).map(|i| step(&painted.picture, i - 1, i, by_row));
                 let largest = inside.fold(0.0, f64::max);
-                assert!(border <= 1.3 * largest + 1.0, "{pattern}: {border} > {largest}");
+                assert!(
+                    border <= 1.3 * largest + 1.0,
+                    "{pattern}: {border} > {largest}"
+                );
             }
         }
     }
@@ -235,8 +230,8 @@ mod tests {
         for pattern in Pattern::ALL {
             for seed in 0..6 {
                 let picture = pattern.paint(64, seed).picture;
-                let mean = picture.iter().map(|v| f64::from(*v)).sum::<f64>()
-                    / picture.len() as f64;
+                let mean =
+                    picture.iter().map(|v| f64::from(*v)).sum::<f64>() / picture.len() as f64;
                 assert!((8.0..=246.0).contains(&mean), "{pattern} {seed}: {mean}");
                 let first = picture.get_pixel(0, 0);
                 assert!(picture.pixels().any(|p| p != first), "{pattern} {seed}");
@@ -250,7 +245,10 @@ mod tests {
             assert_eq!(pattern.to_string().parse::<Pattern>().unwrap(), pattern);
         }
         let text = "wod".parse::<Pattern>().unwrap_err().to_string();
-        assert!(text.contains("did you mean wood?") && text.contains("concrete"), "{text}");
+        assert!(
+            text.contains("did you mean wood?") && text.contains("concrete"),
+            "{text}"
+        );
     }
 
     #[test]

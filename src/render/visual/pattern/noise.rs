@@ -38,10 +38,7 @@ pub(super) fn fractal(seed: u64, x: f32, y: f32, cells: [u32; 2], octaves: u32) 
 /// `cells` × `cells` lattice, in cells, and a number of the nearest in 0..1 (Worley, 1996).
 pub(super) fn cellular(seed: u64, x: f32, y: f32, cells: u32) -> (f32, f32, f32) {
     let n = i64::from(cells.max(1));
-    let (sx, sy) = (
-        x.rem_euclid(1.0) * n as f32,
-        y.rem_euclid(1.0) * n as f32,
-    );
+    let (sx, sy) = (x.rem_euclid(1.0) * n as f32, y.rem_euclid(1.0) * n as f32);
     let (cx, cy) = (sx as i64, sy as i64);
     let mut best = (f32::MAX, f32::MAX, 0.0);
     for j in cy - 1..=cy + 1 {

@@ -43,7 +43,13 @@ impl Label {
         let mut place = |low: f64, high: f64| stream.between(low, high) as f32;
         let disc = [place(0.25, 0.75), place(0.25, 0.45), place(0.1, 0.2)];
         let left = place(0.06, 0.2);
-        let text = [left, place(0.6, 0.68), place(0.5, 0.66), 0.92, place(0.018, 0.03)];
+        let text = [
+            left,
+            place(0.6, 0.68),
+            place(0.5, 0.66),
+            0.92,
+            place(0.018, 0.03),
+        ];
         let bars = [0.72, place(0.72, 0.8), 0.93, 0.92];
         Self {
             ground,
@@ -67,7 +73,11 @@ impl Label {
         let [cx, cy, radius] = self.disc;
         let from_centre = (x - cx).hypot(y - cy) / radius;
         if from_centre < 1.0 {
-            color = if from_centre > 0.86 { srgb(0xf4f2ec) } else { self.badge };
+            color = if from_centre > 0.86 {
+                srgb(0xf4f2ec)
+            } else {
+                self.badge
+            };
         }
         if self.is_text(x, y) || self.is_bar(x, y) == Some(true) {
             color = mix_color(color, self.ink, 0.93);
