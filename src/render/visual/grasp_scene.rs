@@ -15,7 +15,7 @@ use super::scene::{Mesh, Scene};
 use super::shading::{CREASE_RAD, Projection, shaded_mesh};
 use super::texture::{Bitmap, Texture};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{MeshQuery, Pose, TriangleMesh};
+use crate::geometry::{Aabb, Pose, TriangleMesh};
 use crate::sim;
 use crate::sim::fem::{GelGrid, GelResolution, Side};
 use crate::sim::grasp::Snapshot;
@@ -149,7 +149,7 @@ pub fn grasp_scene(
         camera,
     };
     object.add_to(&mut scene, &state.t_world_object);
-    check_camera(&scene.camera, &object.shape(), &state.t_world_object)?;
+    check_camera(&scene, object)?;
     ground(conditions)?.add_to(&mut scene, &Pose::IDENTITY);
     let is_external = matches!(view, View::External(_));
     let body = gripper(state, conditions.print_colour, is_external)?;
@@ -219,41 +219,39 @@ fn external(state: &GraspState, [width, height]: [usize; 2]) -> Camera {
     let side = flat(gripper.transform_vector(DVec3::NEG_Y)).normalize_or(DVec3::NEG_Y);
     let along = DVec3::Z.cross(side);
     // The middle between the table under the object and the end of the handle.
-    let target = gripper.translation_m - 0.08 * approach;
-    let (turn, height_share) = (0.6 * side + 0.8 * along, 0.22);
+    let target = gripper.translation_m - 0.105 * approach;
+    let (turn, height_share) = (0.75 * side + 0.66 * along, 0.3);
     let direction = (turn + DVec3::Z * height_share).normalize();
-    let mut eye = target + 0.72 * direction;
+    let mut eye = target + 0.62 * direction;
     eye.z = eye.z.max(0.12);
     let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
     let wide = width as f64 / height.max(1) as f64;
-    let fov = 2.0 * (0.33 * wide.min(1.6)).atan();
+    let fov = 2.0 * (0.31 * wide.min(1.6)).atan();
     Camera::centred(width, height, fov, pose)
 }
 
-/// Explains a camera that sees nothing but the inside of something.
-fn check_camera(camera: &Camera, shape: &TriangleMesh, t_world_object: &Pose) -> Result<()> {
-    let eye = camera.t_world_camera.translation_m;
+/// Explains a camera that sees nothing but the inside of something; the scene holds only the
+/// object yet.
+fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
     let bad = |what: String| {
-        Err(Error::new(ErrorKind::Input, what)
+        Error::new(ErrorKind::Input, what)
             .at("camera")
-            .remedy("move the gripper away, or make the object smaller (is its unit right?)"))
+            .remedy("move the gripper away, or make the object smaller (is its unit right?)")
     };
-    if eye.z <= 0.0 {
-        return bad(format!(
+    let height = scene.camera.t_world_camera.translation_m.z;
+    if height <= 0.0 {
+        return Err(bad(format!(
             "the camera would be {:.0} mm below the ground",
-            -1e3 * eye.z
-        ));
+            -1e3 * height
+        )));
     }
-    let inside = t_world_object.inverse().transform_point(eye);
-    let bounds = shape.bounds();
-    if bounds.contains(inside) && MeshQuery::new(shape).contains(inside) {
-        let size = bounds.extent() * 1e3;
-        return bad(format!(
+    scene.check_camera_outside(&scene.camera).map_err(|_| {
+        let size = Aabb::from_points(object.positions()).extent() * 1e3;
+        bad(format!(
             "the camera would be inside the object, which is {:.0} × {:.0} × {:.0} mm large",
             size.x, size.y, size.z
-        ));
-    }
-    Ok(())
+        ))
+    })
 }
 
 /// The table.

@@ -25,10 +25,10 @@
 //! | --- | --- | --- | --- | --- |
 //! | rail | ±112, longer for openings above 140 | ±7.5 | −113 to −101 | 1 |
 //! | rail ends | 6 long | ±12 | −117 to −97 | 1.5 |
-//! | palm | ±62 | ±28 | −152 to −112 | 6 |
+//! | palm | ±62 | ±24 | −156 to −116 | 6 |
 //! | handle | ±17 | ±15 | −262 to −150 | 12 |
-//! | camera arm | ±12 | −62 to −24 | −172 to −148 | 3 |
-//! | D435 | 90 wide, 25 high, 25 deep, behind the camera's place (see [`super::d435`]) | | | 11 |
+//! | camera arm | ±12 | −68 to −10 | −192 to −170 | 3 |
+//! | D435 | 90 wide, 25 high, 25 deep, its ends round, behind the camera’s place | | | 12.5 |
 
 use glam::{DQuat, DVec3};
 
@@ -220,7 +220,7 @@ fn body(opening_m: f64) -> Vec<GripperPart> {
         part(
             "palm",
             Print,
-            block([-62.0, 62.0], [-28.0, 28.0], [-152.0, -112.0], 6.0),
+            block([-62.0, 62.0], [-24.0, 24.0], [-156.0, -116.0], 6.0),
         ),
         part(
             "handle",
@@ -230,7 +230,7 @@ fn body(opening_m: f64) -> Vec<GripperPart> {
         part(
             "arm",
             Print,
-            block([-12.0, 12.0], [-62.0, -24.0], [-172.0, -148.0], 3.0),
+            block([-12.0, 12.0], [-68.0, -10.0], [-192.0, -170.0], 3.0),
         ),
     ]
 }
@@ -241,21 +241,27 @@ fn camera() -> Vec<GripperPart> {
     use GripperSurface::{CameraShell, CameraWindow, Housing};
     let place = t_gripper_camera();
     let middle = 14.7 + 17.5;
+    let end = |x: f64| {
+        let [from, to] = [-20.8, 3.6].map(|z| DVec3::new(middle + x, 0.0, z) * MM);
+        cylinder(from, to, 12.5 * MM, 48)
+    };
     let mut parts = vec![
         (
             "camera shell",
             CameraShell,
             block(
-                [middle - 45.0, middle + 45.0],
+                [middle - 32.5, middle + 32.5],
                 [-12.5, 12.5],
                 [-20.8, 3.6],
-                11.0,
+                0.2,
             ),
         ),
+        ("camera shell", CameraShell, end(-32.5)),
+        ("camera shell", CameraShell, end(32.5)),
         (
             "camera window",
             CameraWindow,
-            block([middle - 41.0, middle + 41.0], [-8.0, 8.0], [0.0, 4.2], 0.5),
+            block([middle - 40.0, middle + 40.0], [-8.0, 8.0], [0.0, 4.2], 0.5),
         ),
     ];
     for x in [0.0, 14.7, 45.0, 64.7] {

@@ -7,63 +7,61 @@
 //! World: z up, metres. Camera: OpenCV optical frame. Pixel (0, 0) is the centre of the top-left
 //! pixel.
 
+mod bitmap_file;
 mod bsdf;
 mod bvh;
 mod camera;
+mod conditions;
+mod d435;
+mod demo;
 mod denoise;
 mod dome;
 mod environment;
 mod film;
-mod integrator;
-mod material;
-mod picture;
-mod renderer;
-mod sampler;
-mod scene;
-mod settings;
-mod surface;
-mod texture;
-mod trigonometry;
-
-mod bitmap_file;
-mod conditions;
-mod d435;
-mod demo;
 mod finish;
 mod grasp_scene;
 mod gripper;
 mod hdr;
+mod integrator;
+mod material;
 mod model;
 mod pattern;
+mod picture;
+mod renderer;
 mod room;
+mod sampler;
+mod scene;
 mod seed;
+mod settings;
 mod shading;
 mod sky;
 mod solids;
-
-pub use camera::Camera;
-pub use denoise::{DenoiseSettings, denoise};
-pub use environment::Environment;
-pub use material::{Colour, Material};
-pub use picture::Picture;
-pub use renderer::{Renderer, Rendering};
-pub use scene::{Mesh, Scene};
-pub use settings::{PixelFilter, RenderSettings, Watch};
-pub use texture::{Bitmap, ProceduralTexture, Texture};
+mod surface;
+mod texture;
+mod trigonometry;
 
 pub use bitmap_file::load_bitmap;
+pub use camera::Camera;
 pub use conditions::{DomeChoice, GroundChoice, VisualConditions, VisualRandomisation};
 pub use d435::{
     COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale,
     develop, measure_depth, t_gripper_camera,
 };
 pub use demo::{demo_model, drawn_finish, usual_finishes};
+pub use denoise::{DenoiseSettings, denoise};
+pub use environment::Environment;
 pub use finish::Finish;
 pub use grasp_scene::{GraspState, View, eye_in_hand, grasp_scene, sees_gels};
 pub use gripper::{GripperPart, GripperSurface, gripper_parts};
 pub use hdr::{load_hdr, read_hdr};
+pub use material::{Colour, Material};
 pub use model::{LoadedModel, Model};
 pub use pattern::{PaintedSurface, Pattern};
+pub use picture::Picture;
+pub use renderer::{Renderer, Rendering};
+pub use scene::{Mesh, Scene};
 pub use seed::SeedStream;
+pub use settings::{PixelFilter, RenderSettings, Watch};
 pub use shading::{CREASE_RAD, Projection, shaded_mesh};
 pub use sky::{Sky, normalise, white_table_luminance};
+pub use texture::{Bitmap, ProceduralTexture, Texture};

@@ -156,22 +156,6 @@ impl Model {
         let all = self.meshes.iter().flat_map(|mesh| &mesh.positions);
         all.map(|p| p.as_dvec3())
     }
-
-    /// The shape alone, in the frame of the model.
-    pub fn shape(&self) -> TriangleMesh {
-        let mut shape = TriangleMesh::default();
-        for mesh in &self.meshes {
-            let offset = shape.vertices.len() as u32;
-            shape
-                .vertices
-                .extend(mesh.positions.iter().map(|p| p.as_dvec3()));
-            let triangles = mesh.triangles.iter();
-            shape
-                .triangles
-                .extend(triangles.map(|t| t.map(|v| v + offset)));
-        }
-        shape
-    }
 }
 
 /// Volume that the triangles of all parts enclose, in the unit of the mesh; 0 if they do not

@@ -1,8 +1,8 @@
 //! The eye-in-hand RealSense D435: place, intrinsics, and what its sensors make of the light.
 //!
-//! Place: the colour camera sits in the middle of the gripper, 70 mm above the plane of the
+//! Place: the colour camera sits in the middle of the gripper, 78 mm above the plane of the
 //! fingers (towards −y) and 165 mm behind the middle of the gels, and looks along the approach,
-//! 20° down onto the gels. Picture columns run along the gripper's +x (left finger at the left),
+//! 22° down onto the gels. Picture columns run along the gripper's +x (left finger at the left),
 //! rows along +y.
 
 mod colour;
@@ -18,9 +18,9 @@ use super::gripper::pitched;
 use crate::geometry::Pose;
 
 /// Place of the colour camera in the gripper frame, m.
-const PLACE_M: [f64; 3] = [0.0, -0.070, -0.165];
+const PLACE_M: [f64; 3] = [0.0, -0.078, -0.165];
 /// Turn of its axis from the approach towards the plane of the fingers, rad.
-const PITCH_RAD: f64 = 20.0 * std::f64::consts::PI / 180.0;
+const PITCH_RAD: f64 = 22.0 * std::f64::consts::PI / 180.0;
 /// Columns and rows of the colour stream.
 pub const COLOUR_SIZE: [usize; 2] = [1280, 720];
 /// Focal length at that size, px: 69.4° × 42.5° (data sheet of the D400 series).

@@ -63,14 +63,13 @@ impl Pattern {
     ];
 
     /// Those that table tops and floors have.
-    pub const GROUNDS: [Self; 7] = [
+    pub const GROUNDS: [Self; 6] = [
         Self::Wood,
         Self::Plastic,
         Self::Fabric,
         Self::Stone,
         Self::Concrete,
         Self::Tiles,
-        Self::Noise,
     ];
 
     /// Name in commands and files.
