@@ -2,7 +2,7 @@
 //!
 //! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
 
-use super::{Context, bench_contact, bench_grasp, bench_live, bench_predict};
+use super::{Context, bench_contact, bench_grasp, bench_live, bench_predict, bench_render};
 use crate::error::Result;
 
 /// Arguments.
@@ -22,6 +22,8 @@ enum Bench {
     Grasp(bench_grasp::Args),
     /// One prediction: load, preprocess, engine
     Predict(bench_predict::Args),
+    /// Tactile and path-traced pictures
+    Render(bench_render::Args),
 }
 
 /// Runs the verb.
@@ -31,5 +33,6 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Bench::Contact(args) => bench_contact::run(context, &args),
         Bench::Grasp(args) => bench_grasp::run(context, args),
         Bench::Predict(args) => bench_predict::run(context, &args),
+        Bench::Render(args) => bench_render::run(context, args),
     }
 }

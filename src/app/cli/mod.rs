@@ -14,6 +14,7 @@ mod bench_contact;
 mod bench_grasp;
 mod bench_live;
 mod bench_predict;
+mod bench_render;
 mod collect;
 mod completions;
 mod config;
