@@ -15,3 +15,4 @@ mod rig;
 mod screen;
 mod shared_data;
 mod sim;
+mod visual_scene;
