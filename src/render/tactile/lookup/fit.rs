@@ -305,7 +305,7 @@ mod tests {
             contact_radius_px: 3.0,
             ball_radius_px: 4.0,
         };
-        let text = TaximTable::fit(&[press.clone()], SIZE, 9)
+        let text = TaximTable::fit(std::slice::from_ref(&press), SIZE, 9)
             .unwrap_err()
             .to_string();
         assert!(text.contains("expected 10800"), "{text}");
