@@ -23,6 +23,7 @@ mod predict;
 mod python_peer;
 mod render;
 mod render_calibrate;
+mod render_figure;
 mod render_out;
 mod render_source;
 mod render_tactile;

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use gripcast::imaging::encode_png_rgb;
-use gripcast::render::tactile::calibrate::ball_press;
+use gripcast::render::tactile::calibrate::BallContact;
 use gripcast::render::tactile::{FrameLook, SensorProfile, TactileRenderer};
 use serde_json::{Value, json as value};
 
@@ -29,7 +29,8 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
             90.0 + 45.0 * (number % 4) as f64,
             80.0 + 75.0 * (number / 4) as f64,
         ];
-        let press = ball_press(&grid, centre, radius_px, 2e-3);
+        let contact = BallContact { geometry: grid, centre_px: centre, radius_px, ball_m: 2e-3 };
+        let press = contact.press(profile.smoothing.sink_length_m);
         let look = FrameLook {
             noise_seed: Some(number),
             ..FrameLook::default()

@@ -7,7 +7,6 @@
 
 mod ball;
 mod detect;
-mod glyphs;
 mod led_fit;
 mod press_file;
 mod press_set;

@@ -2,7 +2,7 @@
 
 use image::{Rgb, RgbImage};
 
-use super::glyphs::{self, write_text};
+use crate::render::caption::{self, write_text};
 use super::press_set::PressSet;
 use super::score::{ChangePlanes, PressScore, observe};
 
@@ -13,7 +13,7 @@ const SIDE: std::ops::RangeInclusive<u32> = 96..=400;
 /// Pixels between tiles.
 const GAP: u32 = 4;
 /// Rows of a caption.
-const CAPTION: u32 = glyphs::HEIGHT + 4;
+const CAPTION: u32 = caption::HEIGHT + 4;
 /// Grey levels of the residual picture to one of the residual.
 const RESIDUAL_GAIN: f32 = 2.0;
 /// Columns.

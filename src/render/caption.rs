@@ -3,9 +3,9 @@
 use image::{Rgb, RgbImage};
 
 /// Columns from one glyph to the next.
-pub(super) const ADVANCE: u32 = 6;
+pub(crate) const ADVANCE: u32 = 6;
 /// Rows of a glyph.
-pub(super) const HEIGHT: u32 = 7;
+pub(crate) const HEIGHT: u32 = 7;
 
 /// Rows of a glyph, the leftmost pixel in bit 4; unknown letters are blank.
 fn rows(letter: char) -> [u8; 7] {
@@ -59,7 +59,7 @@ fn rows(letter: char) -> [u8; 7] {
 }
 
 /// Writes a line of text with its upper left corner at (x, y); what lies outside is cut.
-pub(super) fn write_text(picture: &mut RgbImage, x: u32, y: u32, text: &str, colour: Rgb<u8>) {
+pub(crate) fn write_text(picture: &mut RgbImage, x: u32, y: u32, text: &str, colour: Rgb<u8>) {
     for (i, letter) in text.chars().enumerate() {
         for (dy, bits) in rows(letter).into_iter().enumerate() {
             for dx in 0..5 {
