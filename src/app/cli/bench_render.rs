@@ -25,8 +25,7 @@ use crate::render::tactile::{
     SceneRenderer as _, SensorProfile, object_depth,
 };
 use crate::render::visual::{
-    GraspState, RenderSettings, Renderer, View, VisualRandomisation, Watch, demo_model,
-    grasp_scene,
+    GraspState, RenderSettings, Renderer, View, VisualRandomisation, Watch, demo_model, grasp_scene,
 };
 use crate::sim::grasp::{Placement, resting_pose};
 

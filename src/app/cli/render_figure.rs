@@ -110,8 +110,9 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
         radius(**a).total_cmp(&radius(**b))
     };
     let Some(&shown) = held_out.iter().max_by(widest) else {
-        return Err(Error::new(ErrorKind::Input, "no press is left to show")
-            .at(args.presses.display()));
+        return Err(
+            Error::new(ErrorKind::Input, "no press is left to show").at(args.presses.display())
+        );
     };
     let lookup = fit_to_presses(&set, &train, TaximHeights::default())?;
     let press = &set.presses[shown];
@@ -131,7 +132,10 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
         (format!("real press, {}", press.file), press.picture.clone()),
         ("gripcast, fitted to others".to_owned(), ours),
         ("gel-surface, 19 x 16 nodes".to_owned(), gel_surface),
-        ("lookup (taxim), same fit".to_owned(), lookup.picture(&contact.cap())?),
+        (
+            "lookup (taxim), same fit".to_owned(),
+            lookup.picture(&contact.cap())?,
+        ),
     ];
     Ok((tiles, Fitted { profile, lookup }))
 }
@@ -144,8 +148,14 @@ fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
     let mut lookup = fitted.lookup.clone();
     let name = &grasp.object.name;
     Ok(vec![
-        (format!("simulated {name}, before"), ours.render(&touched.untouched(), None)?),
-        ("grasp, depth".to_owned(), depth_picture(&touched, ours.grid())),
+        (
+            format!("simulated {name}, before"),
+            ours.render(&touched.untouched(), None)?,
+        ),
+        (
+            "grasp, depth".to_owned(),
+            depth_picture(&touched, ours.grid()),
+        ),
         ("gripcast".to_owned(), ours.render(&touched, None)?),
         ("gel-surface".to_owned(), gel.render(&touched, None)?),
         ("lookup (taxim)".to_owned(), lookup.render(&touched, None)?),

@@ -29,7 +29,12 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
             90.0 + 45.0 * (number % 4) as f64,
             80.0 + 75.0 * (number / 4) as f64,
         ];
-        let contact = BallContact { geometry: grid, centre_px: centre, radius_px, ball_m: 2e-3 };
+        let contact = BallContact {
+            geometry: grid,
+            centre_px: centre,
+            radius_px,
+            ball_m: 2e-3,
+        };
         let press = contact.press(profile.smoothing.sink_length_m);
         let look = FrameLook {
             noise_seed: Some(number),

@@ -11,15 +11,15 @@ use std::sync::OnceLock;
 
 use crate::program::{gripcast, stderr, succeed};
 
-/// A simulated grasp of the built-in box, shared by the tests of this process.
+/// A simulated grasp of the built-in mug, shared by the tests of this process.
 fn trace() -> &'static Path {
     static TRACE: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
     let (_, path) = TRACE.get_or_init(|| {
         let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join("box.bin");
+        let path = dir.path().join("mug.bin");
         succeed(
             gripcast()
-                .args(["sim", "grasp", "--object", "builtin:box", "--gel", "coarse"])
+                .args(["sim", "grasp", "--object", "builtin:mug", "--gel", "coarse"])
                 .args(["--adjust-s", "0.1", "--lift", "0.005", "--trace"])
                 .arg(&path),
         );
