@@ -188,11 +188,10 @@ impl SensorProfile {
     /// `Config` with the key, what was expected and found.
     pub fn validate(&self) -> Result<()> {
         if self.schema != SCHEMA {
-            return Err(wrong(format!(
-                "schema must be {SCHEMA}, found {}",
-                self.schema
-            ))
-            .remedy("calibrate the sensor again with this program"));
+            return Err(
+                wrong(format!("schema must be {SCHEMA}, found {}", self.schema))
+                    .remedy("calibrate the sensor again with this program"),
+            );
         }
         let grid = &self.geometry;
         for (key, side) in [("width", grid.width), ("height", grid.height)] {
@@ -288,7 +287,10 @@ mod tests {
     #[test]
     fn the_shipped_profile_is_valid_and_survives_a_file() {
         let profile = SensorProfile::gelsight_mini().unwrap();
-        assert_eq!((profile.geometry.width, profile.geometry.height), (320, 240));
+        assert_eq!(
+            (profile.geometry.width, profile.geometry.height),
+            (320, 240)
+        );
         assert!(!profile.provenance.is_empty());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("2BNN-4ZE7.toml");

@@ -114,7 +114,10 @@ fn centre_of_energy(energy: &[f32], set: &PressSet) -> Result<([f64; 2], f64), S
     let mut spread = WINDOW_M / set.geometry.pixel_m / 2.2;
     for _ in 0..20 {
         let near = |i: usize| {
-            let (x, y) = ((i % width) as f64 - centre[0], (i / width) as f64 - centre[1]);
+            let (x, y) = (
+                (i % width) as f64 - centre[0],
+                (i / width) as f64 - centre[1],
+            );
             x.hypot(y) < 2.2 * spread
         };
         let inside: Vec<usize> = (0..energy.len()).filter(|i| near(*i)).collect();

@@ -156,8 +156,8 @@ fn picture_names(folder: &Path) -> Result<Vec<String>> {
 /// Reads a PNG or JPEG picture of a folder.
 pub(super) fn read_picture(folder: &Path, file: &str) -> Result<RgbImage> {
     let path = folder.join(file);
-    let bytes = fs::read(&path)
-        .map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
+    let bytes =
+        fs::read(&path).map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
     decode(&bytes).map_err(|e| e.at(path.display()))
 }
 

@@ -15,8 +15,8 @@ use super::press_file::{Label, PressEntry, PressList, read_picture};
 use super::score::{Distance, observe};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, CropWindow, crop_and_resize};
-use crate::render::tactile::background::planes_of;
 use crate::render::tactile::SensorGeometry;
+use crate::render::tactile::background::planes_of;
 
 /// Longer side that a GelSight Mini sees, m, where the scale is not given. Published values lie
 /// between 18.6 and 20.3 mm.
@@ -142,7 +142,8 @@ impl PressSet {
         let ball_m = 0.5 * ball_diameter(options, &list).map_err(|e| e.at(&place))?;
         let stored = read_picture(&options.folder, &list.no_contact)?;
         let frame = Reframe::new(&stored, options).map_err(|e| e.at(&place))?;
-        let (stored_pixel_m, scale) = pixel_size(options, &list, &frame).map_err(|e| e.at(&place))?;
+        let (stored_pixel_m, scale) =
+            pixel_size(options, &list, &frame).map_err(|e| e.at(&place))?;
         let no_contact = frame.apply(&stored)?;
         let mut set = Self {
             geometry: SensorGeometry {
@@ -379,7 +380,12 @@ impl Reframe {
     }
 
     fn apply(&self, stored: &RgbImage) -> Result<RgbImage> {
-        Ok(crop_and_resize(stored, &self.crop, self.size.0, self.size.1)?)
+        Ok(crop_and_resize(
+            stored,
+            &self.crop,
+            self.size.0,
+            self.size.1,
+        )?)
     }
 
     fn label(&self, (centre, radius): Label) -> Label {
@@ -417,7 +423,9 @@ impl Disc {
         let at_end = |level: u8| level == 0 || level == 255;
         let (real, free) = (press.picture.as_raw(), no_contact.as_raw());
         let values = self.pixels.iter().flat_map(|i| 3 * i..3 * i + 3);
-        let count = values.filter(|v| at_end(real[*v]) && !at_end(free[*v])).count();
+        let count = values
+            .filter(|v| at_end(real[*v]) && !at_end(free[*v]))
+            .count();
         count as f64 / (3 * self.pixels.len()).max(1) as f64
     }
 
@@ -427,7 +435,11 @@ impl Disc {
         change
             .iter()
             .map(|plane| {
-                let square: f64 = self.pixels.iter().map(|i| f64::from(plane[*i]).powi(2)).sum();
+                let square: f64 = self
+                    .pixels
+                    .iter()
+                    .map(|i| f64::from(plane[*i]).powi(2))
+                    .sum();
                 (square / count).sqrt()
             })
             .fold(0.0, f64::max)

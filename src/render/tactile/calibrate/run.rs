@@ -55,6 +55,8 @@ pub struct CalibrateOptions {
     pub serial: String,
     /// Crop that makes such pictures of the sensor's frames.
     pub crop_profile: CropProfile,
+    /// Added to the profile's provenance: where the presses come from.
+    pub note: String,
 }
 
 impl CalibrateOptions {
@@ -70,6 +72,7 @@ impl CalibrateOptions {
             name: "sensor".to_owned(),
             serial: String::new(),
             crop_profile: CropProfile::GSMINI_SEVENTH,
+            note: String::new(),
         }
     }
 }
@@ -107,10 +110,17 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
     let (train, held_out) = set.split(options.train_fraction, options.most_fitted, options.seed);
     let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&place))?;
     let profile = profile(&set, &train, &fitted, options, held_out.len());
-    let scored = if held_out.is_empty() { &train } else { &held_out };
+    let scored = if held_out.is_empty() {
+        &train
+    } else {
+        &held_out
+    };
     let mut renderer = TactileRenderer::new(&profile)?;
     let mut render = |index: usize| rendered(&mut renderer, &set, index, &profile);
-    let mut changes = scored.iter().map(|i| render(*i)).collect::<Result<Vec<_>>>()?;
+    let mut changes = scored
+        .iter()
+        .map(|i| render(*i))
+        .collect::<Result<Vec<_>>>()?;
     let mut next = changes.iter();
     let scores = score(&set, scored, &mut |_| {
         Ok(next.next().cloned().unwrap_or_default())
@@ -161,7 +171,10 @@ fn fit(set: &mut PressSet, train: &[usize], options: &CalibrateOptions) -> Resul
         model,
         shading,
         scale_scan,
-        observed: train.iter().map(|i| observe(set, &set.presses[*i])).collect(),
+        observed: train
+            .iter()
+            .map(|i| observe(set, &set.presses[*i]))
+            .collect(),
     })
 }
 
@@ -216,7 +229,8 @@ fn profile(
     held_out: usize,
 ) -> SensorProfile {
     let pivot = pivot(set);
-    let spread = |value: &dyn Fn(&ObservedChange) -> f64| standard_deviation(&fitted.observed, value);
+    let spread =
+        |value: &dyn Fn(&ObservedChange) -> f64| standard_deviation(&fitted.observed, value);
     SensorProfile {
         schema: SCHEMA,
         name: options.name.clone(),
@@ -240,14 +254,21 @@ fn profile(
     }
 }
 
-fn provenance(set: &PressSet, fitted: usize, held_out: usize, options: &CalibrateOptions) -> String {
+fn provenance(
+    set: &PressSet,
+    fitted: usize,
+    held_out: usize,
+    options: &CalibrateOptions,
+) -> String {
     let found = set.presses.iter().filter(|press| press.found).count();
-    format!(
+    let text = format!(
         "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
-         {found} found in the pictures).",
+         {found} found in the pictures). {}",
         set.ball_m * 2e3,
-        options.seed
-    )
+        options.seed,
+        options.note
+    );
+    text.trim_end().to_owned()
 }
 
 /// Mean level of the untouched gel, per channel.
@@ -312,7 +333,11 @@ fn report(
     let pivot = pivot(set);
     CalibrationReport {
         score,
-        scored_on: if held_out.is_empty() { "fitted" } else { "held_out" },
+        scored_on: if held_out.is_empty() {
+            "fitted"
+        } else {
+            "held_out"
+        },
         fitted: train.len(),
         held_out: held_out.len(),
         skipped: set.skipped.clone(),
@@ -334,3 +359,7 @@ fn report(
         noise_std: profile.noise_std,
     }
 }
+
+#[cfg(test)]
+#[path = "run_test.rs"]
+mod tests;

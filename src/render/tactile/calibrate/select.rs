@@ -90,7 +90,8 @@ pub(super) fn choose(
         if best.as_ref().is_none_or(|b| model.cv_fve > b.0.cv_fve) {
             best = Some((model, sums));
         }
-        best.as_ref().map_or(sink_length_m, |b| b.0.smoothing.sink_length_m)
+        best.as_ref()
+            .map_or(sink_length_m, |b| b.0.smoothing.sink_length_m)
     };
     let mut length = 0.0;
     for candidate in SINK_LENGTHS_M {
@@ -112,6 +113,11 @@ pub(super) fn choose(
     let shading = PolynomialShading {
         normal: model.normal,
         position: model.position,
+        steepest: sums
+            .iter()
+            .map(|s| s.steepest)
+            .fold(0.0, f64::max)
+            .clamp(0.05, 1.0),
         red: column(0),
         green: column(1),
         blue: column(2),
@@ -120,11 +126,7 @@ pub(super) fn choose(
 }
 
 /// Terms to try, few before many.
-fn candidates(
-    set: &PressSet,
-    train: &[usize],
-    terms: Terms,
-) -> Vec<(NormalOrder, PositionOrder)> {
+fn candidates(set: &PressSet, train: &[usize], terms: Terms) -> Vec<(NormalOrder, PositionOrder)> {
     let highest = highest_position(set, train);
     let mut all: Vec<(NormalOrder, PositionOrder)> = NormalOrder::ALL
         .into_iter()
@@ -201,7 +203,10 @@ impl Bench<'_> {
             .map(|(n, p, ridge)| cross_validated(&sums, &without, &term_places(*n, *p), *ridge))
             .collect();
         let best = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        let place = scores.iter().position(|s| *s >= best - AS_GOOD).unwrap_or(0);
+        let place = scores
+            .iter()
+            .position(|s| *s >= best - AS_GOOD)
+            .unwrap_or(0);
         let (normal, position, ridge) = trials[place];
         let model = ChosenModel {
             normal,

@@ -76,9 +76,8 @@ fn draw_row(sheet: &mut RgbImage, set: &PressSet, row: &Row<'_>, side: u32, top:
                 (observed.gain[c] * f64::from(set.untouched[c][i]) + observed.offset[c]) as f32
             });
             let rendered: [f32; 3] = std::array::from_fn(|c| background[c] + row.change[c][i]);
-            let residual: [f32; 3] = std::array::from_fn(|c| {
-                128.0 + RESIDUAL_GAIN * (f32::from(real[c]) - rendered[c])
-            });
+            let residual: [f32; 3] =
+                std::array::from_fn(|c| 128.0 + RESIDUAL_GAIN * (f32::from(real[c]) - rendered[c]));
             let tiles = [background, real.map(f32::from), rendered, residual];
             for (column, colour) in tiles.into_iter().enumerate() {
                 let at = GAP + column as u32 * (side + GAP) + dx;

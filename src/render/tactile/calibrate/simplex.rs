@@ -41,7 +41,11 @@ pub(super) fn minimise(
         } else if reflected.0 < corners[worst - 1].0 {
             Some(reflected)
         } else {
-            let contracted = probe(if reflected.0 < corners[worst].0 { -0.5 } else { 0.5 });
+            let contracted = probe(if reflected.0 < corners[worst].0 {
+                -0.5
+            } else {
+                0.5
+            });
             (contracted.0 < reflected.0.min(corners[worst].0)).then_some(contracted)
         };
         match next {
