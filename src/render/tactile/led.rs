@@ -106,21 +106,102 @@ impl LedShading {
         let Some(region) = normals.region else {
             return;
         };
+        let mut light = RowLight::default();
         for led in &self.leds {
             let lamp = Lamp::new(led, self.shininess);
             for row in region.y0..region.y1 {
-                for column in region.x0..region.x1 {
-                    let i = row * geometry.width + column;
-                    let normal = [normals.x[i], normals.y[i], normals.z_less_1[i]];
-                    let [x, y] = geometry.pixel_to_gel_m(column as f64, row as f64);
-                    let [diffuse, specular] = lamp.change([x as f32, y as f32], normal);
-                    for (channel, plane) in planes.iter_mut().enumerate() {
-                        plane[i] +=
-                            lamp.diffuse[channel] * diffuse + lamp.specular[channel] * specular;
+                let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
+                let [first, y] = geometry.pixel_to_gel_m(region.x0 as f64, row as f64);
+                let start = [first as f32, y as f32];
+                light.fill(
+                    &lamp,
+                    start,
+                    geometry.pixel_m as f32,
+                    [
+                        &normals.x[span.clone()],
+                        &normals.y[span.clone()],
+                        &normals.z_less_1[span.clone()],
+                    ],
+                );
+                for (channel, plane) in planes.iter_mut().enumerate() {
+                    let (diffuse, specular) = (lamp.diffuse[channel], lamp.specular[channel]);
+                    let row = plane[span.clone()].iter_mut();
+                    for (out, (d, s)) in row.zip(light.diffuse.iter().zip(&light.shine)) {
+                        *out += diffuse * d + specular * s;
                     }
                 }
             }
         }
+    }
+}
+
+/// Change of a lamp's light along a row, as [`Lamp::change`] for each pixel, in loops that
+/// vectorise.
+#[derive(Default)]
+struct RowLight {
+    diffuse: Vec<f32>,
+    shine: Vec<f32>,
+    shine_flat: Vec<f32>,
+    falloff: Vec<f32>,
+}
+
+impl RowLight {
+    /// `start` is the place of the first pixel, m; the others follow along x.
+    fn fill(&mut self, lamp: &Lamp, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
+        let [nx, ny, nz] = normals;
+        for plane in [
+            &mut self.diffuse,
+            &mut self.shine,
+            &mut self.shine_flat,
+            &mut self.falloff,
+        ] {
+            plane.resize(nx.len(), 0.0);
+        }
+        let (y, z) = (lamp.position[1] - start[1], lamp.position[2]);
+        let across = y * y + z * z;
+        let out = self.diffuse.iter_mut().zip(self.falloff.iter_mut());
+        let out = out.zip(self.shine.iter_mut().zip(self.shine_flat.iter_mut()));
+        let normals = nx.iter().zip(ny.iter().zip(nz));
+        for (i, (((diffuse, falloff), (shine, flat)), (nx, (ny, nz)))) in
+            out.zip(normals).enumerate()
+        {
+            let x = lamp.position[0] - (start[0] + i as f32 * pixel_m);
+            let square = x * x + across;
+            let inverse = 1.0 / square.sqrt();
+            let upward = z * inverse;
+            let facing = (nx * x + ny * y) * inverse + (1.0 + nz) * upward;
+            *falloff = lamp.distance_square / square;
+            *diffuse = *falloff * (facing.max(0.0) - upward);
+            *shine = (2.0 * facing * (1.0 + nz) - upward).max(0.0);
+            *flat = upward.max(0.0);
+        }
+        raise_all(&mut self.shine, lamp.shininess);
+        raise_all(&mut self.shine_flat, lamp.shininess);
+        let flat = self.shine_flat.iter().zip(&self.falloff);
+        for (shine, (flat, falloff)) in self.shine.iter_mut().zip(flat) {
+            *shine = falloff * (*shine - flat);
+        }
+    }
+}
+
+/// Each value to the power of `exponent`, by squaring.
+fn raise_all(values: &mut [f32], exponent: u32) {
+    const BLOCK: usize = 16;
+    for block in values.chunks_mut(BLOCK) {
+        let mut square = [0.0f32; BLOCK];
+        square[..block.len()].copy_from_slice(block);
+        let mut result = [1.0f32; BLOCK];
+        let mut left = exponent;
+        while left > 0 {
+            for (result, square) in result.iter_mut().zip(&mut square) {
+                if left & 1 == 1 {
+                    *result *= *square;
+                }
+                *square *= *square;
+            }
+            left >>= 1;
+        }
+        block.copy_from_slice(&result[..block.len()]);
     }
 }
 
@@ -204,6 +285,41 @@ mod tests {
         let near = red.change([0.0, -5e-3], tilt(-1.0))[0];
         let far = red.change([0.0, 5e-3], tilt(-1.0))[0];
         assert!(near > 2.0 * far);
+    }
+
+    #[test]
+    fn rows_give_the_light_of_their_pixels() {
+        let geometry = SensorGeometry {
+            width: 37,
+            height: 5,
+            pixel_m: 2e-4,
+            gel_thickness_m: 4e-3,
+        };
+        let map: Vec<f32> = (0..185)
+            .map(|i| 1e-4 * ((i % 37) as f32 * 0.6).sin() * (i / 37) as f32)
+            .collect();
+        let mut normals = Normals::default();
+        normals.take(&map, &geometry);
+        let shading = LedShading::mini_guess();
+        let mut planes = std::array::from_fn(|_| vec![0.0; 185]);
+        shading.add(&geometry, &normals, &mut planes);
+        for i in 0..185 {
+            let [x, y] = geometry.pixel_to_gel_m((i % 37) as f64, (i / 37) as f64);
+            let normal = [normals.x[i], normals.y[i], normals.z_less_1[i]];
+            let expected: f32 = shading
+                .leds
+                .iter()
+                .map(|led| {
+                    let [d, s] = Lamp::new(led, 8).change([x as f32, y as f32], normal);
+                    led.diffuse[1] as f32 * d + led.specular[1] as f32 * s
+                })
+                .sum();
+            assert!(
+                (planes[1][i] - expected).abs() < 2e-3,
+                "{} {expected}",
+                planes[1][i]
+            );
+        }
     }
 
     #[test]

@@ -57,6 +57,30 @@ impl Normals {
             );
         }
     }
+
+    /// Lays steeper normals down to a tilt of sine `steepest`, in the direction they have.
+    pub fn limit(&mut self, steepest: f32) {
+        let Some(region) = self.region else {
+            return;
+        };
+        let flatter = (1.0 - steepest * steepest).max(0.0).sqrt() - 1.0;
+        for y in region.y0..region.y1 {
+            let span = y * self.width + region.x0..y * self.width + region.x1;
+            let plane = self.x[span.clone()].iter_mut();
+            let plane = plane.zip(self.y[span.clone()].iter_mut());
+            for ((x, y), z) in plane.zip(&mut self.z_less_1[span]) {
+                let sine = (*x * *x + *y * *y).sqrt();
+                let scale = if sine > steepest {
+                    steepest / sine
+                } else {
+                    1.0
+                };
+                *x *= scale;
+                *y *= scale;
+                *z = z.max(flatter);
+            }
+        }
+    }
 }
 
 /// −∂h/∂x along one row, one-sided at the picture's border.
@@ -110,6 +134,19 @@ mod tests {
             assert!((normals.y[i] - 0.4 / length).abs() < 2e-3);
             assert!((normals.z_less_1[i] - (1.0 / length - 1.0)).abs() < 2e-3);
         }
+    }
+
+    #[test]
+    fn steep_normals_are_laid_down_and_keep_their_direction() {
+        let map: Vec<f32> = (0..108).map(|i| 3e-4 * (i % 12) as f32).collect();
+        let mut normals = Normals::default();
+        normals.take(&map, &geometry());
+        normals.limit(0.5);
+        assert!((normals.x[50] + 0.5).abs() < 1e-6 && normals.y[50] == 0.0);
+        assert!((normals.z_less_1[50] + 1.0 - 0.75f32.sqrt()).abs() < 1e-6);
+        let before = normals.clone();
+        normals.limit(0.6);
+        assert_eq!(normals.x, before.x);
     }
 
     #[test]

@@ -71,7 +71,10 @@ impl TactileRenderer {
             plane.resize(press.depth_m.len(), 0.0);
         }
         match &self.shading {
-            ShadingModel::Polynomial(s) => s.add(&self.geometry, &self.normals, &mut self.change),
+            ShadingModel::Polynomial(s) => {
+                self.normals.limit(s.steepest as f32);
+                s.add(&self.geometry, &self.normals, &mut self.change);
+            }
             ShadingModel::Leds(s) => s.add(&self.geometry, &self.normals, &mut self.change),
         }
         Ok(&self.change)
@@ -144,3 +147,7 @@ impl TactileRenderer {
         .remedy("take the depth with the geometry of the sensor's profile"))
     }
 }
+
+#[cfg(test)]
+#[path = "renderer_test.rs"]
+mod tests;

@@ -111,6 +111,9 @@ pub struct PolynomialShading {
     pub normal: NormalOrder,
     /// Powers of the place.
     pub position: PositionOrder,
+    /// Sine of the steepest tilt that was fitted, above 0 to 1. Steeper slopes are shaded as this
+    /// one: a polynomial means nothing beyond the data.
+    pub steepest: f64,
     /// Red, grey levels: term of the normal by term of the normal, each with all terms of the
     /// place.
     pub red: Vec<f64>,
@@ -131,6 +134,15 @@ impl PolynomialShading {
     /// # Errors
     /// `Config` with the channel, the length expected and found.
     pub fn validate(&self) -> Result<()> {
+        if !(self.steepest > 0.0 && self.steepest <= 1.0) {
+            return Err(Error::new(
+                ErrorKind::Config,
+                format!(
+                    "shading.steepest must be above 0 and at most 1, found {}",
+                    self.steepest
+                ),
+            ));
+        }
         let expected = self.normal.terms() * self.position.terms();
         for (name, values) in ["red", "green", "blue"].into_iter().zip(self.channels()) {
             if values.len() != expected {
@@ -264,6 +276,7 @@ mod tests {
                 let shading = PolynomialShading {
                     normal,
                     position,
+                    steepest: 1.0,
                     red: values.clone(),
                     green: values.iter().map(|v| -v).collect(),
                     blue: values.iter().rev().copied().collect(),
@@ -291,6 +304,7 @@ mod tests {
         let mut shading = PolynomialShading {
             normal: NormalOrder::Linear,
             position: PositionOrder::Linear,
+            steepest: 1.0,
             red: vec![0.0; 9],
             green: vec![0.0; 8],
             blue: vec![0.0; 9],
@@ -298,6 +312,9 @@ mod tests {
         let text = shading.validate().unwrap_err().to_string();
         assert!(text.contains("green") && text.contains("found 8"), "{text}");
         shading.green = vec![f64::NAN; 9];
+        assert!(shading.validate().is_err());
+        shading.green = vec![0.0; 9];
+        shading.steepest = 0.0;
         assert!(shading.validate().is_err());
     }
 

@@ -139,7 +139,7 @@ fn wrong_input_is_explained() {
             "must be a folder",
         ),
         (
-            format!("--trace {trace} --side left --object builtin:mug --out {out}"),
+            format!("--trace {trace} --side left --object builtin:box --out {out}"),
             1,
             "another mesh",
         ),

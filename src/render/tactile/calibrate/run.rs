@@ -55,6 +55,8 @@ pub struct CalibrateOptions {
     pub serial: String,
     /// Crop that makes such pictures of the sensor's frames.
     pub crop_profile: CropProfile,
+    /// Added to the profile's provenance: where the presses come from.
+    pub note: String,
 }
 
 impl CalibrateOptions {
@@ -70,6 +72,7 @@ impl CalibrateOptions {
             name: "sensor".to_owned(),
             serial: String::new(),
             crop_profile: CropProfile::GSMINI_SEVENTH,
+            note: String::new(),
         }
     }
 }
@@ -258,12 +261,14 @@ fn provenance(
     options: &CalibrateOptions,
 ) -> String {
     let found = set.presses.iter().filter(|press| press.found).count();
-    format!(
+    let text = format!(
         "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
-         {found} found in the pictures).",
+         {found} found in the pictures). {}",
         set.ball_m * 2e3,
-        options.seed
-    )
+        options.seed,
+        options.note
+    );
+    text.trim_end().to_owned()
 }
 
 /// Mean level of the untouched gel, per channel.
@@ -354,3 +359,7 @@ fn report(
         noise_std: profile.noise_std,
     }
 }
+
+#[cfg(test)]
+#[path = "run_test.rs"]
+mod tests;

@@ -113,6 +113,11 @@ pub(super) fn choose(
     let shading = PolynomialShading {
         normal: model.normal,
         position: model.position,
+        steepest: sums
+            .iter()
+            .map(|s| s.steepest)
+            .fold(0.0, f64::max)
+            .clamp(0.05, 1.0),
         red: column(0),
         green: column(1),
         blue: column(2),

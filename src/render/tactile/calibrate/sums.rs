@@ -35,6 +35,8 @@ pub(super) struct PressSums {
     pub(super) fit: SquareSums,
     /// Where it is scored.
     pub(super) patch: SquareSums,
+    /// Sine of the steepest tilt in the press.
+    pub(super) steepest: f64,
 }
 
 /// Places of the terms of a smaller shading among those of the largest.
@@ -76,6 +78,12 @@ impl PressSums {
         Self {
             fit: over(&|d| d < radius + FIT_PX),
             patch: over(&|d| in_patch(d, radius)),
+            steepest: normals
+                .x
+                .iter()
+                .zip(&normals.y)
+                .map(|(x, y)| f64::from(x.hypot(*y)))
+                .fold(0.0, f64::max),
         }
     }
 }
