@@ -336,7 +336,7 @@ fn surface_material(surface: GripperSurface, print: [f32; 3]) -> Material {
         GripperSurface::Anodised => plastic([0.028, 0.028, 0.032], 0.32),
         GripperSurface::Steel => Material::Conductor {
             eta: [3.11, 3.18, 2.32],
-            k: [3.33, 3.33, 3.14],
+            k: [3.33, 3.33, 3.145],
             roughness: 0.4,
         },
         GripperSurface::Rubber => plastic([0.022; 3], 0.7),

@@ -97,7 +97,7 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let tile = srgb(stream.pick([0xe9e7e1, 0xcfd6d8, 0xb9a58c, 0x6f8088, 0x3d4246]));
     let grout = srgb(stream.pick([0x9b9790, 0x5f5c58, 0xd2cfc8]));
     let count = stream.pick([2_u32, 3, 4]);
-    let is_bond = stream.uniform() < 0.4 && count % 2 == 0;
+    let is_bond = stream.uniform() < 0.4 && count.is_multiple_of(2);
     let seed = stream.bits();
     let tile_m = 0.4;
     let half_joint = 0.0015 / tile_m as f32 * count as f32;
