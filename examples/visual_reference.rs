@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use gripcast::render::visual::{
-    Bitmap, Camera, Colour, Environment, Material, Mesh, Picture, PixelFilter, RenderSettings,
-    Renderer, Scene, Texture, Watch,
+    Bitmap, Camera, Colour, DenoiseSettings, Environment, Material, Mesh, Picture, PixelFilter,
+    RenderSettings, Renderer, Rendering, Scene, Texture, Watch, denoise,
 };
 use image::{Rgb, RgbImage};
 use serde_json::json;
@@ -45,7 +45,7 @@ fn main() -> Done<()> {
     let started = cpu_seconds();
     let renderer = Renderer::new(&scene)?;
     let prepare_s = cpu_seconds() - started;
-    let render = |samples: u32, seed: u64| -> Done<(Picture, f64)> {
+    let render = |samples: u32, seed: u64| -> Done<(Rendering, f64)> {
         let settings = RenderSettings {
             samples,
             max_bounces: 5,
@@ -56,24 +56,33 @@ fn main() -> Done<()> {
         };
         let started = cpu_seconds();
         let rendering = renderer.render(&scene.camera, &settings, &Watch::default())?;
-        Ok((rendering.picture, cpu_seconds() - started))
+        Ok((rendering, cpu_seconds() - started))
     };
     let mut figures = Vec::new();
     let reference = match options.reference {
         0 => None,
         samples => {
-            let (picture, cpu_s) = render(samples, 1)?;
+            let (Rendering { picture, .. }, cpu_s) = render(samples, 1)?;
             save(&picture, &options.out.join("reference"))?;
             figures.push(json!({"samples": samples, "cpu_s": cpu_s, "mean": picture.mean()}));
             Some(picture)
         }
     };
     for &samples in &options.samples {
-        let (picture, cpu_s) = render(samples, 2)?;
+        let (rendering, cpu_s) = render(samples, 2)?;
+        let started = cpu_seconds();
+        let smooth = denoise(&rendering, &DenoiseSettings::default());
+        let denoise_cpu_s = cpu_seconds() - started;
+        let picture = rendering.picture;
         save(&picture, &options.out.join(format!("samples{samples}")))?;
-        let rmse = reference.as_ref().map(|r| picture.rmse(r)).transpose()?;
+        save(
+            &smooth,
+            &options.out.join(format!("samples{samples}denoised")),
+        )?;
+        let error = |picture: &Picture| reference.as_ref().map(|r| picture.rmse(r)).transpose();
         figures.push(json!({
-            "samples": samples, "cpu_s": cpu_s, "rmse": rmse, "mean": picture.mean(),
+            "samples": samples, "cpu_s": cpu_s, "rmse": error(&picture)?, "mean": picture.mean(),
+            "denoise_cpu_s": denoise_cpu_s, "denoised_rmse": error(&smooth)?,
         }));
     }
     let triangles: usize = scene.meshes.iter().map(|m| m.triangles.len()).sum();
@@ -101,7 +110,10 @@ fn options() -> Done<Options> {
             "--hdr" => options.hdr = Some(value()?.into()),
             "--material" => options.material = value()?,
             "--samples" => {
-                options.samples = value()?.split(',').map(str::parse).collect::<Result<_, _>>()?;
+                options.samples = value()?
+                    .split(',')
+                    .map(str::parse)
+                    .collect::<Result<_, _>>()?;
             }
             "--reference" => options.reference = value()?.parse()?,
             "--threads" => rayon::ThreadPoolBuilder::new()
@@ -121,7 +133,10 @@ fn options() -> Done<Options> {
 fn cpu_seconds() -> f64 {
     let stat = fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
     let own = |text: &str| text.split(' ').next().and_then(|t| t.parse::<f64>().ok());
-    let tasks = fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let tasks = fs::read_dir("/proc/self/task")
+        .into_iter()
+        .flatten()
+        .flatten();
     let all = tasks.filter_map(|t| own(&fs::read_to_string(t.path().join("schedstat")).ok()?));
     all.sum::<f64>().max(own(&stat).unwrap_or(0.0)) * 1e-9
 }
@@ -154,17 +169,18 @@ fn scene(options: &Options) -> Done<Scene> {
             let picture = image::open(path)?.into_rgb32f();
             let (width, height) = picture.dimensions();
             let pixels = picture.pixels().map(|p| p.0).collect();
-            Environment::new(Picture::from_pixels(width as usize, height as usize, pixels)?)
+            Environment::new(Picture::from_pixels(
+                width as usize,
+                height as usize,
+                pixels,
+            )?)
         }
         None => Environment::new(sky(1024, 512)),
     };
     let eye = DVec3::new(0.26, -0.16, 0.2);
     let pose = Camera::looking_at(eye, DVec3::new(0.0, 0.0, 0.05)).ok_or("no view")?;
     Ok(Scene {
-        meshes: vec![
-            blob(282, 142, 0),
-            Mesh::ground(Vec3::ZERO, 0.5, 0.25, 1),
-        ],
+        meshes: vec![blob(282, 142, 0), Mesh::ground(Vec3::ZERO, 0.5, 0.25, 1)],
         materials: vec![
             material,
             Material::Diffuse {
@@ -172,8 +188,16 @@ fn scene(options: &Options) -> Done<Scene> {
             },
         ],
         textures: vec![
-            Texture::Bitmap(Bitmap::from_srgb8(&stripes(512, [200, 90, 40], [230, 220, 190]))?),
-            Texture::Bitmap(Bitmap::from_srgb8(&stripes(512, [110, 80, 50], [170, 140, 100]))?),
+            Texture::Bitmap(Bitmap::from_srgb8(&stripes(
+                512,
+                [200, 90, 40],
+                [230, 220, 190],
+            ))?),
+            Texture::Bitmap(Bitmap::from_srgb8(&stripes(
+                512,
+                [110, 80, 50],
+                [170, 140, 100],
+            ))?),
         ],
         environment,
         camera: Camera::centred(320, 240, 0.75, pose),
@@ -244,7 +268,11 @@ fn stripes(size: u32, dark: [u8; 3], light: [u8; 3]) -> RgbImage {
 /// Soft sky with two bright spots.
 fn sky(width: usize, height: usize) -> Picture {
     let spots = [
-        (DVec3::new(0.3, -0.6, 0.6).normalize(), 60.0, [1.0, 0.9, 0.7]),
+        (
+            DVec3::new(0.3, -0.6, 0.6).normalize(),
+            60.0,
+            [1.0, 0.9, 0.7],
+        ),
         (DVec3::new(0.5, 0.8, 0.4).normalize(), 25.0, [0.6, 0.8, 1.0]),
     ];
     let mut picture = Picture::filled(width, height, [0.0; 3]);
@@ -295,10 +323,15 @@ fn export(scene: &Scene, out: &Path) -> Done<()> {
     }
     for (t, texture) in scene.textures.iter().enumerate() {
         if let Texture::Bitmap(bitmap) = texture {
-            bitmap.to_srgb8().save(out.join(format!("texture{t}.png")))?;
+            bitmap
+                .to_srgb8()
+                .save(out.join(format!("texture{t}.png")))?;
         }
     }
-    write_pfm(&with_poles(&scene.environment.map), &out.join("environment.pfm"))?;
+    write_pfm(
+        &with_poles(&scene.environment.map),
+        &out.join("environment.pfm"),
+    )?;
     let materials: Vec<_> = scene.materials.iter().map(material_json).collect();
     let camera = &scene.camera;
     let axes = camera.t_world_camera.rotation_matrix();

@@ -3,7 +3,8 @@
 //! Between the centres of four texels radiance is bilinear, and so is the density of the samples:
 //! luminance times the sine of the polar angle at each row of centres. A patch between centres is
 //! chosen by inverting cumulative sums, which keeps evenly spread numbers evenly spread; the place
-//! in it by inverting two linear densities.
+//! in it by inverting two linear densities. What is looked up at random is kept small, as the time
+//! goes by what misses the caches: sums for groups of patches only, texels of 8 bytes.
 
 use std::f32::consts::PI;
 
@@ -35,13 +36,52 @@ impl Incident {
     };
 }
 
+/// Patches of a row that share an entry of the cumulative sums.
+const GROUP: usize = 4;
+
+/// Intervals of a guide for each entry.
+const INTERVALS: usize = 2;
+
+/// Radiance of a texel: three values of 18 bits and their common exponent.
+#[derive(Clone, Copy, Debug)]
+struct Texel(u64);
+
+impl Texel {
+    const BITS: u32 = 18;
+    const MASK: u64 = (1 << Self::BITS) - 1;
+    /// Radiance below this is darkness.
+    const LEAST: f32 = 1e-30;
+
+    fn new(rgb: [f32; 3]) -> Self {
+        let largest = rgb.into_iter().fold(0.0, f32::max);
+        if largest < Self::LEAST {
+            return Self(0);
+        }
+        // Exponent field of the power of two that one step stands for.
+        let step = (largest.to_bits() >> 23) + 1 - Self::BITS;
+        let unit = f32::from_bits(step << 23);
+        let [r, g, b] = rgb.map(|v| ((v / unit).round() as u64).min(Self::MASK));
+        Self(u64::from(step) << (3 * Self::BITS) | b << (2 * Self::BITS) | g << Self::BITS | r)
+    }
+
+    /// Red, green, blue and luminance.
+    #[inline(always)]
+    fn light(self) -> Vec4 {
+        let unit = f32::from_bits(((self.0 >> (3 * Self::BITS)) as u32) << 23);
+        let r = (self.0 & Self::MASK) as i32 as f32;
+        let g = (self.0 >> Self::BITS & Self::MASK) as i32 as f32;
+        let b = (self.0 >> (2 * Self::BITS) & Self::MASK) as i32 as f32;
+        Vec4::new(r, g, b, luminance([r, g, b])) * unit
+    }
+}
+
 /// Cumulative sums of many distributions with the same number of entries.
 #[derive(Debug)]
 struct Cumulative {
     entries: usize,
     /// `entries + 1` sums from 0 to 1 each.
     sums: Vec<f32>,
-    /// For each of `entries` equal intervals of [0, 1) the entry that holds its start.
+    /// For each of `INTERVALS * entries` equal intervals of [0, 1) the entry that holds its start.
     guide: Vec<u16>,
 }
 
@@ -50,13 +90,15 @@ struct Cumulative {
 pub(super) struct Dome {
     width: usize,
     height: usize,
-    /// Radiance and its luminance, row by row.
-    texels: Vec<Vec4>,
+    /// Row by row.
+    texels: Vec<Texel>,
     /// Sine of the polar angle at the edges of the rows of patches: the poles and the rows of
     /// texel centres.
     sines: Vec<f32>,
+    /// Of the rows of patches.
     rows: Cumulative,
-    columns: Cumulative,
+    /// Of the groups of patches in each row.
+    groups: Cumulative,
     /// 1 / integral of the density over the unit square; 0 for darkness.
     inverse_total: f32,
     /// Rotation in turns.
@@ -76,7 +118,7 @@ impl Cumulative {
         Self {
             entries,
             sums: Vec::with_capacity((entries + 1) * distributions),
-            guide: Vec::with_capacity(entries * distributions),
+            guide: Vec::with_capacity(INTERVALS * entries * distributions),
         }
     }
 
@@ -93,8 +135,8 @@ impl Cumulative {
         }
         let sums = &self.sums[first..];
         let mut entry = 0;
-        for interval in 0..self.entries {
-            let start = interval as f32 / self.entries as f32;
+        for interval in 0..INTERVALS * self.entries {
+            let start = interval as f32 / (INTERVALS * self.entries) as f32;
             while entry + 1 < self.entries && sums[entry + 1] <= start {
                 entry += 1;
             }
@@ -106,12 +148,18 @@ impl Cumulative {
     /// Entry of a distribution for a number in [0, 1), and how far in the entry it lies.
     #[inline(always)]
     fn invert(&self, distribution: usize, u: f32) -> (usize, f32) {
-        let interval = ((u * self.entries as f32) as usize).min(self.entries - 1);
-        let mut entry = usize::from(self.guide[distribution * self.entries + interval]);
+        let intervals = INTERVALS * self.entries;
+        let interval = ((u * intervals as f32) as usize).min(intervals - 1);
+        let mut entry = usize::from(self.guide[distribution * intervals + interval]);
         let sums = &self.sums[distribution * (self.entries + 1)..][..self.entries + 1];
+        // The first steps without branches: a branch that waits for memory and is then guessed
+        // wrongly would end the overlap with the next look-up. The last sum is 1 and never passed.
+        entry += usize::from(sums[entry + 1] <= u);
+        entry += usize::from(sums[(entry + 1).min(self.entries)] <= u);
         while entry + 1 < self.entries && sums[entry + 1] <= u {
             entry += 1;
         }
+        let entry = entry.min(self.entries - 1);
         let (low, high) = (sums[entry], sums[entry + 1]);
         let width = high - low;
         let within = if width > 0.0 { (u - low) / width } else { 0.5 };
@@ -137,8 +185,8 @@ impl Dome {
     pub(super) fn new(environment: &Environment) -> Self {
         let (width, height) = (environment.map.width, environment.map.height);
         let texel = |p: &[f32; 3]| {
-            let [r, g, b] = p.map(|v| v * environment.intensity);
-            Vec4::new(r, g, b, luminance([r, g, b]))
+            // Light that is too bright for the format of the texels is as bright as it can be.
+            Texel::new(p.map(|v| (v * environment.intensity).min(1e30)))
         };
         let edge = |e: usize| (e as f64 - 0.5).clamp(0.0, height as f64) / height as f64;
         let sines: Vec<f32> = (0..height + 2)
@@ -150,11 +198,12 @@ impl Dome {
             texels: environment.map.pixels.iter().map(texel).collect(),
             sines,
             rows: Cumulative::new(height + 1, 1),
-            columns: Cumulative::new(0, 0),
+            groups: Cumulative::new(0, 0),
             inverse_total: 0.0,
             turn: (environment.rotation_rad / (2.0 * PI)).rem_euclid(1.0),
         };
-        let mut columns = Cumulative::new(width, height + 1);
+        let group_count = width.div_ceil(GROUP);
+        let mut groups = Cumulative::new(group_count, height + 1);
         let mut masses = Vec::with_capacity(height + 1);
         for row in 0..=height {
             let weight = |column: usize| {
@@ -162,10 +211,12 @@ impl Dome {
                 let [top, bottom] = [row, row + 1].map(|e| f64::from(dome.sines[e]));
                 0.25 * (top * (a + b) + bottom * (c + d))
             };
-            let mass = columns.push((0..width).map(weight));
+            let group = |g: usize| (g * GROUP..width.min((g + 1) * GROUP)).map(weight).sum();
+            let weights: Vec<f64> = (0..group_count).map(group).collect();
+            let mass = groups.push(weights.into_iter());
             masses.push(mass * (edge(row + 1) - edge(row)) / width as f64);
         }
-        dome.columns = columns;
+        dome.groups = groups;
         let total = dome.rows.push(masses.iter().copied());
         if total > 0.0 {
             dome.inverse_total = (1.0 / total) as f32;
@@ -184,11 +235,52 @@ impl Dome {
         let top = row.saturating_sub(1) * self.width;
         let bottom = row.min(self.height - 1) * self.width;
         [
-            self.texels[top + column],
-            self.texels[top + next],
-            self.texels[bottom + column],
-            self.texels[bottom + next],
+            self.texels[top + column].light(),
+            self.texels[top + next].light(),
+            self.texels[bottom + column].light(),
+            self.texels[bottom + next].light(),
         ]
+    }
+
+    /// Chooses a patch of a group in proportion to its weight: its column, what is left of the
+    /// number, and its corners.
+    #[inline(always)]
+    fn choose(&self, row: usize, group: usize, u: f32) -> (usize, f32, [Vec4; 4]) {
+        let first = group * GROUP;
+        let count = GROUP.min(self.width - first);
+        let top = row.saturating_sub(1) * self.width;
+        let bottom = row.min(self.height - 1) * self.width;
+        let [sine_top, sine_bottom] = [self.sines[row], self.sines[row + 1]];
+        let mut above = [Vec4::ZERO; GROUP + 1];
+        let mut below = [Vec4::ZERO; GROUP + 1];
+        // Absent patches have no end that could be passed.
+        let mut sums = [f32::INFINITY; GROUP + 1];
+        sums[0] = 0.0;
+        for k in 0..=count {
+            let column = first + k;
+            let column = if column == self.width { 0 } else { column };
+            above[k] = self.texels[top + column].light();
+            below[k] = self.texels[bottom + column].light();
+            if k > 0 {
+                let weight = sine_top * (above[k - 1].w + above[k].w)
+                    + sine_bottom * (below[k - 1].w + below[k].w);
+                sums[k] = sums[k - 1] + weight;
+            }
+        }
+        let target = u * sums[count];
+        let mut k = 0;
+        for end in &sums[1..GROUP] {
+            k += usize::from(*end <= target);
+        }
+        let k = k.min(count - 1);
+        let width = sums[k + 1] - sums[k];
+        let rest = if width > 0.0 {
+            (target - sums[k]) / width
+        } else {
+            0.5
+        };
+        let corners = [above[k], above[k + 1], below[k], below[k + 1]];
+        (first + k, rest.clamp(0.0, 1.0), corners)
     }
 
     /// Radiance and density at a place in the patch with these corners.
@@ -249,8 +341,8 @@ impl Dome {
     #[inline(always)]
     pub(super) fn sample(&self, [u1, u2]: [f32; 2]) -> Incident {
         let (row, u1) = self.rows.invert(0, u1);
-        let (column, u2) = self.columns.invert(row, u2);
-        let corners = self.corners(row, column);
+        let (group, u2) = self.groups.invert(row, u2);
+        let (column, u2, corners) = self.choose(row, group, u2);
         let [a, b, c, d] = [corners[0].w, corners[1].w, corners[2].w, corners[3].w];
         let [top, bottom] = [self.sines[row], self.sines[row + 1]];
         let fy = invert_linear(top * (a + b), bottom * (c + d), u1);

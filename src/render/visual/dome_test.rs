@@ -67,7 +67,8 @@ fn density_is_proportional_to_luminance_and_integrates_to_one() {
             let light = dome.light_from(direction);
             sum += f64::from(light.pdf * polar.sin());
             let value = luminance(light.radiance.to_array());
-            if value > 0.05 && (0.3..2.8).contains(&polar) {
+            // Not beside the sun: there the sine is that of its row.
+            if (0.05..0.5).contains(&value) && (0.3..2.8).contains(&polar) {
                 ratios.push(light.pdf / value);
             }
         }
@@ -75,9 +76,9 @@ fn density_is_proportional_to_luminance_and_integrates_to_one() {
     let cell = 2.0 * std::f64::consts::PI.powi(2) / f64::from(rows * columns);
     assert!((sum * cell - 1.0).abs() < 2e-3, "{}", sum * cell);
     ratios.sort_by(f32::total_cmp);
-    // Only the interpolation of the sine between rows makes a difference.
+    // Only the interpolation of the sine between the coarse rows makes a difference.
     let (low, high) = (ratios[0], ratios[ratios.len() - 1]);
-    assert!(high / low < 1.02, "{low} {high}");
+    assert!(high / low < 1.15, "{low} {high}");
 }
 
 #[test]
@@ -138,4 +139,25 @@ fn darkness_is_never_sampled() {
     assert_eq!(dome.light_from(Vec3::X).pdf, 0.0);
     let dome = Dome::new(&varied());
     assert!(samples(&dome, 4096).iter().all(|l| l.pdf > 0.0));
+}
+
+#[test]
+fn texels_keep_five_digits_of_the_brightest_channel() {
+    for rgb in [
+        [0.0; 3],
+        [1.0, 0.5, 0.25],
+        [69_120.0, 3.0, 0.1],
+        [1e-6, 2e-7, 0.0],
+        [1e30; 3],
+    ] {
+        let light = Texel::new(rgb).light();
+        let largest = rgb.into_iter().fold(0.0, f32::max);
+        for k in 0..3 {
+            assert!(
+                (light[k] - rgb[k]).abs() <= 4e-6 * largest,
+                "{rgb:?} {light}"
+            );
+        }
+        assert!((light.w - luminance(rgb)).abs() <= 8e-6 * largest);
+    }
 }

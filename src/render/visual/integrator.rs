@@ -28,6 +28,10 @@ const CHOICE_PAIR: usize = 3;
 
 /// How light is looked for. All ways have the same mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(
+    not(test),
+    expect(dead_code, reason = "single ways are there to be compared in tests")
+)]
 pub(super) enum Strategy {
     /// Both ways, weighted by the power heuristic.
     #[default]

@@ -103,13 +103,14 @@ fn white_things_vanish_in_a_white_furnace() {
         // Flat faces: the shading normals of smooth ones lose a little at the rim.
         scene.meshes[0].normals.clear();
         let settings = RenderSettings {
-            max_bounces: 64,
-            roulette_from: 64,
+            max_bounces: 1000,
+            roulette_from: 1000,
             ..settings(64)
         };
         let rendering = render(&scene, &settings);
         let mean = rendering.picture.mean();
-        assert!((mean[0] - 1.0).abs() < 3e-3, "{material:?}: {mean:?}");
+        // Rough glass by interpolated tables, several times along a path.
+        assert!((mean[0] - 1.0).abs() < 5e-3, "{material:?}: {mean:?}");
         let ball = rendering.depth_m.iter().filter(|d| **d > 0.0).count();
         assert!(ball > SIZE * SIZE / 3);
     }
@@ -248,16 +249,16 @@ fn textures_are_seen_where_they_are() {
     let down = glam::DQuat::from_rotation_x(std::f64::consts::PI);
     scene.camera = Camera::centred(4, 4, 0.9, Pose::new(down, DVec3::Z));
     let rendering = render(&scene, &settings(16));
-    // The texture spans [0, 0.5] × [-0.5, 0] with its top-left corner in the middle of the ground.
     let colour = |column: usize, row: usize| {
         let p = rendering.picture.at(column, row);
         [p[0] > 0.5, p[1] > 0.5, p[2] > 0.5]
     };
-    // x to the right and, for a camera turned about x, y up in the picture.
-    assert_eq!(colour(2, 2), [true, false, false]);
-    assert_eq!(colour(3, 2), [false, true, false]);
-    assert_eq!(colour(2, 3), [false, false, true]);
-    assert_eq!(colour(3, 3), [true, true, true]);
+    // Turned about x, the camera sees +x to the right and +y up. The top-left texel lies at
+    // positive x and, as v runs down, negative y; the others follow by repetition.
+    assert_eq!(colour(3, 3), [true, false, false]);
+    assert_eq!(colour(0, 3), [false, true, false]);
+    assert_eq!(colour(3, 0), [false, false, true]);
+    assert_eq!(colour(0, 0), [true, true, true]);
 }
 
 #[test]

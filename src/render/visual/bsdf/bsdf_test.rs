@@ -60,7 +60,7 @@ fn sampled_albedo(material: &Prepared, outgoing: Vec3) -> Vec3 {
 /// Integrals of value and density over directions; the sphere is cut into cells that are fine
 /// around the mirror direction and the normal.
 fn integrals(bsdf: &Bsdf<'_>, outgoing: Vec3, below: bool) -> (Vec3, f32) {
-    let (steps, turns) = (600, 240);
+    let (steps, turns) = (300, 120);
     let (mut value, mut pdf) = (glam::DVec3::ZERO, 0.0f64);
     for i in 0..steps {
         let cos = (i as f32 + 0.5) / steps as f32;
