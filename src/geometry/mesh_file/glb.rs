@@ -12,6 +12,9 @@ use super::{from_f32, malformed};
 use crate::error::{Error, Result};
 use crate::geometry::mesh::TriangleMesh;
 
+/// Reads one coordinate of an element.
+type ReadPart = fn(&[u8], usize) -> f32;
+
 /// Reads the bytes of a file beside the document.
 type Beside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
@@ -359,20 +362,20 @@ impl Gltf {
     /// Texture coordinates: floats, or integers that stand for 0 to 1.
     fn uvs(&self, index: usize) -> Result<Vec<[f64; 2]>> {
         let accessor = item(&self.document.accessors, index, "accessor")?;
-        let read: (usize, fn(&[u8], usize) -> f32) =
-            match (accessor.component_type, accessor.dimensions.as_str()) {
-                (FLOAT, "VEC2") => (4, |bytes, k| float(bytes, 4 * k)),
-                (UNSIGNED_BYTE, "VEC2") => (1, |bytes, k| f32::from(bytes[k]) / 255.0),
-                (UNSIGNED_SHORT, "VEC2") => (2, |bytes, k| {
-                    f32::from(u16::from_le_bytes([bytes[2 * k], bytes[2 * k + 1]])) / 65535.0
-                }),
-                (found, dimensions) => {
-                    return Err(malformed(format!(
-                        "texture coordinates must be VEC2 of floats or normalised integers, \
+        let read: (usize, ReadPart) = match (accessor.component_type, accessor.dimensions.as_str())
+        {
+            (FLOAT, "VEC2") => (4, |bytes, k| float(bytes, 4 * k)),
+            (UNSIGNED_BYTE, "VEC2") => (1, |bytes, k| f32::from(bytes[k]) / 255.0),
+            (UNSIGNED_SHORT, "VEC2") => (2, |bytes, k| {
+                f32::from(u16::from_le_bytes([bytes[2 * k], bytes[2 * k + 1]])) / 65535.0
+            }),
+            (found, dimensions) => {
+                return Err(malformed(format!(
+                    "texture coordinates must be VEC2 of floats or normalised integers, \
                          found {dimensions} of {found}"
-                    )));
-                }
-            };
+                )));
+            }
+        };
         let (size, part) = read;
         let all = elements(&self.document, accessor, 2 * size, &self.buffers);
         Ok(all

@@ -76,8 +76,8 @@ pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> PaintedSurface 
     let picture = paint_by_place(size_px, |x, y| {
         let stain = mix(0.8, 1.15, fractal(seed, x, y, [3, 3], 6));
         let sand = mix(0.93, 1.05, value(seed ^ 0x31, x, y, [220, 220]));
-        let (near, _, id) = cellular(seed ^ 0x32, x, y, 36);
-        let radius = 0.2 * (id * 7.0).fract();
+        let (near, _, id) = cellular(seed ^ 0x32, x, y, 60);
+        let radius = 0.16 * (id * 7.0).fract().powi(2);
         let pore = if id < 0.3 {
             1.0 - smoothstep(0.5 * radius, radius + 0.01, near)
         } else {
@@ -97,7 +97,7 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let tile = srgb(stream.pick([0xe9e7e1, 0xcfd6d8, 0xb9a58c, 0x6f8088, 0x3d4246]));
     let grout = srgb(stream.pick([0x9b9790, 0x5f5c58, 0xd2cfc8]));
     let count = stream.pick([2_u32, 3, 4]);
-    let is_bond = stream.uniform() < 0.4 && count % 2 == 0;
+    let is_bond = stream.uniform() < 0.4 && count.is_multiple_of(2);
     let seed = stream.bits();
     let tile_m = 0.4;
     let half_joint = 0.0015 / tile_m as f32 * count as f32;
