@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 use gripcast::render::visual::{
     Bitmap, Camera, Colour, DenoiseSettings, Environment, Material, Mesh, Picture, PixelFilter,
-    RenderSettings, Renderer, Rendering, Scene, Texture, Watch, denoise,
+    RenderSettings, Renderer, Rendering, Scene, Texture, Watch, denoise, load_hdr,
 };
 use image::{Rgb, RgbImage};
 use serde_json::json;
@@ -165,16 +165,7 @@ fn scene(options: &Options) -> Done<Scene> {
         other => return Err(format!("there is no material {other}").into()),
     };
     let environment = match &options.hdr {
-        Some(path) => {
-            let picture = image::open(path)?.into_rgb32f();
-            let (width, height) = picture.dimensions();
-            let pixels = picture.pixels().map(|p| p.0).collect();
-            Environment::new(Picture::from_pixels(
-                width as usize,
-                height as usize,
-                pixels,
-            )?)
-        }
+        Some(path) => Environment::new(load_hdr(path)?),
         None => Environment::new(sky(1024, 512)),
     };
     let eye = DVec3::new(0.26, -0.16, 0.2);

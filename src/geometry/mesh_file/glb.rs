@@ -12,6 +12,9 @@ use super::{from_f32, malformed};
 use crate::error::{Error, Result};
 use crate::geometry::mesh::TriangleMesh;
 
+/// Reads one coordinate of an element.
+type ReadPart = fn(&[u8], usize) -> f32;
+
 /// Reads the bytes of a file beside the document.
 type Beside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
@@ -358,9 +361,9 @@ impl Gltf {
 
     /// Texture coordinates: floats, or integers that stand for 0 to 1.
     fn uvs(&self, index: usize) -> Result<Vec<[f64; 2]>> {
-        type ReadUv = fn(&[u8], usize) -> f32;
         let accessor = item(&self.document.accessors, index, "accessor")?;
-        let read: (usize, ReadUv) = match (accessor.component_type, accessor.dimensions.as_str()) {
+        let read: (usize, ReadPart) = match (accessor.component_type, accessor.dimensions.as_str())
+        {
             (FLOAT, "VEC2") => (4, |bytes, k| float(bytes, 4 * k)),
             (UNSIGNED_BYTE, "VEC2") => (1, |bytes, k| f32::from(bytes[k]) / 255.0),
             (UNSIGNED_SHORT, "VEC2") => (2, |bytes, k| {

@@ -181,7 +181,10 @@ mod tests {
         assert_eq!(object.load(&trace).unwrap(), prepared.mesh);
         object.scale = 1.01;
         let text = object.load(&trace).unwrap_err().to_string();
-        assert!(text.contains("not the one that was simulated"), "{text}");
+        assert!(
+            text.contains("another mesh than the simulated one"),
+            "{text}"
+        );
         object.source = "lost.obj".to_owned();
         assert_eq!(object.load(&trace).unwrap_err().kind(), ErrorKind::NotFound);
     }

@@ -11,6 +11,10 @@ use crate::error::{Error, ErrorKind, Result, nearest_name};
 /// Width and height of painted textures, px.
 const TEXTURE_PX: u32 = 512;
 
+/// Index and extinction of chromium, which stainless steel looks like, at 630, 532 and 465 nm
+/// (Rakic et al., Applied Optics, 1998).
+pub(super) const STEEL: [[f32; 3]; 2] = [[3.11, 3.18, 2.32], [3.33, 3.33, 3.135]];
+
 /// Material of a whole body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finish {
@@ -65,7 +69,7 @@ impl Finish {
         seed: u64,
         texture: usize,
     ) -> Result<(Material, Option<(Texture, f64)>)> {
-        // Index and extinction at 630, 532 and 465 nm (Rakic et al., Applied Optics, 1998).
+        // Index and extinction as those of steel.
         let (eta, k, roughness) = match self {
             Self::Painted(pattern) => {
                 let painted = pattern.paint(TEXTURE_PX, seed);
@@ -86,7 +90,7 @@ impl Finish {
                 };
                 return Ok((material, None));
             }
-            Self::Steel => ([3.11, 3.18, 2.32], [3.33, 3.33, 3.145], 0.22),
+            Self::Steel => (STEEL[0], STEEL[1], 0.22),
             Self::Aluminium => ([1.35, 0.97, 0.62], [7.47, 6.40, 5.30], 0.25),
             Self::Copper => ([0.20, 0.92, 1.10], [3.91, 2.45, 2.14], 0.2),
             Self::Gold => ([0.14, 0.37, 1.44], [3.98, 2.39, 1.60], 0.18),

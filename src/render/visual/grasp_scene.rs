@@ -8,6 +8,7 @@ use glam::{DQuat, DVec3, Vec3};
 use super::camera::Camera;
 use super::conditions::{GroundChoice, VisualConditions};
 use super::d435::{colour_camera, t_gripper_camera};
+use super::finish::STEEL;
 use super::gripper::{GripperSurface, gripper_parts};
 use super::material::{Colour, Material};
 use super::model::Model;
@@ -335,8 +336,8 @@ fn surface_material(surface: GripperSurface, print: [f32; 3]) -> Material {
         GripperSurface::Print => plastic(print, 0.5),
         GripperSurface::Anodised => plastic([0.028, 0.028, 0.032], 0.32),
         GripperSurface::Steel => Material::Conductor {
-            eta: [3.11, 3.18, 2.32],
-            k: [3.33, 3.33, 3.145],
+            eta: STEEL[0],
+            k: STEEL[1],
             roughness: 0.4,
         },
         GripperSurface::Rubber => plastic([0.022; 3], 0.7),

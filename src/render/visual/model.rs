@@ -8,6 +8,7 @@ use glam::{DVec3, Vec3};
 use super::bitmap_file;
 use super::finish::Finish;
 use super::material::{Colour, Material};
+use super::pattern::Pattern;
 use super::scene::{Mesh, Scene};
 use super::shading::{CREASE_RAD, Projection, shaded_mesh};
 use super::texture::{Bitmap, Texture};
@@ -51,7 +52,7 @@ impl Model {
     pub fn plain(shape: &TriangleMesh, finish: Finish, seed: u64) -> Result<Self> {
         let (material, texture) = finish.material(seed, 0)?;
         let (textures, projection) = match texture {
-            Some((texture, tile_m)) => (vec![texture], Projection::Box(tile_m)),
+            Some((texture, tile_m)) => (vec![texture], projection(shape, finish, tile_m)),
             None => (Vec::new(), Projection::None),
         };
         Ok(Self {
@@ -155,6 +156,17 @@ impl Model {
     pub fn positions(&self) -> impl Iterator<Item = DVec3> {
         let all = self.meshes.iter().flat_map(|mesh| &mesh.positions);
         all.map(|p| p.as_dvec3())
+    }
+}
+
+/// How a painted surface lies on a shape: a print fits it once, the others keep their own size.
+fn projection(shape: &TriangleMesh, finish: Finish, tile_m: f64) -> Projection {
+    let bounds = shape.bounds();
+    let extent = bounds.extent().max_element();
+    let fits = matches!(finish, Finish::Painted(Pattern::Print)) && extent > 0.0;
+    Projection::Box {
+        width_m: if fits { extent } else { tile_m },
+        origin_m: if fits { bounds.min } else { DVec3::ZERO },
     }
 }
 
@@ -281,7 +293,10 @@ impl Build<'_> {
             ));
         }
         let projection = if needs_projection {
-            Projection::Box(width)
+            Projection::Box {
+                width_m: width,
+                origin_m: part.shape.bounds().min,
+            }
         } else {
             Projection::None
         };

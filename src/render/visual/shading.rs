@@ -15,9 +15,14 @@ pub const CREASE_RAD: f64 = 0.698;
 pub enum Projection {
     /// None.
     None,
-    /// Along the axis nearest to each triangle's normal: a picture of this width (m) repeats on
-    /// all six sides, with seams between them.
-    Box(f64),
+    /// Along the axis nearest to each triangle's normal: the picture repeats on all six sides,
+    /// with seams between them.
+    Box {
+        /// Width of the picture, m.
+        width_m: f64,
+        /// Where a corner of the picture lies, m.
+        origin_m: DVec3,
+    },
 }
 
 /// Mesh of one material with shading normals: smooth where triangles meet at less than
@@ -38,7 +43,7 @@ pub fn shaded_mesh(
     for (t, triangle) in mesh.triangles.iter().enumerate() {
         let side = match projection {
             Projection::None => 0,
-            Projection::Box(_) => side_of(faces[t]),
+            Projection::Box { .. } => side_of(faces[t]),
         };
         let mut renamed = [0; 3];
         for k in 0..3 {
@@ -49,8 +54,8 @@ pub fn shaded_mesh(
                 let place = mesh.vertices[vertex as usize];
                 shaded.positions.push(place.as_vec3());
                 shaded.normals.push(normal);
-                if let Projection::Box(width) = projection {
-                    shaded.uvs.push(box_uv(place, side, width));
+                if let Projection::Box { width_m, origin_m } = projection {
+                    shaded.uvs.push(box_uv((place - origin_m) / width_m, side));
                 }
                 shaded.positions.len() as u32 - 1
             });
@@ -111,10 +116,9 @@ fn side_of(normal: DVec3) -> u8 {
     2 * axis as u8 + u8::from(normal[axis] < 0.0)
 }
 
-/// Texture coordinates on a side seen from outside, upright (v runs down along −z) on the four
-/// vertical sides.
-fn box_uv(place: DVec3, side: u8, width: f64) -> [f32; 2] {
-    let p = place / width;
+/// Texture coordinates of a place in widths of the picture, on a side seen from outside; upright
+/// (v runs down along −z) on the four vertical sides.
+fn box_uv(p: DVec3, side: u8) -> [f32; 2] {
     let uv = match side {
         0 => [p.y, -p.z],
         1 => [-p.y, -p.z],
@@ -150,8 +154,12 @@ mod tests {
 
     #[test]
     fn projected_pictures_keep_their_size_and_are_not_mirrored() {
+        let projection = Projection::Box {
+            width_m: 0.02,
+            origin_m: DVec3::splat(0.3),
+        };
         let mesh = builtin("box").unwrap();
-        let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::Box(0.02), 0);
+        let shaded = shaded_mesh(&mesh, CREASE_RAD, projection, 0);
         assert_eq!(shaded.uvs.len(), shaded.positions.len());
         for t in &shaded.triangles {
             let [a, b, c] = t.map(|v| shaded.positions[v as usize]);
@@ -172,7 +180,15 @@ mod tests {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::X],
             triangles: vec![[0, 1, 2]],
         };
-        let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::Box(0.1), 0);
+        let shaded = shaded_mesh(
+            &mesh,
+            CREASE_RAD,
+            Projection::Box {
+                width_m: 0.1,
+                origin_m: DVec3::ZERO,
+            },
+            0,
+        );
         assert!(
             shaded
                 .normals

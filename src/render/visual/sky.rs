@@ -158,9 +158,9 @@ fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync)
 pub(super) fn light_of_kelvin(kelvin: f32) -> [f32; 3] {
     let t = kelvin.clamp(2000.0, 12_000.0);
     let u = (0.860_117_76 + 1.541_182_5e-4 * t + 1.286_412_2e-7 * t * t)
-        / (1.0 + 8.424_202_4e-4 * t + 7.081_45e-7 * t * t);
+        / (1.0 + 8.424_202_4e-4 * t + 7.081_452e-7 * t * t);
     let v = (0.317_398_73 + 4.228_062_4e-5 * t + 4.204_816_9e-8 * t * t)
-        / (1.0 - 2.897_418_2e-5 * t + 1.614_560_6e-7 * t * t);
+        / (1.0 - 2.897_418_2e-5 * t + 1.614_560_5e-7 * t * t);
     let scale = 2.0 * u - 8.0 * v + 4.0;
     let (x, y) = (3.0 * u / scale, 2.0 * v / scale);
     let (big_x, big_z) = (x / y, (1.0 - x - y) / y);

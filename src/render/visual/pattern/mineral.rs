@@ -76,8 +76,8 @@ pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> PaintedSurface 
     let picture = paint_by_place(size_px, |x, y| {
         let stain = mix(0.8, 1.15, fractal(seed, x, y, [3, 3], 6));
         let sand = mix(0.93, 1.05, value(seed ^ 0x31, x, y, [220, 220]));
-        let (near, _, id) = cellular(seed ^ 0x32, x, y, 36);
-        let radius = 0.2 * (id * 7.0).fract();
+        let (near, _, id) = cellular(seed ^ 0x32, x, y, 60);
+        let radius = 0.16 * (id * 7.0).fract().powi(2);
         let pore = if id < 0.3 {
             1.0 - smoothstep(0.5 * radius, radius + 0.01, near)
         } else {

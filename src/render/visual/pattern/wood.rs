@@ -45,7 +45,8 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
             * mix(0.92, 1.08, lattice(own, 1, 2, 3))
             * mix(0.86, 1.1, fibre)
             * (1.0 - 0.25 * pore);
-        let wood = scaled(mix_color(early, late, 0.85 * is_late), tone);
+        let faint = mix(0.35, 0.8, fractal(own ^ 0x2b, x, y, [3, 2 * boards], 2));
+        let wood = scaled(mix_color(early, late, faint * is_late), tone);
         scaled(wood, 1.0 - 0.65 * joint(x, across, boards, own))
     });
     PaintedSurface {
