@@ -10,6 +10,7 @@ mod kernel;
 mod layers;
 mod model_contract;
 mod program;
+mod render_tactile;
 mod rig;
 mod screen;
 mod shared_data;

@@ -170,8 +170,8 @@ mod tests {
         fit.validate().unwrap();
         let planes = fit.planes(64, 48);
         for (i, pixel) in picture.pixels().enumerate() {
-            for c in 0..3 {
-                assert!((planes[c][i] - f32::from(pixel.0[c])).abs() < 0.8);
+            for (plane, level) in planes.iter().zip(pixel.0) {
+                assert!((plane[i] - f32::from(level)).abs() < 0.8);
             }
         }
         // The same colours at another size.
