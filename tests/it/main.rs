@@ -11,6 +11,7 @@ mod layers;
 mod model_contract;
 mod program;
 mod render;
+mod render_tactile;
 mod rig;
 mod screen;
 mod shared_data;

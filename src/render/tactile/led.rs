@@ -303,7 +303,7 @@ mod tests {
         let shading = LedShading::mini_guess();
         let mut planes = std::array::from_fn(|_| vec![0.0; 185]);
         shading.add(&geometry, &normals, &mut planes);
-        for (i, &green) in planes[1].iter().enumerate() {
+        for (i, found) in planes[1].iter().enumerate() {
             let [x, y] = geometry.pixel_to_gel_m((i % 37) as f64, (i / 37) as f64);
             let normal = [normals.x[i], normals.y[i], normals.z_less_1[i]];
             let expected: f32 = shading
@@ -314,7 +314,7 @@ mod tests {
                     led.diffuse[1] as f32 * d + led.specular[1] as f32 * s
                 })
                 .sum();
-            assert!((green - expected).abs() < 2e-3, "{} {expected}", green);
+            assert!((found - expected).abs() < 2e-3, "{found} {expected}");
         }
     }
 
