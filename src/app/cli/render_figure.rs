@@ -55,6 +55,9 @@ pub(crate) struct Args {
     /// Diameter of the ball [default: that of presses.json]
     #[arg(long, value_name = "MM")]
     ball_mm: Option<f64>,
+    /// Find contacts in the pictures although presses.json has them
+    #[arg(long)]
+    find_contacts: bool,
     /// Trace of a simulated grasp of a built-in object
     #[arg(long, value_name = "FILE")]
     trace: PathBuf,
@@ -101,6 +104,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
     let mut options = CalibrateOptions::of_folder(&args.presses);
     options.read.size = Some(TILE);
     options.read.ball_diameter_m = args.ball_mm.map(|mm| 1e-3 * mm);
+    options.read.find_contacts = args.find_contacts;
     options.seed = args.seed;
     let profile = calibrate::run(&options)?.profile;
     let set = PressSet::read(&options.read)?;

@@ -78,6 +78,9 @@ pub(crate) struct Args {
     /// Diameter of that ball [default: that of presses.json]
     #[arg(long, value_name = "MM")]
     ball_mm: Option<f64>,
+    /// Find contacts in those pictures although presses.json has them
+    #[arg(long)]
+    find_contacts: bool,
     /// Profile of the left or only sensor [default: a generic GelSight Mini]
     #[arg(long, value_name = "FILE.toml")]
     profile: Option<PathBuf>,
@@ -251,6 +254,7 @@ impl Args {
         };
         let set = PressSet::read(&ReadOptions {
             ball_diameter_m: self.ball_mm.map(|mm| 1e-3 * mm),
+            find_contacts: self.find_contacts,
             ..ReadOptions::of_folder(folder)
         })?;
         let all: Vec<usize> = (0..set.presses.len()).collect();
