@@ -21,8 +21,7 @@ use super::{Context, print, print_json, python_peer};
 use crate::error::Result;
 use crate::geometry::{Pose, builtin};
 use crate::render::tactile::{
-    DepthLoad, DepthMs, DepthTiming, GelSurfaceRenderer, ObjectDepthRenderer, Rasteriser,
-    SceneRenderer as _, SensorProfile, object_depth,
+    DepthLoad, DepthMs, DepthTiming, ObjectDepthRenderer, Rasteriser, SensorProfile, object_depth,
 };
 use crate::render::visual::{
     GraspState, RenderSettings, Renderer, View, VisualRandomisation, Watch, demo_model, grasp_scene,
@@ -60,7 +59,6 @@ enum Peer {
 struct Measured {
     depth: DepthTiming,
     tactile: DepthMs,
-    gel_surface: Option<DepthMs>,
     visual_s: f64,
     prepare_s: f64,
 }
@@ -108,14 +106,6 @@ fn measure(args: &Args) -> Result<Measured> {
     let load = DepthLoad::on(profile.geometry);
     let depth = load.measure(runs)?;
     let tactile = load.measure_pictures(&mut ObjectDepthRenderer::new(&profile)?, runs)?;
-    // The load has no gel mesh; the comparator is measured where it can draw.
-    let gel_surface = {
-        let mut renderer = GelSurfaceRenderer::new(&profile)?;
-        let draws = renderer.render(&load.scene()?, None).is_ok();
-        draws
-            .then(|| load.measure_pictures(&mut renderer, runs))
-            .transpose()?
-    };
     let mug = builtin("mug")?;
     let t_world_object: Pose = resting_pose(&mug, None)?.1.t_world_object;
     let placed = Placement::default().place(&mug, &t_world_object)?;
@@ -140,7 +130,6 @@ fn measure(args: &Args) -> Result<Measured> {
     Ok(Measured {
         depth,
         tactile,
-        gel_surface,
         visual_s: began.elapsed().as_secs_f64(),
         prepare_s,
     })
@@ -168,7 +157,6 @@ fn figures(m: &Measured) -> Value {
         "depth_largest_difference_m": m.depth.largest_difference_m,
         "tactile_ms": m.tactile.min,
         "tactile_ms_median": m.tactile.median,
-        "gel_surface_ms": m.gel_surface.map(|ms| ms.min),
         "visual_s": m.visual_s,
         "visual_prepare_s": m.prepare_s,
     })

@@ -1,6 +1,7 @@
 //! `gripcast render` as a user runs it.
 
 mod calibrate;
+mod figure;
 mod tactile;
 mod visual;
 
