@@ -31,7 +31,7 @@ use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::sim_object::unit;
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
-use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{encode_png_grey16, encode_png_rgb};
 use crate::render::visual::{
@@ -149,14 +149,7 @@ enum ViewName {
 }
 
 fn finish(text: &str) -> Result<Finish, String> {
-    Finish::all()
-        .find(|finish| finish.name() == text)
-        .ok_or_else(|| {
-            let names: Vec<_> = Finish::all().map(Finish::name).collect();
-            let hint = nearest_name(text, names.iter().copied())
-                .map_or(String::new(), |n| format!("did you mean {n}? "));
-            format!("{hint}known are {}", names.join(", "))
-        })
+    text.parse().map_err(|e: Error| e.to_string())
 }
 
 fn size(text: &str) -> Result<[usize; 2], String> {

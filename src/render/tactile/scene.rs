@@ -304,6 +304,8 @@ fn deformed_face(
             .map(|t| t.map(|v| v - first as u32))
             .collect(),
     };
+    face.validate()
+        .map_err(|e| Error::new(ErrorKind::Input, "the trace's gel is damaged").because(e))?;
     let back = grid.driven();
     let sum: f64 = back.iter().map(|&node| at(node as usize).z).sum();
     Ok((face, sum / back.len().max(1) as f64))

@@ -233,16 +233,13 @@ pub(super) fn edge() -> Curve {
     }
 }
 
-/// Depth below which the contact of the friction case is few elements wide, m.
-const FEW_ELEMENTS_M: f64 = 3e-4;
-
 /// Sphere of radius 10 mm, friction 0.4: pressed to 0.6 mm, then shifted by 1 mm.
 pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     let (mesh, shares) = if is_quick {
         let mesh = meshing(0.6, [9, 8, 6], [1.2, 1.2, 1.25], 0.3, 20.0, 0.1);
         (mesh, [0.12, 0.12])
     } else {
-        let mesh = meshing(0.6, [19, 17, 12], [1.1, 1.1, 1.15], 0.2, 20.0, 0.025);
+        let mesh = meshing(0.6, [25, 23, 14], [1.09, 1.09, 1.14], 0.15, 20.0, 0.025);
         (mesh, [0.03, 0.04])
     };
     let keep = |row: &Row| !is_quick || row.depth_m > 5e-4 && row.shift_m < 5.5e-4;
@@ -265,14 +262,9 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
             rounded(1e3 * row.depth_m),
             rounded(1e3 * row.shift_m)
         );
-        // The contact of the first depth is few elements wide on this mesh.
-        let share = if row.depth_m < FEW_ELEMENTS_M {
-            shares[1]
-        } else {
-            shares[0]
-        };
         let pair = (row.force_n, point.normal_n);
-        recorder.check(format!("{name}: N"), pair, "N", Tolerance::Relative(share));
+        let tolerance = Tolerance::Relative(shares[0]);
+        recorder.check(format!("{name}: N"), pair, "N", tolerance);
         if row.shift_m > 4.5e-4 {
             let ratio = point.shear_n / point.normal_n;
             let tolerance = Tolerance::Absolute(0.005);
