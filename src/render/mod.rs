@@ -2,5 +2,6 @@
 //! fingers.
 
 pub(crate) mod caption;
+mod seed;
 pub mod tactile;
 pub mod visual;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::working::Progress;
 use crate::error::{Error, ErrorKind, Result};
 
 /// One picture, or a folder of several.
@@ -66,12 +67,6 @@ struct Failed {
     error: String,
 }
 
-impl<T> Default for Report<T> {
-    fn default() -> Self {
-        Self::of(Vec::new())
-    }
-}
-
 impl<T> Report<T> {
     /// All went well.
     pub(super) fn of(pictures: Vec<T>) -> Self {
@@ -81,20 +76,34 @@ impl<T> Report<T> {
         }
     }
 
-    /// A trace that could not be rendered.
-    pub(super) fn fail(&mut self, trace: &Path, error: &Error) {
-        self.failed.push(Failed {
-            trace: trace.to_owned(),
-            error: error.to_string(),
-        });
-    }
-
-    /// The report, or an error where there is no picture.
-    pub(super) fn or_nothing(self) -> Result<Self> {
-        if self.pictures.is_empty() {
+    /// Renders every trace. Of several, one that cannot be rendered is told of and left out.
+    ///
+    /// # Errors
+    /// That of the only trace; `Input` where none of several can be rendered.
+    pub(super) fn of_traces(
+        traces: &[PathBuf],
+        progress: &Progress,
+        mut render: impl FnMut(&Path) -> Result<Vec<T>>,
+    ) -> Result<Self> {
+        let mut report = Self::of(Vec::new());
+        for (done, trace) in traces.iter().enumerate() {
+            progress.at(done as u64, traces.len() as u64);
+            match render(trace) {
+                Ok(written) => report.pictures.extend(written),
+                Err(error) if traces.len() == 1 => return Err(error),
+                Err(error) => {
+                    progress.line(format!("gripcast: {error}"));
+                    report.failed.push(Failed {
+                        trace: trace.clone(),
+                        error: error.to_string(),
+                    });
+                }
+            }
+        }
+        if report.pictures.is_empty() {
             return Err(Error::new(ErrorKind::Input, "no trace could be rendered"));
         }
-        Ok(self)
+        Ok(report)
     }
 
     /// The end of the command: an error of kind `Partial` where a trace was left out.

@@ -319,19 +319,9 @@ fn all_traces(args: &Args, plan: &OutPlan, progress: &Progress) -> Result<Report
     for &finger in args.side.fingers() {
         eyes.push((finger, args.eye(finger)?));
     }
-    let mut report = Report::default();
-    for (done, trace) in args.trace.iter().enumerate() {
-        progress.at(done as u64, args.trace.len() as u64);
-        match one_trace(args, plan, trace, &mut eyes) {
-            Ok(written) => report.pictures.extend(written),
-            Err(error) if args.trace.len() == 1 => return Err(error),
-            Err(error) => {
-                progress.line(format!("gripcast: {error}"));
-                report.fail(trace, &error);
-            }
-        }
-    }
-    report.or_nothing()
+    Report::of_traces(&args.trace, progress, |trace| {
+        one_trace(args, plan, trace, &mut eyes)
+    })
 }
 
 fn one_trace(

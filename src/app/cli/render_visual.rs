@@ -250,19 +250,7 @@ impl<'a> Job<'a> {
             let written = self.without_trace()?;
             return Ok(Report::of(written));
         }
-        let mut report = Report::default();
-        for (done, trace) in traces.iter().enumerate() {
-            self.progress.at(done as u64, traces.len() as u64);
-            match self.of_trace(trace) {
-                Ok(written) => report.pictures.extend(written),
-                Err(error) if traces.len() == 1 => return Err(error),
-                Err(error) => {
-                    self.progress.line(format!("gripcast: {error}"));
-                    report.fail(trace, &error);
-                }
-            }
-        }
-        report.or_nothing()
+        Report::of_traces(traces, self.progress, |trace| self.of_trace(trace))
     }
 
     fn of_trace(&self, trace: &Path) -> Result<Vec<Written>> {

@@ -1,5 +1,6 @@
 //! Noise of the camera and slow drift of its exposure, drawn from a seed.
 
+use crate::render::seed::mix;
 use serde::{Deserialize, Serialize};
 
 /// What differs between two frames of the same sensor with the same contact.
@@ -72,12 +73,9 @@ fn deviate(bits: u64) -> f32 {
     (coins + fill) * SCALE
 }
 
-/// A bijective 64-bit mixer (the finaliser of SplitMix64).
+/// A bijective 64-bit mixer.
 pub(super) fn scramble(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
+    mix(value.wrapping_add(0x9e37_79b9_7f4a_7c15))
 }
 
 #[cfg(test)]

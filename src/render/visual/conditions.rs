@@ -8,10 +8,10 @@ use glam::{DQuat, DVec3};
 use super::environment::Environment;
 use super::pattern::Pattern;
 use super::picture::Picture;
-use super::seed::SeedStream;
 use super::sky::Sky;
 use super::texture::Bitmap;
 use crate::geometry::Pose;
+use crate::render::seed::SeedStream;
 
 /// Rows of painted domes.
 const DOME_ROWS: usize = 256;

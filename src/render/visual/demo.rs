@@ -3,9 +3,9 @@
 use super::finish::Finish;
 use super::model::Model;
 use super::pattern::Pattern;
-use super::seed::SeedStream;
 use crate::error::Result;
 use crate::geometry::builtin;
+use crate::render::seed::SeedStream;
 
 /// Finishes that suit a built-in mesh, the most usual first.
 ///

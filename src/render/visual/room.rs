@@ -7,8 +7,8 @@ use std::f32::consts::TAU;
 
 use glam::Vec3;
 
-use super::seed::SeedStream;
 use super::sky::light_of_kelvin;
+use crate::render::seed::SeedStream;
 
 /// Rectangle on a face of the room that shines or is painted.
 struct Panel {

@@ -13,8 +13,8 @@ use rayon::prelude::*;
 
 use super::picture::Picture;
 use super::room::Room;
-use super::seed::SeedStream;
 use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::render::seed::SeedStream;
 
 /// Kind of a painted dome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

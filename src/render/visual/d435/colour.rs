@@ -3,8 +3,8 @@
 use image::RgbImage;
 use rayon::prelude::*;
 
+use crate::render::seed::gaussians;
 use crate::render::visual::picture::{Picture, luminance};
-use crate::render::visual::seed::gaussians;
 
 /// What exposure, lens and sensor do to the light.
 #[derive(Clone, Copy, Debug, PartialEq)]

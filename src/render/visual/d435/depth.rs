@@ -5,8 +5,8 @@ use rayon::prelude::*;
 use super::{BASELINE_M, LEFT_IMAGER_M};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::DepthImage;
+use crate::render::seed::gaussians;
 use crate::render::visual::camera::Camera;
-use crate::render::visual::seed::gaussians;
 
 /// What the stereo module does to depth.
 ///

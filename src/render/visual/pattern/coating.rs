@@ -2,7 +2,7 @@
 
 use super::noise::{cellular, fractal, mix, mix_color, smoothstep, value};
 use super::{PaintedSurface, paint_by_place, random_color, scaled, srgb};
-use crate::render::visual::seed::{SeedStream, lattice};
+use crate::render::seed::{SeedStream, lattice};
 
 /// Aluminium, steel, brass, bronze, dark anodised: reflectance at normal incidence, sRGB.
 const METALS: [u32; 5] = [0xe3e4e6, 0xc4c3c0, 0xd9bf7a, 0xb08d66, 0x6a6c70];

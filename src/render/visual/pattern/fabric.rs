@@ -4,7 +4,7 @@ use std::f32::consts::PI;
 
 use super::noise::{fractal, mix};
 use super::{PaintedSurface, paint_by_place, random_color, scaled};
-use crate::render::visual::seed::{SeedStream, lattice};
+use crate::render::seed::{SeedStream, lattice};
 
 /// Threads along each side of a tile; a multiple of the repeats of all weaves.
 const THREADS: u32 = 96;

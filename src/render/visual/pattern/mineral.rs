@@ -2,7 +2,7 @@
 
 use super::noise::{cellular, fractal, mix, mix_color, smoothstep, value};
 use super::{PaintedSurface, paint_by_place, scaled, srgb};
-use crate::render::visual::seed::{SeedStream, lattice};
+use crate::render::seed::{SeedStream, lattice};
 
 /// Grounds and veins of marble.
 const MARBLES: [[u32; 2]; 4] = [

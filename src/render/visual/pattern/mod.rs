@@ -16,8 +16,8 @@ use image::RgbImage;
 use rayon::prelude::*;
 
 use super::picture::{Picture, srgb_decode};
-use super::seed::SeedStream;
 use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::render::seed::SeedStream;
 
 /// Kind of a painted surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

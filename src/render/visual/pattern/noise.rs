@@ -1,6 +1,6 @@
 //! Noise that repeats: every function has period 1 along x and y.
 
-use crate::render::visual::seed::lattice;
+use crate::render::seed::lattice;
 
 /// Gradient-free value noise with quintic interpolation, 0 to 1, over a lattice of
 /// `cells` × `cells` cells in the unit square.

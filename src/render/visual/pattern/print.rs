@@ -2,7 +2,7 @@
 
 use super::noise::{fractal, mix, mix_color};
 use super::{PaintedSurface, paint_by_place, random_color, scaled, srgb};
-use crate::render::visual::seed::{SeedStream, lattice};
+use crate::render::seed::{SeedStream, lattice};
 
 /// What is printed; places and sizes in the unit square.
 struct Label {

@@ -2,7 +2,7 @@
 
 use super::noise::{fractal, mix, mix_color};
 use super::{PaintedSurface, paint_by_place, random_color, scaled};
-use crate::render::visual::seed::SeedStream;
+use crate::render::seed::SeedStream;
 
 pub(super) fn checker(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let dark = random_color(stream, [0.0, 0.6], [0.1, 0.4]);

@@ -4,7 +4,7 @@ use std::f32::consts::TAU;
 
 use super::noise::{fractal, mix, mix_color, smoothstep, value};
 use super::{PaintedSurface, paint_by_place, scaled, srgb};
-use crate::render::visual::seed::{SeedStream, lattice};
+use crate::render::seed::{SeedStream, lattice};
 
 /// Light and dark wood of a year: beech, oak, pine, cherry, walnut, wenge, bleached ash.
 const SPECIES: [[u32; 2]; 7] = [

@@ -53,7 +53,7 @@ impl SeedStream {
 }
 
 /// Two normally distributed numbers (mean 0, deviation 1) for an item of a seed.
-pub(super) fn gaussians(seed: u64, item: u64) -> [f32; 2] {
+pub(in crate::render) fn gaussians(seed: u64, item: u64) -> [f32; 2] {
     let bits = mix(seed ^ mix(item.wrapping_add(0x9e37_79b9_7f4a_7c15)));
     // Above 0, for the logarithm.
     let a = ((bits >> 40) as f64 + 1.0) / f64::from(1 << 24);
@@ -63,7 +63,7 @@ pub(super) fn gaussians(seed: u64, item: u64) -> [f32; 2] {
 }
 
 /// A hash of three lattice coordinates in 0..1.
-pub(super) fn lattice(seed: u64, x: i64, y: i64, z: i64) -> f32 {
+pub(in crate::render) fn lattice(seed: u64, x: i64, y: i64, z: i64) -> f32 {
     let at = mix(seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15));
     let at = mix(at ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f));
     unit(mix(at ^ (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9))) as f32
@@ -74,7 +74,7 @@ fn unit(bits: u64) -> f64 {
 }
 
 /// The finaliser of SplitMix64.
-fn mix(mut z: u64) -> u64 {
+pub(in crate::render) fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     z ^ (z >> 31)
