@@ -5,10 +5,9 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use super::sim_object::SimObject;
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{
-    LengthUnit, Pose, PrepareOptions, TriangleMesh, builtin, load_mesh, prepare,
-};
+use crate::geometry::{LengthUnit, Pose, TriangleMesh};
 use crate::render::tactile::{SimulatedGel, TraceHeader, TraceObject};
 use crate::sim::grasp::{Snapshot, StageName, Trace, TraceFile};
 
@@ -66,12 +65,7 @@ impl ObjectSource {
 
     /// The mesh as it is simulated, m.
     pub(super) fn load(&self) -> Result<TriangleMesh> {
-        let mesh = match self.path() {
-            Some(path) => load_mesh(path, self.unit)?,
-            None => builtin(&self.name)?,
-        };
-        let prepared = prepare(&mesh.scaled(self.scale), &PrepareOptions::default());
-        Ok(prepared.map_err(|e| e.at(&self.name))?.mesh)
+        SimObject::read(&self.name, self.unit, self.scale).map(|object| object.mesh)
     }
 }
 

@@ -58,27 +58,31 @@ pub(super) struct ObjectRecord {
 impl SimObject {
     /// Reads, scales and checks the object.
     pub(super) fn load(flags: &ObjectFlags) -> Result<Self> {
-        if !(flags.scale.is_finite() && flags.scale > 0.0) {
+        Self::read(&flags.object, flags.unit, flags.scale)
+    }
+
+    /// The same of a mesh file or `builtin:NAME`.
+    pub(super) fn read(name: &str, unit: LengthUnit, scale: f64) -> Result<Self> {
+        if !(scale.is_finite() && scale > 0.0) {
             return Err(Error::new(
                 ErrorKind::Input,
-                format!("`--scale` must be a number above 0, found {}", flags.scale),
+                format!("`--scale` must be a number above 0, found {scale}"),
             ));
         }
-        let path = Path::new(&flags.object);
-        let mesh = if flags.object.starts_with("builtin:") {
-            builtin(&flags.object)?
-        } else if builtin(&flags.object).is_ok() && !path.exists() {
+        let path = Path::new(name);
+        let mesh = if name.starts_with("builtin:") {
+            builtin(name)?
+        } else if builtin(name).is_ok() && !path.exists() {
             return Err(
                 Error::new(ErrorKind::NotFound, "there is no such mesh file")
-                    .at(&flags.object)
-                    .remedy(format!("the built-in shape is builtin:{}", flags.object)),
+                    .at(name)
+                    .remedy(format!("the built-in shape is builtin:{name}")),
             );
         } else {
-            load_mesh(path, flags.unit)?
+            load_mesh(path, unit)?
         };
         let Prepared { mesh, warnings } =
-            prepare(&mesh.scaled(flags.scale), &PrepareOptions::default())
-                .map_err(|e| e.at(&flags.object))?;
+            prepare(&mesh.scaled(scale), &PrepareOptions::default()).map_err(|e| e.at(name))?;
         Ok(Self { mesh, warnings })
     }
 
