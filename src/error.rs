@@ -184,6 +184,18 @@ pub fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a str>) 
         .map(|(_, name)| name)
 }
 
+/// `Usage`: there is no such thing of a kind; the remedy has the nearest name and all of them.
+#[must_use]
+pub fn unknown_name(kind: &str, wanted: &str, known: &[&str]) -> Error {
+    let nearest = nearest_name(wanted, known.iter().copied());
+    let hint = nearest.map_or(String::new(), |name| format!("did you mean {name}? "));
+    Error::new(
+        ErrorKind::Usage,
+        format!("there is no {kind} named {wanted:?}"),
+    )
+    .remedy(format!("{hint}known are: {}", known.join(", ")))
+}
+
 /// Number of inserted, removed and replaced characters (Levenshtein).
 fn edit_distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use super::material::{Colour, Material};
 use super::pattern::Pattern;
 use super::texture::{Bitmap, Texture};
-use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::error::{Error, Result, unknown_name};
 
 /// Width and height of painted textures, px.
 const TEXTURE_PX: u32 = 512;
@@ -109,15 +109,10 @@ impl FromStr for Finish {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        Self::all().find(|f| f.name() == text).ok_or_else(|| {
+        let found = Self::all().find(|f| f.name() == text);
+        found.ok_or_else(|| {
             let names: Vec<&str> = Self::all().map(Self::name).collect();
-            let hint = nearest_name(text, names.iter().copied())
-                .map_or(String::new(), |name| format!("did you mean {name}? "));
-            Error::new(
-                ErrorKind::Usage,
-                format!("there is no material named {text:?}"),
-            )
-            .remedy(format!("{hint}known are: {}", names.join(", ")))
+            unknown_name("material", text, &names)
         })
     }
 }

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::picture::Picture;
 use super::room::Room;
-use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::error::{Error, Result, unknown_name};
 use crate::render::seed::SeedStream;
 
 /// Kind of a painted dome.
@@ -80,17 +80,8 @@ impl FromStr for Sky {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|sky| sky.name() == text);
-        found.ok_or_else(|| {
-            let names = Self::ALL.map(Self::name);
-            let hint = nearest_name(text, names)
-                .map_or(String::new(), |name| format!("did you mean {name}? "));
-            Error::new(
-                ErrorKind::Usage,
-                format!("there is no painted sky named {text:?}"),
-            )
-            .remedy(format!("{hint}known are: {}", names.join(", ")))
-        })
+        let found = Self::ALL.into_iter().find(|known| known.name() == text);
+        found.ok_or_else(|| unknown_name("painted sky", text, &Self::ALL.map(Self::name)))
     }
 }
 

@@ -16,7 +16,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 
 use super::picture::{Picture, srgb_decode};
-use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::error::{Error, Result, unknown_name};
 use crate::render::seed::SeedStream;
 
 /// Kind of a painted surface.
@@ -118,17 +118,8 @@ impl FromStr for Pattern {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let found = Self::ALL.into_iter().find(|p| p.name() == text);
-        found.ok_or_else(|| {
-            let names = Self::ALL.map(Self::name);
-            let hint = nearest_name(text, names)
-                .map_or(String::new(), |name| format!("did you mean {name}? "));
-            Error::new(
-                ErrorKind::Usage,
-                format!("there is no painted surface named {text:?}"),
-            )
-            .remedy(format!("{hint}known are: {}", names.join(", ")))
-        })
+        let found = Self::ALL.into_iter().find(|known| known.name() == text);
+        found.ok_or_else(|| unknown_name("painted surface", text, &Self::ALL.map(Self::name)))
     }
 }
 
