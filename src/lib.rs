@@ -11,7 +11,7 @@
 //! | layer | area | job |
 //! | --- | --- | --- |
 //! | 0 | [`error`], [`geometry`], [`imaging`] | errors; meshes and poses; frames, decoding, crops, differences |
-//! | 1 | [`dataset`], [`sim`] | the crash-safe dataset on disk; the grasp simulator |
+//! | 1 | [`dataset`], [`pose`], [`sim`] | the crash-safe dataset on disk; poses from markers; the grasp simulator |
 //! | 2 | [`render`], [`predict`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
 //! | 5 | [`app`] | command line, engine, operator's screen |
@@ -23,6 +23,7 @@ pub mod dataset;
 pub mod error;
 pub mod geometry;
 pub mod imaging;
+pub mod pose;
 pub mod predict;
 pub mod render;
 pub mod rig;

@@ -10,6 +10,7 @@ mod decode;
 mod difference;
 mod frame;
 mod gel_pattern;
+mod intrinsics;
 pub mod jpeg;
 mod png;
 mod resample;
@@ -22,6 +23,7 @@ pub use decode::{Decoder, check_structure};
 pub use difference::TactileDifference;
 pub use frame::{Frame, FrameBytes, FramePool, PixelFormat, Role};
 pub use gel_pattern::{GelContact, gel_picture, synthetic_gel};
+pub use intrinsics::{DistortionModel, Intrinsics};
 pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};
 pub use png::{
     decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16, encode_png_rgb,

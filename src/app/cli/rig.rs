@@ -17,8 +17,8 @@ use serde_json::{Value, json};
 
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
-use crate::imaging::{PixelFormat, Role};
-use crate::rig::calibration::{Intrinsics, RigFile, colour_intrinsics, draft};
+use crate::imaging::{Intrinsics, PixelFormat, Role};
+use crate::rig::calibration::{RigFile, colour_intrinsics, draft};
 use crate::rig::camera::{
     CameraOpener, CaptureError, ControlValues, FrameSource, KernelNodes, Recorder, RigSources,
     StreamInfo,

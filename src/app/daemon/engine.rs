@@ -23,9 +23,9 @@ use super::status::{EngineStatus, PredictionStatus};
 use super::store::{Store, StoreContext, StoreMessage, pending_frame};
 use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, StageCapture};
 use crate::error::{Error, ErrorKind, Result};
-use crate::imaging::{CropProfile, Frame, Role};
+use crate::imaging::{CropProfile, Frame, Intrinsics, Role};
 use crate::predict::Model;
-use crate::rig::calibration::{CameraConfig, Intrinsics, RigFile};
+use crate::rig::calibration::{CameraConfig, RigFile};
 use crate::rig::camera::{CameraOpener, Health, SupervisionPolicy, VirtualHand, monotonic_ns};
 use crate::rig::trigger::{self, Answer, Script, ScriptAction, ScriptRunner};
 use crate::session::{

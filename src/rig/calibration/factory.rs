@@ -9,8 +9,8 @@
 
 use std::io;
 
-use super::intrinsics::{DistortionModel, Intrinsics};
 use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::{DistortionModel, Intrinsics};
 use crate::rig::camera::{ExtensionRequest, VideoNode, VideoNodes};
 use crate::rig::device::{self, SystemRoot};
 

@@ -2,10 +2,8 @@
 
 mod draft;
 mod factory;
-mod intrinsics;
 mod rig_file;
 
 pub use draft::{Draft, draft};
 pub use factory::{ColourTable, colour_intrinsics};
-pub use intrinsics::{DistortionModel, Intrinsics};
 pub use rig_file::{CameraConfig, PedalConfig, RigFile, SourceKind};

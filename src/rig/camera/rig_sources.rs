@@ -7,8 +7,8 @@ use super::{
     CameraOpener, KernelNodes, MonotonicClock, ReplayOpener, V4l2Opener, VirtualHand, VirtualRig,
 };
 use crate::error::Result;
-use crate::imaging::Role;
-use crate::rig::calibration::{Intrinsics, RigFile, SourceKind, colour_intrinsics};
+use crate::imaging::{Intrinsics, Role};
+use crate::rig::calibration::{RigFile, SourceKind, colour_intrinsics};
 use crate::rig::device::SystemRoot;
 
 /// Openers for every camera of a rig.

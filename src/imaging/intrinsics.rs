@@ -70,7 +70,10 @@ impl Intrinsics {
     }
 
     /// Refuses what no camera has: a focal length or principal point far outside the picture.
-    pub(super) fn validate(self) -> Result<Self> {
+    ///
+    /// # Errors
+    /// [`ErrorKind::Config`] with what is implausible.
+    pub fn validate(self) -> Result<Self> {
         let largest = f64::from(self.width.max(self.height));
         let focal = |f: f64| f > 0.05 * largest && f < 50.0 * largest;
         let inside = |c: f64, side: u32| c > -0.5 * f64::from(side) && c < 1.5 * f64::from(side);
