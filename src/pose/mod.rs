@@ -8,8 +8,17 @@
 //! frame. Pixel (0, 0) is the centre of the top-left pixel; every detector's own convention is
 //! converted in its wrapper.
 
+mod bench;
 mod board;
+pub mod camera;
+pub mod detect;
 mod detection;
+pub mod refine;
+#[cfg(test)]
+mod refine_test;
+pub mod solve;
+pub mod synthetic;
 
+pub use bench::{PoseBench, PoseFigures, measure_pose};
 pub use board::{Board, BoardMarker, Part};
 pub use detection::{Detection, MarkerDetector};
