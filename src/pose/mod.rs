@@ -10,6 +10,9 @@
 
 mod board;
 mod detection;
+mod dictionary;
+mod yaml;
 
 pub use board::{Board, BoardMarker, Part};
 pub use detection::{Detection, MarkerDetector};
+pub use dictionary::{DICTIONARY_NAMES, Dictionary, MarkerCells};
