@@ -13,12 +13,15 @@ mod board;
 pub mod camera;
 pub mod detect;
 mod detection;
+mod dictionary;
 pub mod refine;
 #[cfg(test)]
 mod refine_test;
 pub mod solve;
 pub mod synthetic;
+mod yaml;
 
 pub use bench::{PoseBench, PoseFigures, measure_pose};
 pub use board::{Board, BoardMarker, Part};
 pub use detection::{Detection, MarkerDetector};
+pub use dictionary::{DICTIONARY_NAMES, Dictionary, MarkerCells};

@@ -1,0 +1,127 @@
+use super::*;
+
+#[test]
+fn tables_are_the_published_ones() {
+    let first = |name: &str, count: u32| -> Vec<u64> {
+        let dictionary = Dictionary::by_name(name).unwrap();
+        let code = |id| dictionary.rotation_grouped_code(id).unwrap();
+        (0..count).map(code).collect()
+    };
+    assert_eq!(first("DICT_4X4_50", 3), [0xbe50, 0x174e, 0x2db8]);
+    assert_eq!(first("DICT_5X5_250", 3), [0x152_c6e3, 0x15_8da8, 0x1b9_77e8]);
+    assert_eq!(first("DICT_6X6_250", 2), [0x1_8735_9537, 0xbebe_30f0]);
+    // AprilTag's own table of the family begins so.
+    assert_eq!(first("36h11", 1), [0xd_7e00_984b]);
+    let original = Dictionary::by_name("DICT_ARUCO_ORIGINAL").unwrap();
+    assert_eq!(original.code(1), Some(0x108_4217));
+}
+
+#[test]
+fn markers_differ_under_rotation_by_the_stated_distance() {
+    for (name, side, count, distance) in [
+        ("DICT_4X4_50", 4, 50, 4),
+        ("DICT_4X4_100", 4, 100, 3),
+        ("DICT_5X5_50", 5, 50, 8),
+        ("DICT_5X5_100", 5, 100, 7),
+        ("DICT_5X5_250", 5, 250, 6),
+        ("DICT_6X6_50", 6, 50, 13),
+        ("DICT_6X6_100", 6, 100, 12),
+        ("DICT_6X6_250", 6, 250, 11),
+        ("DICT_APRILTAG_36h11", 6, 587, 11),
+        ("36h11", 6, 587, 11),
+        ("DICT_ARUCO_ORIGINAL", 5, 1024, 0),
+    ] {
+        let dictionary = Dictionary::by_name(name).unwrap();
+        assert_eq!(dictionary.name(), name);
+        assert_eq!(dictionary.bits_per_side(), side, "{name}");
+        assert_eq!(dictionary.len(), count, "{name}");
+        assert_eq!(dictionary.min_distance(), distance, "{name}");
+        assert!(dictionary.marker(count as u32).is_none());
+    }
+}
+
+#[test]
+fn a_quarter_turn_rotates_the_groups() {
+    for name in ["DICT_4X4_50", "DICT_5X5_50", "DICT_6X6_50"] {
+        let dictionary = Dictionary::by_name(name).unwrap();
+        let side = dictionary.bits_per_side();
+        let code = dictionary.code(7).unwrap();
+        let quarter = turned(code, side);
+        let turned = Dictionary::from_codes("t", side, 1, vec![quarter]).unwrap();
+        let middle = side % 2;
+        let group = side * side / 4;
+        let plain = dictionary.rotation_grouped_code(7).unwrap() >> middle;
+        let mask = (1u64 << (4 * group)) - 1;
+        // Clockwise: what was in the last group comes first.
+        let rotated = (plain >> group | plain << (3 * group)) & mask;
+        assert_eq!(turned.rotation_grouped_code(0).unwrap() >> middle, rotated);
+    }
+}
+
+#[test]
+fn opencv_draws_36h11_upside_down() {
+    let april = Dictionary::by_name("36h11").unwrap();
+    let opencv = Dictionary::by_name("DICT_APRILTAG_36h11").unwrap();
+    for id in [0, 17, 586] {
+        let (a, o) = (april.marker(id).unwrap(), opencv.marker(id).unwrap());
+        for row in 0..6 {
+            for column in 0..6 {
+                assert_eq!(a.is_white(row, column), o.is_white(5 - row, 5 - column));
+            }
+        }
+    }
+    // The first row that OpenCV draws of id 0: 0x21a146bab.
+    assert_eq!(opencv.code(0), Some(0x2_1a14_6bab));
+    let kalibr = Dictionary::by_name("36h11_border2").unwrap();
+    assert_eq!((kalibr.cells_per_side(), kalibr.code(5)), (10, april.code(5)));
+}
+
+#[test]
+fn names_are_found_without_prefix_and_misspelt_ones_answered() {
+    for (said, meant) in [
+        ("4x4_50", "DICT_4X4_50"),
+        ("dict_6x6_250", "DICT_6X6_250"),
+        ("tag36h11", "36h11"),
+        ("apriltag_36H11", "DICT_APRILTAG_36h11"),
+    ] {
+        assert_eq!(Dictionary::by_name(said).unwrap().name(), meant);
+    }
+    let text = Dictionary::by_name("DICT_6X6_25").unwrap_err().to_string();
+    assert!(text.contains("did you mean DICT_6X6_250?"), "{text}");
+}
+
+const TWO: &str = "%YAML:1.0\n---\nnmarkers: 2\nmarkersize: 3\nmaxCorrectionBits: 0\n\
+                   marker_0: \"101011001\"\nmarker_1: 001010111\n";
+
+#[test]
+fn opencv_files_are_read_with_or_without_quotes() {
+    let dictionary = Dictionary::from_opencv("own.yml", TWO).unwrap();
+    assert_eq!((dictionary.len(), dictionary.bits_per_side()), (2, 3));
+    let marker = dictionary.marker(1).unwrap();
+    assert!(!marker.is_white(0, 0) && marker.is_white(0, 2) && marker.is_white(2, 2));
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("own.yml"), TWO).unwrap();
+    assert_eq!(Dictionary::open("own.yml", folder.path()).unwrap(), dictionary);
+}
+
+#[test]
+fn wrong_opencv_files_are_explained() {
+    let same = TWO.replace("001010111", "\"101011001\"");
+    for (text, expected) in [
+        (TWO.replace("nmarkers: 2", "nmarkers: 3"), "says 3 markers, but the file has 2"),
+        (TWO.replace("marker_1", "marker_2"), "no marker_1"),
+        (TWO.replace("markersize: 3\n", ""), "no markersize"),
+        (TWO.replace("markersize: 3", "markersize: three"), "whole number"),
+        (TWO.replace("001010111", "\"0010101\""), "3 × 3 digits"),
+        (TWO.replace("001010111", "\"0010101x1\""), "3 × 3 digits"),
+        (TWO.replace("markersize: 3", "markersize: 99999999999"), "9"),
+        (TWO.replace("nmarkers: 2", "nmarkers: [2"), "cannot be read"),
+        (same, "same cells"),
+        (String::new(), "the dictionary"),
+    ] {
+        let said = Dictionary::from_opencv("own.yml", &text).unwrap_err();
+        assert!(said.to_string().contains(expected), "{said}");
+    }
+    let none = Dictionary::open("none.yaml", Path::new("/nonexistent")).unwrap_err();
+    assert_eq!(none.kind(), ErrorKind::NotFound);
+}
