@@ -5,15 +5,18 @@ use std::time::Duration;
 use glam::DVec2;
 use serde::Serialize;
 
-use super::detect::{ApriltagDetector, ApriltagSettings, MarkerFamily};
+use super::detect::{ApriltagDetector, ApriltagSettings};
 use super::refine::refine_all;
 use super::solve::{RelativePose, relative, solve_gripper, solve_part};
 use super::synthetic::{
     GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera,
 };
-use super::{Detection, MarkerDetector, Part};
+use super::{Detection, Dictionary, MarkerDetector, Part};
 use crate::error::Result;
 use crate::imaging::Intrinsics;
+
+/// All of its 587 markers are searched for, so that wrong ones can appear.
+const DICTIONARY: &str = "36h11";
 
 /// What is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -86,15 +89,15 @@ pub fn measure_pose(
     clock: impl Fn() -> Duration,
     mut progress: impl FnMut(),
 ) -> Result<PoseFigures> {
-    let family = MarkerFamily::tag36h11();
-    let board = ring_board(&family.name);
-    let gripper = gripper_markers(&family.name, [Part::Body; 2]);
+    let dictionary = Dictionary::by_name(DICTIONARY)?;
+    let board = ring_board(&dictionary);
+    let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
     let camera = test_camera(bench.width, bench.width * 9 / 16);
-    let ids: Vec<u32> = (0..family.codes.len() as u32).collect();
-    let mut detector = ApriltagDetector::new(&family, &ids, ApriltagSettings::default())?;
+    let ids: Vec<u32> = (0..dictionary.len() as u32).collect();
+    let mut detector = ApriltagDetector::new(&dictionary, &ids, ApriltagSettings::default())?;
     let mut tally = Tally::default();
     for index in 0..bench.pictures {
-        let scene = GraspScene::random(&board, &gripper, &family, bench.seed, index);
+        let scene = GraspScene::random(&board, &gripper, &dictionary, bench.seed, index);
         let seen = scene.render(&camera, &conditions(bench, index), bench.seed ^ index);
         let start = clock();
         let found = detector.detect(&seen.picture)?;

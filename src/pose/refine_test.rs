@@ -1,28 +1,21 @@
 //! Refined corners against exact ones.
 
-use std::sync::OnceLock;
-
 use glam::DVec2;
 use image::{GrayImage, Luma};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::refine::*;
-use crate::pose::detect::MarkerFamily;
 use crate::pose::synthetic::{
     GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera,
 };
-use crate::pose::{Detection, Part};
-
-fn family() -> &'static MarkerFamily {
-    static FAMILY: OnceLock<MarkerFamily> = OnceLock::new();
-    FAMILY.get_or_init(MarkerFamily::tag36h11)
-}
+use crate::pose::{Detection, Dictionary, Part};
 
 fn picture(index: u64, conditions: &PictureConditions) -> SyntheticPicture {
-    let board = ring_board("36h11");
-    let gripper = gripper_markers("36h11", [Part::Body; 2]);
-    let scene = GraspScene::random(&board, &gripper, family(), 21, index);
+    let dictionary = Dictionary::by_name("36h11").unwrap();
+    let board = ring_board(&dictionary);
+    let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
+    let scene = GraspScene::random(&board, &gripper, &dictionary, 21, index);
     scene.render(&test_camera(1280, 720), conditions, index)
 }
 

@@ -12,12 +12,16 @@ use apriltag_sys as sys;
 use glam::DVec2;
 use image::GrayImage;
 
-use super::{MarkerFamily, check_size};
+use super::check_size;
 use crate::error::{Error, ErrorKind, Result};
-use crate::pose::{Detection, MarkerDetector};
+use crate::pose::{Detection, Dictionary, MarkerDetector};
 
 /// The library puts (0, 0) at the top-left pixel's corner.
 const HALF_PIXEL: DVec2 = DVec2::splat(0.5);
+/// Most cells along a side: the library has 64 bits for a code and needs one of them.
+const MOST_CELLS: usize = 7;
+/// Least distance of a dictionary's markers at which a bit is corrected.
+const LEAST_DISTANCE_TO_CORRECT: u32 = 6;
 
 /// What can be set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,32 +64,48 @@ struct Tables {
 unsafe impl Send for ApriltagDetector {}
 
 impl ApriltagDetector {
-    /// A detector for the markers of `family` whose ids are in `whitelist`.
+    /// A detector for the markers of `dictionary` whose ids are in `whitelist`. One wrong bit is
+    /// corrected, but none in dictionaries whose markers differ by less than six.
     ///
     /// # Errors
-    /// `Input` for an empty whitelist, an id that the dictionary does not have, or a dictionary
-    /// or setting that the library cannot take.
+    /// `Input` for an empty whitelist, an id that the dictionary does not have, a dictionary of
+    /// more than 7×7 cells, or a decimation that is not possible.
     pub fn new(
-        family: &MarkerFamily,
+        dictionary: &Dictionary,
         whitelist: &[u32],
         settings: ApriltagSettings,
     ) -> Result<Self> {
-        family.validate()?;
-        let ids = allowed(family, whitelist)?;
+        let side = dictionary.bits_per_side();
+        if side > MOST_CELLS {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the detector takes markers of up to {MOST_CELLS}×{MOST_CELLS} cells; {} has \
+                     {side}×{side}",
+                    dictionary.name()
+                ),
+            ));
+        }
+        let ids = allowed(dictionary, whitelist)?;
         if !(1..=4).contains(&settings.decimate) {
             return Err(Error::new(
                 ErrorKind::Input,
                 format!("decimation by {}; possible are 1 to 4", settings.decimate),
             ));
         }
-        let (bit_x, bit_y) = family.cells().into_iter().map(|(x, y)| (x + 1, y + 1)).unzip();
+        // The dictionary counts cells from 1 within the border, the library from 0 with it.
+        let border = dictionary.border_cells() as u32 - 1;
+        let places = dictionary.rotation_grouped_places();
         let mut tables = Tables {
-            codes: ids.iter().map(|id| family.codes[*id as usize]).collect(),
-            bit_x,
-            bit_y,
-            name: CString::new(family.name.replace('\0', "")).unwrap_or_default(),
+            codes: ids
+                .iter()
+                .filter_map(|id| dictionary.rotation_grouped_code(*id))
+                .collect(),
+            bit_x: places.iter().map(|place| place[0] + border).collect(),
+            bit_y: places.iter().map(|place| place[1] + border).collect(),
+            name: CString::new(dictionary.name().replace('\0', "")).unwrap_or_default(),
         };
-        let raw = Box::into_raw(Box::new(raw_family(family, &mut tables)));
+        let raw = Box::into_raw(Box::new(raw_family(dictionary, &mut tables)));
         // SAFETY: no arguments; the result is checked below.
         let detector = unsafe { sys::apriltag_detector_create() };
         let this = Self {
@@ -94,7 +114,7 @@ impl ApriltagDetector {
             _tables: tables,
             ids,
         };
-        this.configure(settings, family.corrected_bits)?;
+        this.configure(settings, corrected_bits(dictionary))?;
         Ok(this)
     }
 
@@ -205,48 +225,28 @@ impl Drop for ApriltagDetector {
     }
 }
 
-impl MarkerFamily {
-    /// AprilTag 36h11 with 587 markers, as the library has it.
-    #[must_use]
-    pub fn tag36h11() -> Self {
-        // SAFETY: create() gives null or a family whose codes are `ncodes` numbers; destroy()
-        // frees it after the copy.
-        let codes = unsafe {
-            let family = sys::tag36h11_create();
-            let codes = family.as_ref().map_or_else(Vec::new, |family| {
-                std::slice::from_raw_parts(family.codes, family.ncodes as usize).to_vec()
-            });
-            if !family.is_null() {
-                sys::tag36h11_destroy(family);
-            }
-            codes
-        };
-        Self {
-            name: "36h11".to_owned(),
-            bits_per_side: 6,
-            codes,
-            min_distance: 11,
-            corrected_bits: 1,
-        }
-    }
+/// Bits that may be corrected without taking one marker for another: in a small dictionary, one
+/// wrong bit already makes markers of anything.
+fn corrected_bits(dictionary: &Dictionary) -> u32 {
+    u32::from(dictionary.min_distance() >= LEAST_DISTANCE_TO_CORRECT)
 }
 
 /// The whitelist in ascending order, every id once.
-fn allowed(family: &MarkerFamily, whitelist: &[u32]) -> Result<Vec<u32>> {
+fn allowed(dictionary: &Dictionary, whitelist: &[u32]) -> Result<Vec<u32>> {
     let mut ids = whitelist.to_vec();
     ids.sort_unstable();
     ids.dedup();
-    let count = family.codes.len();
+    let count = dictionary.len();
     match ids.last() {
         None => Err(Error::new(
             ErrorKind::Input,
-            format!("no marker of {} to search for", family.name),
+            format!("no marker of {} to search for", dictionary.name()),
         )),
         Some(last) if *last as usize >= count => Err(Error::new(
             ErrorKind::Input,
             format!(
                 "{} has the markers 0 to {}, not {last}",
-                family.name,
+                dictionary.name(),
                 count - 1
             ),
         )
@@ -255,17 +255,17 @@ fn allowed(family: &MarkerFamily, whitelist: &[u32]) -> Result<Vec<u32>> {
     }
 }
 
-fn raw_family(family: &MarkerFamily, tables: &mut Tables) -> sys::apriltag_family {
+fn raw_family(dictionary: &Dictionary, tables: &mut Tables) -> sys::apriltag_family {
     sys::apriltag_family {
         ncodes: tables.codes.len() as u32,
         codes: tables.codes.as_mut_ptr(),
-        width_at_border: family.bits_per_side as i32 + 2,
-        total_width: family.bits_per_side as i32 + 4,
+        width_at_border: dictionary.cells_per_side() as i32,
+        total_width: dictionary.cells_per_side() as i32 + 2,
         reversed_border: false,
         nbits: tables.bit_x.len() as u32,
         bit_x: tables.bit_x.as_mut_ptr(),
         bit_y: tables.bit_y.as_mut_ptr(),
-        h: family.min_distance,
+        h: dictionary.min_distance(),
         name: tables.name.as_ptr().cast::<c_char>().cast_mut(),
         impl_: std::ptr::null_mut(),
     }

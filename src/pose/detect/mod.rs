@@ -1,12 +1,10 @@
-//! Marker detectors and the dictionaries they search for.
+//! Marker detectors.
 
 mod apriltag;
-mod family;
 #[cfg(test)]
 mod apriltag_test;
 
 pub use apriltag::{ApriltagDetector, ApriltagSettings};
-pub use family::MarkerFamily;
 
 use image::GrayImage;
 

@@ -6,9 +6,8 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::geometry::Pose;
-use crate::pose::BoardMarker;
+use crate::pose::{BoardMarker, Dictionary};
 use crate::pose::camera::project;
-use crate::pose::detect::MarkerFamily;
 use crate::pose::synthetic::{GraspScene, gripper_markers, ring_board, test_camera};
 
 fn normal(random: &mut Pcg64) -> f64 {
@@ -16,19 +15,10 @@ fn normal(random: &mut Pcg64) -> f64 {
     radius * (std::f64::consts::TAU * random.random::<f64>()).cos()
 }
 
-fn codes() -> MarkerFamily {
-    MarkerFamily {
-        name: "none".into(),
-        bits_per_side: 4,
-        codes: vec![0],
-        min_distance: 0,
-        corrected_bits: 0,
-    }
-}
-
 fn scene(index: u64, parts: [Part; 2]) -> GraspScene {
-    let (board, gripper) = (ring_board("none"), gripper_markers("none", parts));
-    GraspScene::random(&board, &gripper, &codes(), 11, index)
+    let dictionary = Dictionary::by_name("DICT_4X4_50").unwrap();
+    let (board, gripper) = (ring_board(&dictionary), gripper_markers(&dictionary, parts));
+    GraspScene::random(&board, &gripper, &dictionary, 11, index)
 }
 
 /// Corners of a part's markers with noise.

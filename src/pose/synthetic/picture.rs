@@ -9,8 +9,7 @@ use super::surface::{Decal, Shade, Surface, surfaces};
 use crate::geometry::Pose;
 use crate::imaging::Intrinsics;
 use crate::pose::camera::{project, undistort};
-use crate::pose::detect::MarkerFamily;
-use crate::pose::{Board, Detection, Part};
+use crate::pose::{Board, Detection, Dictionary, Part};
 
 /// Side of the tiles that are rendered with one list of candidates, px.
 const TILE: u32 = 32;
@@ -25,8 +24,8 @@ pub struct Placed<'a> {
     pub board: &'a Board,
     /// Which of its parts.
     pub part: Part,
-    /// The codes of its dictionary.
-    pub family: &'a MarkerFamily,
+    /// Its dictionary; markers that it does not have are not drawn.
+    pub dictionary: &'a Dictionary,
     /// Maps the part's frame into the camera's.
     pub t_camera_part: Pose,
 }
@@ -52,7 +51,7 @@ pub fn render(
 ) -> SyntheticPicture {
     let surfaces: Vec<Surface> = placed
         .iter()
-        .flat_map(|p| surfaces(p.board, p.part, p.family, &p.t_camera_part, intrinsics))
+        .flat_map(|p| surfaces(p.board, p.part, p.dictionary, &p.t_camera_part, intrinsics))
         .collect();
     let (width, height) = (intrinsics.width, intrinsics.height);
     let rays = Rays::new(intrinsics);

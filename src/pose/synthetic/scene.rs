@@ -7,8 +7,7 @@ use rand_pcg::Pcg64;
 use super::{Placed, PictureConditions, SyntheticPicture, render};
 use crate::geometry::Pose;
 use crate::imaging::{DistortionModel, Intrinsics};
-use crate::pose::detect::MarkerFamily;
-use crate::pose::{Board, BoardMarker, Part};
+use crate::pose::{Board, BoardMarker, Dictionary, Part};
 
 /// Side of all markers, m.
 const MARKER_M: f64 = 0.03;
@@ -17,7 +16,7 @@ const LEANING_RAD: f64 = 0.6109;
 
 /// Fourteen markers of 30 mm around the middle of a sheet of A4: ids 0 to 13.
 #[must_use]
-pub fn ring_board(dictionary: &str) -> Board {
+pub fn ring_board(dictionary: &Dictionary) -> Board {
     let mut markers = Vec::new();
     for row in 0..4u32 {
         for column in 0..5u32 {
@@ -33,7 +32,7 @@ pub fn ring_board(dictionary: &str) -> Board {
     }
     Board {
         name: "ring of 14".to_owned(),
-        dictionary: dictionary.to_owned(),
+        dictionary: dictionary.name().to_owned(),
         markers,
     }
 }
@@ -41,7 +40,7 @@ pub fn ring_board(dictionary: &str) -> Board {
 /// Two markers of 30 mm on one side of a gripper, 56° apart: ids 40 and 41. `parts` says what
 /// carries the one at −x and the one at +x.
 #[must_use]
-pub fn gripper_markers(dictionary: &str, parts: [Part; 2]) -> Board {
+pub fn gripper_markers(dictionary: &Dictionary, parts: [Part; 2]) -> Board {
     let place = |side: f64| {
         let normal = DVec3::new(
             LEANING_RAD.cos() * (side * LEANING_RAD).sin(),
@@ -58,7 +57,7 @@ pub fn gripper_markers(dictionary: &str, parts: [Part; 2]) -> Board {
     };
     Board {
         name: "gripper".to_owned(),
-        dictionary: dictionary.to_owned(),
+        dictionary: dictionary.name().to_owned(),
         markers: vec![
             marker(40, parts[0], &place(-1.0)),
             marker(41, parts[1], &place(1.0)),
@@ -100,8 +99,8 @@ pub struct GraspScene {
     pub board: Board,
     /// The gripper's markers.
     pub gripper: Board,
-    /// The codes of both.
-    pub family: MarkerFamily,
+    /// The dictionary of both.
+    pub dictionary: Dictionary,
     /// Maps the object's frame into the camera's.
     pub t_camera_object: Pose,
     /// Maps the gripper's frame into the camera's.
@@ -114,7 +113,7 @@ impl GraspScene {
     /// Scene `index` of a seed: camera 0.4–0.8 m from the board, 20–55° from its normal; gripper
     /// 50–90 mm above the board, its markers towards the camera.
     #[must_use]
-    pub fn random(board: &Board, gripper: &Board, family: &MarkerFamily, seed: u64, index: u64) -> Self {
+    pub fn random(board: &Board, gripper: &Board, dictionary: &Dictionary, seed: u64, index: u64) -> Self {
         let mut random = Pcg64::new(u128::from(seed), u128::from(index));
         // The first numbers of neighbouring streams resemble each other.
         for _ in 0..8 {
@@ -153,7 +152,7 @@ impl GraspScene {
         Self {
             board: board.clone(),
             gripper: gripper.clone(),
-            family: family.clone(),
+            dictionary: dictionary.clone(),
             t_camera_object,
             t_camera_gripper: t_camera_object * t_object_gripper,
             opening_m: between(0.0, 0.08),
@@ -178,14 +177,14 @@ impl GraspScene {
         let gripper = |part, shift| Placed {
             board: &self.gripper,
             part,
-            family: &self.family,
+            dictionary: &self.dictionary,
             t_camera_part: self.t_camera_gripper * Pose::from_translation(shift),
         };
         let placed = [
             Placed {
                 board: &self.board,
                 part: Part::Object,
-                family: &self.family,
+                dictionary: &self.dictionary,
                 t_camera_part: self.t_camera_object,
             },
             gripper(Part::Body, DVec3::ZERO),

@@ -5,8 +5,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use crate::geometry::Pose;
 use crate::imaging::Intrinsics;
 use crate::pose::camera::project;
-use crate::pose::detect::MarkerFamily;
-use crate::pose::{Board, BoardMarker, Part};
+use crate::pose::{Board, BoardMarker, Dictionary, MarkerCells, Part};
 
 /// Planes closer than this and parallel are one sheet, m.
 const ONE_SHEET_M: f64 = 1e-4;
@@ -55,9 +54,10 @@ pub(super) struct Decal {
     origin: DVec2,
     right: DVec2,
     down: DVec2,
-    /// Cells along a side with the border.
+    /// Cells along a side with the border, and of the border.
     cells: usize,
-    white: Vec<bool>,
+    border: usize,
+    data: MarkerCells,
 }
 
 impl Surface {
@@ -92,9 +92,9 @@ impl Decal {
             (place >= 0.0 && place < self.cells as f64).then_some(place as usize)
         };
         let (column, row) = (cell(self.right)?, cell(self.down)?);
-        let inside = 1..self.cells - 1;
+        let inside = self.border..self.cells - self.border;
         let is_data = inside.contains(&column) && inside.contains(&row);
-        Some(is_data && self.white[(row - 1) * (self.cells - 2) + column - 1])
+        Some(is_data && self.data.is_white(row - self.border, column - self.border))
     }
 }
 
@@ -102,7 +102,7 @@ impl Decal {
 pub(super) fn surfaces(
     board: &Board,
     part: Part,
-    family: &MarkerFamily,
+    dictionary: &Dictionary,
     t_camera_part: &Pose,
     intrinsics: &Intrinsics,
 ) -> Vec<Surface> {
@@ -124,7 +124,7 @@ pub(super) fn surfaces(
     }
     sheets
         .iter()
-        .map(|(plane, markers)| surface(plane, markers, family, t_camera_part, intrinsics))
+        .map(|(plane, markers)| surface(plane, markers, dictionary, t_camera_part, intrinsics))
         .collect()
 }
 
@@ -140,23 +140,23 @@ fn plane_of(marker: &BoardMarker) -> Pose {
 fn surface(
     plane: &Pose,
     markers: &[&BoardMarker],
-    family: &MarkerFamily,
+    dictionary: &Dictionary,
     t_camera_part: &Pose,
     intrinsics: &Intrinsics,
 ) -> Surface {
     let t_camera_plane = *t_camera_part * *plane;
     let flat = |c: DVec3| plane.inverse().transform_point(c).truncate();
     let corners = || markers.iter().flat_map(|m| m.corners_m).map(flat);
-    let cells = family.bits_per_side as usize + 2;
+    let cells = dictionary.cells_per_side();
     let cell = markers
         .first()
         .map_or(0.0, |m| m.corners_m[0].distance(m.corners_m[1]) / cells as f64);
     let margin = DVec2::splat(MARGIN_CELLS * cell);
     let min = corners().fold(DVec2::INFINITY, DVec2::min) - margin;
     let max = corners().fold(DVec2::NEG_INFINITY, DVec2::max) + margin;
-    let decals = markers.iter().map(|marker| {
+    let decals = markers.iter().filter_map(|marker| {
         let [a, b, _, d] = marker.corners_m.map(flat);
-        Decal {
+        Some(Decal {
             id: marker.id,
             bounds: bounds(&[a, b, b + d - a, d], &t_camera_plane, intrinsics),
             corners_m: marker.corners_m.map(|c| t_camera_part.transform_point(c)),
@@ -164,10 +164,11 @@ fn surface(
             right: (b - a) / (b - a).length_squared(),
             down: (d - a) / (d - a).length_squared(),
             cells,
-            white: family.pattern(marker.id).unwrap_or_default(),
-        }
+            border: dictionary.border_cells(),
+            data: dictionary.marker(marker.id)?,
+        })
     });
-    let decals = decals.filter(|d| !d.white.is_empty()).collect();
+    let decals = decals.collect();
     let outline = [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y)];
     let t_plane_camera = t_camera_plane.inverse();
     let (r, o) = (t_plane_camera.rotation_matrix(), t_plane_camera.translation_m);
