@@ -5,7 +5,7 @@ use std::time::Duration;
 use glam::DVec2;
 use serde::Serialize;
 
-use super::detect::{ApriltagDetector, ApriltagSettings};
+use super::detect::detectors;
 use super::refine::refine_all;
 use super::solve::{RelativePose, relative, solve_gripper, solve_part};
 use super::synthetic::{
@@ -79,40 +79,48 @@ pub struct PoseFigures {
     pub detect_ms: f64,
 }
 
-/// Runs `bench`. `clock` gives the time that the calling thread has used so far; `progress` is
+/// Runs `bench` with every detector that is compiled in, on the same pictures; the default one
+/// comes first. `clock` gives the time that the calling thread has used so far; `progress` is
 /// called after each picture.
 ///
 /// # Errors
-/// Those of the detector.
+/// Those of the detectors.
 pub fn measure_pose(
     bench: &PoseBench,
     clock: impl Fn() -> Duration,
     mut progress: impl FnMut(),
-) -> Result<PoseFigures> {
+) -> Result<Vec<(&'static str, PoseFigures)>> {
     let dictionary = Dictionary::by_name(DICTIONARY)?;
     let board = ring_board(&dictionary);
     let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
     let camera = test_camera(bench.width, bench.width * 9 / 16);
     let ids: Vec<u32> = (0..dictionary.len() as u32).collect();
-    let mut detector = ApriltagDetector::new(&dictionary, &ids, ApriltagSettings::default())?;
-    let mut tally = Tally::default();
+    let mut runs: Vec<(Box<dyn MarkerDetector>, Tally)> = detectors(&dictionary, &ids)?
+        .into_iter()
+        .map(|detector| (detector, Tally::default()))
+        .collect();
     for index in 0..bench.pictures {
         let scene = GraspScene::random(&board, &gripper, &dictionary, bench.seed, index);
         let seen = scene.render(&camera, &conditions(bench, index), bench.seed ^ index);
-        let start = clock();
-        let found = detector.detect(&seen.picture)?;
-        let searched = clock();
-        let found = refine_all(&seen.picture, &found);
-        let pose = pose_of(&scene, &found, &camera);
-        tally.ms.push(milliseconds(clock(), start));
-        tally.detect_ms.push(milliseconds(searched, start));
-        tally.add_corners(&seen, &found);
-        if let Some(pose) = pose {
-            tally.add_pose(&scene, &pose);
+        for (detector, tally) in &mut runs {
+            let start = clock();
+            let found = detector.detect(&seen.picture)?;
+            let searched = clock();
+            let found = refine_all(&seen.picture, &found);
+            let pose = pose_of(&scene, &found, &camera);
+            tally.ms.push(milliseconds(clock(), start));
+            tally.detect_ms.push(milliseconds(searched, start));
+            tally.add_corners(&seen, &found);
+            if let Some(pose) = pose {
+                tally.add_pose(&scene, &pose);
+            }
         }
         progress();
     }
-    Ok(tally.figures(bench.pictures))
+    let figures = |(detector, tally): (Box<dyn MarkerDetector>, Tally)| {
+        (detector.name(), tally.figures(bench.pictures))
+    };
+    Ok(runs.into_iter().map(figures).collect())
 }
 
 fn milliseconds(end: Duration, start: Duration) -> f64 {
@@ -232,7 +240,9 @@ mod tests {
             Duration::from_millis(10 * ticks.get())
         };
         let mut done = 0;
-        let figures = measure_pose(&bench, clock, || done += 1).unwrap();
+        let all = measure_pose(&bench, clock, || done += 1).unwrap();
+        let (name, figures) = &all[0];
+        assert_eq!(*name, "apriltag");
         assert_eq!(done, 4);
         assert_eq!((figures.false_ids, figures.solved), (0, 1.0));
         assert!(figures.detected > 0.98, "{figures:?}");

@@ -2,7 +2,9 @@
 //!
 //! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
 
-use super::{Context, bench_contact, bench_grasp, bench_live, bench_predict, bench_render};
+use super::{
+    Context, bench_contact, bench_grasp, bench_live, bench_pose, bench_predict, bench_render,
+};
 use crate::error::Result;
 
 /// Arguments.
@@ -20,6 +22,8 @@ enum Bench {
     Contact(bench_contact::Args),
     /// Simulated grasps, easy and hard: time, steps, Newton iterations, outcomes
     Grasp(bench_grasp::Args),
+    /// Poses of synthetic pictures: accuracy, detection, time
+    Pose(bench_pose::Args),
     /// One prediction: load, preprocess, engine
     Predict(bench_predict::Args),
     /// Tactile and path-traced pictures
@@ -32,6 +36,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Bench::Live(args) => bench_live::run(context, &args),
         Bench::Contact(args) => bench_contact::run(context, &args),
         Bench::Grasp(args) => bench_grasp::run(context, args),
+        Bench::Pose(args) => bench_pose::run(context, &args),
         Bench::Predict(args) => bench_predict::run(context, &args),
         Bench::Render(args) => bench_render::run(context, args),
     }

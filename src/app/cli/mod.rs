@@ -13,6 +13,7 @@ mod bench;
 mod bench_contact;
 mod bench_grasp;
 mod bench_live;
+mod bench_pose;
 mod bench_predict;
 mod bench_render;
 mod collect;

@@ -1,19 +1,37 @@
 //! Marker detectors.
 
 mod apriltag;
+mod diagnosis;
 #[cfg(test)]
 mod apriltag_test;
 
 pub use apriltag::{ApriltagDetector, ApriltagSettings};
+pub use diagnosis::{Diagnosis, diagnose, known_dictionaries};
 
 use image::GrayImage;
 
+use super::{Dictionary, MarkerDetector};
 use crate::error::{Error, ErrorKind, Result};
 
 /// Shortest side of a picture that is searched, px.
 const LEAST_SIDE: u32 = 32;
 /// Longest side of a picture that is searched, px.
 const LARGEST_SIDE: u32 = 16_384;
+
+/// All detectors that are compiled in, the default one first, for the markers of `dictionary`
+/// whose ids are in `whitelist`.
+///
+/// # Errors
+/// `Input` for what they cannot search for.
+pub fn detectors(
+    dictionary: &Dictionary,
+    whitelist: &[u32],
+) -> Result<Vec<Box<dyn MarkerDetector>>> {
+    let settings = ApriltagSettings::default();
+    Ok(vec![Box::new(ApriltagDetector::new(
+        dictionary, whitelist, settings,
+    )?)])
+}
 
 /// `Input` for a picture that no detector takes.
 fn check_size(picture: &GrayImage) -> Result<()> {
