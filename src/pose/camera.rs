@@ -32,8 +32,9 @@ pub fn project_with_jacobian(
     let pixel = focal * bent + DVec2::new(intrinsics.cx, intrinsics.cy);
     let d_ideal_x = DVec3::new(inverse_z, 0.0, -ideal.x * inverse_z);
     let d_ideal_y = DVec3::new(0.0, inverse_z, -ideal.y * inverse_z);
-    let row =
-        |focal: f64, i: usize| focal * (d_bent.col(0)[i] * d_ideal_x + d_bent.col(1)[i] * d_ideal_y);
+    let row = |focal: f64, i: usize| {
+        focal * (d_bent.col(0)[i] * d_ideal_x + d_bent.col(1)[i] * d_ideal_y)
+    };
     Some((pixel, [row(focal.x, 0), row(focal.y, 1)]))
 }
 

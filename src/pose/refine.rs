@@ -9,8 +9,12 @@ use image::GrayImage;
 
 use super::Detection;
 
-/// Passes over the four sides; the second samples along better lines.
-const PASSES: usize = 2;
+/// Most passes over the four sides; each samples along the lines of the one before.
+const MOST_PASSES: usize = 5;
+/// Corners that move less than this in a pass have arrived, px.
+const ARRIVED_PX: f64 = 0.005;
+/// Samples of the widest profile.
+const MOST_SAMPLES: usize = 15;
 /// Part of a side at each end that the other side's blur reaches.
 const ENDS: f64 = 0.12;
 /// Fewest profiles of a side, and fewest that its line is fitted to.
@@ -39,16 +43,17 @@ const FARTHEST_PX: f64 = 4.0;
 #[must_use]
 pub fn refine_corners(picture: &GrayImage, detection: &Detection) -> Detection {
     let mut corners = detection.corners_px;
-    for _ in 0..PASSES {
+    for _ in 0..MOST_PASSES {
         let Some(next) = pass(picture, &corners) else {
             return detection.clone();
         };
+        let step = farthest(&next, &corners);
         corners = next;
+        if step < ARRIVED_PX {
+            break;
+        }
     }
-    let moved = |(a, b): (&DVec2, &DVec2)| a.distance(*b);
-    let farthest = corners.iter().zip(&detection.corners_px).map(moved);
-    // Written so that NaN keeps what was found.
-    let is_near = farthest.fold(0.0, f64::max) < FARTHEST_PX;
+    let is_near = farthest(&corners, &detection.corners_px) < FARTHEST_PX;
     if !(is_near && corners.iter().all(|c| c.is_finite())) {
         return detection.clone();
     }
@@ -56,6 +61,11 @@ pub fn refine_corners(picture: &GrayImage, detection: &Detection) -> Detection {
         corners_px: corners,
         ..detection.clone()
     }
+}
+
+fn farthest(a: &[DVec2; 4], b: &[DVec2; 4]) -> f64 {
+    let distances = a.iter().zip(b).map(|(a, b)| a.distance(*b));
+    distances.fold(0.0, f64::max)
 }
 
 /// [`refine_corners`] of all detections.
@@ -97,13 +107,20 @@ fn marker_sharpness(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpne
     }; 4];
     for (i, side) in sides.iter_mut().enumerate() {
         let edge = Edge::new(corners, i)?;
-        let mut mean = vec![0.0; edge.samples()];
-        let profiles = edge.positions();
-        for along in &profiles {
-            for (sum, value) in mean.iter_mut().zip(edge.profile(picture, *along)?) {
-                *sum += value / profiles.len() as f64;
+        let mut sums = [0.0; MOST_SAMPLES];
+        let mut count = 0.0;
+        for along in edge.positions() {
+            let profile = edge.profile(picture, along)?;
+            count += 1.0;
+            for (sum, value) in sums.iter_mut().zip(profile) {
+                *sum += value;
             }
         }
+        let mean: Vec<f64> = sums
+            .iter()
+            .take(edge.samples())
+            .map(|s| s / count)
+            .collect();
         let steepest = mean
             .windows(2)
             .map(|w| (w[1] - w[0]) / STEP_PX)
@@ -181,16 +198,14 @@ impl Edge {
     }
 
     /// Places of profiles along the side, px from its middle.
-    fn positions(&self) -> Vec<f64> {
+    fn positions(&self) -> impl Iterator<Item = f64> {
         let count = LEAST_PROFILES.max(self.length as usize);
         let span = (1.0 - 2.0 * ENDS) * self.length;
-        (0..count)
-            .map(|i| span * (i as f64 / (count - 1) as f64 - 0.5))
-            .collect()
+        (0..count).map(move |i| span * (i as f64 / (count - 1) as f64 - 0.5))
     }
 
     fn samples(&self) -> usize {
-        2 * ((self.half_width + 0.5) / STEP_PX) as usize + 1
+        (2 * ((self.half_width + 0.5) / STEP_PX) as usize + 1).min(MOST_SAMPLES)
     }
 
     /// Distance of sample `i` from the side, outwards, px.
@@ -198,12 +213,15 @@ impl Edge {
         (i as f64 - 0.5 * (self.samples() - 1) as f64) * STEP_PX
     }
 
-    /// Grey levels across the side, from inside to outside; none beyond the picture's border.
-    fn profile(&self, picture: &GrayImage, along: f64) -> Option<Vec<f64>> {
+    /// Grey levels across the side, from inside to outside, [`Self::samples`] of them; none
+    /// beyond the picture's border.
+    fn profile(&self, picture: &GrayImage, along: f64) -> Option<[f64; MOST_SAMPLES]> {
         let on_side = self.middle + self.direction * along;
-        (0..self.samples())
-            .map(|i| bilinear(picture, on_side + self.outward * self.across(i)))
-            .collect()
+        let mut levels = [0.0; MOST_SAMPLES];
+        for (i, level) in levels.iter_mut().enumerate().take(self.samples()) {
+            *level = bilinear(picture, on_side + self.outward * self.across(i))?;
+        }
+        Some(levels)
     }
 
     /// Point and direction of the line that fits the edge.
@@ -213,7 +231,7 @@ impl Edge {
             let Some(profile) = self.profile(picture, along) else {
                 continue;
             };
-            if let Some((offset, contrast)) = self.crossing(&profile) {
+            if let Some((offset, contrast)) = self.crossing(&profile[..self.samples()]) {
                 points.push([along, offset, contrast]);
             }
         }
@@ -228,10 +246,10 @@ impl Edge {
 
     /// Mean place of the brightening, weighted by its gradient, and the sum of the gradients.
     fn crossing(&self, profile: &[f64]) -> Option<(f64, f64)> {
-        let gradients: Vec<f64> = profile.windows(2).map(|w| (w[1] - w[0]).max(0.0)).collect();
-        let noise = NOISE * gradients.iter().copied().fold(0.0, f64::max);
+        let gradients = || profile.windows(2).map(|w| (w[1] - w[0]).max(0.0));
+        let noise = NOISE * gradients().fold(0.0, f64::max);
         let (mut sum, mut moment) = (0.0, 0.0);
-        for (i, gradient) in gradients.into_iter().enumerate() {
+        for (i, gradient) in gradients().enumerate() {
             if gradient >= noise {
                 sum += gradient;
                 moment += gradient * (self.across(i) + 0.5 * STEP_PX);
@@ -280,10 +298,8 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
 fn bilinear(picture: &GrayImage, at: DVec2) -> Option<f64> {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     // Written so that NaN is outside as well.
-    let inside = at.x >= 0.0
-        && at.y >= 0.0
-        && at.x <= (width as f64) - 1.0
-        && at.y <= (height as f64) - 1.0;
+    let inside =
+        at.x >= 0.0 && at.y >= 0.0 && at.x <= (width as f64) - 1.0 && at.y <= (height as f64) - 1.0;
     if !inside {
         return None;
     }

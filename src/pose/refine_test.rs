@@ -84,7 +84,10 @@ fn sharpness_orders_pictures_by_their_blur() {
     for other in [soft, along_x, along_y] {
         assert!(other.blur_px > 1.2 * sharp.blur_px, "{other:?} {sharp:?}");
     }
-    assert_eq!(sharpness(&picture(2, &PictureConditions::default()).picture, &[]), None);
+    assert_eq!(
+        sharpness(&picture(2, &PictureConditions::default()).picture, &[]),
+        None
+    );
 }
 
 #[test]
@@ -107,7 +110,10 @@ fn where_no_border_is_the_detection_stays() {
         square(30.0, f64::NAN),
         square(1e300, 1e300),
     ] {
-        assert_eq!(format!("{:?}", refine_corners(&flat, &detection)), format!("{detection:?}"));
+        assert_eq!(
+            format!("{:?}", refine_corners(&flat, &detection)),
+            format!("{detection:?}")
+        );
         let moved = refine_corners(&noise, &detection);
         for (a, b) in moved.corners_px.iter().zip(&detection.corners_px) {
             assert!(!(a.distance(*b) >= 4.0));

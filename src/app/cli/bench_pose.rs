@@ -77,7 +77,9 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
             progress.at(done, bench.pictures);
         })
     })??;
-    let (default, others) = measured.split_first().map_or((None, &[][..]), |(d, o)| (Some(d), o));
+    let (default, others) = measured
+        .split_first()
+        .map_or((None, &[][..]), |(d, o)| (Some(d), o));
     if args.json {
         let peers: Map<_, _> = others
             .iter()

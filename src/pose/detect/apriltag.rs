@@ -22,6 +22,11 @@ const HALF_PIXEL: DVec2 = DVec2::splat(0.5);
 const MOST_CELLS: usize = 7;
 /// Least distance of a dictionary's markers at which a bit is corrected.
 const LEAST_DISTANCE_TO_CORRECT: u32 = 6;
+/// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with
+/// some reserve.
+const NOISE_RANGE: f64 = 7.0;
+/// Limits of the contrast that a window needs, grey levels; the first is the library's own.
+const LEAST_CONTRAST: (i32, i32) = (5, 60);
 
 /// What can be set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -160,17 +165,30 @@ impl ApriltagDetector {
         Ok(())
     }
 
+    /// Places without contrast beyond the noise are not searched: most of the time would go there.
+    fn set_least_contrast(&mut self, picture: &GrayImage) {
+        let range = NOISE_RANGE * noise(picture);
+        let least = (range.round() as i32).clamp(LEAST_CONTRAST.0, LEAST_CONTRAST.1);
+        // SAFETY: the detector is valid, which `configure` has checked, and borrowed exclusively.
+        unsafe {
+            (*self.detector).qtp.min_white_black_diff = least;
+        }
+    }
+
     fn detection(&self, raw: &sys::apriltag_detection) -> Option<Detection> {
         let id = *self.ids.get(usize::try_from(raw.id).ok()?)?;
         // The library starts at the bottom left and goes against the clock.
         let [c, d, e, f] = [3, 2, 1, 0].map(|i: usize| DVec2::from_array(raw.p[i]) - HALF_PIXEL);
         let corners_px = [c, d, e, f];
-        corners_px.iter().all(|p| p.is_finite()).then_some(Detection {
-            id,
-            corners_px,
-            hamming: u32::try_from(raw.hamming).unwrap_or(0),
-            margin: raw.decision_margin,
-        })
+        corners_px
+            .iter()
+            .all(|p| p.is_finite())
+            .then_some(Detection {
+                id,
+                corners_px,
+                hamming: u32::try_from(raw.hamming).unwrap_or(0),
+                margin: raw.decision_margin,
+            })
     }
 }
 
@@ -181,6 +199,7 @@ impl MarkerDetector for ApriltagDetector {
 
     fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
         check_size(picture)?;
+        self.set_least_contrast(picture);
         let (width, height) = (picture.width() as i32, picture.height() as i32);
         let mut image = sys::image_u8 {
             width,
@@ -223,6 +242,32 @@ impl Drop for ApriltagDetector {
             drop(Box::from_raw(self.family));
         }
     }
+}
+
+/// Standard deviation of the noise, grey levels: the median second difference along rows, which
+/// the few edges of a picture hardly change.
+fn noise(picture: &GrayImage) -> f64 {
+    const EVERY: (usize, usize) = (7, 5);
+    // Median of |x| and deviation of a second difference, for a deviation of 1.
+    const OF_DEVIATION: f64 = 0.6745 * 2.449;
+    let mut counts = [0u32; 1021];
+    for row in picture
+        .as_raw()
+        .chunks_exact(picture.width() as usize)
+        .step_by(EVERY.1)
+    {
+        for three in row.windows(3).step_by(EVERY.0) {
+            let [a, b, c] = [three[0], three[1], three[2]].map(i32::from);
+            counts[(a - 2 * b + c).unsigned_abs() as usize] += 1;
+        }
+    }
+    let half = counts.iter().sum::<u32>() / 2;
+    let mut below = 0;
+    let median = counts.iter().position(|count| {
+        below += count;
+        below > half
+    });
+    median.unwrap_or(0) as f64 / OF_DEVIATION
 }
 
 /// Bits that may be corrected without taking one marker for another: in a small dictionary, one

@@ -6,7 +6,9 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
 
 use super::*;
-use crate::pose::synthetic::{GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera};
+use crate::pose::synthetic::{
+    GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera,
+};
 use crate::pose::{Detection, Dictionary, MarkerDetector as _, Part};
 
 fn dictionary(name: &str) -> Dictionary {
@@ -21,7 +23,11 @@ fn picture(dictionary: &Dictionary, index: u64) -> SyntheticPicture {
     let board = ring_board(dictionary);
     let gripper = gripper_markers(dictionary, [Part::Body; 2]);
     let scene = GraspScene::random(&board, &gripper, dictionary, 3, index);
-    scene.render(&test_camera(1280, 720), &PictureConditions::default(), index)
+    scene.render(
+        &test_camera(1280, 720),
+        &PictureConditions::default(),
+        index,
+    )
 }
 
 fn detector(dictionary: &Dictionary, ids: &[u32]) -> ApriltagDetector {
@@ -31,14 +37,24 @@ fn detector(dictionary: &Dictionary, ids: &[u32]) -> ApriltagDetector {
 fn corner_errors(found: &[Detection], truth: &[Detection]) -> Vec<DVec2> {
     let pair = |t: &Detection| {
         let d = found.iter().find(|d| d.id == t.id)?;
-        Some((0..4).map(|i| d.corners_px[i] - t.corners_px[i]).collect::<Vec<_>>())
+        Some(
+            (0..4)
+                .map(|i| d.corners_px[i] - t.corners_px[i])
+                .collect::<Vec<_>>(),
+        )
     };
     truth.iter().filter_map(pair).flatten().collect()
 }
 
 #[test]
 fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
-    for name in ["36h11", "DICT_APRILTAG_36h11", "36h11_border2", "DICT_6X6_250", "DICT_5X5_100"] {
+    for name in [
+        "36h11",
+        "DICT_APRILTAG_36h11",
+        "36h11_border2",
+        "DICT_6X6_250",
+        "DICT_5X5_100",
+    ] {
         let searched = dictionary(name);
         let seen = picture(&searched, 1);
         assert!(seen.truth.len() >= 12, "{}", seen.truth.len());
@@ -46,7 +62,12 @@ fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
             .detect(&seen.picture)
             .unwrap();
         for truth in &seen.truth {
-            assert!(found.iter().any(|d| d.id == truth.id), "{} {}", name, truth.id);
+            assert!(
+                found.iter().any(|d| d.id == truth.id),
+                "{} {}",
+                name,
+                truth.id
+            );
         }
         let errors = corner_errors(&found, &seen.truth);
         // Another convention shifts all corners by half a pixel.
@@ -130,4 +151,28 @@ fn pictures_without_sense_do_no_harm() {
         refine_edges: true,
     };
     assert!(ApriltagDetector::new(&searched, &[0], settings).is_err());
+}
+
+#[test]
+fn markers_of_little_contrast_are_found_in_clean_and_in_noisy_pictures() {
+    let searched = dictionary("36h11");
+    let board = ring_board(&searched);
+    let gripper = gripper_markers(&searched, [Part::Body; 2]);
+    let scene = GraspScene::random(&board, &gripper, &searched, 3, 1);
+    for (levels, noise) in [([40.0, 22.0, 30.0], 0.5), ([120.0, 60.0, 90.0], 5.0)] {
+        let conditions = PictureConditions {
+            levels,
+            noise,
+            ..PictureConditions::default()
+        };
+        let seen = scene.render(&test_camera(1280, 720), &conditions, 5);
+        let found = detector(&searched, &every_id(&searched))
+            .detect(&seen.picture)
+            .unwrap();
+        let missed = seen
+            .truth
+            .iter()
+            .filter(|truth| found.iter().all(|d| d.id != truth.id));
+        assert!(missed.count() <= 1, "{levels:?} {}", found.len());
+    }
 }

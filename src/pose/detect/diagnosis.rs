@@ -167,8 +167,10 @@ mod tests {
         let board = ring_board(&dictionary);
         let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
         let scene = GraspScene::random(&board, &gripper, &dictionary, 8, 0);
-        let camera = test_camera(960, 540);
-        scene.render(&camera, &PictureConditions::default(), 0).picture
+        let camera = test_camera(1280, 720);
+        scene
+            .render(&camera, &PictureConditions::default(), 0)
+            .picture
     }
 
     #[test]
@@ -177,21 +179,29 @@ mod tests {
         let board = Dictionary::by_name("DICT_6X6_250").unwrap();
         let right = picture("DICT_6X6_250");
         let on_board: Vec<u32> = (0..14).collect();
-        let diagnosed = |picture: &GrayImage, ids: &[u32]| {
-            diagnose(picture, &board, ids, &others).unwrap()
-        };
+        let diagnosed =
+            |picture: &GrayImage, ids: &[u32]| diagnose(picture, &board, ids, &others).unwrap();
         let Diagnosis::Present(found) = diagnosed(&right, &on_board) else {
             panic!("the board is there");
         };
         assert!(found.len() > 8);
         let mirrored = diagnosed(&flip_horizontal(&right), &on_board);
-        assert!(matches!(&mirrored, Diagnosis::Mirrored(ids) if ids.len() > 8), "{mirrored}");
+        assert!(
+            matches!(&mirrored, Diagnosis::Mirrored(ids) if ids.len() > 8),
+            "{mirrored}"
+        );
         let foreign = diagnosed(&right, &[100, 101, 102]);
-        assert!(matches!(&foreign, Diagnosis::OtherMarkers(ids) if ids.len() > 8), "{foreign}");
+        assert!(
+            matches!(&foreign, Diagnosis::OtherMarkers(ids) if ids.len() > 8),
+            "{foreign}"
+        );
         let blank = diagnosed(&GrayImage::new(640, 480), &on_board);
         assert_eq!(blank, Diagnosis::Nothing);
         let text = blank.explain("mug-board").to_string();
-        assert!(text.contains("mug-board: no marker of any known dictionary"), "{text}");
+        assert!(
+            text.contains("mug-board: no marker of any known dictionary"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -1,10 +1,14 @@
 //! Marker detectors.
 
 mod apriltag;
-mod diagnosis;
 #[cfg(test)]
 mod apriltag_test;
+mod diagnosis;
+#[cfg(feature = "opencv")]
+mod opencv;
 
+#[cfg(feature = "opencv")]
+pub use self::opencv::OpencvDetector;
 pub use apriltag::{ApriltagDetector, ApriltagSettings};
 pub use diagnosis::{Diagnosis, diagnose, known_dictionaries};
 
@@ -28,9 +32,12 @@ pub fn detectors(
     whitelist: &[u32],
 ) -> Result<Vec<Box<dyn MarkerDetector>>> {
     let settings = ApriltagSettings::default();
-    Ok(vec![Box::new(ApriltagDetector::new(
-        dictionary, whitelist, settings,
-    )?)])
+    let apriltag = ApriltagDetector::new(dictionary, whitelist, settings)?;
+    Ok(vec![
+        Box::new(apriltag),
+        #[cfg(feature = "opencv")]
+        Box::new(OpencvDetector::new(dictionary, whitelist)?),
+    ])
 }
 
 /// `Input` for a picture that no detector takes.

@@ -59,9 +59,15 @@ mod tests {
             DVec3::new(-0.2, 1.2, -0.1),
             DVec3::new(0.05, -0.02, 1.0),
         );
-        let plane: Vec<DVec2> = [(-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.12), (0.05, 0.0)]
-            .map(DVec2::from)
-            .to_vec();
+        let plane: Vec<DVec2> = [
+            (-0.1, -0.1),
+            (0.1, -0.1),
+            (0.1, 0.1),
+            (-0.1, 0.12),
+            (0.05, 0.0),
+        ]
+        .map(DVec2::from)
+        .to_vec();
         let image: Vec<DVec2> = plane
             .iter()
             .map(|p| {

@@ -158,7 +158,10 @@ mod tests {
             let lean = t_camera_square
                 .transform_vector(DVec3::Z)
                 .angle_between(-sight);
-            assert!((found[1] - 2.0 * lean).abs() < 0.25 * lean, "{found:?} {lean}");
+            assert!(
+                (found[1] - 2.0 * lean).abs() < 0.25 * lean,
+                "{found:?} {lean}"
+            );
         }
     }
 
@@ -166,7 +169,11 @@ mod tests {
     fn several_markers_of_one_plane_work_as_one() {
         let points: Vec<DVec3> = [(-0.1, 0.05), (0.1, 0.06), (0.0, -0.08)]
             .iter()
-            .flat_map(|(x, y)| square(0.015).into_iter().map(|p| p + DVec3::new(*x, *y, 0.3)))
+            .flat_map(|(x, y)| {
+                square(0.015)
+                    .into_iter()
+                    .map(|p| p + DVec3::new(*x, *y, 0.3))
+            })
             .collect();
         let truth = facing(0.6, 1.2) * Pose::from_translation(DVec3::new(0.0, 0.0, -0.3));
         let poses = both_poses(&points, &seen(&points, &truth)).unwrap();

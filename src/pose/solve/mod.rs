@@ -104,7 +104,9 @@ pub fn solve_gripper(
             ErrorKind::Input,
             "only markers of one finger were seen, so that pose and opening cannot be told apart",
         )
-        .remedy("give the opening, or let the camera see the body's or the other finger's markers"));
+        .remedy(
+            "give the opening, or let the camera see the body's or the other finger's markers",
+        ));
     }
     let solved = solve::<7>(board, Part::Body, &seen, intrinsics, &OPENINGS_M)?;
     let opening = Opening {
@@ -262,8 +264,7 @@ fn runner_up<const N: usize>(
     loss_px: f64,
 ) -> Option<Rival> {
     let corners = corners(used);
-    let is_other =
-        |state: &State| angle_between(&state.pose, &best.state.pose) > SAME_MINIMUM_RAD;
+    let is_other = |state: &State| angle_between(&state.pose, &best.state.pose) > SAME_MINIMUM_RAD;
     starts
         .filter_map(|start| {
             let minimum = minimise::<N>(intrinsics, &corners, start, loss_px)
@@ -288,7 +289,10 @@ fn median_error(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f
         .flat_map(|s| s.errors_px(intrinsics, state))
         .collect();
     errors.sort_by(f64::total_cmp);
-    errors.get(errors.len() / 2).copied().unwrap_or(f64::INFINITY)
+    errors
+        .get(errors.len() / 2)
+        .copied()
+        .unwrap_or(f64::INFINITY)
 }
 
 fn rms(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f64 {

@@ -96,7 +96,12 @@ mod tests {
     fn least_squares_and_inverse_agree_with_hand_calculation() {
         // A line through (0, 1), (1, 3), (2, 5) with a fourth point of no weight.
         let mut line = NormalEquations::<2>::zero();
-        for (x, y, weight) in [(0.0, 1.0, 1.0), (1.0, 3.0, 2.0), (2.0, 5.0, 1.0), (9.0, 0.0, 0.0)] {
+        for (x, y, weight) in [
+            (0.0, 1.0, 1.0),
+            (1.0, 3.0, 2.0),
+            (2.0, 5.0, 1.0),
+            (9.0, 0.0, 0.0),
+        ] {
             line.add(&[1.0, x], y, weight);
         }
         let [a, b] = line.solve().unwrap();

@@ -80,7 +80,11 @@ impl RelativePose {
     pub fn normalised_square(&self, error: &[f64; 6]) -> Option<f64> {
         let inverse = inverse(&self.covariance)?;
         let products = (0..6).flat_map(|i| (0..6).map(move |k| (i, k)));
-        Some(products.map(|(i, k)| error[i] * inverse[i][k] * error[k]).sum())
+        Some(
+            products
+                .map(|(i, k)| error[i] * inverse[i][k] * error[k])
+                .sum(),
+        )
     }
 }
 
@@ -96,7 +100,9 @@ pub fn relative(object: &PartPose, gripper: &PartPose) -> RelativePose {
     let by_gripper = blocks(turn, DMat3::ZERO, turn);
     let mut covariance = transformed(&by_object, &object.covariance);
     let other = transformed(&by_gripper, &gripper.covariance);
-    let worse = (object.corner_sigma_px / gripper.corner_sigma_px).max(1.0).powi(2);
+    let worse = (object.corner_sigma_px / gripper.corner_sigma_px)
+        .max(1.0)
+        .powi(2);
     for (row, other) in covariance.iter_mut().zip(other) {
         for (value, other) in row.iter_mut().zip(other) {
             *value += worse * other;

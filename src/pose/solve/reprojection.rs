@@ -115,10 +115,7 @@ fn stepped<const N: usize>(state: &State, step: &[f64; N]) -> State {
         DQuat::from_scaled_axis(DVec3::from_slice(turn))
     });
     State {
-        pose: Pose::new(
-            turn * state.pose.rotation,
-            state.pose.translation_m + shift,
-        ),
+        pose: Pose::new(turn * state.pose.rotation, state.pose.translation_m + shift),
         opening_m: state.opening_m + step.get(6).copied().unwrap_or(0.0),
     }
 }
@@ -139,7 +136,11 @@ fn linearise<const N: usize>(
         let (pixel, gradients) = project_with_jacobian(intrinsics, point)?;
         let residual = observation.pixel - pixel;
         let length = residual.length();
-        let weight = if length > loss_px { loss_px / length } else { 1.0 };
+        let weight = if length > loss_px {
+            loss_px / length
+        } else {
+            1.0
+        };
         cost += if length > loss_px {
             loss_px * (2.0 * length - loss_px)
         } else {
@@ -252,7 +253,10 @@ mod tests {
         observations[2].pixel += DVec2::new(30.0, -20.0);
         let off = |loss| {
             let fit = minimise::<7>(&camera(), &observations, truth(), loss).unwrap();
-            fit.state.pose.translation_m.distance(truth().pose.translation_m)
+            fit.state
+                .pose
+                .translation_m
+                .distance(truth().pose.translation_m)
         };
         assert!(off(0.05) < 0.1 * off(1e3), "{} {}", off(0.05), off(1e3));
     }

@@ -31,9 +31,8 @@ impl Sighting {
 
     /// Distances of its corners from where `state` predicts them, px; infinite behind the camera.
     pub(super) fn errors_px(&self, intrinsics: &Intrinsics, state: &State) -> [f64; 4] {
-        self.corners.map(|corner| {
-            residual(intrinsics, state, &corner).map_or(f64::INFINITY, DVec2::length)
-        })
+        self.corners
+            .map(|corner| residual(intrinsics, state, &corner).map_or(f64::INFINITY, DVec2::length))
     }
 
     /// Root mean square of [`Self::errors_px`].

@@ -6,9 +6,9 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::geometry::Pose;
-use crate::pose::{BoardMarker, Dictionary};
 use crate::pose::camera::project;
 use crate::pose::synthetic::{GraspScene, gripper_markers, ring_board, test_camera};
+use crate::pose::{BoardMarker, Dictionary};
 
 fn normal(random: &mut Pcg64) -> f64 {
     let radius = (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt();
@@ -158,8 +158,7 @@ fn one_finger_alone_needs_a_known_opening() {
     assert_eq!(detections.len(), 1);
     let error = solve_gripper(&scene.gripper, &detections, &camera, None).unwrap_err();
     assert!(error.to_string().contains("one finger"), "{error}");
-    let found =
-        solve_gripper(&scene.gripper, &detections, &camera, Some(scene.opening_m)).unwrap();
+    let found = solve_gripper(&scene.gripper, &detections, &camera, Some(scene.opening_m)).unwrap();
     let (shift, _) = errors(&found.body.t_camera_part, &scene.t_camera_gripper);
     assert!(shift < 1e-8, "{shift}");
 }
@@ -187,7 +186,10 @@ fn a_frontal_marker_alone_is_ambiguous_and_a_tilted_one_is_not() {
     let solved = |tilt: f64, random: &mut Pcg64| {
         let (board, pose) = single(tilt);
         let detections = seen(&board, &[(Part::Body, pose)], 0.05, random);
-        (solve_part(&board, Part::Body, &detections, &camera).unwrap(), pose)
+        (
+            solve_part(&board, Part::Body, &detections, &camera).unwrap(),
+            pose,
+        )
     };
     for _ in 0..20 {
         let (frontal, pose) = solved(0.1, &mut random);
@@ -220,9 +222,19 @@ fn a_marker_in_the_wrong_place_is_left_out() {
     }
     detections[9].corners_px.rotate_left(1);
     let found = solve_part(&scene.board, Part::Object, &detections, &camera).unwrap();
-    let out: Vec<u32> = found.markers.iter().filter(|m| !m.used).map(|m| m.id).collect();
+    let out: Vec<u32> = found
+        .markers
+        .iter()
+        .filter(|m| !m.used)
+        .map(|m| m.id)
+        .collect();
     assert_eq!(out, [4, 9]);
-    assert!(found.notes.iter().any(|n| n.contains("marker 4 was left out")));
+    assert!(
+        found
+            .notes
+            .iter()
+            .any(|n| n.contains("marker 4 was left out"))
+    );
     let (shift, turn) = errors(&found.t_camera_part, &scene.t_camera_object);
     assert!(shift < 3e-4 && turn < 1e-3, "{shift} {turn}");
     assert!(found.rms_px < 0.15, "{}", found.rms_px);
@@ -234,7 +246,10 @@ fn what_cannot_be_solved_is_explained() {
     let mut random = Pcg64::seed_from_u64(7);
     let mut scene = scene(3, [Part::Body; 2]);
     let none = solve_part(&scene.board, Part::Object, &[], &camera).unwrap_err();
-    assert!(none.to_string().contains("no marker of the object's board"), "{none}");
+    assert!(
+        none.to_string().contains("no marker of the object's board"),
+        "{none}"
+    );
     let body = [(Part::Body, scene.t_camera_gripper)];
     let detections = seen(&scene.gripper, &body, 0.05, &mut random);
     // The left marker is described 20 mm from where it is.

@@ -96,7 +96,9 @@ pub(super) fn degrade(
                 let light = 1.0 + conditions.shading * place.dot(direction)
                     - conditions.vignetting * 2.0 * place.length_squared();
                 let noise = conditions.noise * normal(&mut random);
-                (f64::from(*level) * light + noise).round().clamp(0.0, 255.0) as u8
+                (f64::from(*level) * light + noise)
+                    .round()
+                    .clamp(0.0, 255.0) as u8
             })
         })
         .collect();

@@ -211,9 +211,8 @@ fn grid(decal: &Decal) -> impl Iterator<Item = glam::DVec3> {
     const STEPS: usize = 12;
     let [a, b, _, d] = decal.corners_m;
     let along = |i: usize| -0.1 + 1.2 * i as f64 / STEPS as f64;
-    (0..=STEPS).flat_map(move |i| {
-        (0..=STEPS).map(move |k| a + (b - a) * along(i) + (d - a) * along(k))
-    })
+    (0..=STEPS)
+        .flat_map(move |i| (0..=STEPS).map(move |k| a + (b - a) * along(i) + (d - a) * along(k)))
 }
 
 fn is_seen(

@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 
-use super::{Placed, PictureConditions, SyntheticPicture, render};
+use super::{PictureConditions, Placed, SyntheticPicture, render};
 use crate::geometry::Pose;
 use crate::imaging::{DistortionModel, Intrinsics};
 use crate::pose::{Board, BoardMarker, Dictionary, Part};
@@ -113,7 +113,13 @@ impl GraspScene {
     /// Scene `index` of a seed: camera 0.4–0.8 m from the board, 20–55° from its normal; gripper
     /// 50–90 mm above the board, its markers towards the camera.
     #[must_use]
-    pub fn random(board: &Board, gripper: &Board, dictionary: &Dictionary, seed: u64, index: u64) -> Self {
+    pub fn random(
+        board: &Board,
+        gripper: &Board,
+        dictionary: &Dictionary,
+        seed: u64,
+        index: u64,
+    ) -> Self {
         let mut random = Pcg64::new(u128::from(seed), u128::from(index));
         // The first numbers of neighbouring streams resemble each other.
         for _ in 0..8 {

@@ -115,7 +115,10 @@ pub(super) fn surfaces(
                 .corners_m
                 .iter()
                 .all(|c| back.transform_point(*c).z.abs() < ONE_SHEET_M)
-                && plane.transform_vector(DVec3::Z).dot(frame.transform_vector(DVec3::Z)) > 0.0
+                && plane
+                    .transform_vector(DVec3::Z)
+                    .dot(frame.transform_vector(DVec3::Z))
+                    > 0.0
         });
         match sheet {
             Some((_, markers)) => markers.push(marker),
@@ -148,9 +151,9 @@ fn surface(
     let flat = |c: DVec3| plane.inverse().transform_point(c).truncate();
     let corners = || markers.iter().flat_map(|m| m.corners_m).map(flat);
     let cells = dictionary.cells_per_side();
-    let cell = markers
-        .first()
-        .map_or(0.0, |m| m.corners_m[0].distance(m.corners_m[1]) / cells as f64);
+    let cell = markers.first().map_or(0.0, |m| {
+        m.corners_m[0].distance(m.corners_m[1]) / cells as f64
+    });
     let margin = DVec2::splat(MARGIN_CELLS * cell);
     let min = corners().fold(DVec2::INFINITY, DVec2::min) - margin;
     let max = corners().fold(DVec2::NEG_INFINITY, DVec2::max) + margin;
@@ -171,7 +174,10 @@ fn surface(
     let decals = decals.collect();
     let outline = [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y)];
     let t_plane_camera = t_camera_plane.inverse();
-    let (r, o) = (t_plane_camera.rotation_matrix(), t_plane_camera.translation_m);
+    let (r, o) = (
+        t_plane_camera.rotation_matrix(),
+        t_plane_camera.translation_m,
+    );
     let row = |i: usize| r.row(i);
     let rows = [
         o.x * row(2) - o.z * row(0),
