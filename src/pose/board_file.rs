@@ -316,8 +316,8 @@ mod tests {
         for (from, to, expected) in [
             ("schema = 1", "schema = 2", "schema 2, known is 1"),
             ("part = \"object\"", "part = \"hand\"", "marker 7: there is no part named \"hand\""),
-            ("DICT_6X6_250", "DICT_6X6_205", "did you mean DICT_6X6_250?"),
-            ("id = 3", "id = -3", "line 18"),
+            ("DICT_6X6_250", "DICT_6X6_2500", "did you mean DICT_6X6_250?"),
+            ("id = 3", "id = -3", "line 19"),
             ("id = 3", "number = 3", "unknown field `number`"),
             ("id = 3", "id = 7", "marker 7 is there twice"),
             ("measured_mm = [100.0", "measured_mm = [10.0", "100 mm"),

@@ -9,10 +9,16 @@
 //! converted in its wrapper.
 
 mod board;
+mod board_check;
+mod board_file;
+mod board_import;
 mod detection;
 mod dictionary;
+pub mod print;
 mod yaml;
 
 pub use board::{Board, BoardMarker, Part};
+pub use board_file::{BoardFile, PrintedSheet};
+pub use board_import::{ForeignBoard, import_kalibr, import_ros};
 pub use detection::{Detection, MarkerDetector};
 pub use dictionary::{DICTIONARY_NAMES, Dictionary, MarkerCells};

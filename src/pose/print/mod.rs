@@ -22,9 +22,9 @@ pub use gripper_board::{GripperTags, gripper_board};
 pub use gripper_sheet::gripper_sheet;
 pub use object_sheet::{ObjectOnSheet, ObjectSheet, SheetSettings, object_sheet};
 pub use paper::Paper;
-pub use pdf::pdf;
-pub use png::png;
-pub use svg::svg;
+pub use self::pdf::pdf;
+pub use self::png::png;
+pub use self::svg::svg;
 
 use crate::error::{Error, ErrorKind, Result};
 

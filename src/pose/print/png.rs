@@ -178,8 +178,7 @@ impl Film {
         let right = at.x + columns as f64 * step.x;
         let bottom = top + RASTER as f64 * step.y;
         let ink = |column: usize, row: usize| {
-            let line = glyph.raster().get(row);
-            f64::from(line.and_then(|l| l.get(column)).copied().unwrap_or(0)) / 255.0
+            f64::from(glyph.pixel(column, row).unwrap_or(0)) / 255.0
         };
         for y in Self::touched(top, bottom, self.picture.height()) {
             for x in Self::touched(at.x, right, self.picture.width()) {
@@ -300,7 +299,7 @@ mod tests {
         let points = [DVec2::ZERO, DVec2::new(3.0, 0.0), DVec2::new(3.0, 4.0)];
         let pieces = dashes(&points, [2.0, 2.0]);
         let length: f64 = pieces.iter().map(|[a, b]| a.distance(*b)).sum();
-        assert!((length - 3.0).abs() < 1e-12, "{pieces:?}");
+        assert!((length - 4.0).abs() < 1e-12, "{pieces:?}");
         assert_eq!(pieces[1][0], DVec2::new(3.0, 1.0));
     }
 }
