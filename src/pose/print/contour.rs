@@ -176,21 +176,36 @@ mod tests {
     fn a_hollow_body_has_two_outlines() {
         // The mug's wall at a third of its height, its handle beside.
         let found = section(&builtin("mug").unwrap(), 0.0);
-        assert!(found.len() >= 2 && found.iter().all(|o| o.closed), "{}", found.len());
+        assert!(
+            found.len() >= 2 && found.iter().all(|o| o.closed),
+            "{}",
+            found.len()
+        );
         let outer = found.iter().map(length).fold(0.0, f64::max);
-        assert!((outer - std::f64::consts::TAU * 0.03).abs() < 1e-3, "{outer}");
+        assert!(
+            (outer - std::f64::consts::TAU * 0.03).abs() < 1e-3,
+            "{outer}"
+        );
     }
 
     #[test]
     fn an_open_mesh_gives_open_lines() {
         let mut mesh = builtin("box").unwrap();
         let middle = |t: &[u32; 3]| t.iter().map(|v| mesh.vertices[*v as usize].x).sum::<f64>();
-        let kept = mesh.triangles.iter().filter(|t| middle(t) < 0.0589).copied();
+        let kept = mesh
+            .triangles
+            .iter()
+            .filter(|t| middle(t) < 0.0589)
+            .copied();
         mesh.triangles = kept.collect();
         let found = section(&mesh, 0.001);
         assert_eq!(found.len(), 1);
         assert!(!found[0].closed);
-        assert!((length(&found[0]) - 0.12).abs() < 1e-3, "{}", length(&found[0]));
+        assert!(
+            (length(&found[0]) - 0.12).abs() < 1e-3,
+            "{}",
+            length(&found[0])
+        );
     }
 
     #[test]
@@ -203,7 +218,11 @@ mod tests {
             closed: true,
         };
         let plain = simplified(&outline, 0.01);
-        assert!(plain.closed && plain.points.len() < 60, "{}", plain.points.len());
+        assert!(
+            plain.closed && plain.points.len() < 60,
+            "{}",
+            plain.points.len()
+        );
         let off = |p: &DVec2| {
             let n = plain.points.len();
             (0..n)

@@ -36,7 +36,12 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
     let finger = tags.card_mm(tags.finger_m);
     let left = MARGIN_MM + 14.0;
     let mut at = DVec2::new(left, MARGIN_MM + 6.0);
-    pen.label(at, "roof, on top of the camera: fold backwards to a prism, glue the tab inside");
+    let [plus, minus] = [1, 0].map(|k| tags.first_id + k);
+    let roof = format!(
+        "{plus} (+x) and {minus} (-x), on top of the camera: fold backwards to a prism, glue the \
+         tab inside"
+    );
+    pen.label(at, &roof);
     pen.roof(at, body);
     at.y += body + GAP_MM;
     pen.label(at, "in front of the rail's ends");
@@ -45,18 +50,26 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         pen.card(corner, body, tags.body_m, 2 + k);
     }
     at.y += body + GAP_MM;
-    pen.label(at, "flags at the fingers' plates: fold the tab backwards, glue it to the outer side");
+    pen.label(
+        at,
+        "flags at the fingers' plates: fold the tab backwards, glue it to the outer side",
+    );
     // The left finger (−x) is at the right hand of whoever looks at the gripper's front, and its
     // tab is at the left hand of its flag.
     pen.flag(at, finger, 4, true);
-    pen.flag(at + DVec2::new(2.0 * finger + GAP_MM, 0.0), finger, 5, false);
+    pen.flag(
+        at + DVec2::new(2.0 * finger + GAP_MM, 0.0),
+        finger,
+        5,
+        false,
+    );
     let floor = height - MARGIN_MM;
     let mut drawing = pen.drawing;
     ruler(&mut drawing, DVec2::new(MARGIN_MM, floor), false);
     ruler(&mut drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
     let lines = [
         format!(
-            "gripper tags {}  hash {}  {}  {}",
+            "gripper tags {}, hash {}, {}, {}",
             board.name,
             board.hash(),
             board.dictionary,
@@ -93,7 +106,8 @@ impl Pen<'_> {
         self.marker(at, card, self.tags.body_m, 1);
         self.marker(at + DVec2::new(card, 0.0), card, self.tags.body_m, 0);
         let middle = at + DVec2::new(2.0 * card + 0.5 * back, 0.5 * card);
-        self.drawing.text(middle, LABEL_MM, TextAnchor::Middle, "back");
+        self.drawing
+            .text(middle, LABEL_MM, TextAnchor::Middle, "back");
     }
 
     fn card(&mut self, at: DVec2, card: f64, side_m: f64, number: u32) {
@@ -112,7 +126,11 @@ impl Pen<'_> {
         self.outline(at, DVec2::new(card + TAB_MM, card));
         self.fold(if tab_at_left { face } else { tab }, card);
         self.marker(face, card, self.tags.finger_m, number);
-        let side = if number % 2 == 0 { "left, -x" } else { "right, +x" };
+        let side = if number % 2 == 0 {
+            "left, -x"
+        } else {
+            "right, +x"
+        };
         self.number(face, card, number, side);
     }
 
@@ -120,7 +138,8 @@ impl Pen<'_> {
     fn number(&mut self, at: DVec2, card: f64, number: u32, place: &str) {
         let below = at + DVec2::new(0.5 * card, card + 1.3 * LABEL_MM);
         let text = format!("{} ({place})", self.tags.first_id + number);
-        self.drawing.text(below, LABEL_MM, TextAnchor::Middle, &text);
+        self.drawing
+            .text(below, LABEL_MM, TextAnchor::Middle, &text);
     }
 
     fn marker(&mut self, at: DVec2, card: f64, side_m: f64, number: u32) {

@@ -38,11 +38,7 @@ pub(super) struct Layout {
 
 /// The best layout on a paper, in portrait or landscape: that with the most markers. None if the
 /// object leaves too few places.
-pub(super) fn layout(
-    paper: Paper,
-    size: MarkerSize,
-    silhouette: &Silhouette,
-) -> Option<Layout> {
+pub(super) fn layout(paper: Paper, size: MarkerSize, silhouette: &Silhouette) -> Option<Layout> {
     let tried = [paper.landscape_mm(), paper.portrait_mm()];
     let found = tried.map(|sheet| on_sheet(sheet, size, silhouette));
     // Landscape where both are as good.
@@ -83,7 +79,12 @@ fn on_sheet(size_mm: [f64; 2], size: MarkerSize, silhouette: &Silhouette) -> Opt
         !silhouette.touches(a.min(b), a.max(b))
     };
     let places: Vec<Place> = ring(low, high, size)?.into_iter().filter(is_free).collect();
-    let count = |side: Side| places.iter().filter(|p| p.sides.contains(&Some(side))).count();
+    let count = |side: Side| {
+        places
+            .iter()
+            .filter(|p| p.sides.contains(&Some(side)))
+            .count()
+    };
     let both = |a: Side, b: Side| count(a) >= FEWEST && count(b) >= FEWEST;
     if !both(Side::Top, Side::Bottom) && !both(Side::Left, Side::Right) {
         return None;
@@ -121,10 +122,7 @@ fn ring(low: DVec2, high: DVec2, size: MarkerSize) -> Option<Vec<Place>> {
         return None;
     }
     let pitch = |length: f64, count: usize| (length - size.side) / (count - 1) as f64;
-    let step = DVec2::new(
-        pitch(high.x - low.x, columns),
-        pitch(high.y - low.y, rows),
-    );
+    let step = DVec2::new(pitch(high.x - low.x, columns), pitch(high.y - low.y, rows));
     let place = |column: usize, row: usize| {
         let x = match column {
             0 => Some(Side::Left),

@@ -169,9 +169,11 @@ fn does_not_fit(paper: Paper, marker: MarkerSize, silhouette: &Silhouette) -> Er
     let fits = |other: &Paper| layout(*other, marker, silhouette).is_some();
     let other = Paper::ALL.into_iter().find(fits);
     let remedy = other.map_or_else(
-        || "no paper that is known is large enough: choose smaller markers, turn the object, or \
+        || {
+            "no paper that is known is large enough: choose smaller markers, turn the object, or \
             take another stable pose"
-            .to_owned(),
+                .to_owned()
+        },
         |paper| format!("{paper} is large enough; smaller markers or a turn may help as well"),
     );
     Error::new(
@@ -326,7 +328,7 @@ impl Placed {
         let ids = board.ids();
         let lines = [
             format!(
-                "board {}  hash {}  {}  ids {}-{}  markers {} mm  {}",
+                "board {}, hash {}, {}, ids {}-{}, markers {} mm, {}",
                 board.name,
                 board.hash(),
                 board.dictionary,

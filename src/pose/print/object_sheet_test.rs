@@ -47,7 +47,10 @@ fn markers_keep_away_from_the_object_and_from_each_other() {
         ("sphere", Paper::A3, 0, 0.0),
     ] {
         let mesh = builtin(name).unwrap();
-        let settings = SheetSettings { paper, ..settings() };
+        let settings = SheetSettings {
+            paper,
+            ..settings()
+        };
         let sheet = object_sheet(&lying(&mesh, pose, yaw), &settings).unwrap();
         let markers: Vec<[f64; 4]> = sheet.drawing.markers().collect();
         assert!(markers.len() >= 10, "{name}: {}", markers.len());
@@ -155,7 +158,9 @@ fn rulers_are_a_hundred_millimetres() {
     let mesh = builtin("box").unwrap();
     let sheet = object_sheet(&on(&mesh), &settings()).unwrap();
     let is_ruler = |shape: &&Shape| match shape {
-        Shape::Line { points, .. } => points.len() == 2 && close(points[0].distance(points[1]), 100.0),
+        Shape::Line { points, .. } => {
+            points.len() == 2 && close(points[0].distance(points[1]), 100.0)
+        }
         _ => false,
     };
     let rulers: Vec<&Shape> = sheet.drawing.shapes.iter().filter(is_ruler).collect();
@@ -176,23 +181,39 @@ fn a_printers_scale_corrects_the_board_and_not_the_drawing() {
     assert_eq!(record.printed_hash, plain.file.board.hash());
     assert_ne!(scaled.file.board.hash(), plain.file.board.hash());
     let t = record.t_world_object;
-    for (a, b) in plain.file.board.markers.iter().zip(&scaled.file.board.markers) {
+    for (a, b) in plain
+        .file
+        .board
+        .markers
+        .iter()
+        .zip(&scaled.file.board.markers)
+    {
         let [low, high] = span(b, &t);
         assert!((high - low).distance(DVec2::new(29.7, 30.45)) < 1e-6);
         // About the middle of the mug's foot, which is the axis: 14 mm left of the box's middle.
         let [from, _] = span(a, &t);
         let middle = (low - from * DVec2::new(0.99, 1.015)) / DVec2::new(0.01, -0.015);
-        assert!(middle.distance(1e3 * t.translation_m.truncate()) < 0.2, "{middle}");
+        assert!(
+            middle.distance(1e3 * t.translation_m.truncate()) < 0.2,
+            "{middle}"
+        );
     }
 }
 
 #[test]
 fn too_large_objects_are_told_which_paper_fits() {
     let large = builtin("box").unwrap().scaled(4.5);
-    let said = object_sheet(&on(&large), &settings()).unwrap_err().to_string();
-    assert!(said.contains("covers 180") && said.contains("A3 is large enough"), "{said}");
+    let said = object_sheet(&on(&large), &settings())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        said.contains("covers 180") && said.contains("A3 is large enough"),
+        "{said}"
+    );
     let huge = builtin("box").unwrap().scaled(20.0);
-    let said = object_sheet(&on(&huge), &settings()).unwrap_err().to_string();
+    let said = object_sheet(&on(&huge), &settings())
+        .unwrap_err()
+        .to_string();
     assert!(said.contains("no paper"), "{said}");
 }
 
@@ -220,8 +241,24 @@ fn impossible_wishes_are_explained() {
         changed
     };
     refused(&on(&mesh), &with(&|s| s.first_id = 245), "ends with id 249");
-    refused(&on(&mesh), &with(&|s| s.marker_m = 30.0), "from 5 to 400 mm");
-    refused(&on(&mesh), &with(&|s| s.marker_m = f64::NAN), "from 5 to 400 mm");
-    refused(&on(&mesh), &with(&|s| s.measured_mm = [9.9, 10.0]), "100 mm");
-    refused(&on(&mesh), &with(&|s| s.measured_mm = [f64::NAN; 2]), "100 mm");
+    refused(
+        &on(&mesh),
+        &with(&|s| s.marker_m = 30.0),
+        "from 5 to 400 mm",
+    );
+    refused(
+        &on(&mesh),
+        &with(&|s| s.marker_m = f64::NAN),
+        "from 5 to 400 mm",
+    );
+    refused(
+        &on(&mesh),
+        &with(&|s| s.measured_mm = [9.9, 10.0]),
+        "100 mm",
+    );
+    refused(
+        &on(&mesh),
+        &with(&|s| s.measured_mm = [f64::NAN; 2]),
+        "100 mm",
+    );
 }

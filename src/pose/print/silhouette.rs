@@ -88,8 +88,11 @@ impl Silhouette {
             clamp(from)..clamp(to + 1.0)
         };
         let columns = range(from.x, to.x, self.columns);
-        range(from.y, to.y, self.rows)
-            .any(|row| columns.clone().any(|c| self.covered[row * self.columns + c]))
+        range(from.y, to.y, self.rows).any(|row| {
+            columns
+                .clone()
+                .any(|c| self.covered[row * self.columns + c])
+        })
     }
 
     /// Outlines in mm.
@@ -189,7 +192,11 @@ mod tests {
         let mesh = builtin("mug").unwrap();
         // Without what lies above the bottom's inside: the wall alone.
         let is_wall = |t: &&[u32; 3]| {
-            let middle = t.iter().map(|v| mesh.vertices[*v as usize]).sum::<glam::DVec3>() / 3.0;
+            let middle = t
+                .iter()
+                .map(|v| mesh.vertices[*v as usize])
+                .sum::<glam::DVec3>()
+                / 3.0;
             middle.truncate().length() > 0.0255
         };
         let ring = TriangleMesh {
