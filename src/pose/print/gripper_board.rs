@@ -160,7 +160,7 @@ pub(super) fn fold_rad() -> f64 {
 mod tests {
     use super::*;
 
-    pub(super) fn tags() -> GripperTags {
+    fn tags() -> GripperTags {
         GripperTags {
             name: "gripper-umi".into(),
             dictionary: Dictionary::by_name("DICT_6X6_250").unwrap(),
@@ -191,6 +191,12 @@ mod tests {
         assert!((yaw - ROOF_RAD).abs() < 1e-12);
         assert!(((-front(1).z).asin() - ROOF_RAD).abs() < 1e-12);
         assert!(!board.is_planar(Part::Body));
+    }
+
+    #[test]
+    fn the_file_that_comes_along_is_this_board() {
+        let text = include_str!("../../../calib/boards/gripper-umi.toml");
+        assert_eq!(gripper_board(&tags()).unwrap().to_toml(), text);
     }
 
     #[test]

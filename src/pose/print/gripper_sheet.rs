@@ -113,7 +113,7 @@ impl Pen<'_> {
     fn card(&mut self, at: DVec2, card: f64, side_m: f64, number: u32) {
         self.outline(at, DVec2::splat(card));
         self.marker(at, card, side_m, number);
-        let side = if number % 2 == 0 { "-x" } else { "+x" };
+        let side = if number.is_multiple_of(2) { "-x" } else { "+x" };
         self.number(at, card, number, side);
     }
 
@@ -126,7 +126,7 @@ impl Pen<'_> {
         self.outline(at, DVec2::new(card + TAB_MM, card));
         self.fold(if tab_at_left { face } else { tab }, card);
         self.marker(face, card, self.tags.finger_m, number);
-        let side = if number % 2 == 0 {
+        let side = if number.is_multiple_of(2) {
             "left, -x"
         } else {
             "right, +x"
