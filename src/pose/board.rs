@@ -179,7 +179,9 @@ mod tests {
         assert!(board.is_planar(Part::Body) && !board.is_planar(Part::Object));
         assert_eq!(board.ids(), [1, 3]);
         let tilted = DVec3::new(0.0, 0.8, 0.6);
-        board.markers.push(marker(2, DVec3::Y * 0.1, DVec3::X, tilted));
+        board
+            .markers
+            .push(marker(2, DVec3::Y * 0.1, DVec3::X, tilted));
         assert!(!board.is_planar(Part::Body));
     }
 

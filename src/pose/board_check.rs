@@ -270,7 +270,10 @@ mod tests {
         };
         expect(said(|b| b.markers.clear()), &["no markers"]);
         expect(said(|b| b.markers[2].id = 1), &["marker 1 is there twice"]);
-        expect(said(|b| b.markers[2].id = 50), &["marker 50", "ids 0 to 49"]);
+        expect(
+            said(|b| b.markers[2].id = 50),
+            &["marker 50", "ids 0 to 49"],
+        );
         expect(
             said(|b| b.markers[2].corners_m[1].z = f64::NAN),
             &["marker 2", "finite"],
@@ -284,8 +287,14 @@ mod tests {
             &["marker 1 is not"],
         );
         // Metres read as millimetres, centimetres as metres.
-        expect(said(|b| scale(b, 1e-3)), &["0.03 mm", "metres where millimetres"]);
-        expect(said(|b| scale(b, 0.1)), &["3 mm", "centimetres where millimetres"]);
+        expect(
+            said(|b| scale(b, 1e-3)),
+            &["0.03 mm", "metres where millimetres"],
+        );
+        expect(
+            said(|b| scale(b, 0.1)),
+            &["3 mm", "centimetres where millimetres"],
+        );
         expect(said(|b| scale(b, 100.0)), &["centimetres where metres"]);
         expect(
             said(|b| b.markers[3].corners_m = b.markers[3].corners_m.map(|c| c + DVec3::X * 7.0)),
@@ -307,7 +316,10 @@ mod tests {
         let one = said(|b| both(&mut b.markers[2]));
         assert!(one.contains("marker 2 is mirrored"), "{one}");
         let all = said(|b| b.markers.iter_mut().for_each(both));
-        assert!(all.contains("mirrored") && all.contains("top left"), "{all}");
+        assert!(
+            all.contains("mirrored") && all.contains("top left"),
+            "{all}"
+        );
         // An object that lies on its side has the sheet's normal along another axis.
         let dictionary = Dictionary::by_name("DICT_4X4_50").unwrap();
         let mut turned = board();

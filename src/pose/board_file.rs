@@ -82,11 +82,7 @@ impl BoardFile {
     ///
     /// # Errors
     /// Those of [`Board::check`].
-    pub fn new(
-        board: Board,
-        dictionary: Dictionary,
-        sheet: Option<PrintedSheet>,
-    ) -> Result<Self> {
+    pub fn new(board: Board, dictionary: Dictionary, sheet: Option<PrintedSheet>) -> Result<Self> {
         let up = sheet.as_ref().map(|sheet| {
             let t_object_world = sheet.t_world_object.inverse();
             t_object_world.transform_vector(DVec3::Z)
@@ -315,9 +311,17 @@ mod tests {
         let text = file().to_toml();
         for (from, to, expected) in [
             ("schema = 1", "schema = 2", "schema 2, known is 1"),
-            ("part = \"object\"", "part = \"hand\"", "marker 7: there is no part named \"hand\""),
-            ("DICT_6X6_250", "DICT_6X6_205", "did you mean DICT_6X6_250?"),
-            ("id = 3", "id = -3", "line 18"),
+            (
+                "part = \"object\"",
+                "part = \"hand\"",
+                "marker 7: there is no part named \"hand\"",
+            ),
+            (
+                "DICT_6X6_250",
+                "DICT_6X6_2500",
+                "did you mean DICT_6X6_250?",
+            ),
+            ("id = 3", "id = -3", "line 19"),
             ("id = 3", "number = 3", "unknown field `number`"),
             ("id = 3", "id = 7", "marker 7 is there twice"),
             ("measured_mm = [100.0", "measured_mm = [10.0", "100 mm"),

@@ -93,27 +93,25 @@ pub fn import_ros(text: &str, dictionary: &Dictionary) -> Result<Vec<BoardFile>>
 ///
 /// # Errors
 /// `Input` for another target, or sizes that cannot be.
-pub fn import_kalibr(
-    text: &str,
-    name: &str,
-    dictionary: Option<&Dictionary>,
-) -> Result<BoardFile> {
+pub fn import_kalibr(text: &str, name: &str, dictionary: Option<&Dictionary>) -> Result<BoardFile> {
     let target: KalibrTarget = yaml::read(text, "the target")?;
     if target.target_type != "aprilgrid" {
         let what = format!(
             "the target is a {:?}, which has no numbered markers",
             target.target_type
         );
-        return Err(Error::new(ErrorKind::Input, what)
-            .remedy("give a target with target_type: aprilgrid"));
+        return Err(
+            Error::new(ErrorKind::Input, what).remedy("give a target with target_type: aprilgrid")
+        );
     }
     let missing = |key: &str| Error::new(ErrorKind::Input, format!("the target has no {key}"));
     let side = target.side.ok_or_else(|| missing("tagSize"))?;
     let spacing = target.spacing.ok_or_else(|| missing("tagSpacing"))?;
     if !(0.0..=2.0).contains(&spacing) {
         let what = format!("tagSpacing must be a share of tagSize, found {spacing}");
-        return Err(Error::new(ErrorKind::Input, what)
-            .remedy("divide the gap between two tags by tagSize"));
+        return Err(
+            Error::new(ErrorKind::Input, what).remedy("divide the gap between two tags by tagSize")
+        );
     }
     let grid = Grid {
         columns: target.columns.ok_or_else(|| missing("tagCols"))?,
@@ -238,12 +236,7 @@ impl Grid {
         BoardMarker {
             id: self.first_id + number,
             part: Part::Object,
-            corners_m: BoardMarker::square(
-                center.extend(0.0),
-                DVec3::X,
-                DVec3::Y,
-                self.side_m,
-            ),
+            corners_m: BoardMarker::square(center.extend(0.0), DVec3::X, DVec3::Y, self.side_m),
         }
     }
 }
@@ -316,16 +309,32 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
     #[test]
     fn wrong_ros_files_are_explained() {
         for (from, to, expected) in [
-            ("marker_size: 0.03", "marker_size: 30", "millimetres where metres"),
-            ("marker_size: 0.03", "marker_size: 3", "centimetres where metres"),
+            (
+                "marker_size: 0.03",
+                "marker_size: 30",
+                "millimetres where metres",
+            ),
+            (
+                "marker_size: 0.03",
+                "marker_size: 3",
+                "centimetres where metres",
+            ),
             ("separation: 0.005", "separation: 5", "apart"),
             ("separation: 0.005", "separation: -0.005", "apart"),
-            ("first_id: 10", "first_id: 45", "does not fit into DICT_4X4_50"),
+            (
+                "first_id: 10",
+                "first_id: 45",
+                "does not fit into DICT_4X4_50",
+            ),
             ("markers_x: 3", "markers_x: 0", "from 1 to 1024"),
             ("markers_x: 3", "markers_x: 4000000000", "from 1 to 1024"),
             ("  markers_y: 4\n", "", "markers_y"),
             ("name: corner", "name: GridBoard_1", "two boards are named"),
-            ("frame_at_center: true", "frame_at_center: [", "cannot be read"),
+            (
+                "frame_at_center: true",
+                "frame_at_center: [",
+                "cannot be read",
+            ),
         ] {
             assert!(ROS.contains(from));
             let text = ROS.replacen(from, to, 1);
@@ -341,7 +350,11 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
     fn wrong_kalibr_files_are_explained() {
         for (from, to, expected) in [
             ("'aprilgrid'", "'checkerboard'", "no numbered markers"),
-            ("tagSize: 0.088 ", "tagSize: 88 ", "millimetres where metres"),
+            (
+                "tagSize: 0.088 ",
+                "tagSize: 88 ",
+                "millimetres where metres",
+            ),
             ("tagSpacing: 0.3", "tagSpacing: 26.4", "share of tagSize"),
             ("tagRows: 5\n", "", "no tagRows"),
             ("tagCols: 6", "tagCols: 200", "does not fit"),
@@ -359,7 +372,9 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
         assert_eq!(kind(KALIBR), ForeignBoard::Kalibr);
         let dictionary = "%YAML:1.0\nnmarkers: 3\nmarkersize: 4\n";
         assert_eq!(kind(dictionary), ForeignBoard::OpencvDictionary);
-        let said = ForeignBoard::recognise("camera: 3").unwrap_err().to_string();
+        let said = ForeignBoard::recognise("camera: 3")
+            .unwrap_err()
+            .to_string();
         assert!(said.contains("target_type"), "{said}");
     }
 }

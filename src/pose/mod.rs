@@ -10,10 +10,14 @@
 
 mod bench;
 mod board;
+mod board_check;
+mod board_file;
+mod board_import;
 pub mod camera;
 pub mod detect;
 mod detection;
 mod dictionary;
+pub mod print;
 pub mod refine;
 #[cfg(test)]
 mod refine_test;
@@ -23,5 +27,7 @@ mod yaml;
 
 pub use bench::{PoseBench, PoseFigures, measure_pose};
 pub use board::{Board, BoardMarker, Part};
+pub use board_file::{BoardFile, PrintedSheet};
+pub use board_import::{ForeignBoard, import_kalibr, import_ros};
 pub use detection::{Detection, MarkerDetector};
 pub use dictionary::{DICTIONARY_NAMES, Dictionary, MarkerCells};

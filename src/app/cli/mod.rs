@@ -16,6 +16,8 @@ mod bench_live;
 mod bench_pose;
 mod bench_predict;
 mod bench_render;
+mod board;
+mod board_make;
 mod collect;
 mod completions;
 mod config;
@@ -102,6 +104,8 @@ enum Verb {
     Collect(collect::Args),
     /// List cameras, write a rig file, check a rig
     Rig(rig::Args),
+    /// Print boards and tags of markers, look at board files
+    Board(board::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),
     /// Look at, verify, repair, index and split a dataset
@@ -136,6 +140,7 @@ fn run(cli: Cli) -> Result<()> {
     match cli.verb {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),
+        Verb::Board(args) => board::run(&context, args),
         Verb::Predict(args) => predict::run(&context, args),
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),

@@ -8,7 +8,10 @@ fn tables_are_the_published_ones() {
         (0..count).map(code).collect()
     };
     assert_eq!(first("DICT_4X4_50", 3), [0xbe50, 0x174e, 0x2db8]);
-    assert_eq!(first("DICT_5X5_250", 3), [0x152_c6e3, 0x15_8da8, 0x1b9_77e8]);
+    assert_eq!(
+        first("DICT_5X5_250", 3),
+        [0x152_c6e3, 0x15_8da8, 0x1b9_77e8]
+    );
     assert_eq!(first("DICT_6X6_250", 2), [0x1_8735_9537, 0xbebe_30f0]);
     // AprilTag's own table of the family begins so.
     assert_eq!(first("36h11", 1), [0xd_7e00_984b]);
@@ -73,7 +76,10 @@ fn opencv_draws_36h11_upside_down() {
     // The first row that OpenCV draws of id 0: 0x21a146bab.
     assert_eq!(opencv.code(0), Some(0x2_1a14_6bab));
     let kalibr = Dictionary::by_name("36h11_border2").unwrap();
-    assert_eq!((kalibr.cells_per_side(), kalibr.code(5)), (10, april.code(5)));
+    assert_eq!(
+        (kalibr.cells_per_side(), kalibr.code(5)),
+        (10, april.code(5))
+    );
 }
 
 #[test]
@@ -101,17 +107,26 @@ fn opencv_files_are_read_with_or_without_quotes() {
     assert!(!marker.is_white(0, 0) && marker.is_white(0, 2) && marker.is_white(2, 2));
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("own.yml"), TWO).unwrap();
-    assert_eq!(Dictionary::open("own.yml", folder.path()).unwrap(), dictionary);
+    assert_eq!(
+        Dictionary::open("own.yml", folder.path()).unwrap(),
+        dictionary
+    );
 }
 
 #[test]
 fn wrong_opencv_files_are_explained() {
     let same = TWO.replace("001010111", "\"101011001\"");
     for (text, expected) in [
-        (TWO.replace("nmarkers: 2", "nmarkers: 3"), "says 3 markers, but the file has 2"),
+        (
+            TWO.replace("nmarkers: 2", "nmarkers: 3"),
+            "says 3 markers, but the file has 2",
+        ),
         (TWO.replace("marker_1", "marker_2"), "no marker_1"),
         (TWO.replace("markersize: 3\n", ""), "no markersize"),
-        (TWO.replace("markersize: 3", "markersize: three"), "whole number"),
+        (
+            TWO.replace("markersize: 3", "markersize: three"),
+            "whole number",
+        ),
         (TWO.replace("001010111", "\"0010101\""), "3 × 3 digits"),
         (TWO.replace("001010111", "\"0010101x1\""), "3 × 3 digits"),
         (TWO.replace("markersize: 3", "markersize: 99999999999"), "9"),

@@ -39,7 +39,8 @@ fn parse(text: &str, count: usize) -> Result<Vec<u64>> {
         .take(count)
         .map(|word| u64::from_str_radix(word, 16))
         .collect();
-    let damaged = |e| Error::new(ErrorKind::Internal, "a built-in dictionary is damaged").because(e);
+    let damaged =
+        |e| Error::new(ErrorKind::Internal, "a built-in dictionary is damaged").because(e);
     read.map_err(damaged)
 }
 

@@ -158,6 +158,12 @@ impl Drawing {
 }
 
 fn ascii(text: &str) -> String {
-    let plain = |c: char| if c == ' ' || c.is_ascii_graphic() { c } else { '?' };
+    let plain = |c: char| {
+        if c == ' ' || c.is_ascii_graphic() {
+            c
+        } else {
+            '?'
+        }
+    };
     text.chars().map(plain).collect()
 }

@@ -17,14 +17,14 @@ mod png;
 mod silhouette;
 mod svg;
 
+pub use self::pdf::pdf;
+pub use self::png::png;
+pub use self::svg::svg;
 pub use drawing::{Colour, Drawing, Shape, TextAnchor};
 pub use gripper_board::{GripperTags, gripper_board};
 pub use gripper_sheet::gripper_sheet;
 pub use object_sheet::{ObjectOnSheet, ObjectSheet, SheetSettings, object_sheet};
 pub use paper::Paper;
-pub use pdf::pdf;
-pub use png::png;
-pub use svg::svg;
 
 use crate::error::{Error, ErrorKind, Result};
 
@@ -36,7 +36,10 @@ pub const RULER_MM: f64 = 100.0;
 /// # Errors
 /// `Input` if a printer cannot be that wrong.
 pub fn check_measured(measured_mm: [f64; 2]) -> Result<()> {
-    if measured_mm.iter().all(|m| (m / RULER_MM - 1.0).abs() <= 0.1) {
+    if measured_mm
+        .iter()
+        .all(|m| (m / RULER_MM - 1.0).abs() <= 0.1)
+    {
         return Ok(());
     }
     Err(Error::new(

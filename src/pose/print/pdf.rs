@@ -133,6 +133,9 @@ mod tests {
         assert_eq!(numbers(line(" m")), [12.5, 20.0]);
         assert_eq!(numbers(line(" l")), [112.5, 20.0]);
         assert!(text.contains("/PrintScaling /None") && text.contains("/Helvetica"));
-        assert!(text.contains("\\(100 mm\\)") || text.contains("((100 mm)) Tj"), "{text}");
+        assert!(
+            text.contains("\\(100 mm\\)") || text.contains("((100 mm)) Tj"),
+            "{text}"
+        );
     }
 }

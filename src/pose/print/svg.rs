@@ -123,6 +123,9 @@ mod tests {
         drawing.marker(&dictionary, &cells, DVec2::new(10.0, 20.0), 30.0);
         let text = svg(&drawing);
         // Rows of id 0: 1011 0101 0011 0010; cells of 5 mm.
-        assert!(text.contains("M10 20H40V50H10ZM15 25H20V30H15ZM25 25H35V30H25Z"), "{text}");
+        assert!(
+            text.contains("M10 20H40V50H10ZM15 25H20V30H15ZM25 25H35V30H25Z"),
+            "{text}"
+        );
     }
 }

@@ -1,0 +1,90 @@
+//! What every sheet has besides markers: rulers, lines of text.
+
+use glam::DVec2;
+
+use super::RULER_MM;
+use super::drawing::{Drawing, TextAnchor};
+
+/// Free border that printers leave, mm.
+pub(super) const MARGIN_MM: f64 = 8.0;
+/// Size of the notes' font, mm.
+pub(super) const NOTE_MM: f64 = 2.6;
+/// Size of the font of numbers beside markers, mm.
+pub(super) const LABEL_MM: f64 = 2.2;
+/// Width that a letter takes at most on average, relative to the size of the font.
+const LETTER: f64 = 0.56;
+
+/// A ruler of 100 mm from `start`, along x or, upwards, along y. Its ends are the middles of its
+/// first and last tick.
+pub(super) fn ruler(drawing: &mut Drawing, start: DVec2, is_vertical: bool) {
+    let (along, across) = if is_vertical {
+        (DVec2::NEG_Y, DVec2::X)
+    } else {
+        (DVec2::X, DVec2::NEG_Y)
+    };
+    drawing.thin(start, start + along * RULER_MM);
+    for tick in 0..=10 {
+        let at = start + along * (0.1 * RULER_MM * f64::from(tick));
+        let length = match tick {
+            0 | 10 => 4.0,
+            5 => 3.0,
+            _ => 2.0,
+        };
+        drawing.thin(at, at + across * length);
+    }
+    let axis = if is_vertical { "y" } else { "x" };
+    let label = format!("{RULER_MM:.0} mm");
+    let end = start + along * RULER_MM;
+    let (first, second) = if is_vertical {
+        (DVec2::new(0.0, -1.2 - LABEL_MM), DVec2::new(0.0, -1.2))
+    } else {
+        (DVec2::new(1.5, -LABEL_MM), DVec2::new(1.5, 0.0))
+    };
+    drawing.text(end + first, LABEL_MM, TextAnchor::Start, axis);
+    drawing.text(end + second, LABEL_MM, TextAnchor::Start, &label);
+}
+
+/// Lines of notes from `corner` downwards, wrapped to `width` mm; where the last one ends.
+pub(super) fn notes(drawing: &mut Drawing, corner: DVec2, width: f64, lines: &[String]) -> f64 {
+    let most = (width / (LETTER * NOTE_MM)).floor().max(8.0) as usize;
+    let mut y = corner.y;
+    for line in lines.iter().flat_map(|line| wrapped(line, most)) {
+        y += 1.25 * NOTE_MM;
+        drawing.text(DVec2::new(corner.x, y), NOTE_MM, TextAnchor::Start, &line);
+    }
+    y
+}
+
+/// Words in lines of at most `most` letters; a longer word is cut.
+fn wrapped(text: &str, most: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        let letters: Vec<char> = word.chars().collect();
+        for piece in letters.chunks(most) {
+            let piece: String = piece.iter().collect();
+            let count = lines.len();
+            let last = &mut lines[count - 1];
+            if last.is_empty() {
+                *last = piece;
+            } else if last.chars().count() + 1 + piece.chars().count() <= most {
+                *last += " ";
+                *last += &piece;
+            } else {
+                lines.push(piece);
+            }
+        }
+    }
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn notes_wrap_between_words() {
+        assert_eq!(wrapped("aa bb cc", 5), ["aa bb", "cc"]);
+        assert_eq!(wrapped("abcdefgh i", 4), ["abcd", "efgh", "i"]);
+        assert_eq!(wrapped("", 4), [""]);
+    }
+}

@@ -1,0 +1,282 @@
+//! `gripcast board` as a user runs it.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use glam::DVec3;
+use gripcast::geometry::MeshQuery;
+use gripcast::pose::{BoardFile, BoardMarker, Part};
+use gripcast::render::visual::gripper_parts;
+
+use crate::program::{gripcast, json, stderr, succeed};
+
+fn board(words: &str) -> Command {
+    let mut command = gripcast();
+    command.arg("board").args(words.split_whitespace());
+    command
+}
+
+/// Exit code and what is said.
+fn refused(command: &mut Command) -> (i32, String) {
+    let output = command.output().unwrap();
+    (output.status.code().unwrap(), stderr(&output))
+}
+
+#[test]
+fn a_sheet_is_written_in_three_formats_with_its_board() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let words = format!(
+        "make --object builtin:mug --out {} --out {} --out {} --dpi 100 --json",
+        at("mug.pdf"),
+        at("mug.svg"),
+        at("mug.png")
+    );
+    let made = json(&succeed(&mut board(&words)));
+    assert!(fs::read(at("mug.pdf")).unwrap().starts_with(b"%PDF"));
+    let svg = fs::read_to_string(at("mug.svg")).unwrap();
+    assert!(svg.contains("width=\"297mm\" height=\"210mm\""));
+    let hash = made["hash"].as_str().unwrap();
+    assert!(svg.contains(hash), "the hash is printed");
+    let picture = gripcast::imaging::decode_png_rgb(&fs::read(at("mug.png")).unwrap()).unwrap();
+    assert_eq!(picture.dimensions(), (1169, 827));
+    let file = BoardFile::load(Path::new(&at("mug.toml"))).unwrap();
+    assert_eq!(file.board.hash(), hash);
+    assert_eq!(
+        made["ids"].as_array().unwrap().len(),
+        file.board.markers.len()
+    );
+    // The mug stands as it is modelled: its frame's origin is 40 mm above the sheet.
+    let heights = file.board.markers.iter().flat_map(|m| m.corners_m);
+    assert!(heights.into_iter().all(|c| (c.z + 0.04).abs() < 1e-6));
+    assert!(file.board.is_planar(Part::Object));
+}
+
+#[test]
+fn measured_rulers_change_the_board_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("b.svg");
+    let run = |more: &str| {
+        let words = format!(
+            "make --object builtin:box --out {} --json {more}",
+            out.display()
+        );
+        let made = json(&succeed(&mut board(&words)));
+        (made, fs::read(&out).unwrap())
+    };
+    let (plain, drawn) = run("");
+    let (measured, again) = run("--measured-mm 99.5,100.25");
+    assert_eq!(drawn, again);
+    assert_eq!(plain["hash"], plain["printed_hash"]);
+    assert_eq!(measured["printed_hash"], plain["hash"]);
+    assert_ne!(measured["hash"], plain["hash"]);
+    let words = format!("show {} --json", dir.path().join("b.toml").display());
+    let shown = json(&succeed(&mut board(&words)));
+    assert_eq!(shown["hash"], measured["hash"]);
+    assert_eq!(shown["sheet"]["printed_hash"], plain["hash"]);
+    assert_eq!(shown["sheet"]["measured_mm"][1], 100.25);
+}
+
+#[test]
+fn wrong_wishes_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("b.pdf").display().to_string();
+    for (words, code, expected) in [
+        (
+            format!("make --object builtin:box --scale 6 --out {out}"),
+            1,
+            "A3 is large enough",
+        ),
+        (
+            format!("make --object builtin:box --scale 20 --out {out}"),
+            1,
+            "no paper",
+        ),
+        (
+            format!("make --object builtin:bx --out {out}"),
+            1,
+            "builtin:box",
+        ),
+        (
+            format!("make --object builtin:box --out {out} --dictionary 6x6_25"),
+            2,
+            "DICT_6X6_250",
+        ),
+        (
+            format!("make --object builtin:box --out {out} --paper a5"),
+            2,
+            "A4",
+        ),
+        (
+            format!("make --object builtin:box --out {out} --measured-mm 99"),
+            2,
+            "99.6,99.8",
+        ),
+        (
+            format!("make --object builtin:box --out {out} --measured-mm 9.9,10"),
+            1,
+            "100 mm",
+        ),
+        (
+            format!("make --object builtin:box --out {out} --stable-pose 9"),
+            1,
+            "stable pose",
+        ),
+        (
+            format!("make --object builtin:box --out {out} --first-id 240"),
+            1,
+            "ends with id 249",
+        ),
+        (
+            "make --object builtin:box --out board.dxf".to_owned(),
+            2,
+            ".pdf, .svg or .png",
+        ),
+        (
+            "make --object builtin:box --out /nonexistent/b.pdf".to_owned(),
+            1,
+            "/nonexistent",
+        ),
+        (
+            format!("gripper --out {out} --body-mm 60"),
+            1,
+            "no room on the body",
+        ),
+        ("show /nonexistent.toml".to_owned(), 1, "/nonexistent.toml"),
+    ] {
+        let (found, said) = refused(&mut board(&words));
+        assert_eq!(found, code, "{words}: {said}");
+        assert!(said.contains(expected), "{words}: {said}");
+    }
+    assert!(!Path::new(&out).exists());
+}
+
+#[test]
+fn boards_of_other_programs_are_imported() {
+    let dir = tempfile::tempdir().unwrap();
+    let ros = dir.path().join("board_descriptions.yaml");
+    let grid = |name: &str| {
+        format!(
+            "- name: {name}\n  frame_at_center: true\n  first_id: 4\n  markers_x: 3\n  \
+             markers_y: 2\n  marker_size: 0.03\n  separation: 0.006\n"
+        )
+    };
+    fs::write(&ros, grid("table") + &grid("wall")).unwrap();
+    let (code, said) = refused(&mut board(&format!("import {}", ros.display())));
+    assert_eq!(code, 2);
+    assert!(said.contains("marker_dict"), "{said}");
+    let words = format!("import {} --dictionary 4X4_50", ros.display());
+    let (code, said) = refused(&mut board(&words));
+    assert_eq!(code, 2);
+    assert!(said.contains("table, wall"), "{said}");
+    let out = dir.path().join("wall.toml");
+    let words = format!("{words} --name wall --out {} --json", out.display());
+    assert_eq!(json(&succeed(&mut board(&words)))["ids"][5], 9);
+    let read = BoardFile::load(&out).unwrap();
+    assert_eq!(
+        (read.board.name.as_str(), read.board.markers.len()),
+        ("wall", 6)
+    );
+
+    let kalibr = dir.path().join("target.yaml");
+    let text =
+        "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n";
+    fs::write(&kalibr, text).unwrap();
+    let words = format!("import {} --json", kalibr.display());
+    let shown = json(&succeed(&mut board(&words)));
+    assert_eq!(shown["dictionary"], "36h11_border2");
+
+    let own = dir.path().join("own.yml");
+    let text = "%YAML:1.0\nnmarkers: 2\nmarkersize: 3\nmarker_0: \"101011001\"\n\
+                marker_1: \"001010111\"\n";
+    fs::write(&own, text).unwrap();
+    let shown = json(&succeed(&mut board(&format!(
+        "import {} --json",
+        own.display()
+    ))));
+    assert_eq!(shown["markers"], 2);
+    let neither = dir.path().join("x.yaml");
+    fs::write(&neither, "camera_matrix: 3\n").unwrap();
+    let (code, said) = refused(&mut board(&format!("import {}", neither.display())));
+    assert_eq!(code, 1);
+    assert!(said.contains("target_type"), "{said}");
+}
+
+#[test]
+fn an_own_dictionary_lies_beside_the_board() {
+    let dir = tempfile::tempdir().unwrap();
+    let known = gripcast::pose::Dictionary::by_name("DICT_5X5_50").unwrap();
+    let mut text = "%YAML:1.0\nnmarkers: 50\nmarkersize: 5\n".to_owned();
+    for id in 0..50 {
+        text += &format!("marker_{id}: \"{:025b}\"\n", known.code(id).unwrap());
+    }
+    fs::write(dir.path().join("own.yml"), text).unwrap();
+    let out = dir.path().join("b.pdf");
+    let words = format!(
+        "make --object builtin:box --dictionary own.yml --out {}",
+        out.display()
+    );
+    succeed(&mut board(&words));
+    let file = BoardFile::load(&dir.path().join("b.toml")).unwrap();
+    assert_eq!(file.board.dictionary, "own.yml");
+    assert_eq!(file.dictionary.code(7), known.code(7));
+}
+
+/// The board that comes along.
+fn gripper() -> BoardFile {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    BoardFile::load(&root.join("calib/boards/gripper-umi.toml")).unwrap()
+}
+
+#[test]
+fn the_grippers_tags_are_printed_with_the_board_that_comes_along() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("gripper-umi.pdf");
+    succeed(&mut board(&format!("gripper --out {}", out.display())));
+    let made = fs::read_to_string(out.with_extension("toml")).unwrap();
+    assert_eq!(made, gripper().to_toml());
+}
+
+/// Corners and middle of a marker at an opening, m, a little in front of it.
+fn places(marker: &BoardMarker, opening: f64) -> Vec<DVec3> {
+    let shift = match marker.part {
+        Part::FingerLeft => -0.5 * opening,
+        Part::FingerRight => 0.5 * opening,
+        Part::Body | Part::Object => 0.0,
+    };
+    let off = DVec3::X * shift + marker.front() * 2e-4;
+    let all = marker.corners_m.into_iter().chain([marker.center_m()]);
+    all.map(|p| p + off).collect()
+}
+
+/// A camera around the gripper's front, seen from the middle of the gels, m.
+fn eye(azimuth_deg: f64, elevation_deg: f64, distance: f64) -> DVec3 {
+    let (a, e) = (azimuth_deg.to_radians(), elevation_deg.to_radians());
+    DVec3::new(a.sin() * e.cos(), -a.cos() * e.cos(), -e.sin()) * distance
+}
+
+#[test]
+fn the_grippers_tags_are_in_front_of_it_and_seen() {
+    let board = gripper().board;
+    for opening in [0.0, 0.06, 0.14] {
+        let parts = gripper_parts(opening).unwrap();
+        let bodies: Vec<MeshQuery> = parts.iter().map(|p| MeshQuery::new(&p.shape)).collect();
+        for marker in &board.markers {
+            let points = places(marker, opening);
+            let is_inside = |p: &DVec3| bodies.iter().any(|b| b.contains(*p));
+            assert!(!points.iter().any(is_inside), "{}", marker.id);
+            for (azimuth, elevation) in [(0.0, 10.0), (-10.0, 20.0), (10.0, 30.0), (0.0, 30.0)] {
+                for distance in [0.4, 0.8] {
+                    let eye = eye(azimuth, elevation, distance);
+                    let to_eye = (eye - marker.center_m()).normalize();
+                    assert!(marker.front().dot(to_eye) > 0.3, "{}", marker.id);
+                    for p in &points {
+                        let hidden = bodies.iter().any(|b| b.is_occluded(*p, eye - *p, 1.0));
+                        assert!(!hidden, "{} from {azimuth}°, {elevation}°", marker.id);
+                    }
+                }
+            }
+        }
+    }
+}
