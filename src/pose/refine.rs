@@ -127,7 +127,7 @@ fn marker_sharpness(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpne
             .fold(0.0, f64::max);
         let low = mean.iter().copied().fold(f64::INFINITY, f64::min);
         let contrast = mean.iter().copied().fold(0.0, f64::max) - low;
-        if !(steepest > 0.0) {
+        if steepest <= 0.0 {
             return None;
         }
         let blur_px = contrast / (steepest * std::f64::consts::TAU.sqrt());
@@ -282,7 +282,7 @@ fn fitted(points: &[[f64; 3]]) -> Option<[f64; 2]> {
     let xx: f64 = points.iter().map(|p| (p[0] - x).powi(2)).sum();
     let xy: f64 = points.iter().map(|p| (p[0] - x) * (p[1] - y)).sum();
     let slope = xy / xx;
-    slope.is_finite().then(|| [y - slope * x, slope])
+    slope.is_finite().then_some([y - slope * x, slope])
 }
 
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {

@@ -116,7 +116,7 @@ fn where_no_border_is_the_detection_stays() {
         );
         let moved = refine_corners(&noise, &detection);
         for (a, b) in moved.corners_px.iter().zip(&detection.corners_px) {
-            assert!(!(a.distance(*b) >= 4.0));
+            assert!(a.distance(*b) < 4.0 || !b.is_finite());
         }
         let blur = sharpness(&noise, &[detection]).map_or(0.0, |s| s.blur_px);
         assert!(blur.is_finite());

@@ -40,7 +40,7 @@ const CONTRADICTION_PX: f64 = 4.0;
 /// Minima nearer than this are one, rad.
 const SAME_MINIMUM_RAD: f64 = 0.017;
 /// Markers whose normals are this far apart have one pose: 30°.
-const UNAMBIGUOUS_RAD: f64 = 0.5236;
+const UNAMBIGUOUS_RAD: f64 = std::f64::consts::FRAC_PI_6;
 /// The runner-up is refuted by this many squared deviations of a corner …
 const REFUTED: f64 = 25.0;
 /// … which is at least this, px, as single markers hide their errors well.

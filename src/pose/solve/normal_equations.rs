@@ -19,12 +19,13 @@ impl<const N: usize> NormalEquations<N> {
 
     /// Adds one equation: `row` times the unknowns is `value`.
     pub(super) fn add(&mut self, row: &[f64; N], value: f64, weight: f64) {
-        for i in 0..N {
-            let weighted = weight * row[i];
-            for j in 0..N {
-                self.matrix[i][j] += weighted * row[j];
+        let sums = self.matrix.iter_mut().zip(&mut self.vector);
+        for ((sums, sum), entry) in sums.zip(row) {
+            let weighted = weight * entry;
+            for (sum, other) in sums.iter_mut().zip(row) {
+                *sum += weighted * other;
             }
-            self.vector[i] += weighted * value;
+            *sum += weighted * value;
         }
     }
 
@@ -44,14 +45,8 @@ pub(super) fn inverse<const N: usize>(matrix: &[[f64; N]; N]) -> Option<[[f64; N
         *row = substitute(&lower, unit);
     }
     // Rounding leaves it not quite symmetric.
-    for i in 0..N {
-        for j in 0..i {
-            let mean = 0.5 * (result[i][j] + result[j][i]);
-            result[i][j] = mean;
-            result[j][i] = mean;
-        }
-    }
-    Some(result)
+    let mean = |i: usize, j: usize| 0.5 * (result[i][j] + result[j][i]);
+    Some(std::array::from_fn(|i| std::array::from_fn(|j| mean(i, j))))
 }
 
 /// L of L Lᵀ; none if the matrix is not positive definite beyond rounding.

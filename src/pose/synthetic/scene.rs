@@ -126,7 +126,7 @@ impl GraspScene {
             let _: u64 = random.random();
         }
         let mut between = |low: f64, high: f64| random.random_range(low..high);
-        let azimuth = between(-3.14, 3.14);
+        let azimuth = between(0.0, std::f64::consts::TAU);
         let tilt = between(20.0f64, 55.0).to_radians();
         let distance = between(0.4, 0.8);
         let target = DVec3::new(between(-0.02, 0.02), between(-0.02, 0.02), 0.02);
