@@ -51,7 +51,7 @@ pub struct PartPose {
 pub struct GripperPose {
     /// Pose of the gripper's frame.
     pub body: PartPose,
-    /// Opening; none if no finger's marker was seen.
+    /// Opening; none if it was not given and no finger's marker was seen.
     pub opening: Option<Opening>,
 }
 
