@@ -109,8 +109,7 @@ impl MarkerDetector for OpencvDetector {
         })?;
         let mut found = Vec::new();
         for (id, corners) in ids.iter().zip(corners.iter()) {
-            let points = corners.to_vec();
-            let [a, b, c, d] = points.as_slice() else {
+            let Ok([a, b, c, d]) = corners.data_typed::<Point2f>() else {
                 continue;
             };
             let Ok(id) = u32::try_from(id) else { continue };
@@ -134,7 +133,8 @@ impl MarkerDetector for OpencvDetector {
     }
 }
 
-type Found = (Vector<Vector<Point2f>>, Vector<i32>);
+/// Four points a marker, and ids.
+type Found = (Vector<Mat>, Vector<i32>);
 
 #[cfg(aruco_contrib)]
 fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
@@ -143,7 +143,7 @@ fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
     parameters.set_corner_refinement_method(aruco::CornerRefineMethod::CORNER_REFINE_NONE as i32);
     let dictionary = aruco::get_predefined_dictionary_i32(dictionary)?;
     let (mut corners, mut ids) = (Vector::new(), Vector::new());
-    let mut rejected = Vector::<Vector<Point2f>>::new();
+    let mut rejected = Vector::<Mat>::new();
     aruco::detect_markers(
         &mat(picture)?,
         &dictionary,
@@ -165,7 +165,7 @@ fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
     let refine = objdetect::RefineParameters::new_def()?;
     let detector = objdetect::ArucoDetector::new(&dictionary, &parameters, refine)?;
     let (mut corners, mut ids) = (Vector::new(), Vector::new());
-    let mut rejected = Vector::<Vector<Point2f>>::new();
+    let mut rejected = Vector::<Mat>::new();
     detector.detect_markers(&mat(picture)?, &mut corners, &mut ids, &mut rejected)?;
     Ok((corners, ids))
 }
