@@ -366,6 +366,22 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
     }
 
     #[test]
+    fn files_that_are_cut_off_or_damaged_are_refused_or_read_but_never_panic() {
+        for text in [ROS, KALIBR] {
+            for at in 0..text.len() {
+                let cut = &text[..at];
+                let _ = import_ros(cut, &dictionary());
+                let _ = import_kalibr(cut, "g", None);
+                for put in ["[", ":", "-", "9", "&a", "*a", "\0"] {
+                    let damaged = format!("{}{put}{}", cut, &text[at + 1..]);
+                    let _ = import_ros(&damaged, &dictionary());
+                    let _ = import_kalibr(&damaged, "g", None);
+                }
+            }
+        }
+    }
+
+    #[test]
     fn files_are_recognised_by_their_keys() {
         let kind = |text: &str| ForeignBoard::recognise(text).unwrap();
         assert_eq!(kind(ROS), ForeignBoard::Ros);

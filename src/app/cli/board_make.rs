@@ -160,13 +160,17 @@ impl SheetFlags {
 
     /// Writes sheets and board, and says so.
     fn write(&self, drawing: &Drawing, printed_hash: &str, file: &BoardFile) -> Result<()> {
-        for out in &self.out {
-            let bytes = match SheetFormat::of(out)? {
+        let encode = |out: &PathBuf| {
+            Ok(match SheetFormat::of(out)? {
                 SheetFormat::Pdf => pdf(drawing),
                 SheetFormat::Svg => svg(drawing).into_bytes(),
                 SheetFormat::Png => png(drawing, self.dpi)?,
-            };
-            save(out, &bytes)?;
+            })
+        };
+        // All are made before the first is written: a mistake leaves nothing behind.
+        let sheets: Vec<Vec<u8>> = self.out.iter().map(encode).collect::<Result<_>>()?;
+        for (out, bytes) in self.out.iter().zip(&sheets) {
+            save(out, bytes)?;
         }
         let board = self.board_path();
         save(&board, file.to_toml().as_bytes())?;
