@@ -36,8 +36,8 @@ use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{encode_png_grey16, encode_png_rgb};
 use crate::render::visual::{
     Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Picture,
-    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch, demo_model,
-    denoise, develop, drawn_finish, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
+    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch, denoise, develop,
+    grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
 };
 use crate::sim::grasp::{GraspPose, Placed, Placement, resting_pose};
 
@@ -148,11 +148,13 @@ enum ViewName {
     Outside,
 }
 
-fn finish(text: &str) -> Result<Finish, String> {
+/// A finish of the command line.
+pub(super) fn finish(text: &str) -> Result<Finish, String> {
     text.parse().map_err(|e: Error| e.to_string())
 }
 
-fn size(text: &str) -> Result<[usize; 2], String> {
+/// Columns and rows of the command line.
+pub(super) fn size(text: &str) -> Result<[usize; 2], String> {
     let sides = text.split_once('x').and_then(|(width, height)| {
         let side = |s: &str| s.parse().ok().filter(|n| (1..=8192).contains(n));
         Some([side(width)?, side(height)?])
@@ -326,27 +328,11 @@ impl<'a> Job<'a> {
         let mut written = Vec::new();
         for number in 0..look.count {
             let seed = look.seed.wrapping_add(u64::from(number));
-            let model = self.model(object, seed)?;
+            let model = object.model(self.args.object.finish, seed, self.progress)?;
             let out = self.plan.place(&format!("{stem}.{moment}.{number}.png"));
             written.push(self.picture(&model, state, seed, moment, out)?);
         }
         Ok(written)
-    }
-
-    fn model(&self, object: &ObjectSource, seed: u64) -> Result<Model> {
-        let finish = self.args.object.finish;
-        let Some(path) = object.path() else {
-            return match finish {
-                None => demo_model(&object.name, seed),
-                Some(finish) => Model::plain(&object.load()?, finish, seed),
-            };
-        };
-        let finish = finish.unwrap_or_else(|| drawn_finish(seed));
-        let loaded = Model::load(path, object.unit, finish, seed)?;
-        for warning in &loaded.warnings {
-            self.progress.line(format!("{}: {warning}", path.display()));
-        }
-        Ok(loaded.model.scaled(object.scale))
     }
 
     fn picture(
