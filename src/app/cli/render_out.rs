@@ -52,7 +52,8 @@ impl OutPlan {
 
 /// Writes a file whole or not at all.
 pub(super) fn save(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace_file(path, bytes).map_err(|e| Error::io("cannot write the picture", e).at(path.display()))
+    replace_file(path, bytes)
+        .map_err(|e| Error::io("cannot write the picture", e).at(path.display()))
 }
 
 /// What was written and what was not.
