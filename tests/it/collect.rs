@@ -18,7 +18,7 @@ fn three_grasps_are_collected_predicted_and_verified() {
     assert_eq!(report["session"]["saved"], 3);
     assert_eq!(report["ended"], "quit");
     assert_eq!(report["grasps"].as_array().unwrap().len(), 3);
-    assert_eq!(report["grasps"][1]["object"], "cylinder");
+    assert_eq!(report["grasps"][1]["object"], "bottle");
     assert_eq!(report["grasps"][1]["outcome"], "slip");
     for role in ["left", "right", "rgb", "depth"] {
         assert!(

@@ -45,12 +45,12 @@ impl FilmLibrary {
     pub fn built_in() -> Result<Self> {
         let films = films!(
             "mug",
-            "cylinder",
+            "bottle-low",
             "ball",
             "ball-aside",
-            "box",
+            "bottle",
             "wedge",
-            "bar",
+            "box",
             "box-end",
         );
         let parsed = films
