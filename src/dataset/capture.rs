@@ -47,7 +47,7 @@ pub struct StageCapture {
     /// Cameras by role.
     pub cameras: BTreeMap<Role, CapturedCamera>,
     /// What a virtual rig knows of the grasp at these frames.
-    pub truth: Option<SimulatedTruth>,
+    pub truth: Option<Box<SimulatedTruth>>,
 }
 
 /// What a grasp record holds besides its frames.

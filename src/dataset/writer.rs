@@ -127,7 +127,7 @@ impl DatasetWriter {
             files,
         } = capture.encode(Stage::Grasp)?;
         let record = GraspRecord {
-            truth: capture.truth.clone(),
+            truth: capture.truth.as_deref().cloned(),
             ..grasp_record(pending, stage, files, meta)
         };
         let json = to_json(&record)?;

@@ -606,7 +606,7 @@ impl Engine {
                 .hand
                 .as_ref()
                 .filter(|_| self.gels_are_virtual())
-                .map(|hand| hand.truth(seen_ns)),
+                .map(|hand| Box::new(hand.truth(seen_ns))),
         }
     }
 
