@@ -35,9 +35,9 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{encode_png_grey16, encode_png_rgb};
 use crate::render::visual::{
-    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Picture,
-    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch, denoise, develop,
-    grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
+    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Pattern,
+    Picture, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
+    denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
 };
 use crate::sim::grasp::{GraspPose, Placed, Placement, resting_pose};
 
@@ -101,9 +101,18 @@ struct LookFlags {
     /// Radiance files to draw the light from [default: painted rooms and skies]
     #[arg(long, value_name = "FILE.hdr", num_args = 1..)]
     hdri: Vec<PathBuf>,
+    /// Kinds of painted light to draw from: studio, window-room, overcast, sunny [default: all]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = sky,
+        conflicts_with = "hdri")]
+    sky: Vec<Sky>,
     /// Pictures to draw the ground from [default: painted]
     #[arg(long, value_name = "FILE", num_args = 1..)]
     ground: Vec<PathBuf>,
+    /// Kinds of painted ground to draw from: wood, stone, concrete, tiles, … [default: all that
+    /// tables are made of]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = pattern,
+        conflicts_with = "ground")]
+    pattern: Vec<Pattern>,
     /// Width of such a picture on the ground
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     ground_width_m: f64,
@@ -146,6 +155,14 @@ enum ViewName {
     Hand,
     /// From beside the gripper, for people
     Outside,
+}
+
+fn sky(text: &str) -> Result<Sky, String> {
+    text.parse().map_err(|e: Error| e.to_string())
+}
+
+fn pattern(text: &str) -> Result<Pattern, String> {
+    text.parse().map_err(|e: Error| e.to_string())
 }
 
 /// A finish of the command line.
@@ -241,6 +258,8 @@ impl<'a> Job<'a> {
             randomisation: VisualRandomisation {
                 domes: args.look.hdri.iter().map(dome).collect::<Result<_>>()?,
                 grounds: args.look.ground.iter().map(ground).collect::<Result<_>>()?,
+                skies: args.look.sky.clone(),
+                patterns: args.look.pattern.clone(),
                 ..VisualRandomisation::default()
             },
         })
