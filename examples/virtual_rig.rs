@@ -1,9 +1,10 @@
-//! Writes one picture of what the virtual rig's cameras see, hand open and closed.
+//! Writes one picture of what the virtual rig's cameras see: hand open, closed, lifted.
 //!
 //! ```text
-//! cargo run --example virtual_rig -- sheet.png [FIRST_GRASP]
+//! cargo run --release --example virtual_rig -- sheet.png [FIRST_GRASP]
 //! ```
-//! Rows: three grasps, each open and closed. Columns: left gel, right gel, colour, depth.
+//! Rows: three grasps, each open, closed and lifted. Columns: left gel, right gel, colour, depth,
+//! from outside.
 
 use std::error::Error;
 use std::sync::Arc;
@@ -11,7 +12,9 @@ use std::time::{Duration, Instant};
 
 use gripcast::imaging::{Frame, PixelFormat, Role};
 use gripcast::rig::calibration::CameraConfig;
-use gripcast::rig::camera::{CameraOpener, FrameSource, ManualClock, VirtualRig};
+use gripcast::rig::camera::{
+    CameraOpener, FilmLibrary, FrameSource, HandGoal, ManualClock, VirtualRig,
+};
 use image::{Rgb, RgbImage, imageops};
 
 const WIDTH: u32 = 640;
@@ -24,7 +27,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let first: u32 = arguments.next().map_or(Ok(0), |text| text.parse())?;
 
     let clock = Arc::new(ManualClock::at(1_000_000_000));
-    let rig = VirtualRig::new(1, clock);
+    let rig = VirtualRig::new(FilmLibrary::built_in()?, 1, clock);
     let hand = rig.hand();
     let mut cameras = Vec::new();
     for (role, format) in [
@@ -32,6 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         (Role::Right, "MJPG"),
         (Role::Rgb, "MJPG"),
         (Role::Depth, "Z16"),
+        (Role::External, "MJPG"),
     ] {
         let config: CameraConfig = toml::from_str(&format!(
             "source = 'virtual'\nformat = '{format}'\nwidth = {WIDTH}\nheight = {HEIGHT}\nfps = 1.0"
@@ -42,33 +46,30 @@ fn main() -> Result<(), Box<dyn Error>> {
         hand.next_object();
     }
 
-    let mut sheet = RgbImage::new(WIDTH * cameras.len() as u32, HEIGHT * 2 * GRASPS);
+    let goals = [HandGoal::Open, HandGoal::Closed, HandGoal::Lifted];
+    let rows = goals.len() as u32;
+    let mut sheet = RgbImage::new(WIDTH * cameras.len() as u32, HEIGHT * rows * GRASPS);
     for grasp in 0..GRASPS {
-        for closed in [false, true] {
-            hand.set_closed(closed);
-            let row = 2 * grasp + u32::from(closed);
+        for (row, goal) in goals.into_iter().enumerate() {
+            hand.go(goal);
             for (column, camera) in cameras.iter_mut().enumerate() {
                 let began = Instant::now();
                 // The frame after the next is a second later: the hand has come to rest.
                 next(camera.as_mut())?;
                 let frame = next(camera.as_mut())?;
                 eprintln!(
-                    "grasp {} closed {closed} column {column}: {:.1} ms a frame, {} bytes",
+                    "grasp {} {goal:?} column {column}: {:.1} ms a frame, {} bytes",
                     first + grasp,
                     began.elapsed().as_secs_f64() * 500.0,
                     frame.data.len()
                 );
-                let (x, y) = (column as u32 * WIDTH, row * HEIGHT);
+                let (x, y) = (column as u32 * WIDTH, (rows * grasp + row as u32) * HEIGHT);
                 imageops::replace(&mut sheet, &picture(&frame)?, x.into(), y.into());
             }
         }
-        let held = hand.grasp();
-        eprintln!(
-            "grasp {}: {} {:?}",
-            held.number,
-            held.object.name(),
-            held.grip
-        );
+        let film = hand.film();
+        let number = first + grasp;
+        eprintln!("grasp {number}: {}, {}", film.name(), film.outcome().name());
         hand.next_object();
     }
     sheet.save(&path)?;

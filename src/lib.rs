@@ -10,7 +10,7 @@
 //!
 //! | layer | area | job |
 //! | --- | --- | --- |
-//! | 0 | [`error`], [`geometry`], [`imaging`] | errors; meshes and poses; frames, decoding, crops, differences |
+//! | 0 | [`error`], [`files`], [`geometry`], [`imaging`] | errors; files written whole; meshes and poses; frames, decoding, crops, differences |
 //! | 1 | [`dataset`], [`pose`], [`sim`] | the crash-safe dataset on disk; poses from markers; the grasp simulator |
 //! | 2 | [`render`], [`predict`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
@@ -21,6 +21,7 @@
 pub mod app;
 pub mod dataset;
 pub mod error;
+pub mod files;
 pub mod geometry;
 pub mod imaging;
 pub mod pose;

@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use jiff::Timestamp;
 
 use super::encode::encode;
-use super::grasp::{CameraRecord, FileDigest, OverriddenGuard, PredictionRecord, StageRecord};
+use super::grasp::{
+    CameraRecord, FileDigest, OverriddenGuard, PredictionRecord, SimulatedTruth, StageRecord,
+};
 use super::layout::{Stage, digest, image_name};
 use crate::error::Result;
 use crate::imaging::{Frame, Role};
@@ -44,6 +46,8 @@ pub struct StageCapture {
     pub trigger: String,
     /// Cameras by role.
     pub cameras: BTreeMap<Role, CapturedCamera>,
+    /// What a virtual rig knows of the grasp at these frames.
+    pub truth: Option<Box<SimulatedTruth>>,
 }
 
 /// What a grasp record holds besides its frames.

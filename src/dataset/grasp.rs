@@ -6,6 +6,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::layout::Stage;
+use crate::geometry::Pose;
 use crate::imaging::{PixelFormat, Role};
 
 /// Version of the dataset format that this build writes.
@@ -94,6 +95,9 @@ pub struct GraspRecord {
     pub files: BTreeMap<String, FileDigest>,
     /// Free text.
     pub note: String,
+    /// What the simulator knows, where the frames are those of a virtual rig.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<SimulatedTruth>,
 }
 
 impl GraspRecord {
@@ -179,6 +183,37 @@ pub struct PoseRecord {
     /// True once a person has corrected it; programs never overwrite it then.
     #[serde(default)]
     pub corrected_by_hand: bool,
+}
+
+/// What is true of a grasp on the virtual rig: it was simulated, and the frames are those of the
+/// renderers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedTruth {
+    /// Name of the simulated grasp.
+    pub film: String,
+    /// Its object: mesh file or `builtin:NAME`.
+    pub object: String,
+    /// Hash of the object's mesh.
+    pub object_sha256: String,
+    /// Mass of the object, kg.
+    pub mass_kg: f64,
+    /// Coulomb friction coefficient of gel and object.
+    pub friction: f64,
+    /// How the grasp ends: `success`, `slip`, `eject`, …
+    pub outcome: String,
+    /// Whether the object is held through the lift.
+    pub held: bool,
+    /// How far the object rises, m.
+    pub lifted_m: f64,
+    /// The gripper in the object's frame before the fingers close.
+    pub t_object_gripper_initial: Pose,
+    /// The same at the left sensor's grasp frame.
+    pub t_object_gripper: Pose,
+    /// Distance between the undeformed gel faces at that frame, m.
+    pub opening_m: f64,
+    /// Normal force on the left and the right gel at that frame, N.
+    pub force_n: [f64; 2],
 }
 
 /// What the model said before the lift.

@@ -41,7 +41,7 @@ pub use counts::GraspCounts;
 pub use descriptor::{Descriptor, NewDataset};
 pub use grasp::{
     CameraRecord, FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard, PoseRecord,
-    PredictionRecord, SCHEMA_VERSION, StageRecord,
+    PredictionRecord, SCHEMA_VERSION, SimulatedTruth, StageRecord,
 };
 pub use index::{ReindexReport, reindex};
 pub use layout::Stage;

@@ -81,6 +81,7 @@ pub(super) fn rebuild(
         calibration: sources.field("calibration").unwrap_or_default(),
         files,
         note: format!("record made again from {from}"),
+        truth: sources.field("truth").unwrap_or_default(),
     })
 }
 

@@ -68,6 +68,7 @@ pub(super) fn capture(number: u32) -> StageCapture {
         captured_at: begin + SignedDuration::from_secs(i64::from(number)),
         trigger_time_ns: 1_010_000_000 + u64::from(number) * 40_000_000,
         trigger: "script".into(),
+        truth: None,
         cameras: BTreeMap::from([
             (
                 Role::Left,

@@ -126,7 +126,10 @@ impl DatasetWriter {
             contents,
             files,
         } = capture.encode(Stage::Grasp)?;
-        let record = grasp_record(pending, stage, files, meta);
+        let record = GraspRecord {
+            truth: capture.truth.as_deref().cloned(),
+            ..grasp_record(pending, stage, files, meta)
+        };
         let json = to_json(&record)?;
         self.complete(&record.id, &contents, &json).map_err(|e| {
             self.failed("cannot save the grasp", e)
@@ -531,6 +534,7 @@ fn grasp_record(
         calibration: meta.calibration,
         files,
         note: meta.note,
+        truth: None,
     }
 }
 

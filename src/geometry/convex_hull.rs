@@ -261,10 +261,10 @@ mod tests {
                 let turned = mesh.transformed(&Pose::from_rotation(turn));
                 let hull = check(&turned.vertices);
                 let ratio = volume(&hull) / volume(&mesh);
-                if *name == "mug" {
-                    assert!(ratio > 2.0, "{ratio}");
-                } else {
-                    assert!((ratio - 1.0).abs() < 1e-12, "{name}: {ratio}");
+                match *name {
+                    "mug" => assert!(ratio > 2.0, "{ratio}"),
+                    "bottle" => assert!((1.05..1.2).contains(&ratio), "{ratio}"),
+                    _ => assert!((ratio - 1.0).abs() < 1e-12, "{name}: {ratio}"),
                 }
             }
         }

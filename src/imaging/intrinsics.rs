@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::replace_file;
 
 /// How a lens bends the ideal picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -65,7 +66,7 @@ impl Intrinsics {
         let text = toml::to_string(self).map_err(|e| {
             Error::new(ErrorKind::Internal, "cannot write intrinsics as TOML").because(e)
         })?;
-        fs::write(path, text)
+        replace_file(path, text.as_bytes())
             .map_err(|e| Error::io("cannot write the intrinsics", e).at(path.display()))
     }
 

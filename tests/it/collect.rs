@@ -18,7 +18,7 @@ fn three_grasps_are_collected_predicted_and_verified() {
     assert_eq!(report["session"]["saved"], 3);
     assert_eq!(report["ended"], "quit");
     assert_eq!(report["grasps"].as_array().unwrap().len(), 3);
-    assert_eq!(report["grasps"][1]["object"], "tape-roll");
+    assert_eq!(report["grasps"][1]["object"], "bottle");
     assert_eq!(report["grasps"][1]["outcome"], "slip");
     for role in ["left", "right", "rgb", "depth"] {
         assert!(
@@ -53,6 +53,21 @@ fn three_grasps_are_collected_predicted_and_verified() {
     }
     let index = std::fs::read_to_string(dataset.join("metadata.jsonl")).unwrap();
     assert_eq!(index.lines().count(), 3);
+
+    // The simulator's word beside the operator's, at the moment of the grasp frame.
+    let found = grasps(&dataset);
+    let truths: Vec<_> = found.values().map(|grasp| &grasp["truth"]).collect();
+    let said: Vec<_> = truths.iter().map(|t| (&t["film"], &t["held"])).collect();
+    let [mug, bottle, ball] = ["mug", "bottle-low", "ball"].map(Value::from);
+    let (held, lost) = (Value::from(true), Value::from(false));
+    assert_eq!(said, [(&mug, &held), (&bottle, &lost), (&ball, &held)]);
+    for truth in truths {
+        for side in [0, 1] {
+            assert!(truth["force_n"][side].as_f64().unwrap() > 1.0, "{truth}");
+        }
+        assert!(truth["opening_m"].as_f64().unwrap() < 0.07, "{truth}");
+        assert!(truth["t_object_gripper"]["t_m"].is_array(), "{truth}");
+    }
 }
 
 #[test]

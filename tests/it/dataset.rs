@@ -77,6 +77,7 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
         captured_at: format!("2026-11-20T10:15:{number:02}Z").parse().unwrap(),
         trigger_time_ns: 1_000_000_100,
         trigger: "script".into(),
+        truth: None,
         cameras: roles
             .iter()
             .map(|&role| (role, camera(number, role)))

@@ -5,22 +5,24 @@ use std::path::{Path, PathBuf};
 
 /// Areas that an area may use, besides itself.
 fn allowed(area: &str) -> Option<&'static [&'static str]> {
-    const LAYER_0: &[&str] = &["error", "geometry", "imaging"];
-    const LAYER_1: &[&str] = &["error", "geometry", "imaging"];
-    const LAYER_2: &[&str] = &["error", "geometry", "imaging", "sim", "pose", "dataset"];
+    const LAYER_0: &[&str] = &["error", "files", "geometry", "imaging"];
+    const LAYER_1: &[&str] = &["error", "files", "geometry", "imaging"];
+    const LAYER_2: &[&str] = &[
+        "error", "files", "geometry", "imaging", "sim", "pose", "dataset",
+    ];
     const LAYER_3: &[&str] = &[
-        "error", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict",
+        "error", "files", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict",
     ];
     Some(match area {
-        "error" => &[],
+        "error" | "files" => &[],
         "geometry" | "imaging" => LAYER_0,
         "sim" | "pose" | "dataset" => LAYER_1,
         "render" | "predict" => LAYER_2,
         "rig" | "session" => LAYER_3,
         "synth" | "train" | "replay" => LAYER_3,
         "app" => &[
-            "error", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict", "rig",
-            "session", "synth", "train", "replay",
+            "error", "files", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict",
+            "rig", "session", "synth", "train", "replay",
         ],
         _ => return None,
     })

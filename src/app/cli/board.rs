@@ -29,6 +29,7 @@ use serde::Serialize;
 use super::board_make;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::replace_file;
 use crate::pose::{BoardFile, Dictionary, ForeignBoard, Part, import_kalibr, import_ros};
 
 /// Arguments.
@@ -62,7 +63,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 /// Writes a file.
 pub(super) fn save(path: &Path, bytes: &[u8]) -> Result<()> {
-    fs::write(path, bytes).map_err(|e| Error::io("cannot write the file", e).at(path.display()))
+    replace_file(path, bytes).map_err(|e| Error::io("cannot write the file", e).at(path.display()))
 }
 
 /// The folder that a file lies in.

@@ -27,6 +27,7 @@ mod python_peer;
 mod render;
 mod render_calibrate;
 mod render_figure;
+mod render_film;
 mod render_out;
 mod render_source;
 mod render_tactile;

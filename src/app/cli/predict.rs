@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 
 use super::{Context, print};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::replace_file;
 use crate::imaging::{
     CropProfile, Decoder, Frame, FrameDamage, PixelFormat, TactileDifference, crop_and_resize,
     decode_png_rgb, jpeg,
@@ -229,7 +230,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
 
 fn write_baseline(context: &Context, out: &Path) -> Result<()> {
     let bytes = baseline::onnx_bytes()?;
-    fs::write(out, &bytes)
+    replace_file(out, &bytes)
         .map_err(|cause| Error::io("cannot write the model", cause).at(out.display()))?;
     if !context.quiet {
         eprintln!("wrote {} ({} bytes)", out.display(), bytes.len());

@@ -1,6 +1,6 @@
 //! `gripcast render`: what the sensors would see of simulated grasps.
 
-use super::{Context, render_calibrate, render_figure, render_tactile, render_visual};
+use super::{Context, render_calibrate, render_figure, render_film, render_tactile, render_visual};
 use crate::error::Result;
 
 /// Arguments.
@@ -18,6 +18,8 @@ enum Action {
     Visual(Box<render_visual::Args>),
     /// Fit a sensor's profile to presses of a ball
     Calibrate(render_calibrate::Args),
+    /// Make simulated grasps playable by the virtual rig
+    Film(render_film::Args),
     /// Draw the renderers side by side
     Figure(render_figure::Args),
 }
@@ -28,6 +30,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::Tactile(args) => render_tactile::run(context, *args),
         Action::Visual(args) => render_visual::run(context, *args),
         Action::Calibrate(args) => render_calibrate::run(context, args),
+        Action::Film(args) => render_film::run(context, args),
         Action::Figure(args) => render_figure::run(context, args),
     }
 }

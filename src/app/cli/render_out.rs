@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::working::Progress;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::replace_file;
 
 /// One picture, or a folder of several.
 pub(super) struct OutPlan {
@@ -49,9 +50,10 @@ impl OutPlan {
     }
 }
 
-/// Writes a file.
+/// Writes a file whole or not at all.
 pub(super) fn save(path: &Path, bytes: &[u8]) -> Result<()> {
-    fs::write(path, bytes).map_err(|e| Error::io("cannot write the picture", e).at(path.display()))
+    replace_file(path, bytes)
+        .map_err(|e| Error::io("cannot write the picture", e).at(path.display()))
 }
 
 /// What was written and what was not.

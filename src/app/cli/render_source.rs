@@ -3,12 +3,14 @@
 use std::fs;
 use std::path::Path;
 
-use serde::Deserialize;
+use serde_json::Value;
 
 use super::sim_object::SimObject;
+use super::working::Progress;
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{LengthUnit, Pose, TriangleMesh};
-use crate::render::tactile::{SimulatedGel, TraceHeader, TraceObject};
+use crate::geometry::{LengthUnit, TriangleMesh};
+use crate::render::tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
+use crate::render::visual::{Finish, Model, demo_model, drawn_finish};
 use crate::sim::grasp::{Snapshot, StageName, Trace, TraceFile};
 
 /// The moment of a grasp that is rendered.
@@ -67,6 +69,27 @@ impl ObjectSource {
     pub(super) fn load(&self) -> Result<TriangleMesh> {
         SimObject::read(&self.name, self.unit, self.scale).map(|object| object.mesh)
     }
+
+    /// The mesh with its looks; `finish` for what has none of its own, else one is drawn.
+    pub(super) fn model(
+        &self,
+        finish: Option<Finish>,
+        seed: u64,
+        progress: &Progress,
+    ) -> Result<Model> {
+        let Some(path) = self.path() else {
+            return match finish {
+                None => demo_model(&self.name, seed),
+                Some(finish) => Model::plain(&self.load()?, finish, seed),
+            };
+        };
+        let finish = finish.unwrap_or_else(|| drawn_finish(seed));
+        let loaded = Model::load(path, self.unit, finish, seed)?;
+        for warning in &loaded.warnings {
+            progress.line(format!("{}: {warning}", path.display()));
+        }
+        Ok(loaded.model.scaled(self.scale))
+    }
 }
 
 /// A simulated grasp read back.
@@ -74,23 +97,9 @@ pub(super) struct SimulatedGrasp {
     pub(super) object: ObjectSource,
     pub(super) mesh: TriangleMesh,
     pub(super) gel: SimulatedGel,
+    pub(super) header: Value,
     pub(super) trace: Trace,
-    pub(super) start: Start,
-}
-
-/// How the grasp began: the header's `pose`.
-#[derive(Clone, Copy, Debug, Deserialize)]
-pub(super) struct Start {
-    pub(super) t_world_object: Pose,
-    pub(super) t_object_gripper: Pose,
-    pub(super) opening_m: f64,
-}
-
-impl Start {
-    /// The gripper in the world.
-    pub(super) fn t_world_gripper(&self) -> Pose {
-        self.t_world_object * self.t_object_gripper
-    }
+    pub(super) start: TraceStart,
 }
 
 impl SimulatedGrasp {
@@ -108,14 +117,7 @@ impl SimulatedGrasp {
             source: object.map_or(named.source, str::to_owned),
             ..named
         };
-        let start = Start::deserialize(&file.header["pose"]).map_err(|e| {
-            Error::new(
-                ErrorKind::Input,
-                "the trace's header does not tell how the grasp began",
-            )
-            .because(e)
-            .remedy("simulate the grasp again with this gripcast")
-        })?;
+        let start = TraceStart::read(&file.header)?;
         let mesh = named.load(path)?;
         let file_name = named.file(path);
         Ok(Self {
@@ -126,6 +128,7 @@ impl SimulatedGrasp {
             },
             mesh,
             gel,
+            header: file.header,
             trace: file.trace,
             start,
         })

@@ -35,9 +35,9 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{encode_png_grey16, encode_png_rgb};
 use crate::render::visual::{
-    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Picture,
-    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch, demo_model,
-    denoise, develop, drawn_finish, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
+    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Pattern,
+    Picture, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
+    denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
 };
 use crate::sim::grasp::{GraspPose, Placed, Placement, resting_pose};
 
@@ -101,9 +101,18 @@ struct LookFlags {
     /// Radiance files to draw the light from [default: painted rooms and skies]
     #[arg(long, value_name = "FILE.hdr", num_args = 1..)]
     hdri: Vec<PathBuf>,
+    /// Kinds of painted light to draw from: studio, window-room, overcast, sunny [default: all]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = sky,
+        conflicts_with = "hdri")]
+    sky: Vec<Sky>,
     /// Pictures to draw the ground from [default: painted]
     #[arg(long, value_name = "FILE", num_args = 1..)]
     ground: Vec<PathBuf>,
+    /// Kinds of painted ground to draw from: wood, stone, concrete, tiles, … [default: all that
+    /// tables are made of]
+    #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = pattern,
+        conflicts_with = "ground")]
+    pattern: Vec<Pattern>,
     /// Width of such a picture on the ground
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     ground_width_m: f64,
@@ -148,11 +157,21 @@ enum ViewName {
     Outside,
 }
 
-fn finish(text: &str) -> Result<Finish, String> {
+fn sky(text: &str) -> Result<Sky, String> {
     text.parse().map_err(|e: Error| e.to_string())
 }
 
-fn size(text: &str) -> Result<[usize; 2], String> {
+fn pattern(text: &str) -> Result<Pattern, String> {
+    text.parse().map_err(|e: Error| e.to_string())
+}
+
+/// A finish of the command line.
+pub(super) fn finish(text: &str) -> Result<Finish, String> {
+    text.parse().map_err(|e: Error| e.to_string())
+}
+
+/// Columns and rows of the command line.
+pub(super) fn size(text: &str) -> Result<[usize; 2], String> {
     let sides = text.split_once('x').and_then(|(width, height)| {
         let side = |s: &str| s.parse().ok().filter(|n| (1..=8192).contains(n));
         Some([side(width)?, side(height)?])
@@ -239,6 +258,8 @@ impl<'a> Job<'a> {
             randomisation: VisualRandomisation {
                 domes: args.look.hdri.iter().map(dome).collect::<Result<_>>()?,
                 grounds: args.look.ground.iter().map(ground).collect::<Result<_>>()?,
+                skies: args.look.sky.clone(),
+                patterns: args.look.pattern.clone(),
                 ..VisualRandomisation::default()
             },
         })
@@ -326,27 +347,11 @@ impl<'a> Job<'a> {
         let mut written = Vec::new();
         for number in 0..look.count {
             let seed = look.seed.wrapping_add(u64::from(number));
-            let model = self.model(object, seed)?;
+            let model = object.model(self.args.object.finish, seed, self.progress)?;
             let out = self.plan.place(&format!("{stem}.{moment}.{number}.png"));
             written.push(self.picture(&model, state, seed, moment, out)?);
         }
         Ok(written)
-    }
-
-    fn model(&self, object: &ObjectSource, seed: u64) -> Result<Model> {
-        let finish = self.args.object.finish;
-        let Some(path) = object.path() else {
-            return match finish {
-                None => demo_model(&object.name, seed),
-                Some(finish) => Model::plain(&object.load()?, finish, seed),
-            };
-        };
-        let finish = finish.unwrap_or_else(|| drawn_finish(seed));
-        let loaded = Model::load(path, object.unit, finish, seed)?;
-        for warning in &loaded.warnings {
-            self.progress.line(format!("{}: {warning}", path.display()));
-        }
-        Ok(loaded.model.scaled(object.scale))
     }
 
     fn picture(

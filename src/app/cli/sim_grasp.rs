@@ -24,6 +24,7 @@ use super::sim_object::{ObjectFlags, ObjectRecord, SimObject};
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::replace_file;
 use crate::geometry::Pose;
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::{
@@ -418,7 +419,7 @@ fn suffix(path: &Path) -> String {
 
 fn write_files(args: &Args, report: &Report, result: GraspResult, axes: Value) -> Result<()> {
     let write = |path: &Path, bytes: &[u8]| {
-        fs::write(path, bytes).map_err(|e| Error::io("cannot write", e).at(path.display()))
+        replace_file(path, bytes).map_err(|e| Error::io("cannot write", e).at(path.display()))
     };
     if let Some(path) = &args.out.plot {
         let height = report.parameters.protocol.success_height_m;

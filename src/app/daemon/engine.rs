@@ -25,8 +25,10 @@ use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, StageCapture};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Frame, Intrinsics, Role};
 use crate::predict::Model;
-use crate::rig::calibration::{CameraConfig, RigFile};
-use crate::rig::camera::{CameraOpener, Health, SupervisionPolicy, VirtualHand, monotonic_ns};
+use crate::rig::calibration::{CameraConfig, RigFile, SourceKind};
+use crate::rig::camera::{
+    CameraOpener, HandGoal, Health, SupervisionPolicy, VirtualHand, monotonic_ns,
+};
 use crate::rig::trigger::{self, Answer, Script, ScriptAction, ScriptRunner};
 use crate::session::{
     CameraCondition, Command, CommandSource, Conditions, Effect, GuardLimits, Labels, Session,
@@ -256,7 +258,11 @@ impl Engine {
         self.ticks += 1;
         self.watch_cameras();
         if let Some(hand) = &self.hand {
-            hand.set_closed(self.session.step() != Step::Initial);
+            hand.go(match self.session.step() {
+                Step::Initial => HandGoal::Open,
+                Step::Grasp => HandGoal::Closed,
+                Step::Label => HandGoal::Lifted,
+            });
         }
         // Nobody looks when the screen has left; the report tells the rest.
         let _ = self.links.status.send(Arc::new(self.status()));
@@ -562,6 +568,10 @@ impl Engine {
     }
 
     fn stage_capture(&self, paired: Paired, now_ns: u64, source: CommandSource) -> StageCapture {
+        let seen_ns = [Role::Left, Role::Right]
+            .iter()
+            .find_map(|role| paired.frames.get(role))
+            .map_or(now_ns, |frame| frame.driver_time_ns);
         let cameras = paired
             .frames
             .into_iter()
@@ -592,7 +602,20 @@ impl Engine {
             trigger_time_ns: now_ns,
             trigger: source.name().to_owned(),
             cameras,
+            truth: self
+                .hand
+                .as_ref()
+                .filter(|_| self.gels_are_virtual())
+                .map(|hand| Box::new(hand.truth(seen_ns))),
         }
+    }
+
+    /// What the gels feel is what the simulator knows.
+    fn gels_are_virtual(&self) -> bool {
+        [Role::Left, Role::Right].iter().all(|role| {
+            let camera = self.rig.cameras.get(role);
+            camera.is_some_and(|camera| camera.source == SourceKind::Virtual)
+        })
     }
 
     fn status(&self) -> EngineStatus {

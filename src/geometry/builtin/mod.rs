@@ -1,6 +1,7 @@
 //! Named procedural meshes: watertight, counter-clockwise seen from outside, body centred in the
 //! origin, z up.
 
+mod fine;
 mod mug;
 mod shapes;
 
@@ -13,9 +14,12 @@ use crate::error::{Error, ErrorKind, Result, nearest_name};
 pub(super) use shapes::uv_sphere;
 
 /// Names that [`builtin`] knows.
-pub const BUILTIN_NAMES: &[&str] = &["box", "sphere", "cylinder", "mug", "wedge", "bar", "spike"];
+pub const BUILTIN_NAMES: &[&str] = &[
+    "box", "sphere", "cylinder", "mug", "wedge", "bar", "spike", "ball", "bottle",
+];
 
-/// A procedural mesh by name, with or without the prefix `builtin:`. Faces are 2 to 4 mm wide.
+/// A procedural mesh by name, with or without the prefix `builtin:`. Faces are 2 to 4 mm wide, those of
+/// `ball` and `bottle` about 1 mm.
 ///
 /// | name | shape | triangles |
 /// | --- | --- | --- |
@@ -26,6 +30,8 @@ pub const BUILTIN_NAMES: &[&str] = &["box", "sphere", "cylinder", "mug", "wedge"
 /// | `wedge` | 40 mm deep, 50 mm high; 50 mm wide at the bottom, 30 mm at the top: sides tilted by 11.3° | 3312 |
 /// | `bar` | 10 × 20 × 120 mm | 2048 |
 /// | `spike` | octahedron, corners at ±20, ±20, ±35 mm | 1152 |
+/// | `ball` | radius 25 mm | 10368 |
+/// | `bottle` | upright, diameter 43 mm, height 110 mm, cap of 33 mm with 32 ribs | 21248 |
 ///
 /// # Errors
 /// `NotFound` for another name; the remedy lists the names.
@@ -44,6 +50,8 @@ pub fn builtin(name: &str) -> Result<TriangleMesh> {
         "wedge" => wedge(),
         "bar" => shapes::grid_box(DVec3::new(0.01, 0.02, 0.12), [4, 8, 40]),
         "spike" => shapes::octahedron(DVec3::new(0.02, 0.02, 0.035), 12),
+        "ball" => fine::ball(0.025, 36),
+        "bottle" => fine::bottle(),
         other => return Err(unknown(other)),
     })
 }
@@ -115,6 +123,8 @@ mod tests {
             ("wedge", [50.0, 40.0, 50.0], 3312),
             ("bar", [10.0, 20.0, 120.0], 2048),
             ("spike", [40.0, 40.0, 70.0], 1152),
+            ("ball", [50.0, 50.0, 50.0], 10368),
+            ("bottle", [43.0, 43.0, 110.0], 21248),
         ];
         for ((name, size_mm, triangles), known) in expected.into_iter().zip(BUILTIN_NAMES) {
             assert_eq!(name, *known);

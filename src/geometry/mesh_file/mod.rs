@@ -25,6 +25,7 @@ pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mes
 use super::mesh::TriangleMesh;
 use super::weld::weld;
 use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::files::replace_file;
 
 const SUFFIXES: [&str; 5] = ["obj", "stl", "ply", "glb", "gltf"];
 
@@ -205,7 +206,7 @@ pub fn save_mesh(path: &Path, mesh: &TriangleMesh) -> Result<()> {
             .remedy("name the file .ply or .obj"));
         }
     };
-    fs::write(path, bytes).map_err(|e| Error::io("cannot write the mesh", e).at(path.display()))
+    replace_file(path, &bytes).map_err(|e| Error::io("cannot write the mesh", e).at(path.display()))
 }
 
 /// An error of the content, with the usual remedy.

@@ -53,4 +53,4 @@ pub use scene::{Mounting, SensorPlace, SimulatedGel, TactileScene};
 pub use scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 pub use shading::{NormalOrder, PolynomialShading, PositionOrder};
 pub use smooth::{Smoother, Smoothing};
-pub use trace_header::{TraceHeader, TraceObject};
+pub use trace_header::{TraceHeader, TraceObject, TraceStart};

@@ -5,6 +5,7 @@
 //! picture, so that it also works alone.
 
 use std::fs;
+use std::io;
 use std::path::Path;
 
 use image::RgbImage;
@@ -17,6 +18,7 @@ use super::press_depth::SensorGeometry;
 use super::shading::PolynomialShading;
 use super::smooth::Smoothing;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::StagedFile;
 use crate::imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
 
 /// Version of the file format.
@@ -155,7 +157,7 @@ impl SensorProfile {
     ///
     /// # Errors
     /// `Config` if the profile is not valid; the error of the operating system if a file cannot
-    /// be written.
+    /// be written, and then the old files stay.
     pub fn save(&self, path: &Path) -> Result<()> {
         let mut profile = self.clone();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -166,10 +168,21 @@ impl SensorProfile {
             .map(|_| format!("{stem}.background.png"));
         profile.validate()?;
         profile.check_picture()?;
+        let mut files = Vec::new();
         if let (Some(name), Some(picture)) = (&profile.background.file, &self.background.picture) {
-            write(&path.with_file_name(name), &encode_png_rgb(picture)?)?;
+            files.push((path.with_file_name(name), encode_png_rgb(picture)?));
         }
-        write(path, profile.to_toml()?.as_bytes())
+        files.push((path.to_owned(), profile.to_toml()?.into_bytes()));
+        // All are on the disk before the first takes its name: they belong together.
+        let mut staged = Vec::new();
+        for (path, bytes) in files {
+            let file = StagedFile::write(&path, &bytes).map_err(|e| unwritten(&path, e))?;
+            staged.push((path, file));
+        }
+        for (path, file) in staged {
+            file.commit().map_err(|e| unwritten(&path, e))?;
+        }
+        Ok(())
     }
 
     /// The text of the file.
@@ -257,12 +270,10 @@ fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Resu
     )))
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    fs::write(path, bytes).map_err(|e| {
-        Error::io("cannot write the sensor profile", e)
-            .at(path.display())
-            .remedy("name a file in a folder that exists and can be written")
-    })
+fn unwritten(path: &Path, cause: io::Error) -> Error {
+    Error::io("cannot write the sensor profile", cause)
+        .at(path.display())
+        .remedy("name a file in a folder that exists and can be written")
 }
 
 /// A crop profile by its name.
@@ -355,5 +366,19 @@ mod tests {
         assert!(text.contains("smooth fit"), "{text}");
         let nowhere = folder.path().join("no/such/a.toml");
         assert!(profile.save(&nowhere).is_err());
+    }
+
+    #[test]
+    fn a_profile_that_cannot_be_written_leaves_the_old_picture() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut profile = SensorProfile::gelsight_mini().unwrap();
+        let picture = folder.path().join("a.background.png");
+        fs::write(&picture, b"old").unwrap();
+        // No file can have this name, but the picture can have its own.
+        std::os::unix::fs::symlink("no/such/a.toml", folder.path().join("a.toml")).unwrap();
+        profile.background.picture = Some(RgbImage::new(320, 240));
+        assert!(profile.save(&folder.path().join("a.toml")).is_err());
+        assert_eq!(fs::read(&picture).unwrap(), b"old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 }

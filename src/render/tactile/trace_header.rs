@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::scene::SimulatedGel;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{
-    LengthUnit, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
+    LengthUnit, Pose, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
 };
 use crate::sim::fem::GelGrid;
 
@@ -33,6 +33,39 @@ fn metre() -> String {
 
 fn one() -> f64 {
     1.0
+}
+
+/// How a grasp began. From the header's `pose`.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+pub struct TraceStart {
+    /// The object in the world.
+    pub t_world_object: Pose,
+    /// The gripper in the object's frame.
+    pub t_object_gripper: Pose,
+    /// Distance between the undeformed gel faces, m.
+    pub opening_m: f64,
+}
+
+impl TraceStart {
+    /// Reads it from the header of a trace file.
+    ///
+    /// # Errors
+    /// `Input` where the header does not have it.
+    pub fn read(header: &Value) -> Result<Self> {
+        Self::deserialize(&header["pose"]).map_err(|cause| {
+            Error::new(
+                ErrorKind::Input,
+                "the trace's header does not tell how the grasp began",
+            )
+            .because(cause)
+            .remedy("simulate the grasp again with this gripcast")
+        })
+    }
+
+    /// The gripper in the world.
+    pub fn t_world_gripper(&self) -> Pose {
+        self.t_world_object * self.t_object_gripper
+    }
 }
 
 /// What a renderer needs of a trace's header.

@@ -19,12 +19,15 @@ const DOME_ROWS: usize = 256;
 /// Ranges from which the conditions of a picture are drawn.
 #[derive(Clone, Debug)]
 pub struct VisualRandomisation {
-    /// Domes to choose from, as [`Environment`] lays them out; none for painted skies of all
-    /// kinds.
+    /// Domes to choose from, as [`Environment`] lays them out; none for painted skies.
     pub domes: Vec<Arc<Picture>>,
+    /// Kinds of painted skies to choose from; none for all.
+    pub skies: Vec<Sky>,
     /// Textures of the ground to choose from, with their width on the ground, m; none for painted
     /// ones.
     pub grounds: Vec<(Arc<Bitmap>, f64)>,
+    /// Kinds of painted grounds to choose from; none for all that tables are made of.
+    pub patterns: Vec<Pattern>,
     /// Brightness of the dome, least and most; drawn log-uniformly. The automatic exposure evens
     /// out most of it.
     pub intensity: [f64; 2],
@@ -40,7 +43,9 @@ impl Default for VisualRandomisation {
     fn default() -> Self {
         Self {
             domes: Vec::new(),
+            skies: Vec::new(),
             grounds: Vec::new(),
+            patterns: Vec::new(),
             intensity: [0.3, 3.0],
             camera_shift_m: 0.006,
             camera_turn_rad: 2.5_f64.to_radians(),
@@ -118,13 +123,16 @@ impl VisualRandomisation {
         let [dim, bright] = self.intensity;
         VisualConditions {
             dome: match self.domes.len() {
-                0 => DomeChoice::Painted(light.pick(Sky::ALL), light.bits()),
+                0 => DomeChoice::Painted(one_of(&self.skies, &Sky::ALL, &mut light), light.bits()),
                 count => DomeChoice::Picture(self.domes[light.index(count)].clone()),
             },
             dome_turn_rad: light.between(0.0, TAU),
             intensity: light.between_log(dim, bright),
             ground: match self.grounds.len() {
-                0 => GroundChoice::Painted(ground.pick(Pattern::GROUNDS), ground.bits()),
+                0 => GroundChoice::Painted(
+                    one_of(&self.patterns, &Pattern::GROUNDS, &mut ground),
+                    ground.bits(),
+                ),
                 count => {
                     let (bitmap, width) = &self.grounds[ground.index(count)];
                     GroundChoice::Picture(bitmap.clone(), *width)
@@ -142,6 +150,12 @@ impl VisualRandomisation {
             sensor_seed: SeedStream::named(seed, "sensor").bits(),
         }
     }
+}
+
+/// One of those that were named, else of all.
+fn one_of<T: Copy>(named: &[T], all: &[T], stream: &mut SeedStream) -> T {
+    let choice = if named.is_empty() { all } else { named };
+    choice[stream.index(choice.len())]
 }
 
 impl VisualConditions {
@@ -183,6 +197,27 @@ mod tests {
         skies.sort_unstable();
         skies.dedup();
         assert_eq!(skies.len(), 4);
+    }
+
+    #[test]
+    fn named_skies_and_grounds_are_used() {
+        let named = VisualRandomisation {
+            skies: vec![Sky::Overcast],
+            patterns: vec![Pattern::Wood, Pattern::Stone],
+            ..VisualRandomisation::default()
+        };
+        let mut grounds = Vec::new();
+        for seed in 0..20 {
+            let drawn = named.sample(seed);
+            assert!(matches!(drawn.dome, DomeChoice::Painted(Sky::Overcast, _)));
+            let GroundChoice::Painted(pattern, _) = drawn.ground else {
+                panic!("a picture was drawn");
+            };
+            grounds.push(pattern.name());
+        }
+        grounds.sort_unstable();
+        grounds.dedup();
+        assert_eq!(grounds, ["stone", "wood"]);
     }
 
     #[test]

@@ -18,6 +18,8 @@ use crate::render::seed::SeedStream;
 /// | `wedge` | wood, plastic, stone |
 /// | `bar` | brushed metal, wood, copper, plastic |
 /// | `spike` | aluminium, glass, plastic |
+/// | `ball` | plastic, wood, steel |
+/// | `bottle` | plastic, glass, aluminium |
 pub fn usual_finishes(name: &str) -> &'static [Finish] {
     use Finish::{Aluminium, Copper, Glass, Painted, Steel};
     const CERAMIC: Finish = Painted(Pattern::Ceramic);
@@ -34,6 +36,8 @@ pub fn usual_finishes(name: &str) -> &'static [Finish] {
         "wedge" => &[WOOD, PLASTIC, STONE],
         "bar" => &[METAL, WOOD, Copper, PLASTIC],
         "spike" => &[Aluminium, Glass, PLASTIC],
+        "ball" => &[PLASTIC, WOOD, Steel],
+        "bottle" => &[PLASTIC, Glass, Aluminium],
         _ => &[PLASTIC, WOOD, CERAMIC, STONE],
     }
 }

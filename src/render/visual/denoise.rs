@@ -4,7 +4,12 @@
 //! A pixel becomes the weighted mean of the pixels around it. Weights compare small patches of
 //! light, divided by the albedo so that textures stay sharp, against the noise that is expected
 //! there, and the first surfaces. The weights for one half of the paths come from the other half,
-//! so that noise does not choose itself. Sources: Buades, Coll, Morel, *A non-local algorithm for
+//! so that noise does not choose itself.
+//!
+//! A firefly, a pixel with one or a few paths that are far brighter than all around, would be
+//! spread evenly over its neighbourhood: a bright square. Its weight is cut, see [`trust`]; the
+//! light that it stands for is lost, as with a clamp, and the picture is so much too dark there.
+//! Pixels without such paths keep their weight. Sources: Buades, Coll, Morel, *A non-local algorithm for
 //! image denoising* (2005); Rousselle, Knaus, Zwicker, *Adaptive rendering with non-local means
 //! filtering* (2012); Rousselle, Manzi, Zwicker, *Robust denoising using feature and color
 //! information* (2013).
@@ -20,6 +25,15 @@ use super::renderer::Rendering;
 const LEAST_ALBEDO: f32 = 0.02;
 /// Radius over which the noise is averaged, px.
 const NOISE_RADIUS: usize = 3;
+/// Variance of a firefly, in means of its neighbourhood.
+const FIREFLY_VARIANCE: f32 = 16.0;
+/// Rounds of looking for them.
+const FIREFLY_ROUNDS: usize = 8;
+/// A pixel is no firefly from this number of equal paths on that would vary as its own do, and
+/// may be one entirely at half of it: what is really bright, many paths see.
+const SOLID_PATHS: f32 = 8.0;
+/// Least weight of a pixel for itself, so that one unlike all others keeps its light.
+const LEAST_OWN_TRUST: f32 = 1e-6;
 /// Rows that are filtered together.
 const BAND: usize = 16;
 
@@ -72,10 +86,13 @@ pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Picture {
             .map(|(p, a)| std::array::from_fn(|k| p[k] / a[k]))
             .collect()
     });
+    let of_paths = variance_of_paths(rendering, &albedo);
+    let trust = trust(&halves, &of_paths, [width, height], settings.radius);
     let guide = Guide {
         rendering,
         settings,
-        variance: noise(&halves, rendering, &albedo),
+        variance: noise(&halves, &of_paths, &trust, [width, height]),
+        trust,
         width,
         height,
     };
@@ -90,18 +107,63 @@ pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Picture {
     picture
 }
 
-/// Variance of the light of one half, for each pixel: that among the paths, scaled by how far the
-/// halves really differ, because well spread paths differ less than independent ones.
-fn noise(halves: &[Light; 2], rendering: &Rendering, albedo: &[[f32; 3]]) -> Vec<f32> {
-    let (width, height) = (rendering.picture.width, rendering.picture.height);
-    let of_paths = rendering.variance.pixels.iter().zip(albedo);
-    let of_paths: Vec<f32> = of_paths
+/// Variance of the light of one half among its paths, as if they were independent.
+fn variance_of_paths(rendering: &Rendering, albedo: &[[f32; 3]]) -> Vec<f32> {
+    let values = rendering.variance.pixels.iter().zip(albedo);
+    values
         .map(|(v, a)| (0..3).map(|k| 2.0 * v[k] / (a[k] * a[k])).sum::<f32>() / 3.0)
+        .collect()
+}
+
+/// Share of its weight that each pixel keeps: below 1 for fireflies.
+///
+/// With v the variance of a pixel, m its mean over the other pixels of the square around: a
+/// firefly keeps c · m / v. Cut like that, the brightest adds √c standard deviations of its
+/// neighbours to the sum over the square.
+fn trust(halves: &[Light; 2], of_paths: &[f32], size: [usize; 2], radius: usize) -> Vec<f32> {
+    let mut trust = vec![1.0; of_paths.len()];
+    let suspicion: Vec<f32> = of_paths
+        .iter()
+        .zip(halves[0].iter().zip(&halves[1]))
+        .map(|(v, (a, b))| {
+            let square = (0..3).map(|k| (0.5 * (a[k] + b[k])).powi(2)).sum::<f32>() / 3.0;
+            // The picture has half of the variance of its halves.
+            let paths = square / (0.5 * v).max(f32::MIN_POSITIVE);
+            (2.0 - 2.0 * paths / SOLID_PATHS).clamp(0.0, 1.0)
+        })
         .collect();
+    // Later rounds find what brighter ones beside it hid in the first.
+    for _ in 0..FIREFLY_ROUNDS {
+        let cut: Vec<f32> = of_paths.iter().zip(&trust).map(|(v, t)| v * t).collect();
+        let around = box_mean(&cut, size[0], size[1], radius);
+        for (at, trust) in trust.iter_mut().enumerate() {
+            let sides = [at % size[0], at / size[0]].into_iter().zip(size);
+            let count: usize = sides
+                .map(|(at, side)| near(side, at, radius).len())
+                .product();
+            let others = (around[at] - cut[at] / count as f32).max(0.0);
+            let kept = (FIREFLY_VARIANCE * others / of_paths[at].max(f32::MIN_POSITIVE)).min(1.0);
+            *trust = 1.0 - suspicion[at] * (1.0 - kept);
+        }
+    }
+    trust
+}
+
+/// Variance of the light of one half, for each pixel: that among the paths, scaled by how far the
+/// halves really differ, because well spread paths differ less than independent ones. Fireflies
+/// count as far as they are trusted.
+fn noise(
+    halves: &[Light; 2],
+    of_paths: &[f32],
+    trust: &[f32],
+    [width, height]: [usize; 2],
+) -> Vec<f32> {
+    let of_paths: Vec<f32> = of_paths.iter().zip(trust).map(|(v, t)| v * t).collect();
     let of_halves: Vec<f32> = halves[0]
         .iter()
         .zip(&halves[1])
-        .map(|(a, b)| (0..3).map(|k| 0.5 * (a[k] - b[k]).powi(2)).sum::<f32>() / 3.0)
+        .zip(trust)
+        .map(|((a, b), t)| t * (0..3).map(|k| 0.5 * (a[k] - b[k]).powi(2)).sum::<f32>() / 3.0)
         .collect();
     let of_halves = box_mean(&of_halves, width, height, NOISE_RADIUS);
     let smooth = box_mean(&of_paths, width, height, NOISE_RADIUS);
@@ -117,20 +179,24 @@ fn noise(halves: &[Light; 2], rendering: &Rendering, albedo: &[[f32; 3]]) -> Vec
         .collect()
 }
 
+/// Places up to `radius` away along a side.
+fn near(side: usize, at: usize, radius: usize) -> Range<usize> {
+    at.saturating_sub(radius)..(at + radius + 1).min(side)
+}
+
 /// Mean over squares of `2 radius + 1` pixels, fewer at the borders.
 fn box_mean(values: &[f32], width: usize, height: usize, radius: usize) -> Vec<f32> {
-    let along = |count: usize, at: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
     let mut rows = Vec::with_capacity(values.len());
     for row in values.chunks(width.max(1)) {
         for column in 0..width {
-            let range = along(width, column);
+            let range = near(width, column, radius);
             let count = range.len() as f32;
             rows.push(row[range].iter().sum::<f32>() / count);
         }
     }
     let mut out = Vec::with_capacity(values.len());
     for row in 0..height {
-        let range = along(height, row);
+        let range = near(height, row, radius);
         for column in 0..width {
             let sum: f32 = range.clone().map(|r| rows[r * width + column]).sum();
             out.push(sum / range.len() as f32);
@@ -145,6 +211,8 @@ struct Guide<'a> {
     settings: &'a DenoiseSettings,
     /// Variance of the light of one half.
     variance: Vec<f32>,
+    /// Share of its weight that a pixel keeps.
+    trust: Vec<f32>,
     width: usize,
     height: usize,
 }
@@ -167,7 +235,11 @@ impl Guide<'_> {
                     for column in self.columns(dx) {
                         let p = row * self.width + column;
                         let q = other * self.width + column.wrapping_add_signed(dx);
-                        let same = self.same_surface(p, q);
+                        let trust = match p == q {
+                            true => self.trust[q].max(LEAST_OWN_TRUST),
+                            false => self.trust[q],
+                        };
+                        let same = self.same_surface(p, q) * trust;
                         if same == 0.0 {
                             continue;
                         }
@@ -243,7 +315,8 @@ impl Guide<'_> {
         out
     }
 
-    /// Squared difference of two pixels less the noise, in units of the noise.
+    /// Squared difference of two pixels less the noise, in units of the noise. Fireflies tell
+    /// nothing.
     #[inline]
     fn pixel_distance(&self, light: &Light, p: usize, q: usize) -> f32 {
         let (vp, vq) = (self.variance[p], self.variance[q]);
@@ -251,7 +324,8 @@ impl Guide<'_> {
             .map(|k| (light[p][k] - light[q][k]).powi(2))
             .sum::<f32>()
             / 3.0;
-        (difference - (vp + vp.min(vq))) / (vp + vq + 1e-6)
+        let trust = self.trust[p].min(self.trust[q]);
+        trust * (difference - (vp + vp.min(vq))) / (vp + vq + 1e-6)
     }
 
     /// Weight by the first surfaces: 1 for the same, 0 for different ones.
@@ -294,6 +368,11 @@ mod tests {
 
     /// A wall of two colours, half lit and half in shade, with noise.
     fn noisy() -> (Rendering, Picture) {
+        noisy_by(0.5)
+    }
+
+    /// With noise of this share of the light.
+    fn noisy_by(noise: f32) -> (Rendering, Picture) {
         let (width, height) = (48, 32);
         let mut truth = Picture::filled(width, height, [0.0; 3]);
         let mut rendering = Rendering {
@@ -317,7 +396,7 @@ mod tests {
             let light = if row < height / 2 { 1.0 } else { 0.3 };
             truth.pixels[at] = [albedo * light; 3];
             rendering.albedo.pixels[at] = [albedo; 3];
-            let sigma = 0.5 * light;
+            let sigma = noise * light;
             let [a, b] = [(); 2].map(|()| albedo * (light + sigma * 12f32.sqrt() * number()));
             rendering.halves[0].pixels[at] = [a; 3];
             rendering.halves[1].pixels[at] = [b; 3];
@@ -353,5 +432,64 @@ mod tests {
         rendering.variance.pixels.fill([0.0; 3]);
         let picture = denoise(&rendering, &DenoiseSettings::default());
         assert!(picture.rmse(&truth).unwrap() < 1e-4);
+    }
+
+    /// One path of many that is `factor` times the mean of all pixels after all are averaged.
+    fn add_firefly(rendering: &mut Rendering, at: usize, factor: f32) {
+        let mean = rendering.picture.mean()[0] as f32;
+        let extra = factor * mean;
+        for value in &mut rendering.picture.pixels[at] {
+            *value += extra;
+        }
+        for value in &mut rendering.halves[0].pixels[at] {
+            *value += 2.0 * extra;
+        }
+        for value in &mut rendering.variance.pixels[at] {
+            *value += extra * extra;
+        }
+    }
+
+    #[test]
+    fn fireflies_leave_no_squares() {
+        let (clean, truth) = noisy_by(0.1);
+        let settings = DenoiseSettings::default();
+        let wanted = denoise(&clean, &settings);
+        // In the middle, near another, and in a corner.
+        let places = [(20, 10), (25, 12), (47, 31)];
+        let mut rendering = clean;
+        for ((column, row), factor) in places.iter().zip([1000.0, 50.0, 1000.0]) {
+            add_firefly(&mut rendering, row * 48 + column, factor);
+        }
+        let found = denoise(&rendering, &settings);
+        for (at, (found, wanted)) in found.pixels.iter().zip(&wanted.pixels).enumerate() {
+            let ratio = found[0] / wanted[0];
+            // Spread evenly, 1000 means would be 4.4 means a pixel.
+            let place = (at % 48, at / 48);
+            assert!((ratio - 1.0).abs() < 0.04, "{place:?}: {ratio}");
+        }
+        let [before, after] = [&wanted, &found].map(|p| p.rmse(&truth).unwrap());
+        assert!(after < 1.05 * before, "{before} to {after}");
+    }
+
+    #[test]
+    fn what_many_paths_see_is_no_firefly() {
+        let (mut rendering, _) = noisy();
+        let of = |rendering: &Rendering| {
+            let albedo = vec![[1.0; 3]; 48 * 32];
+            let halves = [0, 1].map(|half: usize| rendering.halves[half].pixels.clone());
+            let of_paths = variance_of_paths(rendering, &albedo);
+            trust(&halves, &of_paths, [48, 32], 7)
+        };
+        assert!(of(&rendering).iter().all(|t| *t == 1.0));
+        // A glint that a quarter of 64 paths meet.
+        let at = 10 * 48 + 20;
+        for picture in [&mut rendering.picture]
+            .into_iter()
+            .chain(&mut rendering.halves)
+        {
+            picture.pixels[at] = [300.0; 3];
+        }
+        rendering.variance.pixels[at] = [300.0f32.powi(2) * 3.0 / 64.0; 3];
+        assert!(of(&rendering).iter().all(|t| *t == 1.0));
     }
 }

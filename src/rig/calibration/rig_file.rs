@@ -65,7 +65,8 @@ pub struct CameraConfig {
     /// USB port path (`3-2.1`), only for devices without a serial.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub port: Option<String>,
-    /// Directory of a `replay` source.
+    /// Directory of a `replay` source; of a `virtual` one the folder of its films, none for
+    /// those that come with the program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<PathBuf>,
     /// Play a `replay` source as fast as it is read instead of with its own timing.
@@ -338,8 +339,10 @@ impl CameraConfig {
                 return Err(wrong("`path` is missing".to_owned())
                     .remedy("give the directory of the recording"));
             }
-            SourceKind::V4l2 | SourceKind::Virtual if self.path.is_some() => {
-                return Err(wrong("`path` is for source = \"replay\" only".to_owned()));
+            SourceKind::V4l2 if self.path.is_some() => {
+                return Err(wrong(
+                    "`path` is for source = \"replay\" and \"virtual\" only".to_owned(),
+                ));
             }
             _ => {}
         }

@@ -37,4 +37,7 @@ pub use v4l2_node::{
     VideoNode, VideoNodes,
 };
 pub use virtual_camera::{VirtualOpener, VirtualRig};
-pub use virtual_scene::{Grip, SceneMoment, VirtualGrasp, VirtualHand, VirtualObject};
+pub use virtual_scene::{
+    Film, FilmFiles, FilmKeys, FilmLibrary, HandGoal, SceneMoment, ShootSettings, VirtualHand,
+    shoot,
+};

@@ -1,14 +1,16 @@
 //! The cameras of a rig file, whatever kind they are.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::{
-    CameraOpener, KernelNodes, MonotonicClock, ReplayOpener, V4l2Opener, VirtualHand, VirtualRig,
+    CameraOpener, FilmLibrary, KernelNodes, MonotonicClock, ReplayOpener, V4l2Opener, VirtualHand,
+    VirtualRig,
 };
-use crate::error::Result;
+use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Intrinsics, Role};
-use crate::rig::calibration::{RigFile, SourceKind, colour_intrinsics};
+use crate::rig::calibration::{CameraConfig, RigFile, SourceKind, colour_intrinsics};
 use crate::rig::device::SystemRoot;
 
 /// Openers for every camera of a rig.
@@ -32,7 +34,7 @@ impl RigSources {
             hand: None,
             present: Vec::new(),
         };
-        let mut scene: Option<VirtualRig> = None;
+        let mut scene: Option<(VirtualRig, &Option<PathBuf>)> = None;
         for (role, camera) in &rig.cameras {
             let opener: Box<dyn CameraOpener> = match camera.source {
                 SourceKind::V4l2 => {
@@ -44,10 +46,20 @@ impl RigSources {
                     Box::new(ReplayOpener::new(*role, camera, Arc::new(MonotonicClock))?)
                 }
                 SourceKind::Virtual => {
-                    let scene = scene
-                        .get_or_insert_with(|| VirtualRig::new(seed, Arc::new(MonotonicClock)));
-                    sources.hand = Some(scene.hand());
-                    Box::new(scene.camera(*role, camera)?)
+                    let (rig, films) = match &scene {
+                        Some(made) => made,
+                        None => scene.insert((virtual_rig(camera, seed)?, &camera.path)),
+                    };
+                    if **films != camera.path {
+                        return Err(Error::new(
+                            ErrorKind::Config,
+                            "the virtual cameras of a rig must play the same films",
+                        )
+                        .at(format!("camera {role}"))
+                        .remedy("give every virtual camera the same `path`, or none"));
+                    }
+                    sources.hand = Some(rig.hand());
+                    Box::new(rig.camera(*role, camera)?)
                 }
             };
             sources.openers.push(opener);
@@ -104,4 +116,13 @@ impl RigSources {
         }
         Ok(())
     }
+}
+
+/// The rig that plays the films of a virtual camera.
+fn virtual_rig(camera: &CameraConfig, seed: u64) -> Result<VirtualRig> {
+    let films = match &camera.path {
+        Some(folder) => FilmLibrary::read(folder)?,
+        None => FilmLibrary::built_in()?,
+    };
+    Ok(VirtualRig::new(films, seed, Arc::new(MonotonicClock)))
 }

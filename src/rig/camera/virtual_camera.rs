@@ -13,7 +13,9 @@ use super::clock::Clock;
 use super::source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
-use super::virtual_scene::{GelPainter, NoiseTable, SceneMoment, ViewPainter, VirtualHand};
+use super::virtual_scene::{
+    ColourPainter, DepthPainter, FilmLibrary, GelPainter, Place, SceneMoment, VirtualHand,
+};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Frame, PixelFormat, Role};
 use crate::rig::calibration::CameraConfig;
@@ -32,22 +34,20 @@ const JPEG_QUALITY: i32 = 92;
 pub struct VirtualRig {
     hand: Arc<VirtualHand>,
     clock: Arc<dyn Clock>,
-    noise: Arc<NoiseTable>,
     seed: u64,
 }
 
 impl VirtualRig {
-    /// A rig whose objects, grips and noise follow from `seed`.
-    pub fn new(seed: u64, clock: Arc<dyn Clock>) -> Self {
+    /// A rig that plays `films`; their order and the noise follow from `seed`.
+    pub fn new(films: FilmLibrary, seed: u64, clock: Arc<dyn Clock>) -> Self {
         Self {
-            hand: Arc::new(VirtualHand::new(seed, clock.clone())),
-            noise: Arc::new(NoiseTable::new(seed, 1.5)),
+            hand: Arc::new(VirtualHand::new(films, seed, clock.clone())),
             clock,
             seed,
         }
     }
 
-    /// The hand, to close and open it.
+    /// The hand, to close it, lift and open it.
     pub fn hand(&self) -> Arc<VirtualHand> {
         self.hand.clone()
     }
@@ -242,8 +242,9 @@ impl FrameSource for VirtualCamera {
 }
 
 enum Scene {
-    Gel(GelPainter),
-    View(ViewPainter),
+    Gel(Box<GelPainter>),
+    Colour(ColourPainter),
+    Depth(DepthPainter),
 }
 
 /// Paints a scene and packs it into a camera's format.
@@ -267,16 +268,14 @@ impl Painter {
         } else {
             (limit, (info.height * limit / info.width).max(1))
         };
-        let (width, height) = (painted.0 as usize, painted.1 as usize);
-        let noise = rig.noise.clone();
+        let full = (info.width, info.height);
         let scene = match role {
             Role::Left | Role::Right => {
-                Scene::Gel(GelPainter::new(role, rig.seed, width, height, noise))
+                Scene::Gel(Box::new(GelPainter::new(role, rig.seed, painted, full)?))
             }
-            Role::Rgb | Role::Depth => {
-                Scene::View(ViewPainter::new(rig.seed, width, height, 1.0, noise))
-            }
-            Role::External => Scene::View(ViewPainter::new(rig.seed, width, height, 0.6, noise)),
+            Role::Rgb => Scene::Colour(ColourPainter::new(Place::Hand, rig.seed, painted)),
+            Role::Depth => Scene::Depth(DepthPainter::new(rig.seed, painted)),
+            Role::External => Scene::Colour(ColourPainter::new(Place::Outside, rig.seed, painted)),
         };
         let compressor = match info.format {
             PixelFormat::Mjpg => Some(jpeg_compressor().map_err(|error| {
@@ -294,19 +293,13 @@ impl Painter {
     }
 
     fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
-        if self.info.format == PixelFormat::Z16 {
-            let Scene::View(painter) = &mut self.scene else {
-                return Err(Error::new(
-                    ErrorKind::Internal,
-                    "a gel has no depth picture",
-                ));
-            };
-            let depth_m = painter.paint_depth_m(moment, frame);
-            return Ok(self.depth_bytes(&depth_m));
-        }
         let painted = match &mut self.scene {
-            Scene::Gel(painter) => painter.paint(moment, frame),
-            Scene::View(painter) => painter.paint_colour(moment, frame),
+            Scene::Depth(painter) => {
+                let depth_m = painter.paint_m(moment, frame)?;
+                return Ok(self.depth_bytes(&depth_m));
+            }
+            Scene::Gel(painter) => painter.paint(moment, frame)?,
+            Scene::Colour(painter) => painter.paint(moment, frame)?,
         };
         let rgb = self.enlarged(painted)?;
         match (self.info.format, &mut self.compressor) {
@@ -408,7 +401,7 @@ fn yuyv_bytes(rgb: &[u8]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::rig::calibration::SourceKind;
-    use crate::rig::camera::ManualClock;
+    use crate::rig::camera::{HandGoal, ManualClock};
 
     const MS: u64 = 1_000_000;
     const TIMEOUT: Duration = Duration::from_millis(100);
@@ -435,7 +428,8 @@ mod tests {
 
     fn rig() -> (VirtualRig, Arc<ManualClock>) {
         let clock = Arc::new(ManualClock::at(1_000 * MS));
-        (VirtualRig::new(1, clock.clone()), clock)
+        let films = FilmLibrary::built_in().unwrap();
+        (VirtualRig::new(films, 1, clock.clone()), clock)
     }
 
     #[test]
@@ -506,7 +500,7 @@ mod tests {
     fn the_same_moment_is_the_same_picture() {
         let picture = || {
             let (rig, _) = rig();
-            rig.hand().set_closed(true);
+            rig.hand().go(HandGoal::Closed);
             let config = config(PixelFormat::Mjpg, 320, 240, 1.0);
             let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
             camera.next_frame(Duration::from_secs(2)).unwrap().data

@@ -1,7 +1,7 @@
 //! Runs a grasp through its stages.
 
 use glam::DVec3;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::protocol::Protocol;
 use super::scene::{Scene, Stage};
@@ -18,7 +18,7 @@ const NO_FORCE: f64 = 1e-3;
 const MAX_UNCONVERGED: usize = 5;
 
 /// How a grasp ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GraspOutcome {
     /// Every point of the object was above the success height at the end.
@@ -35,6 +35,21 @@ pub enum GraspOutcome {
     PenetratingStart,
     /// Steps did not converge; there is no outcome.
     NotConverged,
+}
+
+impl GraspOutcome {
+    /// Its name in results and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Success => "success",
+            Self::Slip => "slip",
+            Self::Eject => "eject",
+            Self::Miss => "miss",
+            Self::Closed => "closed",
+            Self::PenetratingStart => "penetrating_start",
+            Self::NotConverged => "not_converged",
+        }
+    }
 }
 
 /// Result of a grasp.

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 
 use super::overlap::surfaces_meet;
-use super::random_grasp::{RandomGrasp, random_grasp};
+use super::random_grasp::{RandomGrasp, SHAPES, random_grasp};
 use super::report::{Recorder, Tolerance};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{BUILTIN_NAMES, TriangleMesh};
+use crate::geometry::TriangleMesh;
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::{GraspOutcome, GraspResult, Protocol, simulate};
 use crate::sim::solver::SolverParameters;
@@ -184,7 +184,7 @@ fn on_meshes(number: u64, meshes: &[GelResolution]) -> Result<MeshOutcomes> {
 pub(super) fn mesh_agreement(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     use GelResolution::{Coarse, Default, Fine};
     let (count, meshes, least): (u64, &[GelResolution], f64) = if is_quick {
-        (BUILTIN_NAMES.len() as u64, &[Coarse, Default], 0.5)
+        (SHAPES.len() as u64, &[Coarse, Default], 0.5)
     } else {
         (42, &[Coarse, Default, Fine], 0.95)
     };

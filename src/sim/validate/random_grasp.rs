@@ -5,7 +5,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
 use crate::error::Result;
-use crate::geometry::{BUILTIN_NAMES, Pose, builtin};
+use crate::geometry::{Pose, builtin};
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::{GelSpec, Protocol, Scene};
 
@@ -18,6 +18,8 @@ pub(super) struct RandomGrasp {
     pub(super) protocol: Protocol,
 }
 
+/// The shapes that are grasped in turn.
+pub(super) const SHAPES: [&str; 7] = ["box", "sphere", "cylinder", "mug", "wedge", "bar", "spike"];
 /// Lowest height of the gels' centres, m: half a pad and room for tilt.
 const LOWEST_M: f64 = 0.0165;
 /// Room between gels and object at the start, m for both sides.
@@ -30,7 +32,7 @@ const ROOM_M: f64 = 0.002;
 /// None for the built-in objects.
 pub(super) fn random_grasp(seed: u64, number: u64, gel: GelResolution) -> Result<RandomGrasp> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed ^ number.wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    let name = BUILTIN_NAMES[(number % BUILTIN_NAMES.len() as u64) as usize];
+    let name = SHAPES[(number % SHAPES.len() as u64) as usize];
     let mesh = builtin(name)?;
     let lies = match rng.random_range(0..3_u32) {
         0 => DQuat::IDENTITY,

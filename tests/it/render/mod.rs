@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod figure;
+mod film;
 mod tactile;
 mod visual;
 

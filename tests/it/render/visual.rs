@@ -47,6 +47,9 @@ fn several_pictures_differ_in_light_and_ground() {
     assert_eq!(report["pictures"].as_array().unwrap().len(), 2);
     let [a, b] = [0, 1].map(|n| png(out.join(format!("builtin-mug.initial.{n}.png"))));
     assert!(a != b);
+    let named = words.replace("--count 2", "--count 2 --sky overcast --pattern wood,stone");
+    succeed(&mut render("visual", &named));
+    assert!(a != png(out.join("builtin-mug.initial.0.png")));
 }
 
 #[test]
@@ -71,6 +74,16 @@ fn wrong_input_is_explained() {
             format!("--object builtin:bax --out {out}"),
             1,
             "builtin:bar",
+        ),
+        (
+            format!("--object builtin:box --sky suny --out {out}"),
+            2,
+            "did you mean sunny",
+        ),
+        (
+            format!("--object builtin:box --pattern wod --out {out}"),
+            2,
+            "did you mean wood",
         ),
         (
             format!("--object builtin:box --finish glas --out {out}"),

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use super::table::{Coefficients, TaximTable, bin, terms};
+use super::table::{Coefficients, Seen, TaximTable, bin, terms};
 use crate::error::{Error, ErrorKind, Result};
 
 /// Weight of the prior that a bin's change does not depend on the place, for each press. Few
@@ -65,6 +65,7 @@ impl TaximTable {
             sheets.push(sheet);
         }
         let mut channels = [0; 3].map(|_| Vec::with_capacity(bins * bins));
+        let mut seen = Vec::with_capacity(bins * bins);
         let mut samples = Vec::with_capacity(sheets.len());
         for bin in 0..bins * bins {
             samples.clear();
@@ -73,8 +74,11 @@ impl TaximTable {
             for (channel, coefficients) in channels.iter_mut().zip(fitted) {
                 channel.push(coefficients);
             }
+            let mut range = Seen::NOTHING;
+            samples.iter().for_each(|s| range.add(s.place, s.change));
+            seen.push(range);
         }
-        Ok(Self::new(bins, image_size, channels))
+        Ok(Self::new(bins, image_size, channels).limited(seen))
     }
 }
 
@@ -247,16 +251,7 @@ mod tests {
             .collect()
     }
 
-    #[test]
-    fn a_fit_reproduces_a_synthetic_table() {
-        let centers: Vec<[f64; 2]> = (0..20)
-            .map(|i| {
-                [
-                    35.0 + f64::from(i % 5) * 12.0,
-                    32.0 + f64::from(i / 5) * 9.0,
-                ]
-            })
-            .collect();
+    fn fitted(centers: &[[f64; 2]]) -> (TaximTable, Vec<Vec<[f32; 3]>>) {
         let changes: Vec<_> = centers.iter().map(|c| press(*c, 40.0, 30.0)).collect();
         let presses: Vec<_> = centers
             .iter()
@@ -268,7 +263,42 @@ mod tests {
                 ball_radius_px: 40.0,
             })
             .collect();
-        let table = TaximTable::fit(&presses, SIZE, 45).unwrap();
+        (TaximTable::fit(&presses, SIZE, 45).unwrap(), changes)
+    }
+
+    #[test]
+    fn nothing_is_made_up_beyond_the_presses() {
+        // Three presses at nearly one spot: the polynomials of place are all but open.
+        let (table, changes) = fitted(&[[50.0, 40.0], [52.0, 41.0], [51.0, 43.0]]);
+        let largest = changes.iter().flatten().flatten();
+        let largest = f64::from(largest.fold(0.0, |most: f32, v| most.max(v.abs())));
+        for slope in [[0.0, 0.01], [0.4, -0.3], [-0.7, 0.6], [-5.0, 9.0]] {
+            let inside = table.change(slope, [50.0, 41.0]);
+            for place in [[0.0, 0.0], [119.0, 0.0], [119.0, 89.0], [-1e6, 1e6]] {
+                let change = table.change(slope, place);
+                assert!(change.iter().all(|c| c.abs() <= largest), "{change:?}");
+                // Three presses hold changes that differ little.
+                for (change, inside) in change.iter().zip(inside) {
+                    assert!(
+                        (change - inside).abs() < 5.0,
+                        "{slope:?}: {change} {inside}"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_fit_reproduces_a_synthetic_table() {
+        let centers: Vec<[f64; 2]> = (0..20)
+            .map(|i| {
+                [
+                    35.0 + f64::from(i % 5) * 12.0,
+                    32.0 + f64::from(i / 5) * 9.0,
+                ]
+            })
+            .collect();
+        let (table, _) = fitted(&centers);
         let mut worst = 0.0f64;
         for slope in [[0.3, 0.1], [-0.5, 0.4], [0.02, -0.7], [0.6, -0.5]] {
             for place in [[45.0, 40.0], [60.0, 45.0], [75.0, 52.0]] {

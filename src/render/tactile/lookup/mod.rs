@@ -24,6 +24,12 @@ use super::scene::TactileScene;
 use super::scene_renderer::SceneRenderer;
 use crate::error::{Error, ErrorKind, Result};
 
+/// Slope of a face up to which it counts as untouched.
+const FLAT_DEGREES: f64 = 0.1;
+/// Slope from which the table's change is shown whole. Larger ones cost likeness to real presses
+/// close around the contact.
+const SLOPED_DEGREES: f64 = 1.5;
+
 /// Taxim's renderer on the object's depth.
 #[derive(Clone, Debug)]
 pub struct LookupRenderer {
@@ -76,7 +82,8 @@ impl LookupRenderer {
     /// What a press changes in the no-contact picture, grey levels: red, green, blue, row by row,
     /// not rounded and not clipped.
     ///
-    /// A face without any slope changes nothing; Taxim's own renderer adds its bin of no slope.
+    /// A flat face changes nothing, and up to a slope of 1.5 degrees the change grows in from
+    /// there; Taxim's own renderer adds its bin of no slope everywhere.
     ///
     /// # Errors
     /// `Input` where the press was taken on another grid.
@@ -101,10 +108,11 @@ impl LookupRenderer {
             let at = [pixel % width, pixel / width];
             let slope = slope(&heights, &self.grid, at);
             let place = [0, 1].map(|axis| (at[axis] as f64 + 0.5) * zoom[axis] - 0.5);
-            let change = if slope == [0.0; 2] {
+            let share = share_of_change(slope);
+            let change = if share == 0.0 {
                 [0.0; 3]
             } else {
-                self.table.change(slope, place)
+                self.table.change(slope, place).map(|c| c * share)
             };
             [0, 1, 2].map(|channel| {
                 let change = change[channel] as f32;
@@ -145,6 +153,14 @@ impl SceneRenderer for LookupRenderer {
         let press = object_depth(scene, &self.grid, &mut self.rasteriser);
         self.picture(&press)
     }
+}
+
+/// Share of the table's change that a slope shows. A table knows nothing of a face that is all
+/// but flat: of that a press of a ball holds a few pixels in its middle, deep in the gel. What is
+/// left of the filters far from a contact must not take their colour.
+fn share_of_change(slope: [f32; 2]) -> f64 {
+    let angle = f64::from(slope[0].hypot(slope[1])).atan().to_degrees();
+    ((angle - FLAT_DEGREES) / (SLOPED_DEGREES - FLAT_DEGREES)).clamp(0.0, 1.0)
 }
 
 /// Rise of a height map (m) along columns and rows, pixels per pixel, by central differences;
@@ -201,6 +217,40 @@ mod tests {
         let table = TaximTable::linear_in_column(9, [640, 480]);
         let change = renderer(table).change(&block()).unwrap();
         assert!((change[24 * 64 + 24][0] - 244.5).abs() < 1e-4);
+    }
+
+    #[test]
+    fn what_is_far_from_a_small_contact_stays_as_it_is() {
+        let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 5.0]);
+        let renderer = renderer(table).with_shadows(Shadows::default());
+        let mut press = PressDepth::untouched(GRID);
+        assert!(
+            renderer
+                .change(&press)
+                .unwrap()
+                .iter()
+                .all(|c| *c == [0.0; 3])
+        );
+        let distance = |i: usize| ((i % 64) as f64 - 6.0).hypot((i / 64) as f64 - 6.0);
+        for (i, depth) in press.depth_m.iter_mut().enumerate() {
+            *depth = if distance(i) < 4.0 { 5e-4 } else { 0.0 };
+        }
+        let change = renderer.change(&press).unwrap();
+        assert!(change[6 * 64 + 10][0] > 100.0, "{:?}", change[6 * 64 + 10]);
+        // Filters as wide as 1 mm leave a slope everywhere within their reach.
+        let heights = renderer.heights.heights(&press);
+        let is_far = |i: &usize| distance(*i) > 34.0;
+        let far: Vec<usize> = (0..64 * 48).filter(is_far).collect();
+        assert!(far.iter().any(|i| heights[*i] > 0.0));
+        assert!(far.iter().all(|i| change[*i] == [0.0; 3]));
+    }
+
+    #[test]
+    fn the_change_grows_in_from_a_flat_face() {
+        let share = |degrees: f64| share_of_change([0.0, -degrees.to_radians().tan() as f32]);
+        assert_eq!([0.0, 0.09].map(share), [0.0; 2]);
+        assert!((share(0.8) - 0.5).abs() < 1e-4);
+        assert_eq!([1.51, 80.0].map(share), [1.0; 2]);
     }
 
     #[test]

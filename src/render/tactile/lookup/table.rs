@@ -19,6 +19,36 @@ pub enum ChannelOrder {
     Bgr,
 }
 
+/// What the presses that a bin was fitted to hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Seen {
+    /// Lowest and highest column and row.
+    pub(super) place: [[f64; 2]; 2],
+    /// Lowest and highest change of red, green, blue, grey levels.
+    pub(super) change: [[f64; 2]; 3],
+}
+
+impl Seen {
+    /// Of nothing; [`Seen::add`] follows.
+    pub(super) const NOTHING: Self = Self {
+        place: [[f64::INFINITY, f64::NEG_INFINITY]; 2],
+        change: [[f64::INFINITY, f64::NEG_INFINITY]; 3],
+    };
+
+    /// Takes a sample in.
+    pub(super) fn add(&mut self, place: [f64; 2], change: [f64; 3]) {
+        let ranges = self.place.iter_mut().chain(&mut self.change);
+        for ([low, high], value) in ranges.zip(place.into_iter().chain(change)) {
+            (*low, *high) = (low.min(value), high.max(value));
+        }
+    }
+}
+
+/// The value of a range nearest to a number.
+fn within([low, high]: [f64; 2], value: f64) -> f64 {
+    value.max(low).min(high)
+}
+
 /// Polynomial table of Taxim (Si & Yuan 2022, §III-A): slopes are sorted into bins of their angle,
 /// 0 to π/2, and of their direction, −π to π; a bin has a polynomial of the pixel's place for each
 /// channel.
@@ -28,6 +58,8 @@ pub struct TaximTable {
     image_size: [usize; 2],
     /// Red, green, blue; bin (angle, direction) at angle · bins + direction.
     channels: [Vec<Coefficients>; 3],
+    /// Of each bin; empty for a table from a file, which does not tell.
+    seen: Vec<Seen>,
 }
 
 impl TaximTable {
@@ -71,6 +103,7 @@ impl TaximTable {
             bins,
             image_size,
             channels: arrays.map(|array| array.values.as_chunks::<6>().0.to_vec()),
+            seen: Vec::new(),
         })
     }
 
@@ -83,7 +116,14 @@ impl TaximTable {
             bins,
             image_size,
             channels,
+            seen: Vec::new(),
         }
+    }
+
+    /// The same table with what its presses held, bin by bin.
+    pub(super) fn limited(mut self, seen: Vec<Seen>) -> Self {
+        self.seen = seen;
+        self
     }
 
     /// The same change everywhere.
@@ -117,14 +157,23 @@ impl TaximTable {
     /// Change of red, green and blue (grey levels) of a pixel at `place` (column, row of the
     /// table's picture) where the height towards the camera rises by `slope` (pixels per pixel,
     /// along columns and rows).
+    ///
+    /// A fitted table keeps to its presses: a place outside of those that a bin has seen counts as
+    /// the nearest of them, and a change beyond those seen there is cut to them. Polynomials grow
+    /// without bound elsewhere. A table from a file is taken as it is.
     pub fn change(&self, slope: [f32; 2], place: [f64; 2]) -> [f64; 3] {
         let angle = f64::from(slope[0].hypot(slope[1])).atan();
         let direction = f64::from(slope[1]).atan2(f64::from(slope[0]));
         let bin = bin(self.bins, angle, direction);
+        let seen = self.seen.get(bin);
+        let place = seen.map_or(place, |s| {
+            [0, 1].map(|axis| within(s.place[axis], place[axis]))
+        });
         let terms = terms(place);
         [0, 1, 2].map(|channel| {
             let coefficients = &self.channels[channel][bin];
-            coefficients.iter().zip(terms).map(|(c, t)| c * t).sum()
+            let change = coefficients.iter().zip(terms).map(|(c, t)| c * t).sum();
+            seen.map_or(change, |s| within(s.change[channel], change))
         })
     }
 }

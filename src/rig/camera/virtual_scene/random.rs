@@ -11,37 +11,21 @@ pub(super) fn mixed(seed: u64, stream: u64, index: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Uniform in 0 ≤ x < 1.
-pub(super) fn unit(seed: u64, stream: u64, index: u64) -> f64 {
-    (mixed(seed, stream, index) >> 11) as f64 / (1_u64 << 53) as f64
-}
-
 /// Uniform in −1 ≤ x < 1.
 pub(super) fn signed_unit(seed: u64, stream: u64, index: u64) -> f64 {
-    2.0 * unit(seed, stream, index) - 1.0
-}
-
-/// Smooth noise in −1..1 over the plane, cells of side 1.
-pub(super) fn plane_noise(seed: u64, x: f64, y: f64) -> f64 {
-    let (x0, y0) = (x.floor(), y.floor());
-    let ease = |t: f64| t * t * (3.0 - 2.0 * t);
-    let (tx, ty) = (ease(x - x0), ease(y - y0));
-    let corner =
-        |dx: f64, dy: f64| signed_unit(seed, (x0 + dx) as i64 as u64, (y0 + dy) as i64 as u64);
-    let top = corner(0.0, 0.0) * (1.0 - tx) + corner(1.0, 0.0) * tx;
-    let bottom = corner(0.0, 1.0) * (1.0 - tx) + corner(1.0, 1.0) * tx;
-    top * (1.0 - ty) + bottom * ty
+    let unit = (mixed(seed, stream, index) >> 11) as f64 / (1_u64 << 53) as f64;
+    2.0 * unit - 1.0
 }
 
 /// Sensor noise, made once and read from another place for every row of every frame.
 #[derive(Debug)]
-pub(in crate::rig::camera) struct NoiseTable(Vec<i8>);
+pub(super) struct NoiseTable(Vec<i8>);
 
 impl NoiseTable {
     const LENGTH: usize = 1 << 19;
 
     /// Normal noise of standard deviation `std` grey levels.
-    pub(in crate::rig::camera) fn new(seed: u64, std: f64) -> Self {
+    pub(super) fn new(seed: u64, std: f64) -> Self {
         // The sum of the eight bytes of a random word is close to normal.
         const SUM_STD: f64 = 209.0;
         const SUM_MEAN: f64 = 1020.0;
@@ -81,9 +65,8 @@ mod tests {
     fn numbers_depend_on_each_index() {
         assert_ne!(mixed(1, 2, 3), mixed(1, 3, 2));
         assert_ne!(mixed(1, 2, 3), mixed(2, 2, 3));
-        assert_eq!(unit(7, 8, 9), unit(7, 8, 9));
-        let noise = plane_noise(5, -3.25, 8.5);
-        assert!((-1.0..=1.0).contains(&noise));
-        assert!((noise - plane_noise(5, -3.2501, 8.5)).abs() < 0.01);
+        assert_eq!(signed_unit(7, 8, 9), signed_unit(7, 8, 9));
+        let mean = (0..1000).map(|n| signed_unit(5, 1, n)).sum::<f64>() / 1000.0;
+        assert!(mean.abs() < 0.1, "{mean}");
     }
 }

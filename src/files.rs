@@ -1,0 +1,240 @@
+//! Files of results: written whole or not at all.
+//!
+//! A file gets its contents under another name in the same folder, and its own name last. A
+//! program that is killed, or a disk that is full, leaves the old file or the new one, never a
+//! part; a kill may leave a hidden `.gripcast-….partial` beside it, which nothing reads.
+
+use std::fs::{self, OpenOptions};
+use std::hash::{BuildHasher as _, RandomState};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+/// Most symbolic links that are followed, as Linux has it.
+const MOST_LINKS: usize = 40;
+
+/// Writes a file whole, in place of what had its name.
+///
+/// A link stays and its target is replaced. What is no regular file (a pipe, `/dev/stdout`) is
+/// written directly. An existing file keeps its permissions, and has to be writable; its owner
+/// becomes the writer, and other hard links to it keep the old contents. The contents are on the
+/// disk before the name changes.
+///
+/// # Errors
+/// Those of the operating system; the old file is then as it was, unless it is written directly.
+pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    StagedFile::write(path, bytes)?.commit()
+}
+
+/// A file that is written but has not got its name yet, so that several can take theirs at once.
+/// One that is dropped is removed.
+#[derive(Debug)]
+pub struct StagedFile(Stage);
+
+#[derive(Debug)]
+enum Stage {
+    /// Under a name for the meantime, with its own.
+    Beside { partial: Partial, target: PathBuf },
+    /// Still to be written, where there is nothing to replace.
+    Direct { path: PathBuf, bytes: Vec<u8> },
+}
+
+impl StagedFile {
+    /// Writes contents beside the file that they are for.
+    ///
+    /// # Errors
+    /// As [`replace_file`].
+    pub fn write(path: &Path, bytes: &[u8]) -> io::Result<Self> {
+        let Some(target) = replaceable(path)? else {
+            return Ok(Self(Stage::Direct {
+                path: path.to_owned(),
+                bytes: bytes.to_vec(),
+            }));
+        };
+        let permissions = match OpenOptions::new().write(true).open(&target) {
+            Ok(old) => Some(old.metadata()?.permissions()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => return Err(error),
+        };
+        let partial = Partial(folder(&target).join(partial_name()));
+        let mut file = OpenOptions::new()
+            .write(true)
+            .create_new(true)
+            .open(&partial.0)?;
+        if let Some(permissions) = permissions {
+            file.set_permissions(permissions)?;
+        }
+        file.write_all(bytes)?;
+        file.sync_all()?;
+        Ok(Self(Stage::Beside { partial, target }))
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// As [`replace_file`].
+    pub fn commit(self) -> io::Result<()> {
+        match self.0 {
+            Stage::Beside { partial, target } => fs::rename(&partial.0, target),
+            Stage::Direct { path, bytes } => fs::write(path, bytes),
+        }
+    }
+}
+
+/// A file that is removed when dropped; after it was renamed there is none any more.
+#[derive(Debug)]
+struct Partial(PathBuf);
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        // The cause is what the caller reports.
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+/// A name by chance: a number of the process comes again, and with it what a kill left behind.
+fn partial_name() -> String {
+    format!(".gripcast-{:016x}.partial", RandomState::new().hash_one(()))
+}
+
+/// The file behind a path and its links, if it is one that can be replaced, or none yet.
+fn replaceable(path: &Path) -> io::Result<Option<PathBuf>> {
+    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        return Ok(None);
+    }
+    let mut target = path.to_owned();
+    for _ in 0..MOST_LINKS {
+        // An open file, as /dev/stdout is one: its reader holds the file, not the name.
+        if fs::canonicalize(folder(&target)).is_ok_and(|f| f.starts_with("/proc")) {
+            return Ok(None);
+        }
+        match fs::read_link(&target) {
+            Ok(link) => target = folder(&target).join(link),
+            Err(_) => return Ok(Some(target)),
+        }
+    }
+    Err(io::Error::other("too many symbolic links"))
+}
+
+/// The folder of a path; of a bare name the present one.
+fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt as _, symlink};
+    use std::thread;
+
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let name = |e: io::Result<fs::DirEntry>| e.unwrap().file_name().into_string().unwrap();
+        let mut names: Vec<_> = fs::read_dir(folder).unwrap().map(name).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_file_is_made_and_replaced_with_its_permissions() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        replace_file(&path, b"old").unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        replace_file(&path, b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        let mode = fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o640);
+        assert_eq!(names(folder.path()), ["a.png"]);
+        let long = folder.path().join("n".repeat(255));
+        replace_file(&long, b"as long as names can be").unwrap();
+        assert_eq!(names(folder.path()).len(), 2);
+    }
+
+    #[test]
+    fn readers_see_the_old_file_until_the_new_one_is_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.toml");
+        replace_file(&path, b"old").unwrap();
+        let mut open = fs::File::open(&path).unwrap();
+        let staged = StagedFile::write(&path, b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names(folder.path()).len(), 2);
+        staged.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        let mut text = String::new();
+        io::Read::read_to_string(&mut open, &mut text).unwrap();
+        assert_eq!(text, "old");
+        drop(StagedFile::write(&path, b"given up").unwrap());
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(folder.path()), ["a.toml"]);
+    }
+
+    #[test]
+    fn a_failed_write_leaves_nothing_behind() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = folder.path().join("taken");
+        fs::create_dir(&taken).unwrap();
+        assert!(replace_file(&taken, b"x").is_err());
+        assert!(replace_file(&folder.path().join("no/such/a.png"), b"x").is_err());
+        let path = folder.path().join("a.png");
+        // The name is taken by a folder only after the contents were written.
+        let staged = StagedFile::write(&path, b"x").unwrap();
+        fs::create_dir(&path).unwrap();
+        assert!(staged.commit().is_err());
+        assert_eq!(names(folder.path()), ["a.png", "taken"]);
+        let circle = folder.path().join("circle");
+        symlink(&circle, &circle).unwrap();
+        assert!(replace_file(&circle, b"x").is_err());
+        assert_eq!(names(folder.path()), ["a.png", "circle", "taken"]);
+    }
+
+    #[test]
+    fn a_link_stays_and_its_target_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let [real, second, first, dangling] =
+            ["deep/real.png", "deep/second", "first", "dangling"].map(|n| folder.path().join(n));
+        fs::create_dir(folder.path().join("deep")).unwrap();
+        replace_file(&real, b"old").unwrap();
+        symlink("real.png", &second).unwrap();
+        symlink("deep/second", &first).unwrap();
+        symlink("deep/made.png", &dangling).unwrap();
+        replace_file(&first, b"new").unwrap();
+        replace_file(&dangling, b"made").unwrap();
+        assert_eq!(fs::read(&real).unwrap(), b"new");
+        assert_eq!(
+            fs::read(folder.path().join("deep/made.png")).unwrap(),
+            b"made"
+        );
+        assert!([&first, &second, &dangling].iter().all(|l| l.is_symlink()));
+        assert!(!real.is_symlink());
+        assert_eq!(
+            names(&folder.path().join("deep")),
+            ["made.png", "real.png", "second"]
+        );
+    }
+
+    #[test]
+    fn devices_pipes_and_open_files_are_written_directly() {
+        replace_file(Path::new("/dev/null"), b"gone").unwrap();
+        let (mut reader, writer) = io::pipe().unwrap();
+        let reading = thread::spawn(move || {
+            let mut text = String::new();
+            io::Read::read_to_string(&mut reader, &mut text).map(|_| text)
+        });
+        let open = |file: &dyn std::os::fd::AsRawFd| {
+            let descriptor = file.as_raw_fd();
+            PathBuf::from(format!("/dev/fd/{descriptor}"))
+        };
+        replace_file(&open(&writer), b"through a pipe").unwrap();
+        drop(writer);
+        assert_eq!(reading.join().unwrap().unwrap(), "through a pipe");
+        let mut file = tempfile::tempfile().unwrap();
+        replace_file(&open(&file), b"without a name").unwrap();
+        let mut text = String::new();
+        io::Read::read_to_string(&mut file, &mut text).unwrap();
+        assert_eq!(text, "without a name");
+    }
+}
