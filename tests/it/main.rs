@@ -6,6 +6,7 @@ mod board;
 mod collect;
 mod crash;
 mod dataset;
+mod hangup;
 mod imaging;
 mod kernel;
 mod layers;

@@ -14,6 +14,8 @@ use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
@@ -33,6 +35,8 @@ use crate::session::{Command, CommandSource, Labels, StoreReply};
 
 /// Commands that wait for the engine; an operator cannot press faster than they are taken.
 const COMMAND_QUEUE: usize = 64;
+/// How long the screen may take to come to its end after the engine.
+const SCREEN_PATIENCE: Duration = Duration::from_secs(2);
 
 /// What "stable" means in a new dataset.
 const LABEL_DEFINITION: &str = "stable: the object stayed in the gripper while it was lifted; \
@@ -260,7 +264,7 @@ async fn collect(
     let (report, ()) = tokio::join!(daemon::run(setup, links, stop), lines);
     ended.store(true, Ordering::Relaxed);
     // The engine's ends of all channels are gone: screen and pedals come to their ends.
-    let screen = screen.map(std::thread::JoinHandle::join);
+    let screen = screen.and_then(ended_screen);
     for pedal in pedals {
         // A pedal thread that panicked has printed why.
         let _ = pedal.join();
@@ -271,6 +275,19 @@ async fn collect(
         Some(Err(_)) => Err(Error::new(ErrorKind::Internal, "the screen panicked")),
         Some(Ok(Ok(()))) | None => Ok(report),
     }
+}
+
+/// The end of the screen; none where it does not come, as on a terminal that has gone: the end of
+/// the process takes the thread with it.
+fn ended_screen(screen: JoinHandle<Result<()>>) -> Option<std::thread::Result<Result<()>>> {
+    let patience = Instant::now() + SCREEN_PATIENCE;
+    while !screen.is_finished() {
+        if Instant::now() >= patience {
+            return None;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    Some(screen.join())
 }
 
 fn listen_to_pedal(

@@ -16,6 +16,7 @@ mod header;
 mod health;
 mod help;
 mod input;
+mod keyboard;
 mod lines;
 mod palette;
 mod preview;

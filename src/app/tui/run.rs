@@ -7,6 +7,7 @@ use crossterm::event::{self, Event};
 use tokio::sync::{mpsc, watch};
 
 use super::collect;
+use super::keyboard::Keyboard;
 use super::palette::{ColourDepth, Palette};
 use super::state::{Reaction, ScreenState};
 use super::terminal::ScreenTerminal;
@@ -41,6 +42,7 @@ pub struct Wiring {
 /// When the terminal cannot be used; the engine is not affected and can go on without a screen.
 pub fn run(wiring: Wiring) -> Result<()> {
     let depth = ColourDepth::from_environment(|name| std::env::var(name).ok());
+    let keyboard = Keyboard::open().map_err(unreadable)?;
     let mut terminal = ScreenTerminal::enter()?;
     let mut screen = Screen {
         state: ScreenState::new(Palette { depth }),
@@ -49,7 +51,7 @@ pub fn run(wiring: Wiring) -> Result<()> {
         drawn: None,
         changed: true,
     };
-    while screen.turn(&mut terminal)? {}
+    while screen.turn(&mut terminal, &keyboard)? {}
     Ok(())
 }
 
@@ -65,7 +67,7 @@ struct Screen {
 
 impl Screen {
     /// One turn of the loop; false ends it.
-    fn turn(&mut self, terminal: &mut ScreenTerminal) -> Result<bool> {
+    fn turn(&mut self, terminal: &mut ScreenTerminal, keyboard: &Keyboard) -> Result<bool> {
         match self.wiring.status.has_changed() {
             Ok(changed) => self.changed |= changed,
             Err(_) => return Ok(false),
@@ -75,9 +77,10 @@ impl Screen {
             self.draw(terminal)?;
         }
         // Keys are read until none waits, so that a burst costs one picture.
-        let mut wait = POLL;
-        while event::poll(wait).map_err(unreadable)? {
-            wait = Duration::ZERO;
+        if !keyboard.wait(POLL).map_err(unreadable)? {
+            return Ok(false);
+        }
+        while event::poll(Duration::ZERO).map_err(unreadable)? {
             if !self.take(&event::read().map_err(unreadable)?) {
                 return Ok(false);
             }
