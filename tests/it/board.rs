@@ -89,7 +89,7 @@ fn wrong_wishes_are_explained() {
             "A3 is large enough",
         ),
         (
-            format!("make --object builtin:box --scale 20 --out {out}"),
+            format!("make --object builtin:box --scale 12 --out {out}"),
             1,
             "no paper",
         ),
