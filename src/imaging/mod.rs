@@ -14,6 +14,7 @@ mod intrinsics;
 pub mod jpeg;
 mod png;
 mod resample;
+mod srgb;
 mod yuyv;
 mod z16;
 
@@ -29,6 +30,7 @@ pub use png::{
     decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16, encode_png_rgb,
 };
 pub use resample::crop_and_resize;
+pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};
 pub use z16::DepthImage;
 
 use resample::LARGEST_SIDE;

@@ -3,14 +3,22 @@
 //! A marker's sides are long and straight, so that a line fitted to many points of an edge is
 //! known to a few hundredths of a pixel, and corners are where the lines meet. Refinement of the
 //! corner itself is biased by the marker's inner pattern and by the lens's blur.
+//!
+//! The lens blurs light, the camera then stores sRGB levels, in which the middle of a blurred edge
+//! lies on its dark side: markers seem smaller by 0.3 px a corner at a blur of 0.7 px. Edges are
+//! found in levels, where noise is even, and moved back by what the same edge would be off if it
+//! were symmetric in light.
+
+use std::cmp::Ordering;
 
 use glam::DVec2;
 use image::GrayImage;
 
 use super::Detection;
+use crate::imaging::srgb_decode;
 
 /// Most passes over the four sides; each samples along the lines of the one before.
-const MOST_PASSES: usize = 5;
+const MOST_PASSES: usize = 10;
 /// Corners that move less than this in a pass have arrived, px.
 const ARRIVED_PX: f64 = 0.005;
 /// Samples of the widest profile.
@@ -25,8 +33,10 @@ const HALF_OF_SIDE: f64 = 1.0 / 12.0;
 const HALF_WIDTH_PX: (f64, f64) = (1.5, 3.0);
 /// Distance of samples across an edge, px.
 const STEP_PX: f64 = 0.5;
-/// Gradients below this part of a profile's largest are noise.
-const NOISE: f64 = 0.25;
+/// Reach of the light that is summed to both sides of an edge, as a part of the blur, and at least,
+/// in samples: what lies beyond is noise or another edge.
+const REACH_OF_BLUR: f64 = 1.3;
+const LEAST_REACH: usize = 2;
 /// Profiles with less contrast than this part of the median are not of this edge.
 const FAINT: f64 = 0.3;
 /// Residuals within this many robust deviations are kept.
@@ -83,13 +93,11 @@ pub struct Sharpness {
     /// Standard deviation of the blur across the more blurred pair of sides, px; the smallest is
     /// the sharpest. Sampling adds about a third of a pixel.
     pub blur_px: f64,
-    /// Bright minus dark across an edge, grey levels.
+    /// Bright minus dark across an edge, linear light from 0 to 1.
     pub contrast: f64,
 }
 
 /// Sharpness of the markers of a picture: the median over them. None without markers.
-///
-/// The steepest slope s of an edge with contrast c blurred by a Gaussian is c/(σ √(2π)).
 #[must_use]
 pub fn sharpness(picture: &GrayImage, detections: &[Detection]) -> Option<Sharpness> {
     let mut all: Vec<Sharpness> = detections
@@ -107,30 +115,8 @@ fn marker_sharpness(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpne
     }; 4];
     for (i, side) in sides.iter_mut().enumerate() {
         let edge = Edge::new(corners, i)?;
-        let mut sums = [0.0; MOST_SAMPLES];
-        let mut count = 0.0;
-        for along in edge.positions() {
-            let profile = edge.profile(picture, along)?;
-            count += 1.0;
-            for (sum, value) in sums.iter_mut().zip(profile) {
-                *sum += value;
-            }
-        }
-        let mean: Vec<f64> = sums
-            .iter()
-            .take(edge.samples())
-            .map(|s| s / count)
-            .collect();
-        let steepest = mean
-            .windows(2)
-            .map(|w| (w[1] - w[0]) / STEP_PX)
-            .fold(0.0, f64::max);
-        let low = mean.iter().copied().fold(f64::INFINITY, f64::min);
-        let contrast = mean.iter().copied().fold(0.0, f64::max) - low;
-        if steepest <= 0.0 {
-            return None;
-        }
-        let blur_px = contrast / (steepest * std::f64::consts::TAU.sqrt());
+        let seen = Side::sample(picture, edge)?;
+        let (blur_px, contrast) = (seen.blur_px()?, seen.contrast());
         *side = Sharpness { blur_px, contrast };
     }
     // Motion blurs one pair of opposite sides.
@@ -148,9 +134,13 @@ fn marker_sharpness(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpne
 
 /// New corners from a line along each side.
 fn pass(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<[DVec2; 4]> {
+    let mut sides = Vec::with_capacity(4);
+    for i in 0..4 {
+        sides.push(Side::sample(picture, Edge::new(corners, i)?)?);
+    }
     let mut lines = [(DVec2::ZERO, DVec2::ZERO); 4];
-    for (i, line) in lines.iter_mut().enumerate() {
-        *line = Edge::new(corners, i)?.line(picture)?;
+    for (line, side) in lines.iter_mut().zip(&sides) {
+        *line = side.line()?;
     }
     let mut next = *corners;
     for (i, corner) in next.iter_mut().enumerate() {
@@ -163,6 +153,14 @@ fn pass(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<[DVec2; 4]> {
 fn intersection((p, d): (DVec2, DVec2), (q, e): (DVec2, DVec2)) -> Option<DVec2> {
     let sine = d.perp_dot(e);
     (sine.abs() > 0.05 * d.length() * e.length()).then(|| p + d * ((q - p).perp_dot(e) / sine))
+}
+
+/// Samples across a side, from inside to outside.
+struct Profile {
+    /// Levels as the camera stored them.
+    levels: [f64; MOST_SAMPLES],
+    /// Light, from 0 to 1; interpolated as light, as an edge is as steep as a pixel is wide.
+    light: [f64; MOST_SAMPLES],
 }
 
 /// A side of a marker, to be sampled across.
@@ -213,49 +211,101 @@ impl Edge {
         (i as f64 - 0.5 * (self.samples() - 1) as f64) * STEP_PX
     }
 
-    /// Grey levels across the side, from inside to outside, [`Self::samples`] of them; none
+    /// Levels across the side, from inside to outside, [`Self::samples`] of them; none
     /// beyond the picture's border.
-    fn profile(&self, picture: &GrayImage, along: f64) -> Option<[f64; MOST_SAMPLES]> {
+    fn profile(&self, picture: &GrayImage, along: f64) -> Option<Profile> {
         let on_side = self.middle + self.direction * along;
-        let mut levels = [0.0; MOST_SAMPLES];
-        for (i, level) in levels.iter_mut().enumerate().take(self.samples()) {
-            *level = bilinear(picture, on_side + self.outward * self.across(i))?;
+        let mut profile = Profile {
+            levels: [0.0; MOST_SAMPLES],
+            light: [0.0; MOST_SAMPLES],
+        };
+        for i in 0..self.samples() {
+            [profile.levels[i], profile.light[i]] =
+                bilinear(picture, on_side + self.outward * self.across(i))?;
         }
-        Some(levels)
+        Some(profile)
+    }
+
+    fn mean<'a>(&self, profiles: impl Iterator<Item = &'a [f64; MOST_SAMPLES]>) -> Vec<f64> {
+        let mut sums = vec![0.0; self.samples()];
+        let mut count = 0.0;
+        for profile in profiles {
+            count += 1.0;
+            for (sum, level) in sums.iter_mut().zip(profile) {
+                *sum += level;
+            }
+        }
+        sums.iter().map(|sum| sum / count).collect()
+    }
+}
+
+/// An edge with what the picture shows across it.
+struct Side {
+    edge: Edge,
+    /// Places along the edge, px from its middle, and the profile there.
+    profiles: Vec<(f64, Profile)>,
+    /// Mean of the profiles' light.
+    light: Vec<f64>,
+}
+
+impl Side {
+    /// None where the picture shows less than a line needs.
+    fn sample(picture: &GrayImage, edge: Edge) -> Option<Self> {
+        let at = |along| Some((along, edge.profile(picture, along)?));
+        let profiles: Vec<_> = edge.positions().filter_map(at).collect();
+        let light = edge.mean(profiles.iter().map(|p| &p.1.light));
+        (profiles.len() >= LEAST_FITTED).then_some(Self {
+            edge,
+            profiles,
+            light,
+        })
     }
 
     /// Point and direction of the line that fits the edge.
-    fn line(&self, picture: &GrayImage) -> Option<(DVec2, DVec2)> {
-        let mut points: Vec<[f64; 3]> = Vec::new();
-        for along in self.positions() {
-            let Some(profile) = self.profile(picture, along) else {
-                continue;
+    fn line(&self) -> Option<(DVec2, DVec2)> {
+        let edge = &self.edge;
+        let last = self.light.len() - 1;
+        let reach = (REACH_OF_BLUR * self.blur_px()? / STEP_PX).round() as usize;
+        let reach = reach.clamp(LEAST_REACH, last / 2);
+        let within = last / 2 - reach..=last / 2 + reach;
+        let (dark, bright) = (self.light[*within.start()], self.light[*within.end()]);
+        let contrast = bright - dark;
+        // What is missing of a step at 0, whose own sample is half.
+        let shifts = self.profiles.iter().map(|(along, profile)| {
+            let light = &profile.light[within.clone()];
+            let missing = |(i, l): (usize, &f64)| {
+                let step = match i.cmp(&reach) {
+                    Ordering::Less => dark,
+                    Ordering::Equal => 0.5 * (dark + bright),
+                    Ordering::Greater => bright,
+                };
+                step - l
             };
-            if let Some((offset, contrast)) = self.crossing(&profile[..self.samples()]) {
-                points.push([along, offset, contrast]);
-            }
-        }
-        let contrast = median(points.iter().map(|p| p[2]))?;
-        points.retain(|p| p[2] > FAINT * contrast);
+            let missing: f64 = light.iter().enumerate().map(missing).sum();
+            let own = light[2 * reach] - light[0];
+            [*along, STEP_PX * missing / contrast, own]
+        });
+        let mut points: Vec<[f64; 3]> = shifts.collect();
+        let usual = median(points.iter().map(|p| p[2]))?;
+        points.retain(|p| p[2] > FAINT * usual);
         let [offset, slope] = robust_line(points)?;
-        Some((
-            self.middle + self.outward * offset,
-            self.direction + self.outward * slope,
+        (contrast > 0.0).then_some((
+            edge.middle + edge.outward * offset,
+            edge.direction + edge.outward * slope,
         ))
     }
 
-    /// Mean place of the brightening, weighted by its gradient, and the sum of the gradients.
-    fn crossing(&self, profile: &[f64]) -> Option<(f64, f64)> {
-        let gradients = || profile.windows(2).map(|w| (w[1] - w[0]).max(0.0));
-        let noise = NOISE * gradients().fold(0.0, f64::max);
-        let (mut sum, mut moment) = (0.0, 0.0);
-        for (i, gradient) in gradients().enumerate() {
-            if gradient >= noise {
-                sum += gradient;
-                moment += gradient * (self.across(i) + 0.5 * STEP_PX);
-            }
-        }
-        (sum > 0.0).then(|| (moment / sum, sum))
+    fn contrast(&self) -> f64 {
+        let low = self.light.iter().copied().fold(f64::INFINITY, f64::min);
+        self.light.iter().copied().fold(0.0, f64::max) - low
+    }
+
+    /// Standard deviation of the blur: the steepest slope s of an edge with contrast c blurred by a
+    /// Gaussian is c/(σ √(2π)). None where nothing gets brighter.
+    fn blur_px(&self) -> Option<f64> {
+        let slopes = self.light.windows(2).map(|w| (w[1] - w[0]) / STEP_PX);
+        let steepest = slopes.fold(0.0, f64::max);
+        (steepest > 0.0).then(|| self.contrast() / (steepest * std::f64::consts::TAU.sqrt()))
     }
 }
 
@@ -294,8 +344,8 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     Some(*sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Grey level between pixels; none outside of the picture.
-fn bilinear(picture: &GrayImage, at: DVec2) -> Option<f64> {
+/// Level, and light from 0 to 1, between pixels; none outside of the picture.
+fn bilinear(picture: &GrayImage, at: DVec2) -> Option<[f64; 2]> {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
     // Written so that NaN is outside as well.
     let inside =
@@ -307,8 +357,15 @@ fn bilinear(picture: &GrayImage, at: DVec2) -> Option<f64> {
     let (fx, fy) = (at.x - x as f64, at.y - y as f64);
     let (right, below) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
     let pixels = picture.as_raw();
-    let level = |x: usize, y: usize| f64::from(pixels[y * width + x]);
-    let top = level(x, y) * (1.0 - fx) + level(right, y) * fx;
-    let bottom = level(x, below) * (1.0 - fx) + level(right, below) * fx;
-    Some(top * (1.0 - fy) + bottom * fy)
+    let levels =
+        [(x, y), (right, y), (x, below), (right, below)].map(|(x, y)| pixels[y * width + x]);
+    let mixed = |[a, b, c, d]: [f64; 4]| {
+        let top = a * (1.0 - fx) + b * fx;
+        let bottom = c * (1.0 - fx) + d * fx;
+        top * (1.0 - fy) + bottom * fy
+    };
+    Some([
+        mixed(levels.map(f64::from)),
+        mixed(levels.map(|level| f64::from(srgb_decode(level)))),
+    ])
 }

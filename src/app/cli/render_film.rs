@@ -5,8 +5,8 @@
 //! gripcast render film --trace mug.bin --seed 3 --out films
 //! ```
 //!
-//! Writes `NAME.trace.bin`, `NAME.colour.jpg`, `NAME.depth.png` and `NAME.outside.jpg` for every
-//! trace; NAME is that of the trace file. A rig file whose virtual cameras have `path = "films"`
+//! Writes `NAME.trace.bin`, `NAME.colour.jpg`, `NAME.depth.png`, `NAME.outside.jpg` and
+//! `NAME.sheet.toml` for every trace; NAME is that of the trace file. A rig file whose virtual cameras have `path = "films"`
 //! plays them. Simulate with `--width` as wide as the hand opens: the film begins there.
 //!
 //! Exit codes: 0 made · 1 nothing could be made · 2 usage · 3 some of several traces could not be
@@ -106,7 +106,8 @@ fn film(args: &Args, trace: &Path, progress: &Progress) -> Result<Written> {
         trace: grasp.trace,
     };
     let label = name.clone();
-    let files = shoot(&file, &model, &settings, &|done, all| {
+    let mesh = &grasp.mesh;
+    let files = shoot(&file, mesh, &model, &settings, &|done, all| {
         progress.line(format!("{label}: picture {} of {all}", done + 1));
     })?;
     let mut written = Written {

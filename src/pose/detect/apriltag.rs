@@ -14,6 +14,7 @@ use image::GrayImage;
 
 use super::check_size;
 use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::srgb_decode;
 use crate::pose::{Detection, Dictionary, MarkerDetector};
 
 /// The library puts (0, 0) at the top-left pixel's corner.
@@ -23,6 +24,10 @@ const MOST_CELLS: usize = 7;
 /// Least distance of a dictionary's markers at which a bit is corrected.
 const LEAST_DISTANCE_TO_CORRECT: u32 = 6;
 /// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with
+/// Share of the pixels that may be brighter than white once light is stretched: lamps, glints.
+const BRIGHTEST: f64 = 0.002;
+/// Most that light is amplified; beyond, noise would be.
+const MOST_GAIN: f32 = 8.0;
 /// some reserve.
 const NOISE_RANGE: f64 = 7.0;
 /// Limits of the contrast that a window needs, grey levels; the first is the library's own.
@@ -199,6 +204,7 @@ impl MarkerDetector for ApriltagDetector {
 
     fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
         check_size(picture)?;
+        let picture = &light(picture);
         self.set_least_contrast(picture);
         let (width, height) = (picture.width() as i32, picture.height() as i32);
         let mut image = sys::image_u8 {
@@ -242,6 +248,30 @@ impl Drop for ApriltagDetector {
             drop(Box::from_raw(self.family));
         }
     }
+}
+
+/// Light instead of sRGB levels, stretched to the whole range. In levels white spreads over black
+/// where an edge is blurred, so that small dark cells vanish and corners move inwards.
+fn light(picture: &GrayImage) -> GrayImage {
+    let mut counts = [0usize; 256];
+    for level in picture.as_raw() {
+        counts[usize::from(*level)] += 1;
+    }
+    let mut above = (picture.as_raw().len() as f64 * BRIGHTEST) as usize;
+    let white = (1..=255u8).rev().find(|level| {
+        let count = counts[usize::from(*level)];
+        above = above.saturating_sub(count);
+        above == 0 && count > 0
+    });
+    let gain = (1.0 / srgb_decode(white.unwrap_or(255))).min(MOST_GAIN);
+    let table: [u8; 256] = std::array::from_fn(|level| {
+        (255.0 * gain * srgb_decode(level as u8)).round().min(255.0) as u8
+    });
+    let mut light = picture.clone();
+    for pixel in light.iter_mut() {
+        *pixel = table[usize::from(*pixel)];
+    }
+    light
 }
 
 /// Standard deviation of the noise, grey levels: the median second difference along rows, which

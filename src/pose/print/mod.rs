@@ -18,7 +18,7 @@ mod silhouette;
 mod svg;
 
 pub use self::pdf::pdf;
-pub use self::png::png;
+pub use self::png::{png, raster};
 pub use self::svg::svg;
 pub use drawing::{Colour, Drawing, Shape, TextAnchor};
 pub use gripper_board::{GripperTags, gripper_board};

@@ -65,6 +65,18 @@ pub struct ObjectSheet {
     pub drawing: Drawing,
     /// The markers in the object's frame.
     pub file: BoardFile,
+    /// The world's origin on the drawing, mm.
+    origin_mm: DVec2,
+}
+
+impl ObjectSheet {
+    /// Where a point of the drawing, mm, lies in the world of the object's pose, m, if it is
+    /// printed as it is drawn.
+    #[must_use]
+    pub fn to_world(&self, drawn_mm: DVec2) -> DVec3 {
+        let off = 1e-3 * (drawn_mm - self.origin_mm);
+        DVec3::new(off.x, -off.y, 0.0)
+    }
 }
 
 /// Draws the sheet of an object: markers in a ring around its silhouette (dashed), the outline of
@@ -115,7 +127,11 @@ pub fn object_sheet(object: &ObjectOnSheet<'_>, settings: &SheetSettings) -> Res
     let drawing = placed.draw(&nominal, settings, object, &silhouette, &bottom);
     let board = placed.board(settings, settings.measured_mm);
     let file = BoardFile::new(board, settings.dictionary.clone(), Some(sheet))?;
-    Ok(ObjectSheet { drawing, file })
+    Ok(ObjectSheet {
+        drawing,
+        file,
+        origin_mm: placed.to_sheet(DVec2::ZERO),
+    })
 }
 
 /// Refuses an object that floats above the sheet or is sunk into it.

@@ -7,11 +7,12 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::surface::Shade;
+use crate::imaging::{linear_to_srgb, srgb_to_linear};
 
 /// Conditions of a synthetic picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureConditions {
-    /// Grey level of paper, of ink and of everything else.
+    /// Grey level (sRGB) of paper, of ink and of everything else.
     pub levels: [f32; 3],
     /// Standard deviation of the lens's Gaussian blur, px.
     pub psf_px: f64,
@@ -46,12 +47,13 @@ impl Default for PictureConditions {
 }
 
 impl PictureConditions {
-    pub(super) fn level(&self, shade: Shade) -> f32 {
-        match shade {
+    /// Linear light in [0, 1].
+    pub(super) fn light(&self, shade: Shade) -> f32 {
+        srgb_to_linear(match shade {
             Shade::White => self.levels[0],
             Shade::Black => self.levels[1],
             Shade::Background => self.levels[2],
-        }
+        })
     }
 
     /// Whether an occluder is in front of a pixel.
@@ -62,7 +64,8 @@ impl PictureConditions {
     }
 }
 
-/// Occlusion, blur, shading, vignetting and noise, in this order; rounds to grey levels.
+/// Occlusion, blur, shading and vignetting of linear light, then sRGB levels with noise, in this
+/// order; rounds to grey levels.
 pub(super) fn degrade(
     mut levels: Vec<f32>,
     width: u32,
@@ -75,7 +78,7 @@ pub(super) fn degrade(
         for (i, level) in levels.iter_mut().enumerate() {
             let pixel = DVec2::new((i % columns) as f64, (i / columns) as f64);
             if conditions.hides(pixel) {
-                *level = conditions.level(Shade::Background);
+                *level = conditions.light(Shade::Background);
             }
         }
     }
@@ -96,9 +99,8 @@ pub(super) fn degrade(
                 let light = 1.0 + conditions.shading * place.dot(direction)
                     - conditions.vignetting * 2.0 * place.length_squared();
                 let noise = conditions.noise * normal(&mut random);
-                (f64::from(*level) * light + noise)
-                    .round()
-                    .clamp(0.0, 255.0) as u8
+                let seen = linear_to_srgb(*level * light as f32);
+                (f64::from(seen) + noise).round().clamp(0.0, 255.0) as u8
             })
         })
         .collect();

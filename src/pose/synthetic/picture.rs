@@ -158,17 +158,17 @@ fn level(
     conditions: &PictureConditions,
 ) -> f32 {
     if here.is_empty() {
-        return conditions.level(Shade::Background);
+        return conditions.light(Shade::Background);
     }
     let corners = rays.around(x, y).map(|ray| shade(here, ray));
     if corners.iter().all(|c| *c == corners[0]) {
-        return conditions.level(corners[0]);
+        return conditions.light(corners[0]);
     }
     let sum: f32 = (0..SAMPLES)
         .map(|i| {
             let lattice = DVec2::new(i as f64, (i * LATTICE % SAMPLES) as f64);
             let part = (lattice + 0.5) / SAMPLES as f64;
-            conditions.level(shade(here, rays.at(x, y, part)))
+            conditions.light(shade(here, rays.at(x, y, part)))
         })
         .sum();
     sum / SAMPLES as f32

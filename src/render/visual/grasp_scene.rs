@@ -12,6 +12,7 @@ use super::finish::STEEL;
 use super::gripper::{GripperSurface, gripper_parts};
 use super::material::{Colour, Material};
 use super::model::Model;
+use super::print::{GraspPrints, PRINT_LIFT_M};
 use super::scene::{Mesh, Scene};
 use super::shading::{CREASE_RAD, Projection, shaded_mesh};
 use super::texture::{Bitmap, Texture};
@@ -127,6 +128,16 @@ pub enum View {
     External([usize; 2]),
 }
 
+impl View {
+    /// Its camera.
+    pub fn camera(self, state: &GraspState, conditions: &VisualConditions) -> Camera {
+        match self {
+            Self::EyeInHand(size) => eye_in_hand(state, conditions, size),
+            Self::External(size) => external(state, size),
+        }
+    }
+}
+
 /// Composes the scene that a camera sees.
 ///
 /// # Errors
@@ -138,10 +149,37 @@ pub fn grasp_scene(
     conditions: &VisualConditions,
     view: View,
 ) -> Result<Scene> {
-    let camera = match view {
-        View::EyeInHand(size) => eye_in_hand(state, conditions, size),
-        View::External(size) => external(state, size),
-    };
+    let camera = view.camera(state, conditions);
+    let with_camera = matches!(view, View::External(_));
+    compose(object, state, conditions, camera, with_camera, 0.0)
+}
+
+/// The scene of [`grasp_scene`] seen from outside by `camera`, with the object on a printed sheet
+/// and tags on the gripper.
+///
+/// # Errors
+/// As [`grasp_scene`].
+pub fn annotation_scene(
+    object: &Model,
+    state: &GraspState,
+    conditions: &VisualConditions,
+    camera: Camera,
+    prints: &GraspPrints,
+) -> Result<Scene> {
+    let mut scene = compose(object, state, conditions, camera, true, PRINT_LIFT_M)?;
+    prints.add_to(&mut scene, &state.t_world_gripper, state.opening_m);
+    scene.validate()?;
+    Ok(scene)
+}
+
+fn compose(
+    object: &Model,
+    state: &GraspState,
+    conditions: &VisualConditions,
+    camera: Camera,
+    with_camera: bool,
+    table_below_m: f64,
+) -> Result<Scene> {
     let mut scene = Scene {
         meshes: Vec::new(),
         materials: Vec::new(),
@@ -151,9 +189,9 @@ pub fn grasp_scene(
     };
     object.add_to(&mut scene, &state.t_world_object);
     check_camera(&scene, object)?;
-    ground(conditions)?.add_to(&mut scene, &Pose::IDENTITY);
-    let is_external = matches!(view, View::External(_));
-    let body = gripper(state, conditions.print_colour, is_external)?;
+    let table = Pose::from_translation(DVec3::NEG_Z * table_below_m);
+    ground(conditions)?.add_to(&mut scene, &table);
+    let body = gripper(state, conditions.print_colour, with_camera)?;
     body.add_to(&mut scene, &state.t_world_gripper);
     if let Some(gels) = &state.gels {
         let meshes = gels

@@ -346,7 +346,7 @@ fn tinted(mut picture: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
     }
     let tables: [[u8; 256]; 3] = color.map(|factor| {
         std::array::from_fn(|v| {
-            let linear = super::picture::srgb_decode(v as u8) * factor as f32;
+            let linear = crate::imaging::srgb_decode(v as u8) * factor as f32;
             let one = super::picture::Picture::filled(1, 1, [linear; 3]);
             one.to_srgb8(1.0).get_pixel(0, 0)[0]
         })

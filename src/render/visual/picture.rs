@@ -3,6 +3,7 @@
 use image::RgbImage;
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::srgb_encode;
 
 /// Weights of linear R, G, B in the luminance (ITU-R BT.709).
 pub(super) const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
@@ -99,41 +100,9 @@ pub(super) fn luminance(rgb: [f32; 3]) -> f32 {
     LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2]
 }
 
-/// Linear light in [0, 1] to an 8-bit sRGB value.
-fn srgb_encode(linear: f32) -> u8 {
-    let v = linear.clamp(0.0, 1.0);
-    let encoded = if v <= 0.003_130_8 {
-        12.92 * v
-    } else {
-        1.055 * v.powf(1.0 / 2.4) - 0.055
-    };
-    (255.0 * encoded).round() as u8
-}
-
-/// 8-bit sRGB value to linear light in [0, 1].
-pub(super) fn srgb_decode(encoded: u8) -> f32 {
-    let v = f32::from(encoded) / 255.0;
-    if v <= 0.040_45 {
-        v / 12.92
-    } else {
-        ((v + 0.055) / 1.055).powf(2.4)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn srgb_values_survive_the_way_through_linear_light() {
-        for value in 0..=255u8 {
-            assert_eq!(srgb_encode(srgb_decode(value)), value);
-        }
-        assert_eq!(srgb_encode(f32::NAN), 0);
-        assert_eq!(srgb_encode(7.0), 255);
-        // 18 % grey is the well-known 118 of sRGB.
-        assert_eq!(srgb_encode(0.18), 118);
-    }
 
     #[test]
     fn exposure_scales_linear_light() {

@@ -1,17 +1,13 @@
 //! Colour over a surface.
 
 use std::fmt::Debug;
-use std::sync::{Arc, LazyLock};
+use std::sync::Arc;
 
 use glam::Vec3;
 use image::RgbImage;
 
-use super::picture::srgb_decode;
 use crate::error::{Error, ErrorKind, Result};
-
-/// Linear light of each 8-bit sRGB value.
-static LINEAR: LazyLock<[f32; 256]> =
-    LazyLock::new(|| std::array::from_fn(|v| srgb_decode(v as u8)));
+use crate::imaging::srgb_decode;
 
 /// Colour that is computed from the place on a surface.
 pub trait ProceduralTexture: Debug + Send + Sync {
@@ -97,10 +93,9 @@ impl Bitmap {
     pub fn sample(&self, uv: [f32; 2]) -> [f32; 3] {
         let [x0, x1, fx] = neighbours(uv[0], self.width);
         let [y0, y1, fy] = neighbours(uv[1], self.height);
-        let linear = &*LINEAR;
         let texel = |x: usize, y: usize| {
             let [r, g, b, _] = self.texels[y * self.width + x];
-            [r, g, b].map(|v| linear[usize::from(v)])
+            [r, g, b].map(srgb_decode)
         };
         let (x0, x1, y0, y1) = (x0 as usize, x1 as usize, y0 as usize, y1 as usize);
         let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));

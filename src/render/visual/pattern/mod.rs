@@ -15,8 +15,9 @@ use std::str::FromStr;
 use image::RgbImage;
 use rayon::prelude::*;
 
-use super::picture::{Picture, srgb_decode};
+use super::picture::Picture;
 use crate::error::{Error, Result, unknown_name};
+use crate::imaging::srgb_decode;
 use crate::render::seed::SeedStream;
 
 /// Kind of a painted surface.

@@ -1,6 +1,6 @@
 //! A film: one simulated grasp as the virtual rig plays it.
 //!
-//! A film is four files that share a name:
+//! A film is five files that share a name:
 //!
 //! | file | what |
 //! | --- | --- |
@@ -8,9 +8,10 @@
 //! | `NAME.colour.jpg` | what the D435's colour camera sees at the key steps, one below the other |
 //! | `NAME.depth.png` | what its stereo module measures there without noise, 16 bits, mm |
 //! | `NAME.outside.jpg` | what a camera beside the table sees at its own key steps |
+//! | `NAME.sheet.toml` | the board file of the sheet that the object stands on |
 //!
-//! The trace's header says in `film` which steps are keys:
-//! `{"keys": [0, 3, …], "outside_keys": [0, …]}`. Between keys the picture of the last one is
+//! The trace's header says in `film` which steps are keys, and the intrinsics of the camera
+//! beside the table: `{"keys": [0, 3, …], "outside_keys": [0, …], "outside_camera": {…}}`. Between keys the picture of the last one is
 //! shown. Tactile pictures are not stored: they are rendered from the trace, step by step.
 
 use std::borrow::Cow;
@@ -26,7 +27,8 @@ use serde_json::Value;
 use crate::dataset::SimulatedTruth;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Pose, TriangleMesh};
-use crate::imaging::{DepthImage, decode_png_grey16};
+use crate::imaging::{DepthImage, Intrinsics, decode_png_grey16};
+use crate::pose::BoardFile;
 use crate::render::tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
 use crate::sim::grasp::{GraspOutcome, StageName, TraceFile, TraceStep};
 
@@ -35,6 +37,7 @@ pub(super) const TRACE: &str = ".trace.bin";
 const COLOUR: &str = ".colour.jpg";
 const DEPTH: &str = ".depth.png";
 const OUTSIDE: &str = ".outside.jpg";
+const SHEET: &str = ".sheet.toml";
 /// Most pixels of a strip: 100 pictures of the colour camera.
 const MOST_PIXELS: usize = 100 * 1280 * 720;
 
@@ -49,6 +52,8 @@ pub struct FilmFiles {
     pub depth: Cow<'static, [u8]>,
     /// JPEG strip of the camera beside the table.
     pub outside: Cow<'static, [u8]>,
+    /// Board file of the sheet.
+    pub sheet: Cow<'static, [u8]>,
 }
 
 impl FilmFiles {
@@ -65,28 +70,32 @@ impl FilmFiles {
             colour: read(COLOUR)?,
             depth: read(DEPTH)?,
             outside: read(OUTSIDE)?,
+            sheet: read(SHEET)?,
         })
     }
 
     /// Names and contents of the files of a film called `name`.
-    pub fn named(&self, name: &str) -> [(String, &[u8]); 4] {
+    pub fn named(&self, name: &str) -> [(String, &[u8]); 5] {
         [
             (format!("{name}{TRACE}"), &*self.trace),
             (format!("{name}{COLOUR}"), &*self.colour),
             (format!("{name}{DEPTH}"), &*self.depth),
             (format!("{name}{OUTSIDE}"), &*self.outside),
+            (format!("{name}{SHEET}"), &*self.sheet),
         ]
     }
 }
 
 /// Which shown steps have a picture; what a film's header says.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilmKeys {
     /// Steps with a picture of the colour and the depth camera, ascending from 0.
     pub keys: Vec<usize>,
     /// Steps with a picture of the camera beside the table.
     pub outside_keys: Vec<usize>,
+    /// That camera.
+    pub outside_camera: Intrinsics,
 }
 
 impl FilmKeys {
@@ -100,7 +109,10 @@ impl FilmKeys {
                 )));
             }
         }
-        Ok(())
+        self.outside_camera
+            .validate()
+            .map(|_| ())
+            .map_err(|e| damaged("its camera beside the table".to_owned()).because(e))
     }
 }
 
@@ -183,6 +195,7 @@ impl Film {
         self.mesh()?;
         self.colour()?;
         self.outside()?;
+        self.sheet()?;
         self.depth_mm().map(|_| ())
     }
 
@@ -292,6 +305,39 @@ impl Film {
     /// Pictures of the camera beside the table.
     pub(super) fn outside(&self) -> Result<Vec<RgbImage>> {
         self.strip(&self.files.outside, OUTSIDE, self.keys.outside_keys.len())
+    }
+
+    /// Intrinsics of the camera beside the table where its frames have `width` × `height` pixels;
+    /// none for another shape than that of the film's pictures, as those are cut.
+    pub fn outside_intrinsics(&self, width: u32, height: u32) -> Option<Intrinsics> {
+        let own = self.keys.outside_camera;
+        if u64::from(width) * u64::from(own.height) != u64::from(height) * u64::from(own.width) {
+            return None;
+        }
+        let scale = f64::from(width) / f64::from(own.width);
+        let place = |centre: f64| (centre + 0.5) * scale - 0.5;
+        Some(Intrinsics {
+            width,
+            height,
+            fx: own.fx * scale,
+            fy: own.fy * scale,
+            cx: place(own.cx),
+            cy: place(own.cy),
+            ..own
+        })
+    }
+
+    /// The sheet that the object stands on.
+    ///
+    /// # Errors
+    /// `Input` for a damaged file.
+    pub fn sheet(&self) -> Result<BoardFile> {
+        let read = || {
+            let text = str::from_utf8(&self.files.sheet)
+                .map_err(|_| damaged("its sheet is no text".to_owned()))?;
+            BoardFile::parse(text, &self.folder)
+        };
+        read().map_err(|e| e.at(format!("{}{SHEET}", self.name)))
     }
 
     /// Depth pictures without noise, mm, 0 where stereo is blind.

@@ -99,12 +99,7 @@ impl GelPainter {
         }
         let mut picture = self.still.clone();
         let row_bytes = 3 * self.frame.columns.len();
-        for (row, line) in picture.chunks_exact_mut(row_bytes).enumerate() {
-            let noise = self.noise.row(self.seed, frame, row, row_bytes);
-            for (level, noise) in line.iter_mut().zip(noise) {
-                *level = level.saturating_add_signed(*noise);
-            }
-        }
+        self.noise.add_to(&mut picture, row_bytes, self.seed, frame);
         Ok(picture)
     }
 

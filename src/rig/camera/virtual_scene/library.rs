@@ -26,6 +26,9 @@ macro_rules! films {
                 outside: Cow::Borrowed(include_bytes!(concat!(
                     "../../../../calib/virtual-rig/", $name, ".outside.jpg"
                 ))),
+                sheet: Cow::Borrowed(include_bytes!(concat!(
+                    "../../../../calib/virtual-rig/", $name, ".sheet.toml"
+                ))),
             },
         )),*]
     };

@@ -39,6 +39,15 @@ impl NoiseTable {
         Self(values)
     }
 
+    /// Adds the noise of a frame to its rows of RGB.
+    pub(super) fn add_to(&self, picture: &mut [u8], row_bytes: usize, seed: u64, frame: u64) {
+        for (row, line) in picture.chunks_exact_mut(row_bytes).enumerate() {
+            for (level, noise) in line.iter_mut().zip(self.row(seed, frame, row, row_bytes)) {
+                *level = level.saturating_add_signed(*noise);
+            }
+        }
+    }
+
     /// `length` values for one row of one frame; at most the table's length.
     pub(super) fn row(&self, seed: u64, frame: u64, row: usize, length: usize) -> &[i8] {
         let length = length.min(self.0.len());

@@ -1,6 +1,7 @@
 //! Makes a film of a trace.
 
 use std::borrow::Cow;
+use std::path::Path;
 
 use glam::DVec3;
 use image::{RgbImage, imageops};
@@ -8,13 +9,17 @@ use serde_json::Value;
 
 use super::film::{FilmFiles, FilmKeys, film_header};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::Pose;
-use crate::imaging::{DepthImage, encode_png_grey16};
+use crate::geometry::{Pose, TriangleMesh};
+use crate::imaging::{DepthImage, Intrinsics, encode_png_grey16};
+use crate::pose::print::{
+    ObjectOnSheet, ObjectSheet, Paper, RULER_MM, SheetSettings, object_sheet,
+};
+use crate::pose::{BoardFile, Dictionary};
 use crate::render::tactile::{TraceHeader, TraceStart};
 use crate::render::visual::{
-    Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspState, Model, RenderSettings,
-    Renderer, View, VisualConditions, VisualRandomisation, Watch, denoise, develop, grasp_scene,
-    measure_depth,
+    Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspPrints, GraspState, Model,
+    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch,
+    annotation_camera, annotation_scene, denoise, develop, grasp_scene, measure_depth,
 };
 use crate::sim::fem::GelGrid;
 use crate::sim::grasp::{StageName, Trace, TraceFile, TraceStep};
@@ -27,6 +32,8 @@ const LIFTING_STEPS: usize = 10;
 /// Key steps of the way to the object and of the lift.
 const FREE_KEYS: usize = 3;
 const LIFTING_KEYS: usize = 3;
+/// JPEG quality of the pictures in which markers are measured.
+const OUTSIDE_QUALITY: u8 = 88;
 
 /// How a film is made.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,6 +42,8 @@ pub struct ShootSettings {
     pub colour: [usize; 2],
     /// Columns and rows of the depth pictures.
     pub depth: [usize; 2],
+    /// Columns and rows of the pictures from beside the table, in which markers are found.
+    pub outside: [usize; 2],
     /// Paths for each pixel of a colour picture, denoised afterwards.
     pub samples: u32,
     /// JPEG quality, 1 to 100.
@@ -48,6 +57,7 @@ impl Default for ShootSettings {
         Self {
             colour: [480, 360],
             depth: [320, 240],
+            outside: [1280, 720],
             samples: 64,
             quality: 82,
             seed: 0,
@@ -55,55 +65,103 @@ impl Default for ShootSettings {
     }
 }
 
-/// A film of a simulated grasp of `model`. `progress` is told how many pictures are done, of how
-/// many.
+/// A film of a simulated grasp of `model`, whose shape is `mesh` (m, its own frame). `progress` is
+/// told how many pictures are done, of how many.
+///
+/// Seen from beside the table, the object stands on its printed sheet and the gripper has the tags
+/// of [`usual_tags`].
 ///
 /// # Errors
 /// `Input` where the trace has no steps or no start, or the scene cannot be rendered.
 pub fn shoot(
     file: &TraceFile,
+    mesh: &TriangleMesh,
     model: &Model,
     settings: &ShootSettings,
     progress: &dyn Fn(usize, usize),
 ) -> Result<FilmFiles> {
     let trace = &file.trace;
     let shown = shown_steps(&trace.steps)?;
-    let keys = keys_of(trace, &shown);
+    let TraceHeader { gel, object } = TraceHeader::read(&file.header)?;
     let set = Set {
         trace,
-        grid: TraceHeader::read(&file.header)?.gel.grid,
+        grid: gel.grid,
         start: TraceStart::read(&file.header)?,
         conditions: VisualRandomisation::default().sample(settings.seed),
         model,
         settings,
     };
+    let sheet = sheet_of(mesh, &object.source, set.start.t_world_object)?;
+    let prints = GraspPrints::new(&sheet, &usual_tags()?)?;
+    let beside = annotation_camera(&set.state(0)?, settings.outside, settings.seed);
+    let keys = keys_of(trace, &shown, beside.intrinsics());
     let all = keys.keys.len() + keys.outside_keys.len();
     let steps = |keys: &[usize]| -> Vec<usize> { keys.iter().map(|key| shown[*key]).collect() };
 
     let mut colour = Vec::new();
     let mut depth = Vec::new();
     let view = View::EyeInHand(settings.colour);
-    let hand = set.camera(view)?;
-    let stereo = set.camera(View::EyeInHand(settings.depth))?;
+    // One place of the cameras for the whole film.
+    let before = set.state(0)?;
+    let hand = view.camera(&before, &set.conditions);
+    let stereo = View::EyeInHand(settings.depth).camera(&before, &set.conditions);
     for step in steps(&keys.keys) {
         progress(colour.len(), all);
-        let renderer = set.renderer(step, view)?;
-        colour.push(set.picture(&renderer, &set.riding(&hand, step), view)?);
+        let scene = grasp_scene(model, &set.state(step)?, &set.conditions, view)?;
+        let renderer = Renderer::new(&scene)?;
+        colour.push(set.picture(
+            &renderer,
+            &set.riding(&hand, step),
+            ColourSettings::default().blur_px,
+        )?);
         depth.push(depth_picture(&renderer, &set.riding(&stereo, step))?);
     }
     let mut outside = Vec::new();
-    let view = View::External(settings.colour);
-    let camera = set.camera(view)?;
     for step in steps(&keys.outside_keys) {
         progress(colour.len() + outside.len(), all);
-        outside.push(set.picture(&set.renderer(step, view)?, &camera, view)?);
+        let state = set.state(step)?;
+        let scene = annotation_scene(model, &state, &set.conditions, beside, &prints)?;
+        outside.push(set.picture(&Renderer::new(&scene)?, &beside, 0.0)?);
     }
     Ok(FilmFiles {
         trace: Cow::Owned(thinned(&file.header, trace, &shown, &keys)?),
         colour: Cow::Owned(jpeg_strip(&colour, settings.quality)?),
         depth: Cow::Owned(png_strip(&depth)?),
-        outside: Cow::Owned(jpeg_strip(&outside, settings.quality)?),
+        outside: Cow::Owned(jpeg_strip(&outside, OUTSIDE_QUALITY)?),
+        sheet: Cow::Owned(sheet.file.to_toml().into_bytes()),
     })
+}
+
+/// The tags on the gripper of the virtual rig: `calib/boards/gripper-umi.toml`.
+///
+/// # Errors
+/// None; a test reads the file.
+pub fn usual_tags() -> Result<BoardFile> {
+    let text = include_str!("../../../../calib/boards/gripper-umi.toml");
+    BoardFile::parse(text, Path::new(""))
+}
+
+/// The sheet of an object as it stands, on the smallest paper that is large enough.
+fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<ObjectSheet> {
+    let object = ObjectOnSheet {
+        mesh,
+        source,
+        t_world_object,
+    };
+    let named = source.strip_prefix("builtin:").unwrap_or(source);
+    let name = Path::new(named).file_stem().unwrap_or_default();
+    let on = |paper: Paper| {
+        let settings = SheetSettings {
+            name: name.to_string_lossy().into_owned(),
+            dictionary: Dictionary::by_name("DICT_6X6_250")?,
+            first_id: 0,
+            marker_m: 0.030,
+            paper,
+            measured_mm: [RULER_MM; 2],
+        };
+        object_sheet(&object, &settings)
+    };
+    on(Paper::A4).or_else(|_| on(Paper::A3))
 }
 
 /// Everything that the pictures of a film share.
@@ -117,12 +175,6 @@ struct Set<'a> {
 }
 
 impl Set<'_> {
-    /// The camera of a view as it stands at the start: one place for the whole film.
-    fn camera(&self, view: View) -> Result<Camera> {
-        let state = self.state(0)?;
-        Ok(grasp_scene(self.model, &state, &self.conditions, view)?.camera)
-    }
-
     /// A camera on the gripper, lifted with it.
     fn riding(&self, camera: &Camera, step: usize) -> Camera {
         let lift = Pose::from_translation(DVec3::Z * self.trace.steps[step].lifted_m);
@@ -148,12 +200,7 @@ impl Set<'_> {
         })
     }
 
-    fn renderer(&self, step: usize, view: View) -> Result<Renderer> {
-        let state = self.state(step)?;
-        Renderer::new(&grasp_scene(self.model, &state, &self.conditions, view)?)
-    }
-
-    fn picture(&self, renderer: &Renderer, camera: &Camera, view: View) -> Result<RgbImage> {
+    fn picture(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
         let settings = RenderSettings {
             samples: self.settings.samples,
             seed: self.settings.seed,
@@ -162,14 +209,12 @@ impl Set<'_> {
         let rendering = renderer.render(camera, &settings, &Watch::default())?;
         let light = denoise(&rendering, &DenoiseSettings::default());
         // The noise is that of each frame.
-        let mut colour = ColourSettings {
+        let colour = ColourSettings {
             full_well_e: 1e9,
             read_noise_e: 0.0,
+            blur_px,
             ..ColourSettings::default()
         };
-        if matches!(view, View::External(_)) {
-            colour.blur_px = 0.0;
-        }
         Ok(develop(&light, &colour, 0))
     }
 }
@@ -217,7 +262,7 @@ fn spread(from: usize, to: usize, most: usize) -> impl Iterator<Item = usize> {
 }
 
 /// Keys are numbers of shown steps.
-fn keys_of(trace: &Trace, shown: &[usize]) -> FilmKeys {
+fn keys_of(trace: &Trace, shown: &[usize], outside_camera: Intrinsics) -> FilmKeys {
     let steps: Vec<&TraceStep> = shown.iter().map(|step| &trace.steps[*step]).collect();
     let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
     let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
@@ -233,7 +278,11 @@ fn keys_of(trace: &Trace, shown: &[usize]) -> FilmKeys {
     keys.dedup();
     let mut outside_keys = vec![0, before_lift.saturating_sub(1), steps.len() - 1];
     outside_keys.dedup();
-    FilmKeys { keys, outside_keys }
+    FilmKeys {
+        keys,
+        outside_keys,
+        outside_camera,
+    }
 }
 
 fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &FilmKeys) -> Result<Vec<u8>> {
@@ -302,6 +351,10 @@ mod tests {
         }
     }
 
+    fn intrinsics() -> Intrinsics {
+        Camera::centred(64, 36, 1.0, Pose::IDENTITY).intrinsics()
+    }
+
     /// 30 steps to the object, 40 in contact, 100 of adjustment, 50 of lifting.
     fn trace() -> Trace {
         let free = (0..30).map(|n| step(StageName::Closure, 0.07 - 1e-3 * f64::from(n), None, 0.0));
@@ -364,7 +417,7 @@ mod tests {
         );
         // The states before the lift and at the ends are those that people look at.
         assert!(shown.contains(&69) && shown.contains(&169));
-        let keys = keys_of(&trace, &shown);
+        let keys = keys_of(&trace, &shown, intrinsics());
         let stages: Vec<_> = keys
             .keys
             .iter()
@@ -388,7 +441,7 @@ mod tests {
             trace.steps.truncate(length);
             let shown = shown_steps(&trace.steps).unwrap();
             assert_eq!(*shown.last().unwrap(), length - 1);
-            let keys = keys_of(&trace, &shown);
+            let keys = keys_of(&trace, &shown, intrinsics());
             for keys in [keys.keys, keys.outside_keys] {
                 assert!(keys.windows(2).all(|pair| pair[0] < pair[1]), "{keys:?}");
                 assert!(keys[0] == 0 && *keys.last().unwrap() < shown.len());
@@ -409,11 +462,13 @@ mod tests {
         let settings = ShootSettings {
             colour: [24, 18],
             depth: [16, 12],
+            outside: [64, 36],
             samples: 1,
             seed: 4,
             ..ShootSettings::default()
         };
-        let files = shoot(&file, &model, &settings, &|_, _| {}).unwrap();
+        let mesh = builtin("box").unwrap();
+        let files = shoot(&file, &mesh, &model, &settings, &|_, _| {}).unwrap();
         let film = Film::parse("box", files, Path::new("")).unwrap();
         film.check().unwrap();
         let shown = shown_steps(&file.trace.steps).unwrap();

@@ -71,12 +71,7 @@ impl ColourPainter {
         let mut picture = pictures[key].clone();
         self.shown = Some((moment.grasp, pictures));
         let row_bytes = 3 * self.size.0 as usize;
-        for (row, line) in picture.chunks_exact_mut(row_bytes).enumerate() {
-            let noise = self.noise.row(self.seed, frame, row, row_bytes);
-            for (level, noise) in line.iter_mut().zip(noise) {
-                *level = level.saturating_add_signed(*noise);
-            }
-        }
+        self.noise.add_to(&mut picture, row_bytes, self.seed, frame);
         Ok(picture)
     }
 
