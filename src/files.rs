@@ -9,6 +9,8 @@ use std::hash::{BuildHasher as _, RandomState};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use crate::error::{Error, Result};
+
 /// Most symbolic links that are followed, as Linux has it.
 const MOST_LINKS: usize = 40;
 
@@ -23,6 +25,14 @@ const MOST_LINKS: usize = 40;
 /// Those of the operating system; the old file is then as it was, unless it is written directly.
 pub fn replace_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
     StagedFile::write(path, bytes)?.commit()
+}
+
+/// [`replace_file`] with an error that names the file.
+///
+/// # Errors
+/// `Io`, `Permission`, `DiskFull`, …; the old file is then as it was.
+pub fn save(path: &Path, bytes: &[u8]) -> Result<()> {
+    replace_file(path, bytes).map_err(|e| Error::io("cannot write the file", e).at(path.display()))
 }
 
 /// A file that is written but has not got its name yet, so that several can take theirs at once.

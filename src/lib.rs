@@ -18,6 +18,7 @@
 
 #![deny(unsafe_code)]
 
+pub mod annotate;
 pub mod app;
 pub mod dataset;
 pub mod error;

@@ -6,9 +6,10 @@ use jiff::Timestamp;
 
 use super::encode::encode;
 use super::grasp::{
-    CameraRecord, FileDigest, OverriddenGuard, PredictionRecord, SimulatedTruth, StageRecord,
+    BoardKeys, CameraRecord, FileDigest, OverriddenGuard, PoseRecord, PredictionRecord,
+    SimulatedTruth, StageRecord,
 };
-use super::layout::{Stage, digest, image_name};
+use super::layout::{Stage, approach_name, digest, image_name};
 use crate::error::Result;
 use crate::imaging::{Frame, Role};
 
@@ -46,6 +47,11 @@ pub struct StageCapture {
     pub trigger: String,
     /// Cameras by role.
     pub cameras: BTreeMap<Role, CapturedCamera>,
+    /// Further frames of the external camera from before the fingers closed, by time; stored with
+    /// the grasp.
+    pub approach: Vec<CapturedCamera>,
+    /// Gripper relative to the object, where those frames tell.
+    pub pose: Option<Box<PoseRecord>>,
     /// What a virtual rig knows of the grasp at these frames.
     pub truth: Option<Box<SimulatedTruth>>,
 }
@@ -61,6 +67,8 @@ pub struct GraspMeta {
     pub operator: String,
     /// Rig file's id.
     pub rig: String,
+    /// The printed markers that the external camera saw.
+    pub boards: Option<BoardKeys>,
     /// Prediction shown before the lift.
     pub prediction: Option<PredictionRecord>,
     /// Guards overridden at the grasp trigger; those of the initial frame are added.
@@ -74,6 +82,8 @@ pub struct GraspMeta {
 /// A capture in the form it is stored in.
 pub(super) struct EncodedStage {
     pub(super) record: StageRecord,
+    /// The approach, with the grasp.
+    pub(super) approach: Vec<CameraRecord>,
     /// Contents by file name.
     pub(super) contents: BTreeMap<String, Vec<u8>>,
     /// Digests by file name.
@@ -100,7 +110,18 @@ impl StageCapture {
             contents.insert(file.clone(), bytes);
             cameras.insert(role, camera.record(file));
         }
+        let mut approach = Vec::new();
+        if stage == Stage::Grasp {
+            for (number, camera) in self.approach.iter().enumerate() {
+                let file = approach_name(number, camera.frame.format);
+                let bytes = encode(&camera.frame).map_err(|e| e.at(&file))?.into_owned();
+                files.insert(file.clone(), digest(&bytes));
+                contents.insert(file.clone(), bytes);
+                approach.push(camera.record(file));
+            }
+        }
         Ok(EncodedStage {
+            approach,
             record: StageRecord {
                 captured_at: self.captured_at.to_string(),
                 trigger_time_ns: self.trigger_time_ns,

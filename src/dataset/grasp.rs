@@ -83,6 +83,9 @@ pub struct GraspRecord {
     pub initial: StageRecord,
     /// After it closed, before the lift.
     pub grasp: StageRecord,
+    /// Further frames of the external camera from before the fingers closed, by time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub approach: Vec<CameraRecord>,
     /// Gripper relative to the object, where annotated.
     pub pose: Option<PoseRecord>,
     /// Prediction shown at the grasp trigger, before the lift.
@@ -91,6 +94,9 @@ pub struct GraspRecord {
     pub overridden_guards: Vec<OverriddenGuard>,
     /// First 12 hex digits of the calibration's sha256, by role; file `calibration/<sha12>.toml`.
     pub calibration: BTreeMap<Role, String>,
+    /// The printed markers that the external camera saw, where they are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boards: Option<BoardKeys>,
     /// Digest of each image file of the grasp, by file name.
     pub files: BTreeMap<String, FileDigest>,
     /// Free text.
@@ -104,6 +110,12 @@ impl GraspRecord {
     /// Both stages, in the order of the cycle.
     pub fn stages(&self) -> [(Stage, &StageRecord); 2] {
         [(Stage::Initial, &self.initial), (Stage::Grasp, &self.grasp)]
+    }
+
+    /// Keys of the files in `calibration/` that the grasp refers to.
+    pub fn calibration_keys(&self) -> impl Iterator<Item = &String> {
+        let boards = self.boards.iter().flat_map(|b| [&b.sheet, &b.tags]);
+        self.calibration.values().chain(boards)
     }
 
     /// The frames of a stage.
@@ -183,6 +195,48 @@ pub struct PoseRecord {
     /// True once a person has corrected it; programs never overwrite it then.
     #[serde(default)]
     pub corrected_by_hand: bool,
+    /// How it was found; none for one that a person gave.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality: Option<PoseQuality>,
+}
+
+/// How a pose was found, and what speaks for and against it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseQuality {
+    /// Files of the frames that were used.
+    pub frames: Vec<String>,
+    /// Markers of the sheet and tags of the gripper in the last of them.
+    pub markers: [usize; 2],
+    /// RMS reprojection error of the gripper's tags, px; that of the sheet is `reprojection_px`.
+    pub tags_reprojection_px: f64,
+    /// Largest distance of a frame's pose from the pose, m. What all frames have wrong does not
+    /// show in it.
+    pub spread_m: f64,
+    /// The same as an angle, rad.
+    pub spread_rad: f64,
+    /// Blur of the markers' edges in the sharpest frame, px.
+    pub blur_px: f64,
+    /// Distance between the undeformed gel faces; none where no finger's tag was seen, m.
+    pub opening_m: Option<f64>,
+    /// Another pose fits nearly as well, and no two tags face directions 30° apart.
+    pub ambiguous: bool,
+    /// Hash of the sheet's board.
+    pub sheet: String,
+    /// Hash of the tags' board.
+    pub tags: String,
+    /// What a person should know.
+    pub notes: Vec<String>,
+}
+
+/// Keys of board files in `calibration/`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoardKeys {
+    /// The sheet that the object stands on.
+    pub sheet: String,
+    /// The gripper's tags.
+    pub tags: String,
 }
 
 /// What is true of a grasp on the virtual rig: it was simulated, and the frames are those of the

@@ -135,13 +135,29 @@ pub(super) fn pending_id(name: &str) -> Option<GraspId> {
         .map(|id| GraspId(id.to_owned()))
 }
 
-/// Name of an image file.
-pub(super) fn image_name(stage: Stage, role: Role, format: PixelFormat) -> String {
-    let extension = match format {
+/// Name of an image file of a grasp.
+#[must_use]
+pub fn image_name(stage: Stage, role: Role, format: PixelFormat) -> String {
+    format!("{}.{role}.{}", stage.name(), extension(format))
+}
+
+/// Begin of the names of further frames from before the fingers closed.
+pub(super) const APPROACH_PREFIX: &str = "approach.";
+
+/// Name of the file of a further frame from before the fingers closed.
+#[must_use]
+pub fn approach_name(number: usize, format: PixelFormat) -> String {
+    format!(
+        "{APPROACH_PREFIX}{number:02}.external.{}",
+        extension(format)
+    )
+}
+
+fn extension(format: PixelFormat) -> &'static str {
+    match format {
         PixelFormat::Mjpg => "jpg",
         PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => "png",
-    };
-    format!("{}.{role}.{extension}", stage.name())
+    }
 }
 
 /// A new id: time of the trigger and 4 hex digits that tell grasps of the same second apart.

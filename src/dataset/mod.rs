@@ -40,11 +40,11 @@ pub use capture::{CapturedCamera, GraspMeta, StageCapture};
 pub use counts::GraspCounts;
 pub use descriptor::{Descriptor, NewDataset};
 pub use grasp::{
-    CameraRecord, FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard, PoseRecord,
-    PredictionRecord, SCHEMA_VERSION, SimulatedTruth, StageRecord,
+    BoardKeys, CameraRecord, FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard,
+    PoseQuality, PoseRecord, PredictionRecord, SCHEMA_VERSION, SimulatedTruth, StageRecord,
 };
 pub use index::{ReindexReport, reindex};
-pub use layout::Stage;
+pub use layout::{Stage, approach_name, image_name};
 pub use opening::OpenReport;
 pub use reader::Dataset;
 pub use record_file::PendingInitial;

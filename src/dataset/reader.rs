@@ -75,6 +75,34 @@ impl Dataset {
         Some(self.layout.grasp(&record.id).join(&camera.file))
     }
 
+    /// Pictures of the external camera from before the fingers closed, by time: the approach and
+    /// the initial frame.
+    #[must_use]
+    pub fn before_closing(&self, record: &GraspRecord) -> Vec<(CameraRecord, PathBuf)> {
+        let initial = record.initial.cameras.get(&Role::External);
+        let mut cameras: Vec<CameraRecord> =
+            record.approach.iter().chain(initial).cloned().collect();
+        cameras.sort_by_key(|camera| camera.driver_time_ns);
+        let grasp = self.layout.grasp(&record.id);
+        cameras
+            .into_iter()
+            .map(|camera| {
+                let path = grasp.join(&camera.file);
+                (camera, path)
+            })
+            .collect()
+    }
+
+    /// The text of a calibration, by its key.
+    ///
+    /// # Errors
+    /// `NotFound` without it, `Io`, ….
+    pub fn calibration(&self, key: &str) -> Result<String> {
+        let path = self.layout.calibration().join(format!("{key}.toml"));
+        fs::read_to_string(&path)
+            .map_err(|e| Error::io("cannot read the calibration", e).at(path.display()))
+    }
+
     /// A stored frame, as the camera sent it.
     ///
     /// # Errors

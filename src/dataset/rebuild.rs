@@ -12,8 +12,9 @@ use serde_json::Value;
 
 use super::descriptor::SOFTWARE;
 use super::grasp::{CameraRecord, FileDigest, GraspId, GraspRecord, SCHEMA_VERSION, StageRecord};
-use super::layout::{GRASP_JSON, Stage, digest};
+use super::layout::{APPROACH_PREFIX, GRASP_JSON, Stage, digest};
 use super::picture;
+use super::reader::entries;
 use crate::imaging::Role;
 
 /// Whether the record is of a version that this build does not know.
@@ -75,7 +76,13 @@ pub(super) fn rebuild(
         labelled_at: sources.field("labelled_at").unwrap_or_default(),
         initial,
         grasp,
+        approach: approach(
+            dir,
+            sources.field("approach").unwrap_or_default(),
+            &mut files,
+        ),
         pose: sources.field("pose").unwrap_or_default(),
+        boards: sources.field("boards").unwrap_or_default(),
         prediction: sources.field("prediction").unwrap_or_default(),
         overridden_guards: sources.field("overridden_guards").unwrap_or_default(),
         calibration: sources.field("calibration").unwrap_or_default(),
@@ -118,40 +125,64 @@ fn cameras(
 ) -> BTreeMap<Role, CameraRecord> {
     let mut cameras = BTreeMap::new();
     for role in Role::ALL {
-        for extension in ["jpg", "png"] {
+        let found = ["jpg", "png"].iter().find_map(|extension| {
             let file = format!("{}.{role}.{extension}", stage.name());
-            let Ok(bytes) = fs::read(dir.join(&file)) else {
-                continue;
-            };
-            let Some((format, width, height)) = picture::recognise(&bytes) else {
-                continue;
-            };
-            files.insert(file.clone(), digest(&bytes));
-            let camera = known
-                .get(&role)
-                .filter(|camera| camera.file == file && picture::fault(&bytes, camera).is_none())
-                .cloned()
-                .unwrap_or_else(|| CameraRecord {
-                    file,
-                    product: "unknown".into(),
-                    serial: String::new(),
-                    interface: 0,
-                    port: String::new(),
-                    format,
-                    width,
-                    height,
-                    driver_time_ns: 0,
-                    sequence: 0,
-                    age_ms: 0.0,
-                    controls: BTreeMap::new(),
-                    crop_profile: None,
-                    depth_unit_m: None,
-                });
-            cameras.insert(role, camera);
-            break;
-        }
+            whole_picture(dir, file, known.get(&role), files)
+        });
+        cameras.extend(found.map(|camera| (role, camera)));
     }
     cameras
+}
+
+/// Whole frames from before the fingers closed.
+fn approach(
+    dir: &Path,
+    known: Vec<CameraRecord>,
+    files: &mut BTreeMap<String, FileDigest>,
+) -> Vec<CameraRecord> {
+    let mut names: Vec<String> = entries(dir)
+        .into_iter()
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .filter(|name| name.starts_with(APPROACH_PREFIX))
+        .collect();
+    names.sort();
+    let found = names.into_iter().filter_map(|name| {
+        let known = known.iter().find(|camera| camera.file == name);
+        whole_picture(dir, name, known, files)
+    });
+    found.collect()
+}
+
+/// A picture's record, as it was where that still fits; notes its digest. None where the file is
+/// no whole picture.
+fn whole_picture(
+    dir: &Path,
+    file: String,
+    known: Option<&CameraRecord>,
+    files: &mut BTreeMap<String, FileDigest>,
+) -> Option<CameraRecord> {
+    let bytes = fs::read(dir.join(&file)).ok()?;
+    let (format, width, height) = picture::recognise(&bytes)?;
+    files.insert(file.clone(), digest(&bytes));
+    let fits =
+        |camera: &&CameraRecord| camera.file == file && picture::fault(&bytes, camera).is_none();
+    Some(known.filter(fits).cloned().unwrap_or_else(|| CameraRecord {
+        file,
+        product: "unknown".into(),
+        serial: String::new(),
+        interface: 0,
+        port: String::new(),
+        format,
+        width,
+        height,
+        driver_time_ns: 0,
+        sequence: 0,
+        age_ms: 0.0,
+        controls: BTreeMap::new(),
+        crop_profile: None,
+        depth_unit_m: None,
+    }))
 }
 
 /// The time in an id; the epoch where there is none.

@@ -69,6 +69,8 @@ pub(super) fn capture(number: u32) -> StageCapture {
         trigger_time_ns: 1_010_000_000 + u64::from(number) * 40_000_000,
         trigger: "script".into(),
         truth: None,
+        approach: Vec::new(),
+        pose: None,
         cameras: BTreeMap::from([
             (
                 Role::Left,

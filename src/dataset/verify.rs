@@ -234,6 +234,7 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
             .stages()
             .into_iter()
             .flat_map(|(_, stage)| stage.cameras.values())
+            .chain(&record.approach)
             .map(|camera| (camera.file.as_str(), camera))
             .collect();
         for name in cameras
@@ -442,7 +443,7 @@ fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findin
             grasp
                 .record
                 .as_ref()
-                .is_some_and(|record| record.calibration.values().any(|key| *key == name))
+                .is_some_and(|record| record.calibration_keys().any(|key| *key == name))
         });
         if !used {
             found.notes.push(format!("no grasp refers to {at}"));
@@ -453,7 +454,7 @@ fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findin
         let keys: BTreeSet<&String> = grasp
             .record
             .iter()
-            .flat_map(|record| record.calibration.values())
+            .flat_map(|record| record.calibration_keys())
             .collect();
         for key in keys {
             if !calibrations.contains(key) {

@@ -17,10 +17,13 @@ use super::counts::GraspCounts;
 use super::descriptor::{Descriptor, SOFTWARE};
 use super::disk::{Disk, is_partial, replace};
 use super::grasp::{
-    FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard, SCHEMA_VERSION, StageRecord,
+    FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard, PoseRecord, SCHEMA_VERSION,
+    StageRecord,
 };
 use super::index::{IndexRow, to_jsonl};
-use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, new_id, sha12};
+use super::layout::{
+    APPROACH_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, new_id, sha12,
+};
 use super::lock::DatasetLock;
 use super::reader::load_frame;
 use super::record_file::{PendingInitial, check_files, read_grasp, read_initial, to_json};
@@ -66,6 +69,7 @@ impl DatasetWriter {
             record,
             contents,
             files,
+            ..
         } = capture.encode(Stage::Initial)?;
         let pending = PendingInitial {
             schema: SCHEMA_VERSION,
@@ -123,11 +127,14 @@ impl DatasetWriter {
         }
         let EncodedStage {
             record: stage,
+            approach,
             contents,
             files,
         } = capture.encode(Stage::Grasp)?;
         let record = GraspRecord {
             truth: capture.truth.as_deref().cloned(),
+            approach,
+            pose: capture.pose.as_deref().cloned(),
             ..grasp_record(pending, stage, files, meta)
         };
         let json = to_json(&record)?;
@@ -149,19 +156,30 @@ impl DatasetWriter {
         outcome: Outcome,
         at: Timestamp,
     ) -> Result<GraspRecord> {
-        let dir = self.layout.grasp(id);
-        let before = self.read(id)?;
-        let mut record = before.clone();
-        record.outcome = outcome;
-        record.labelled_at = (outcome != Outcome::Unlabelled).then(|| at.to_string());
-        let json = to_json(&record)?;
-        if let Err(error) = replace(self.disk.as_ref(), &dir, GRASP_JSON, &json) {
-            // The rename may have happened before the directory could not be flushed.
-            let _ = replace(self.disk.as_ref(), &dir, GRASP_JSON, &to_json(&before)?);
-            return Err(self.failed(&format!("cannot label {id}"), error));
-        }
-        self.insert(&record);
-        Ok(record)
+        self.change(id, &format!("cannot label {id}"), |record| {
+            record.outcome = outcome;
+            record.labelled_at = (outcome != Outcome::Unlabelled).then(|| at.to_string());
+            Ok(())
+        })
+    }
+
+    /// Writes down where the gripper was.
+    ///
+    /// # Errors
+    /// `Input` if a person has corrected the pose that is there and this one is not by hand;
+    /// `NotFound` without that grasp; `DiskFull`, `Io`, … with the pose as before.
+    pub fn set_pose(&mut self, id: &GraspId, pose: PoseRecord) -> Result<GraspRecord> {
+        self.change(id, &format!("cannot annotate {id}"), |record| {
+            let by_hand = record.pose.as_ref().is_some_and(|p| p.corrected_by_hand);
+            if by_hand && !pose.corrected_by_hand {
+                return Err(Error::new(
+                    ErrorKind::Input,
+                    format!("the pose of {id} was corrected by hand and is kept"),
+                ));
+            }
+            record.pose = Some(pose);
+            Ok(())
+        })
     }
 
     /// Moves a pending initial to `trash/`.
@@ -372,6 +390,27 @@ impl DatasetWriter {
         })
     }
 
+    /// Replaces the record of a grasp; `what` begins the error.
+    fn change(
+        &mut self,
+        id: &GraspId,
+        what: &str,
+        change: impl FnOnce(&mut GraspRecord) -> Result<()>,
+    ) -> Result<GraspRecord> {
+        let dir = self.layout.grasp(id);
+        let before = self.read(id)?;
+        let mut record = before.clone();
+        change(&mut record)?;
+        let json = to_json(&record)?;
+        if let Err(error) = replace(self.disk.as_ref(), &dir, GRASP_JSON, &json) {
+            // The rename may have happened before the directory could not be flushed.
+            let _ = replace(self.disk.as_ref(), &dir, GRASP_JSON, &to_json(&before)?);
+            return Err(self.failed(what, error));
+        }
+        self.insert(&record);
+        Ok(record)
+    }
+
     fn free_id(&mut self, at: Timestamp) -> GraspId {
         loop {
             let id = new_id(at, std::process::id(), self.ids_made);
@@ -528,7 +567,9 @@ fn grasp_record(
         labelled_at: None,
         initial: pending.stage.clone(),
         grasp: stage,
+        approach: Vec::new(),
         pose: None,
+        boards: meta.boards,
         prediction: meta.prediction,
         overridden_guards,
         calibration: meta.calibration,
@@ -549,7 +590,8 @@ fn remove_grasp_files(disk: &dyn Disk, pending: &Path) -> io::Result<()> {
         let entry = entry?;
         let name = entry.file_name();
         let name = name.to_string_lossy();
-        if name.starts_with("grasp.") || is_partial(&name) {
+        let of_grasp = name.starts_with("grasp.") || name.starts_with(APPROACH_PREFIX);
+        if of_grasp || is_partial(&name) {
             disk.remove_file(&entry.path())?;
         }
     }

@@ -54,6 +54,18 @@ impl Decoder {
         })
     }
 
+    /// A stored picture, JPEG or PNG, as it is.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Input`] for a damaged or foreign file.
+    pub fn stored_picture(&mut self, bytes: &[u8]) -> CrateResult<RgbImage> {
+        if bytes.starts_with(&[0xff, 0xd8]) {
+            let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
+            return self.decode_file(bytes, None, width, height);
+        }
+        decode_png_rgb(bytes)
+    }
+
     /// The frame, cropped (`None`: whole) and resized to `width` × `height`, RGB.
     ///
     /// A JPEG is decoded at the smallest of 1/8, 1/4, 1/2 and 1 that still has the pixels asked

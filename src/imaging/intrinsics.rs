@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::replace_file;
+use crate::files::save;
 
 /// How a lens bends the ideal picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -66,8 +66,7 @@ impl Intrinsics {
         let text = toml::to_string(self).map_err(|e| {
             Error::new(ErrorKind::Internal, "cannot write intrinsics as TOML").because(e)
         })?;
-        replace_file(path, text.as_bytes())
-            .map_err(|e| Error::io("cannot write the intrinsics", e).at(path.display()))
+        save(path, text.as_bytes())
     }
 
     /// Refuses what no camera has: a focal length or principal point far outside the picture.

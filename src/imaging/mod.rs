@@ -4,6 +4,7 @@
 //! A [`Frame`] is what a camera sent; a [`Decoder`] makes pictures of frames, all through one
 //! crop-and-resize; [`TactileDifference`] is what a contact changed between two of them.
 
+pub(crate) mod caption;
 mod crop;
 mod damage;
 mod decode;

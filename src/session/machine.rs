@@ -32,6 +32,8 @@ pub struct PendingFrame {
     pub trigger_time_ns: u64,
     /// Control values of each camera at that time.
     pub controls: BTreeMap<Role, BTreeMap<String, i64>>,
+    /// The external camera's frame: its driver time, ns, and file.
+    pub external: Option<(u64, String)>,
 }
 
 /// Grasps by object and outcome.

@@ -31,6 +31,7 @@ impl Store {
             captured_at: "2026-11-20T10:15:03Z".into(),
             trigger_time_ns: 1,
             controls: BTreeMap::new(),
+            external: None,
         }
     }
 

@@ -78,6 +78,8 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
         trigger_time_ns: 1_000_000_100,
         trigger: "script".into(),
         truth: None,
+        approach: Vec::new(),
+        pose: None,
         cameras: roles
             .iter()
             .map(|&role| (role, camera(number, role)))

@@ -12,17 +12,18 @@ fn allowed(area: &str) -> Option<&'static [&'static str]> {
     ];
     const LAYER_3: &[&str] = &[
         "error", "files", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict",
+        "annotate",
     ];
     Some(match area {
         "error" | "files" => &[],
         "geometry" | "imaging" => LAYER_0,
         "sim" | "pose" | "dataset" => LAYER_1,
-        "render" | "predict" => LAYER_2,
+        "render" | "predict" | "annotate" => LAYER_2,
         "rig" | "session" => LAYER_3,
         "synth" | "train" | "replay" => LAYER_3,
         "app" => &[
             "error", "files", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict",
-            "rig", "session", "synth", "train", "replay",
+            "annotate", "rig", "session", "synth", "train", "replay",
         ],
         _ => return None,
     })

@@ -29,7 +29,7 @@ use serde::Serialize;
 use super::board_make;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::replace_file;
+use crate::files::save;
 use crate::pose::{BoardFile, Dictionary, ForeignBoard, Part, import_kalibr, import_ros};
 
 /// Arguments.
@@ -59,11 +59,6 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Kind::Show(args) => show(&args),
         Kind::Import(args) => import(&args),
     }
-}
-
-/// Writes a file.
-pub(super) fn save(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace_file(path, bytes).map_err(|e| Error::io("cannot write the file", e).at(path.display()))
 }
 
 /// The folder that a file lies in.

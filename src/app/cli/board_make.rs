@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use glam::DQuat;
 use serde::Serialize;
 
-use super::board::{folder, save};
+use super::board::folder;
 use super::sim_object::{SimObject, unit};
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::files::save;
 use crate::geometry::{LengthUnit, Pose};
 use crate::pose::print::{
     Drawing, GripperTags, ObjectOnSheet, Paper, SheetSettings, gripper_board, gripper_sheet,

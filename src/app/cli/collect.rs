@@ -14,18 +14,21 @@ use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::Duration;
 
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 
 use super::{ConfigFlag, Context, print, print_json};
 use crate::app::config::{self, CollectConfig, FlagValue, Layered};
-use crate::app::daemon::{self, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus};
+use crate::app::daemon::{
+    self, Boards, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus,
+};
 use crate::app::tui;
 use crate::dataset::NewDataset;
 use crate::error::{Error, ErrorKind, Result};
+use crate::imaging::Role;
 use crate::predict::Model;
 use crate::rig::calibration::{PedalConfig, RigFile};
 use crate::rig::camera::{MonotonicClock, RigSources, SupervisionPolicy};
@@ -142,6 +145,20 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         }
     }
 
+    let boards = match (&rig.boards, &sources.hand) {
+        (Some(boards), _) => Some(Boards::read(boards)?),
+        (None, Some(hand)) => Some(Boards::of_virtual_rig(Arc::clone(hand))?),
+        (None, None) => None,
+    };
+    let is_bound = rig.cameras.contains_key(&Role::External);
+    let is_calibrated = intrinsics.contains_key(&Role::External);
+    if is_bound && boards.is_some() && !is_calibrated && !context.quiet {
+        eprintln!(
+            "external: no intrinsics, so that grasps get no pose; measure them with `gripcast \
+             calibrate intrinsics` and name the file in [cameras.external]"
+        );
+    }
+
     let pedals = rig.pedals.clone();
     let setup = EngineSetup {
         new_dataset: NewDataset {
@@ -163,6 +180,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         guards: config.guards,
         model,
         script,
+        boards,
         hand: sources.hand,
     };
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -225,18 +243,11 @@ async fn collect(
         })
         .collect();
     let screen = screen.map(|sound| {
-        let commands = command_sender.clone();
-        let wiring = tui::Wiring {
+        Screen::start(tui::Wiring {
             status: newest.clone(),
-            commands: commands.clone(),
+            commands: command_sender.clone(),
             tones,
             sound,
-        };
-        std::thread::spawn(move || {
-            let result = tui::run(wiring);
-            // Without a screen nobody can operate; the engine may have ended before.
-            let _ = commands.blocking_send((Command::Quit, CommandSource::Keyboard));
-            result
         })
     });
     let lines = async {
@@ -264,30 +275,46 @@ async fn collect(
     let (report, ()) = tokio::join!(daemon::run(setup, links, stop), lines);
     ended.store(true, Ordering::Relaxed);
     // The engine's ends of all channels are gone: screen and pedals come to their ends.
-    let screen = screen.and_then(ended_screen);
+    let screen = screen.map_or(Ok(()), Screen::end);
     for pedal in pedals {
         // A pedal thread that panicked has printed why.
         let _ = pedal.join();
     }
     let report = report?;
-    match screen {
-        Some(Ok(Err(error))) => Err(error),
-        Some(Err(_)) => Err(Error::new(ErrorKind::Internal, "the screen panicked")),
-        Some(Ok(Ok(()))) | None => Ok(report),
-    }
+    screen.map(|()| report)
 }
 
-/// The end of the screen; none where it does not come, as on a terminal that has gone: the end of
-/// the process takes the thread with it.
-fn ended_screen(screen: JoinHandle<Result<()>>) -> Option<std::thread::Result<Result<()>>> {
-    let patience = Instant::now() + SCREEN_PATIENCE;
-    while !screen.is_finished() {
-        if Instant::now() >= patience {
-            return None;
-        }
-        std::thread::sleep(Duration::from_millis(5));
+/// The screen's thread, and whether it is at its end.
+struct Screen {
+    ended: std::sync::mpsc::Receiver<Result<()>>,
+}
+
+impl Screen {
+    /// Starts it; it asks the engine to quit when it ends.
+    fn start(wiring: tui::Wiring) -> Self {
+        let (sender, ended) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            let commands = wiring.commands.clone();
+            let result = tui::run(wiring);
+            // Without a screen nobody can operate; the engine may have ended before.
+            let _ = commands.blocking_send((Command::Quit, CommandSource::Keyboard));
+            // Nobody asks any more where the process ends without the screen.
+            let _ = sender.send(result);
+        });
+        Self { ended }
     }
-    Some(screen.join())
+
+    /// Waits for its end. It does not come on a terminal that has gone: the end of the process
+    /// takes the thread with it.
+    fn end(self) -> Result<()> {
+        match self.ended.recv_timeout(SCREEN_PATIENCE) {
+            Ok(result) => result,
+            Err(RecvTimeoutError::Timeout) => Ok(()),
+            Err(RecvTimeoutError::Disconnected) => {
+                Err(Error::new(ErrorKind::Internal, "the screen panicked"))
+            }
+        }
+    }
 }
 
 fn listen_to_pedal(

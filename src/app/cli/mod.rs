@@ -9,6 +9,7 @@ use clap::{Parser, Subcommand};
 use crate::app::config as settings;
 use crate::error::{Error, ErrorKind, Result};
 
+mod annotate;
 mod bench;
 mod bench_contact;
 mod bench_grasp;
@@ -107,6 +108,8 @@ enum Verb {
     Rig(rig::Args),
     /// Print boards and tags of markers, look at board files
     Board(board::Args),
+    /// Find out where the gripper was in collected grasps
+    Annotate(annotate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),
     /// Look at, verify, repair, index and split a dataset
@@ -142,6 +145,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),
         Verb::Board(args) => board::run(&context, args),
+        Verb::Annotate(args) => annotate::run(&context, args),
         Verb::Predict(args) => predict::run(&context, args),
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),

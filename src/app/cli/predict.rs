@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 
 use super::{Context, print};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::replace_file;
+use crate::files::save;
 use crate::imaging::{
     CropProfile, Decoder, Frame, FrameDamage, PixelFormat, TactileDifference, crop_and_resize,
     decode_png_rgb, jpeg,
@@ -230,8 +230,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
 
 fn write_baseline(context: &Context, out: &Path) -> Result<()> {
     let bytes = baseline::onnx_bytes()?;
-    replace_file(out, &bytes)
-        .map_err(|cause| Error::io("cannot write the model", cause).at(out.display()))?;
+    save(out, &bytes)?;
     if !context.quiet {
         eprintln!("wrote {} ({} bytes)", out.display(), bytes.len());
     }

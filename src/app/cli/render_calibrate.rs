@@ -20,10 +20,10 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::render_out::save;
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::save;
 use crate::imaging::{CropProfile, encode_png_rgb};
 use crate::render::tactile::calibrate::{
     self, CalibrateOptions, CalibrationReport, ModelChoice, Terms,

@@ -16,14 +16,14 @@ use std::path::PathBuf;
 use image::imageops::{FilterType, resize};
 use image::{GrayImage, Rgb, RgbImage};
 
-use super::render_out::save;
 use super::render_source::{Moment, SimulatedGrasp};
 use super::render_tactile::scene;
 use super::working::interruptible;
 use super::{Context, print};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::save;
+use crate::imaging::caption::{HEIGHT, write_text};
 use crate::imaging::encode_png_rgb;
-use crate::render::caption::{HEIGHT, write_text};
 use crate::render::tactile::calibrate::{self, CalibrateOptions, PressSet};
 use crate::render::tactile::lookup::{TaximHeights, fit_to_presses};
 use crate::render::tactile::{

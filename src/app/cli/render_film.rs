@@ -18,12 +18,13 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-use super::render_out::{Report, save};
+use super::render_out::Report;
 use super::render_source::SimulatedGrasp;
 use super::render_visual::{finish, size};
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use crate::error::{Error, Result};
+use crate::files::save;
 use crate::render::visual::Finish;
 use crate::rig::camera::{ShootSettings, shoot};
 use crate::sim::grasp::TraceFile;

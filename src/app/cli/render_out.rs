@@ -7,7 +7,6 @@ use serde::Serialize;
 
 use super::working::Progress;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::replace_file;
 
 /// One picture, or a folder of several.
 pub(super) struct OutPlan {
@@ -48,12 +47,6 @@ impl OutPlan {
             self.out.join(name)
         }
     }
-}
-
-/// Writes a file whole or not at all.
-pub(super) fn save(path: &Path, bytes: &[u8]) -> Result<()> {
-    replace_file(path, bytes)
-        .map_err(|e| Error::io("cannot write the picture", e).at(path.display()))
 }
 
 /// What was written and what was not.

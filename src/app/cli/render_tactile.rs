@@ -24,12 +24,13 @@ use std::path::{Path, PathBuf};
 use image::Luma;
 use serde::{Deserialize, Serialize};
 
-use super::render_out::{OutPlan, Report, save};
+use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::sim_object::unit;
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::save;
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
 use crate::render::tactile::calibrate::{PressSet, ReadOptions};

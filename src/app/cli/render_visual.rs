@@ -26,12 +26,13 @@ use std::time::Instant;
 use image::RgbImage;
 use serde::Serialize;
 
-use super::render_out::{OutPlan, Report, save};
+use super::render_out::{OutPlan, Report};
 use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::sim_object::unit;
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::save;
 use crate::geometry::{LengthUnit, Pose};
 use crate::imaging::{encode_png_grey16, encode_png_rgb};
 use crate::render::visual::{

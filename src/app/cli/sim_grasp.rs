@@ -24,7 +24,7 @@ use super::sim_object::{ObjectFlags, ObjectRecord, SimObject};
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::replace_file;
+use crate::files::save;
 use crate::geometry::Pose;
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::{
@@ -418,13 +418,10 @@ fn suffix(path: &Path) -> String {
 }
 
 fn write_files(args: &Args, report: &Report, result: GraspResult, axes: Value) -> Result<()> {
-    let write = |path: &Path, bytes: &[u8]| {
-        replace_file(path, bytes).map_err(|e| Error::io("cannot write", e).at(path.display()))
-    };
     if let Some(path) = &args.out.plot {
         let height = report.parameters.protocol.success_height_m;
         let picture = plot(&result.trace, &report.summary, height, &args.object.object);
-        write(path, picture.as_bytes())?;
+        save(path, picture.as_bytes())?;
     }
     if let Some(path) = &args.out.trace {
         let mut header = serde_json::to_value(report)
@@ -439,7 +436,7 @@ fn write_files(args: &Args, report: &Report, result: GraspResult, axes: Value) -
         } else {
             file.to_json()?
         };
-        write(path, &bytes)?;
+        save(path, &bytes)?;
     }
     Ok(())
 }

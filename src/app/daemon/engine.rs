@@ -11,6 +11,7 @@ use jiff::Timestamp;
 use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
+use super::approach::{Approach, ApproachWatch};
 use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::{Hub, Soundness};
@@ -19,9 +20,12 @@ use super::pairing::{Paired, pair};
 use super::report::{
     CollectReport, Ended, GraspReport, PredictionReport, camera_report, camera_status, fault_text,
 };
+use super::sheets::Boards;
 use super::status::{EngineStatus, PredictionStatus};
 use super::store::{Store, StoreContext, StoreMessage, pending_frame};
-use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, StageCapture};
+use crate::dataset::{
+    CapturedCamera, DatasetWriter, NewDataset, PoseRecord, StageCapture, approach_name,
+};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Frame, Intrinsics, Role};
 use crate::predict::Model;
@@ -63,6 +67,8 @@ pub struct EngineSetup {
     pub model: Option<Model>,
     /// Timed commands.
     pub script: Option<Script>,
+    /// The printed markers that the external camera sees, where they are known.
+    pub boards: Option<Boards>,
     /// The hand of the virtual rig, which follows the session's steps like an operator.
     pub hand: Option<Arc<VirtualHand>>,
 }
@@ -115,6 +121,7 @@ struct Engine {
     capture: CaptureThreads,
     decoders: Vec<std::thread::JoinHandle<()>>,
     inference: Inference,
+    approach: Option<ApproachWatch>,
     store: Store,
     replies: mpsc::UnboundedReceiver<StoreReply>,
     links: EngineLinks,
@@ -128,6 +135,8 @@ struct Engine {
     request: Option<StoreRequest>,
     /// Frames of the trigger that is being carried out.
     capture_now: Option<StageCapture>,
+    /// Board files that belong to them.
+    boards_now: Option<[String; 2]>,
     grasps: Vec<GraspReport>,
     disk_free_bytes: Option<u64>,
     was_live: BTreeMap<Role, bool>,
@@ -173,6 +182,8 @@ impl Engine {
         let (infer_requests, infer_inbox) = channel();
         let decoders = decode::start(&hub, |role| crops.get(&role).copied(), &infer_requests)?;
         let inference = Inference::start(&hub, setup.model, (infer_requests.clone(), infer_inbox))?;
+        let external = setup.intrinsics.get(&Role::External).copied();
+        let approach = ApproachWatch::start(&hub, setup.boards, external)?;
         let context = StoreContext {
             rig: setup.rig.id.clone(),
             calibration,
@@ -196,6 +207,7 @@ impl Engine {
             capture,
             decoders,
             inference,
+            approach,
             store,
             replies,
             links,
@@ -206,6 +218,7 @@ impl Engine {
             labelling: false,
             request: None,
             capture_now: None,
+            boards_now: None,
             grasps: Vec::new(),
             disk_free_bytes: None,
             was_live: BTreeMap::new(),
@@ -263,6 +276,9 @@ impl Engine {
                 Step::Grasp => HandGoal::Closed,
                 Step::Label => HandGoal::Lifted,
             });
+        }
+        if let Some(approach) = &self.approach {
+            approach.set_object(&self.session.view(monotonic_ns()).object);
         }
         // Nobody looks when the screen has left; the report tells the rest.
         let _ = self.links.status.send(Arc::new(self.status()));
@@ -374,7 +390,12 @@ impl Engine {
             "command",
             &serde_json::json!({"command": command.to_string(), "source": source.name()}),
         );
-        self.capture_now = Some(self.stage_capture(paired, now_ns, source));
+        let mut approach = self.approach_of_grasp(now_ns);
+        self.boards_now = approach.boards.take();
+        if let Some(why) = &approach.absence {
+            self.log("no_pose", &serde_json::json!({"reason": why}));
+        }
+        self.capture_now = Some(self.stage_capture(paired, now_ns, source, approach));
         self.labelling = matches!(command, Command::Label(_));
         let effects = self.session.handle(command, &conditions);
         if !self.session.is_storing() {
@@ -492,6 +513,7 @@ impl Engine {
                     self.store.send(StoreMessage::Carry {
                         request,
                         capture: self.capture_now.take().filter(|_| saves),
+                        boards: self.boards_now.take(),
                         latency_ms,
                     })?;
                 }
@@ -567,41 +589,70 @@ impl Engine {
         }
     }
 
-    fn stage_capture(&self, paired: Paired, now_ns: u64, source: CommandSource) -> StageCapture {
+    /// What the external camera saw since the initial frame, while there is one.
+    fn approach_of_grasp(&self, now_ns: u64) -> Approach {
+        let pending = self.session.pending();
+        let Some((watch, pending)) = self.approach.as_ref().zip(pending) else {
+            return Approach::default();
+        };
+        let initial = pending.external.as_ref();
+        watch.take(
+            pending.trigger_time_ns,
+            now_ns,
+            initial.map(|(time_ns, _)| *time_ns),
+        )
+    }
+
+    fn stage_capture(
+        &self,
+        paired: Paired,
+        now_ns: u64,
+        source: CommandSource,
+        approach: Approach,
+    ) -> StageCapture {
         let seen_ns = [Role::Left, Role::Right]
             .iter()
             .find_map(|role| paired.frames.get(role))
             .map_or(now_ns, |frame| frame.driver_time_ns);
+        let captured = |role: Role, frame: Frame| {
+            let slot = self.hub.slot(role)?;
+            let (info, controls) = slot.facts(|facts| (facts.info.clone(), facts.controls.clone()));
+            let info = info?;
+            let config = self.rig.cameras.get(&role);
+            Some(CapturedCamera {
+                age_ms: age_ms(&frame, now_ns),
+                frame,
+                product: info.identity.product,
+                serial: info.identity.serial,
+                interface: info.identity.interface,
+                port: info.identity.port,
+                controls,
+                crop_profile: config.and_then(|c| c.crop_profile.clone()),
+                depth_unit_m: info.depth_unit_m,
+            })
+        };
+        let Approach { frames, pose, .. } = approach;
+        let approach: Vec<CapturedCamera> = frames
+            .into_iter()
+            .filter_map(|frame| captured(Role::External, frame))
+            .collect();
+        let initial = self.session.pending().and_then(|p| p.external.as_ref());
+        let pose = pose.map(|pose| {
+            let initial = initial.map_or("", |(_, file)| file);
+            Box::new(with_file_names(pose, &approach, initial))
+        });
         let cameras = paired
             .frames
             .into_iter()
-            .filter_map(|(role, frame)| {
-                let slot = self.hub.slot(role)?;
-                let (info, controls) =
-                    slot.facts(|facts| (facts.info.clone(), facts.controls.clone()));
-                let info = info?;
-                let config = self.rig.cameras.get(&role);
-                Some((
-                    role,
-                    CapturedCamera {
-                        age_ms: age_ms(&frame, now_ns),
-                        frame,
-                        product: info.identity.product,
-                        serial: info.identity.serial,
-                        interface: info.identity.interface,
-                        port: info.identity.port,
-                        controls,
-                        crop_profile: config.and_then(|c| c.crop_profile.clone()),
-                        depth_unit_m: info.depth_unit_m,
-                    },
-                ))
-            })
+            .filter_map(|(role, frame)| Some((role, captured(role, frame)?)))
             .collect();
         StageCapture {
             captured_at: Timestamp::now(),
             trigger_time_ns: now_ns,
             trigger: source.name().to_owned(),
             cameras,
+            approach,
+            pose,
             truth: self
                 .hand
                 .as_ref()
@@ -643,6 +694,7 @@ impl Engine {
                 heuristic: model.heuristic,
             }),
             prediction_absent: findings.absent.clone(),
+            markers: self.approach.as_ref().and_then(ApproachWatch::newest),
             previews: findings.previews.clone(),
         }
     }
@@ -666,6 +718,9 @@ impl Engine {
         for decoder in self.decoders {
             // A decoder that panicked has nothing left to give back.
             let _ = decoder.join();
+        }
+        if let Some(approach) = self.approach {
+            approach.join();
         }
         let model = self.inference.model.clone().map(|model| model.name);
         let findings = self.inference.stop();
@@ -702,6 +757,7 @@ impl Engine {
                     let message = StoreMessage::Carry {
                         request,
                         capture: None,
+                        boards: None,
                         latency_ms: 0.0,
                     };
                     if self.store.send(message).is_err() {
@@ -711,6 +767,21 @@ impl Engine {
             }
         }
     }
+}
+
+/// Gives the frames of a pose the names of their files.
+fn with_file_names(mut pose: PoseRecord, approach: &[CapturedCamera], initial: &str) -> PoseRecord {
+    if let Some(quality) = &mut pose.quality {
+        for name in &mut quality.frames {
+            let number = name.parse::<usize>().ok();
+            let file = number.and_then(|number| {
+                let camera = approach.get(number)?;
+                Some(approach_name(number, camera.frame.format))
+            });
+            *name = file.unwrap_or_else(|| initial.to_owned());
+        }
+    }
+    pose
 }
 
 /// Crop profile of every tactile camera.

@@ -7,6 +7,7 @@
 //!                               └──────────── status ───────────────► screen
 //! ```
 
+mod approach;
 mod capture;
 mod decode;
 mod engine;
@@ -16,9 +17,11 @@ mod infer;
 pub mod live_load;
 mod pairing;
 mod report;
+mod sheets;
 mod status;
 mod store;
 
 pub use engine::{EngineLinks, EngineSetup, Stored, run};
 pub use report::{CameraReport, CollectReport, Ended, GraspReport, PredictionReport};
+pub use sheets::{Boards, read_sheets};
 pub use status::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};

@@ -27,6 +27,9 @@ pub struct EngineStatus {
     pub prediction: Option<PredictionStatus>,
     /// Why there is no prediction, in a few words.
     pub prediction_absent: Option<String>,
+    /// What the external camera's newest frame shows of sheet and tags, or why it cannot be
+    /// measured; none where it is not looked at.
+    pub markers: Option<Result<String, String>>,
     /// Small pictures: tactile cameras show the difference to the initial frame (grey = no
     /// change) once there is one, the others what they see.
     pub previews: BTreeMap<Role, Preview>,
@@ -51,6 +54,7 @@ impl EngineStatus {
             cameras: Vec::new(),
             prediction: None,
             prediction_absent: None,
+            markers: None,
             previews: BTreeMap::new(),
         }
     }

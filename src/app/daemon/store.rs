@@ -13,7 +13,8 @@ use super::capture::spawn;
 use super::decode::model_picture;
 use super::infer::{InferRequest, Judgement, ModelFacts};
 use crate::dataset::{
-    DatasetWriter, GraspId, GraspMeta, GraspRecord, PendingInitial, PredictionRecord, StageCapture,
+    BoardKeys, DatasetWriter, GraspId, GraspMeta, GraspRecord, PendingInitial, PredictionRecord,
+    StageCapture,
 };
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Decoder, Frame, Role};
@@ -35,6 +36,8 @@ pub(super) enum StoreMessage {
         request: StoreRequest,
         /// Frames, for requests that save some.
         capture: Option<StageCapture>,
+        /// Board files that the external camera's frames were measured with: sheet, tags.
+        boards: Option<[String; 2]>,
         /// Latency of the live prediction at the trigger, ms.
         latency_ms: f64,
     },
@@ -131,10 +134,11 @@ impl Worker {
                 Ok(StoreMessage::Carry {
                     request,
                     capture,
+                    boards,
                     latency_ms,
                 }) => {
                     let reply = self
-                        .carry_out(request, capture.as_ref(), latency_ms)
+                        .carry_out(request, capture.as_ref(), boards, latency_ms)
                         .unwrap_or_else(|error| StoreReply::Failed {
                             message: error.to_string().replace("\n  → ", " → "),
                         });
@@ -158,6 +162,7 @@ impl Worker {
         &mut self,
         request: StoreRequest,
         capture: Option<&StageCapture>,
+        boards: Option<[String; 2]>,
         latency_ms: f64,
     ) -> Result<StoreReply> {
         match request {
@@ -177,6 +182,7 @@ impl Worker {
                     scene: labels.scene,
                     operator: labels.operator,
                     rig: self.context.rig.clone(),
+                    boards: boards.map(|texts| self.board_keys(&texts)).transpose()?,
                     prediction: self.predict(capture, latency_ms),
                     overridden_guards: overridden,
                     calibration: self.context.calibration.clone(),
@@ -213,6 +219,13 @@ impl Worker {
                 Ok(grasp_reply(record))
             }
         }
+    }
+
+    fn board_keys(&mut self, [sheet, tags]: &[String; 2]) -> Result<BoardKeys> {
+        Ok(BoardKeys {
+            sheet: self.writer.put_calibration(sheet)?,
+            tags: self.writer.put_calibration(tags)?,
+        })
     }
 
     fn pending(&self, id: &GraspId) -> Result<PendingInitial> {
@@ -303,6 +316,11 @@ pub(super) fn pending_frame(pending: &PendingInitial) -> PendingFrame {
         id: pending.id.clone(),
         captured_at: pending.stage.captured_at.clone(),
         trigger_time_ns: pending.stage.trigger_time_ns,
+        external: pending
+            .stage
+            .cameras
+            .get(&Role::External)
+            .map(|camera| (camera.driver_time_ns, camera.file.clone())),
         controls,
     }
 }

@@ -25,7 +25,7 @@ pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mes
 use super::mesh::TriangleMesh;
 use super::weld::weld;
 use crate::error::{Error, ErrorKind, Result, nearest_name};
-use crate::files::replace_file;
+use crate::files::save;
 
 const SUFFIXES: [&str; 5] = ["obj", "stl", "ply", "glb", "gltf"];
 
@@ -44,7 +44,8 @@ pub enum LengthUnit {
 }
 
 impl LengthUnit {
-    const ALL: [Self; 4] = [Self::Millimetre, Self::Centimetre, Self::Metre, Self::Inch];
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Millimetre, Self::Centimetre, Self::Metre, Self::Inch];
 
     /// Length of one unit, m.
     pub fn in_metres(self) -> f64 {
@@ -206,7 +207,7 @@ pub fn save_mesh(path: &Path, mesh: &TriangleMesh) -> Result<()> {
             .remedy("name the file .ply or .obj"));
         }
     };
-    replace_file(path, &bytes).map_err(|e| Error::io("cannot write the mesh", e).at(path.display()))
+    save(path, &bytes)
 }
 
 /// An error of the content, with the usual remedy.

@@ -6,4 +6,4 @@ mod rig_file;
 
 pub use draft::{Draft, draft};
 pub use factory::{ColourTable, colour_intrinsics};
-pub use rig_file::{CameraConfig, PedalConfig, RigFile, SourceKind};
+pub use rig_file::{BoardsConfig, CameraConfig, PedalConfig, RigFile, SourceKind};

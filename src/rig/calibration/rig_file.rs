@@ -15,6 +15,9 @@ use crate::rig::camera::{CONTROLS, FORMER_NAMES};
 const SCHEMA: u32 = 1;
 /// Name of the built-in rig.
 const VIRTUAL: &str = "virtual";
+/// Name of the built-in rig with an external camera, and how many frames a second that delivers.
+const VIRTUAL_EXTERNAL: &str = "virtual-external";
+const EXTERNAL_FPS: f64 = 10.0;
 /// Largest width or height that is believed, pixels.
 const LARGEST_SIDE: u32 = 16_384;
 
@@ -28,9 +31,22 @@ pub struct RigFile {
     pub id: String,
     /// Cameras by role; `left` and `right` are needed to collect.
     pub cameras: BTreeMap<Role, CameraConfig>,
+    /// Printed markers that the external camera sees, from which grasps are annotated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boards: Option<BoardsConfig>,
     /// Foot pedals and presenters.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pedals: Vec<PedalConfig>,
+}
+
+/// Board files of a rig. The virtual rig knows its own.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoardsConfig {
+    /// Board file of the gripper's tags.
+    pub tags: PathBuf,
+    /// Folder with the board file of each object's sheet, `OBJECT.toml`, or one such file.
+    pub sheets: PathBuf,
 }
 
 /// Where the frames of a camera come from.
@@ -162,11 +178,29 @@ impl RigFile {
                 (Role::Rgb, camera(PixelFormat::Yuyv, 30.0)),
                 (Role::Depth, depth),
             ]),
+            boards: None,
             pedals: Vec::new(),
         }
     }
 
-    /// Finds a rig by name or path: the built-in `virtual`, then `calib/rigs/NAME.toml` below the
+    /// [`Self::virtual_rig`] with a camera beside the table that sees the object's sheet and the
+    /// gripper's tags.
+    #[must_use]
+    pub fn virtual_rig_with_external() -> Self {
+        let external = CameraConfig::new(
+            SourceKind::Virtual,
+            PixelFormat::Mjpg,
+            1280,
+            720,
+            EXTERNAL_FPS,
+        );
+        let mut rig = Self::virtual_rig();
+        rig.id = VIRTUAL_EXTERNAL.to_owned();
+        rig.cameras.insert(Role::External, external);
+        rig
+    }
+
+    /// Finds a rig by name or path: the built-in `virtual` and `virtual-external`, then `calib/rigs/NAME.toml` below the
     /// working directory, then `gripcast/rigs/NAME.toml` in the user's configuration directory.
     /// Anything with a slash or ending in `.toml` is a path.
     ///
@@ -191,6 +225,9 @@ impl RigFile {
         if name == VIRTUAL {
             return Ok(Self::virtual_rig());
         }
+        if name == VIRTUAL_EXTERNAL {
+            return Ok(Self::virtual_rig_with_external());
+        }
         if name.contains('/') || name.ends_with(".toml") {
             return Self::load(Path::new(name));
         }
@@ -201,7 +238,7 @@ impl RigFile {
                 return Self::load(&path);
             }
         }
-        let mut known = vec![VIRTUAL.to_owned()];
+        let mut known = vec![VIRTUAL.to_owned(), VIRTUAL_EXTERNAL.to_owned()];
         for directory in directories {
             let files = fs::read_dir(directory).into_iter().flatten().flatten();
             let mut names: Vec<String> = files
@@ -247,6 +284,13 @@ impl RigFile {
         for camera in rig.cameras.values_mut() {
             if let Some(recorded) = camera.path.as_mut().filter(|p| p.is_relative()) {
                 *recorded = directory.join(&*recorded);
+            }
+        }
+        if let Some(boards) = &mut rig.boards {
+            for file in [&mut boards.tags, &mut boards.sheets] {
+                if file.is_relative() {
+                    *file = directory.join(&*file);
+                }
             }
         }
         Ok(rig)
@@ -296,6 +340,12 @@ impl RigFile {
             camera
                 .validate(*role)
                 .map_err(|error| error.at(format_args!("[cameras.{role}]")))?;
+        }
+        if self.boards.is_some() && !self.cameras.contains_key(&Role::External) {
+            return Err(
+                wrong("[boards] is there, but no external camera".to_owned())
+                    .remedy("add [cameras.external], whose pictures show the boards"),
+            );
         }
         self.validate_distinct()
     }

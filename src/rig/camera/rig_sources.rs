@@ -81,6 +81,15 @@ impl RigSources {
         for (role, camera) in &rig.cameras {
             if let Some(path) = &camera.intrinsics {
                 found.insert(*role, Intrinsics::load(path)?);
+            } else if *role == Role::External
+                && camera.source == SourceKind::Virtual
+                && let Some(hand) = &self.hand
+            {
+                found.extend(
+                    hand.film()
+                        .outside_intrinsics(camera.width, camera.height)
+                        .map(|intrinsics| (*role, intrinsics)),
+                );
             }
         }
         for opener in &self.present {

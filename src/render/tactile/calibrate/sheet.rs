@@ -4,7 +4,7 @@ use image::{Rgb, RgbImage};
 
 use super::press_set::PressSet;
 use super::score::{ChangePlanes, PressScore, observe};
-use crate::render::caption::{self, write_text};
+use crate::imaging::caption::{self, write_text};
 
 /// Reach of a tile beyond the contact's border, pixels.
 const MARGIN_PX: f64 = 45.0;

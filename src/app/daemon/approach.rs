@@ -1,0 +1,321 @@
+//! The external camera's last frames, each measured as it comes: where the gripper is before it
+//! closes.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use image::imageops::grayscale;
+
+use super::capture::spawn;
+use super::hub::{CameraSlot, Hub, Soundness};
+use super::sheets::Boards;
+use crate::annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
+use crate::dataset::PoseRecord;
+use crate::error::Result;
+use crate::imaging::{Decoder, Frame, Intrinsics, Role};
+
+/// Time between two frames that are kept.
+const PAUSE: Duration = Duration::from_millis(120);
+/// Most frames that are kept; when there are more, every second of the older ones goes, so that
+/// any time since the initial frame stays covered.
+const MOST: usize = 48;
+/// Frames from this long before the initial trigger count: the operator holds still to press.
+const BEFORE_TRIGGER_NS: u64 = 700_000_000;
+/// Frames that are stored where no board tells which are the right ones.
+const STORED_UNSEEN: usize = 5;
+
+/// A frame, and what it shows.
+#[derive(Clone)]
+struct Seen {
+    frame: Frame,
+    observation: Option<Result<Observation, String>>,
+    /// Hash of the sheet that was looked for.
+    sheet: String,
+}
+
+/// What the engine tells the thread, and what it is told.
+#[derive(Default)]
+struct Shared {
+    object: String,
+    ring: VecDeque<Seen>,
+    /// What the newest frame shows, in a few words.
+    newest: Option<Result<String, String>>,
+    /// Text of the board files in use: sheet, tags.
+    texts: Option<[String; 2]>,
+    tags: String,
+}
+
+/// Frames to be stored with a grasp, and its pose.
+#[derive(Default)]
+pub(super) struct Approach {
+    /// Frames by time, none of which is that of the initial stage.
+    pub(super) frames: Vec<Frame>,
+    /// The pose; names of frames are numbers of `frames`, or `initial`.
+    pub(super) pose: Option<PoseRecord>,
+    /// Text of the board files: sheet, tags.
+    pub(super) boards: Option<[String; 2]>,
+    /// Why there is no pose.
+    pub(super) absence: Option<String>,
+}
+
+/// Name of the initial frame among the frames of an [`Approach`].
+pub(super) const INITIAL: &str = "initial";
+
+/// Watches the external camera.
+pub(super) struct ApproachWatch {
+    shared: Arc<Mutex<Shared>>,
+    thread: JoinHandle<()>,
+}
+
+impl ApproachWatch {
+    /// Starts the thread; none without an external camera. Without boards or intrinsics frames are
+    /// only kept.
+    ///
+    /// # Errors
+    /// When the thread cannot be had.
+    pub(super) fn start(
+        hub: &Hub,
+        boards: Option<Boards>,
+        intrinsics: Option<Intrinsics>,
+    ) -> Result<Option<Self>> {
+        let Some(slot) = hub.slot(Role::External) else {
+            return Ok(None);
+        };
+        let shared = Arc::new(Mutex::new(Shared::default()));
+        let measurer = boards.zip(intrinsics).map(|(boards, intrinsics)| Measurer {
+            boards,
+            intrinsics,
+            annotator: None,
+        });
+        let (slot, theirs) = (Arc::clone(slot), Arc::clone(&shared));
+        let decoder = Decoder::new()?;
+        let thread = spawn("approach".into(), move || {
+            run(&slot, &theirs, measurer, decoder);
+        })?;
+        Ok(Some(Self { shared, thread }))
+    }
+
+    /// The object that is labelled.
+    pub(super) fn set_object(&self, object: &str) {
+        let mut shared = lock(&self.shared);
+        if shared.object != object {
+            object.clone_into(&mut shared.object);
+        }
+    }
+
+    /// What the newest frame shows.
+    pub(super) fn newest(&self) -> Option<Result<String, String>> {
+        lock(&self.shared).newest.clone()
+    }
+
+    /// What is stored with a grasp whose initial frame was triggered at `initial_ns`, until
+    /// `until_ns`; `initial` is the external camera's frame of the initial stage: driver time.
+    pub(super) fn take(&self, initial_ns: u64, until_ns: u64, initial: Option<u64>) -> Approach {
+        let shared = lock(&self.shared);
+        let from_ns = initial_ns.saturating_sub(BEFORE_TRIGGER_NS);
+        let within: Vec<&Seen> = shared
+            .ring
+            .iter()
+            .filter(|seen| (from_ns..until_ns).contains(&seen.frame.driver_time_ns))
+            .collect();
+        let Some(last) = within.last() else {
+            return Approach::default();
+        };
+        // The object may have been changed: only what was measured on its sheet counts.
+        let sheet = last.sheet.clone();
+        let numbers: Vec<String> = (0..within.len()).map(|n| n.to_string()).collect();
+        let seen = within.iter().zip(&numbers).filter_map(|(seen, number)| {
+            let observation = seen.observation.as_ref()?.as_ref().ok()?;
+            (seen.sheet == sheet).then_some((number.as_str(), observation))
+        });
+        let boards = BoardHashes {
+            sheet: sheet.clone(),
+            tags: shared.tags.clone(),
+        };
+        let Some(Annotation { mut record, .. }) = annotation(seen, boards) else {
+            let before: Vec<&Frame> = within
+                .iter()
+                .map(|seen| &seen.frame)
+                .filter(|f| f.driver_time_ns <= initial_ns && Some(f.driver_time_ns) != initial)
+                .collect();
+            let skipped = before.len().saturating_sub(STORED_UNSEEN);
+            let why = |seen: &&Seen| seen.observation.as_ref()?.as_ref().err().cloned();
+            return Approach {
+                frames: before[skipped..].iter().map(|f| (*f).clone()).collect(),
+                absence: within.iter().rev().find_map(why),
+                boards: shared.texts.clone(),
+                pose: None,
+            };
+        };
+        let mut frames = Vec::new();
+        if let Some(quality) = &mut record.quality {
+            for name in &mut quality.frames {
+                let number: usize = name.parse().unwrap_or_default();
+                let frame = &within[number].frame;
+                if Some(frame.driver_time_ns) == initial {
+                    INITIAL.clone_into(name);
+                } else {
+                    *name = frames.len().to_string();
+                    frames.push(frame.clone());
+                }
+            }
+        }
+        Approach {
+            frames,
+            pose: Some(record),
+            boards: shared.texts.clone(),
+            absence: None,
+        }
+    }
+
+    /// Ends with the hub.
+    pub(super) fn join(self) {
+        // A thread that panicked has nothing left to give back.
+        let _ = self.thread.join();
+    }
+}
+
+fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
+    // Entries are whole before they are put there.
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn run(
+    slot: &CameraSlot,
+    shared: &Mutex<Shared>,
+    mut measurer: Option<Measurer>,
+    mut decoder: Decoder,
+) {
+    let mut last_ns = 0;
+    while !slot.is_closed() {
+        let started = Instant::now();
+        let newest = slot
+            .frames()
+            .into_iter()
+            .rfind(|(_, soundness)| *soundness == Soundness::Sound)
+            .map(|(frame, _)| frame);
+        if let Some(frame) = newest.filter(|frame| frame.driver_time_ns > last_ns) {
+            last_ns = frame.driver_time_ns;
+            let object = lock(shared).object.clone();
+            let measured = measurer
+                .as_mut()
+                .map(|measurer| measurer.measure(&mut decoder, &frame, &object));
+            let mut shared = lock(shared);
+            let seen = match measured {
+                None => Seen {
+                    frame,
+                    observation: None,
+                    sheet: String::new(),
+                },
+                Some(Measured {
+                    observation,
+                    boards,
+                    texts,
+                }) => {
+                    shared.newest = Some(observation.as_ref().map(told).map_err(Clone::clone));
+                    shared.texts = texts;
+                    shared.tags = boards.tags;
+                    Seen {
+                        frame,
+                        observation: Some(observation),
+                        sheet: boards.sheet,
+                    }
+                }
+            };
+            shared.ring.push_back(seen);
+            thin(&mut shared.ring);
+        }
+        slot.wait_closed(PAUSE.saturating_sub(started.elapsed()));
+    }
+}
+
+/// Keeps the newest half and every second of the rest.
+fn thin(ring: &mut VecDeque<Seen>) {
+    if ring.len() > MOST {
+        let mut number = 0;
+        ring.retain(|_| {
+            number += 1;
+            number > MOST / 2 || number % 2 == 0
+        });
+    }
+}
+
+fn told(seen: &Observation) -> String {
+    let used = |markers: &[crate::pose::solve::MarkerResidual]| {
+        markers.iter().filter(|marker| marker.used).count()
+    };
+    format!(
+        "sheet {}, tags {}, {:.2} px{}",
+        used(&seen.object.markers),
+        used(&seen.gripper.body.markers),
+        seen.object.rms_px.max(seen.gripper.body.rms_px),
+        if seen.is_ambiguous() {
+            ", ambiguous"
+        } else {
+            ""
+        }
+    )
+}
+
+/// Measures frames with the boards of the object that is labelled.
+struct Measurer {
+    boards: Boards,
+    intrinsics: Intrinsics,
+    /// With the text of its boards.
+    annotator: Option<(Annotator, [String; 2])>,
+}
+
+struct Measured {
+    observation: Result<Observation, String>,
+    boards: BoardHashes,
+    texts: Option<[String; 2]>,
+}
+
+impl Measurer {
+    fn measure(&mut self, decoder: &mut Decoder, frame: &Frame, object: &str) -> Measured {
+        let prepared = self.prepare(object);
+        let observed = prepared.and_then(|()| {
+            let picture = decoder.decode(frame, None, frame.width, frame.height)?;
+            match &mut self.annotator {
+                Some((annotator, _)) => annotator.observe(&grayscale(&picture)),
+                None => Err(crate::error::Error::new(
+                    crate::error::ErrorKind::NotFound,
+                    format!("there is no sheet for `{object}`"),
+                )),
+            }
+        });
+        let (boards, texts) = match &self.annotator {
+            Some((annotator, texts)) => (annotator.boards(), Some(texts.clone())),
+            None => {
+                let none = BoardHashes {
+                    sheet: String::new(),
+                    tags: String::new(),
+                };
+                (none, None)
+            }
+        };
+        Measured {
+            observation: observed.map_err(|error| error.what().to_owned()),
+            boards,
+            texts,
+        }
+    }
+
+    /// Changes to the sheet of another object.
+    fn prepare(&mut self, object: &str) -> Result<()> {
+        let Some(sheet) = self.boards.sheet(object)? else {
+            self.annotator = None;
+            return Ok(());
+        };
+        let is_same = |(annotator, _): &(Annotator, _)| annotator.sheet() == &sheet;
+        if !self.annotator.as_ref().is_some_and(is_same) {
+            self.annotator = None;
+            let texts = [sheet.to_toml(), self.boards.tags.to_toml()];
+            let annotator = Annotator::new(sheet, self.boards.tags.clone(), self.intrinsics)?;
+            self.annotator = Some((annotator, texts));
+        }
+        Ok(())
+    }
+}
