@@ -13,6 +13,7 @@ mod board;
 mod board_check;
 mod board_file;
 mod board_import;
+pub mod calibrate;
 pub mod camera;
 mod camera_file;
 pub mod detect;

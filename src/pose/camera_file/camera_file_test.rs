@@ -144,7 +144,10 @@ fn lenses_that_cannot_be_said_are_not_written() {
         ..camera()
     };
     let said = to_ros(&inverse, "c").unwrap_err().to_string();
-    assert!(said.contains("inverse-brown-conrady") && said.contains("ROS"), "{said}");
+    assert!(
+        said.contains("inverse-brown-conrady") && said.contains("ROS"),
+        "{said}"
+    );
     assert!(to_opencv(&inverse, None).is_err());
     let straight = Intrinsics {
         coefficients: [0.0; 5],
@@ -152,7 +155,10 @@ fn lenses_that_cannot_be_said_are_not_written() {
     };
     assert!(to_opencv(&straight, None).is_ok());
     for name in ["", "a b", "ü", "a:b"] {
-        assert_eq!(to_ros(&camera(), name).unwrap_err().kind(), ErrorKind::Usage);
+        assert_eq!(
+            to_ros(&camera(), name).unwrap_err().kind(),
+            ErrorKind::Usage
+        );
     }
 }
 
@@ -179,7 +185,10 @@ fn another_picture_size_is_refused() {
     let error = require_size(&camera(), 1920, 1080).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input);
     let said = error.to_string();
-    assert!(said.contains("1280×720") && said.contains("1920×1080"), "{said}");
+    assert!(
+        said.contains("1280×720") && said.contains("1920×1080"),
+        "{said}"
+    );
     assert!(said.contains("calibrate at 1920×1080"), "{said}");
 }
 
@@ -187,10 +196,26 @@ fn another_picture_size_is_refused() {
 fn wrong_ros_files_are_explained() {
     for (from, to, expected) in [
         ("plumb_bob", "equidistant", "\"equidistant\""),
-        ("distortion_model: plumb_bob\n", "", "without a distortion_model"),
-        ("[915.25, 0, 642.8, 0, 911", "[915.25, 0.5, 642.8, 0, 911", "skew of 0.5"),
-        ("357.4, 0, 0, 1]\ndist", "357.4, 0, 0, 2]\ndist", "row by row"),
-        ("data: [1, 0, 0, 0, 1, 0, 0, 0, 1]", "data: [0.9, 0.1, 0, 0, 1, 0, 0, 0, 1]", "stereo"),
+        (
+            "distortion_model: plumb_bob\n",
+            "",
+            "without a distortion_model",
+        ),
+        (
+            "[915.25, 0, 642.8, 0, 911",
+            "[915.25, 0.5, 642.8, 0, 911",
+            "skew of 0.5",
+        ),
+        (
+            "357.4, 0, 0, 1]\ndist",
+            "357.4, 0, 0, 2]\ndist",
+            "row by row",
+        ),
+        (
+            "data: [1, 0, 0, 0, 1, 0, 0, 0, 1]",
+            "data: [0.9, 0.1, 0, 0, 1, 0, 0, 0, 1]",
+            "stereo",
+        ),
         ("  cols: 5", "  cols: 4", "1 × 4 numbers, found 5"),
         ("0.08]", ".nan]", "entry NaN"),
         ("image_width: 1280", "image_width: wide", "cannot be read"),
@@ -212,7 +237,11 @@ fn wrong_ros_files_are_explained() {
             "there are 3 distortion coefficients",
         ),
         ("rows: 3\n  cols: 4", "rows: 4\n  cols: 3", "must be 3 × 4"),
-        ("  data: [915.25, 0, 642.8, 0, 911, 357.4, 0, 0, 1]\n", "", "cannot be read"),
+        (
+            "  data: [915.25, 0, 642.8, 0, 911, 357.4, 0, 0, 1]\n",
+            "",
+            "cannot be read",
+        ),
     ] {
         assert!(ROS.contains(from), "{from}");
         let said = read(&ROS.replacen(from, to, 1)).unwrap_err().to_string();
@@ -223,7 +252,10 @@ fn wrong_ros_files_are_explained() {
         "cols: 8\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08, 0, 0, 0]",
     );
     assert_eq!(read(&zeros).unwrap().intrinsics, camera());
-    let rectified = ROS.replace("data: [915.25, 0, 642.8, 0, 0,", "data: [900, 0, 642.8, 0, 0,");
+    let rectified = ROS.replace(
+        "data: [915.25, 0, 642.8, 0, 0,",
+        "data: [900, 0, 642.8, 0, 0,",
+    );
     assert!(read(&rectified).unwrap().notes[0].contains("image_raw"));
 }
 
@@ -241,9 +273,17 @@ fn wrong_opencv_and_kalibr_files_are_explained() {
         assert!(said.contains(expected), "{from} → {to}: {said}");
     }
     let said = read(KALIBR).unwrap_err().to_string();
-    assert!(said.contains("2 cameras") && said.contains("cam0, cam1"), "{said}");
-    let said = CameraFile::parse(KALIBR, chosen("cam1")).unwrap_err().to_string();
-    assert!(said.contains("cam1: ") && said.contains("equidistant"), "{said}");
+    assert!(
+        said.contains("2 cameras") && said.contains("cam0, cam1"),
+        "{said}"
+    );
+    let said = CameraFile::parse(KALIBR, chosen("cam1"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        said.contains("cam1: ") && said.contains("equidistant"),
+        "{said}"
+    );
     assert!(CameraFile::parse(KALIBR, chosen("cam7")).is_err());
     for (from, to, expected) in [
         ("pinhole", "omni", "\"omni\""),
@@ -251,7 +291,9 @@ fn wrong_opencv_and_kalibr_files_are_explained() {
         ("  resolution: [1280, 720]\n", "", "picture size"),
     ] {
         let text = KALIBR.replacen(from, to, 1);
-        let said = CameraFile::parse(&text, chosen("cam0")).unwrap_err().to_string();
+        let said = CameraFile::parse(&text, chosen("cam0"))
+            .unwrap_err()
+            .to_string();
         assert!(said.contains(expected), "{from} → {to}: {said}");
     }
 }
@@ -273,7 +315,10 @@ fn what_is_no_camera_file_is_said() {
     let path = folder.path().join("c.yaml");
     std::fs::write(&path, [0xff, 0xfe, 0x00]).unwrap();
     let said = load_intrinsics(&path).unwrap_err().to_string();
-    assert!(said.contains("c.yaml") && said.contains("no text"), "{said}");
+    assert!(
+        said.contains("c.yaml") && said.contains("no text"),
+        "{said}"
+    );
     let missing = load_intrinsics(Path::new("/nonexistent/c.yaml")).unwrap_err();
     assert_eq!(missing.kind(), ErrorKind::NotFound);
 }

@@ -23,18 +23,19 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     let mut cameras: BTreeMap<String, Camera> = yaml::read(text, "the camchain")?;
     let names: Vec<String> = cameras.keys().cloned().collect();
     let known: Vec<&str> = names.iter().map(|name| &**name).collect();
-    let name = match (choice.camera, &known[..]) {
-        (_, [only]) => *only,
-        (Some(name), _) => name,
-        (None, _) => {
-            return Err(bad(format!("the camchain has {} cameras", known.len())).remedy(format!(
+    let name =
+        match (choice.camera, &known[..]) {
+            (_, [only]) => *only,
+            (Some(name), _) => name,
+            (None, _) => {
+                return Err(bad(format!("the camchain has {} cameras", known.len())).remedy(format!(
                 "choose one: `gripcast calibrate convert FILE --camera-name {} --to toml --out \
                  FILE.toml`; there are {}",
                 known.first().unwrap_or(&"cam0"),
                 known.join(", ")
             )));
-        }
-    };
+            }
+        };
     let camera = cameras
         .remove(name)
         .ok_or_else(|| unknown_name("camera", name, &known))?;
@@ -45,11 +46,17 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
 impl Camera {
     fn file(&self, name: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
         if self.camera_model != "pinhole" {
-            return Err(unknown_lens(&format!("the camera model {:?}", self.camera_model)));
+            return Err(unknown_lens(&format!(
+                "the camera model {:?}",
+                self.camera_model
+            )));
         }
         let is_straight = self.distortion_model == "none";
         if self.distortion_model != "radtan" && !is_straight {
-            return Err(unknown_lens(&format!("the model {:?}", self.distortion_model)));
+            return Err(unknown_lens(&format!(
+                "the model {:?}",
+                self.distortion_model
+            )));
         }
         let [fx, fy, cx, cy] = self.intrinsics[..] else {
             return Err(bad(format!(

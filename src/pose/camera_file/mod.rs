@@ -103,10 +103,12 @@ impl CameraFormat {
         if has_line(&is_assignment) {
             return Ok(Self::Toml);
         }
-        Err(Error::new(ErrorKind::Input, "this is no camera file that is known").remedy(
-            "give gripcast's TOML, camera_info YAML of ROS, YAML of OpenCV's FileStorage with \
+        Err(
+            Error::new(ErrorKind::Input, "this is no camera file that is known").remedy(
+                "give gripcast's TOML, camera_info YAML of ROS, YAML of OpenCV's FileStorage with \
              camera_matrix, or camchain.yaml of Kalibr",
-        ))
+            ),
+        )
     }
 }
 

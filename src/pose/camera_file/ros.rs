@@ -55,8 +55,10 @@ fn check_model(model: Option<&str>, coefficients: &[f64]) -> Result<()> {
         // The last two are plumb bob where their further coefficients are zero.
         "plumb_bob" | "rational_polynomial" | "thin_prism" => Ok(()),
         "" | "none" if coefficients.iter().all(|c| *c == 0.0) => Ok(()),
-        "" => Err(bad("distortion_coefficients without a distortion_model".into())
-            .remedy("add distortion_model: plumb_bob if they are k1, k2, p1, p2, k3")),
+        "" => Err(
+            bad("distortion_coefficients without a distortion_model".into())
+                .remedy("add distortion_model: plumb_bob if they are k1, k2, p1, p2, k3"),
+        ),
         other => Err(unknown_lens(&format!("the model {other:?}"))),
     }
 }

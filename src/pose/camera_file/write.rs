@@ -73,9 +73,7 @@ fn plumb_bob(intrinsics: &Intrinsics, format: CameraFormat) -> Result<[f64; 5]> 
     match intrinsics.model {
         DistortionModel::None => Ok([0.0; 5]),
         DistortionModel::BrownConrady => Ok(intrinsics.coefficients),
-        DistortionModel::InverseBrownConrady if intrinsics.coefficients == [0.0; 5] => {
-            Ok([0.0; 5])
-        }
+        DistortionModel::InverseBrownConrady if intrinsics.coefficients == [0.0; 5] => Ok([0.0; 5]),
         DistortionModel::InverseBrownConrady => Err(Error::new(
             ErrorKind::Input,
             format!(

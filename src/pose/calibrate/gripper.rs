@@ -1,0 +1,695 @@
+//! Where the gripper's markers really are.
+//!
+//! Tags that are glued by hand are off by millimetres and degrees. Pictures of the gripper from
+//! many sides give the places of the markers to each other to hundredths of a millimetre, by
+//! joint least squares over camera poses, marker poses and openings (Huber's loss).
+//!
+//! # What comes from where
+//! Pictures show markers, not the gripper. Seven freedoms are left, and tied to what the gripper's
+//! frame means (origin midway between the gel faces, x along which it closes, z its approach):
+//!
+//! | freedom | comes from |
+//! | --- | --- |
+//! | two turns: the direction of x | the fingers: x is the line along which their markers slide, if the opening changed enough for the line to be known to 0.25°; else as the next row |
+//! | three shifts and the turn about x | the description: the rigid fit of the body's markers to where they are described; a marker that is far off weighs less. Without markers on the body, those of the fingers |
+//! | the opening's zero | pictures with closed fingers: there the opening is 0; without any, the described distance of the fingers' markers |
+//!
+//! The second row cannot be better than the gluing: its error is one constant shift and turn of
+//! the frame, the same in every picture. [`GripperCalibration::frame_sigma_m`] estimates it by how
+//! the markers scatter about their description; for better, measure the tags on the gripper and
+//! correct the description. The covariances of the markers have the corners' errors alone.
+
+use glam::DVec3;
+
+use super::gripper_bundle::{Bundle, Free, Marker, OF_MARKER, OF_SLIDE, Sight, View};
+use super::gripper_check::{Moved, angle, leave_one_out, loose, rms_of_views};
+use super::gripper_frame::{Ties, conditions, scatter, tie};
+use super::gripper_linear::Symmetric;
+use super::gripper_start::{LEAST_SIGHTS, Selection, select, start};
+use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::Pose;
+use crate::imaging::Intrinsics;
+use crate::pose::{Board, BoardFile, Detection, Part};
+
+/// Fewest pictures with two markers or more.
+const LEAST_VIEWS: usize = 8;
+/// Losses of the first searches, px: tags may be 10 px from where they are described.
+const ROUGH_LOSSES_PX: [f64; 2] = [10.0, 2.0];
+/// The last loss: times the median error, and never narrower, px.
+const LOSS_OF_MEDIAN: f64 = 2.0;
+const LEAST_LOSS_PX: f64 = 0.1;
+/// A sighting is an outlier if it fits worse than this, px, and than so many medians.
+const OUTLIER_PX: f64 = 1.0;
+const OUTLIER_OF_MEDIAN: f64 = 6.0;
+/// With a larger error this is not the gripper of the description, px.
+const CONTRADICTION_PX: f64 = 3.0;
+/// Standard deviation of a corner's coordinate that no detector betters on real pictures, px.
+const LEAST_SIGMA_PX: f64 = 0.03;
+/// The fingers' line has to be known to this to be the x axis: 0.25°.
+const LINE_SIGMA_RAD: f64 = 0.0044;
+/// Every so many pictures one is held out.
+const HELD_OUT: usize = 5;
+/// Deviations of a marker that are too large for poses of a tenth of a millimetre, m and rad.
+const WEAK: (f64, f64) = (3e-4, 0.0052);
+
+/// A picture of the gripper.
+#[derive(Clone, Debug)]
+pub struct GripperPicture {
+    /// What people call it.
+    pub name: String,
+    /// The markers in it, refined.
+    pub detections: Vec<Detection>,
+    /// The fingers are closed: the gel faces touch, the opening is 0.
+    pub closed: bool,
+}
+
+/// What a freedom of the frame comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FrameSource {
+    /// The fingers: their motion, or pictures with closed fingers.
+    Fingers,
+    /// The description of the tags.
+    Description,
+    /// Nothing: there are no markers on fingers.
+    Nothing,
+}
+
+/// How a marker was found.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MarkerState {
+    /// It was calibrated.
+    Calibrated,
+    /// It stays where it is described; the reason.
+    AsDescribed(&'static str),
+    /// It did not stay in its place during the pictures.
+    Loose {
+        /// The pictures between which it moved, by how much (m, rad); none if it moved more than
+        /// once.
+        moved: Option<([String; 2], f64, f64)>,
+    },
+}
+
+/// A marker of the calibrated board.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CalibratedMarker {
+    /// Its number in the dictionary.
+    pub id: u32,
+    /// What it is fixed to.
+    pub part: Part,
+    /// How it was found.
+    pub state: MarkerState,
+    /// Pictures that it was calibrated with.
+    pub pictures: usize,
+    /// Pictures in which it was an outlier.
+    pub outliers: usize,
+    /// From where it is described to where it is, along the gripper's axes, m.
+    pub shift_m: DVec3,
+    /// The turn between both, rad.
+    pub turn_rad: f64,
+    /// Covariance of [δt, δθ] of `t_part_marker`, m and rad along the gripper's axes, the frame
+    /// taken as exact; none for a marker that was not calibrated.
+    pub covariance: Option<[[f64; 6]; 6]>,
+    /// Root mean square reprojection error, px.
+    pub rms_px: Option<f64>,
+    /// The same where the pictures are solved without it.
+    pub left_out_rms_px: Option<f64>,
+}
+
+impl CalibratedMarker {
+    /// Standard deviations of its place (m) and its turn (rad), over all directions.
+    #[must_use]
+    pub fn sigma(&self) -> Option<(f64, f64)> {
+        let c = self.covariance?;
+        let root = |axes: std::ops::Range<usize>| axes.map(|i| c[i][i]).sum::<f64>().sqrt();
+        Some((root(0..3), root(3..6)))
+    }
+}
+
+/// A calibrated gripper.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GripperCalibration {
+    /// The markers where they are, under the ids of the description.
+    pub board: BoardFile,
+    /// The markers in the order of the description.
+    pub markers: Vec<CalibratedMarker>,
+    /// Pictures that took part.
+    pub pictures: usize,
+    /// Root mean square reprojection error, px.
+    pub rms_px: f64,
+    /// That of the same pictures with the markers where they are described.
+    pub described_rms_px: Option<f64>,
+    /// That of every fifth picture where the others calibrate.
+    pub holdout_rms_px: Option<f64>,
+    /// Standard deviation of one coordinate of a corner that the covariances assume, px.
+    pub corner_sigma_px: f64,
+    /// Smallest and largest opening, m; none without markers on the fingers.
+    pub openings_m: Option<[f64; 2]>,
+    /// What the direction of x comes from.
+    pub x_from: FrameSource,
+    /// Angle between the fingers' line and the described x axis, with its deviation, rad.
+    pub line_off_rad: Option<(f64, f64)>,
+    /// What the opening's zero comes from.
+    pub zero_from: FrameSource,
+    /// Estimated standard deviation of the frame's origin, each axis, m.
+    pub frame_sigma_m: Option<f64>,
+    /// Estimated standard deviation of the frame's direction, rad.
+    pub frame_sigma_rad: Option<f64>,
+    /// Pictures that took no part, with the reason.
+    pub left_out: Vec<(String, String)>,
+    /// What a person should know.
+    pub notes: Vec<String>,
+}
+
+/// Calibrates the markers of a gripper: `nominal` is where they are supposed to be, to a
+/// centimetre and 15°; the sizes of the markers are taken from it.
+///
+/// # Errors
+/// `Input` if fewer than eight pictures show two markers, if no picture joins the two fingers, or
+/// if the pictures contradict the description.
+pub fn calibrate_gripper(
+    nominal: &BoardFile,
+    intrinsics: &Intrinsics,
+    pictures: &[GripperPicture],
+) -> Result<GripperCalibration> {
+    let board = &nominal.board;
+    let mut selection = select(board, intrinsics, pictures);
+    check_enough(&selection, pictures)?;
+    let mut bundle = selection.bundle.clone();
+    start(&mut bundle, board, pictures);
+    let described = bundle.clone();
+    let ties = Ties {
+        x_from_fingers: false,
+        zero_from_closed: has_closed(&bundle),
+    };
+    let mut solved = solve(bundle, ties)?;
+    let mut loosened: Vec<Loosened> = Vec::new();
+    let checks = loop {
+        let checks = leave_one_out(&solved.bundle, solved.sigma_px);
+        let Some(worst) = loose(&checks) else {
+            break checks;
+        };
+        let moved = checks[worst].as_ref().and_then(|c| c.moved);
+        loosened.push(Loosened::new(&solved.bundle, worst, moved));
+        selection.bundle = without(&solved.bundle, worst);
+        check_enough(&selection, pictures)?;
+        solved = solve(selection.bundle.clone(), ties)?;
+    };
+    let holdout_rms_px = holdout(&solved, ties);
+    let described_rms_px = rms_of_views(&described, &described.views);
+    let line = line_off(&solved, ties);
+    let ties = Ties {
+        x_from_fingers: line.is_some_and(|(_, sigma)| sigma < LINE_SIGMA_RAD),
+        ..ties
+    };
+    tie(&mut solved.bundle, ties);
+    let covariance = solved
+        .bundle
+        .covariance(solved.loss_px, &conditions(&solved.bundle, ties))
+        .ok_or_else(undetermined)?;
+    report(Outcome {
+        nominal,
+        pictures,
+        selection,
+        solved,
+        loosened,
+        left_out_rms: checks
+            .iter()
+            .map(|c| c.as_ref().map(|c| c.rms_px))
+            .collect(),
+        covariance,
+        ties,
+        line,
+        holdout_rms_px,
+        described_rms_px,
+    })
+}
+
+/// A minimum.
+struct Solved {
+    bundle: Bundle,
+    loss_px: f64,
+    sigma_px: f64,
+    rms_px: f64,
+}
+
+/// Whether a picture with closed fingers shows them together with something else.
+fn has_closed(bundle: &Bundle) -> bool {
+    bundle.views.iter().any(|v| {
+        let slide = |s: &Sight| bundle.markers[s.marker].slide;
+        let differ = v
+            .sights
+            .windows(2)
+            .any(|pair| slide(&pair[0]) != slide(&pair[1]));
+        differ && !v.frees_opening
+    })
+}
+
+fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()> {
+    let (bundle, views) = (&selection.bundle, selection.bundle.views.len());
+    if views < LEAST_VIEWS || bundle.markers.len() < 2 {
+        return Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "of {} pictures, {views} show two or more markers that are in {LEAST_SIGHTS} \
+                 pictures at least; {LEAST_VIEWS} are needed",
+                pictures.len()
+            ),
+        )
+        .remedy(
+            "take 15 to 40 sharp pictures of the gripper from all sides that will be seen, each \
+             with as many tags as possible, at several openings",
+        ));
+    }
+    let slides = |view: &View| -> Vec<f64> {
+        view.sights
+            .iter()
+            .map(|s| bundle.markers[s.marker].slide)
+            .collect()
+    };
+    let has = |list: &[f64], slide: f64| list.contains(&slide);
+    let all: Vec<f64> = bundle.markers.iter().map(|m| m.slide).collect();
+    if !(has(&all, -0.5) && has(&all, 0.5)) {
+        return Ok(());
+    }
+    let together = bundle
+        .views
+        .iter()
+        .any(|v| has(&slides(v), -0.5) && has(&slides(v), 0.5));
+    let closed = |slide: f64| {
+        let is_closed = |v: &&View| pictures[v.picture].closed;
+        let mut closed = bundle.views.iter().filter(is_closed);
+        closed.any(|v| has(&slides(v), slide) && has(&slides(v), 0.0))
+    };
+    if together || (closed(-0.5) && closed(0.5)) {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Input,
+        "no picture shows markers of both fingers, so that they cannot be joined",
+    )
+    .remedy("add pictures that show both fingers' markers"))
+}
+
+fn undetermined() -> Error {
+    Error::new(
+        ErrorKind::Input,
+        "the pictures do not determine where the markers are to each other",
+    )
+    .remedy("add pictures from other sides, each with as many tags as possible")
+}
+
+/// Searches with narrowing losses, leaving outliers out.
+fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
+    let first = ROUGH_LOSSES_PX[0];
+    bundle
+        .minimise(Free::Views, first, &[])
+        .ok_or_else(undetermined)?;
+    let search = |bundle: &mut Bundle, loss_px: f64| {
+        let conditions = conditions(bundle, ties);
+        bundle
+            .minimise(Free::All, loss_px, &conditions)
+            .ok_or_else(undetermined)
+    };
+    for loss_px in ROUGH_LOSSES_PX {
+        search(&mut bundle, loss_px)?;
+        tie(&mut bundle, ties);
+    }
+    let mut loss_px = final_loss(&bundle);
+    search(&mut bundle, loss_px)?;
+    if leave_outliers(&mut bundle) {
+        loss_px = final_loss(&bundle);
+        search(&mut bundle, loss_px)?;
+    }
+    let errors = bundle.all_errors_px();
+    let count = errors.len() as f64;
+    let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / count).sqrt();
+    if !(median(&errors) <= CONTRADICTION_PX) {
+        return Err(Error::new(
+            ErrorKind::Input,
+            format!("the markers are {rms_px:.1} px from where the calibration puts them"),
+        )
+        .remedy(
+            "check that the board file is that of this gripper with the measured size of its \
+             tags, and that the intrinsics belong to this camera and resolution",
+        ));
+    }
+    let weighted: f64 = errors.iter().map(|e| e * e.min(loss_px)).sum();
+    let unknowns = bundle.globals()
+        + bundle
+            .views
+            .iter()
+            .map(|v| 6 + usize::from(v.frees_opening))
+            .sum::<usize>();
+    let free = (2.0 * count - unknowns as f64).max(1.0);
+    Ok(Solved {
+        sigma_px: (weighted / free).sqrt().max(LEAST_SIGMA_PX),
+        bundle,
+        loss_px,
+        rms_px,
+    })
+}
+
+fn median(errors: &[f64]) -> f64 {
+    let mut sorted = errors.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted
+        .get(sorted.len() / 2)
+        .copied()
+        .unwrap_or(f64::INFINITY)
+}
+
+fn final_loss(bundle: &Bundle) -> f64 {
+    LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median(&bundle.all_errors_px()))
+}
+
+/// Leaves out sightings that fit nowhere; whether there were any.
+fn leave_outliers(bundle: &mut Bundle) -> bool {
+    let limit = OUTLIER_PX.max(OUTLIER_OF_MEDIAN * median(&bundle.all_errors_px()));
+    let fits: Vec<Vec<bool>> = bundle
+        .views
+        .iter()
+        .map(|v| {
+            v.sights
+                .iter()
+                .map(|s| bundle.sight_rms_px(v, s) <= limit)
+                .collect()
+        })
+        .collect();
+    let mut any = false;
+    for (view, fits) in bundle.views.iter_mut().zip(fits) {
+        for (sight, fits) in view.sights.iter_mut().zip(fits) {
+            any |= !fits;
+            sight.used = fits;
+        }
+    }
+    any
+}
+
+/// The bundle without a marker and the views that lose too much by it.
+fn without(bundle: &Bundle, marker: usize) -> Bundle {
+    let mut rest = bundle.clone();
+    rest.markers.remove(marker);
+    for view in &mut rest.views {
+        view.sights.retain(|s| s.marker != marker);
+        for sight in &mut view.sights {
+            sight.marker -= usize::from(sight.marker > marker);
+            sight.used = true;
+        }
+        let slides = |s: &Sight| rest.markers[s.marker].slide;
+        let differ = view
+            .sights
+            .windows(2)
+            .any(|p| slides(&p[0]) != slides(&p[1]));
+        view.frees_opening &= differ;
+    }
+    rest.views.retain(|v| v.sights.len() >= 2);
+    rest
+}
+
+/// A marker that did not stay in its place.
+struct Loosened {
+    marker: Marker,
+    moved: Option<Moved>,
+    /// By picture.
+    sights: Vec<(usize, Sight)>,
+}
+
+impl Loosened {
+    fn new(bundle: &Bundle, place: usize, moved: Option<Moved>) -> Self {
+        let own = |v: &View| {
+            let sight = v.sights.iter().find(|s| s.marker == place)?.clone();
+            Some((v.picture, sight))
+        };
+        Self {
+            marker: bundle.markers[place].clone(),
+            moved,
+            sights: bundle.views.iter().filter_map(own).collect(),
+        }
+    }
+
+    fn state(&self, pictures: &[GripperPicture]) -> MarkerState {
+        let named = |m: Moved| {
+            let names = m.pictures.map(|i| pictures[i].name.clone());
+            (names, m.shift_m, m.turn_rad)
+        };
+        MarkerState::Loose {
+            moved: self.moved.map(named),
+        }
+    }
+
+    /// `t_part_marker` after it moved, in the bundle's frame; none if it moved more than once.
+    fn last_place(&self, bundle: &Bundle) -> Option<Pose> {
+        let since = self.moved?.pictures[1];
+        let mut alone = Bundle {
+            markers: vec![self.marker.clone()],
+            ..bundle.clone()
+        };
+        alone.views.retain(|v| v.picture >= since);
+        for view in &mut alone.views {
+            let own = self
+                .sights
+                .iter()
+                .find(|(picture, _)| *picture == view.picture);
+            let own = own.map(|(_, s)| Sight {
+                marker: 0,
+                used: true,
+                ..s.clone()
+            });
+            view.sights = own.into_iter().collect();
+        }
+        alone.minimise(Free::Markers, ROUGH_LOSSES_PX[1], &[])?;
+        alone.markers.first().map(|m| m.pose)
+    }
+}
+
+/// Error of pictures that took no part; none if too few would be left.
+fn holdout(solved: &Solved, ties: Ties) -> Option<f64> {
+    let held = |i: usize| i % HELD_OUT == HELD_OUT / 2;
+    let mut rest = solved.bundle.clone();
+    let views = rest.views.split_off(0);
+    let mut tested = Vec::new();
+    for (i, view) in views.into_iter().enumerate() {
+        if held(i) {
+            tested.push(view);
+        } else {
+            rest.views.push(view);
+        }
+    }
+    if rest.views.len() < LEAST_VIEWS {
+        return None;
+    }
+    let conditions = conditions(&rest, ties);
+    rest.minimise(Free::All, solved.loss_px, &conditions)?;
+    rms_of_views(&rest, &tested)
+}
+
+/// Angle between the line of the fingers and x in the frame of the description, and its
+/// deviation, rad; none where no finger moved.
+fn line_off(solved: &Solved, ties: Ties) -> Option<(f64, f64)> {
+    let moves = solved.bundle.views.iter().any(|v| v.frees_opening);
+    let rules = conditions(&solved.bundle, ties);
+    let covariance = solved.bundle.covariance(solved.loss_px, &rules)?;
+    let last = solved.bundle.globals() - OF_SLIDE;
+    let variance = covariance
+        .at(last, last)
+        .max(covariance.at(last + 1, last + 1));
+    let sigma = solved.sigma_px * variance.sqrt();
+    moves.then(|| (solved.bundle.slide.angle_between(DVec3::X), sigma))
+}
+
+/// What a report is made of.
+struct Outcome<'a> {
+    nominal: &'a BoardFile,
+    pictures: &'a [GripperPicture],
+    selection: Selection,
+    solved: Solved,
+    loosened: Vec<Loosened>,
+    left_out_rms: Vec<Option<f64>>,
+    covariance: Symmetric,
+    ties: Ties,
+    line: Option<(f64, f64)>,
+    holdout_rms_px: Option<f64>,
+    described_rms_px: Option<f64>,
+}
+
+impl Outcome<'_> {
+    /// Place of a marker among those that were solved.
+    fn solved_place(&self, id: u32) -> Option<usize> {
+        self.solved.bundle.markers.iter().position(|m| m.id == id)
+    }
+
+    fn state(&self, id: u32) -> MarkerState {
+        if let Some(loose) = self.loosened.iter().find(|l| l.marker.id == id) {
+            return loose.state(self.pictures);
+        }
+        let selection = &self.selection;
+        for (ids, reason) in [
+            (&selection.unseen, "no picture shows it"),
+            (
+                &selection.rare,
+                "fewer than 4 pictures show it together with others",
+            ),
+            (
+                &selection.apart,
+                "no picture shows it together with the others",
+            ),
+        ] {
+            if ids.contains(&id) {
+                return MarkerState::AsDescribed(reason);
+            }
+        }
+        MarkerState::Calibrated
+    }
+
+    fn marker(&self, marker: &crate::pose::BoardMarker) -> (CalibratedMarker, [DVec3; 4]) {
+        let mut framed = super::gripper_start::framed(marker);
+        let place = self.solved_place(marker.id);
+        if let Some(place) = place {
+            framed.pose = self.solved.bundle.markers[place].pose;
+        } else if let Some(loose) = self.loosened.iter().find(|l| l.marker.id == marker.id) {
+            framed.pose = loose
+                .last_place(&self.solved.bundle)
+                .unwrap_or(framed.nominal);
+        }
+        let sights = self.solved.bundle.views.iter().flat_map(|v| {
+            let own = v.sights.iter().filter(|s| Some(s.marker) == place);
+            own.map(move |s| (v, s))
+        });
+        let sights: Vec<_> = sights.collect();
+        let used = || sights.iter().filter(|(_, s)| s.used);
+        let squares: f64 = used()
+            .map(|(v, s)| self.solved.bundle.sight_rms_px(v, s).powi(2))
+            .sum();
+        let count = used().count();
+        let found = CalibratedMarker {
+            id: marker.id,
+            part: marker.part,
+            state: self.state(marker.id),
+            pictures: count,
+            outliers: sights.len() - count,
+            shift_m: framed.pose.translation_m - framed.nominal.translation_m,
+            turn_rad: angle(&framed.pose, &framed.nominal),
+            covariance: place.map(|place| self.block(place)),
+            rms_px: (count > 0).then(|| (squares / count as f64).sqrt()),
+            left_out_rms_px: place.and_then(|place| self.left_out_rms[place]),
+        };
+        (found, framed.corners())
+    }
+
+    fn block(&self, place: usize) -> [[f64; 6]; 6] {
+        let (first, variance) = (OF_MARKER * place, self.solved.sigma_px.powi(2));
+        let entry = |i, j| variance * self.covariance.at(first + i, first + j);
+        std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
+    }
+
+    fn notes(&self, markers: &[CalibratedMarker]) -> Vec<String> {
+        let mut notes = Vec::new();
+        for m in markers {
+            match &m.state {
+                MarkerState::Calibrated => {}
+                MarkerState::AsDescribed(reason) => notes.push(format!(
+                    "marker {} stays where it is described: {reason}",
+                    m.id
+                )),
+                MarkerState::Loose {
+                    moved: Some(([a, b], shift, turn)),
+                } => notes.push(format!(
+                    "marker {} moved between {a} and {b}, by {:.2} mm and {:.1}°: glue it again \
+                     and repeat the pictures; the file has its last place",
+                    m.id,
+                    1e3 * shift,
+                    turn.to_degrees()
+                )),
+                MarkerState::Loose { moved: None } => notes.push(format!(
+                    "marker {} does not stay in its place: glue it again and repeat the pictures; \
+                     the file has it where it is described",
+                    m.id
+                )),
+            }
+            if m.sigma().is_some_and(|(t, r)| t > WEAK.0 || r > WEAK.1) {
+                notes.push(format!(
+                    "marker {} is known badly: add pictures that show it large, from several \
+                     sides, together with others",
+                    m.id
+                ));
+            }
+        }
+        let has_fingers = self.solved.bundle.markers.iter().any(|m| m.slide != 0.0);
+        if has_fingers && !self.ties.zero_from_closed {
+            notes.push(
+                "no picture with closed fingers was named (--closed): the opening's zero is that \
+                 of the description"
+                    .into(),
+            );
+        }
+        if has_fingers && !self.ties.x_from_fingers {
+            notes.push(
+                "the fingers moved too little to show the x axis: it is that of the description; \
+                 add pictures at openings 30 mm apart or more"
+                    .into(),
+            );
+        }
+        notes
+    }
+}
+
+fn report(outcome: Outcome<'_>) -> Result<GripperCalibration> {
+    let described = &outcome.nominal.board;
+    let mut markers = Vec::new();
+    let mut board = Board {
+        name: format!("{}-calibrated", described.name),
+        ..described.clone()
+    };
+    for marker in &mut board.markers {
+        if marker.part == Part::Object {
+            continue;
+        }
+        let (found, corners) = outcome.marker(marker);
+        marker.corners_m = corners;
+        markers.push(found);
+    }
+    let notes = outcome.notes(&markers);
+    let bundle = &outcome.solved.bundle;
+    let shows = |v: &&View| {
+        v.frees_opening
+            || v.sights
+                .iter()
+                .any(|s| bundle.markers[s.marker].slide != 0.0)
+    };
+    let has_fingers = bundle.markers.iter().any(|m| m.slide != 0.0);
+    let openings = || bundle.views.iter().filter(shows).map(|v| v.opening_m);
+    let span = [
+        openings().fold(f64::INFINITY, f64::min),
+        openings().fold(f64::NEG_INFINITY, f64::max),
+    ];
+    let source = |by_fingers: bool| match (has_fingers, by_fingers) {
+        (_, true) => FrameSource::Fingers,
+        (true, false) => FrameSource::Description,
+        (false, false) => FrameSource::Nothing,
+    };
+    let frame = scatter(bundle);
+    let name = |i: usize| outcome.pictures[i].name.clone();
+    let left_out = outcome.selection.left_out.iter();
+    Ok(GripperCalibration {
+        board: BoardFile::new(board, outcome.nominal.dictionary.clone(), None)?,
+        markers,
+        pictures: bundle.views.len(),
+        rms_px: outcome.solved.rms_px,
+        described_rms_px: outcome.described_rms_px,
+        holdout_rms_px: outcome.holdout_rms_px,
+        corner_sigma_px: outcome.solved.sigma_px,
+        openings_m: has_fingers.then_some(span),
+        x_from: match outcome.ties.x_from_fingers {
+            true => FrameSource::Fingers,
+            false => FrameSource::Description,
+        },
+        line_off_rad: outcome.line,
+        zero_from: source(outcome.ties.zero_from_closed),
+        frame_sigma_m: frame.map(|f| f.0),
+        frame_sigma_rad: frame.map(|f| f.1),
+        left_out: left_out
+            .map(|(i, why)| (name(*i), (*why).to_owned()))
+            .collect(),
+        notes,
+    })
+}
