@@ -18,6 +18,9 @@ mod bench_predict;
 mod bench_render;
 mod board;
 mod board_make;
+mod calibrate;
+mod calibrate_convert;
+mod calibrate_gripper;
 mod collect;
 mod completions;
 mod config;
@@ -107,6 +110,8 @@ enum Verb {
     Rig(rig::Args),
     /// Print boards and tags of markers, look at board files
     Board(board::Args),
+    /// Calibrate the gripper's tags; convert and look at intrinsics
+    Calibrate(calibrate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),
     /// Look at, verify, repair, index and split a dataset
@@ -142,6 +147,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),
         Verb::Board(args) => board::run(&context, args),
+        Verb::Calibrate(args) => calibrate::run(&context, args),
         Verb::Predict(args) => predict::run(&context, args),
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),

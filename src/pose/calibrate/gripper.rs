@@ -22,7 +22,7 @@
 use glam::DVec3;
 
 use super::gripper_bundle::{Bundle, Free, Marker, OF_MARKER, OF_SLIDE, Sight, View};
-use super::gripper_check::{Moved, angle, leave_one_out, loose, rms_of_views};
+use super::gripper_check::{Moved, angle, leave_one_out, rms_of_views, suspects};
 use super::gripper_frame::{Ties, conditions, scatter, tie};
 use super::gripper_linear::Symmetric;
 use super::gripper_start::{LEAST_SIGHTS, Selection, select, start};
@@ -49,6 +49,8 @@ const LEAST_SIGMA_PX: f64 = 0.03;
 const LINE_SIGMA_RAD: f64 = 0.0044;
 /// Every so many pictures one is held out.
 const HELD_OUT: usize = 5;
+/// A marker is loose if the others have less than this part of the error without it.
+const MUCH_BETTER: f64 = 0.75;
 /// Deviations of a marker that are too large for poses of a tenth of a millimetre, m and rad.
 const WEAK: (f64, f64) = (3e-4, 0.0052);
 
@@ -150,9 +152,9 @@ pub struct GripperCalibration {
     pub line_off_rad: Option<(f64, f64)>,
     /// What the opening's zero comes from.
     pub zero_from: FrameSource,
-    /// Estimated standard deviation of the frame's origin, each axis, m.
+    /// Estimated standard deviation of the frame's origin, over all directions, m.
     pub frame_sigma_m: Option<f64>,
-    /// Estimated standard deviation of the frame's direction, rad.
+    /// Estimated standard deviation of the frame's direction about its worst axis, rad.
     pub frame_sigma_rad: Option<f64>,
     /// Pictures that took no part, with the reason.
     pub left_out: Vec<(String, String)>,
@@ -185,14 +187,14 @@ pub fn calibrate_gripper(
     let mut loosened: Vec<Loosened> = Vec::new();
     let checks = loop {
         let checks = leave_one_out(&solved.bundle, solved.sigma_px);
-        let Some(worst) = loose(&checks) else {
+        let Some((worst, better)) = loose(&solved, &suspects(&checks), ties) else {
             break checks;
         };
         let moved = checks[worst].as_ref().and_then(|c| c.moved);
         loosened.push(Loosened::new(&solved.bundle, worst, moved));
-        selection.bundle = without(&solved.bundle, worst);
+        selection.bundle = better.bundle.clone();
         check_enough(&selection, pictures)?;
-        solved = solve(selection.bundle.clone(), ties)?;
+        solved = better;
     };
     let holdout_rms_px = holdout(&solved, ties);
     let described_rms_px = rms_of_views(&described, &described.views);
@@ -404,6 +406,15 @@ fn without(bundle: &Bundle, marker: usize) -> Bundle {
     }
     rest.views.retain(|v| v.sights.len() >= 2);
     rest
+}
+
+/// The suspect without which the others fit much better, with that fit.
+fn loose(solved: &Solved, suspects: &[usize], ties: Ties) -> Option<(usize, Solved)> {
+    let fits = suspects
+        .iter()
+        .filter_map(|i| Some((*i, solve(without(&solved.bundle, *i), ties).ok()?)));
+    fits.min_by(|a, b| a.1.rms_px.total_cmp(&b.1.rms_px))
+        .filter(|(_, fit)| fit.rms_px < MUCH_BETTER * solved.rms_px)
 }
 
 /// A marker that did not stay in its place.
@@ -667,7 +678,7 @@ fn report(outcome: Outcome<'_>) -> Result<GripperCalibration> {
         (true, false) => FrameSource::Description,
         (false, false) => FrameSource::Nothing,
     };
-    let frame = scatter(bundle);
+    let frame = scatter(bundle, outcome.ties);
     let name = |i: usize| outcome.pictures[i].name.clone();
     let left_out = outcome.selection.left_out.iter();
     Ok(GripperCalibration {

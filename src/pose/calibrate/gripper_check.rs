@@ -18,8 +18,10 @@ const RATTLING_PX: f64 = 1.0;
 
 /// How well a marker is predicted by the others.
 pub(super) struct LeftOut {
-    /// Root mean square over its corners, px.
+    /// Root mean square over the corners of the sightings that were used, px.
     pub(super) rms_px: f64,
+    /// Error that a quarter of all sightings exceeds, px.
+    upper_px: f64,
     /// The move that explains most of it.
     pub(super) moved: Option<Moved>,
 }
@@ -79,7 +81,7 @@ pub(super) fn leave_one_out(bundle: &Bundle, sigma_px: f64) -> Vec<Option<LeftOu
 }
 
 fn left_out(bundle: &Bundle, marker: usize, sigma_px: f64) -> Option<LeftOut> {
-    let mut views = Vec::new();
+    let (mut views, mut was_used) = (Vec::new(), Vec::new());
     for view in &bundle.views {
         let own = view.sights.iter().find(|s| s.marker == marker);
         let Some(own) = own else { continue };
@@ -87,6 +89,7 @@ fn left_out(bundle: &Bundle, marker: usize, sigma_px: f64) -> Option<LeftOut> {
             continue;
         };
         let mut own = own.clone();
+        was_used.push(own.used);
         own.used = true;
         // Only this marker is looked at from now on; the list has it alone.
         own.marker = 0;
@@ -102,10 +105,15 @@ fn left_out(bundle: &Bundle, marker: usize, sigma_px: f64) -> Option<LeftOut> {
         ..bundle.clone()
     };
     let whole = placed(&alone)?;
-    let squares: f64 = whole.0.all_errors_px().iter().map(|e| e * e).sum();
-    let count = (4 * alone.views.len()) as f64;
+    let by_view = |v: &View| v.sights.first().map(|s| whole.0.sight_rms_px(v, s));
+    let mut errors: Vec<f64> = whole.0.views.iter().filter_map(by_view).collect();
+    let used = || errors.iter().zip(&was_used).filter(|(_, used)| **used);
+    let squares: f64 = used().map(|(e, _)| e * e).sum();
+    let rms_px = (squares / used().count().max(1) as f64).sqrt();
+    errors.sort_by(f64::total_cmp);
     Some(LeftOut {
-        rms_px: (squares / count).sqrt(),
+        rms_px,
+        upper_px: errors[errors.len() * 3 / 4],
         moved: split(&alone, whole.1, sigma_px),
     })
 }
@@ -123,8 +131,11 @@ fn split(alone: &Bundle, whole: f64, sigma_px: f64) -> Option<Moved> {
     let mut best: Option<(f64, Moved)> = None;
     for at in LEAST_ON_A_SIDE..=count.saturating_sub(LEAST_ON_A_SIDE) {
         let (first, second) = alone.views.split_at(at);
-        let before = placed(&part_of(alone, first.to_vec()))?;
-        let after = placed(&part_of(alone, second.to_vec()))?;
+        let before = placed(&part_of(alone, first.to_vec()));
+        let after = placed(&part_of(alone, second.to_vec()));
+        let (Some(before), Some(after)) = (before, after) else {
+            continue;
+        };
         let cost = before.1 + after.1;
         if best.as_ref().is_none_or(|(least, _)| cost < *least) {
             let (a, b) = (before.0.markers[0].pose, after.0.markers[0].pose);
@@ -142,20 +153,21 @@ fn split(alone: &Bundle, whole: f64, sigma_px: f64) -> Option<Moved> {
     (gain > EXPLAINED * whole && gain > chance).then_some(moved)
 }
 
-/// The marker that did not stay in its place, if there is one. Of fewer than three nobody knows
-/// which.
-pub(super) fn loose(checks: &[Option<LeftOut>]) -> Option<usize> {
+/// Markers that may not have stayed in their places, none of fewer than three. One that moved
+/// spoils the others' checks as well, so that there may be several.
+pub(super) fn suspects(checks: &[Option<LeftOut>]) -> Vec<usize> {
     if checks.len() < 3 {
-        return None;
+        return Vec::new();
     }
-    let rms = |i: usize| checks[i].as_ref().map_or(0.0, |c| c.rms_px);
-    let mut sorted: Vec<f64> = (0..checks.len()).map(rms).filter(|r| *r > 0.0).collect();
+    let upper = |i: usize| checks[i].as_ref().map_or(0.0, |c| c.upper_px);
+    let mut sorted: Vec<f64> = (0..checks.len()).map(upper).filter(|e| *e > 0.0).collect();
     sorted.sort_by(f64::total_cmp);
-    let median = sorted.get(sorted.len().saturating_sub(1) / 2).copied()?;
-    let worst = (0..checks.len()).max_by(|a, b| rms(*a).total_cmp(&rms(*b)))?;
-    let moved = checks[worst].as_ref().is_some_and(|c| c.moved.is_some());
-    let rattles = rms(worst) > RATTLING_PX.max(RATTLING * median);
-    (rattles || (moved && rms(worst) > 2.0 * median)).then_some(worst)
+    let median = sorted.get(sorted.len().saturating_sub(1) / 2);
+    let limit = RATTLING_PX.max(RATTLING * median.copied().unwrap_or(0.0));
+    let moved = |i: usize| checks[i].as_ref().is_some_and(|c| c.moved.is_some());
+    (0..checks.len())
+        .filter(|i| moved(*i) || upper(*i) > limit)
+        .collect()
 }
 
 /// Root mean square error of views whose poses (and openings) are solved with the markers as they

@@ -1,17 +1,15 @@
 //! Ties the markers to the gripper's frame, which pictures alone do not show.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DQuat, DVec3};
 
 use super::gripper_bundle::{Bundle, Condition, OF_MARKER, OF_SLIDE};
 use super::gripper_linear::Symmetric;
 use crate::geometry::Pose;
 use crate::pose::Part;
 
-/// Markers that are off by less than this are weighted alike, m.
-const ALIKE_M: f64 = 1e-3;
-/// Beyond this multiple of the median shift a marker weighs less.
-const FAR_OF_MEDIAN: f64 = 1.5;
-const PASSES: usize = 20;
+/// Markers that are off by less than this are weighted alike, others less, m.
+const ALIKE_M: f64 = 2e-3;
+const PASSES: usize = 200;
 
 /// What fixes the frame beyond the best fit of the markers to their description.
 #[derive(Clone, Copy, Debug)]
@@ -34,22 +32,12 @@ fn carriers(bundle: &Bundle) -> Vec<usize> {
 }
 
 fn weights(bundle: &Bundle, carriers: &[usize]) -> Vec<f64> {
-    let shift = |i: &usize| {
+    let weight = |i: &usize| {
         let marker = &bundle.markers[*i];
-        marker
-            .pose
-            .translation_m
-            .distance(marker.nominal.translation_m)
+        let off = marker.pose.translation_m - marker.nominal.translation_m;
+        ALIKE_M / off.length().max(ALIKE_M)
     };
-    let shifts: Vec<f64> = carriers.iter().map(shift).collect();
-    let mut sorted = shifts.clone();
-    sorted.sort_by(f64::total_cmp);
-    let median = sorted
-        .get(sorted.len().saturating_sub(1) / 2)
-        .copied()
-        .unwrap_or(0.0);
-    let limit = ALIKE_M.max(FAR_OF_MEDIAN * median);
-    shifts.iter().map(|s| limit / s.max(limit)).collect()
+    carriers.iter().map(weight).collect()
 }
 
 /// The axes about which the fit turns the frame.
@@ -156,7 +144,8 @@ fn shift_opening(bundle: &mut Bundle) {
     }
 }
 
-/// The conditions under which a small step keeps the frame tied.
+/// The conditions under which a small step keeps the frame tied: those of the fit's minimum, to
+/// first order, with the change of the weights.
 pub(super) fn conditions(bundle: &Bundle, ties: Ties) -> Vec<Condition> {
     let carriers = carriers(bundle);
     let weights = weights(bundle, &carriers);
@@ -165,29 +154,38 @@ pub(super) fn conditions(bundle: &Bundle, ties: Ties) -> Vec<Condition> {
     let middle: DVec3 = weighted()
         .map(|(i, w)| bundle.markers[*i].pose.translation_m * (w / all))
         .sum();
-    let mut result: Vec<Condition> = (0..3)
-        .map(|axis| {
-            weighted()
-                .map(|(i, w)| (OF_MARKER * i + axis, w / all))
-                .collect()
-        })
-        .collect();
+    let mut shifts = [const { Condition::new() }; 3];
     // The moments of the corners' steps about the middle, in rad.
     let mut inertia = 0.0;
-    let mut moments = vec![vec![DVec3::ZERO; OF_MARKER]; carriers.len()];
+    let mut moments = vec![[DVec3::ZERO; OF_MARKER]; carriers.len()];
     for ((i, weight), moments) in weighted().zip(&mut moments) {
         let marker = &bundle.markers[*i];
-        for corner in marker.corners() {
+        let off = marker.nominal.translation_m - marker.pose.translation_m;
+        // A marker that is far off pulls with the same force wherever it is along the pull.
+        let (pull, loss) = match *weight < 1.0 {
+            true => (off.normalize_or_zero(), weight / off.length()),
+            false => (DVec3::ZERO, 0.0),
+        };
+        let mut lost = DVec3::ZERO;
+        for (corner, local) in marker.corners().into_iter().zip(marker.local) {
             let arm = corner - middle;
             let on_marker = corner - marker.pose.translation_m;
             inertia += weight * arm.length_squared();
-            for (k, axis) in DMat3::IDENTITY.to_cols_array_2d().into_iter().enumerate() {
-                let axis = DVec3::from_array(axis);
+            lost += arm.cross(marker.nominal.transform_point(local) - corner);
+            for (k, axis) in DVec3::AXES.into_iter().enumerate() {
                 moments[k] += *weight * arm.cross(axis);
                 moments[3 + k] += *weight * arm.cross(axis.cross(on_marker));
             }
         }
+        for (k, axis) in DVec3::AXES.into_iter().enumerate() {
+            moments[k] -= lost * (loss * pull.dot(axis));
+            for (row, along) in shifts.iter_mut().zip(DVec3::AXES) {
+                let kept = axis.dot(along) - pull.dot(axis) * pull.dot(along);
+                row.push((OF_MARKER * i + k, weight / all * kept));
+            }
+        }
     }
+    let mut result = shifts.to_vec();
     for axis in turning(ties) {
         let row = carriers.iter().zip(&moments).flat_map(|(i, moments)| {
             let entry = |(k, m): (usize, &DVec3)| (OF_MARKER * i + k, m.dot(*axis) / inertia);
@@ -216,9 +214,9 @@ pub(super) fn conditions(bundle: &Bundle, ties: Ties) -> Vec<Condition> {
 }
 
 /// How far the frame may be from what the description means, by how the markers scatter about it:
-/// standard deviations of its origin (each axis, m) and of a turn (rad). None for fewer than three
-/// markers.
-pub(super) fn scatter(bundle: &Bundle) -> Option<(f64, f64)> {
+/// standard deviations of its origin (m, all axes together) and of its largest turn (rad). None
+/// for fewer than three markers.
+pub(super) fn scatter(bundle: &Bundle, ties: Ties) -> Option<(f64, f64)> {
     let carriers = carriers(bundle);
     if carriers.len() < 3 {
         return None;
@@ -233,13 +231,17 @@ pub(super) fn scatter(bundle: &Bundle) -> Option<(f64, f64)> {
         })
         .sum();
     let middle = places().map(|m| m.pose.translation_m).sum::<DVec3>() / count;
-    let lever: f64 = places()
-        .map(|m| m.pose.translation_m.distance_squared(middle))
-        .sum();
-    let deviation = (squares / (3.0 * count - 6.0)).sqrt();
-    // Two of three directions are across a turn's axis.
-    Some((
-        deviation / count.sqrt(),
-        deviation / (lever * 2.0 / 3.0).sqrt(),
-    ))
+    let fitted = (3 + turning(ties).len()) as f64;
+    let variance = squares / (3.0 * count - fitted);
+    let (mut origin, mut largest): (f64, f64) = (3.0 * variance / count, 0.0);
+    for axis in turning(ties) {
+        let lever: f64 = places()
+            .map(|m| axis.cross(m.pose.translation_m - middle).length_squared())
+            .sum();
+        let turn = variance / lever.max(f64::MIN_POSITIVE);
+        largest = largest.max(turn);
+        // The markers turn about their middle, and the origin with them.
+        origin += turn * axis.cross(middle).length_squared();
+    }
+    Some((origin.sqrt(), largest.sqrt()))
 }
