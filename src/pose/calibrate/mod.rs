@@ -5,6 +5,7 @@ mod gripper_bundle;
 mod gripper_check;
 mod gripper_frame;
 mod gripper_linear;
+mod gripper_report;
 mod gripper_start;
 #[cfg(test)]
 mod gripper_test;
