@@ -327,7 +327,8 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
     let errors = bundle.all_errors_px();
     let count = errors.len() as f64;
     let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / count).sqrt();
-    if !(median(&errors) <= CONTRADICTION_PX) {
+    // An infinite median is of corners behind the camera.
+    if median(&errors) > CONTRADICTION_PX {
         return Err(Error::new(
             ErrorKind::Input,
             format!("the markers are {rms_px:.1} px from where the calibration puts them"),

@@ -371,10 +371,8 @@ impl System {
                 matrix.damp(1.0 + damping);
                 let mut vector = self.vector.clone();
                 let size = matrix.size();
-                for i in size - OF_SLIDE..size {
-                    matrix.pin(i);
-                    vector[i] = 0.0;
-                }
+                (size - OF_SLIDE..size).for_each(|i| matrix.pin(i));
+                vector[size - OF_SLIDE..].fill(0.0);
                 (matrix.factor()?.solve(&vector), None)
             }
         };

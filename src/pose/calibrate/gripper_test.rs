@@ -207,9 +207,9 @@ fn normalised(found: &CalibratedMarker, pose: &Pose, truth: &Pose) -> f64 {
     let e = [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z];
     let covariance = found.covariance.unwrap();
     let mut matrix = Symmetric::zero(6);
-    for i in 0..6 {
-        for j in 0..6 {
-            matrix.add(i, j, covariance[i][j]);
+    for (i, row) in covariance.iter().enumerate() {
+        for (j, value) in row.iter().enumerate() {
+            matrix.add(i, j, *value);
         }
     }
     let solved = matrix.factor().unwrap().solve(&e);
