@@ -10,7 +10,7 @@ use crate::pose::refine::{refine_all, sharpness};
 use crate::pose::solve::{
     GripperPose, PartPose, RelativePose, relative, solve_gripper, solve_part,
 };
-use crate::pose::{BoardFile, Detection, MarkerDetector, Part};
+use crate::pose::{BoardFile, Detection, MarkerDetector, Part, require_size};
 
 /// A gripper that holds or is about to hold the object is not farther from its frame, m.
 const FARTHEST_M: f64 = 0.5;
@@ -118,7 +118,7 @@ impl Annotator {
     /// `Input` for a picture of another size than the intrinsics', without the sheet or the tags
     /// (what is there in their place is told), or in which they are not as described.
     pub fn observe(&mut self, picture: &GrayImage) -> Result<Observation> {
-        self.check_size(picture)?;
+        require_size(&self.intrinsics, picture.width(), picture.height())?;
         let mut found = Vec::new();
         for detector in &mut self.detectors {
             found.extend(detector.detect(picture)?);
@@ -200,22 +200,6 @@ impl Annotator {
             }
         }
         doubts
-    }
-
-    fn check_size(&self, picture: &GrayImage) -> Result<()> {
-        let (width, height) = picture.dimensions();
-        let own = &self.intrinsics;
-        if (width, height) == (own.width, own.height) {
-            return Ok(());
-        }
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the picture has {width}×{height} pixels, the intrinsics are for {}×{}",
-                own.width, own.height
-            ),
-        )
-        .remedy("calibrate the camera at the resolution that is recorded"))
     }
 }
 

@@ -13,7 +13,9 @@ mod board;
 mod board_check;
 mod board_file;
 mod board_import;
+pub mod calibrate;
 pub mod camera;
+mod camera_file;
 pub mod detect;
 mod detection;
 mod dictionary;
@@ -29,5 +31,8 @@ pub use bench::{PoseBench, PoseFigures, measure_pose};
 pub use board::{Board, BoardMarker, Part};
 pub use board_file::{BoardFile, PrintedSheet};
 pub use board_import::{ForeignBoard, import_kalibr, import_ros};
+pub use camera_file::{
+    CameraChoice, CameraFile, CameraFormat, load_intrinsics, require_size, to_opencv, to_ros,
+};
 pub use detection::{Detection, MarkerDetector};
 pub use dictionary::{DICTIONARY_NAMES, Dictionary, MarkerCells};

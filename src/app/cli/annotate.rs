@@ -33,7 +33,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::geometry::{LengthUnit, Pose, TriangleMesh};
 use crate::imaging::{Decoder, Intrinsics, Role, encode_jpeg};
-use crate::pose::{BoardFile, PrintedSheet};
+use crate::pose::{BoardFile, PrintedSheet, load_intrinsics};
 
 /// JPEG quality of the overlays.
 const OVERLAY_QUALITY: u8 = 88;
@@ -226,7 +226,7 @@ impl Given {
             sheet: file.map(BoardFile::load).transpose()?,
             sheets: folder.map(read_sheets).transpose()?,
             tags: args.tags.as_deref().map(BoardFile::load).transpose()?,
-            intrinsics: intrinsics.map(Intrinsics::load).transpose()?,
+            intrinsics: intrinsics.map(load_intrinsics).transpose()?,
         })
     }
 }

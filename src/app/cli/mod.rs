@@ -19,6 +19,9 @@ mod bench_predict;
 mod bench_render;
 mod board;
 mod board_make;
+mod calibrate;
+mod calibrate_convert;
+mod calibrate_gripper;
 mod collect;
 mod completions;
 mod config;
@@ -110,6 +113,8 @@ enum Verb {
     Board(board::Args),
     /// Find out where the gripper was in collected grasps
     Annotate(annotate::Args),
+    /// Calibrate the gripper's tags; convert and look at intrinsics
+    Calibrate(calibrate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),
     /// Look at, verify, repair, index and split a dataset
@@ -146,6 +151,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Rig(args) => rig::run(&context, args),
         Verb::Board(args) => board::run(&context, args),
         Verb::Annotate(args) => annotate::run(&context, args),
+        Verb::Calibrate(args) => calibrate::run(&context, args),
         Verb::Predict(args) => predict::run(&context, args),
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),

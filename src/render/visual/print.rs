@@ -24,7 +24,7 @@ const CELL_PX: u32 = 24;
 const PAPER: f32 = 0.8;
 const INK: f32 = 0.02;
 /// The table lies this much below a sheet, m, so that the sheet is seen and not the table.
-pub const PRINT_LIFT_M: f64 = 1e-4;
+pub(super) const PRINT_LIFT_M: f64 = 1e-4;
 /// The camera's place, seen from the gripper's front: turn, angle above the table, distance.
 const MOST_TURN_RAD: f64 = 0.3;
 const ABOVE_RAD: [f64; 2] = [0.42, 0.56];

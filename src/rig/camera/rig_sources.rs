@@ -10,6 +10,7 @@ use super::{
 };
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Intrinsics, Role};
+use crate::pose::load_intrinsics;
 use crate::rig::calibration::{CameraConfig, RigFile, SourceKind, colour_intrinsics};
 use crate::rig::device::SystemRoot;
 
@@ -80,7 +81,7 @@ impl RigSources {
         let (mut found, mut notes) = (BTreeMap::new(), Vec::new());
         for (role, camera) in &rig.cameras {
             if let Some(path) = &camera.intrinsics {
-                found.insert(*role, Intrinsics::load(path)?);
+                found.insert(*role, load_intrinsics(path)?);
             } else if *role == Role::External
                 && camera.source == SourceKind::Virtual
                 && let Some(hand) = &self.hand

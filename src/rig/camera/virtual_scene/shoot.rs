@@ -88,7 +88,6 @@ pub fn shoot(
         grid: gel.grid,
         start: TraceStart::read(&file.header)?,
         conditions: VisualRandomisation::default().sample(settings.seed),
-        model,
         settings,
     };
     let sheet = sheet_of(mesh, &object.source, set.start.t_world_object)?;
@@ -170,7 +169,6 @@ struct Set<'a> {
     grid: GelGrid,
     start: TraceStart,
     conditions: VisualConditions,
-    model: &'a Model,
     settings: &'a ShootSettings,
 }
 

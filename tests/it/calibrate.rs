@@ -1,0 +1,243 @@
+//! `gripcast calibrate` as a user runs it.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use glam::{DMat3, DQuat, DVec3};
+use gripcast::geometry::Pose;
+use gripcast::imaging::{Intrinsics, encode_png_grey8};
+use gripcast::pose::synthetic::{PictureConditions, Placed, render, test_camera};
+use gripcast::pose::{BoardFile, Part, load_intrinsics};
+
+use crate::program::{gripcast, json, stderr, succeed};
+
+const TAGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/calib/boards/gripper-umi.toml");
+
+fn calibrate(words: &str) -> Command {
+    let mut command = gripcast();
+    command.arg("calibrate").args(words.split_whitespace());
+    command
+}
+
+/// Exit code and what is said.
+fn refused(command: &mut Command) -> (i32, String) {
+    let output = command.output().unwrap();
+    (output.status.code().unwrap(), stderr(&output))
+}
+
+fn camera() -> Intrinsics {
+    test_camera(1280, 720)
+}
+
+#[test]
+fn intrinsics_survive_every_format() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let mut camera = camera();
+    camera.model = gripcast::imaging::DistortionModel::BrownConrady;
+    camera.coefficients = [1e-7, -1.0 / 3.0, 0.0007, -0.0004, 0.08];
+    camera.save(&at("a.toml")).unwrap();
+    let mut from = "a.toml";
+    for (to, name) in [("ros", "b.yaml"), ("opencv", "c.yml"), ("toml", "d.toml")] {
+        let words = format!(
+            "convert {} --to {to} --out {}",
+            at(from).display(),
+            at(name).display()
+        );
+        succeed(&mut calibrate(&words));
+        assert_eq!(load_intrinsics(&at(name)).unwrap(), camera);
+        let shown = json(&succeed(&mut calibrate(&format!(
+            "show {} --json",
+            at(name).display()
+        ))));
+        assert_eq!(shown["format"], to);
+        assert_eq!(shown["width"], 1280);
+        assert_eq!(shown["coefficients"][0], 1e-7);
+        from = name;
+    }
+    assert_eq!(
+        fs::read(at("a.toml")).unwrap(),
+        fs::read(at("d.toml")).unwrap()
+    );
+}
+
+#[test]
+fn wrong_intrinsics_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    camera().save(Path::new(&at("a.toml"))).unwrap();
+    let sizeless = "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   \
+                    data: [ 900., 0., 640., 0., 900., 360., 0., 0., 1. ]\n\
+                    D: !!opencv-matrix\n   rows: 1\n   cols: 4\n   dt: d\n   data: [ 0., 0., 0., 0. ]\n";
+    fs::write(at("k.yml"), sizeless).unwrap();
+    fs::write(at("no.yaml"), "hello\n").unwrap();
+    let out = at("o");
+    for (words, code, expected) in [
+        (format!("show {}", at("missing.yaml")), 1, "missing.yaml"),
+        (format!("show {}", at("no.yaml")), 1, "no camera file"),
+        (format!("show {}", at("k.yml")), 1, "--size 1280x720"),
+        (format!("show {} --size 12,7", at("k.yml")), 2, "1280x720"),
+        (
+            format!("show {} --size 640x480", at("a.toml")),
+            1,
+            "1280×720",
+        ),
+        (
+            format!("convert {} --to xml --out {out}", at("a.toml")),
+            2,
+            "opencv",
+        ),
+        (
+            format!(
+                "convert {} --to ros --camera-name a:b --out {out}",
+                at("a.toml")
+            ),
+            2,
+            "letters, digits",
+        ),
+        (
+            format!("convert {} --to ros --out /nonexistent/o", at("a.toml")),
+            1,
+            "/nonexistent/o",
+        ),
+    ] {
+        let (found, said) = refused(&mut calibrate(&words));
+        assert_eq!(found, code, "{words}: {said}");
+        assert!(said.contains(expected), "{words}: {said}");
+    }
+    let words = format!(
+        "convert {} --size 1280x720 --to toml --out {out}",
+        at("k.yml")
+    );
+    succeed(&mut calibrate(&words));
+    assert_eq!(load_intrinsics(Path::new(&out)).unwrap().fx, 900.0);
+}
+
+/// Pictures of the gripper from its front, the first two with closed fingers.
+fn photograph(folder: &Path, count: u32) {
+    let board = BoardFile::load(Path::new(TAGS)).unwrap();
+    for i in 0..count {
+        let along = f64::from(i) / f64::from(count - 1);
+        let (a, e) = (1.4 * along - 0.7, 0.35 + 0.35 * (5.0 * along).sin());
+        let towards = DVec3::new(a.sin() * e.cos(), -a.cos() * e.cos(), -e.sin());
+        let z = -towards;
+        let x = z.cross(DVec3::NEG_Z).normalize();
+        let axes = DMat3::from_cols(x, z.cross(x), z);
+        let roll = DQuat::from_rotation_z(0.3 * (9.0 * along).cos());
+        let eye = DVec3::new(0.0, -0.03, -0.12) + towards * 0.45;
+        let t_camera_gripper = Pose::new(DQuat::from_mat3(&axes) * roll, eye).inverse();
+        let opening = if i < 2 {
+            0.0
+        } else {
+            0.07 * (0.5 + 0.5 * (7.0 * along).sin())
+        };
+        let placed = [
+            (Part::Body, 0.0),
+            (Part::FingerLeft, -0.5),
+            (Part::FingerRight, 0.5),
+        ];
+        let placed = placed.map(|(part, by)| Placed {
+            board: &board.board,
+            part,
+            dictionary: &board.dictionary,
+            t_camera_part: t_camera_gripper * Pose::from_translation(DVec3::X * (by * opening)),
+        });
+        let picture = render(
+            &camera(),
+            &placed,
+            &PictureConditions::default(),
+            u64::from(i),
+        );
+        let name = folder.join(format!("{i:02}.png"));
+        fs::write(name, encode_png_grey8(&picture.picture).unwrap()).unwrap();
+    }
+}
+
+#[test]
+fn tags_are_calibrated_from_a_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name).display().to_string();
+    let photos = dir.path().join("photos");
+    fs::create_dir(&photos).unwrap();
+    photograph(&photos, 10);
+    camera().save(Path::new(&at("camera.toml"))).unwrap();
+    let run = |more: &str| {
+        calibrate(&format!(
+            "gripper --tags {TAGS} --intrinsics {} --pictures {} --out {} {more}",
+            at("camera.toml"),
+            photos.display(),
+            at("gripper.toml")
+        ))
+    };
+    let report = json(&succeed(&mut run("--closed 00.png 01 --json")));
+    assert_eq!(report["pictures"], 10);
+    assert_eq!(report["opening_zero_from"], "fingers");
+    assert!(report["rms_px"].as_f64().unwrap() < 0.15, "{report}");
+    let calibrated = BoardFile::load(Path::new(&at("gripper.toml"))).unwrap();
+    assert_eq!(calibrated.board.name, "gripper-umi-calibrated");
+    assert_eq!(report["hash"], calibrated.board.hash());
+    let described = BoardFile::load(Path::new(TAGS)).unwrap();
+    for (a, b) in calibrated
+        .board
+        .markers
+        .iter()
+        .zip(&described.board.markers)
+    {
+        assert_eq!((a.id, a.part), (b.id, b.part));
+        assert!(a.center_m().distance(b.center_m()) < 5e-4, "{}", a.id);
+    }
+
+    // A damaged picture is skipped and named.
+    fs::write(photos.join("99.jpg"), [0xff, 0xd8, 0xff, 0x00]).unwrap();
+    let (code, said) = refused(&mut run("--closed 00.png"));
+    assert_eq!(code, 3, "{said}");
+    assert!(
+        said.contains("99.jpg is not used") && said.contains("1 pictures"),
+        "{said}"
+    );
+    let (code, said) = refused(&mut run("--closed 0.png"));
+    assert_eq!(code, 2);
+    assert!(said.contains("00.png"), "{said}");
+
+    // Of another size.
+    let small = image::GrayImage::new(640, 480);
+    fs::write(photos.join("98.png"), encode_png_grey8(&small).unwrap()).unwrap();
+    let (code, said) = refused(&mut run(""));
+    assert_eq!(code, 1);
+    assert!(
+        said.contains("98.png") && said.contains("640×480"),
+        "{said}"
+    );
+}
+
+#[test]
+fn pictures_without_tags_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    fs::create_dir(&photos).unwrap();
+    let small = test_camera(640, 360);
+    let intrinsics = dir.path().join("camera.toml");
+    small.save(&intrinsics).unwrap();
+    let run = |tags: &str| {
+        let words = format!(
+            "gripper --tags {tags} --intrinsics {} --pictures {} --out {}",
+            intrinsics.display(),
+            photos.display(),
+            dir.path().join("o.toml").display()
+        );
+        refused(&mut calibrate(&words))
+    };
+    let (code, said) = run(TAGS);
+    assert_eq!(code, 1);
+    assert!(said.contains("no .png or .jpg"), "{said}");
+    let blank = image::GrayImage::new(640, 360);
+    fs::write(photos.join("a.png"), encode_png_grey8(&blank).unwrap()).unwrap();
+    let (code, said) = run(TAGS);
+    assert_eq!(code, 1);
+    assert!(said.contains("no marker of any known dictionary"), "{said}");
+    let (code, said) = run("/nonexistent/tags.toml");
+    assert_eq!(code, 1);
+    assert!(said.contains("/nonexistent/tags.toml"), "{said}");
+    assert!(!dir.path().join("o.toml").exists());
+}
