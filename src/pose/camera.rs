@@ -198,11 +198,14 @@ mod tests {
             }
             project(&lens, point).unwrap()
         };
-        for which in 0..9 {
+        for (which, by_x) in rows[0].iter().enumerate() {
             let h = 1e-6;
             let difference = (moved(which, h) - moved(which, -h)) / (2.0 * h);
-            let ours = DVec2::new(rows[0][which], rows[1][which]);
-            assert!(ours.distance(difference) < 1e-4, "{which}: {ours} {difference}");
+            let ours = DVec2::new(*by_x, rows[1][which]);
+            assert!(
+                ours.distance(difference) < 1e-4,
+                "{which}: {ours} {difference}"
+            );
         }
     }
 

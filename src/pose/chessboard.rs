@@ -123,10 +123,7 @@ impl Chessboard {
                         "markers of {marker:.2} mm leave no white in squares of {square:.2} mm"
                     ),
                 )
-                .remedy(format!(
-                    "make them {:.1} mm or smaller",
-                    0.75 * square
-                )));
+                .remedy(format!("make them {:.1} mm or smaller", 0.75 * square)));
             }
         }
         let count = self.white_squares().count();

@@ -17,7 +17,11 @@ mod bench_pose;
 mod bench_predict;
 mod bench_render;
 mod board;
+mod board_charuco;
 mod board_make;
+mod calibrate;
+mod calibrate_intrinsics;
+mod calibrate_live;
 mod collect;
 mod completions;
 mod config;
@@ -107,6 +111,8 @@ enum Verb {
     Rig(rig::Args),
     /// Print boards and tags of markers, look at board files
     Board(board::Args),
+    /// Find out what the cameras are
+    Calibrate(calibrate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),
     /// Look at, verify, repair, index and split a dataset
@@ -142,6 +148,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),
         Verb::Board(args) => board::run(&context, args),
+        Verb::Calibrate(args) => calibrate::run(&context, args),
         Verb::Predict(args) => predict::run(&context, args),
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),

@@ -236,7 +236,9 @@ fn free_distance(
 ) -> Option<f64> {
     let mut least = f64::INFINITY;
     for marker in beside {
-        let corners = marker.corners_m.map(|c| mapped(homography, c.truncate() - place));
+        let corners = marker
+            .corners_m
+            .map(|c| mapped(homography, c.truncate() - place));
         let [Some(a), Some(b), Some(c), Some(d)] = corners else {
             return None;
         };
@@ -262,14 +264,15 @@ fn mapped(homography: &DMat3, at: DVec2) -> Option<DVec2> {
 /// the board.
 fn plane_frame(file: &BoardFile) -> Pose {
     let markers: Vec<&BoardMarker> = file.board.of_part(Part::Object).collect();
-    let middle =
-        markers.iter().map(|m| m.center_m()).sum::<DVec3>() / markers.len().max(1) as f64;
+    let middle = markers.iter().map(|m| m.center_m()).sum::<DVec3>() / markers.len().max(1) as f64;
     let across: DVec3 = markers
         .iter()
         .map(|m| (m.corners_m[3] - m.corners_m[1]).cross(m.corners_m[2] - m.corners_m[0]))
         .sum();
     let z = across.normalize_or(DVec3::Z);
-    let right = markers.first().map_or(DVec3::X, |m| m.corners_m[1] - m.corners_m[0]);
+    let right = markers
+        .first()
+        .map_or(DVec3::X, |m| m.corners_m[1] - m.corners_m[0]);
     let x = right
         .reject_from(z)
         .try_normalize()

@@ -224,9 +224,7 @@ fn linearise(
             for (axis, value) in residual.to_array().into_iter().enumerate() {
                 let gradient = gradients[axis];
                 let turn = arm.cross(gradient);
-                let row = [
-                    gradient.x, gradient.y, gradient.z, turn.x, turn.y, turn.z,
-                ];
+                let row = [gradient.x, gradient.y, gradient.z, turn.x, turn.y, turn.z];
                 for (entry, is_fitted) in by_lens[axis].iter_mut().zip(fitted) {
                     if !is_fitted {
                         *entry = 0.0;

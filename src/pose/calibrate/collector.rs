@@ -140,8 +140,7 @@ impl Collector {
     /// `Input` for a board that is not flat, or that the detector cannot search for.
     pub fn new(file: &BoardFile, settings: CollectorSettings) -> Result<Self> {
         let ids = file.board.ids();
-        let detector =
-            ApriltagDetector::new(&file.dictionary, &ids, ApriltagSettings::default())?;
+        let detector = ApriltagDetector::new(&file.dictionary, &ids, ApriltagSettings::default())?;
         Ok(Self {
             finder: PointFinder::new(file)?,
             detector: Box::new(detector),
@@ -302,11 +301,17 @@ fn best_lens(size: [u32; 2], homographies: &[DMat3], views: &[Vec<BoardPoint>]) 
                 lens: *lens,
                 poses: vec![pose(lens, h)?],
             };
-            let fit = minimise(&[points.clone()], start, &[false; 9], 3.0)?;
+            let fit = minimise(std::slice::from_ref(points), start, &[false; 9], 3.0)?;
             let pose = fit.bundle.poses[0];
-            Some(points.iter().map(|p| error_px(lens, &pose, p).powi(2)).sum())
+            Some(
+                points
+                    .iter()
+                    .map(|p| error_px(lens, &pose, p).powi(2))
+                    .sum(),
+            )
         });
-        fits.map(|e: Option<f64>| e.unwrap_or(f64::INFINITY)).sum::<f64>()
+        fits.map(|e: Option<f64>| e.unwrap_or(f64::INFINITY))
+            .sum::<f64>()
     };
     let found = lenses(size, homographies).into_iter();
     let best = found.map(|lens| (error(&lens), lens));

@@ -13,10 +13,6 @@ pub(super) const CELLS: [usize; 2] = [4, 3];
 const POINTS_IN_CELL: usize = 6;
 /// Least angle of the board against the picture that counts as tilted, rad: 15°.
 const TILTED_RAD: f64 = 0.26;
-/// Views that each tilt needs.
-const VIEWS_OF_TILT: usize = 2;
-/// Ratio of the farthest to the nearest view.
-const DISTANCES: f64 = 1.25;
 
 /// Which edge of the board is farther from the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +31,8 @@ impl Tilt {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Left, Self::Right, Self::Up, Self::Down];
 
-    fn edge(self) -> &'static str {
+    /// The name of the edge.
+    pub fn edge(self) -> &'static str {
         match self {
             Self::Left => "left",
             Self::Right => "right",
@@ -126,6 +123,11 @@ pub struct Coverage {
 }
 
 impl Coverage {
+    /// Views that each tilt needs.
+    pub const VIEWS_OF_TILT: usize = 2;
+    /// Ratio of the farthest to the nearest view that is needed.
+    pub const DISTANCES: f64 = 1.25;
+
     /// Of the points of views and the board's pose in each, `t_camera_plane`, in pictures of
     /// `size`; `wanted` views are enough.
     pub(super) fn of<'a>(
@@ -173,16 +175,16 @@ impl Coverage {
         let tilt = Tilt::ALL[self.tilts.iter().position(|n| *n == fewest).unwrap_or(0)];
         let empty = self.emptiest();
         // Tilts and places in turn, so that they come together.
-        if fewest < VIEWS_OF_TILT && (self.views.is_multiple_of(2) || empty.is_none()) {
+        if fewest < Self::VIEWS_OF_TILT && (self.views.is_multiple_of(2) || empty.is_none()) {
             return Hint::Tilt(tilt);
         }
         if let Some(cell) = empty {
             return Hint::MoveTo(cell);
         }
-        if fewest < VIEWS_OF_TILT {
+        if fewest < Self::VIEWS_OF_TILT {
             return Hint::Tilt(tilt);
         }
-        if self.distance_ratio < DISTANCES {
+        if self.distance_ratio < Self::DISTANCES {
             return if self.largest < 0.6 {
                 Hint::Nearer
             } else {
@@ -202,10 +204,19 @@ impl Coverage {
 
     /// Parts of what is needed, 0 to 1.
     pub fn progress(&self) -> f64 {
-        let cells = self.cells.iter().flatten().filter(|n| **n >= POINTS_IN_CELL).count();
-        let tilts: usize = self.tilts.iter().map(|n| (*n).min(VIEWS_OF_TILT)).sum();
+        let cells = self
+            .cells
+            .iter()
+            .flatten()
+            .filter(|n| **n >= POINTS_IN_CELL)
+            .count();
+        let tilts: usize = self
+            .tilts
+            .iter()
+            .map(|n| (*n).min(Self::VIEWS_OF_TILT))
+            .sum();
         let views = self.views.min(self.wanted);
-        let all = CELLS[0] * CELLS[1] + 4 * VIEWS_OF_TILT + self.wanted;
+        let all = CELLS[0] * CELLS[1] + 4 * Self::VIEWS_OF_TILT + self.wanted;
         (cells + tilts + views) as f64 / all as f64
     }
 
@@ -271,7 +282,10 @@ mod tests {
             };
             assert!(pose.transform_vector(edge).z > 0.4, "{expected:?}");
         }
-        assert_eq!(Tilt::of(pose(DQuat::from_rotation_x(0.2), 0.5).transform_vector(DVec3::Z)), None);
+        assert_eq!(
+            Tilt::of(pose(DQuat::from_rotation_x(0.2), 0.5).transform_vector(DVec3::Z)),
+            None
+        );
     }
 
     #[test]

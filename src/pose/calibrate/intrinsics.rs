@@ -265,9 +265,8 @@ impl<'a> Search<'a> {
         self.bundle = fit.bundle.clone();
         let sigma = self.point_sigma(&fit.bundle, &fitted);
         let lens = &fit.bundle.lens;
-        let focal = [(lens.fx, 0), (lens.fy, 1)].map(|(focal, i)| {
-            sigma * fit.inverse_information[i][i].max(0.0).sqrt() / focal
-        });
+        let focal = [(lens.fx, 0), (lens.fy, 1)]
+            .map(|(focal, i)| sigma * fit.inverse_information[i][i].max(0.0).sqrt() / focal);
         let is_known = lens.validate().is_ok() && focal.iter().all(|s| *s <= WORST_FOCAL);
         if !is_known {
             return Err(not_determined());
@@ -353,8 +352,7 @@ impl<'a> Search<'a> {
         let (mut squares, mut points) = (0.0, 0usize);
         let mut lenses = Vec::new();
         for fold in 0..folds {
-            let (out, kept): (Vec<usize>, Vec<usize>) =
-                (0..count).partition(|i| i % folds == fold);
+            let (out, kept): (Vec<usize>, Vec<usize>) = (0..count).partition(|i| i % folds == fold);
             let start = Bundle {
                 lens: fit.bundle.lens,
                 poses: kept.iter().map(|i| fit.bundle.poses[*i]).collect(),
@@ -405,7 +403,10 @@ impl<'a> Search<'a> {
         let points = &self.all[view];
         if let Some(place) = self.indices.iter().position(|i| *i == view) {
             let (used, pose) = (&self.views[place], bundle.poses[place]);
-            let errors: Vec<f64> = used.iter().map(|p| error_px(&bundle.lens, &pose, p)).collect();
+            let errors: Vec<f64> = used
+                .iter()
+                .map(|p| error_px(&bundle.lens, &pose, p))
+                .collect();
             return Some(ViewFit {
                 view,
                 rms_px: rms(&errors),
@@ -418,9 +419,17 @@ impl<'a> Search<'a> {
             lens: bundle.lens,
             poses: vec![pose(&bundle.lens, &homography(points)?)?],
         };
-        let fit = minimise(&[points.clone()], start, &[false; LENS], ROUGH_LOSS_PX)?;
+        let fit = minimise(
+            std::slice::from_ref(points),
+            start,
+            &[false; LENS],
+            ROUGH_LOSS_PX,
+        )?;
         let pose = fit.bundle.poses[0];
-        let errors: Vec<f64> = points.iter().map(|p| error_px(&bundle.lens, &pose, p)).collect();
+        let errors: Vec<f64> = points
+            .iter()
+            .map(|p| error_px(&bundle.lens, &pose, p))
+            .collect();
         Some(ViewFit {
             view,
             rms_px: rms(&errors),
@@ -466,7 +475,9 @@ fn corner_spread(lens: &Intrinsics, inverse_information: &[[f64; LENS]; LENS]) -
                 row[2] = 0.0;
                 row[3] = 0.0;
                 let product = |i: usize| -> f64 {
-                    (0..LENS).map(|j| row[i] * inverse_information[i][j] * row[j]).sum()
+                    (0..LENS)
+                        .map(|j| row[i] * inverse_information[i][j] * row[j])
+                        .sum()
                 };
                 (0..LENS).map(product).sum::<f64>()
             })
@@ -517,14 +528,17 @@ const TILT_REMEDY: &str = "take pictures with the board tilted by 20° to 40° t
                            and downwards, in all parts of the picture";
 
 fn not_determined() -> Error {
-    let what = "the views do not determine the focal length: they show the board from too few directions";
+    let what =
+        "the views do not determine the focal length: they show the board from too few directions";
     Error::new(ErrorKind::Input, what).remedy(TILT_REMEDY)
 }
 
 fn too_few(count: usize) -> Error {
     Error::new(
         ErrorKind::Input,
-        format!("a calibration needs at least {FEWEST_VIEWS} usable views of the board, found {count}"),
+        format!(
+            "a calibration needs at least {FEWEST_VIEWS} usable views of the board, found {count}"
+        ),
     )
     .remedy("take 12 to 20 pictures, with the board tilted and in all parts of the picture")
 }

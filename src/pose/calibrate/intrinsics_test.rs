@@ -33,8 +33,10 @@ fn normal(random: &mut Pcg64) -> f64 {
 pub(super) fn poses(count: usize, random: &mut Pcg64, tilt: f64) -> Vec<Pose> {
     (0..count)
         .map(|k| {
-            let azimuth = std::f64::consts::TAU * (k as f64 * 0.382 + 0.05 * random.random::<f64>());
-            let lean = tilt * (0.6 + 0.4 * random.random::<f64>()) * f64::from(u8::from(k % 4 != 0));
+            let azimuth =
+                std::f64::consts::TAU * (k as f64 * 0.382 + 0.05 * random.random::<f64>());
+            let lean =
+                tilt * (0.6 + 0.4 * random.random::<f64>()) * f64::from(u8::from(k % 4 != 0));
             let axis = DVec3::new(azimuth.cos(), azimuth.sin(), 0.0);
             let roll = DQuat::from_rotation_z(0.5 * (random.random::<f64>() - 0.5));
             let facing = DQuat::from_rotation_x(std::f64::consts::PI);
@@ -66,7 +68,13 @@ fn view(lens: &Intrinsics, pose: &Pose, noise: f64, random: &mut Pcg64) -> Vec<B
     all.collect()
 }
 
-fn views(lens: &Intrinsics, count: usize, tilt: f64, noise: f64, seed: u64) -> Vec<Vec<BoardPoint>> {
+fn views(
+    lens: &Intrinsics,
+    count: usize,
+    tilt: f64,
+    noise: f64,
+    seed: u64,
+) -> Vec<Vec<BoardPoint>> {
     let mut random = Pcg64::seed_from_u64(seed);
     let poses = poses(count, &mut random, tilt);
     poses
@@ -94,7 +102,10 @@ fn exact_points_give_the_exact_lens() {
     let truth = truth();
     let report = calibrate_intrinsics(SIZE, &views(&truth, 9, 0.6, 0.0, 1)).unwrap();
     for (ours, expected) in values(&report.intrinsics).iter().zip(values(&truth)) {
-        assert!((ours - expected).abs() < 1e-5 * expected.abs().max(1.0), "{report:?}");
+        assert!(
+            (ours - expected).abs() < 1e-5 * expected.abs().max(1.0),
+            "{report:?}"
+        );
     }
     assert!(report.rms_px < 1e-6 && report.fitted[..8].iter().all(|f| *f));
     assert!(!report.fitted[8] && report.sigma[8] == 0.0);
@@ -157,7 +168,10 @@ fn other_lenses_are_found_too() {
         let (ours, expected) = (values(&report.intrinsics), values(lens));
         for i in 0..4 {
             let off = (ours[i] - expected[i]).abs();
-            assert!(off < 4.5 * report.sigma[i] && off < 3.0, "{k} {i}: {report:#?}");
+            assert!(
+                off < 4.5 * report.sigma[i] && off < 3.0,
+                "{k} {i}: {report:#?}"
+            );
         }
         assert!(report.rms_px < 0.08, "{k} {report:?}");
         assert_eq!(report.fitted[8], k == 2, "{k} {report:?}");
@@ -170,7 +184,10 @@ fn views_from_one_direction_are_refused() {
     for (tilt, noise) in [(0.0, 0.0), (0.0, 0.1), (0.03, 0.1)] {
         let error = calibrate_intrinsics(SIZE, &views(&truth, 12, tilt, noise, 3)).unwrap_err();
         let said = error.to_string();
-        assert!(said.contains("direction") && said.contains("tilted"), "{said}");
+        assert!(
+            said.contains("direction") && said.contains("tilted"),
+            "{said}"
+        );
     }
     // Tilted, but all alike; only rolled and moved.
     let mut random = Pcg64::seed_from_u64(4);

@@ -1,6 +1,6 @@
 use glam::DVec2;
-use image::imageops::flip_horizontal;
 use image::GrayImage;
+use image::imageops::flip_horizontal;
 use rand::SeedableRng as _;
 use rand_pcg::Pcg64;
 
@@ -82,7 +82,10 @@ fn chessboard_corners_are_found_without_bias() {
     let mut lengths: Vec<f64> = errors.iter().map(|e| e.length()).collect();
     lengths.sort_by(f64::total_cmp);
     let (median, worst) = (lengths[lengths.len() / 2], lengths[lengths.len() - 1]);
-    println!("{} of {visible}: bias {mean:.4}, median {median:.4}, worst {worst:.3}", errors.len());
+    println!(
+        "{} of {visible}: bias {mean:.4}, median {median:.4}, worst {worst:.3}",
+        errors.len()
+    );
     assert!(errors.len() * 10 > visible * 9);
     assert!(median < 0.04 && worst < 0.3 && mean.length() < 0.01);
 }
@@ -133,13 +136,15 @@ fn pictures_of_no_use_are_refused() {
     let mut random = Pcg64::seed_from_u64(5);
     let poses = poses(4, &mut random, 0.6);
     let first = picture(&lens, &file, &poses[1], 0);
-    let refused = |collector: &mut Collector, picture: &GrayImage| {
-        collector.offer(picture).unwrap().refused
-    };
+    let refused =
+        |collector: &mut Collector, picture: &GrayImage| collector.offer(picture).unwrap().refused;
     assert_eq!(refused(&mut collector, &first), None);
     let again = picture(&lens, &file, &poses[1], 1);
     assert_eq!(refused(&mut collector, &again), Some(Refusal::Duplicate(0)));
-    assert_eq!(refused(&mut collector, &flip_horizontal(&first)), Some(Refusal::NoBoard));
+    assert_eq!(
+        refused(&mut collector, &flip_horizontal(&first)),
+        Some(Refusal::NoBoard)
+    );
     let other = GrayImage::new(320, 240);
     assert_eq!(
         refused(&mut collector, &other),
@@ -151,7 +156,10 @@ fn pictures_of_no_use_are_refused() {
     };
     let blurred = render_board(&lens, &file, &poses[2], &blurred, 2).picture;
     let said = refused(&mut collector, &blurred);
-    assert!(matches!(said, Some(Refusal::Blurred(_) | Refusal::NoBoard)), "{said:?}");
+    assert!(
+        matches!(said, Some(Refusal::Blurred(_) | Refusal::NoBoard)),
+        "{said:?}"
+    );
     assert_eq!(collector.views().len(), 1);
     assert!(collector.offer(&GrayImage::new(4, 4)).is_err());
     // Live, the board has to be still.
@@ -160,7 +168,10 @@ fn pictures_of_no_use_are_refused() {
         ..settings
     };
     let mut live = Collector::new(&file, still).unwrap();
-    assert!(matches!(refused(&mut live, &first), Some(Refusal::Moving(_))));
+    assert!(matches!(
+        refused(&mut live, &first),
+        Some(Refusal::Moving(_))
+    ));
     assert_eq!(refused(&mut live, &again), None);
     let said = live.finish().unwrap_err().to_string();
     assert!(said.contains("at least 3 usable views"), "{said}");
@@ -171,7 +182,9 @@ fn pictures_of_no_use_are_refused() {
 #[test]
 fn real_pictures_fit() {
     let Some(folder) = std::env::var_os("GRIPCAST_CHARUCO") else {
-        eprintln!("SKIPPED: set GRIPCAST_CHARUCO to a folder with img_00.jpg to img_03.jpg of OpenCV's ChArUco tutorial");
+        eprintln!(
+            "SKIPPED: set GRIPCAST_CHARUCO to a folder with img_00.jpg to img_03.jpg of OpenCV's ChArUco tutorial"
+        );
         return;
     };
     let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
@@ -181,7 +194,9 @@ fn real_pictures_fit() {
         legacy: true,
         printed_hash: None,
     };
-    let board = chessboard.board("tutorial", &dictionary, 0, [20.0; 2]).unwrap();
+    let board = chessboard
+        .board("tutorial", &dictionary, 0, [20.0; 2])
+        .unwrap();
     let file = BoardFile::new(board, dictionary, None).unwrap();
     let file = file.with_chessboard(chessboard).unwrap();
     let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
@@ -190,7 +205,9 @@ fn real_pictures_fit() {
         let path = std::path::Path::new(&folder).join(format!("img_0{k}.jpg"));
         let bytes = std::fs::read(&path).unwrap();
         let picture = decoder.decode_file(&bytes, None, 640, 480).unwrap();
-        let offer = collector.offer(&image::imageops::grayscale(&picture)).unwrap();
+        let offer = collector
+            .offer(&image::imageops::grayscale(&picture))
+            .unwrap();
         println!("{}: {offer:?}", path.display());
     }
     let report = collector.finish().unwrap();

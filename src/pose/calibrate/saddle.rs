@@ -120,10 +120,8 @@ fn gradient(picture: &GrayImage, x: usize, y: usize) -> DVec2 {
 /// Grey level between pixels; none at the picture's border.
 fn level(picture: &GrayImage, at: DVec2) -> Option<f64> {
     let (width, height) = (picture.width() as usize, picture.height() as usize);
-    let inside = at.x >= 0.0
-        && at.y >= 0.0
-        && at.x < width as f64 - 1.0
-        && at.y < height as f64 - 1.0;
+    let inside =
+        at.x >= 0.0 && at.y >= 0.0 && at.x < width as f64 - 1.0 && at.y < height as f64 - 1.0;
     if !inside {
         return None;
     }
@@ -168,7 +166,10 @@ mod tests {
 
     #[test]
     fn saddles_are_found_to_hundredths_of_a_pixel() {
-        for (k, (x, y)) in [(20.0, 20.0), (19.3, 20.6), (20.45, 19.55)].iter().enumerate() {
+        for (k, (x, y)) in [(20.0, 20.0), (19.3, 20.6), (20.45, 19.55)]
+            .iter()
+            .enumerate()
+        {
             let truth = DVec2::new(*x, *y);
             let angles = [0.3 * k as f64, 1.3 + 0.2 * k as f64];
             let picture = picture(truth, angles);

@@ -58,7 +58,9 @@ pub(super) fn lenses(size: [u32; 2], homographies: &[DMat3]) -> Vec<Intrinsics> 
     }
     let focal = |inverse_square: f64| {
         let focal = inverse_square.sqrt().recip();
-        (focal >= FOCAL[0] && focal <= FOCAL[1]).then_some(focal * side)
+        (FOCAL[0]..=FOCAL[1])
+            .contains(&focal)
+            .then_some(focal * side)
     };
     let mut found = Vec::new();
     if let Some([x, y]) = both.solve()
