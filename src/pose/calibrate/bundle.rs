@@ -152,8 +152,8 @@ impl Equations {
             let inverse = inverse(&block)?;
             for i in 0..LENS {
                 let row = times(&inverse, &mixed[i]);
-                for j in 0..LENS {
-                    reduced.matrix[i][j] -= dot(&row, &mixed[j]);
+                for (entry, other) in reduced.matrix[i].iter_mut().zip(mixed) {
+                    *entry -= dot(&row, other);
                 }
                 reduced.vector[i] -= dot(&row, &pose.vector);
             }
