@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod board;
+mod calibrate;
 mod collect;
 mod crash;
 mod dataset;

@@ -371,13 +371,14 @@ fn as_json(args: &Args, taken: &Taken, report: &CalibrationReport, warnings: &[S
         .zip(report.fitted)
         .filter_map(|(name, is_fitted)| is_fitted.then_some(*name))
         .collect();
+    let t_plane_board = taken.collector.t_plane_board();
     let view = |view: &crate::pose::calibrate::ViewFit| {
         json!({
             "outliers": view.outliers,
             "picture": taken.names[view.view],
             "points": view.points,
             "rms_px": view.rms_px,
-            "t_camera_board": view.t_camera_plane,
+            "t_camera_board": view.t_camera_plane * t_plane_board,
         })
     };
     let left_out =

@@ -41,7 +41,6 @@ pub struct BoardPoints {
 #[derive(Clone, Debug)]
 pub struct PointFinder {
     file: BoardFile,
-    /// Frame in the middle of the markers, z out of the sheet.
     t_plane_board: Pose,
     extent_m: f64,
     total: usize,
@@ -85,6 +84,12 @@ impl PointFinder {
     /// The board.
     pub fn file(&self) -> &BoardFile {
         &self.file
+    }
+
+    /// Maps the board's frame into that of its plane: origin in the middle of the markers, z out of
+    /// the sheet.
+    pub fn t_plane_board(&self) -> Pose {
+        self.t_plane_board
     }
 
     /// Number of points that the board has.

@@ -96,6 +96,7 @@ impl fmt::Display for Refusal {
             ),
             Self::Narrow => f.write_str("only a narrow strip of the board"),
             Self::Blurred(blur) => write!(f, "blurred by {blur:.1} px"),
+            Self::Moving(motion) if motion.is_infinite() => f.write_str("the board has just come"),
             Self::Moving(motion) => write!(f, "the board moves by {motion:.0} px"),
             Self::OtherBoard => {
                 f.write_str("the markers are not where the board's description has them")
@@ -164,6 +165,11 @@ impl Collector {
     /// The board.
     pub fn file(&self) -> &BoardFile {
         self.finder.file()
+    }
+
+    /// Maps the board's frame into that of its plane.
+    pub fn t_plane_board(&self) -> Pose {
+        self.finder.t_plane_board()
     }
 
     /// The views that are used.
@@ -246,7 +252,9 @@ impl Collector {
         if self.views.len() >= MOST_VIEWS {
             return Some(Refusal::Full);
         }
-        let h = homography(points)?;
+        let Some(h) = homography(points) else {
+            return Some(Refusal::Narrow);
+        };
         let lens = self.lens.unwrap_or_else(|| guess(size));
         match pose(&lens, &h) {
             None => Some(Refusal::OtherBoard),
