@@ -60,37 +60,36 @@ pub fn choose(observations: &[&Observation]) -> Option<Choice> {
         .fold(f64::NEG_INFINITY, f64::max);
     let is_open = |i: usize| opening(i).is_none_or(|opening| opening > widest - CLOSING_M);
     let last = candidates.iter().rposition(|i| is_open(*i))?;
-    let end = candidates[last];
-    let is_at_rest = |i: usize| {
-        let (a, b) = (pose(observations[i]), pose(observations[end]));
-        let turn = (a.rotation * b.rotation.conjugate()).to_scaled_axis();
-        a.translation_m.distance(b.translation_m) < REST_M && turn.length() < REST_RAD
-    };
-    let run: Vec<usize> = candidates[..=last]
+    let blur = |i: &usize| observations[*i].blur_px;
+    let sharpest = candidates[..=last]
         .iter()
-        .rev()
+        .map(blur)
+        .fold(f64::INFINITY, f64::min);
+    // Blurred ones move, or seem to.
+    let sharp: Vec<usize> = candidates[..=last]
+        .iter()
         .copied()
-        .take_while(|i| is_open(*i) && is_at_rest(*i))
+        .filter(|i| is_open(*i) && blur(i) <= BLURRED * sharpest)
         .collect();
-    if run.len() < 2 && observations.len() > 2 {
+    let end = *sharp.last()?;
+    let is_at_rest = |i: &usize| {
+        let (a, b) = (pose(observations[*i]), pose(observations[end]));
+        a.translation_m.distance(b.translation_m) < REST_M && a.turn_from(b).length() < REST_RAD
+    };
+    let mut used: Vec<usize> = sharp.iter().rev().copied().take_while(is_at_rest).collect();
+    if used.len() < 2 && observations.len() > 2 {
         notes.push("the gripper was not at rest before it closed".to_owned());
     }
-    let sharpest = run
-        .iter()
-        .map(|i| observations[*i].blur_px)
-        .fold(f64::INFINITY, f64::min);
-    let mut used: Vec<usize> = run
-        .into_iter()
-        .filter(|i| observations[*i].blur_px <= BLURRED * sharpest)
-        .take(MOST)
-        .collect();
+    used.truncate(MOST);
     used.sort_unstable();
     let chosen: Vec<&Observation> = used.iter().map(|i| observations[*i]).collect();
     let t_object_gripper = mean(&chosen);
     let off = |seen: &&Observation| {
-        let turn = pose(seen).rotation * t_object_gripper.rotation.conjugate();
         let shift = pose(seen).translation_m - t_object_gripper.translation_m;
-        (shift.length(), turn.to_scaled_axis().length())
+        (
+            shift.length(),
+            pose(seen).turn_from(&t_object_gripper).length(),
+        )
     };
     let (spread_m, spread_rad) = chosen
         .iter()
@@ -125,9 +124,8 @@ fn mean(seen: &[&Observation]) -> Pose {
         return Pose::IDENTITY;
     };
     let count = seen.len() as f64;
-    let base = pose(first).rotation;
-    let off = |s: &&Observation| (pose(s).rotation * base.conjugate()).to_scaled_axis();
-    let turn = seen.iter().map(off).sum::<DVec3>() / count;
+    let turns = seen.iter().map(|s| pose(s).turn_from(pose(first)));
+    let turn = DQuat::from_scaled_axis(turns.sum::<DVec3>() / count);
     let translation = seen.iter().map(|s| pose(s).translation_m).sum::<DVec3>() / count;
-    Pose::new(DQuat::from_scaled_axis(turn) * base, translation)
+    Pose::new(turn * pose(first).rotation, translation)
 }

@@ -100,12 +100,7 @@ fn record(
         rotation,
         translation_m,
     } = choice.t_object_gripper;
-    // One sign of the two that mean the same.
-    let DQuat { x, y, z, w } = if rotation.w < 0.0 {
-        -rotation
-    } else {
-        rotation
-    };
+    let DQuat { x, y, z, w } = rotation;
     let tags = &shown.gripper.body;
     let used = |markers: &[MarkerResidual]| markers.iter().filter(|marker| marker.used).count();
     let mut notes = shown.notes.clone();

@@ -71,6 +71,14 @@ impl Pose {
         self.rotation * vector
     }
 
+    /// Rotation vector, rad, of the shortest turn that leads from the rotation of `other` to this
+    /// one, along the outer frame's axes.
+    pub fn turn_from(&self, other: &Self) -> DVec3 {
+        let turn = self.rotation * other.rotation.conjugate();
+        let shortest = if turn.w < 0.0 { -turn } else { turn };
+        shortest.to_scaled_axis()
+    }
+
     /// The rotation as a matrix; its columns are the axes of b in coordinates of a.
     pub fn rotation_matrix(&self) -> DMat3 {
         DMat3::from_quat(self.rotation)

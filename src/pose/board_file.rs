@@ -22,6 +22,7 @@ use serde::Deserialize;
 use sha2::{Digest as _, Sha256};
 
 use super::board::{Board, BoardMarker};
+use super::chessboard::Chessboard;
 use super::dictionary::Dictionary;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
@@ -59,6 +60,8 @@ pub struct BoardFile {
     pub dictionary: Dictionary,
     /// The sheet, for a board that was drawn for an object.
     pub sheet: Option<PrintedSheet>,
+    /// The squares, for markers that are on a chessboard.
+    pub chessboard: Option<Chessboard>,
 }
 
 impl Board {
@@ -92,7 +95,18 @@ impl BoardFile {
             board,
             dictionary,
             sheet,
+            chessboard: None,
         })
+    }
+
+    /// The board as one on a chessboard.
+    ///
+    /// # Errors
+    /// `Input` if the markers are not in the chessboard's white squares.
+    pub fn with_chessboard(mut self, chessboard: Chessboard) -> Result<Self> {
+        chessboard.check(&self.board)?;
+        self.chessboard = Some(chessboard);
+        Ok(self)
     }
 
     /// Reads and checks a file. A dictionary of one's own is looked for beside it.
@@ -127,7 +141,11 @@ impl BoardFile {
         if let Some(sheet) = &read.sheet {
             check_sheet(sheet)?;
         }
-        Self::new(board, dictionary, read.sheet)
+        let file = Self::new(board, dictionary, read.sheet)?;
+        match read.chessboard {
+            Some(chessboard) => file.with_chessboard(chessboard),
+            None => Ok(file),
+        }
     }
 
     /// The text of the file.
@@ -156,6 +174,9 @@ impl BoardFile {
                 [q.w, q.x, q.y, q.z],
             );
         }
+        if let Some(chessboard) = &self.chessboard {
+            text += &chessboard_text(chessboard);
+        }
         for marker in &board.markers {
             text += &marker_text(marker);
         }
@@ -170,6 +191,7 @@ struct Record {
     name: String,
     dictionary: String,
     sheet: Option<PrintedSheet>,
+    chessboard: Option<Chessboard>,
     #[serde(default)]
     marker: Vec<MarkerRecord>,
 }
@@ -206,6 +228,17 @@ fn marker_text(marker: &BoardMarker) -> String {
         marker.id,
         marker.part,
         corners.join(", ")
+    )
+}
+
+fn chessboard_text(chessboard: &Chessboard) -> String {
+    let [width, height] = chessboard.square_mm.map(|mm| millimetres(1e-3 * mm));
+    let printed = chessboard.printed_hash.as_ref().map_or(String::new(), |h| {
+        format!("printed_hash = {}\n", toml::Value::from(&**h))
+    });
+    format!(
+        "\n[chessboard]\nsquares = {:?}\nsquare_mm = [{width}, {height}]\nlegacy = {}\n{printed}",
+        chessboard.squares, chessboard.legacy
     )
 }
 
@@ -288,6 +321,25 @@ mod tests {
         let path = folder.path().join("board.toml");
         fs::write(&path, &text).unwrap();
         assert_eq!(BoardFile::load(&path).unwrap(), read);
+    }
+
+    #[test]
+    fn a_chessboard_survives_its_file() {
+        let chessboard = Chessboard {
+            squares: [8, 6],
+            square_mm: [30.1, 29.9],
+            legacy: true,
+            printed_hash: Some("0123".into()),
+        };
+        let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
+        let board = chessboard.board("c", &dictionary, 0, [21.07, 20.93]);
+        let file = BoardFile::new(board.unwrap(), dictionary, None).unwrap();
+        let text = file.with_chessboard(chessboard.clone()).unwrap().to_toml();
+        assert_eq!(parse(&text).unwrap().chessboard, Some(chessboard));
+        assert_eq!(parse(&text).unwrap().to_toml(), text);
+        let wrong = text.replace("legacy = true", "legacy = false");
+        let said = parse(&wrong).unwrap_err().to_string();
+        assert!(said.contains("black square"), "{said}");
     }
 
     #[test]

@@ -38,6 +38,24 @@ pub fn project_with_jacobian(
     Some((pixel, [row(focal.x, 0), row(focal.y, 1)]))
 }
 
+/// Derivatives of [`project`]'s x and y by fx, fy, cx, cy, k1, k2, p1, p2, k3 for the
+/// Brown–Conrady model; the point is one that it projects.
+pub(super) fn intrinsics_jacobian(intrinsics: &Intrinsics, point_m: DVec3) -> [[f64; 9]; 2] {
+    let at = point_m.truncate() / point_m.z;
+    let (bent, _) = polynomial(&intrinsics.coefficients, at);
+    let (fx, fy) = (intrinsics.fx, intrinsics.fy);
+    let (x, y) = (at.x, at.y);
+    let r2 = x * x + y * y;
+    let (xy, xx, yy) = (2.0 * x * y, r2 + 2.0 * x * x, r2 + 2.0 * y * y);
+    let radial = [r2, r2 * r2, r2 * r2 * r2];
+    let [a, b, c] = radial.map(|r| fx * x * r);
+    let [d, e, f] = radial.map(|r| fy * y * r);
+    [
+        [bent.x, 0.0, 1.0, 0.0, a, b, fx * xy, fx * xx, c],
+        [0.0, bent.y, 0.0, 1.0, d, e, fy * yy, fy * xy, f],
+    ]
+}
+
 /// Ideal coordinates (x/z, y/z) of a pixel; none where the lens model has no answer near it.
 pub fn undistort(intrinsics: &Intrinsics, pixel: DVec2) -> Option<DVec2> {
     let focal = DVec2::new(intrinsics.fx, intrinsics.fy);
@@ -161,6 +179,33 @@ mod tests {
                     );
                 }
             }
+        }
+    }
+
+    #[test]
+    fn the_derivative_by_the_lens_is_that_of_finite_differences() {
+        let lens = lens(DistortionModel::BrownConrady);
+        let point = DVec3::new(-0.3, 0.15, 0.6);
+        let rows = intrinsics_jacobian(&lens, point);
+        let moved = |which: usize, by: f64| {
+            let mut lens = lens;
+            match which {
+                0 => lens.fx += by,
+                1 => lens.fy += by,
+                2 => lens.cx += by,
+                3 => lens.cy += by,
+                k => lens.coefficients[k - 4] += by,
+            }
+            project(&lens, point).unwrap()
+        };
+        for (which, by_x) in rows[0].iter().enumerate() {
+            let h = 1e-6;
+            let difference = (moved(which, h) - moved(which, -h)) / (2.0 * h);
+            let ours = DVec2::new(*by_x, rows[1][which]);
+            assert!(
+                ours.distance(difference) < 1e-4,
+                "{which}: {ours} {difference}"
+            );
         }
     }
 

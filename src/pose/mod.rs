@@ -16,6 +16,7 @@ mod board_import;
 pub mod calibrate;
 pub mod camera;
 mod camera_file;
+mod chessboard;
 pub mod detect;
 mod detection;
 mod dictionary;
@@ -34,5 +35,6 @@ pub use board_import::{ForeignBoard, import_kalibr, import_ros};
 pub use camera_file::{
     CameraChoice, CameraFile, CameraFormat, load_intrinsics, require_size, to_opencv, to_ros,
 };
+pub use chessboard::Chessboard;
 pub use detection::{Detection, MarkerDetector};
 pub use dictionary::{DICTIONARY_NAMES, Dictionary, MarkerCells};

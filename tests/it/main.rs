@@ -4,6 +4,7 @@
 
 mod board;
 mod calibrate;
+mod calibrate_intrinsics;
 mod collect;
 mod crash;
 mod dataset;

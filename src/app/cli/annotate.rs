@@ -478,9 +478,9 @@ fn lines(record: &GraspRecord, pose: &PoseRecord) -> Vec<String> {
 /// Distance, m, and angle, rad, of a pose from another.
 fn distance(pose: &PoseRecord, other: &Pose) -> (f64, f64) {
     let [w, x, y, z] = pose.q_wxyz;
-    let turn = other.rotation * DQuat::from_xyzw(x, y, z, w).conjugate();
-    let shift = other.translation_m - DVec3::from_array(pose.t_m);
-    (shift.length(), turn.to_scaled_axis().length())
+    let own = Pose::new(DQuat::from_xyzw(x, y, z, w), DVec3::from_array(pose.t_m));
+    let shift = other.translation_m - own.translation_m;
+    (shift.length(), own.turn_from(other).length())
 }
 
 impl Summary {

@@ -5,6 +5,7 @@
 //! gripcast board make --object cup.stl --unit mm --paper a3 --out cup.pdf --out cup.png --dpi 600
 //! gripcast board make --object builtin:mug --out board.pdf --measured-mm 99.6,99.8
 //! gripcast board gripper --out tags.pdf
+//! gripcast board charuco --squares 8x6 --square-mm 30 --out charuco.pdf
 //! gripcast board show board.toml
 //! gripcast board import board_descriptions.yaml --dictionary 4X4_50 --name table --out table.toml
 //! gripcast board import target.yaml --out grid.toml
@@ -12,7 +13,8 @@
 //! ```
 //!
 //! `make` draws the sheet that an object stands on and writes the board file beside it: the
-//! markers' corners in the object's frame. `gripper` does the same for the gripper's tags. After
+//! markers' corners in the object's frame. `gripper` does the same for the gripper's tags, `charuco`
+//! for a chessboard with markers that cameras are calibrated with. After
 //! printing, the rulers of the sheet are measured and the command is run again with
 //! `--measured-mm`: the drawing stays the same, the board file is corrected. `show` checks a board
 //! file and says what is in it. `import` reads descriptions of ROS `aruco_opencv`, Kalibr and
@@ -26,8 +28,8 @@ use std::path::{Path, PathBuf};
 use clap::Subcommand;
 use serde::Serialize;
 
-use super::board_make;
 use super::{Context, print, print_json};
+use super::{board_charuco, board_make};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::pose::{BoardFile, Dictionary, ForeignBoard, Part, import_kalibr, import_ros};
@@ -45,6 +47,8 @@ enum Kind {
     Make(board_make::MakeArgs),
     /// Draw the tags of the gripper
     Gripper(board_make::GripperArgs),
+    /// Draw a chessboard with markers, for calibrating cameras
+    Charuco(board_charuco::Args),
     /// Check a board file and say what is in it
     Show(ShowArgs),
     /// Read a board of ROS or Kalibr, or a dictionary of OpenCV
@@ -56,6 +60,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.kind {
         Kind::Make(args) => board_make::make(context, &args),
         Kind::Gripper(args) => board_make::gripper(&args),
+        Kind::Charuco(args) => board_charuco::run(&args),
         Kind::Show(args) => show(&args),
         Kind::Import(args) => import(&args),
     }
@@ -94,6 +99,15 @@ struct Summary {
     parts: Vec<PartSummary>,
     markers: Vec<MarkerSummary>,
     sheet: Option<SheetSummary>,
+    chessboard: Option<ChessboardSummary>,
+}
+
+#[derive(Serialize)]
+struct ChessboardSummary {
+    squares: [u32; 2],
+    square_mm: [f64; 2],
+    legacy: bool,
+    printed_hash: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -151,6 +165,12 @@ impl Summary {
                 printed_hash: sheet.printed_hash.clone(),
                 measured_mm: sheet.measured_mm,
             }),
+            chessboard: file.chessboard.as_ref().map(|c| ChessboardSummary {
+                squares: c.squares,
+                square_mm: c.square_mm,
+                legacy: c.legacy,
+                printed_hash: c.printed_hash.clone(),
+            }),
         }
     }
 }
@@ -192,6 +212,16 @@ fn describe(file: &BoardFile) -> String {
         lines.push(format!(
             "sheet       {} for {}, printed hash {}, rulers {x} and {y} mm",
             sheet.paper, sheet.object, sheet.printed_hash
+        ));
+    }
+    if let Some(chessboard) = &file.chessboard {
+        let [columns, rows] = chessboard.squares;
+        let [width, height] = chessboard.square_mm;
+        let legacy = if chessboard.legacy { ", legacy" } else { "" };
+        let printed = chessboard.printed_hash.as_ref();
+        let printed = printed.map_or(String::new(), |h| format!(", printed hash {h}"));
+        lines.push(format!(
+            "chessboard  {columns}×{rows} squares of {width:.3} × {height:.3} mm{legacy}{printed}"
         ));
     }
     lines.join("\n")

@@ -67,7 +67,7 @@ pub(super) struct GripperArgs {
 
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "What is written")]
-struct SheetFlags {
+pub(super) struct SheetFlags {
     /// Sheet to write: .pdf, .svg or .png; may be given several times
     #[arg(long, value_name = "FILE", required = true)]
     out: Vec<PathBuf>,
@@ -82,13 +82,13 @@ struct SheetFlags {
     dictionary: String,
     /// Paper: A4, A3, Letter
     #[arg(long, default_value = "A4", value_parser = paper)]
-    paper: Paper,
+    pub(super) paper: Paper,
     /// Dots per inch of a .png
     #[arg(long, default_value_t = 300.0)]
     dpi: f64,
     /// What the printed rulers of 100 mm measure along x and y; corrects the board file
     #[arg(long, value_name = "X,Y", default_value = "100,100", value_parser = measured)]
-    measured_mm: [f64; 2],
+    pub(super) measured_mm: [f64; 2],
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -141,7 +141,7 @@ impl SheetFlags {
     }
 
     /// Name of the board, and its dictionary.
-    fn board(&self) -> Result<(String, Dictionary)> {
+    pub(super) fn board(&self) -> Result<(String, Dictionary)> {
         let path = self.board_path();
         for out in &self.out {
             SheetFormat::of(out)?;
@@ -160,7 +160,12 @@ impl SheetFlags {
     }
 
     /// Writes sheets and board, and says so.
-    fn write(&self, drawing: &Drawing, printed_hash: &str, file: &BoardFile) -> Result<()> {
+    pub(super) fn write(
+        &self,
+        drawing: &Drawing,
+        printed_hash: &str,
+        file: &BoardFile,
+    ) -> Result<()> {
         let encode = |out: &PathBuf| {
             Ok(match SheetFormat::of(out)? {
                 SheetFormat::Pdf => pdf(drawing),

@@ -1,6 +1,8 @@
 //! `gripcast calibrate`: cameras and the gripper's tags.
 //!
 //! ```text
+//! gripcast calibrate intrinsics --board charuco.toml --rig bench --out external.toml
+//! gripcast calibrate intrinsics --board charuco.toml --pictures photos --out external.toml
 //! gripcast calibrate show camera_info.yaml
 //! gripcast calibrate convert camera_info.yaml --to toml --out external.toml
 //! gripcast calibrate convert external.toml --to ros --camera-name external --out external.yaml
@@ -9,7 +11,7 @@
 //!     --pictures photos --closed closed-1.png --out gripper.toml
 //! ```
 //!
-//! `show` and `convert` read intrinsics of gripcast (TOML), ROS (camera_info YAML), OpenCV
+//! `intrinsics` takes views of a flat board, live or from files: docs/calibration.md. `show` and `convert` read intrinsics of gripcast (TOML), ROS (camera_info YAML), OpenCV
 //! (FileStorage YAML) and Kalibr (camchain.yaml); the content decides which it is. `gripper` finds
 //! out where the gripper's tags really are: docs/gripper-tags.md.
 //!
@@ -18,7 +20,7 @@
 
 use clap::Subcommand;
 
-use super::{Context, calibrate_convert, calibrate_gripper};
+use super::{Context, calibrate_convert, calibrate_gripper, calibrate_intrinsics};
 use crate::error::Result;
 
 /// Arguments.
@@ -30,6 +32,8 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Kind {
+    /// Intrinsics of a camera from views of a flat board
+    Intrinsics(calibrate_intrinsics::Args),
     /// Find out from pictures where the gripper's tags are
     Gripper(calibrate_gripper::Args),
     /// Read intrinsics of any known format and write them in another
@@ -41,6 +45,7 @@ enum Kind {
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.kind {
+        Kind::Intrinsics(args) => calibrate_intrinsics::run(context, &args),
         Kind::Gripper(args) => calibrate_gripper::run(context, args),
         Kind::Convert(args) => calibrate_convert::convert(context, &args),
         Kind::Show(args) => calibrate_convert::show(&args),

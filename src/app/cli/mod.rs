@@ -18,10 +18,13 @@ mod bench_pose;
 mod bench_predict;
 mod bench_render;
 mod board;
+mod board_charuco;
 mod board_make;
 mod calibrate;
 mod calibrate_convert;
 mod calibrate_gripper;
+mod calibrate_intrinsics;
+mod calibrate_live;
 mod collect;
 mod completions;
 mod config;
@@ -113,7 +116,7 @@ enum Verb {
     Board(board::Args),
     /// Find out where the gripper was in collected grasps
     Annotate(annotate::Args),
-    /// Calibrate the gripper's tags; convert and look at intrinsics
+    /// Calibrate cameras and the gripper's tags; convert and look at intrinsics
     Calibrate(calibrate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),

@@ -1,4 +1,5 @@
-//! Calibration from pictures.
+//! Calibration from pictures: the intrinsics of a camera from views of a board, the places of the
+//! gripper's tags.
 
 mod gripper;
 mod gripper_bundle;
@@ -14,3 +15,19 @@ pub use gripper::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
     calibrate_gripper,
 };
+mod board_points;
+mod bundle;
+mod collector;
+mod coverage;
+mod intrinsics;
+#[cfg(test)]
+mod intrinsics_test;
+#[cfg(test)]
+mod pictures_test;
+mod saddle;
+mod start;
+
+pub use board_points::{BoardPoint, BoardPoints, PointFinder};
+pub use collector::{Collector, CollectorSettings, Offer, Refusal};
+pub use coverage::{Coverage, Hint, Tilt};
+pub use intrinsics::{CalibrationReport, Holdout, PARAMETERS, ViewFit, calibrate_intrinsics};

@@ -1,9 +1,11 @@
-//! Sheets to print: the board that an object stands on, the tags of the gripper.
+//! Sheets to print: the board that an object stands on, the tags of the gripper, the chessboard
+//! for calibration.
 //!
 //! A sheet is a [`Drawing`] in mm, which [`svg`], [`pdf`] and [`png`] write. Lengths in this module
 //! are mm on paper: x to the right and y down from the top left corner, unless a name says
 //! otherwise.
 
+mod charuco_sheet;
 mod contour;
 mod drawing;
 mod furniture;
@@ -20,6 +22,7 @@ mod svg;
 pub use self::pdf::pdf;
 pub use self::png::{png, raster};
 pub use self::svg::svg;
+pub use charuco_sheet::{CharucoSettings, CharucoSheet, charuco_sheet};
 pub use drawing::{Colour, Drawing, Shape, TextAnchor};
 pub use gripper_board::{GripperTags, gripper_board};
 pub use gripper_sheet::gripper_sheet;

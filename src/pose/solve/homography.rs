@@ -9,7 +9,7 @@ use super::normal_equations::NormalEquations;
 ///
 /// Direct linear transform over normalised points (Hartley, *In defense of the eight-point
 /// algorithm*, 1997). None for points that do not span the plane.
-pub(super) fn plane_to_image(plane_m: &[DVec2], ideal: &[DVec2]) -> Option<DMat3> {
+pub(in crate::pose) fn plane_to_image(plane_m: &[DVec2], ideal: &[DVec2]) -> Option<DMat3> {
     let (plane, from_plane) = normalised(plane_m)?;
     let (image, from_image) = normalised(ideal)?;
     let mut equations = NormalEquations::<8>::zero();

@@ -1,10 +1,10 @@
 //! Poses from detected markers: starts from each marker's two possible poses, joint
 //! Levenberg–Marquardt over all corners of a rigid part, covariance, ambiguity.
 
-mod homography;
+pub(super) mod homography;
 mod hypotheses;
 mod ippe;
-mod normal_equations;
+pub(super) mod normal_equations;
 mod part_pose;
 mod reprojection;
 mod sighting;

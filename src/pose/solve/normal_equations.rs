@@ -2,15 +2,15 @@
 
 /// JᵀWJ and JᵀWr of up to `N` unknowns.
 #[derive(Clone, Debug)]
-pub(super) struct NormalEquations<const N: usize> {
+pub(in crate::pose) struct NormalEquations<const N: usize> {
     /// JᵀWJ.
-    pub(super) matrix: [[f64; N]; N],
+    pub(in crate::pose) matrix: [[f64; N]; N],
     /// JᵀWr.
-    pub(super) vector: [f64; N],
+    pub(in crate::pose) vector: [f64; N],
 }
 
 impl<const N: usize> NormalEquations<N> {
-    pub(super) fn zero() -> Self {
+    pub(in crate::pose) fn zero() -> Self {
         Self {
             matrix: [[0.0; N]; N],
             vector: [0.0; N],
@@ -18,7 +18,7 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// Adds one equation: `row` times the unknowns is `value`.
-    pub(super) fn add(&mut self, row: &[f64; N], value: f64, weight: f64) {
+    pub(in crate::pose) fn add(&mut self, row: &[f64; N], value: f64, weight: f64) {
         let sums = self.matrix.iter_mut().zip(&mut self.vector);
         for ((sums, sum), entry) in sums.zip(row) {
             let weighted = weight * entry;
@@ -30,13 +30,13 @@ impl<const N: usize> NormalEquations<N> {
     }
 
     /// The unknowns; none where the equations do not determine them.
-    pub(super) fn solve(&self) -> Option<[f64; N]> {
+    pub(in crate::pose) fn solve(&self) -> Option<[f64; N]> {
         Some(substitute(&factor(&self.matrix)?, self.vector))
     }
 }
 
 /// Inverse of a symmetric positive definite matrix.
-pub(super) fn inverse<const N: usize>(matrix: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
+pub(in crate::pose) fn inverse<const N: usize>(matrix: &[[f64; N]; N]) -> Option<[[f64; N]; N]> {
     let lower = factor(matrix)?;
     let mut result = [[0.0; N]; N];
     for (i, row) in result.iter_mut().enumerate() {

@@ -6,5 +6,5 @@ mod scene;
 mod surface;
 
 pub use degrade::PictureConditions;
-pub use picture::{Placed, SyntheticPicture, render};
+pub use picture::{Placed, SyntheticPicture, render, render_board};
 pub use scene::{GraspScene, gripper_markers, ring_board, test_camera};

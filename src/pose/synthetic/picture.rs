@@ -5,11 +5,11 @@ use image::GrayImage;
 use rayon::prelude::*;
 
 use super::degrade::{PictureConditions, degrade};
-use super::surface::{Decal, Shade, Surface, surfaces};
+use super::surface::{Decal, Shade, Surface, chessboard_surface, surfaces};
 use crate::geometry::Pose;
 use crate::imaging::Intrinsics;
 use crate::pose::camera::{project, undistort};
-use crate::pose::{Board, Detection, Dictionary, Part};
+use crate::pose::{Board, BoardFile, Detection, Dictionary, Part};
 
 /// Side of the tiles that are rendered with one list of candidates, px.
 const TILE: u32 = 32;
@@ -53,14 +53,46 @@ pub fn render(
         .iter()
         .flat_map(|p| surfaces(p.board, p.part, p.dictionary, &p.t_camera_part, intrinsics))
         .collect();
+    picture_of(intrinsics, &surfaces, conditions, seed)
+}
+
+/// Renders a board for calibration: its markers, and the squares of its chessboard if it has one.
+#[must_use]
+pub fn render_board(
+    intrinsics: &Intrinsics,
+    file: &BoardFile,
+    t_camera_board: &Pose,
+    conditions: &PictureConditions,
+    seed: u64,
+) -> SyntheticPicture {
+    let (board, dictionary) = (&file.board, &file.dictionary);
+    let surfaces = match &file.chessboard {
+        Some(chessboard) => vec![chessboard_surface(
+            board,
+            chessboard,
+            dictionary,
+            t_camera_board,
+            intrinsics,
+        )],
+        None => surfaces(board, Part::Object, dictionary, t_camera_board, intrinsics),
+    };
+    picture_of(intrinsics, &surfaces, conditions, seed)
+}
+
+fn picture_of(
+    intrinsics: &Intrinsics,
+    surfaces: &[Surface],
+    conditions: &PictureConditions,
+    seed: u64,
+) -> SyntheticPicture {
     let (width, height) = (intrinsics.width, intrinsics.height);
     let rays = Rays::new(intrinsics);
     let mut levels = vec![0.0f32; width as usize * height as usize];
     levels
         .par_chunks_mut((TILE * width) as usize)
         .enumerate()
-        .for_each(|(i, rows)| render_rows(rows, i as u32 * TILE, &rays, &surfaces, conditions));
-    let (truth, covered) = visible(intrinsics, &surfaces, conditions);
+        .for_each(|(i, rows)| render_rows(rows, i as u32 * TILE, &rays, surfaces, conditions));
+    let (truth, covered) = visible(intrinsics, surfaces, conditions);
     SyntheticPicture {
         picture: degrade(levels, width, height, conditions, seed),
         truth,
@@ -182,7 +214,7 @@ fn visible(
 ) -> (Vec<Detection>, Vec<Detection>) {
     let (mut truth, mut covered) = (Vec::new(), Vec::new());
     for surface in surfaces {
-        for decal in &surface.decals {
+        for decal in surface.decals.iter().filter(|d| d.is_marker()) {
             let Some(corners_px) = corners(intrinsics, decal) else {
                 continue;
             };

@@ -5,7 +5,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use crate::geometry::Pose;
 use crate::imaging::Intrinsics;
 use crate::pose::camera::project;
-use crate::pose::{Board, BoardMarker, Dictionary, MarkerCells, Part};
+use crate::pose::{Board, BoardMarker, Chessboard, Dictionary, MarkerCells, Part};
 
 /// Planes closer than this and parallel are one sheet, m.
 const ONE_SHEET_M: f64 = 1e-4;
@@ -57,7 +57,8 @@ pub(super) struct Decal {
     /// Cells along a side with the border, and of the border.
     cells: usize,
     border: usize,
-    data: MarkerCells,
+    /// None for a square that is black all over.
+    data: Option<MarkerCells>,
 }
 
 impl Surface {
@@ -94,7 +95,13 @@ impl Decal {
         let (column, row) = (cell(self.right)?, cell(self.down)?);
         let inside = self.border..self.cells - self.border;
         let is_data = inside.contains(&column) && inside.contains(&row);
-        Some(is_data && self.data.is_white(row - self.border, column - self.border))
+        let is_white = |data: &MarkerCells| data.is_white(row - self.border, column - self.border);
+        Some(is_data && self.data.as_ref().is_some_and(is_white))
+    }
+
+    /// Whether it is a marker.
+    pub(super) fn is_marker(&self) -> bool {
+        self.data.is_some()
     }
 }
 
@@ -127,8 +134,58 @@ pub(super) fn surfaces(
     }
     sheets
         .iter()
-        .map(|(plane, markers)| surface(plane, markers, dictionary, t_camera_part, intrinsics))
+        .map(|(plane, markers)| {
+            let pieces = pieces(markers, dictionary);
+            let cell = markers.first().map_or(0.0, |m| {
+                m.corners_m[0].distance(m.corners_m[1]) / dictionary.cells_per_side() as f64
+            });
+            surface(plane, pieces, cell, t_camera_part, intrinsics)
+        })
         .collect()
+}
+
+/// The sheet of a chessboard with its markers.
+pub(super) fn chessboard_surface(
+    board: &Board,
+    chessboard: &Chessboard,
+    dictionary: &Dictionary,
+    t_camera_board: &Pose,
+    intrinsics: &Intrinsics,
+) -> Surface {
+    let markers: Vec<&BoardMarker> = board.markers.iter().collect();
+    let mut all = pieces(&markers, dictionary);
+    let squares = chessboard.black_squares_m();
+    all.extend(squares.iter().map(|corners| Piece {
+        id: 0,
+        corners_m: corners.map(|c| c.extend(0.0)),
+        cells: 1,
+        border: 1,
+        data: None,
+    }));
+    let margin_m = 1e-3 * 0.1 * chessboard.square_mm[0];
+    surface(&Pose::IDENTITY, all, margin_m, t_camera_board, intrinsics)
+}
+
+/// What becomes a [`Decal`].
+struct Piece {
+    id: u32,
+    corners_m: [DVec3; 4],
+    cells: usize,
+    border: usize,
+    data: Option<MarkerCells>,
+}
+
+fn pieces(markers: &[&BoardMarker], dictionary: &Dictionary) -> Vec<Piece> {
+    let known = markers.iter().filter_map(|marker| {
+        Some(Piece {
+            id: marker.id,
+            corners_m: marker.corners_m,
+            cells: dictionary.cells_per_side(),
+            border: dictionary.border_cells(),
+            data: Some(dictionary.marker(marker.id)?),
+        })
+    });
+    known.collect()
 }
 
 /// Origin at the top-left corner, x to the right, z towards the front.
@@ -142,34 +199,30 @@ fn plane_of(marker: &BoardMarker) -> Pose {
 
 fn surface(
     plane: &Pose,
-    markers: &[&BoardMarker],
-    dictionary: &Dictionary,
+    pieces: Vec<Piece>,
+    cell_m: f64,
     t_camera_part: &Pose,
     intrinsics: &Intrinsics,
 ) -> Surface {
     let t_camera_plane = *t_camera_part * *plane;
     let flat = |c: DVec3| plane.inverse().transform_point(c).truncate();
-    let corners = || markers.iter().flat_map(|m| m.corners_m).map(flat);
-    let cells = dictionary.cells_per_side();
-    let cell = markers.first().map_or(0.0, |m| {
-        m.corners_m[0].distance(m.corners_m[1]) / cells as f64
-    });
-    let margin = DVec2::splat(MARGIN_CELLS * cell);
+    let corners = || pieces.iter().flat_map(|p| p.corners_m).map(flat);
+    let margin = DVec2::splat(MARGIN_CELLS * cell_m);
     let min = corners().fold(DVec2::INFINITY, DVec2::min) - margin;
     let max = corners().fold(DVec2::NEG_INFINITY, DVec2::max) + margin;
-    let decals = markers.iter().filter_map(|marker| {
-        let [a, b, _, d] = marker.corners_m.map(flat);
-        Some(Decal {
-            id: marker.id,
+    let decals = pieces.into_iter().map(|piece| {
+        let [a, b, _, d] = piece.corners_m.map(flat);
+        Decal {
+            id: piece.id,
             bounds: bounds(&[a, b, b + d - a, d], &t_camera_plane, intrinsics),
-            corners_m: marker.corners_m.map(|c| t_camera_part.transform_point(c)),
+            corners_m: piece.corners_m.map(|c| t_camera_part.transform_point(c)),
             origin: a,
             right: (b - a) / (b - a).length_squared(),
             down: (d - a) / (d - a).length_squared(),
-            cells,
-            border: dictionary.border_cells(),
-            data: dictionary.marker(marker.id)?,
-        })
+            cells: piece.cells,
+            border: piece.border,
+            data: piece.data,
+        }
     });
     let decals = decals.collect();
     let outline = [min, DVec2::new(max.x, min.y), max, DVec2::new(min.x, max.y)];

@@ -133,6 +133,7 @@ fn rig_file() -> RigFile {
             (Role::Depth, depth),
         ]
         .into(),
+        boards: None,
         pedals: vec![PedalConfig {
             vendor: 0x3553,
             product: 0xb001,

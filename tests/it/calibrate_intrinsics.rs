@@ -1,0 +1,200 @@
+//! `gripcast calibrate intrinsics` as a user runs it.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use glam::{DQuat, DVec3};
+use gripcast::geometry::Pose;
+use gripcast::imaging::{DistortionModel, Frame, Intrinsics, PixelFormat, Role, encode_png_grey8};
+use gripcast::pose::BoardFile;
+use gripcast::pose::synthetic::{PictureConditions, render_board};
+use gripcast::rig::camera::{CameraIdentity, Recorder, StreamInfo};
+use image::GrayImage;
+use image::imageops::flip_horizontal;
+
+use crate::program::{gripcast, json, stderr, succeed};
+
+const LENS: Intrinsics = Intrinsics {
+    width: 640,
+    height: 480,
+    fx: 571.0,
+    fy: 569.5,
+    cx: 325.0,
+    cy: 236.0,
+    model: DistortionModel::BrownConrady,
+    coefficients: [0.05, -0.08, 0.0, 0.0, 0.0],
+};
+
+/// The board of `board charuco` in `dir`.
+fn board(dir: &Path) -> BoardFile {
+    let path = dir.join("c.svg");
+    let mut command = gripcast();
+    command
+        .args(["board", "charuco", "--squares", "8x6", "--square-mm", "28"])
+        .arg("--out")
+        .arg(path);
+    succeed(&mut command);
+    BoardFile::load(&dir.join("c.toml")).unwrap()
+}
+
+/// Views of a board, tilted to all sides.
+fn pictures(board: &BoardFile) -> Vec<GrayImage> {
+    let facing = DQuat::from_rotation_x(std::f64::consts::PI);
+    let conditions = PictureConditions {
+        noise: 1.0,
+        ..PictureConditions::default()
+    };
+    (0..9u32)
+        .map(|k| {
+            let azimuth = 0.7 * f64::from(k);
+            let axis = DVec3::new(azimuth.cos(), azimuth.sin(), 0.0);
+            let lean = 0.5 * f64::from(u8::from(k > 0));
+            let depth = 0.35 + 0.02 * f64::from(k);
+            let at = [k % 3, k / 3].map(|c| f64::from(c) - 1.0);
+            let at = DVec3::new(0.2 * at[0], 0.15 * at[1], 1.0) * depth;
+            let pose = Pose::new(DQuat::from_axis_angle(axis, lean) * facing, at);
+            render_board(&LENS, board, &pose, &conditions, u64::from(k)).picture
+        })
+        .collect()
+}
+
+fn save(dir: &Path, name: &str, picture: &GrayImage) {
+    fs::create_dir_all(dir).unwrap();
+    fs::write(dir.join(name), encode_png_grey8(picture).unwrap()).unwrap();
+}
+
+fn calibrate(dir: &Path, more: &[&str]) -> Command {
+    let mut command = gripcast();
+    command
+        .current_dir(dir)
+        .args(["calibrate", "intrinsics", "--board", "c.toml"])
+        .args(["--out", "lens.toml", "--json"])
+        .args(more);
+    command
+}
+
+fn assert_found(dir: &Path) {
+    let found = Intrinsics::load(&dir.join("lens.toml")).unwrap();
+    assert!((found.fx / LENS.fx - 1.0).abs() < 5e-3, "{found:?}");
+    assert!((found.cx - LENS.cx).abs() < 3.0, "{found:?}");
+}
+
+#[test]
+fn a_folder_of_pictures_gives_the_lens() {
+    let dir = tempfile::tempdir().unwrap();
+    let board = board(dir.path());
+    let shots = dir.path().join("shots");
+    for (k, picture) in pictures(&board).iter().enumerate() {
+        save(&shots, &format!("{k}.png"), picture);
+    }
+    let run = || calibrate(dir.path(), &["--pictures", "shots"]);
+    let report = json(&succeed(&mut run()));
+    assert!(report["rms_px"].as_f64().unwrap() < 0.15, "{report}");
+    assert!(report["views"].as_array().unwrap().len() >= 7);
+    assert_found(dir.path());
+
+    fs::write(shots.join("torn.jpg"), [0xff, 0xd8, 0xff]).unwrap();
+    save(&shots, "empty.png", &GrayImage::new(640, 480));
+    let output = run().output().unwrap();
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(
+        said.contains("torn.jpg") && said.contains("empty.png: no marker"),
+        "{said}"
+    );
+    assert!(json(&output)["left_out"].as_array().unwrap().len() >= 2);
+
+    save(&shots, "z-small.png", &GrayImage::new(320, 240));
+    let output = run().output().unwrap();
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("640×480 first, then z-small.png (320×240)"),
+        "{said}"
+    );
+}
+
+#[test]
+fn what_is_wrong_with_pictures_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let board = board(dir.path());
+    let shots = dir.path().join("shots");
+    let pictures = pictures(&board);
+    save(&shots, "0.png", &flip_horizontal(&pictures[0]));
+    let refused = |folder: &str| {
+        let output = calibrate(dir.path(), &["--pictures", folder])
+            .output()
+            .unwrap();
+        (output.status.code(), stderr(&output))
+    };
+    let (code, said) = refused("shots");
+    assert!(code == Some(1) && said.contains("mirrored"), "{said}");
+    save(&shots, "0.png", &pictures[0]);
+    let (code, said) = refused("shots");
+    assert!(
+        code == Some(1) && said.contains("at least 3 usable views"),
+        "{said}"
+    );
+    let (code, said) = refused("nowhere");
+    assert!(code == Some(1) && said.contains("nowhere"), "{said}");
+    assert!(!dir.path().join("lens.toml").exists());
+}
+
+#[test]
+fn a_camera_gives_the_lens() {
+    let dir = tempfile::tempdir().unwrap();
+    let board = board(dir.path());
+    let info = StreamInfo {
+        identity: CameraIdentity::default(),
+        format: PixelFormat::Grey,
+        width: LENS.width,
+        height: LENS.height,
+        nominal_fps: 30.0,
+        depth_unit_m: None,
+    };
+    let mut recorder = Recorder::create(dir.path(), Role::External, &info).unwrap();
+    // Every view twice: the board has to be still.
+    for (k, picture) in pictures(&board).iter().flat_map(|p| [p, p]).enumerate() {
+        let frame = Frame {
+            format: info.format,
+            width: info.width,
+            height: info.height,
+            data: picture.as_raw().clone().into(),
+            sequence: k as u32,
+            driver_time_ns: k as u64 * 33_000_000,
+            received_ns: k as u64 * 33_000_000,
+        };
+        recorder.write(&frame).unwrap();
+    }
+    recorder.finish().unwrap();
+    let camera = |role: &str, more: &str| {
+        format!(
+            "\n[cameras.{role}]\nsource = \"replay\"\npath = \"external\"\nunpaced = true\n\
+             format = \"GREY\"\nwidth = 640\nheight = 480\nfps = 30\n{more}"
+        )
+    };
+    // A rig has two tactile cameras, which are not opened.
+    let tactile = "crop_profile = \"gsmini-seventh-v1\"\n";
+    let rig = [
+        "schema = 1\nid = \"r\"\n".to_owned(),
+        camera("left", tactile),
+        camera("right", tactile),
+        camera("external", ""),
+    ]
+    .concat();
+    fs::write(dir.path().join("r.toml"), rig).unwrap();
+    let words = ["--rig", "./r.toml", "--keep", "kept"];
+    let output = succeed(&mut calibrate(dir.path(), &words));
+    assert_found(dir.path());
+    assert!(
+        stderr(&output).contains("tilt the board"),
+        "{}",
+        stderr(&output)
+    );
+    assert!(fs::read_dir(dir.path().join("kept")).unwrap().count() >= 7);
+    let other = ["--rig", "./r.toml", "--camera", "rgb"];
+    let output = calibrate(dir.path(), &other).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("choose one with --camera: left, right, external"));
+}
