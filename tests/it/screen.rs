@@ -37,6 +37,7 @@ fn camera(role: Role, serial: &str, port: &str, nominal_fps: f64) -> CameraStatu
         damaged: 0,
         late: 0,
         reconnects: 0,
+        markers: None,
     }
 }
 

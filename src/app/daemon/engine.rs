@@ -21,7 +21,7 @@ use super::report::{
     CollectReport, Ended, GraspReport, PredictionReport, camera_report, camera_status, fault_text,
 };
 use super::sheets::Boards;
-use super::status::{EngineStatus, PredictionStatus};
+use super::status::{CameraStatus, EngineStatus, PredictionStatus};
 use super::store::{Store, StoreContext, StoreMessage, pending_frame};
 use crate::dataset::{
     CapturedCamera, DatasetWriter, NewDataset, PoseRecord, StageCapture, approach_name,
@@ -390,7 +390,10 @@ impl Engine {
             "command",
             &serde_json::json!({"command": command.to_string(), "source": source.name()}),
         );
-        let mut approach = self.approach_of_grasp(now_ns);
+        // The frame that is stored with the grasp is none of the approach.
+        let external = paired.frames.get(&Role::External);
+        let until_ns = external.map_or(now_ns, |frame| frame.driver_time_ns);
+        let mut approach = self.approach_of_grasp(until_ns);
         self.boards_now = approach.boards.take();
         if let Some(why) = &approach.absence {
             self.log("no_pose", &serde_json::json!({"reason": why}));
@@ -590,7 +593,7 @@ impl Engine {
     }
 
     /// What the external camera saw since the initial frame, while there is one.
-    fn approach_of_grasp(&self, now_ns: u64) -> Approach {
+    fn approach_of_grasp(&self, until_ns: u64) -> Approach {
         let pending = self.session.pending();
         let Some((watch, pending)) = self.approach.as_ref().zip(pending) else {
             return Approach::default();
@@ -682,7 +685,14 @@ impl Engine {
             cameras: self
                 .hub
                 .slots()
-                .map(|slot| camera_status(slot, &self.rig, now_ns))
+                .map(|slot| {
+                    let approach = self.approach.as_ref();
+                    let approach = approach.filter(|_| slot.role() == Role::External);
+                    CameraStatus {
+                        markers: approach.and_then(ApproachWatch::newest),
+                        ..camera_status(slot, &self.rig, now_ns)
+                    }
+                })
                 .collect(),
             prediction: prediction.map(|(live, model)| PredictionStatus {
                 p_stable: live.p_stable,
@@ -694,7 +704,6 @@ impl Engine {
                 heuristic: model.heuristic,
             }),
             prediction_absent: findings.absent.clone(),
-            markers: self.approach.as_ref().and_then(ApproachWatch::newest),
             previews: findings.previews.clone(),
         }
     }

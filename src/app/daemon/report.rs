@@ -155,6 +155,7 @@ pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> Ca
         damaged: report.damaged,
         late: report.late,
         reconnects: report.reconnects,
+        markers: None,
     })
 }
 

@@ -27,9 +27,6 @@ pub struct EngineStatus {
     pub prediction: Option<PredictionStatus>,
     /// Why there is no prediction, in a few words.
     pub prediction_absent: Option<String>,
-    /// What the external camera's newest frame shows of sheet and tags, or why it cannot be
-    /// measured; none where it is not looked at.
-    pub markers: Option<Result<String, String>>,
     /// Small pictures: tactile cameras show the difference to the initial frame (grey = no
     /// change) once there is one, the others what they see.
     pub previews: BTreeMap<Role, Preview>,
@@ -54,7 +51,6 @@ impl EngineStatus {
             cameras: Vec::new(),
             prediction: None,
             prediction_absent: None,
-            markers: None,
             previews: BTreeMap::new(),
         }
     }
@@ -153,4 +149,7 @@ pub struct CameraStatus {
     pub late: u64,
     /// How often the camera had to be opened again.
     pub reconnects: u64,
+    /// What the newest frame shows of sheet and tags, or why it cannot be measured; none where
+    /// they are not looked for.
+    pub markers: Option<Result<String, String>>,
 }

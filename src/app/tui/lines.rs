@@ -21,6 +21,7 @@ const MIN_INTERVAL: Duration = Duration::from_secs(2);
 #[derive(Debug, Default)]
 pub struct LinePrinter {
     cameras: BTreeMap<Role, Said<&'static str>>,
+    markers: Said<&'static str>,
     prediction: Said<&'static str>,
     absence: Option<String>,
     last: Option<LastGrasp>,
@@ -73,6 +74,7 @@ impl LinePrinter {
         }
         for camera in &status.cameras {
             lines.extend(self.camera(camera, status, now));
+            lines.extend(self.markers(camera, now));
         }
         lines.extend(self.prediction(status, now));
         lines.extend(self.grasp(status.session.last.as_ref()));
@@ -99,6 +101,18 @@ impl LinePrinter {
         };
         let said = self.cameras.entry(camera.role).or_default();
         said.is_news(state, now).then_some(words)
+    }
+
+    /// Whether sheet and tags can be measured, when that changes.
+    fn markers(&mut self, camera: &CameraStatus, now: Instant) -> Option<String> {
+        let (state, words) = match camera.markers.as_ref()? {
+            Ok(seen) => (
+                "seen",
+                format!("{}: pose can be measured ({seen})", camera.role),
+            ),
+            Err(reason) => ("not seen", format!("{}: no pose: {reason}", camera.role)),
+        };
+        self.markers.is_news(state, now).then_some(words)
     }
 
     /// The live prediction when it appears or changes sides.

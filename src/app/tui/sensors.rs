@@ -61,12 +61,16 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
             Style::new()
         }
     };
-    Line::from(vec![
+    let mut spans = vec![
         role,
         flag,
         Span::styled(rate, marked(slow)),
         Span::styled(format!(" {age}"), marked(old)),
-    ])
+    ];
+    if let Some(Ok(seen)) = &camera.markers {
+        spans.push(Span::styled(format!("  {seen}"), palette.stable()));
+    }
+    Line::from(spans)
 }
 
 /// A state in one or two words.
@@ -97,6 +101,13 @@ fn trouble(camera: &CameraStatus) -> String {
     .into_iter()
     .filter(|(count, _)| *count > 0)
     .map(|(count, word)| format!("{count} {word}"))
+    .chain(markers(camera))
     .collect::<Vec<_>>()
     .join(" ")
+}
+
+/// That there would be no pose, and why.
+fn markers(camera: &CameraStatus) -> Option<String> {
+    let reason = camera.markers.as_ref()?.as_ref().err()?;
+    Some(format!("no pose: {reason}"))
 }

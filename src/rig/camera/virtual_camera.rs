@@ -24,6 +24,8 @@ use crate::rig::calibration::CameraConfig;
 const PAINTED_WIDTH: u32 = 640;
 /// Tactile pictures keep finer detail.
 const PAINTED_GEL_WIDTH: u32 = 820;
+/// Markers are measured in the pictures from beside the table.
+const PAINTED_OUTSIDE_WIDTH: u32 = 1280;
 /// Frames that wait for a late reader, like the buffers of a driver.
 const BUFFERS: u64 = 4;
 const DEPTH_UNIT_M: f64 = 0.001;
@@ -258,10 +260,10 @@ struct Painter {
 
 impl Painter {
     fn new(rig: &VirtualRig, role: Role, info: &StreamInfo) -> Result<Self> {
-        let limit = if role.is_tactile() {
-            PAINTED_GEL_WIDTH
-        } else {
-            PAINTED_WIDTH
+        let limit = match role {
+            Role::Left | Role::Right => PAINTED_GEL_WIDTH,
+            Role::Rgb | Role::Depth => PAINTED_WIDTH,
+            Role::External => PAINTED_OUTSIDE_WIDTH,
         };
         let painted = if info.width <= limit {
             (info.width, info.height)
