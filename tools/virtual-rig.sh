@@ -1,6 +1,6 @@
 #!/bin/sh
 # Simulates and films the grasps of the built-in virtual rig again, into calib/virtual-rig/.
-# About 20 CPU minutes. Usage: tools/virtual-rig.sh [GRIPCAST]
+# About 40 CPU minutes. Usage: tools/virtual-rig.sh [GRIPCAST]
 set -eu
 cd "$(dirname "$0")/.."
 gripcast=${1:-target/release/gripcast}
@@ -20,7 +20,7 @@ film() {
 film mug 34 ceramic --object builtin:mug --yaw-deg 90 --offset-y -0.0165 --mass-kg 0.25 \
     --friction 0.5 --stop-force-n 30
 film ball 35 plastic --object builtin:ball --mass-kg 0.1 --friction 0.6 --stop-force-n 20
-film bottle 40 plastic --object builtin:bottle --height 0.093 --mass-kg 0.25 --friction 0.6 \
+film bottle 42 plastic --object builtin:bottle --height 0.093 --mass-kg 0.25 --friction 0.6 \
     --stop-force-n 25
 film box 14 print --object builtin:box --height 0.056 --mass-kg 0.15 --friction 0.5 \
     --stop-force-n 20

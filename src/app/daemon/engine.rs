@@ -601,7 +601,7 @@ impl Engine {
         let initial = pending.external.as_ref();
         watch.take(
             pending.trigger_time_ns,
-            now_ns,
+            until_ns,
             initial.map(|(time_ns, _)| *time_ns),
         )
     }

@@ -180,31 +180,8 @@ impl ApriltagDetector {
         }
     }
 
-    fn detection(&self, raw: &sys::apriltag_detection) -> Option<Detection> {
-        let id = *self.ids.get(usize::try_from(raw.id).ok()?)?;
-        // The library starts at the bottom left and goes against the clock.
-        let [c, d, e, f] = [3, 2, 1, 0].map(|i: usize| DVec2::from_array(raw.p[i]) - HALF_PIXEL);
-        let corners_px = [c, d, e, f];
-        corners_px
-            .iter()
-            .all(|p| p.is_finite())
-            .then_some(Detection {
-                id,
-                corners_px,
-                hamming: u32::try_from(raw.hamming).unwrap_or(0),
-                margin: raw.decision_margin,
-            })
-    }
-}
-
-impl MarkerDetector for ApriltagDetector {
-    fn name(&self) -> &'static str {
-        "apriltag"
-    }
-
-    fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
-        check_size(picture)?;
-        let picture = &light(picture);
+    /// One pass over a picture.
+    fn search(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
         self.set_least_contrast(picture);
         let (width, height) = (picture.width() as i32, picture.height() as i32);
         let mut image = sys::image_u8 {
@@ -233,6 +210,40 @@ impl MarkerDetector for ApriltagDetector {
         }
         // SAFETY: the array came from this library and is not used any more.
         unsafe { sys::apriltag_detections_destroy(found) };
+        Ok(detections)
+    }
+
+    fn detection(&self, raw: &sys::apriltag_detection) -> Option<Detection> {
+        let id = *self.ids.get(usize::try_from(raw.id).ok()?)?;
+        // The library starts at the bottom left and goes against the clock.
+        let [c, d, e, f] = [3, 2, 1, 0].map(|i: usize| DVec2::from_array(raw.p[i]) - HALF_PIXEL);
+        let corners_px = [c, d, e, f];
+        corners_px
+            .iter()
+            .all(|p| p.is_finite())
+            .then_some(Detection {
+                id,
+                corners_px,
+                hamming: u32::try_from(raw.hamming).unwrap_or(0),
+                margin: raw.decision_margin,
+            })
+    }
+}
+
+impl MarkerDetector for ApriltagDetector {
+    fn name(&self) -> &'static str {
+        "apriltag"
+    }
+
+    fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
+        check_size(picture)?;
+        let mut detections = self.search(&light(picture))?;
+        // Light of 8 bits lacks contrast where it is dim beside bright lamps or windows.
+        for dim in self.search(picture)? {
+            if detections.iter().all(|known| known.id != dim.id) {
+                detections.push(dim);
+            }
+        }
         detections.sort_by_key(|d| d.id);
         Ok(detections)
     }
