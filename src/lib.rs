@@ -12,7 +12,7 @@
 //! | --- | --- | --- |
 //! | 0 | [`error`], [`files`], [`geometry`], [`imaging`] | errors; files written whole; meshes and poses; frames, decoding, crops, differences |
 //! | 1 | [`dataset`], [`pose`], [`sim`] | the crash-safe dataset on disk; poses from markers; the grasp simulator |
-//! | 2 | [`render`], [`predict`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine |
+//! | 2 | [`render`], [`predict`], [`annotate`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine; poses of a dataset's grasps |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
 //! | 5 | [`app`] | command line, engine, operator's screen |
 

@@ -36,7 +36,7 @@ pub struct OverlayContent<'a> {
 
 /// Draws over `picture`: the markers that were found (cyan, those left out magenta), the frames of
 /// object and gripper (x red, y green, z blue), and the object's mesh (yellow: its outline and
-/// sharp edges, without what it hides itself).
+/// sharp edges that face the camera).
 pub fn overlay(
     picture: &mut RgbImage,
     seen: &Observation,

@@ -257,6 +257,10 @@ mod tests {
             figures.corner_px < 0.05 && figures.corner_bias_px < 0.01,
             "{figures:?}"
         );
+        assert!(
+            (0.2..2.0).contains(&figures.normalised_error),
+            "{figures:?}"
+        );
         assert_eq!((figures.ms, figures.detect_ms), (20.0, 10.0));
     }
 

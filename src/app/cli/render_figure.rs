@@ -23,7 +23,7 @@ use super::{Context, print};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::imaging::caption::{HEIGHT, write_text};
-use crate::imaging::encode_png_rgb;
+use crate::imaging::{encode_jpeg, encode_png_rgb};
 use crate::render::tactile::calibrate::{self, CalibrateOptions, PressSet};
 use crate::render::tactile::lookup::{TaximHeights, fit_to_presses};
 use crate::render::tactile::{
@@ -41,6 +41,8 @@ use crate::sim::grasp::Finger;
 const TILE: (u32, u32) = (320, 240);
 /// Pixels between tiles.
 const GAP: u32 = 6;
+/// Quality of a figure that is a JPEG.
+const JPEG_QUALITY: u8 = 88;
 /// Rows of a caption.
 const CAPTION: u32 = HEIGHT + 8;
 /// Tiles of a row.
@@ -69,7 +71,7 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Picture to write
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png|FILE.jpg")]
     out: PathBuf,
 }
 
@@ -90,7 +92,13 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         let traced = traced_row(&grasp, &args)?;
         Ok::<_, Error>(compose(&[real, simulated, traced]))
     })??;
-    save(&out, &encode_png_rgb(&picture)?)?;
+    let is_jpeg = out.extension().is_some_and(|e| e == "jpg" || e == "jpeg");
+    let bytes = if is_jpeg {
+        encode_jpeg(&picture, JPEG_QUALITY)?
+    } else {
+        encode_png_rgb(&picture)?
+    };
+    save(&out, &bytes)?;
     print(&format!("{}", out.display()))
 }
 

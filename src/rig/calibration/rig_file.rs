@@ -271,8 +271,8 @@ impl RigFile {
         )))
     }
 
-    /// Reads and checks a rig file. A relative `path` of a replay camera is taken from the
-    /// directory of the file.
+    /// Reads and checks a rig file. Relative paths in it (recordings, films, intrinsics, boards) are
+    /// taken from the directory of the file.
     ///
     /// # Errors
     /// When it cannot be read, or [`ErrorKind::Config`] naming the line and the mistake.
@@ -282,8 +282,10 @@ impl RigFile {
         let mut rig = Self::parse(&text).map_err(|error| error.at(path.display()))?;
         let directory = path.parent().unwrap_or(Path::new(""));
         for camera in rig.cameras.values_mut() {
-            if let Some(recorded) = camera.path.as_mut().filter(|p| p.is_relative()) {
-                *recorded = directory.join(&*recorded);
+            for file in camera.path.iter_mut().chain(&mut camera.intrinsics) {
+                if file.is_relative() {
+                    *file = directory.join(&*file);
+                }
             }
         }
         if let Some(boards) = &mut rig.boards {
