@@ -408,6 +408,7 @@ prop_compose! {
             measured_fps: numbers.0, nominal_fps: numbers.1, frame_age_ms: numbers.2,
             received: count, sequence_gaps: count / 3, damaged: count / 5, late: count,
             reconnects: count % 2,
+            markers: None,
         }
     }
 }

@@ -282,7 +282,7 @@ impl Work<'_> {
         Ok(Annotated {
             grasp: record.id.clone(),
             object: record.object.clone(),
-            pose: pose,
+            pose,
             overlay,
             off_truth_mm: off.map(|(mm, _)| mm),
             off_truth_deg: off.map(|(_, deg)| deg),

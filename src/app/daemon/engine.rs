@@ -515,7 +515,7 @@ impl Engine {
                     self.request = Some(request.clone());
                     self.store.send(StoreMessage::Carry {
                         request,
-                        capture: self.capture_now.take().filter(|_| saves),
+                        capture: self.capture_now.take().filter(|_| saves).map(Box::new),
                         boards: self.boards_now.take(),
                         latency_ms,
                     })?;

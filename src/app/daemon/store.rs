@@ -35,7 +35,7 @@ pub(super) enum StoreMessage {
         /// The request.
         request: StoreRequest,
         /// Frames, for requests that save some.
-        capture: Option<StageCapture>,
+        capture: Option<Box<StageCapture>>,
         /// Board files that the external camera's frames were measured with: sheet, tags.
         boards: Option<[String; 2]>,
         /// Latency of the live prediction at the trigger, ms.
@@ -138,7 +138,7 @@ impl Worker {
                     latency_ms,
                 }) => {
                     let reply = self
-                        .carry_out(request, capture.as_ref(), boards, latency_ms)
+                        .carry_out(request, capture.as_deref(), boards, latency_ms)
                         .unwrap_or_else(|error| StoreReply::Failed {
                             message: error.to_string().replace("\n  → ", " → "),
                         });
