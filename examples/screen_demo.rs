@@ -172,6 +172,7 @@ fn camera(role: Role, moment: &str, time_s: f64) -> CameraStatus {
         damaged: 0,
         late: 2,
         reconnects: 0,
+        markers: None,
     }
 }
 
