@@ -20,7 +20,6 @@ use image::GrayImage;
 use crate::dataset::{PoseQuality, PoseRecord};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
-use crate::pose::solve::MarkerResidual;
 
 /// A grasp's pose, with what it was found from.
 #[derive(Clone, Debug)]
@@ -102,7 +101,6 @@ fn record(
     } = choice.t_object_gripper;
     let DQuat { x, y, z, w } = rotation;
     let tags = &shown.gripper.body;
-    let used = |markers: &[MarkerResidual]| markers.iter().filter(|marker| marker.used).count();
     let mut notes = shown.notes.clone();
     notes.extend(choice.notes.iter().cloned());
     PoseRecord {
@@ -114,7 +112,7 @@ fn record(
         corrected_by_hand: false,
         quality: Some(PoseQuality {
             frames,
-            markers: [used(&shown.object.markers), used(&tags.markers)],
+            markers: [shown.object.used_markers(), tags.used_markers()],
             tags_reprojection_px: tags.rms_px,
             spread_m: choice.spread_m,
             spread_rad: choice.spread_rad,

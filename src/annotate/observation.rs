@@ -175,15 +175,14 @@ impl Annotator {
 
     fn doubts(&self, object: &PartPose, gripper: &GripperPose) -> Vec<String> {
         let mut doubts = Vec::new();
-        let of_sheet = object.markers.iter().filter(|m| m.used).count();
+        let of_sheet = object.used_markers();
         if of_sheet < FEW_MARKERS {
             doubts.push(format!(
                 "only {of_sheet} markers of the sheet are seen, of {}",
                 self.sheet.board.markers.len()
             ));
         }
-        let used = gripper.body.markers.iter().filter(|m| m.used).count();
-        if used < FEW_TAGS {
+        if gripper.body.used_markers() < FEW_TAGS {
             doubts.push(
                 "one tag of the gripper decides alone: its direction is known poorly".to_owned(),
             );

@@ -270,6 +270,32 @@ fn a_camera_that_is_back_may_fail_loudly_again() {
 }
 
 #[test]
+fn what_the_external_camera_sees_of_the_markers_is_told() {
+    let with = |markers: Result<&str, &str>| {
+        let mut status = waiting_for_initial();
+        status.cameras.push(CameraStatus {
+            markers: Some(markers.map(str::to_owned).map_err(str::to_owned)),
+            ..camera(Role::External, "9F2C", "3-3", 30.0)
+        });
+        status
+    };
+    let seen = with(Ok("sheet 13, tags 6, 0.06 px"));
+    let shown = picture(120, 40, &seen, &state());
+    assert!(shown.contains("sheet 13, tags 6"), "{shown}");
+    let lost = with(Err("the sheet is not in the picture"));
+    let shown = picture(120, 40, &lost, &state());
+    assert!(shown.contains("no pose: the sheet"), "{shown}");
+
+    let mut printer = LinePrinter::default();
+    let begin = Instant::now();
+    let after = |seconds| begin + Duration::from_secs(seconds);
+    let told = |lines: Vec<String>| lines.join("\n");
+    assert!(told(printer.lines(&seen, begin)).contains("external: pose can be measured"));
+    assert!(!told(printer.lines(&seen, after(5))).contains("external"));
+    assert!(told(printer.lines(&lost, after(10))).contains("external: no pose: the sheet"));
+}
+
+#[test]
 fn q_asks_while_something_is_unfinished() {
     let quit = |status: &EngineStatus, keys: &[char]| {
         let mut state = state();

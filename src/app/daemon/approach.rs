@@ -13,7 +13,7 @@ use super::hub::{CameraSlot, Hub, Soundness};
 use super::sheets::Boards;
 use crate::annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 use crate::dataset::PoseRecord;
-use crate::error::Result;
+use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Decoder, Frame, Intrinsics, Role};
 
 /// Time between two frames that are kept.
@@ -113,9 +113,20 @@ impl ApproachWatch {
     /// What is stored with a grasp whose initial frame was triggered at `initial_ns`, until
     /// `until_ns`; `initial` is the external camera's frame of the initial stage: driver time.
     pub(super) fn take(&self, initial_ns: u64, until_ns: u64, initial: Option<u64>) -> Approach {
-        let shared = lock(&self.shared);
+        lock(&self.shared).take(initial_ns, until_ns, initial)
+    }
+
+    /// Ends with the hub.
+    pub(super) fn join(self) {
+        // A thread that panicked has nothing left to give back.
+        let _ = self.thread.join();
+    }
+}
+
+impl Shared {
+    fn take(&self, initial_ns: u64, until_ns: u64, initial: Option<u64>) -> Approach {
         let from_ns = initial_ns.saturating_sub(BEFORE_TRIGGER_NS);
-        let within: Vec<&Seen> = shared
+        let within: Vec<&Seen> = self
             .ring
             .iter()
             .filter(|seen| (from_ns..until_ns).contains(&seen.frame.driver_time_ns))
@@ -132,7 +143,7 @@ impl ApproachWatch {
         });
         let boards = BoardHashes {
             sheet: sheet.clone(),
-            tags: shared.tags.clone(),
+            tags: self.tags.clone(),
         };
         let Some(Annotation { mut record, .. }) = annotation(seen, boards) else {
             let before: Vec<&Frame> = within
@@ -145,7 +156,7 @@ impl ApproachWatch {
             return Approach {
                 frames: before[skipped..].iter().map(|f| (*f).clone()).collect(),
                 absence: within.iter().rev().find_map(why),
-                boards: shared.texts.clone(),
+                boards: self.texts.clone(),
                 pose: None,
             };
         };
@@ -165,15 +176,9 @@ impl ApproachWatch {
         Approach {
             frames,
             pose: Some(record),
-            boards: shared.texts.clone(),
+            boards: self.texts.clone(),
             absence: None,
         }
-    }
-
-    /// Ends with the hub.
-    pub(super) fn join(self) {
-        // A thread that panicked has nothing left to give back.
-        let _ = self.thread.join();
     }
 }
 
@@ -243,13 +248,10 @@ fn thin(ring: &mut VecDeque<Seen>) {
 }
 
 fn told(seen: &Observation) -> String {
-    let used = |markers: &[crate::pose::solve::MarkerResidual]| {
-        markers.iter().filter(|marker| marker.used).count()
-    };
     format!(
         "sheet {}, tags {}, {:.2} px{}",
-        used(&seen.object.markers),
-        used(&seen.gripper.body.markers),
+        seen.object.used_markers(),
+        seen.gripper.body.used_markers(),
         seen.object.rms_px.max(seen.gripper.body.rms_px),
         if seen.is_ambiguous() {
             ", ambiguous"
@@ -280,10 +282,10 @@ impl Measurer {
             let picture = decoder.decode(frame, None, frame.width, frame.height)?;
             match &mut self.annotator {
                 Some((annotator, _)) => annotator.observe(&grayscale(&picture)),
-                None => Err(crate::error::Error::new(
-                    crate::error::ErrorKind::NotFound,
-                    format!("there is no sheet for `{object}`"),
-                )),
+                None => {
+                    let what = format!("there is no sheet for `{object}`");
+                    Err(Error::new(ErrorKind::NotFound, what))
+                }
             }
         });
         let (boards, texts) = match &self.annotator {
@@ -317,5 +319,63 @@ impl Measurer {
             self.annotator = Some((annotator, texts));
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::PixelFormat;
+
+    const MS: u64 = 1_000_000;
+
+    fn seen(time_ns: u64) -> Seen {
+        Seen {
+            frame: Frame {
+                format: PixelFormat::Grey,
+                width: 1,
+                height: 1,
+                data: vec![0].into(),
+                sequence: 0,
+                driver_time_ns: time_ns,
+                received_ns: time_ns,
+            },
+            observation: None,
+            sheet: String::new(),
+        }
+    }
+
+    #[test]
+    fn a_long_wait_stays_covered() {
+        let mut ring = VecDeque::new();
+        for n in 1..=1000 {
+            ring.push_back(seen(n * 120 * MS));
+            thin(&mut ring);
+        }
+        assert!((MOST / 2..=MOST).contains(&ring.len()));
+        let times: Vec<u64> = ring.iter().map(|s| s.frame.driver_time_ns).collect();
+        assert!(times.windows(2).all(|pair| pair[0] < pair[1]));
+        assert_eq!(times.last(), Some(&(1000 * 120 * MS)));
+        // The newest are all there, and the oldest is from long ago.
+        let newest = &times[times.len() - MOST / 4..];
+        assert!(newest.windows(2).all(|pair| pair[1] - pair[0] == 120 * MS));
+        assert!(times[0] < 900 * 120 * MS, "{}", times[0] / MS);
+    }
+
+    #[test]
+    fn without_boards_the_last_frames_before_the_trigger_are_stored() {
+        let shared = Shared {
+            ring: (1..=40).map(|n| seen(n * 100 * MS)).collect(),
+            ..Shared::default()
+        };
+        let times = |approach: &Approach| -> Vec<u64> {
+            let frames = approach.frames.iter();
+            frames.map(|f| f.driver_time_ns / MS).collect()
+        };
+        let taken = shared.take(2050 * MS, 4000 * MS, Some(2000 * MS));
+        assert_eq!(times(&taken), [1500, 1600, 1700, 1800, 1900]);
+        assert!(taken.pose.is_none() && taken.boards.is_none());
+        let nothing = shared.take(9000 * MS, 9500 * MS, None);
+        assert!(nothing.frames.is_empty());
     }
 }

@@ -20,17 +20,18 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], pa
     let mut index = 0;
     for camera in cameras {
         let trouble = trouble(camera);
-        let own_line = !trouble.is_empty() && troubled > 0;
+        let seen = camera.markers.as_ref().and_then(|seen| seen.as_ref().ok());
+        let (note, style) = match seen {
+            Some(seen) if trouble.is_empty() => (seen.clone(), palette.stable()),
+            _ => (trouble.clone(), palette.warning()),
+        };
+        let own_line = !note.is_empty() && troubled > 0;
         let flagged = !trouble.is_empty() && !own_line;
         write(buffer, row(area, index), &line(camera, flagged, palette));
         index += 1;
         if own_line {
-            let text = clipped(&format!("  {trouble}"), usize::from(area.width));
-            write(
-                buffer,
-                row(area, index),
-                &Line::styled(text, palette.warning()),
-            );
+            let text = clipped(&format!("  {note}"), usize::from(area.width));
+            write(buffer, row(area, index), &Line::styled(text, style));
             index += 1;
             troubled -= 1;
         }
@@ -61,16 +62,12 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
             Style::new()
         }
     };
-    let mut spans = vec![
+    Line::from(vec![
         role,
         flag,
         Span::styled(rate, marked(slow)),
         Span::styled(format!(" {age}"), marked(old)),
-    ];
-    if let Some(Ok(seen)) = &camera.markers {
-        spans.push(Span::styled(format!("  {seen}"), palette.stable()));
-    }
-    Line::from(spans)
+    ])
 }
 
 /// A state in one or two words.

@@ -46,6 +46,14 @@ pub struct PartPose {
     pub notes: Vec<String>,
 }
 
+impl PartPose {
+    /// Markers that the pose is made of: those that were seen without the outliers.
+    #[must_use]
+    pub fn used_markers(&self) -> usize {
+        self.markers.iter().filter(|marker| marker.used).count()
+    }
+}
+
 /// Pose of the gripper, with how far it is open.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GripperPose {
