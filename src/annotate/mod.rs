@@ -9,10 +9,12 @@
 mod choice;
 mod observation;
 mod overlay;
+mod plausibility;
 
 pub use choice::{Choice, choose};
 pub use observation::{Annotator, Observation};
 pub use overlay::{OverlayContent, overlay};
+pub use plausibility::is_between_fingers;
 
 use glam::DQuat;
 use image::GrayImage;

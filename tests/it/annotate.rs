@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::Path;
 
+use gripcast::pose::BoardFile;
 use serde_json::{Value, json};
 
 use crate::program::{collect_on, grasps, gripcast, script, stderr, succeed, verify};
@@ -88,6 +89,7 @@ fn poses_of_the_virtual_rig_are_true() {
         off_deg.push(grasp["off_truth_deg"].as_f64().unwrap());
         let quality = &grasp["pose"]["quality"];
         assert_eq!(quality["ambiguous"], false, "{grasp}");
+        assert_eq!(quality["notes"], json!([]), "{grasp}");
         assert!(
             (quality["opening_m"].as_f64().unwrap() - 0.08).abs() < 1e-3,
             "{grasp}"
@@ -204,6 +206,24 @@ fn wrong_boards_are_explained(dataset: &Path, dir: &Path) {
         let said = stderr(&output);
         assert!(said.contains(expected), "{flag}: {said}");
     }
+    // The sheet of the first grasp, as if it had been printed at 90 %.
+    let first = grasps(dataset).into_values().next().unwrap();
+    let key = first["boards"]["sheet"].as_str().unwrap().to_owned();
+    let stored = dataset.join(format!("calibration/{key}.toml"));
+    let mut scaled = BoardFile::load(&stored).unwrap();
+    for marker in &mut scaled.board.markers {
+        marker.corners_m = marker.corners_m.map(|corner| 0.9 * corner);
+    }
+    let file = dir.join("scaled.toml");
+    fs::write(&file, scaled.to_toml()).unwrap();
+    let flags = ["--again", "--dry-run", "--sheet", file.to_str().unwrap()];
+    change(dataset, first["id"].as_str().unwrap(), |record| {
+        record["pose"]["corrected_by_hand"] = json!(false);
+    });
+    let found = summary(&annotate(dataset, &flags));
+    let notes = found["annotated"][0]["pose"]["quality"]["notes"].to_string();
+    assert!(notes.contains("between the fingers"), "{notes}");
+
     let nowhere = annotate(&dir.join("nowhere"), &[]);
     assert_eq!(nowhere.status.code(), Some(1), "{}", stderr(&nowhere));
 }

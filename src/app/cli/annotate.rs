@@ -17,6 +17,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::{DQuat, DVec3};
 use image::imageops::grayscale;
@@ -26,7 +27,9 @@ use serde::Serialize;
 use super::sim_object::SimObject;
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
-use crate::annotate::{Annotation, Annotator, Observation, OverlayContent, overlay};
+use crate::annotate::{
+    Annotation, Annotator, Observation, OverlayContent, is_between_fingers, overlay,
+};
 use crate::app::daemon::read_sheets;
 use crate::dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, NewDataset, PoseRecord};
 use crate::error::{Error, ErrorKind, Result};
@@ -239,7 +242,7 @@ struct Work<'a> {
     /// Of the last grasp; most have the same boards.
     annotator: Option<Annotator>,
     /// Meshes of sheets by their hash; none where they cannot be found.
-    meshes: BTreeMap<String, Option<TriangleMesh>>,
+    meshes: BTreeMap<String, Option<Arc<TriangleMesh>>>,
 }
 
 impl Work<'_> {
@@ -268,6 +271,17 @@ impl Work<'_> {
             let note = format!("a picture was left out: {}", error.what());
             quality.notes.push(note);
         }
+        let mesh = self.mesh();
+        if let (Some(mesh), Some(quality)) = (&mesh, &mut pose.quality)
+            && let Some(opening_m) = quality.opening_m
+            && !is_between_fingers(mesh, &placed(&pose.t_m, &pose.q_wxyz), opening_m)
+        {
+            quality.notes.push(
+                "nothing of the object would be between the fingers: was the sheet printed at \
+                 100 % (--measured-mm), and did the object stand on its line?"
+                    .to_owned(),
+            );
+        }
         let off = record.truth.as_ref().map(|truth| {
             let (shift_m, turn_rad) = distance(&pose, &truth.t_object_gripper_initial);
             (1e3 * shift_m, turn_rad.to_degrees())
@@ -275,7 +289,7 @@ impl Work<'_> {
         let colour = pictures.into_iter().find(|p| p.name == shown_picture);
         let overlay = match colour {
             Some(picture) if !self.args.no_overlays && !self.args.dry_run => {
-                Some(self.draw(record, picture.colour, &shown, &pose)?)
+                Some(self.draw(record, picture.colour, &shown, &pose, mesh.as_deref())?)
             }
             _ => None,
         };
@@ -389,12 +403,22 @@ impl Work<'_> {
         )
     }
 
+    /// The mesh of the object on the sheet, where it can be found.
+    fn mesh(&mut self) -> Option<Arc<TriangleMesh>> {
+        let sheet = self.annotator.as_ref()?.sheet().sheet.as_ref()?;
+        let known = self.meshes.entry(sheet.object_sha256.clone());
+        known
+            .or_insert_with(|| mesh_of(sheet).map(Arc::new))
+            .clone()
+    }
+
     fn draw(
-        &mut self,
+        &self,
         record: &GraspRecord,
         mut picture: RgbImage,
         shown: &Observation,
         pose: &PoseRecord,
+        mesh: Option<&TriangleMesh>,
     ) -> Result<PathBuf> {
         let folder = self
             .args
@@ -404,14 +428,6 @@ impl Work<'_> {
         fs::create_dir_all(&folder)
             .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
         if let Some(annotator) = &self.annotator {
-            let sheet = annotator.sheet().sheet.as_ref();
-            let mesh = sheet.and_then(|sheet| {
-                let key = sheet.object_sha256.clone();
-                self.meshes
-                    .entry(key)
-                    .or_insert_with(|| mesh_of(sheet))
-                    .as_ref()
-            });
             let content = OverlayContent {
                 mesh,
                 lines: lines(record, pose),
@@ -475,10 +491,13 @@ fn lines(record: &GraspRecord, pose: &PoseRecord) -> Vec<String> {
     lines
 }
 
+fn placed(t_m: &[f64; 3], [w, x, y, z]: &[f64; 4]) -> Pose {
+    Pose::new(DQuat::from_xyzw(*x, *y, *z, *w), DVec3::from_array(*t_m))
+}
+
 /// Distance, m, and angle, rad, of a pose from another.
 fn distance(pose: &PoseRecord, other: &Pose) -> (f64, f64) {
-    let [w, x, y, z] = pose.q_wxyz;
-    let own = Pose::new(DQuat::from_xyzw(x, y, z, w), DVec3::from_array(pose.t_m));
+    let own = placed(&pose.t_m, &pose.q_wxyz);
     let shift = other.translation_m - own.translation_m;
     (shift.length(), own.turn_from(other).length())
 }
