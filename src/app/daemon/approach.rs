@@ -42,9 +42,13 @@ struct Shared {
     ring: VecDeque<Seen>,
     /// What the newest frame shows, in a few words.
     newest: Option<Result<String, String>>,
-    /// Text of the board files in use: sheet, tags.
-    texts: Option<[String; 2]>,
-    tags: String,
+}
+
+/// The boards of the object that is labelled.
+struct CurrentBoards {
+    hashes: BoardHashes,
+    /// Text of the board files: sheet, tags.
+    texts: [String; 2],
 }
 
 /// Frames to be stored with a grasp, and its pose.
@@ -66,6 +70,7 @@ pub(super) const INITIAL: &str = "initial";
 /// Watches the external camera.
 pub(super) struct ApproachWatch {
     shared: Arc<Mutex<Shared>>,
+    boards: Option<Arc<Boards>>,
     thread: JoinHandle<()>,
 }
 
@@ -84,17 +89,25 @@ impl ApproachWatch {
             return Ok(None);
         };
         let shared = Arc::new(Mutex::new(Shared::default()));
-        let measurer = boards.zip(intrinsics).map(|(boards, intrinsics)| Measurer {
-            boards,
-            intrinsics,
-            annotator: None,
-        });
+        let boards = boards.map(Arc::new);
+        let measurer = boards
+            .clone()
+            .zip(intrinsics)
+            .map(|(boards, intrinsics)| Measurer {
+                boards,
+                intrinsics,
+                annotator: None,
+            });
         let (slot, theirs) = (Arc::clone(slot), Arc::clone(&shared));
         let decoder = Decoder::new()?;
         let thread = spawn("approach".into(), move || {
             run(&slot, &theirs, measurer, decoder);
         })?;
-        Ok(Some(Self { shared, thread }))
+        Ok(Some(Self {
+            shared,
+            boards,
+            thread,
+        }))
     }
 
     /// The object that is labelled.
@@ -113,7 +126,22 @@ impl ApproachWatch {
     /// What is stored with a grasp whose initial frame was triggered at `initial_ns`, until
     /// `until_ns`; `initial` is the external camera's frame of the initial stage: driver time.
     pub(super) fn take(&self, initial_ns: u64, until_ns: u64, initial: Option<u64>) -> Approach {
-        lock(&self.shared).take(initial_ns, until_ns, initial)
+        let shared = lock(&self.shared);
+        let current = self.current(&shared.object);
+        shared.take(initial_ns, until_ns, initial, current)
+    }
+
+    fn current(&self, object: &str) -> Option<CurrentBoards> {
+        let boards = self.boards.as_ref()?;
+        // A sheet that cannot be read was told of when it was looked for.
+        let sheet = boards.sheet(object).ok()??;
+        Some(CurrentBoards {
+            hashes: BoardHashes {
+                sheet: sheet.board.hash(),
+                tags: boards.tags.board.hash(),
+            },
+            texts: [sheet.to_toml(), boards.tags.to_toml()],
+        })
     }
 
     /// Ends with the hub.
@@ -124,28 +152,30 @@ impl ApproachWatch {
 }
 
 impl Shared {
-    fn take(&self, initial_ns: u64, until_ns: u64, initial: Option<u64>) -> Approach {
+    fn take(
+        &self,
+        initial_ns: u64,
+        until_ns: u64,
+        initial: Option<u64>,
+        boards: Option<CurrentBoards>,
+    ) -> Approach {
         let from_ns = initial_ns.saturating_sub(BEFORE_TRIGGER_NS);
         let within: Vec<&Seen> = self
             .ring
             .iter()
             .filter(|seen| (from_ns..until_ns).contains(&seen.frame.driver_time_ns))
             .collect();
-        let Some(last) = within.last() else {
-            return Approach::default();
-        };
-        // The object may have been changed: only what was measured on its sheet counts.
-        let sheet = last.sheet.clone();
         let numbers: Vec<String> = (0..within.len()).map(|n| n.to_string()).collect();
-        let seen = within.iter().zip(&numbers).filter_map(|(seen, number)| {
-            let observation = seen.observation.as_ref()?.as_ref().ok()?;
-            (seen.sheet == sheet).then_some((number.as_str(), observation))
+        let found = boards.as_ref().and_then(|boards| {
+            // Before the object was changed another sheet was looked for.
+            let seen = within.iter().zip(&numbers).filter_map(|(seen, number)| {
+                let observation = seen.observation.as_ref()?.as_ref().ok()?;
+                (seen.sheet == boards.hashes.sheet).then_some((number.as_str(), observation))
+            });
+            annotation(seen, boards.hashes.clone())
         });
-        let boards = BoardHashes {
-            sheet: sheet.clone(),
-            tags: self.tags.clone(),
-        };
-        let Some(Annotation { mut record, .. }) = annotation(seen, boards) else {
+        let boards = boards.map(|boards| boards.texts);
+        let Some(Annotation { mut record, .. }) = found else {
             let before: Vec<&Frame> = within
                 .iter()
                 .map(|seen| &seen.frame)
@@ -156,7 +186,7 @@ impl Shared {
             return Approach {
                 frames: before[skipped..].iter().map(|f| (*f).clone()).collect(),
                 absence: within.iter().rev().find_map(why),
-                boards: self.texts.clone(),
+                boards,
                 pose: None,
             };
         };
@@ -176,7 +206,7 @@ impl Shared {
         Approach {
             frames,
             pose: Some(record),
-            boards: self.texts.clone(),
+            boards,
             absence: None,
         }
     }
@@ -214,18 +244,12 @@ fn run(
                     observation: None,
                     sheet: String::new(),
                 },
-                Some(Measured {
-                    observation,
-                    boards,
-                    texts,
-                }) => {
+                Some((observation, sheet)) => {
                     shared.newest = Some(observation.as_ref().map(told).map_err(Clone::clone));
-                    shared.texts = texts;
-                    shared.tags = boards.tags;
                     Seen {
                         frame,
                         observation: Some(observation),
-                        sheet: boards.sheet,
+                        sheet,
                     }
                 }
             };
@@ -263,62 +287,42 @@ fn told(seen: &Observation) -> String {
 
 /// Measures frames with the boards of the object that is labelled.
 struct Measurer {
-    boards: Boards,
+    boards: Arc<Boards>,
     intrinsics: Intrinsics,
-    /// With the text of its boards.
-    annotator: Option<(Annotator, [String; 2])>,
-}
-
-struct Measured {
-    observation: Result<Observation, String>,
-    boards: BoardHashes,
-    texts: Option<[String; 2]>,
+    annotator: Option<Annotator>,
 }
 
 impl Measurer {
-    fn measure(&mut self, decoder: &mut Decoder, frame: &Frame, object: &str) -> Measured {
-        let prepared = self.prepare(object);
-        let observed = prepared.and_then(|()| {
+    /// What a frame shows, or why it cannot be measured; and the hash of the sheet.
+    fn measure(
+        &mut self,
+        decoder: &mut Decoder,
+        frame: &Frame,
+        object: &str,
+    ) -> (Result<Observation, String>, String) {
+        let mut observe = || {
+            let annotator = self.annotator(object)?;
             let picture = decoder.decode(frame, None, frame.width, frame.height)?;
-            match &mut self.annotator {
-                Some((annotator, _)) => annotator.observe(&grayscale(&picture)),
-                None => {
-                    let what = format!("there is no sheet for `{object}`");
-                    Err(Error::new(ErrorKind::NotFound, what))
-                }
-            }
-        });
-        let (boards, texts) = match &self.annotator {
-            Some((annotator, texts)) => (annotator.boards(), Some(texts.clone())),
-            None => {
-                let none = BoardHashes {
-                    sheet: String::new(),
-                    tags: String::new(),
-                };
-                (none, None)
-            }
+            annotator.observe(&grayscale(&picture))
         };
-        Measured {
-            observation: observed.map_err(|error| error.what().to_owned()),
-            boards,
-            texts,
-        }
+        let observation = observe().map_err(|error: Error| error.what().to_owned());
+        let sheet = self.annotator.as_ref().map(|a| a.boards().sheet);
+        (observation, sheet.unwrap_or_default())
     }
 
-    /// Changes to the sheet of another object.
-    fn prepare(&mut self, object: &str) -> Result<()> {
-        let Some(sheet) = self.boards.sheet(object)? else {
-            self.annotator = None;
-            return Ok(());
+    /// The annotator for the sheet of an object.
+    fn annotator(&mut self, object: &str) -> Result<&mut Annotator> {
+        let sheet = self.boards.sheet(object)?;
+        let kept = self.annotator.take();
+        let sheet = sheet.ok_or_else(|| {
+            let what = format!("there is no sheet for `{object}`");
+            Error::new(ErrorKind::NotFound, what)
+        })?;
+        let annotator = match kept {
+            Some(annotator) if annotator.sheet() == &sheet => annotator,
+            _ => Annotator::new(sheet, self.boards.tags.clone(), self.intrinsics)?,
         };
-        let is_same = |(annotator, _): &(Annotator, _)| annotator.sheet() == &sheet;
-        if !self.annotator.as_ref().is_some_and(is_same) {
-            self.annotator = None;
-            let texts = [sheet.to_toml(), self.boards.tags.to_toml()];
-            let annotator = Annotator::new(sheet, self.boards.tags.clone(), self.intrinsics)?;
-            self.annotator = Some((annotator, texts));
-        }
-        Ok(())
+        Ok(self.annotator.insert(annotator))
     }
 }
 
@@ -372,10 +376,10 @@ mod tests {
             let frames = approach.frames.iter();
             frames.map(|f| f.driver_time_ns / MS).collect()
         };
-        let taken = shared.take(2050 * MS, 4000 * MS, Some(2000 * MS));
+        let taken = shared.take(2050 * MS, 4000 * MS, Some(2000 * MS), None);
         assert_eq!(times(&taken), [1500, 1600, 1700, 1800, 1900]);
         assert!(taken.pose.is_none() && taken.boards.is_none());
-        let nothing = shared.take(9000 * MS, 9500 * MS, None);
+        let nothing = shared.take(9000 * MS, 9500 * MS, None, None);
         assert!(nothing.frames.is_empty());
     }
 }
