@@ -18,8 +18,8 @@ use crate::imaging::{Decoder, Frame, Intrinsics, Role};
 
 /// Time between two frames that are kept.
 const PAUSE: Duration = Duration::from_millis(120);
-/// Most frames that are kept; when there are more, every second of the older ones goes, so that
-/// any time since the initial frame stays covered.
+/// Most frames that are kept. The newest half is kept whole; of the older ones those go that leave
+/// the smallest hole for their age, so that any time since the initial frame stays covered.
 const MOST: usize = 48;
 /// Frames from this long before the initial trigger count: the operator holds still to press.
 const BEFORE_TRIGGER_NS: u64 = 700_000_000;
@@ -260,14 +260,17 @@ fn run(
     }
 }
 
-/// Keeps the newest half and every second of the rest.
+/// Takes one frame out if there are too many; see [`MOST`].
 fn thin(ring: &mut VecDeque<Seen>) {
-    if ring.len() > MOST {
-        let mut number = 0;
-        ring.retain(|_| {
-            number += 1;
-            number > MOST / 2 || number % 2 == 0
-        });
+    if ring.len() <= MOST {
+        return;
+    }
+    let time = |i: usize| ring[i].frame.driver_time_ns as f64;
+    let newest = time(ring.len() - 1);
+    let hole = |i: &usize| (time(i + 1) - time(i - 1)) / (newest - time(*i));
+    let dispensable = (1..ring.len() - MOST / 2).min_by(|a, b| hole(a).total_cmp(&hole(b)));
+    if let Some(frame) = dispensable {
+        ring.remove(frame);
     }
 }
 
@@ -356,14 +359,20 @@ mod tests {
             ring.push_back(seen(n * 120 * MS));
             thin(&mut ring);
         }
-        assert!((MOST / 2..=MOST).contains(&ring.len()));
-        let times: Vec<u64> = ring.iter().map(|s| s.frame.driver_time_ns).collect();
-        assert!(times.windows(2).all(|pair| pair[0] < pair[1]));
-        assert_eq!(times.last(), Some(&(1000 * 120 * MS)));
-        // The newest are all there, and the oldest is from long ago.
-        let newest = &times[times.len() - MOST / 4..];
-        assert!(newest.windows(2).all(|pair| pair[1] - pair[0] == 120 * MS));
-        assert!(times[0] < 900 * 120 * MS, "{}", times[0] / MS);
+        assert_eq!(ring.len(), MOST);
+        let times: Vec<u64> = ring.iter().map(|s| s.frame.driver_time_ns / MS).collect();
+        let (old, new) = times.split_at(MOST / 2);
+        assert!(
+            new.windows(2).all(|pair| pair[1] - pair[0] == 120),
+            "{new:?}"
+        );
+        // Of two minutes, whatever happened is seen within a third of its age.
+        let newest = 1000 * 120;
+        assert_eq!((old[0], new.last()), (120, Some(&newest)));
+        let holes = old
+            .windows(2)
+            .map(|pair| (pair[1] - pair[0]) * 3 <= newest - pair[0]);
+        assert!(holes.into_iter().all(|is_small| is_small), "{old:?}");
     }
 
     #[test]

@@ -679,7 +679,8 @@ depth_unit_m = 0.001
         assert_eq!(error.kind(), ErrorKind::NotFound);
         let text = error.to_string();
         assert!(text.contains("did you mean `bench-1`?"), "{text}");
-        assert!(text.contains("use one of virtual, bench-1, "), "{text}");
+        let known = "use one of virtual, virtual-external, bench-1, ";
+        assert!(text.contains(known), "{text}");
 
         let path = second.join("bench-1.toml");
         RigFile::find_in(path.to_str().unwrap(), &[]).unwrap();
