@@ -322,9 +322,11 @@ impl Engine {
         })
     }
 
-    /// Every camera has a good frame newer than the last capture.
+    /// Every camera has a good frame newer than the last capture, and than the last change of what
+    /// a virtual rig shows.
     fn fresh(&self) -> bool {
-        let since_ns = self.session.captured_ns();
+        let changed_ns = self.hand.as_ref().map_or(0, |hand| hand.since_ns());
+        let since_ns = self.session.captured_ns().max(changed_ns);
         let frames = self.pair(monotonic_ns()).frames;
         self.hub.slots().all(|slot| {
             let frame = frames.get(&slot.role());

@@ -112,6 +112,11 @@ impl VirtualHand {
         self.change(|motion| motion.goal)
     }
 
+    /// When it last began to move or got another object, ns of its clock.
+    pub fn since_ns(&self) -> u64 {
+        self.change(|motion| motion.since_ns)
+    }
+
     /// Puts the next object on the table, between open fingers.
     pub fn next_object(&self) {
         let now_ns = self.clock.now_ns();
