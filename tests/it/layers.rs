@@ -15,7 +15,8 @@ fn allowed(area: &str) -> Option<&'static [&'static str]> {
         "annotate",
     ];
     Some(match area {
-        "error" | "files" => &[],
+        "error" => &[],
+        "files" => &["error"],
         "geometry" | "imaging" => LAYER_0,
         "sim" | "pose" | "dataset" => LAYER_1,
         "render" | "predict" | "annotate" => LAYER_2,
