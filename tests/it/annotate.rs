@@ -90,10 +90,10 @@ fn poses_of_the_virtual_rig_are_true() {
         let quality = &grasp["pose"]["quality"];
         assert_eq!(quality["ambiguous"], false, "{grasp}");
         assert_eq!(quality["notes"], json!([]), "{grasp}");
-        assert!(
-            (quality["opening_m"].as_f64().unwrap() - 0.08).abs() < 1e-3,
-            "{grasp}"
-        );
+        // None where no finger's tag is seen.
+        if let Some(opening_m) = quality["opening_m"].as_f64() {
+            assert!((opening_m - 0.08).abs() < 1e-3, "{grasp}");
+        }
         assert!(Path::new(grasp["overlay"].as_str().unwrap()).is_file());
     }
     println!("off the truth: {off_mm:.3?} mm, {off_deg:.4?}°");
