@@ -206,13 +206,13 @@ fn wrong_boards_are_explained(dataset: &Path, dir: &Path) {
         let said = stderr(&output);
         assert!(said.contains(expected), "{flag}: {said}");
     }
-    // The sheet of the first grasp, as if it had been printed at 90 %.
+    // The sheet of the first grasp, as if it had been printed at 91 %.
     let first = grasps(dataset).into_values().next().unwrap();
     let key = first["boards"]["sheet"].as_str().unwrap().to_owned();
     let stored = dataset.join(format!("calibration/{key}.toml"));
     let mut scaled = BoardFile::load(&stored).unwrap();
     for marker in &mut scaled.board.markers {
-        marker.corners_m = marker.corners_m.map(|corner| 0.9 * corner);
+        marker.corners_m = marker.corners_m.map(|corner| 1.1 * corner);
     }
     let file = dir.join("scaled.toml");
     fs::write(&file, scaled.to_toml()).unwrap();
