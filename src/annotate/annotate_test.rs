@@ -230,6 +230,46 @@ fn what_is_wrong_is_explained() {
     );
 }
 
+/// The picture with everything but the markers in `kept` covered.
+fn with_only(picture: &GrayImage, kept: &[u32]) -> GrayImage {
+    let seen = annotator().observe(picture).unwrap();
+    let mut covered = picture.clone();
+    for detection in seen.detections.iter().filter(|d| !kept.contains(&d.id)) {
+        let [x, y] = (detection.corners_px.iter().sum::<glam::DVec2>() / 4.0)
+            .to_array()
+            .map(|c| c as u32);
+        for (dx, dy) in (0..7).flat_map(|dx| (0..7).map(move |dy| (dx, dy))) {
+            covered.put_pixel(x + dx - 3, y + dy - 3, Luma([90]));
+        }
+        // Through the border, so that no square is left.
+        for dx in 0..40 {
+            let column = (x + dx).saturating_sub(20).min(picture.width() - 1);
+            (0..3).for_each(|dy| covered.put_pixel(column, y + dy - 1, Luma([205])));
+        }
+    }
+    covered
+}
+
+#[test]
+fn what_few_markers_leave_open_is_told() {
+    let picture = Shot::default().picture(&sheet("DICT_6X6_250"));
+    let tags: Vec<u32> = (240..246).collect();
+    let half = with_only(&picture, &[&[9, 10, 11][..], &tags].concat());
+    let found = annotated(&[("half".to_owned(), half)]).unwrap();
+    let notes = &found.record.quality.as_ref().unwrap().notes;
+    assert!(notes.iter().any(|n| n.contains("of 14")), "{notes:?}");
+    assert!(off_mm(&found.record) < 5.0);
+
+    let sheet_ids: Vec<u32> = (0..14).collect();
+    let single = with_only(&picture, &[&sheet_ids[..], &[242]].concat());
+    let found = annotated(&[("single".to_owned(), single)]).unwrap();
+    let quality = found.record.quality.as_ref().unwrap();
+    assert_eq!(quality.markers[1], 1);
+    let notes = quality.notes.join("; ");
+    assert!(notes.contains("one tag"), "{notes}");
+    assert_eq!(quality.ambiguous, notes.contains("ambiguous"), "{notes}");
+}
+
 #[test]
 fn boards_that_do_not_go_together_are_refused() {
     let text = |sheet: BoardFile, tags: BoardFile| {

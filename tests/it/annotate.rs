@@ -206,6 +206,24 @@ fn wrong_boards_are_explained(dataset: &Path, dir: &Path) {
         let said = stderr(&output);
         assert!(said.contains(expected), "{flag}: {said}");
     }
+    // A camera that was never calibrated, and boards that were never given.
+    let last = grasps(dataset).into_keys().next_back().unwrap();
+    let whole = grasps(dataset)[&last].clone();
+    for (key, expected) in [
+        ("calibration", "not calibrated"),
+        ("boards", "--sheet FILE"),
+    ] {
+        change(dataset, &last, |record| {
+            record[key] = if key == "boards" {
+                Value::Null
+            } else {
+                json!({})
+            };
+        });
+        let said = stderr(&annotate(dataset, &["--again", "--dry-run"]));
+        assert!(said.contains(expected), "{said}");
+        change(dataset, &last, |record| *record = whole.clone());
+    }
     // The sheet of the first grasp, as if it had been printed at 91 %.
     let first = grasps(dataset).into_values().next().unwrap();
     let key = first["boards"]["sheet"].as_str().unwrap().to_owned();

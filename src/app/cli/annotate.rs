@@ -30,7 +30,7 @@ use super::{Context, print, print_json};
 use crate::annotate::{
     Annotation, Annotator, Observation, OverlayContent, is_between_fingers, overlay,
 };
-use crate::app::daemon::read_sheets;
+use crate::app::daemon::{read_sheets, stored_intrinsics};
 use crate::dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, NewDataset, PoseRecord};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
@@ -379,28 +379,19 @@ impl Work<'_> {
     }
 
     fn intrinsics(&self, record: &GraspRecord) -> Result<Intrinsics> {
-        #[derive(serde::Deserialize)]
-        struct Stored {
-            intrinsics: Option<Intrinsics>,
-        }
         if let Some(intrinsics) = &self.given.intrinsics {
             return Ok(*intrinsics);
         }
         let key = record.calibration.get(&Role::External);
         let text = key.map(|key| self.dataset.calibration(key)).transpose()?;
-        let stored = text.and_then(|text| toml::from_str::<Stored>(&text).ok()?.intrinsics);
-        stored.map_or_else(
-            || {
-                Err(Error::new(
-                    ErrorKind::NotFound,
-                    "the external camera is not calibrated: the dataset has no intrinsics of it",
-                )
-                .remedy(
-                    "measure them with `gripcast calibrate intrinsics` and give --intrinsics FILE",
-                ))
-            },
-            Intrinsics::validate,
-        )
+        let stored = text.map(|text| stored_intrinsics(&text)).transpose()?;
+        stored.flatten().ok_or_else(|| {
+            Error::new(
+                ErrorKind::NotFound,
+                "the external camera is not calibrated: the dataset has no intrinsics of it",
+            )
+            .remedy("measure them with `gripcast calibrate intrinsics` and give --intrinsics FILE")
+        })
     }
 
     /// The mesh of the object on the sheet, where it can be found.

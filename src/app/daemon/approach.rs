@@ -12,7 +12,7 @@ use super::capture::spawn;
 use super::hub::{CameraSlot, Hub, Soundness};
 use super::sheets::Boards;
 use crate::annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
-use crate::dataset::PoseRecord;
+use crate::dataset::{PoseRecord, approach_name};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Decoder, Frame, Intrinsics, Role};
 
@@ -56,16 +56,13 @@ struct CurrentBoards {
 pub(super) struct Approach {
     /// Frames by time, none of which is that of the initial stage.
     pub(super) frames: Vec<Frame>,
-    /// The pose; names of frames are numbers of `frames`, or `initial`.
+    /// The pose; it names the files that the frames will have.
     pub(super) pose: Option<PoseRecord>,
     /// Text of the board files: sheet, tags.
     pub(super) boards: Option<[String; 2]>,
     /// Why there is no pose.
     pub(super) absence: Option<String>,
 }
-
-/// Name of the initial frame among the frames of an [`Approach`].
-pub(super) const INITIAL: &str = "initial";
 
 /// Watches the external camera.
 pub(super) struct ApproachWatch {
@@ -112,10 +109,7 @@ impl ApproachWatch {
 
     /// The object that is labelled.
     pub(super) fn set_object(&self, object: &str) {
-        let mut shared = lock(&self.shared);
-        if shared.object != object {
-            object.clone_into(&mut shared.object);
-        }
+        object.clone_into(&mut lock(&self.shared).object);
     }
 
     /// What the newest frame shows.
@@ -124,8 +118,14 @@ impl ApproachWatch {
     }
 
     /// What is stored with a grasp whose initial frame was triggered at `initial_ns`, until
-    /// `until_ns`; `initial` is the external camera's frame of the initial stage: driver time.
-    pub(super) fn take(&self, initial_ns: u64, until_ns: u64, initial: Option<u64>) -> Approach {
+    /// `until_ns`; `initial` is the external camera's frame of the initial stage: driver time and
+    /// file.
+    pub(super) fn take(
+        &self,
+        initial_ns: u64,
+        until_ns: u64,
+        initial: Option<&(u64, String)>,
+    ) -> Approach {
         let shared = lock(&self.shared);
         let current = self.current(&shared.object);
         shared.take(initial_ns, until_ns, initial, current)
@@ -156,10 +156,14 @@ impl Shared {
         &self,
         initial_ns: u64,
         until_ns: u64,
-        initial: Option<u64>,
+        initial: Option<&(u64, String)>,
         boards: Option<CurrentBoards>,
     ) -> Approach {
         let from_ns = initial_ns.saturating_sub(BEFORE_TRIGGER_NS);
+        let file_of_initial = |frame: &Frame| {
+            let (time_ns, file) = initial?;
+            (*time_ns == frame.driver_time_ns).then_some(file)
+        };
         let within: Vec<&Seen> = self
             .ring
             .iter()
@@ -179,7 +183,7 @@ impl Shared {
             let before: Vec<&Frame> = within
                 .iter()
                 .map(|seen| &seen.frame)
-                .filter(|f| f.driver_time_ns <= initial_ns && Some(f.driver_time_ns) != initial)
+                .filter(|f| f.driver_time_ns <= initial_ns && file_of_initial(f).is_none())
                 .collect();
             let skipped = before.len().saturating_sub(STORED_UNSEEN);
             let why = |seen: &&Seen| seen.observation.as_ref()?.as_ref().err().cloned();
@@ -195,10 +199,10 @@ impl Shared {
             for name in &mut quality.frames {
                 let number: usize = name.parse().unwrap_or_default();
                 let frame = &within[number].frame;
-                if Some(frame.driver_time_ns) == initial {
-                    INITIAL.clone_into(name);
+                if let Some(file) = file_of_initial(frame) {
+                    name.clone_from(file);
                 } else {
-                    *name = frames.len().to_string();
+                    *name = approach_name(frames.len(), frame.format);
                     frames.push(frame.clone());
                 }
             }
@@ -385,7 +389,8 @@ mod tests {
             let frames = approach.frames.iter();
             frames.map(|f| f.driver_time_ns / MS).collect()
         };
-        let taken = shared.take(2050 * MS, 4000 * MS, Some(2000 * MS), None);
+        let initial = (2000 * MS, "initial.external.png".to_owned());
+        let taken = shared.take(2050 * MS, 4000 * MS, Some(&initial), None);
         assert_eq!(times(&taken), [1500, 1600, 1700, 1800, 1900]);
         assert!(taken.pose.is_none() && taken.boards.is_none());
         let nothing = shared.take(9000 * MS, 9500 * MS, None, None);

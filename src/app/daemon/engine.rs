@@ -12,6 +12,7 @@ use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 
 use super::approach::{Approach, ApproachWatch};
+use super::calibration::store_calibration;
 use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::{Hub, Soundness};
@@ -23,13 +24,11 @@ use super::report::{
 use super::sheets::Boards;
 use super::status::{CameraStatus, EngineStatus, PredictionStatus};
 use super::store::{Store, StoreContext, StoreMessage, pending_frame};
-use crate::dataset::{
-    CapturedCamera, DatasetWriter, NewDataset, PoseRecord, StageCapture, approach_name,
-};
+use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, StageCapture};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Frame, Intrinsics, Role};
 use crate::predict::Model;
-use crate::rig::calibration::{CameraConfig, RigFile, SourceKind};
+use crate::rig::calibration::{RigFile, SourceKind};
 use crate::rig::camera::{
     CameraOpener, HandGoal, Health, SupervisionPolicy, VirtualHand, monotonic_ns,
 };
@@ -600,12 +599,7 @@ impl Engine {
         let Some((watch, pending)) = self.approach.as_ref().zip(pending) else {
             return Approach::default();
         };
-        let initial = pending.external.as_ref();
-        watch.take(
-            pending.trigger_time_ns,
-            until_ns,
-            initial.map(|(time_ns, _)| *time_ns),
-        )
+        watch.take(pending.trigger_time_ns, until_ns, pending.external.as_ref())
     }
 
     fn stage_capture(
@@ -641,11 +635,6 @@ impl Engine {
             .into_iter()
             .filter_map(|frame| captured(Role::External, frame))
             .collect();
-        let initial = self.session.pending().and_then(|p| p.external.as_ref());
-        let pose = pose.map(|pose| {
-            let initial = initial.map_or("", |(_, file)| file);
-            Box::new(with_file_names(pose, &approach, initial))
-        });
         let cameras = paired
             .frames
             .into_iter()
@@ -657,7 +646,7 @@ impl Engine {
             trigger: source.name().to_owned(),
             cameras,
             approach,
-            pose,
+            pose: pose.map(Box::new),
             truth: self
                 .hand
                 .as_ref()
@@ -780,21 +769,6 @@ impl Engine {
     }
 }
 
-/// Gives the frames of a pose the names of their files.
-fn with_file_names(mut pose: PoseRecord, approach: &[CapturedCamera], initial: &str) -> PoseRecord {
-    if let Some(quality) = &mut pose.quality {
-        for name in &mut quality.frames {
-            let number = name.parse::<usize>().ok();
-            let file = number.and_then(|number| {
-                let camera = approach.get(number)?;
-                Some(approach_name(number, camera.frame.format))
-            });
-            *name = file.unwrap_or_else(|| initial.to_owned());
-        }
-    }
-    pose
-}
-
 /// Crop profile of every tactile camera.
 fn crop_profiles(rig: &RigFile) -> Result<BTreeMap<Role, CropProfile>> {
     rig.cameras
@@ -803,33 +777,6 @@ fn crop_profiles(rig: &RigFile) -> Result<BTreeMap<Role, CropProfile>> {
         .map(|(role, name)| {
             let crop = CropProfile::by_name(name).map_err(|e| e.at(format!("camera {role}")))?;
             Ok((role, crop))
-        })
-        .collect()
-}
-
-/// What is stored of each camera's calibration.
-#[derive(Serialize)]
-struct Calibration<'a> {
-    camera: &'a CameraConfig,
-    intrinsics: Option<&'a Intrinsics>,
-}
-
-fn store_calibration(
-    writer: &mut DatasetWriter,
-    rig: &RigFile,
-    intrinsics: &BTreeMap<Role, Intrinsics>,
-) -> Result<BTreeMap<Role, String>> {
-    rig.cameras
-        .iter()
-        .map(|(role, camera)| {
-            let calibration = Calibration {
-                camera,
-                intrinsics: intrinsics.get(role),
-            };
-            let text = toml::to_string_pretty(&calibration).map_err(|e| {
-                Error::new(ErrorKind::Internal, "cannot write the calibration").because(e)
-            })?;
-            Ok((*role, writer.put_calibration(&text)?))
         })
         .collect()
 }

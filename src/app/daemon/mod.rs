@@ -8,6 +8,7 @@
 //! ```
 
 mod approach;
+mod calibration;
 mod capture;
 mod decode;
 mod engine;
@@ -21,6 +22,7 @@ mod sheets;
 mod status;
 mod store;
 
+pub use calibration::stored_intrinsics;
 pub use engine::{EngineLinks, EngineSetup, Stored, run};
 pub use report::{CameraReport, CollectReport, Ended, GraspReport, PredictionReport};
 pub use sheets::{Boards, read_sheets};

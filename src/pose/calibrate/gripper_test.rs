@@ -141,6 +141,13 @@ fn aligned(found: &Board, truth: &Board) -> (Vec<Marker>, Pose) {
     for (marker, true_marker) in markers.iter_mut().zip(framed_all(truth)) {
         marker.nominal = true_marker.pose;
     }
+    let markers = tied_with(markers, false);
+    let change = markers[0].pose * before.inverse();
+    (markers, change)
+}
+
+/// Markers in the frame that fits their descriptions.
+fn tied_with(markers: Vec<Marker>, x_from_fingers: bool) -> Vec<Marker> {
     let mut bundle = Bundle {
         camera: camera(),
         markers,
@@ -148,12 +155,11 @@ fn aligned(found: &Board, truth: &Board) -> (Vec<Marker>, Pose) {
         views: Vec::new(),
     };
     let ties = Ties {
-        x_from_fingers: false,
+        x_from_fingers,
         zero_from_closed: true,
     };
     tie(&mut bundle, ties);
-    let change = bundle.markers[0].pose * before.inverse();
-    (bundle.markers, change)
+    bundle.markers
 }
 
 /// Largest errors (m, rad) of the markers to each other.
@@ -173,18 +179,7 @@ fn tied(truth: &Board, nominal: &Board) -> Vec<Marker> {
     for (marker, described) in markers.iter_mut().zip(framed_all(nominal)) {
         marker.nominal = described.nominal;
     }
-    let mut bundle = Bundle {
-        camera: camera(),
-        markers,
-        slide: DVec3::X,
-        views: Vec::new(),
-    };
-    let ties = Ties {
-        x_from_fingers: true,
-        zero_from_closed: true,
-    };
-    tie(&mut bundle, ties);
-    bundle.markers
+    tied_with(markers, true)
 }
 
 fn board_of(markers: &[Marker], like: &Board) -> Board {
