@@ -13,6 +13,7 @@ use image::imageops::grayscale;
 use super::Context;
 use super::calibrate_intrinsics::{Taken, diagnosed};
 use super::working::{Progress, interruptible};
+use crate::app::tui::Keyboard;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::imaging::{Decoder, Role, encode_png_grey8};
@@ -268,10 +269,14 @@ fn lines(coverage: &Coverage, offer: &Offer, message: &str) -> Vec<String> {
 impl Screen<'_> {
     /// What was typed since.
     fn wish(&self) -> Result<Option<Wish>> {
-        if matches!(self, Self::Lines(_)) {
+        let Self::Terminal(block) = self else {
             return Ok(None);
-        }
+        };
         let failed = |e| Error::io("cannot read the keyboard", e);
+        // On a terminal that has gone, crossterm reads for ever.
+        if !block.keyboard.wait(Duration::ZERO).map_err(failed)? {
+            return Ok(Some(Wish::Leave));
+        }
         while event::poll(Duration::ZERO).map_err(failed)? {
             let Event::Key(key) = event::read().map_err(failed)? else {
                 continue;
@@ -293,14 +298,21 @@ impl Screen<'_> {
 
 /// Lines on the terminal that are drawn over; dropping it gives the terminal back.
 struct Block {
+    keyboard: Keyboard,
     drawn: usize,
     at: Option<Instant>,
 }
 
 impl Block {
     fn new() -> Result<Self> {
-        enable_raw_mode().map_err(|e| Error::io("cannot read keys from this terminal", e))?;
-        Ok(Self { drawn: 0, at: None })
+        let unreadable = |e| Error::io("cannot read keys from this terminal", e);
+        let keyboard = Keyboard::open().map_err(unreadable)?;
+        enable_raw_mode().map_err(unreadable)?;
+        Ok(Self {
+            keyboard,
+            drawn: 0,
+            at: None,
+        })
     }
 
     fn draw(&mut self, lines: &[String]) -> Result<()> {

@@ -309,7 +309,7 @@ impl Measurer {
     ) -> (Result<Observation, String>, String) {
         let mut observe = || {
             let annotator = self.annotator(object)?;
-            let picture = decoder.decode(frame, None, frame.width, frame.height)?;
+            let picture = decoder.decode_full(frame)?;
             annotator.observe(&grayscale(&picture))
         };
         let observation = observe().map_err(|error: Error| error.what().to_owned());

@@ -10,7 +10,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 /// The terminal that keys come from: standard input, or the controlling terminal where that is
 /// something else.
-pub(super) enum Keyboard {
+pub(in crate::app) enum Keyboard {
     Standard,
     Controlling(File),
 }
@@ -20,7 +20,7 @@ impl Keyboard {
     ///
     /// # Errors
     /// Where there is no terminal.
-    pub(super) fn open() -> io::Result<Self> {
+    pub(in crate::app) fn open() -> io::Result<Self> {
         if io::stdin().is_terminal() {
             return Ok(Self::Standard);
         }
@@ -31,7 +31,7 @@ impl Keyboard {
     ///
     /// # Errors
     /// Those of the operating system.
-    pub(super) fn wait(&self, longest: Duration) -> io::Result<bool> {
+    pub(in crate::app) fn wait(&self, longest: Duration) -> io::Result<bool> {
         match self {
             Self::Standard => is_there(io::stdin().as_fd(), longest),
             Self::Controlling(tty) => is_there(tty.as_fd(), longest),

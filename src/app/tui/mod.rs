@@ -32,6 +32,7 @@ mod tone;
 
 pub use collect::draw;
 pub use input::{UiAction, UiChange, action};
+pub(in crate::app) use keyboard::Keyboard;
 pub use lines::{LinePrinter, print_lines};
 pub use palette::{ColourDepth, Palette};
 pub use prompt::{Field, Prompt, Reply};
