@@ -28,6 +28,7 @@ pub mod imaging;
 pub mod pose;
 pub mod predict;
 pub mod render;
+pub mod replay;
 pub mod rig;
 pub mod session;
 pub mod sim;

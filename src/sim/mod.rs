@@ -4,8 +4,11 @@
 
 pub mod affine;
 pub mod contact;
+mod engine;
 pub mod fem;
 pub mod grasp;
 pub mod press;
 pub mod solver;
 pub mod validate;
+
+pub use engine::{Engine, EngineKind, FemEngine, GraspSetup};
