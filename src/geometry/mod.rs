@@ -12,6 +12,7 @@ mod mass_properties;
 mod mesh;
 mod mesh_file;
 mod mesh_query;
+mod object_mesh;
 mod pose;
 #[cfg(test)]
 mod sample_data;
@@ -30,5 +31,6 @@ pub use mesh_file::{
     load_textured_mesh, read_mesh, read_textured_mesh, save_mesh,
 };
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
+pub use object_mesh::load_object_mesh;
 pub use pose::Pose;
 pub use stable_poses::{StablePose, stable_poses};

@@ -4,13 +4,24 @@
 //! An [`ObjectFile`] says what was grasped. The [`Report`] is written as JSON; the page is drawn
 //! from it.
 
+mod case;
+mod curves;
 mod object_file;
+mod recording;
 mod report;
+mod score;
+mod statistic;
+mod sweep;
 
-pub use object_file::ObjectFile;
+pub use case::{Case, CaseRecord, CaseStore};
+pub use object_file::{ObjectFile, ReplayObject, load_objects};
+pub use recording::{RecordedGrasp, Recording};
 pub use report::{
     CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
     EngineFacts, GraspCell, GraspFacts, GraspReplay, LeftOut, ObjectFacts, PicturePair,
     PoseSamples, Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores,
     Setting, TactilePair,
 };
+pub use score::{Outcomes, Scored};
+pub use statistic::mcnemar_p;
+pub use sweep::{SweepProgress, Swept, sweep};

@@ -59,6 +59,18 @@ pub trait Engine: Send + Sync {
     /// `Internal` where a number has no JSON form.
     fn parameters(&self) -> Result<Value>;
 
+    /// Height above its start that the object must reach for success, or that its lowest point must
+    /// be above, m.
+    fn success_height_m(&self) -> f64;
+
+    /// Mesh of the gels at rest, as in the header of a trace; none without gels.
+    ///
+    /// # Errors
+    /// None for the built-in meshes.
+    fn gel_axes_m(&self) -> Result<Option<[Vec<f64>; 3]>> {
+        Ok(None)
+    }
+
     /// Simulates a grasp with a Coulomb friction coefficient and a grasping force (N).
     ///
     /// # Errors
@@ -87,6 +99,14 @@ impl Engine for FemEngine {
             protocol.remove("stop_force_n");
         }
         Ok(value)
+    }
+
+    fn success_height_m(&self) -> f64 {
+        self.settings.protocol.success_height_m
+    }
+
+    fn gel_axes_m(&self) -> Result<Option<[Vec<f64>; 3]>> {
+        Ok(Some(self.settings.gel()?.grid.axes().clone()))
     }
 
     fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult> {

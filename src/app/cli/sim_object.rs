@@ -1,13 +1,9 @@
 //! The object of a simulation: a mesh file or a built-in shape, checked and at rest.
 
-use std::path::Path;
-
 use serde::Serialize;
 
-use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{
-    LengthUnit, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
-};
+use crate::error::Result;
+use crate::geometry::{LengthUnit, Prepared, TriangleMesh, load_object_mesh};
 
 /// Flags that choose the object.
 #[derive(Clone, Debug, clap::Args)]
@@ -63,26 +59,7 @@ impl SimObject {
 
     /// The same of a mesh file or `builtin:NAME`.
     pub(super) fn read(name: &str, unit: LengthUnit, scale: f64) -> Result<Self> {
-        if !(scale.is_finite() && scale > 0.0) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("`--scale` must be a number above 0, found {scale}"),
-            ));
-        }
-        let path = Path::new(name);
-        let mesh = if name.starts_with("builtin:") {
-            builtin(name)?
-        } else if builtin(name).is_ok() && !path.exists() {
-            return Err(
-                Error::new(ErrorKind::NotFound, "there is no such mesh file")
-                    .at(name)
-                    .remedy(format!("the built-in shape is builtin:{name}")),
-            );
-        } else {
-            load_mesh(path, unit)?
-        };
-        let Prepared { mesh, warnings } =
-            prepare(&mesh.scaled(scale), &PrepareOptions::default()).map_err(|e| e.at(name))?;
+        let Prepared { mesh, warnings } = load_object_mesh(name, unit, scale)?;
         Ok(Self { mesh, warnings })
     }
 
