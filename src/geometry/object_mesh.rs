@@ -2,9 +2,7 @@
 
 use std::path::Path;
 
-use super::{
-    BUILTIN_NAMES, LengthUnit, PrepareOptions, Prepared, builtin, load_mesh, prepare,
-};
+use super::{BUILTIN_NAMES, LengthUnit, PrepareOptions, Prepared, builtin, load_mesh, prepare};
 use crate::error::{Error, ErrorKind, Result};
 
 /// Reads `builtin:NAME` or a mesh file whose coordinates are in `unit`, scales it and makes it

@@ -167,8 +167,8 @@ impl Case<'_> {
             "stop_force_n": self.setting.force_n,
             "parameters": self.engine.parameters()?,
         });
-        if let Some(axes) = self.engine.gel_axes_m()? {
-            header["gel_axes_m"] = json!(axes);
+        if let Some((grid, _)) = self.engine.gel()? {
+            header["gel_axes_m"] = json!(grid.axes());
         }
         Ok(TraceFile { header, trace })
     }
@@ -234,8 +234,9 @@ impl CaseStore {
     pub fn keep(&self, case: &Case<'_>, record: &CaseRecord, trace: Trace) -> Result<()> {
         let path = self.path(&record.identity)?;
         let folder = path.parent().unwrap_or(Path::new(""));
-        fs::create_dir_all(folder)
-            .map_err(|e| Error::io("cannot make the folder of the cases", e).at(folder.display()))?;
+        fs::create_dir_all(folder).map_err(|e| {
+            Error::io("cannot make the folder of the cases", e).at(folder.display())
+        })?;
         if has_gels(&trace) {
             let bytes = case.trace_file(record, trace)?.to_bytes()?;
             save(&path.with_extension("trace.bin"), &bytes)?;

@@ -5,15 +5,20 @@
 //! from it.
 
 mod case;
+mod compare;
 mod curves;
 mod object_file;
+mod picture;
 mod recording;
 mod report;
+mod run;
 mod score;
 mod statistic;
 mod sweep;
+mod tactile_pair;
 
 pub use case::{Case, CaseRecord, CaseStore};
+pub use compare::{compare, read_report};
 pub use object_file::{ObjectFile, ReplayObject, load_objects};
 pub use recording::{RecordedGrasp, Recording};
 pub use report::{
@@ -22,6 +27,7 @@ pub use report::{
     PoseSamples, Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores,
     Setting, TactilePair,
 };
+pub use run::{EngineSweep, ReplayInput, ReplayProgress, ReplaySettings, replay};
 pub use score::{Outcomes, Scored};
 pub use statistic::mcnemar_p;
 pub use sweep::{SweepProgress, Swept, sweep};

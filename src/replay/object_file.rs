@@ -122,7 +122,10 @@ impl ObjectFile {
         };
         if self.schema != SCHEMA {
             return wrong(
-                format!("the object file has schema {}, known is {SCHEMA}", self.schema),
+                format!(
+                    "the object file has schema {}, known is {SCHEMA}",
+                    self.schema
+                ),
                 "read it with the release of gripcast that it was written for",
             );
         }
@@ -215,7 +218,9 @@ impl ReplayObject {
             return Ok(pose.t_world_object);
         };
         let points = self.mesh.all_corners().flatten();
-        let lowest = Aabb::from_points(points.map(|v| pose.transform_point(v))).min.z;
+        let lowest = Aabb::from_points(points.map(|v| pose.transform_point(v)))
+            .min
+            .z;
         if lowest.abs() > GROUND_TOLERANCE_M {
             return Err(Error::new(
                 ErrorKind::Input,
@@ -270,7 +275,11 @@ pub fn load_objects(folder: &Path) -> Result<BTreeMap<String, Result<ReplayObjec
             .remedy("write NAME.toml for each object of the dataset (docs/replay.md)"));
     }
     let named = paths.iter().map(|path| {
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let name = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         (name, ReplayObject::load(path))
     });
     Ok(named.collect())

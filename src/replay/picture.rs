@@ -35,11 +35,11 @@ pub(super) fn data_uri(picture: &RgbImage) -> Result<String> {
 
 /// How the path tracer draws.
 #[derive(Clone, Copy, Debug)]
-pub struct ViewSettings {
+pub(super) struct ViewSettings {
     /// Paths for each pixel.
-    pub samples: u32,
+    pub(super) samples: u32,
     /// Seed of light and ground.
-    pub seed: u64,
+    pub(super) seed: u64,
 }
 
 /// The camera's picture before the lift, and the simulation's from the nominal place of the
@@ -48,7 +48,7 @@ pub struct ViewSettings {
 ///
 /// # Errors
 /// `NotFound` or `Input` where the stored frame is missing or damaged; those of rendering.
-pub fn view_pair(
+pub(super) fn view_pair(
     dataset: &Dataset,
     grasp: &RecordedGrasp,
     object: &ReplayObject,
@@ -58,9 +58,8 @@ pub fn view_pair(
     let camera = grasp.record.grasp.cameras.get(&Role::Rgb);
     let size = camera.map_or([0; 2], |camera| [camera.width, camera.height]);
     let path = dataset.path_of(&grasp.record, Stage::Grasp, Role::Rgb);
-    let path = path.ok_or_else(|| {
-        Error::new(ErrorKind::NotFound, "the grasp has no colour picture")
-    })?;
+    let path =
+        path.ok_or_else(|| Error::new(ErrorKind::NotFound, "the grasp has no colour picture"))?;
     let bytes = std::fs::read(&path)
         .map_err(|e| Error::io("cannot read the colour picture", e).at(path.display()))?;
     let whole = Decoder::new()?.decode_file(&bytes, None, size[0], size[1])?;
@@ -75,7 +74,7 @@ pub fn view_pair(
 ///
 /// # Errors
 /// Those of rendering.
-pub fn object_picture(
+pub(super) fn object_picture(
     object: &ReplayObject,
     grasp: &RecordedGrasp,
     settings: &ViewSettings,
@@ -93,11 +92,19 @@ pub fn object_picture(
 fn middle(picture: &RgbImage) -> RgbImage {
     let [width, height] = VIEW.map(|side| side as u32);
     let (w, h) = picture.dimensions();
-    let scale = f64::max(f64::from(width) / f64::from(w), f64::from(height) / f64::from(h));
+    let scale = f64::max(
+        f64::from(width) / f64::from(w),
+        f64::from(height) / f64::from(h),
+    );
     let cut = |side: u32, whole: u32| ((f64::from(side) / scale).round() as u32).clamp(1, whole);
     let (cut_w, cut_h) = (cut(width, w), cut(height, h));
     let cropped = imageops::crop_imm(picture, (w - cut_w) / 2, (h - cut_h) / 2, cut_w, cut_h);
-    imageops::resize(&cropped.to_image(), width, height, imageops::FilterType::Triangle)
+    imageops::resize(
+        &cropped.to_image(),
+        width,
+        height,
+        imageops::FilterType::Triangle,
+    )
 }
 
 fn rendered(
@@ -111,7 +118,11 @@ fn rendered(
         focal_factor: 1.0,
         ..VisualRandomisation::default().sample(settings.seed)
     };
-    let model = Model::plain(&object.mesh, Finish::Painted(Pattern::Plastic), settings.seed)?;
+    let model = Model::plain(
+        &object.mesh,
+        Finish::Painted(Pattern::Plastic),
+        settings.seed,
+    )?;
     let scene = grasp_scene(&model, state, &conditions, view)?;
     let rendering = Renderer::new(&scene)?.render(
         &scene.camera,

@@ -209,10 +209,7 @@ fn pose_of(pose: &PoseRecord) -> Result<Pose> {
             pose.t_m, pose.q_wxyz
         )));
     }
-    Ok(Pose::new(
-        rotation.normalize(),
-        DVec3::from_array(pose.t_m),
-    ))
+    Ok(Pose::new(rotation.normalize(), DVec3::from_array(pose.t_m)))
 }
 
 /// Refuses poses from which nothing could be grasped; they are mostly a matter of units.

@@ -49,6 +49,29 @@ pub struct Report {
     pub changes: Option<Changes>,
 }
 
+impl Report {
+    /// The same without pictures and curves.
+    #[must_use]
+    pub fn thinned(&self) -> Self {
+        let mut thin = self.clone();
+        for object in &mut thin.objects {
+            object.picture = None;
+        }
+        for grasp in &mut thin.grasps {
+            grasp.view = None;
+            for replay in &mut grasp.replays {
+                replay.curves = None;
+            }
+            for pair in &mut grasp.tactile {
+                pair.difference.clear();
+                pair.pictures.real.clear();
+                pair.pictures.sim.clear();
+            }
+        }
+        thin
+    }
+}
+
 /// Where the outcomes come from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]

@@ -310,7 +310,13 @@ mod tests {
     fn one_setting_is_shared_and_chosen_without_the_object() {
         let found = sample().score();
         // (0.4, 20) agrees with 3 of a and 2 of b.
-        assert_eq!(found.scores.one, Setting { friction: 0.4, force_n: 20.0 });
+        assert_eq!(
+            found.scores.one,
+            Setting {
+                friction: 0.4,
+                force_n: 20.0
+            }
+        );
         assert_eq!(found.scores.one_setting.all.agree, 5);
         // Without a, b alone would take (0.2, 20), which agrees with 1 of a; without b, (0.4, 20).
         let left_out = &found.scores.leave_object_out.by_object;

@@ -62,7 +62,10 @@ mod tests {
         check(73, 100, 0.635_69, 0.807_26);
         check(20, 20, 0.838_88, 1.0);
         check(0, 20, 0.0, 0.161_12);
-        assert_eq!((Proportion::of(0, 0).low, Proportion::of(0, 0).high), (0.0, 1.0));
+        assert_eq!(
+            (Proportion::of(0, 0).low, Proportion::of(0, 0).high),
+            (0.0, 1.0)
+        );
     }
 
     #[test]

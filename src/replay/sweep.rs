@@ -97,7 +97,6 @@ pub fn sweep(
         records[index] = Some(record);
     }
     let all: Option<Vec<CaseRecord>> = records.into_iter().collect();
-    let records =
-        all.ok_or_else(|| Error::new(ErrorKind::Internal, "a simulation ended early"))?;
+    let records = all.ok_or_else(|| Error::new(ErrorKind::Internal, "a simulation ended early"))?;
     Ok(Swept { records, simulated })
 }

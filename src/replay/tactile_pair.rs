@@ -29,7 +29,7 @@ const PATCH_PX: usize = 10;
 ///
 /// # Errors
 /// `NotFound` or `Input` where a stored frame is missing or damaged; those of rendering.
-pub fn tactile_pairs(
+pub(super) fn tactile_pairs(
     dataset: &Dataset,
     grasp: &RecordedGrasp,
     object: &ReplayObject,
@@ -111,7 +111,11 @@ impl Change {
         let strength: Vec<f32> = self
             .levels
             .chunks_exact(3)
-            .map(|pixel| pixel.iter().fold(0.0, |most: f32, level| most.max(level.abs())))
+            .map(|pixel| {
+                pixel
+                    .iter()
+                    .fold(0.0, |most: f32, level| most.max(level.abs()))
+            })
             .collect();
         let smooth = box_mean(&strength, SMOOTH_PX);
         smooth.iter().map(|level| *level > CONTACT_LEVELS).collect()
@@ -131,7 +135,12 @@ impl Change {
 
 fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
     let apart = Change {
-        levels: real.levels.iter().zip(&sim.levels).map(|(r, s)| r - s).collect(),
+        levels: real
+            .levels
+            .iter()
+            .zip(&sim.levels)
+            .map(|(r, s)| r - s)
+            .collect(),
     };
     let shown = |change: &Change| {
         let [width, height] = SHOWN;
@@ -139,7 +148,11 @@ fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
         data_uri(&picture)
     };
     let (touched, simulated) = (real.mask(), sim.mask());
-    let both = touched.iter().zip(&simulated).filter(|(r, s)| **r && **s).count();
+    let both = touched
+        .iter()
+        .zip(&simulated)
+        .filter(|(r, s)| **r && **s)
+        .count();
     let either: Vec<f32> = touched
         .iter()
         .zip(&simulated)
@@ -150,7 +163,10 @@ fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
     let in_patch = |levels: &[f32]| -> Vec<f64> {
         let pixels = levels.chunks_exact(3).zip(&patch);
         let pixels = pixels.filter(|(_, near)| **near > 0.0);
-        pixels.flat_map(|(pixel, _)| pixel).map(|level| f64::from(*level)).collect()
+        pixels
+            .flat_map(|(pixel, _)| pixel)
+            .map(|level| f64::from(*level))
+            .collect()
     };
     let square = |levels: &[f64]| levels.iter().map(|level| level * level).sum::<f64>();
     let (error, signal) = (in_patch(&apart.levels), in_patch(&real.levels));
@@ -223,7 +239,10 @@ mod tests {
         let touched = disc([160.0, 120.0], 40.0, 150);
         let found = scored(&touched, &touched);
         assert_eq!(found.contact_iou, Some(1.0));
-        assert_eq!((found.fve, found.l1, found.psnr_db), (Some(1.0), Some(0.0), None));
+        assert_eq!(
+            (found.fve, found.l1, found.psnr_db),
+            (Some(1.0), Some(0.0), None)
+        );
         assert_eq!(found.sensor, "left");
     }
 

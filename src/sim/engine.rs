@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use super::fem::GelGrid;
 use super::grasp::{GraspResult, GraspSettings, Scene, simulate};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Pose, TriangleMesh};
@@ -63,11 +64,11 @@ pub trait Engine: Send + Sync {
     /// be above, m.
     fn success_height_m(&self) -> f64;
 
-    /// Mesh of the gels at rest, as in the header of a trace; none without gels.
+    /// Mesh of the gels at rest, and the distance at which contact begins, m; none without gels.
     ///
     /// # Errors
     /// None for the built-in meshes.
-    fn gel_axes_m(&self) -> Result<Option<[Vec<f64>; 3]>> {
+    fn gel(&self) -> Result<Option<(GelGrid, f64)>> {
         Ok(None)
     }
 
@@ -105,8 +106,11 @@ impl Engine for FemEngine {
         self.settings.protocol.success_height_m
     }
 
-    fn gel_axes_m(&self) -> Result<Option<[Vec<f64>; 3]>> {
-        Ok(Some(self.settings.gel()?.grid.axes().clone()))
+    fn gel(&self) -> Result<Option<(GelGrid, f64)>> {
+        Ok(Some((
+            self.settings.gel()?.grid,
+            self.settings.solver.d_hat_m,
+        )))
     }
 
     fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult> {

@@ -39,6 +39,8 @@ mod render_out;
 mod render_source;
 mod render_tactile;
 mod render_visual;
+mod replay;
+mod replay_report;
 mod rig;
 mod sim;
 mod sim_grasp;
@@ -126,6 +128,8 @@ enum Verb {
     Sim(sim::Args),
     /// Render what the sensors would see of simulated grasps
     Render(render::Args),
+    /// Replay annotated grasps in the simulators and compare with what happened
+    Replay(replay::Args),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -159,6 +163,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),
         Verb::Render(args) => render::run(&context, args),
+        Verb::Replay(args) => replay::run(&context, args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),

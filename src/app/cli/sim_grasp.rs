@@ -138,12 +138,22 @@ struct OutFlags {
     json: bool,
 }
 
+/// A set of parameters.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum PresetName {
+pub(super) enum PresetName {
     /// E = 1 MPa, ν = 0.3
     Paper,
     /// E = 0.435 MPa, ν = 0.45
     Feats,
+}
+
+impl From<PresetName> for Preset {
+    fn from(name: PresetName) -> Self {
+        match name {
+            PresetName::Paper => Self::Paper,
+            PresetName::Feats => Self::Feats,
+        }
+    }
 }
 
 /// A gel mesh.
@@ -183,7 +193,7 @@ enum RuleName {
     Proportional,
 }
 
-fn above_zero(text: &str) -> Result<f64, String> {
+pub(super) fn above_zero(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
     if value.is_finite() && value > 0.0 {
         Ok(value)
@@ -194,10 +204,7 @@ fn above_zero(text: &str) -> Result<f64, String> {
 
 impl SettingsFlags {
     fn settings(&self) -> GraspSettings {
-        let mut settings = GraspSettings::new(match self.preset {
-            PresetName::Paper => Preset::Paper,
-            PresetName::Feats => Preset::Feats,
-        });
+        let mut settings = GraspSettings::new(self.preset.into());
         settings.resolution = self.gel.into();
         if let DriveName::Taccel = self.drive {
             settings.drive = Drive::PerMass(TACCEL_DRIVE_WEIGHT);

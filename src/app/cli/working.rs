@@ -1,5 +1,6 @@
 //! Long computations: progress on stderr, and an end at Ctrl-C.
 
+use std::cell::Cell;
 use std::io::{self, IsTerminal as _};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -46,6 +47,28 @@ pub(super) fn interruptible<T: Send + 'static>(
     label: &'static str,
     work: impl FnOnce(&Progress) -> T + Send + 'static,
 ) -> Result<T> {
+    watched(context, label, false, work)
+}
+
+/// The same for work whose finished parts are on the disk: `SIGTERM` ends it with `Stopped`, and
+/// the same command goes on where it was.
+///
+/// # Errors
+/// As [`interruptible`], and `Stopped`.
+pub(super) fn resumable<T: Send + 'static>(
+    context: &Context,
+    label: &'static str,
+    work: impl FnOnce(&Progress) -> T + Send + 'static,
+) -> Result<T> {
+    watched(context, label, true, work)
+}
+
+fn watched<T: Send + 'static>(
+    context: &Context,
+    label: &'static str,
+    is_resumable: bool,
+    work: impl FnOnce(&Progress) -> T + Send + 'static,
+) -> Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
@@ -53,6 +76,18 @@ pub(super) fn interruptible<T: Send + 'static>(
     runtime.block_on(async {
         let mut interrupt = signal(SignalKind::interrupt())
             .map_err(|e| Error::io("cannot listen for Ctrl-C", e))?;
+        let mut stop = if is_resumable {
+            let stop = signal(SignalKind::terminate());
+            Some(stop.map_err(|e| Error::io("cannot listen for SIGTERM", e))?)
+        } else {
+            None
+        };
+        let stopped = async {
+            match &mut stop {
+                Some(stop) => stop.recv().await,
+                None => std::future::pending().await,
+            }
+        };
         let (events, listening) = unbounded_channel();
         let (done, result) = tokio::sync::oneshot::channel();
         let worker = thread::Builder::new().name("work".into());
@@ -67,6 +102,8 @@ pub(super) fn interruptible<T: Send + 'static>(
         let outcome = tokio::select! {
             result = watch(&display, listening, result) => result,
             _ = interrupt.recv() => Err(Error::new(ErrorKind::Interrupted, "interrupted")),
+            _ = stopped => Err(Error::new(ErrorKind::Stopped, "stopped; what is finished is kept")
+                .remedy("run the same command again: it goes on where it was")),
         };
         display.bar.finish_and_clear();
         outcome
@@ -96,11 +133,39 @@ async fn watch<T>(
         .map_err(|_| Error::new(ErrorKind::Internal, "the computation ended early"))
 }
 
+/// How much is done, and how fast.
+#[derive(Clone, Copy)]
+struct Position {
+    /// Where it was when it was first told, and when: what an earlier run has done takes no time.
+    first: (u64, Instant),
+    done: u64,
+    all: u64,
+}
+
+impl Position {
+    fn moved(before: Option<Self>, done: u64, all: u64) -> Self {
+        let same = before.filter(|before| before.all == all && before.done <= done);
+        let first = same.map_or_else(|| (done, Instant::now()), |before| before.first);
+        Self { first, done, all }
+    }
+
+    fn text(&self) -> String {
+        let (from, when) = self.first;
+        let rest = (self.all - self.done) as f64 * when.elapsed().as_secs_f64();
+        let left = match self.done.saturating_sub(from) {
+            0 => String::new(),
+            moved => format!(", about {:.0} s left", rest / moved as f64),
+        };
+        format!(", {} of {}{left}", self.done, self.all)
+    }
+}
+
 /// A bar on a terminal, lines elsewhere, nothing with `--quiet`.
 struct Display {
     bar: ProgressBar,
     label: &'static str,
     started: Instant,
+    at: Cell<Option<Position>>,
     has_lines: bool,
 }
 
@@ -126,6 +191,7 @@ impl Display {
             bar,
             label,
             started: Instant::now(),
+            at: Cell::new(None),
             has_lines,
         }
     }
@@ -135,9 +201,12 @@ impl Display {
             Event::Line(text) if self.has_lines => eprintln!("{text}"),
             Event::Line(text) => self.bar.println(text),
             Event::At { done, all } => {
+                self.at.set(Some(Position::moved(self.at.get(), done, all)));
                 if self.bar.length() != Some(all) {
                     self.bar.set_length(all);
-                    let template = "{msg} [{bar:30}] {pos}/{len} {elapsed}";
+                    self.bar.set_position(done);
+                    self.bar.reset_eta();
+                    let template = "{msg} [{bar:30}] {pos}/{len} {elapsed}, {eta} left";
                     if let Ok(style) = ProgressStyle::with_template(template) {
                         self.bar.set_style(style.progress_chars("=> "));
                     }
@@ -150,7 +219,8 @@ impl Display {
     fn still(&self) {
         if self.has_lines {
             let seconds = self.started.elapsed().as_secs();
-            eprintln!("{} for {seconds} s", self.label);
+            let at = self.at.get().map_or(String::new(), |at| at.text());
+            eprintln!("{} for {seconds} s{at}", self.label);
         }
     }
 }

@@ -108,6 +108,7 @@ struct Run<'a> {
     has_touched: bool,
     has_reached_force: bool,
     unconverged: usize,
+    iterations: u64,
     trace: Trace,
 }
 
@@ -127,6 +128,7 @@ impl<'a> Run<'a> {
             has_touched: false,
             has_reached_force: false,
             unconverged: 0,
+            iterations: 0,
             trace: Trace::default(),
         }
     }
@@ -146,9 +148,8 @@ impl<'a> Run<'a> {
         }
         let object = self.stage.system.object();
         let lowest = object.lowest(self.stage.system.collider());
-        let (outcome, detail) = if self.unconverged > MAX_UNCONVERGED {
-            let detail = format!("{} steps did not converge", self.unconverged);
-            (GraspOutcome::NotConverged, Some(detail))
+        let (outcome, detail) = if let Some(reason) = self.given_up() {
+            (GraspOutcome::NotConverged, Some(reason))
         } else if !touched {
             (GraspOutcome::Miss, None)
         } else if lowest > self.protocol.success_height_m {
@@ -169,6 +170,15 @@ impl<'a> Run<'a> {
             times: *self.stage.system.phase_times(),
             trace: self.trace,
         }
+    }
+
+    /// Why the grasp is not simulated any further, if so.
+    fn given_up(&self) -> Option<String> {
+        let most = self.stage.system.parameters().max_grasp_iterations;
+        if self.unconverged > MAX_UNCONVERGED {
+            return Some(format!("{} steps did not converge", self.unconverged));
+        }
+        (self.iterations > most).then(|| format!("given up after {most} iterations"))
     }
 
     fn forces(&self) -> [GelForce; 2] {
@@ -213,7 +223,7 @@ impl<'a> Run<'a> {
 
     fn close(&mut self) {
         let step = self.protocol.closing_speed_m_s * self.dt;
-        while !self.is_closed && self.unconverged <= MAX_UNCONVERGED {
+        while !self.is_closed && self.given_up().is_none() {
             let by = self.squeeze(step);
             if self.may_fly(by) {
                 let closing = self.stage.closing;
@@ -240,7 +250,7 @@ impl<'a> Run<'a> {
     fn adjust(&mut self) {
         let steps = (self.protocol.adjust_s / self.dt).round() as usize;
         for _ in 0..steps {
-            if self.unconverged > MAX_UNCONVERGED {
+            if self.given_up().is_some() {
                 return;
             }
             let by = self.protocol.adjustment(self.mean_force(), self.dt);
@@ -260,7 +270,7 @@ impl<'a> Run<'a> {
         let steps = (self.protocol.lift_m / rise).round() as usize;
         let mut follows = true;
         for _ in 0..steps {
-            if self.unconverged > MAX_UNCONVERGED {
+            if self.given_up().is_some() {
                 return;
             }
             let mean = self.mean_force();
@@ -288,6 +298,7 @@ impl<'a> Run<'a> {
     fn step(&mut self, stage: StageName, start: &StepStart) {
         let report = self.stage.system.step(start);
         self.unconverged += usize::from(!report.converged);
+        self.iterations += u64::from(report.iterations);
         self.record(stage, Some(report));
     }
 

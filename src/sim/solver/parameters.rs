@@ -22,6 +22,9 @@ pub struct SolverParameters {
     pub newton_tolerance_m_s: f64,
     /// Iterations after which a step counts as not converged.
     pub max_iterations: u32,
+    /// Iterations after which a whole grasp is given up as not converged. The slowest of the
+    /// built-in cases takes a tenth of the default.
+    pub max_grasp_iterations: u64,
     /// Gravity on the object along the world's z axis, m/s². The gels are held and weigh 2 g;
     /// gravity does not act on them.
     pub gravity_m_s2: f64,
@@ -46,6 +49,7 @@ impl Default for SolverParameters {
             eps_v_m_s: 1e-3,
             newton_tolerance_m_s: 1e-4,
             max_iterations: 200,
+            max_grasp_iterations: 50_000,
             gravity_m_s2: -9.81,
             affine_stiffness_pa: 1e9,
             candidate_margin_m: 4e-4,
@@ -83,10 +87,11 @@ impl SolverParameters {
         if self.ccd_slack >= 1.0 {
             return Err(wrong("ccd_slack", self.ccd_slack, "a number below 1"));
         }
-        if self.max_iterations == 0 || self.max_factor_age == 0 {
+        if self.max_iterations == 0 || self.max_grasp_iterations == 0 || self.max_factor_age == 0 {
             return Err(Error::new(
                 ErrorKind::Config,
-                "`max_iterations` and `max_factor_age` must be at least 1, found 0",
+                "`max_iterations`, `max_grasp_iterations` and `max_factor_age` must be at least 1, \
+                 found 0",
             ));
         }
         Ok(())

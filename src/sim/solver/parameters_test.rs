@@ -38,6 +38,11 @@ fn a_parameter_out_of_range_is_refused_by_name() {
             &[f64::NAN, f64::NEG_INFINITY],
         ),
         ("max_iterations", |p, v| p.max_iterations = v as u32, &[0.0]),
+        (
+            "max_grasp_iterations",
+            |p, v| p.max_grasp_iterations = v as u64,
+            &[0.0],
+        ),
         ("max_factor_age", |p, v| p.max_factor_age = v as u32, &[0.0]),
     ];
     assert!(SolverParameters::default().validate().is_ok());
