@@ -28,7 +28,7 @@ mod rebuild;
 mod record_file;
 mod recover;
 #[cfg(test)]
-mod sample;
+pub(crate) mod sample;
 mod split;
 mod summary;
 mod trash;

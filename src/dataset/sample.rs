@@ -9,7 +9,7 @@ use super::descriptor::NewDataset;
 use super::grasp::PredictionRecord;
 use crate::imaging::{Frame, PixelFormat, Role};
 
-pub(super) fn new_dataset() -> NewDataset {
+pub(crate) fn new_dataset() -> NewDataset {
     NewDataset {
         name: "sample".into(),
         rig: "bench".into(),
@@ -19,7 +19,7 @@ pub(super) fn new_dataset() -> NewDataset {
 }
 
 /// A grey JPEG whose brightness depends on `shade`.
-pub(super) fn jpeg(width: usize, height: usize, shade: u8) -> Vec<u8> {
+pub(crate) fn jpeg(width: usize, height: usize, shade: u8) -> Vec<u8> {
     let pixels: Vec<u8> = (0..width * height)
         .map(|i| (i as u8).wrapping_mul(shade | 1).wrapping_add(shade))
         .collect();
@@ -60,7 +60,7 @@ fn camera(role: Role, format: PixelFormat, data: Vec<u8>, number: u32) -> Captur
 }
 
 /// Frames of both gels (MJPG), colour (YUYV) and depth (Z16), different for each `number`.
-pub(super) fn capture(number: u32) -> StageCapture {
+pub(crate) fn capture(number: u32) -> StageCapture {
     let shade = number as u8;
     let begin: Timestamp = "2026-11-20T10:15:00Z".parse().unwrap();
     let raw = |salt: u8| (0..=255_u8).map(|i| i.wrapping_mul(salt) ^ shade).collect();
@@ -102,7 +102,7 @@ pub(super) fn capture(number: u32) -> StageCapture {
     }
 }
 
-pub(super) fn meta(object: &str) -> GraspMeta {
+pub(crate) fn meta(object: &str) -> GraspMeta {
     GraspMeta {
         object: object.into(),
         scene: "table".into(),

@@ -10,6 +10,8 @@ mod curves;
 mod object_file;
 mod picture;
 mod recording;
+#[cfg(test)]
+mod replay_test;
 mod report;
 mod run;
 mod score;

@@ -17,6 +17,7 @@ mod model_contract;
 mod program;
 mod render;
 mod render_tactile;
+mod replay;
 mod rig;
 mod screen;
 mod shared_data;

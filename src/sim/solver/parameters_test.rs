@@ -7,7 +7,7 @@ type Set = fn(&mut SolverParameters, f64);
 #[test]
 fn a_parameter_out_of_range_is_refused_by_name() {
     let wrong = [f64::NAN, f64::INFINITY, 0.0, -1.0];
-    let table: [(&str, Set, &[f64]); 11] = [
+    let table: [(&str, Set, &[f64]); 12] = [
         ("dt_s", |p, v| p.dt_s = v, &wrong),
         ("kappa_pa", |p, v| p.kappa_pa = v, &wrong),
         ("d_hat_m", |p, v| p.d_hat_m = v, &wrong),

@@ -1,0 +1,228 @@
+//! The command `replay`: a small dataset through both engines, stopped and continued, and wrong
+//! input.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use serde_json::{Value, json};
+
+use crate::program::{collect, grasps, gripcast, json, script, stderr, succeed, wait_until};
+
+/// Heights of the gripper over the middle of the box, m, and whether it held. The gel reaches
+/// 12.5 mm down, so at 40 mm it closes above the box, which is 60 mm high.
+const GRASPS: [(f64, &str); 3] = [(0.0, "stable"), (0.01, "stable"), (0.045, "slip")];
+
+/// Grasps of the virtual rig whose records say that a box was grasped from above.
+fn annotated(dir: &Path) -> PathBuf {
+    let dataset = dir.join("d");
+    let cycle = "wait no-contact\nwait fresh\ntrigger\nwait saved\nwait contact\nwait fresh\n\
+                 trigger\nwait saved\nstable\nwait saved\n";
+    let steps = format!(
+        "object box\nwait live\n{}quit\n",
+        cycle.repeat(GRASPS.len())
+    );
+    succeed(&mut collect(&script(dir, &steps), &dataset));
+    for (id, (height, label)) in grasps(&dataset).keys().zip(GRASPS) {
+        change(&dataset, id, |record| {
+            record["outcome"] = json!(label);
+            record["pose"] = json!({
+                "t_m": [0.0, 0.0, height],
+                "q_wxyz": [0.0, 1.0, 0.0, 0.0],
+                "frame": "t_object_gripper",
+                "covariance": null,
+                "reprojection_px": null,
+                "corrected_by_hand": true,
+            });
+        });
+    }
+    dataset
+}
+
+fn change(dataset: &Path, id: &str, change: impl FnOnce(&mut Value)) {
+    let path = dataset.join("grasps").join(id).join("grasp.json");
+    let mut record: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    change(&mut record);
+    fs::write(path, serde_json::to_vec_pretty(&record).unwrap()).unwrap();
+}
+
+fn objects(dir: &Path) -> PathBuf {
+    let folder = dir.join("objects");
+    fs::create_dir_all(&folder).unwrap();
+    let text = "schema = 1\nmesh = \"builtin:box\"\nmass_kg = 0.06\n";
+    fs::write(folder.join("box.toml"), text).unwrap();
+    folder
+}
+
+fn replay(dataset: &Path, objects: &Path, out: &Path, more: &[&str]) -> Command {
+    let mut command = gripcast();
+    command
+        .arg("replay")
+        .arg(dataset)
+        .arg("--objects")
+        .arg(objects);
+    command.args([
+        "--gel",
+        "coarse",
+        "--friction",
+        "0.4",
+        "--stop-force-n",
+        "20",
+    ]);
+    command.args([
+        "--rigid-friction",
+        "0.25,0.4",
+        "--rigid-force-n",
+        "10",
+        "--resolution",
+        "32",
+    ]);
+    command.arg("--out").arg(out).args(more);
+    command
+}
+
+fn report(out: &Path) -> Value {
+    serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
+}
+
+/// Outcomes by grasp, engine and setting.
+fn outcomes(report: &Value) -> Vec<Value> {
+    let grasps = report["grasps"].as_array().unwrap();
+    grasps
+        .iter()
+        .map(|grasp| {
+            let replays = grasp["replays"].as_array().unwrap();
+            json!([
+                grasp["id"],
+                replays
+                    .iter()
+                    .map(|r| json!([r["cells"], r["curves"]]))
+                    .collect::<Vec<_>>()
+            ])
+        })
+        .collect()
+}
+
+#[test]
+fn grasps_are_replayed_stopped_continued_and_reported() {
+    let dir = tempfile::tempdir().unwrap();
+    let (dataset, objects) = (annotated(dir.path()), objects(dir.path()));
+    let whole = dir.path().join("whole");
+    let output = replay(&dataset, &objects, &whole, &["--json"])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let told = json(&output);
+    assert_eq!(told["grasps"].as_array().unwrap().len(), GRASPS.len());
+    assert_eq!(told["dataset"]["reality"]["kind"], "simulated");
+    let made = report(&whole);
+    assert_eq!(made["engines"][0]["name"], "fem");
+    assert_eq!(
+        made["engines"][0]["scores"]["paper"]["all"]["agree"],
+        GRASPS.len(),
+        "{told}"
+    );
+    assert_eq!(made["engines"][1]["name"], "rigid");
+    for grasp in made["grasps"].as_array().unwrap() {
+        let picture = |value: &Value| {
+            value
+                .as_str()
+                .unwrap()
+                .starts_with("data:image/jpeg;base64,")
+        };
+        if grasp["replays"][0]["case"]["outcome"] != "miss" {
+            assert!(picture(&grasp["view"]["sim"]));
+            assert_eq!(grasp["tactile"].as_array().unwrap().len(), 2);
+        }
+    }
+    let page = fs::read_to_string(whole.join("report.html")).unwrap();
+    assert!(page.contains("simulated") && page.len() > 20_000);
+
+    // Stopped after the first case, then continued: the same as in one go.
+    let parts = dir.path().join("parts");
+    let more = ["--jobs", "1", "--no-pictures"];
+    let mut child = replay(&dataset, &objects, &parts, &more)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait_until(&mut child, || parts.join("cases").is_dir());
+    Command::new("kill")
+        .arg(child.id().to_string())
+        .status()
+        .unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(75));
+    assert!(!parts.join("report.json").exists());
+    succeed(&mut replay(&dataset, &objects, &parts, &more));
+    let continued = report(&parts);
+    let all = continued["cost"]["cases"].as_u64().unwrap();
+    assert!(continued["cost"]["simulated_now"].as_u64().unwrap() < all);
+    assert_eq!(outcomes(&continued), outcomes(&made));
+
+    let old = whole.join("report.json");
+    let more = ["--no-pictures", "--compare", old.to_str().unwrap()];
+    succeed(&mut replay(&dataset, &objects, &parts, &more));
+    let compared = report(&parts);
+    assert_eq!(compared["cost"]["simulated_now"], 0);
+    assert_eq!(compared["changes"]["outcomes"], json!([]));
+}
+
+#[test]
+fn what_is_left_out_is_told_with_exit_code_3() {
+    let dir = tempfile::tempdir().unwrap();
+    let (dataset, objects) = (annotated(dir.path()), objects(dir.path()));
+    let ids: Vec<String> = grasps(&dataset).into_keys().collect();
+    change(&dataset, &ids[0], |record| record["object"] = json!("bax"));
+    change(&dataset, &ids[1], |record| record["pose"] = json!(null));
+    let out = dir.path().join("out");
+    let more = ["--engine", "rigid", "--no-pictures"];
+    let output = replay(&dataset, &objects, &out, &more).output().unwrap();
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    let left_out = report(&out)["left_out"].clone();
+    assert_eq!(left_out.as_array().unwrap().len(), 2);
+    assert!(
+        left_out[0]["reason"]
+            .as_str()
+            .unwrap()
+            .contains("nearest name is box")
+    );
+    assert!(
+        left_out[1]["reason"]
+            .as_str()
+            .unwrap()
+            .contains("gripcast annotate")
+    );
+    let counted = replay(&dataset, &objects, &out, &["--dry-run"])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&counted.stdout).into_owned();
+    assert!(
+        text.contains("1 of 3 grasps can be replayed: 3 cases"),
+        "{text}"
+    );
+}
+
+#[test]
+fn wrong_calls_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let check = |arguments: &[&str], code: i32, words: &str| {
+        let output: Output = gripcast().arg("replay").args(arguments).output().unwrap();
+        let text = stderr(&output);
+        assert_eq!(output.status.code(), Some(code), "{text}");
+        assert!(text.contains(words), "{text}");
+    };
+    check(&[], 2, "replay demo");
+    check(&[&path("nothing")], 2, "--objects");
+    check(&[&path("nothing"), "--objects", &path("o")], 1, "nothing");
+    check(&["demo", "--friction", "-1"], 2, "above 0");
+    fs::write(path("old.json"), "{}").unwrap();
+    let old = path("old.json");
+    let compare = ["--compare", &old];
+    let data = path("d");
+    check(
+        &[&[data.as_str(), "--objects", "o"], &compare[..]].concat(),
+        1,
+        "report.json",
+    );
+}
