@@ -8,6 +8,7 @@ mod engine;
 pub mod fem;
 pub mod grasp;
 pub mod press;
+pub mod rigid;
 pub mod solver;
 pub mod validate;
 
