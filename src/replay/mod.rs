@@ -4,9 +4,13 @@
 //! An [`ObjectFile`] says what was grasped. The [`Report`] is written as JSON; the page is drawn
 //! from it.
 
+mod demo;
 mod object_file;
 mod report;
 
+pub use demo::{
+    DemoData, DemoObjectCounts, DemoProgress, DemoSettings, DemoStage, DemoWatch, build_demo,
+};
 pub use object_file::ObjectFile;
 pub use report::{
     CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
