@@ -39,6 +39,7 @@ pub struct DatasetWriter {
     pub(super) rows: BTreeMap<GraspId, IndexRow>,
     pub(super) index_is_stale: bool,
     ids_made: u64,
+    ids_are_reproducible: bool,
     log: Option<File>,
     _lock: DatasetLock,
 }
@@ -54,6 +55,12 @@ impl DatasetWriter {
     #[must_use]
     pub fn path(&self) -> &Path {
         self.layout.root()
+    }
+
+    /// From now on a new id follows from the time of the trigger alone where it is free: for data
+    /// that is computed and has to come out the same again.
+    pub fn use_reproducible_ids(&mut self) {
+        self.ids_are_reproducible = true;
     }
 
     /// Stores an initial frame; durable when this returns.
@@ -359,6 +366,7 @@ impl DatasetWriter {
             rows: BTreeMap::new(),
             index_is_stale: false,
             ids_made: 0,
+            ids_are_reproducible: false,
             log: None,
             _lock: lock,
         }
@@ -412,8 +420,15 @@ impl DatasetWriter {
     }
 
     fn free_id(&mut self, at: Timestamp) -> GraspId {
+        if self.ids_are_reproducible {
+            self.ids_made = 0;
+        }
+        let process = match self.ids_are_reproducible {
+            true => 0,
+            false => std::process::id(),
+        };
         loop {
-            let id = new_id(at, std::process::id(), self.ids_made);
+            let id = new_id(at, process, self.ids_made);
             self.ids_made += 1;
             let taken = [
                 self.layout.grasp(&id),

@@ -10,7 +10,7 @@ use crate::geometry::{LengthUnit, Prepared, TriangleMesh, load_object_mesh};
 #[command(next_help_heading = "What is grasped")]
 pub(super) struct ObjectFlags {
     /// Mesh file (obj, stl, ply, glb, gltf) or builtin:NAME (box, sphere, cylinder, mug, wedge,
-    /// bar, spike, ball, bottle)
+    /// bar, spike, ball, bottle, jack, star, dented, ring, saddle, lump)
     #[arg(long, value_name = "MESH|builtin:NAME")]
     pub(super) object: String,
     /// Unit of the coordinates in the mesh file: mm, cm, m, in

@@ -2,6 +2,8 @@
 //! origin, z up.
 
 mod fine;
+mod hard;
+mod implicit;
 mod mug;
 mod shapes;
 
@@ -15,7 +17,8 @@ pub(super) use shapes::uv_sphere;
 
 /// Names that [`builtin`] knows.
 pub const BUILTIN_NAMES: &[&str] = &[
-    "box", "sphere", "cylinder", "mug", "wedge", "bar", "spike", "ball", "bottle",
+    "box", "sphere", "cylinder", "mug", "wedge", "bar", "spike", "ball", "bottle", "jack", "star",
+    "dented", "ring", "saddle", "lump",
 ];
 
 /// A procedural mesh by name, with or without the prefix `builtin:`. Faces are 2 to 4 mm wide, those of
@@ -32,6 +35,14 @@ pub const BUILTIN_NAMES: &[&str] = &[
 /// | `spike` | octahedron, corners at ±20, ±20, ±35 mm | 1152 |
 /// | `ball` | radius 25 mm | 10368 |
 /// | `bottle` | upright, diameter 43 mm, height 110 mm, cap of 33 mm with 32 ribs | 21248 |
+/// | `jack` | six knobbed arms of different length, 64 to 66 mm across | 7068 |
+/// | `star` | prism over a star of five rounded points, 50 mm across and high, twisted by 50° | 10440 |
+/// | `dented` | ball of 54 mm with seven dents | 10168 |
+/// | `ring` | ring of 61 mm and about 17 mm thick that wobbles in all directions | 7716 |
+/// | `saddle` | round saddle with three legs, 58 mm across, 37 mm high, 11 mm thick | 8580 |
+/// | `lump` | ball with bumps and hollows, 51 × 54 × 61 mm | 9284 |
+///
+/// The last six are far from convex and hard to grasp; their faces are 1.5 to 2.8 mm wide.
 ///
 /// # Errors
 /// `NotFound` for another name; the remedy lists the names.
@@ -52,6 +63,12 @@ pub fn builtin(name: &str) -> Result<TriangleMesh> {
         "spike" => shapes::octahedron(DVec3::new(0.02, 0.02, 0.035), 12),
         "ball" => fine::ball(0.025, 36),
         "bottle" => fine::bottle(),
+        "jack" => hard::jack(),
+        "star" => hard::star(),
+        "dented" => hard::dented(),
+        "ring" => hard::ring(),
+        "saddle" => hard::saddle(),
+        "lump" => hard::lump(),
         other => return Err(unknown(other)),
     })
 }
@@ -79,7 +96,7 @@ fn unknown(name: &str) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::MassProperties;
+    use crate::geometry::{MassProperties, PrepareOptions, convex_hull, prepare};
 
     #[test]
     fn every_shape_is_watertight_and_faces_outwards() {
@@ -91,7 +108,8 @@ mod tests {
             assert!(MassProperties::of(&mesh).unwrap().volume_m3 > 0.0, "{name}");
             let euler =
                 mesh.vertices.len() as i64 - edges.len() as i64 + mesh.triangles.len() as i64;
-            assert_eq!(euler, if *name == "mug" { 0 } else { 2 }, "{name}");
+            let has_hole = ["mug", "ring"].contains(name);
+            assert_eq!(euler, if has_hole { 0 } else { 2 }, "{name}");
         }
     }
 
@@ -125,6 +143,12 @@ mod tests {
             ("spike", [40.0, 40.0, 70.0], 1152),
             ("ball", [50.0, 50.0, 50.0], 10368),
             ("bottle", [43.0, 43.0, 110.0], 21248),
+            ("jack", [65.2, 66.2, 64.2], 7068),
+            ("star", [49.3, 50.0, 50.0], 10440),
+            ("dented", [54.1, 54.2, 54.0], 10168),
+            ("ring", [61.3, 60.7, 26.0], 7716),
+            ("saddle", [57.9, 58.0, 36.9], 8580),
+            ("lump", [50.8, 54.1, 61.1], 9284),
         ];
         for ((name, size_mm, triangles), known) in expected.into_iter().zip(BUILTIN_NAMES) {
             assert_eq!(name, *known);
@@ -134,6 +158,35 @@ mod tests {
             let off = (size - DVec3::from_array(size_mm)).abs().max_element();
             assert!(off < 0.2, "{name}: {size}");
             assert_eq!(mesh.triangles.len(), triangles, "{name}");
+        }
+    }
+
+    #[test]
+    fn every_shape_can_be_simulated_as_it_is() {
+        for name in BUILTIN_NAMES {
+            let prepared = prepare(&builtin(name).unwrap(), &PrepareOptions::default()).unwrap();
+            assert!(
+                prepared.warnings.is_empty(),
+                "{name}: {:?}",
+                prepared.warnings
+            );
+        }
+    }
+
+    #[test]
+    fn hard_shapes_fill_far_less_than_their_hull() {
+        for (name, most) in [
+            ("jack", 0.45),
+            ("star", 0.85),
+            ("dented", 0.9),
+            ("ring", 0.6),
+            ("saddle", 0.5),
+            ("lump", 0.95),
+        ] {
+            let mesh = builtin(name).unwrap();
+            let volume = |mesh: &TriangleMesh| MassProperties::of(mesh).unwrap().volume_m3;
+            let share = volume(&mesh) / volume(&convex_hull(&mesh.vertices).unwrap());
+            assert!((0.1..most).contains(&share), "{name}: {share}");
         }
     }
 

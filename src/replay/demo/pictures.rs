@@ -1,0 +1,168 @@
+//! What the colour cameras of the demo data see: the one on the gripper, and the one beside the table
+//! that sees the object's printed sheet and the gripper's tags.
+
+use std::path::Path;
+
+use super::object::DemoObject;
+use super::plan::DemoWatch;
+use crate::error::Result;
+use crate::geometry::Pose;
+use crate::imaging::{Intrinsics, encode_jpeg};
+use crate::pose::print::{
+    ObjectOnSheet, ObjectSheet, Paper, RULER_MM, SheetSettings, object_sheet,
+};
+use crate::pose::{BoardFile, Dictionary};
+use crate::render::visual::{
+    Camera, ColourSettings, DenoiseSettings, GraspPrints, GraspState, Model, RenderSettings,
+    Renderer, Scene, SeedStream, View, VisualConditions, VisualRandomisation, Watch,
+    annotation_camera, annotation_scene, denoise, develop, drawn_finish, grasp_scene,
+};
+use crate::sim::fem::GelGrid;
+use crate::sim::grasp::{Placed, Snapshot};
+
+/// Columns and rows of the pictures between the fingers, and their paths for each pixel.
+pub(super) const HAND: [usize; 2] = [320, 240];
+const HAND_SAMPLES: u32 = 16;
+/// The same beside the table.
+pub(super) const BESIDE: [usize; 2] = [1280, 720];
+const BESIDE_SAMPLES: u32 = 8;
+/// JPEG quality of all.
+const QUALITY: u8 = 92;
+/// Side of a sheet's markers, m.
+const MARKER_M: f64 = 0.030;
+/// Tags of the gripper.
+const TAGS: &str = include_str!("../../../calib/boards/gripper-umi.toml");
+
+/// An object on its sheet, as cameras see it.
+pub(super) struct Stand {
+    model: Model,
+    /// The sheet that it stands on.
+    pub(super) sheet: ObjectSheet,
+    /// The gripper's tags.
+    pub(super) tags: BoardFile,
+    prints: GraspPrints,
+    t_world_object: Pose,
+    conditions: VisualConditions,
+}
+
+/// JPEGs of a grasp.
+pub(super) struct Pictures {
+    /// From between the fingers, before closing and before the lift.
+    pub(super) hand: [Vec<u8>; 2],
+    /// From beside the table, before closing.
+    pub(super) beside: Vec<u8>,
+    /// The camera beside the table.
+    pub(super) intrinsics: Intrinsics,
+}
+
+impl Stand {
+    /// Prints the sheet and paints the object; the light and the table are those of the seed.
+    ///
+    /// # Errors
+    /// `Input` for an object that no paper is large enough for.
+    pub(super) fn new(object: &DemoObject, seed: u64) -> Result<Self> {
+        let looks = SeedStream::named(seed, &format!("looks {}", object.name)).bits();
+        let sheet = sheet(object)?;
+        let tags = BoardFile::parse(TAGS, Path::new(""))?;
+        Ok(Self {
+            model: Model::plain(&object.mesh, drawn_finish(looks), looks)?,
+            prints: GraspPrints::new(&sheet, &tags)?,
+            sheet,
+            tags,
+            t_world_object: object.t_world_object,
+            conditions: VisualRandomisation::default().sample(seed),
+        })
+    }
+
+    /// The camera beside the table, which is the same wherever it stands.
+    pub(super) fn intrinsics(&self) -> Intrinsics {
+        let state = GraspState {
+            t_world_object: self.t_world_object,
+            t_world_gripper: self.t_world_object,
+            opening_m: 0.08,
+            gels: None,
+        };
+        annotation_camera(&state, BESIDE, 0).intrinsics()
+    }
+
+    /// Takes the pictures of a grasp; the seed moves the camera beside the table and draws noise.
+    ///
+    /// # Errors
+    /// `Interrupted` once the watch is cancelled; `Input` where a camera would be in the ground.
+    pub(super) fn photograph(
+        &self,
+        placed: &Placed,
+        grasped: &Snapshot,
+        grid: &GelGrid,
+        seed: u64,
+        watch: &DemoWatch<'_>,
+    ) -> Result<Pictures> {
+        let before = GraspState {
+            t_world_object: self.t_world_object,
+            t_world_gripper: placed.t_world_gripper,
+            opening_m: placed.opening_m,
+            gels: None,
+        };
+        let after = GraspState::at(grasped, Some(grid))?;
+        let shoot = |scene: &Scene, camera: &Camera, samples, number: u64| {
+            let settings = RenderSettings {
+                samples,
+                seed: seed ^ number,
+                ..RenderSettings::default()
+            };
+            let watch = Watch {
+                progress: None,
+                cancel: watch.cancel,
+            };
+            let rendering = Renderer::new(scene)?.render(camera, &settings, &watch)?;
+            let light = denoise(&rendering, &DenoiseSettings::default());
+            let picture = develop(&light, &colour(number), seed ^ number);
+            encode_jpeg(&picture, QUALITY)
+        };
+        let hand = |state: &GraspState, number: u64| {
+            let scene = grasp_scene(&self.model, state, &self.conditions, View::EyeInHand(HAND))?;
+            shoot(&scene, &scene.camera, HAND_SAMPLES, number)
+        };
+        let camera = annotation_camera(&before, BESIDE, seed);
+        let scene = annotation_scene(&self.model, &before, &self.conditions, camera, &self.prints)?;
+        Ok(Pictures {
+            hand: [hand(&before, 1)?, hand(&after, 2)?],
+            beside: shoot(&scene, &camera, BESIDE_SAMPLES, 3)?,
+            intrinsics: camera.intrinsics(),
+        })
+    }
+}
+
+/// The sensor of a picture; that beside the table is sharper and not shrunk from 3 × 3 pixels.
+fn colour(number: u64) -> ColourSettings {
+    let usual = ColourSettings::default();
+    match number {
+        3 => ColourSettings {
+            full_well_e: 5000.0,
+            read_noise_e: 4.0,
+            ..usual
+        },
+        _ => usual,
+    }
+}
+
+/// The sheet of an object as it lies, on the smallest paper that is large enough.
+fn sheet(object: &DemoObject) -> Result<ObjectSheet> {
+    let lying = ObjectOnSheet {
+        mesh: &object.mesh,
+        source: &object.source,
+        t_world_object: object.t_world_object,
+    };
+    let on = |paper: Paper| {
+        let settings = SheetSettings {
+            name: object.name.clone(),
+            dictionary: Dictionary::by_name("DICT_6X6_250")?,
+            first_id: 0,
+            marker_m: MARKER_M,
+            paper,
+            measured_mm: [RULER_MM; 2],
+        };
+        object_sheet(&lying, &settings)
+    };
+    on(Paper::A4).or_else(|_| on(Paper::A3))
+}
