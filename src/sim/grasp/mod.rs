@@ -13,6 +13,7 @@ mod scene;
 mod settings;
 mod start_check;
 mod summary;
+mod ticks;
 mod trace;
 mod trace_file;
 
@@ -28,5 +29,6 @@ pub use settings::{
     GraspSettings, Preset, TACCEL_DRIVE_WEIGHT, resolution_by_name, resolution_name,
 };
 pub use summary::{GraspSummary, PerGel, STEADY_STEPS, StageWork, is_steady};
+pub(crate) use ticks::{tick_step, ticks};
 pub use trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 pub use trace_file::TraceFile;
