@@ -29,10 +29,10 @@ use super::{Context, print, print_json};
 use crate::dataset::Dataset;
 use crate::error::{Error, ErrorKind, Result};
 use crate::render::tactile::SensorProfile;
-use crate::replay::demo::{DemoProgress, DemoSettings, build_demo};
 use crate::replay::{
-    CaseStore, EngineSweep, Reality, Recording, ReplayInput, ReplayObject, ReplayProgress,
-    ReplaySettings, Report, compare, load_objects, read_report, replay,
+    CaseStore, DemoProgress, DemoSettings, DemoStage, DemoWatch, EngineSweep, Reality, Recording,
+    ReplayInput, ReplayObject, ReplayProgress, ReplaySettings, Report, build_demo, compare,
+    load_objects, read_report, replay,
 };
 use crate::sim::grasp::GraspSettings;
 use crate::sim::rigid::{RigidEngine, RigidSettings};
@@ -106,7 +106,7 @@ struct SweepFlags {
         value_parser = clap::value_parser!(u64).range(1..))]
     max_iterations: u64,
     /// Voxels of the convex decomposition along the longest side of an object
-    #[arg(long, value_name = "N", default_value_t = RigidSettings::default().resolution,
+    #[arg(long, value_name = "N", default_value_t = RigidSettings::default().decomposition.resolution,
         value_parser = clap::value_parser!(u32).range(8..=512))]
     resolution: u32,
     /// Poses to draw from each grasp's covariance, at the chosen setting
@@ -223,12 +223,18 @@ impl DemoArgs {
             shared: self.shared.clone(),
             jobs: sweep.jobs(),
         };
-        let data = build_demo(&settings, &sweep.out, &|at: DemoProgress| {
-            progress.at(at.done as u64, at.all as u64);
-            if let Some(line) = at.line {
-                progress.line(line);
-            }
-        })?;
+        let watch = DemoWatch {
+            progress: &|at: DemoProgress| {
+                progress.stage(match at.stage {
+                    DemoStage::Screening => "drawing grasps",
+                    DemoStage::Simulating => "simulating reality",
+                    DemoStage::Recording => "recording reality",
+                });
+                progress.at(at.done as u64, at.of as u64);
+            },
+            cancel: None,
+        };
+        let data = build_demo(&settings, &sweep.out, &watch)?;
         Ok(Source {
             dataset: data.dataset,
             objects: data.objects,
@@ -272,10 +278,8 @@ impl SweepFlags {
         let mut fem = GraspSettings::new(self.preset.into());
         fem.resolution = self.gel.into();
         fem.solver.max_grasp_iterations = self.max_iterations;
-        let rigid = RigidSettings {
-            resolution: self.resolution,
-            ..RigidSettings::default()
-        };
+        let mut rigid = RigidSettings::default();
+        rigid.decomposition.resolution = self.resolution;
         let mut engines = Vec::new();
         for kind in EngineKind::ALL {
             if !self
@@ -293,7 +297,7 @@ impl SweepFlags {
                 },
                 EngineKind::Rigid => EngineSweep {
                     engine: Arc::new(
-                        RigidEngine::new(rigid)?.with_cache(self.out.join("convex-pieces")),
+                        RigidEngine::new(rigid).with_cache(&self.out.join("convex-pieces"))?,
                     ),
                     frictions: given(&self.rigid_friction, [0.1, 0.25, 0.4]),
                     forces_n: given(&self.rigid_force_n, [5.0, 10.0, 20.0]),
@@ -393,13 +397,14 @@ fn reality(recording: &Recording) -> Reality {
 }
 
 fn told(progress: &Progress, at: ReplayProgress) {
-    match at {
-        ReplayProgress::Cases(at) | ReplayProgress::Poses(at) => {
-            progress.at(at.done as u64, at.all as u64);
-        }
-        ReplayProgress::Pictures { done, all } => progress.at(done as u64, all as u64),
-        ReplayProgress::Note(line) => progress.line(line),
-    }
+    let (stage, done, all) = match at {
+        ReplayProgress::Cases(at) => ("replaying", at.done, at.all),
+        ReplayProgress::Poses(at) => ("replaying drawn poses", at.done, at.all),
+        ReplayProgress::Pictures { done, all } => ("drawing pictures", done, all),
+        ReplayProgress::Note(line) => return progress.line(line),
+    };
+    progress.stage(stage);
+    progress.at(done as u64, all as u64);
 }
 
 /// The command line of this process, quoted for a shell.

@@ -21,6 +21,7 @@ pub(super) struct Progress(UnboundedSender<Event>);
 
 enum Event {
     Line(String),
+    Stage(&'static str),
     At { done: u64, all: u64 },
 }
 
@@ -29,6 +30,11 @@ impl Progress {
     pub(super) fn line(&self, text: impl Into<String>) {
         // Nobody listens any more after Ctrl-C.
         let _ = self.0.send(Event::Line(text.into()));
+    }
+
+    /// What is being done now.
+    pub(super) fn stage(&self, label: &'static str) {
+        let _ = self.0.send(Event::Stage(label));
     }
 
     /// How much is done.
@@ -163,7 +169,7 @@ impl Position {
 /// A bar on a terminal, lines elsewhere, nothing with `--quiet`.
 struct Display {
     bar: ProgressBar,
-    label: &'static str,
+    label: Cell<&'static str>,
     started: Instant,
     at: Cell<Option<Position>>,
     has_lines: bool,
@@ -189,7 +195,7 @@ impl Display {
         }
         Self {
             bar,
-            label,
+            label: Cell::new(label),
             started: Instant::now(),
             at: Cell::new(None),
             has_lines,
@@ -200,6 +206,15 @@ impl Display {
         match event {
             Event::Line(text) if self.has_lines => eprintln!("{text}"),
             Event::Line(text) => self.bar.println(text),
+            Event::Stage(label) if self.label.get() == label => {}
+            Event::Stage(label) => {
+                self.label.set(label);
+                self.at.set(None);
+                self.bar.set_message(label);
+                if self.has_lines {
+                    eprintln!("{label}");
+                }
+            }
             Event::At { done, all } => {
                 self.at.set(Some(Position::moved(self.at.get(), done, all)));
                 if self.bar.length() != Some(all) {
@@ -220,7 +235,7 @@ impl Display {
         if self.has_lines {
             let seconds = self.started.elapsed().as_secs();
             let at = self.at.get().map_or(String::new(), |at| at.text());
-            eprintln!("{} for {seconds} s{at}", self.label);
+            eprintln!("{} for {seconds} s{at}", self.label.get());
         }
     }
 }

@@ -155,6 +155,7 @@ impl DemoObject {
             mass_kg: self.mass_kg,
             stable_pose: None,
             t_world_object: Some(self.t_world_object),
+            drawn_from_sha256: None,
         };
         file.save(&folder.join(format!("{}.toml", self.name)))
     }

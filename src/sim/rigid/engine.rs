@@ -69,6 +69,10 @@ impl Engine for RigidEngine {
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the parameters").because(e))
     }
 
+    fn success_height_m(&self) -> f64 {
+        self.settings.success_rise_m()
+    }
+
     fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult> {
         validate(setup, friction, force_n)?;
         let pieces = self.decomposition(&setup.mesh)?;

@@ -271,7 +271,7 @@ impl RigidEngine {
         results: &[GraspResult],
         answer: &PeerAnswer,
     ) -> Agreement {
-        let enough = self.settings.success_share * self.settings.lift_m();
+        let enough = self.settings.success_rise_m();
         let mut agreement = Agreement::default();
         for (grasp, ours) in grasps.iter().zip(results) {
             let Some(theirs) = answer.grasps.iter().find(|g| g.name == grasp.name) else {

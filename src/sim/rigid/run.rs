@@ -56,7 +56,7 @@ impl<'a> Run<'a> {
         let was_held = self.last_force() > NO_FORCE;
         let is_finite = is_finite && (!self.has_touched || self.lift());
         let height = self.world.object_height_m();
-        let enough = self.settings.success_share * self.settings.lift_m();
+        let enough = self.settings.success_rise_m();
         let (outcome, detail) = if !is_finite {
             let detail = "the rigid bodies moved beyond all numbers".to_owned();
             (GraspOutcome::NotConverged, Some(detail))

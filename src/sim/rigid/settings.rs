@@ -118,6 +118,11 @@ impl RigidSettings {
         f64::from(self.lift_steps) * self.lift_step_m
     }
 
+    /// Rise of the object from which on a grasp succeeds, m.
+    pub fn success_rise_m(&self) -> f64 {
+        self.success_share * self.lift_m()
+    }
+
     /// Speed of the lift, m/s.
     pub(super) fn lift_speed_m_s(&self) -> f64 {
         self.lift_step_m / (f64::from(self.lift_ticks) * self.dt_s)
