@@ -233,13 +233,6 @@ fn facts(page: &Page<'_>, out: &mut String) {
         format!("<code>{}</code>", Esc(&dataset.sha256)),
     );
     fact(
-        "Reality",
-        match page.simulated() {
-            Some(how) => format!("simulated: {}", Esc(how)),
-            None => "real grasps of real objects".to_owned(),
-        },
-    );
-    fact(
         "Grasps",
         format!(
             "{} in the dataset, {} replayed, {} left out",
