@@ -87,11 +87,7 @@ pub(super) fn notes(page: &Page<'_>, out: &mut String) {
         Esc(&page.report.command)
     );
     let reality = match page.simulated() {
-        Some(how) => format!(
-            "Simulated, not measured: {} The engines that are compared do not know its \
-             parameters.",
-            Esc(&with_stop(how))
-        ),
+        Some(how) => format!("Simulated, not measured: {}", Esc(&with_stop(how))),
         None => "The outcome that was recorded with the grasp.".to_owned(),
     };
     let mut note = |name: &str, text: &str| put!(out, "<dt>{name}</dt><dd>{text}</dd>\n");
@@ -134,7 +130,7 @@ pub(super) fn notes(page: &Page<'_>, out: &mut String) {
 
 fn force(engine: &crate::replay::report::EngineFacts) -> String {
     let meaning = match engine.name.as_str() {
-        "fem" => "the mean normal force of both gels at which closing stops",
+        "fem" => "the normal force on the gels at which the fingers stop closing",
         _ => "the force with which the fingers are driven",
     };
     format!(

@@ -71,7 +71,7 @@ fn outcomes(page: &Page<'_>, out: &mut String, outcomes: &[ChangedOutcome]) {
     open_wide(out, "Outcomes that changed");
     put!(
         out,
-        "<table class=\"data text\"><caption>{} outcomes changed</caption><thead><tr>\
+        "<table class=\"data text\"><caption>Outcomes that changed: {}</caption><thead><tr>\
          <th scope=\"col\">Grasp</th><th scope=\"col\">Object</th><th scope=\"col\">Engine</th>\
          <th scope=\"col\">then</th><th scope=\"col\">now</th><th scope=\"col\">{}</th></tr>\
          </thead><tbody>\n",

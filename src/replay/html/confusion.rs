@@ -28,8 +28,9 @@ fn matrix(page: &Page<'_>, out: &mut String, engine: &EngineFacts) {
     let c = &engine.scores.confusion;
     put!(
         out,
-        "<table class=\"square\"><caption>{}</caption><thead><tr><td></td>\
-         <th scope=\"col\">simulated: held</th><th scope=\"col\">simulated: lost</th></tr></thead>\
+        "<table class=\"square\"><caption>{}</caption><thead><tr><td rowspan=\"2\"></td>\
+         <th colspan=\"2\" scope=\"colgroup\">engine</th></tr>\
+         <tr><th scope=\"col\">held</th><th scope=\"col\">lost</th></tr></thead>\
          <tbody><tr><th scope=\"row\">{reality}: held</th><td>{}</td><td class=\"off\">{}</td></tr>\
          <tr><th scope=\"row\">{reality}: lost</th><td class=\"off\">{}</td><td>{}</td></tr></tbody>\
          <tfoot><tr><td colspan=\"3\">without outcome: {}</td></tr></tfoot></table>\n",

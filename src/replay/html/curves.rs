@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::plot::{Panel, extent};
+use super::plot::{Label, Panel, extent};
 use super::put;
 use super::text::{Esc, engine_name, trimmed};
 use crate::replay::report::{Curves, GraspReplay};
@@ -44,7 +44,8 @@ fn forces(out: &mut String, replay: &GraspReplay, curves: &Curves, time: [f64; 2
         "fem" => "F<tspan class=\"sub\" dy=\"2\">stop</tspan><tspan dy=\"-2\">",
         _ => "closing force<tspan>",
     };
-    panel.threshold(out, stop, &format!("{name} {} N</tspan>", trimmed(stop, 2)));
+    let name = format!("{name} {} N</tspan>", trimmed(stop, 2));
+    panel.threshold(out, stop, &name, Label::RightBelow);
     panel.curve(out, &curves.t_s, &curves.left_n, "cl");
     panel.curve(out, &curves.t_s, &curves.right_n, "cr");
     out.push_str("<use href=\"#key-force\" x=\"34\" y=\"11\"/>");
@@ -61,7 +62,7 @@ fn heights(out: &mut String, curves: &Curves, time: [f64; 2]) {
     panel.ordinate(out, "height, mm", 3.0);
     panel.abscissa(out, "time, s", 8.0);
     let name = format!("success above {} mm", trimmed(success, 1));
-    panel.threshold(out, success, &name);
+    panel.threshold(out, success, &name, Label::LeftAbove);
     panel.curve(out, &curves.t_s, &gripper, "cg");
     panel.curve(out, &curves.t_s, &object, "co");
     out.push_str("<use href=\"#key-height\" x=\"34\" y=\"139\"/>");

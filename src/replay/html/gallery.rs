@@ -20,8 +20,8 @@ pub(super) fn section(page: &Page<'_>, out: &mut String) {
     }
     put!(
         out,
-        "<p>{} of {} grasps where an engine disagrees with {} at the paper’s choice; first those \
-         that disagree at most settings, which no choice of friction and force can mend.</p>\n\
+        "<p>{} of {} grasps where an engine disagrees with {} at the paper’s choice; ordered by \
+         the share of settings that disagree. Where all do, no choice of friction and force mends it.</p>\n\
          <ol class=\"cards\">\n",
         failures.len(),
         page.report.grasps.len(),

@@ -18,7 +18,8 @@ pub(super) fn section(page: &Page<'_>, out: &mut String) {
         "<p>Pictures: {real} beside simulated. Tactile pictures are grasp minus initial, mid-grey \
          is no change; the third is {real} minus simulated. IoU: overlap of both contact masks by \
          their union; FVE: share of the variance that the simulation explains; PSNR and L1: of the \
-         difference picture. Curves at the paper’s choice.</p>\n",
+         difference picture. Curves are those of the paper’s choice; the bands behind them are closure, \
+         adjustment and lift.</p>\n",
         real = page.real()
     );
     for (i, grasp) in page.report.grasps.iter().enumerate() {
@@ -98,8 +99,8 @@ fn tactile(page: &Page<'_>, out: &mut String, id: &str, k: usize, grasp: &str, p
     }
     put!(
         out,
-        "</div><figcaption>{}: {} | simulated | difference<span>IoU {}</span><span>FVE {}</span>\
-         <span>PSNR {} dB</span><span>L1 {}</span></figcaption></figure>\n",
+        "</div><figcaption>{} sensor:<br>{} | simulated | difference<span>IoU {}</span>\
+         <span>FVE {}</span><span>PSNR {} dB</span><span>L1 {}</span></figcaption></figure>\n",
         Esc(&pair.sensor),
         page.real(),
         optional(pair.contact_iou, 2),

@@ -121,7 +121,7 @@ fn without_bias(page: &Page<'_>, out: &mut String) {
     if without > 0 {
         put!(
             out,
-            " {without} {} without outcome (not converged or refused) and not counted.",
+            " {without} {} without outcome and not counted.",
             if without == 1 {
                 "case at a chosen setting is"
             } else {
@@ -141,7 +141,7 @@ fn forest(page: &Page<'_>, out: &mut String) {
     let panel = Panel::new([220.0, 620.0, 2.0, bottom], [0.0, 1.0], [0.0, 1.0]);
     put!(
         out,
-        "<figure><svg class=\"forest\" viewBox=\"0 0 720 {:.0}\" role=\"img\" \
+        "<figure><svg class=\"forest\" viewBox=\"0 0 740 {:.0}\" role=\"img\" \
          aria-label=\"Share of grasps that agree, with 95 % intervals; the numbers are in the \
          last column of Table 1\">",
         bottom + 26.0
@@ -231,13 +231,6 @@ fn facts(page: &Page<'_>, out: &mut String) {
     fact(
         "SHA-256 of the records",
         format!("<code>{}</code>", Esc(&dataset.sha256)),
-    );
-    fact(
-        "Reality",
-        match page.simulated() {
-            Some(how) => format!("simulated: {}", Esc(how)),
-            None => "real grasps of real objects".to_owned(),
-        },
     );
     fact(
         "Grasps",

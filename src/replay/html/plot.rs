@@ -15,8 +15,8 @@ pub(super) fn shared_keys(out: &mut String) {
          <g id=\"key-force\"><path class=\"cl\" d=\"M0-3h16\"/><text x=\"20\">left</text>\
          <path class=\"cr\" d=\"M44-3h16\"/><text x=\"64\">right</text></g>\
          <g id=\"key-height\"><path class=\"co\" d=\"M0-3h16\"/>\
-         <text x=\"20\">lowest point</text><path class=\"cg\" d=\"M82-3h16\"/>\
-         <text x=\"102\">gripper</text></g>\
+         <text x=\"20\">lowest point</text><path class=\"cg\" d=\"M94-3h16\"/>\
+         <text x=\"114\">gripper</text></g>\
          <pattern id=\"hatch\" width=\"5\" height=\"5\" patternUnits=\"userSpaceOnUse\" \
          patternTransform=\"rotate(45)\"><path class=\"hatch\" d=\"M0 0v5\"/></pattern>\
          </defs></svg>\n",
@@ -34,6 +34,13 @@ pub(super) fn extent(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
             None => Some([value, value]),
             Some([low, high]) => Some([low.min(value), high.max(value)]),
         })
+}
+
+/// Where the name of a line stands.
+#[derive(Clone, Copy)]
+pub(super) enum Label {
+    RightBelow,
+    LeftAbove,
 }
 
 /// A diagram's frame (px) and the ranges that it shows.
@@ -143,20 +150,22 @@ impl Panel {
         );
     }
 
-    /// A horizontal line with its name (HTML) at the right end.
-    pub(super) fn threshold(&self, out: &mut String, value: f64, name: &str) {
+    /// A horizontal line with its name (SVG), where curves seldom are.
+    pub(super) fn threshold(&self, out: &mut String, value: f64, name: &str, label: Label) {
         if !value.is_finite() {
             return;
         }
         let y = self.y(value);
+        let (class, x, base) = match label {
+            Label::RightBelow => ("tn end", self.right - 3.0, y + 10.0),
+            Label::LeftAbove => ("tn", self.left + 4.0, y - 3.0),
+        };
         put!(
             out,
             "<path class=\"ct\" d=\"M{:.0} {y:.1}H{:.0}\"/>\
-             <text class=\"tn\" x=\"{:.0}\" y=\"{:.1}\">{name}</text>",
+             <text class=\"{class}\" x=\"{x:.0}\" y=\"{base:.1}\">{name}</text>",
             self.left,
-            self.right,
-            self.right - 3.0,
-            y - 3.0
+            self.right
         );
     }
 

@@ -67,6 +67,9 @@ pub(super) fn duration(seconds: f64) -> String {
     if !seconds.is_finite() || seconds < 0.0 {
         return MISSING.to_owned();
     }
+    if seconds < 0.995 {
+        return format!("{:.0} ms", 1e3 * seconds);
+    }
     if seconds < 9.95 {
         return format!("{seconds:.1} s");
     }
@@ -201,10 +204,17 @@ mod tests {
 
     #[test]
     fn times_and_p_values_are_short() {
-        let times = [4.2, 59.6, 61.0, 4500.0, f64::NAN].map(duration);
+        let times = [0.02, 4.2, 59.6, 61.0, 4500.0, f64::NAN].map(duration);
         assert_eq!(
             times,
-            ["4.2 s", "1 min 00 s", "1 min 01 s", "1 h 15 min", "–"]
+            [
+                "20 ms",
+                "4.2 s",
+                "1 min 00 s",
+                "1 min 01 s",
+                "1 h 15 min",
+                "–"
+            ]
         );
         let p = [0.62, 0.031, 0.0012, 1e-9, 1.0].map(p_value);
         assert_eq!(
