@@ -1,4 +1,4 @@
-//! Shapes that are hard to grasp and far from convex: what convex pieces and rigid fingers do badly.
+//! Shapes that are hard to grasp and not convex: what convex pieces and rigid fingers do badly.
 
 use std::f64::consts::TAU;
 

@@ -62,8 +62,8 @@ pub(super) struct DemoObject {
 pub(super) fn objects(settings: &DemoSettings) -> Result<Vec<DemoObject>> {
     let folder = settings.shared.as_ref().map(|root| root.join(EGAD_FOLDER));
     let egad = folder.filter(|folder| {
-        let is_there = |name: &&str| folder.join(format!("{name}.obj")).is_file();
-        !settings.quick && EGAD.iter().all(|name| is_there(&name))
+        let is_there = |name: &str| folder.join(format!("{name}.obj")).is_file();
+        !settings.quick && EGAD.iter().all(|name| is_there(name))
     });
     let shape =
         |name: &str| DemoObject::new(name, format!("builtin:{name}"), None, 1.0, settings.seed);
