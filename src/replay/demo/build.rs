@@ -14,10 +14,10 @@ use super::selection::{Chosen, Selection, choose};
 use crate::error::{Error, ErrorKind, Result};
 
 /// How this reality differs from a replay with default settings.
-const HOW: &str = "gels of 0.435 MPa and Poisson's ratio 0.45 on a mesh \
-    of 26 × 21 × 5 nodes (the replay's default is 1 MPa, 0.3 and 19 × 16 × 4), friction within 10 % of \
-    0.4 and a squeeze between 25 and 50 N that the replay is not told, other tactile sensors, and \
-    poses that were measured in rendered pictures.";
+const HOW: &str = "gels of 0.435 MPa and Poisson's ratio 0.45 on a mesh of 26 × 21 × 5 nodes (the \
+    replay's default is 1 MPa, 0.3 and 19 × 16 × 4), friction within 10 % of 0.4 and a squeeze \
+    between 25 and 50 N that the replay is not told, a shorter hold and a faster lift, other tactile \
+    sensors, and poses that were measured in rendered pictures.";
 
 /// Grasps of one object.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -47,8 +47,7 @@ const DIFFERENCES: [Differences; 2] = [
 
 /// The sensor of a finger: the untouched gel is the shipped one's, mirrored left to right and of
 /// another brightness for each colour; slopes change the light by another amount; noise and
-/// smoothing are larger. A change of the light's response by 5 to 15 % and of the background by 10
-/// grey levels is what two sensors of a batch show.
+/// smoothing are larger. By how much is a choice, not a measurement.
 ///
 /// # Errors
 /// None; a test makes them.
