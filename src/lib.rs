@@ -14,6 +14,7 @@
 //! | 1 | [`dataset`], [`pose`], [`sim`] | the crash-safe dataset on disk; poses from markers; the grasp simulator |
 //! | 2 | [`render`], [`predict`], [`annotate`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine; poses of a dataset's grasps |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
+//! | 4 | [`replay`] | annotated grasps in the simulators, scores and report |
 //! | 5 | [`app`] | command line, engine, operator's screen |
 
 #![deny(unsafe_code)]

@@ -60,6 +60,18 @@ mod tests {
         assert!(refused.is_err());
     }
 
+    /// With `GRIPCAST_WRITE_SCHEMA=1` the file is written anew.
+    #[test]
+    fn the_schema_of_the_docs_is_this_one() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/replay-report.schema.json");
+        let text = format!("{}\n", serde_json::to_string_pretty(&report_schema()).unwrap());
+        if std::env::var_os("GRIPCAST_WRITE_SCHEMA").is_some() {
+            std::fs::write(path, &text).unwrap();
+        }
+        let written = std::fs::read_to_string(path).unwrap();
+        assert!(written == text, "write it anew with GRIPCAST_WRITE_SCHEMA=1");
+    }
+
     #[test]
     fn every_entry_is_described() {
         let schema = report_schema();
