@@ -13,22 +13,21 @@ boxes along the gripper's x, each with a motor of its own. Exit code 3: PyBullet
 """
 
 import argparse
+import importlib.metadata
 import json
 import os
 import sys
 import tempfile
 import time
 
+# PyBullet prints lines of its own; only the answer may go to standard output.
+ANSWER = os.fdopen(os.dup(1), "w", encoding="utf-8")
+os.dup2(2, 1)
+
 try:
-    # PyBullet writes a line to standard output when it is imported.
-    saved = os.dup(1)
-    os.dup2(2, 1)
     import pybullet as p
 except ImportError:
     sys.exit(3)
-finally:
-    sys.stdout.flush()
-    os.dup2(saved, 1)
 
 FINGER_M = [0.004, 0.020, 0.025]
 CARRIAGE_KG = 2.0
@@ -181,7 +180,10 @@ def finger_forces(gripper, thing):
 def run(cases, grasp, files):
     settings = cases["settings"]
     thing, gripper = build(cases, grasp, *files)
-    height = lambda: p.getBasePositionAndOrientation(thing)[0][2]
+
+    def height():
+        return p.getBasePositionAndOrientation(thing)[0][2]
+
     touched = False
     start = time.perf_counter()
     for _ in range(settings["closing_steps"]):
@@ -221,7 +223,9 @@ def main():
             runs = [run(cases, grasp, files) for _ in range(max(1, args.runs))]
             best = dict(runs[0], seconds=min(r["seconds"] for r in runs))
             answers.append(best)
-    print(json.dumps({"version": str(p.getAPIVersion()), "grasps": answers}))
+    json.dump({"version": importlib.metadata.version("pybullet"), "grasps": answers}, ANSWER)
+    ANSWER.write("\n")
+    ANSWER.close()
 
 
 main()

@@ -110,6 +110,20 @@ fn a_free_box_rests() {
 }
 
 #[test]
+fn an_upright_cylinder_stays_upright() {
+    let engine = engine();
+    let mut setup = setup("cylinder");
+    setup.opening_m = 0.2;
+    let mut world = world(&setup, &engine, 0.4, 1e-6);
+    let start = world.t_world_object();
+    for _ in 0..480 {
+        world.tick(0.0);
+    }
+    let (turned, shifted) = moved(&world.t_world_object(), &start);
+    assert!(shifted < 1e-4 && turned < 1e-3, "{shifted} m, {turned} rad");
+}
+
+#[test]
 fn friction_and_force_decide_what_is_lifted() {
     let engine = engine();
     let setup = setup("box");
@@ -151,11 +165,7 @@ fn the_trace_has_all_stages() {
         last.t_world_gripper.translation_m.z - trace.snapshots[0].t_world_gripper.translation_m.z;
     assert!((raised - 0.18).abs() < 1e-9);
     let first = &trace.steps[0];
-    assert!(
-        (first.opening_m - (0.09 - 0.2 / 240.0)).abs() < 1e-9,
-        "{}",
-        first.opening_m
-    );
+    assert!(first.opening_m < 0.09 && first.opening_m > 0.09 - 0.2 / 240.0);
     assert_eq!(first.min_gap_m, [None, None]);
 }
 

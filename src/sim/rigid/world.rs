@@ -9,10 +9,13 @@ use rapier3d_f64::dynamics::{
     IntegrationParameters, JointAxesMask, JointAxis, LockedAxes, MassProperties as RapierMass,
     RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
 };
-use rapier3d_f64::geometry::{ColliderBuilder, Group, InteractionGroups, InteractionTestMode};
+use rapier3d_f64::geometry::{
+    ColliderBuilder, Group, InteractionGroups, InteractionTestMode, NarrowPhase, SharedShape,
+};
 use rapier3d_f64::math::{Matrix, Vector};
 use rapier3d_f64::pipeline::PhysicsWorld;
 
+use super::contact::FlatContacts;
 use super::convert;
 use super::decomposition::Decomposition;
 use super::settings::RigidSettings;
@@ -77,6 +80,7 @@ impl World {
         let mut physics = PhysicsWorld {
             gravity: convert::vector(up * -settings.gravity_m_s2),
             integration_parameters: integration(settings),
+            narrow_phase: NarrowPhase::with_query_dispatcher(FlatContacts),
             ..PhysicsWorld::default()
         };
         let groups = |own, other| InteractionGroups::new(own, other, InteractionTestMode::And);
@@ -91,9 +95,9 @@ impl World {
         let ground_body = RigidBodyBuilder::fixed().translation(convert::vector(ground));
         physics.insert(
             ground_body,
-            surface(ColliderBuilder::new(
-                rapier3d_f64::geometry::SharedShape::halfspace(convert::vector(up)),
-            ))
+            surface(ColliderBuilder::new(SharedShape::halfspace(
+                convert::vector(up),
+            )))
             .collision_groups(groups(GROUND, OBJECT)),
         );
 
