@@ -2,8 +2,9 @@
 
     python3 pybullet_grasp.py CASES.json [--runs N]     (or - for standard input)
 
-The file holds `settings` (those of gripcast's rigid simulator), `objects` (convex pieces, mass
-properties) and `grasps` (object, poses, opening, friction, force), all SI. Prints one JSON object:
+The file holds `settings` (those of gripcast's rigid simulator), `refine` (time steps here for each
+of the settings), `objects` (convex pieces, mass properties) and `grasps` (object, poses, opening,
+friction, force), all SI. Prints one JSON object:
 for each grasp whether it was `touched`, the `rise_m` of the centre of mass during the lift, the
 `force_n` of both fingers at the end of the closing, and `seconds` (the shortest of `--runs` runs
 of the time steps alone).
@@ -124,7 +125,7 @@ def build(cases, grasp, object_file, gripper_file):
     settings = cases["settings"]
     p.resetSimulation()
     p.setGravity(0, 0, -settings["gravity_m_s2"])
-    p.setPhysicsEngineParameter(fixedTimeStep=settings["dt_s"])
+    p.setPhysicsEngineParameter(fixedTimeStep=settings["dt_s"] / cases["refine"])
     plane = p.createMultiBody(0, p.createCollisionShape(p.GEOM_PLANE))
     pose = grasp["t_world_object"]
     thing = p.loadURDF(
@@ -186,12 +187,12 @@ def run(cases, grasp, files):
 
     touched = False
     start = time.perf_counter()
-    for _ in range(settings["closing_steps"]):
+    for _ in range(settings["closing_steps"] * cases["refine"]):
         step(settings, gripper, grasp, 0.0)
         touched = touched or any(f > NO_FORCE_N for f in finger_forces(gripper, thing))
     before, forces = height(), finger_forces(gripper, thing)
     speed = settings["lift_step_m"] / (settings["lift_ticks"] * settings["dt_s"])
-    for _ in range(settings["lift_steps"] * settings["lift_ticks"]):
+    for _ in range(settings["lift_steps"] * settings["lift_ticks"] * cases["refine"]):
         step(settings, gripper, grasp, speed)
     seconds = time.perf_counter() - start
     return {

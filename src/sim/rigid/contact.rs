@@ -141,9 +141,9 @@ impl Plate {
 /// The part of an edge above a plate.
 fn clipped([a, b]: [Candidate; 2], half: [f64; 2]) -> Option<[Candidate; 2]> {
     let (mut from, mut to) = (0.0_f64, 1.0_f64);
-    for axis in 0..2 {
-        let (start, change) = (a.at[axis], b.at[axis] - a.at[axis]);
-        for (room, speed) in [(half[axis] - start, change), (half[axis] + start, -change)] {
+    for ((start, end), half) in a.at.into_iter().zip(b.at).zip(half) {
+        let change = end - start;
+        for (room, speed) in [(half - start, change), (half + start, -change)] {
             if speed > 0.0 {
                 to = to.min(room / speed);
             } else if speed < 0.0 {

@@ -154,6 +154,10 @@ impl World {
 
     /// One time step, with the gripper rising at a speed.
     pub(super) fn tick(&mut self, lift_speed_m_s: f64) {
+        let dt = self.settings.dt_s;
+        let speeds = self.fingers.map(|f| self.physics.bodies[f].linvel().x);
+        let common = 0.5 * (speeds[0] + speeds[1]) - self.up.x * self.base_speed_m_s;
+        let damped = common * dt / (dt + self.settings.centring_s);
         let rise = self.up * (lift_speed_m_s - self.base_speed_m_s);
         let base_velocity = convert::vector(self.up * lift_speed_m_s);
         self.base_speed_m_s = lift_speed_m_s;
@@ -165,7 +169,7 @@ impl World {
         ];
         for (i, finger) in Finger::BOTH.into_iter().enumerate() {
             let body = &mut self.physics.bodies[self.fingers[i]];
-            let along_x = body.linvel().x + rise.x;
+            let along_x = body.linvel().x + rise.x - damped;
             body.set_linvel(Vector::new(along_x, base_velocity.y, base_velocity.z), true);
             // The face stops in the gripper's middle.
             let to_go = finger_x(finger, 0.0) - (body.translation().x - base_x);
