@@ -153,20 +153,25 @@ def step(settings, gripper, grasp, lift_speed):
     p.setJointMotorControl2(
         gripper, 0, p.VELOCITY_CONTROL, targetVelocity=lift_speed, force=CARRIAGE_N
     )
+    states = p.getJointStates(gripper, FINGER_LINKS)
+    # Both joints count along their closing directions, which are opposite.
+    common = 0.5 * (states[0][1] - states[1][1])
+    mass = settings["finger_mass_kg"]
+    axis = p.multiplyTransforms(
+        [0, 0, 0], xyzw(grasp["t_world_gripper"]), [1, 0, 0], [0, 0, 0, 1]
+    )[0]
+    force = [-mass * common / settings["centring_s"] * x for x in axis]
+    # A gripper's drive carries the weight of its fingers.
+    force[2] += mass * settings["gravity_m_s2"]
     most = settings["closing_speed_m_s"]
-    for link, state in zip(FINGER_LINKS, p.getJointStates(gripper, FINGER_LINKS)):
+    for link, state in zip(FINGER_LINKS, states):
         to_go = 0.5 * grasp["opening_m"] - state[0]
         speed = min(most, max(-most, settings["position_gain_per_s"] * to_go))
         p.setJointMotorControl2(
             gripper, link, p.VELOCITY_CONTROL, targetVelocity=speed, force=grasp["force_n"]
         )
-        # A gripper's drive carries the weight of its fingers.
         p.applyExternalForce(
-            gripper,
-            link,
-            [0, 0, settings["finger_mass_kg"] * settings["gravity_m_s2"]],
-            p.getLinkState(gripper, link)[0],
-            p.WORLD_FRAME,
+            gripper, link, force, p.getLinkState(gripper, link)[0], p.WORLD_FRAME
         )
     p.stepSimulation()
 
@@ -192,6 +197,8 @@ def run(cases, grasp, files):
         touched = touched or any(f > NO_FORCE_N for f in finger_forces(gripper, thing))
     before, forces = height(), finger_forces(gripper, thing)
     speed = settings["lift_step_m"] / (settings["lift_ticks"] * settings["dt_s"])
+    # The fingers set off with the carriage.
+    p.resetJointState(gripper, 0, p.getJointState(gripper, 0)[0], speed)
     for _ in range(settings["lift_steps"] * settings["lift_ticks"] * cases["refine"]):
         step(settings, gripper, grasp, speed)
     seconds = time.perf_counter() - start

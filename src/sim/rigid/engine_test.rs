@@ -272,8 +272,10 @@ fn bad_input_is_explained() {
     let mut lost = good.clone();
     lost.t_world_object.translation_m.x = f64::INFINITY;
     assert!(refused(&lost, 0.4, 10.0).contains("finite"));
-    let mut settings = RigidSettings::default();
-    settings.dt_s = -1.0;
+    let settings = RigidSettings {
+        dt_s: -1.0,
+        ..RigidSettings::default()
+    };
     let error = RigidEngine::new(settings)
         .simulate(&good, 0.4, 10.0)
         .unwrap_err();
