@@ -2,8 +2,9 @@
 
     python3 pybullet_grasp.py CASES.json [--runs N]     (or - for standard input)
 
-The file holds `settings` (those of gripcast's rigid simulator), `objects` (convex pieces, mass
-properties) and `grasps` (object, poses, opening, friction, force), all SI. Prints one JSON object:
+The file holds `settings` (those of gripcast's rigid simulator), `refine` (time steps here for each
+of the settings), `objects` (convex pieces, mass properties) and `grasps` (object, poses, opening,
+friction, force), all SI. Prints one JSON object:
 for each grasp whether it was `touched`, the `rise_m` of the centre of mass during the lift, the
 `force_n` of both fingers at the end of the closing, and `seconds` (the shortest of `--runs` runs
 of the time steps alone).
@@ -13,22 +14,21 @@ boxes along the gripper's x, each with a motor of its own. Exit code 3: PyBullet
 """
 
 import argparse
+import importlib.metadata
 import json
 import os
 import sys
 import tempfile
 import time
 
+# PyBullet prints lines of its own; only the answer may go to standard output.
+ANSWER = os.fdopen(os.dup(1), "w", encoding="utf-8")
+os.dup2(2, 1)
+
 try:
-    # PyBullet writes a line to standard output when it is imported.
-    saved = os.dup(1)
-    os.dup2(2, 1)
     import pybullet as p
 except ImportError:
     sys.exit(3)
-finally:
-    sys.stdout.flush()
-    os.dup2(saved, 1)
 
 FINGER_M = [0.004, 0.020, 0.025]
 CARRIAGE_KG = 2.0
@@ -125,7 +125,7 @@ def build(cases, grasp, object_file, gripper_file):
     settings = cases["settings"]
     p.resetSimulation()
     p.setGravity(0, 0, -settings["gravity_m_s2"])
-    p.setPhysicsEngineParameter(fixedTimeStep=settings["dt_s"])
+    p.setPhysicsEngineParameter(fixedTimeStep=settings["dt_s"] / cases["refine"])
     plane = p.createMultiBody(0, p.createCollisionShape(p.GEOM_PLANE))
     pose = grasp["t_world_object"]
     thing = p.loadURDF(
@@ -153,20 +153,25 @@ def step(settings, gripper, grasp, lift_speed):
     p.setJointMotorControl2(
         gripper, 0, p.VELOCITY_CONTROL, targetVelocity=lift_speed, force=CARRIAGE_N
     )
+    states = p.getJointStates(gripper, FINGER_LINKS)
+    # Both joints count along their closing directions, which are opposite.
+    common = 0.5 * (states[0][1] - states[1][1])
+    mass = settings["finger_mass_kg"]
+    axis = p.multiplyTransforms(
+        [0, 0, 0], xyzw(grasp["t_world_gripper"]), [1, 0, 0], [0, 0, 0, 1]
+    )[0]
+    force = [-mass * common / settings["centring_s"] * x for x in axis]
+    # A gripper's drive carries the weight of its fingers.
+    force[2] += mass * settings["gravity_m_s2"]
     most = settings["closing_speed_m_s"]
-    for link, state in zip(FINGER_LINKS, p.getJointStates(gripper, FINGER_LINKS)):
+    for link, state in zip(FINGER_LINKS, states):
         to_go = 0.5 * grasp["opening_m"] - state[0]
         speed = min(most, max(-most, settings["position_gain_per_s"] * to_go))
         p.setJointMotorControl2(
             gripper, link, p.VELOCITY_CONTROL, targetVelocity=speed, force=grasp["force_n"]
         )
-        # A gripper's drive carries the weight of its fingers.
         p.applyExternalForce(
-            gripper,
-            link,
-            [0, 0, settings["finger_mass_kg"] * settings["gravity_m_s2"]],
-            p.getLinkState(gripper, link)[0],
-            p.WORLD_FRAME,
+            gripper, link, force, p.getLinkState(gripper, link)[0], p.WORLD_FRAME
         )
     p.stepSimulation()
 
@@ -181,15 +186,20 @@ def finger_forces(gripper, thing):
 def run(cases, grasp, files):
     settings = cases["settings"]
     thing, gripper = build(cases, grasp, *files)
-    height = lambda: p.getBasePositionAndOrientation(thing)[0][2]
+
+    def height():
+        return p.getBasePositionAndOrientation(thing)[0][2]
+
     touched = False
     start = time.perf_counter()
-    for _ in range(settings["closing_steps"]):
+    for _ in range(settings["closing_steps"] * cases["refine"]):
         step(settings, gripper, grasp, 0.0)
         touched = touched or any(f > NO_FORCE_N for f in finger_forces(gripper, thing))
     before, forces = height(), finger_forces(gripper, thing)
     speed = settings["lift_step_m"] / (settings["lift_ticks"] * settings["dt_s"])
-    for _ in range(settings["lift_steps"] * settings["lift_ticks"]):
+    # The fingers set off with the carriage.
+    p.resetJointState(gripper, 0, p.getJointState(gripper, 0)[0], speed)
+    for _ in range(settings["lift_steps"] * settings["lift_ticks"] * cases["refine"]):
         step(settings, gripper, grasp, speed)
     seconds = time.perf_counter() - start
     return {
@@ -221,7 +231,9 @@ def main():
             runs = [run(cases, grasp, files) for _ in range(max(1, args.runs))]
             best = dict(runs[0], seconds=min(r["seconds"] for r in runs))
             answers.append(best)
-    print(json.dumps({"version": str(p.getAPIVersion()), "grasps": answers}))
+    json.dump({"version": importlib.metadata.version("pybullet"), "grasps": answers}, ANSWER)
+    ANSWER.write("\n")
+    ANSWER.close()
 
 
 main()

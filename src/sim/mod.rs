@@ -1,6 +1,8 @@
-//! The grasp simulator: finite-element gels, incremental potential contact, an affine-body object.
+//! The grasp simulator: finite-element gels, incremental potential contact, an affine-body object;
+//! beside it, a rigid-body baseline.
 //!
-//! Deterministic, f64, without input or output, with no threads of its own but rayon's.
+//! Deterministic, f64, without input or output but the baseline's cache of convex pieces, with no
+//! threads of its own but rayon's.
 
 pub mod affine;
 pub mod contact;

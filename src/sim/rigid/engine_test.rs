@@ -57,11 +57,11 @@ fn a_box_pinched_with_40_n_neither_creeps_nor_jitters() {
     for _ in 0..120 {
         world.tick(0.0);
     }
-    // Off the ground, so that only the fingers hold it.
+    // Lifted off the ground, so that only the fingers hold it.
     for _ in 0..60 {
         world.tick(0.18);
     }
-    for _ in 0..60 {
+    for _ in 0..120 {
         world.tick(0.0);
     }
     let start = world.t_world_object();
@@ -76,7 +76,8 @@ fn a_box_pinched_with_40_n_neither_creeps_nor_jitters() {
         }
     }
     let (turned, shifted) = moved(&world.t_world_object(), &start);
-    println!("drift {shifted:e} m, {turned:e} rad; speed {fastest:e} m/s, {fastest_turn:e} rad/s");
+    let shift = world.t_world_object().translation_m - start.translation_m;
+    println!("drift {shift} m, {turned:e} rad; speed {fastest:e} m/s, {fastest_turn:e} rad/s");
     assert!(shifted < 1e-4, "it crept by {shifted} m");
     assert!(turned < 1e-3, "it turned by {turned} rad");
     assert!(fastest < 1e-4, "it moved at {fastest} m/s");
@@ -107,6 +108,20 @@ fn a_free_box_rests() {
     assert!(shifted < 1e-4 && turned < 1e-3, "{shifted} m, {turned} rad");
     let (speed, turn) = world.object_speed();
     assert!(speed < 1e-5 && turn < 1e-4, "{speed} m/s, {turn} rad/s");
+}
+
+#[test]
+fn an_upright_cylinder_stays_upright() {
+    let engine = engine();
+    let mut setup = setup("cylinder");
+    setup.opening_m = 0.2;
+    let mut world = world(&setup, &engine, 0.4, 1e-6);
+    let start = world.t_world_object();
+    for _ in 0..480 {
+        world.tick(0.0);
+    }
+    let (turned, shifted) = moved(&world.t_world_object(), &start);
+    assert!(shifted < 1e-4 && turned < 1e-3, "{shifted} m, {turned} rad");
 }
 
 #[test]
@@ -151,11 +166,7 @@ fn the_trace_has_all_stages() {
         last.t_world_gripper.translation_m.z - trace.snapshots[0].t_world_gripper.translation_m.z;
     assert!((raised - 0.18).abs() < 1e-9);
     let first = &trace.steps[0];
-    assert!(
-        (first.opening_m - (0.09 - 0.2 / 240.0)).abs() < 1e-9,
-        "{}",
-        first.opening_m
-    );
+    assert!(first.opening_m < 0.09 && first.opening_m > 0.09 - 0.2 / 240.0);
     assert_eq!(first.min_gap_m, [None, None]);
 }
 
@@ -261,8 +272,10 @@ fn bad_input_is_explained() {
     let mut lost = good.clone();
     lost.t_world_object.translation_m.x = f64::INFINITY;
     assert!(refused(&lost, 0.4, 10.0).contains("finite"));
-    let mut settings = RigidSettings::default();
-    settings.dt_s = -1.0;
+    let settings = RigidSettings {
+        dt_s: -1.0,
+        ..RigidSettings::default()
+    };
     let error = RigidEngine::new(settings)
         .simulate(&good, 0.4, 10.0)
         .unwrap_err();

@@ -11,6 +11,7 @@
 //! coefficient as in the finite-element simulator, and there is no rolling friction.
 
 mod cache;
+mod contact;
 mod convert;
 mod decomposition;
 mod engine;

@@ -38,6 +38,9 @@ pub struct PeerGrasp {
 pub struct PeerCases {
     /// Parameters of the set-up, those of the contact solver aside.
     pub settings: RigidSettings,
+    /// Time steps of the other simulator in one of ours: what a solver without substeps needs to
+    /// be as exact.
+    pub refine: u32,
     /// Objects, each named once.
     pub objects: Vec<PeerObject>,
     /// Grasps.
@@ -226,14 +229,15 @@ fn draw(
 }
 
 impl RigidEngine {
-    /// The grasps as another simulator can read them, with our convex pieces. Those that start
-    /// inside something are left out.
+    /// The grasps as another simulator can read them, with our convex pieces and `refine` of its
+    /// time steps in one of ours. Those that start inside something are left out.
     ///
     /// # Errors
     /// Where a mesh cannot be decomposed.
-    pub fn peer_cases(&self, grasps: &[PeerGrasp]) -> Result<PeerCases> {
+    pub fn peer_cases(&self, grasps: &[PeerGrasp], refine: u32) -> Result<PeerCases> {
         let mut cases = PeerCases {
             settings: self.settings,
+            refine: refine.max(1),
             objects: Vec::new(),
             grasps: Vec::new(),
         };
@@ -312,4 +316,64 @@ fn object(grasp: &PeerGrasp, pieces: &[TriangleMesh]) -> Result<PeerObject> {
         inertia_kg_m2: world::inertia(&properties, mass_kg).to_cols_array_2d(),
         pieces: pieces.iter().map(piece).collect(),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::geometry::builtin;
+    use crate::sim::Engine as _;
+
+    fn grasps(engine: &RigidEngine) -> Vec<PeerGrasp> {
+        let mesh = |name: &str| (name.to_owned(), Arc::new(builtin(name).unwrap()));
+        random_grasps(engine, &[mesh("box"), mesh("spike")], 3, 7).unwrap()
+    }
+
+    #[test]
+    fn cases_hold_each_object_once_and_come_again_from_their_seed() {
+        let engine = RigidEngine::default();
+        let cases = engine.peer_cases(&grasps(&engine), 4).unwrap();
+        assert_eq!(cases.objects.len(), 2);
+        let objects: Vec<usize> = cases.grasps.iter().map(|g| g.object).collect();
+        assert_eq!(objects, [0, 0, 0, 1, 1, 1]);
+        let found = &cases.objects[0];
+        let expected = 0.06 / 12.0 * (0.04 * 0.04 + 0.06 * 0.06);
+        assert!((found.inertia_kg_m2[0][0] - expected).abs() < 1e-9 * expected);
+        assert_eq!(cases, engine.peer_cases(&grasps(&engine), 4).unwrap());
+        let text = serde_json::to_string(&cases).unwrap();
+        assert_eq!(serde_json::from_str::<PeerCases>(&text).unwrap(), cases);
+    }
+
+    #[test]
+    fn only_what_is_lifted_is_compared() {
+        let engine = RigidEngine::default();
+        let grasps = grasps(&engine);
+        let results: Vec<GraspResult> = grasps
+            .iter()
+            .map(|g| engine.simulate(&g.setup, g.friction, g.force_n).unwrap())
+            .collect();
+        let lifted = results
+            .iter()
+            .filter(|r| r.outcome == GraspOutcome::Success);
+        let lifted = lifted.count();
+        let theirs = |grasp: &PeerGrasp| PeerResult {
+            name: grasp.name.clone(),
+            touched: true,
+            rise_m: 0.2,
+            force_n: [1.0, 1.0],
+            seconds: 0.01,
+        };
+        let answer = PeerAnswer {
+            version: "1".to_owned(),
+            grasps: grasps.iter().skip(1).map(theirs).collect(),
+        };
+        let found = engine.compare(&grasps[1..], &results[1..], &answer);
+        assert_eq!((found.compared, found.lifted_theirs), (5, 5));
+        assert_eq!(found.agreeing, found.lifted_ours);
+        assert_eq!(found.disagreements.len(), 5 - found.lifted_ours);
+        assert!(lifted >= found.lifted_ours);
+        assert_eq!(Agreement::default().share(), None);
+    }
 }

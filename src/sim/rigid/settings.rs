@@ -21,6 +21,10 @@ pub struct RigidSettings {
     /// Speed for each metre that a finger's face is away from the gripper's middle, 1/s. 24: the
     /// position gain of a PyBullet motor, 0.1 in a step of 1/240 s.
     pub position_gain_per_s: f64,
+    /// Time in which the fingers' common motion along the closing direction dies away, s. Two
+    /// independent motors of the same force would let the gripped object float between them; the
+    /// drive of a real gripper couples its fingers. 0.05: well within the settling.
+    pub centring_s: f64,
     /// Mass that moves with a finger, kg. 0.2: guide and finger of Taxim's WSG 50.
     pub finger_mass_kg: f64,
     /// Control steps of the lift. Taxim: 60.
@@ -59,6 +63,7 @@ impl Default for RigidSettings {
             settle_steps: 20,
             closing_speed_m_s: 0.1,
             position_gain_per_s: 24.0,
+            centring_s: 0.05,
             finger_mass_kg: 0.2,
             lift_steps: 60,
             lift_step_m: 0.003,
@@ -138,6 +143,7 @@ impl RigidSettings {
             ("opening_m", self.opening_m, 0.0, 0.5),
             ("closing_speed_m_s", self.closing_speed_m_s, 1e-4, 2.0),
             ("position_gain_per_s", self.position_gain_per_s, 1e-3, 1e4),
+            ("centring_s", self.centring_s, 1e-6, 1e9),
             ("finger_mass_kg", self.finger_mass_kg, 1e-3, 100.0),
             ("lift_step_m", self.lift_step_m, 0.0, 0.1),
             ("success_share", self.success_share, 0.0, 1.0),

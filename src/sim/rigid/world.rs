@@ -9,10 +9,13 @@ use rapier3d_f64::dynamics::{
     IntegrationParameters, JointAxesMask, JointAxis, LockedAxes, MassProperties as RapierMass,
     RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
 };
-use rapier3d_f64::geometry::{ColliderBuilder, Group, InteractionGroups, InteractionTestMode};
+use rapier3d_f64::geometry::{
+    ColliderBuilder, Group, InteractionGroups, InteractionTestMode, NarrowPhase, SharedShape,
+};
 use rapier3d_f64::math::{Matrix, Vector};
 use rapier3d_f64::pipeline::PhysicsWorld;
 
+use super::contact::FlatContacts;
 use super::convert;
 use super::decomposition::Decomposition;
 use super::settings::RigidSettings;
@@ -77,6 +80,7 @@ impl World {
         let mut physics = PhysicsWorld {
             gravity: convert::vector(up * -settings.gravity_m_s2),
             integration_parameters: integration(settings),
+            narrow_phase: NarrowPhase::with_query_dispatcher(FlatContacts),
             ..PhysicsWorld::default()
         };
         let groups = |own, other| InteractionGroups::new(own, other, InteractionTestMode::And);
@@ -91,9 +95,9 @@ impl World {
         let ground_body = RigidBodyBuilder::fixed().translation(convert::vector(ground));
         physics.insert(
             ground_body,
-            surface(ColliderBuilder::new(
-                rapier3d_f64::geometry::SharedShape::halfspace(convert::vector(up)),
-            ))
+            surface(ColliderBuilder::new(SharedShape::halfspace(
+                convert::vector(up),
+            )))
             .collision_groups(groups(GROUND, OBJECT)),
         );
 
@@ -150,6 +154,10 @@ impl World {
 
     /// One time step, with the gripper rising at a speed.
     pub(super) fn tick(&mut self, lift_speed_m_s: f64) {
+        let dt = self.settings.dt_s;
+        let speeds = self.fingers.map(|f| self.physics.bodies[f].linvel().x);
+        let common = 0.5 * (speeds[0] + speeds[1]) - self.up.x * self.base_speed_m_s;
+        let damped = common * dt / (dt + self.settings.centring_s);
         let rise = self.up * (lift_speed_m_s - self.base_speed_m_s);
         let base_velocity = convert::vector(self.up * lift_speed_m_s);
         self.base_speed_m_s = lift_speed_m_s;
@@ -161,7 +169,7 @@ impl World {
         ];
         for (i, finger) in Finger::BOTH.into_iter().enumerate() {
             let body = &mut self.physics.bodies[self.fingers[i]];
-            let along_x = body.linvel().x + rise.x;
+            let along_x = body.linvel().x + rise.x - damped;
             body.set_linvel(Vector::new(along_x, base_velocity.y, base_velocity.z), true);
             // The face stops in the gripper's middle.
             let to_go = finger_x(finger, 0.0) - (body.translation().x - base_x);

@@ -1,0 +1,444 @@
+//! Contact points of flat bodies on convex pieces.
+//!
+//! parry takes the first four corners of a face, which on a face of many corners do not surround
+//! its middle: a cylinder falls over on the ground. Here the contacts of the ground, and of a
+//! finger's flat faces, are found over the whole common area, and the four that span it are kept.
+
+use rapier3d_f64::geometry::{ContactData, ContactManifold, ContactManifoldData};
+use rapier3d_f64::math::{Pose, Vector};
+use rapier3d_f64::parry::query::details::ShapeCastOptions;
+use rapier3d_f64::parry::query::{
+    ClosestPoints, Contact, ContactManifoldsWorkspace, DefaultQueryDispatcher,
+    NonlinearRigidMotion, PersistentQueryDispatcher, QueryDispatcher, ShapeCastHit, ShapeDistance,
+    ShapeIntersection, TrackedContact, Unsupported, details::NormalConstraints,
+};
+use rapier3d_f64::parry::shape::{ConvexPolyhedron, Cuboid, HalfSpace, PackedFeatureId, Shape};
+
+/// A contact's direction is a finger's face's where it is within 2.5° of it.
+const FLAT: f64 = 0.999;
+/// A point counts for the common area as if it were this much of its distance further inside.
+const SLOPE: f64 = 30.0;
+/// Direction in which the first two points are extreme: askew, so that corners do not tie.
+const ASKEW: [f64; 2] = [0.94, 0.34];
+
+/// parry's queries, with contacts of flat bodies on convex pieces as above.
+pub(super) struct FlatContacts;
+
+/// A flat body's plane in its own frame.
+struct Plate {
+    normal: Vector,
+    /// Along the plane.
+    axes: [Vector; 2],
+    /// Distance of the plane from the origin along the normal, m.
+    offset: f64,
+    /// Half of the plate along both axes, m; none of the ground.
+    half: Option<[f64; 2]>,
+}
+
+/// A possible contact.
+#[derive(Clone, Copy)]
+struct Candidate {
+    /// Along the plate's axes, m.
+    at: [f64; 2],
+    /// From the plate to the piece, m.
+    distance: f64,
+}
+
+impl Plate {
+    fn ground(ground: &HalfSpace) -> Self {
+        let normal = ground.normal;
+        // Any direction that is not along the normal.
+        let other = if normal.x.abs() < 0.6 {
+            Vector::X
+        } else {
+            Vector::Y
+        };
+        let first = normal.cross(other).normalize();
+        Self {
+            normal,
+            axes: [first, normal.cross(first)],
+            offset: 0.0,
+            half: None,
+        }
+    }
+
+    /// The face of a finger that looks along a direction, if that is along x.
+    fn finger(finger: &Cuboid, direction: Vector) -> Option<Self> {
+        let half = finger.half_extents;
+        (direction.x.abs() >= FLAT).then(|| Self {
+            normal: Vector::X * direction.x.signum(),
+            axes: [Vector::Y, Vector::Z],
+            offset: half.x,
+            half: Some([half.y, half.z]),
+        })
+    }
+
+    fn candidate(&self, point: Vector) -> Candidate {
+        Candidate {
+            at: self.axes.map(|axis| axis.dot(point)),
+            distance: self.normal.dot(point) - self.offset,
+        }
+    }
+
+    /// A candidate's place on the plate.
+    fn on_plate(&self, candidate: &Candidate) -> Vector {
+        let [u, v] = candidate.at;
+        self.axes[0] * u + self.axes[1] * v + self.normal * self.offset
+    }
+
+    /// Corners of the common area, as far as `prediction`, of a piece in the plate's frame.
+    fn candidates(&self, piece: &ConvexPolyhedron, pose: &Pose, prediction: f64) -> Vec<Candidate> {
+        let corners: Vec<Candidate> = piece
+            .points()
+            .iter()
+            .map(|p| self.candidate(pose.transform_point(*p)))
+            .collect();
+        let mut found = match self.half {
+            None => corners,
+            Some(half) => {
+                let edge = |e: [u32; 2]| clipped(e.map(|i| corners[i as usize]), half);
+                let edges = piece.edges().iter().filter_map(|e| edge(e.vertices));
+                let mut found: Vec<Candidate> = edges.flatten().collect();
+                let signs = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
+                let at = |s: [f64; 2]| [s[0] * half[0], s[1] * half[1]];
+                found.extend(
+                    signs
+                        .into_iter()
+                        .filter_map(|s| self.above(at(s), piece, pose)),
+                );
+                found
+            }
+        };
+        found.retain(|c| c.distance <= prediction);
+        found
+    }
+
+    /// The piece's surface above a point of the plate.
+    fn above(&self, at: [f64; 2], piece: &ConvexPolyhedron, pose: &Pose) -> Option<Candidate> {
+        let start = self.on_plate(&Candidate { at, distance: 0.0 });
+        let start = pose.inverse_transform_point(start);
+        let along = pose.inverse_transform_vector(self.normal);
+        let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
+        for face in piece.faces() {
+            let corner = piece.vertices_adj_to_face()[face.first_vertex_or_edge as usize];
+            let outside = face.normal.dot(start - piece.points()[corner as usize]);
+            let speed = face.normal.dot(along);
+            if speed < 0.0 {
+                enter = enter.max(-outside / speed);
+            } else if speed > 0.0 {
+                leave = leave.min(-outside / speed);
+            } else if outside > 0.0 {
+                return None;
+            }
+        }
+        (enter.is_finite() && enter <= leave).then_some(Candidate {
+            at,
+            distance: enter,
+        })
+    }
+}
+
+/// The part of an edge above a plate.
+fn clipped([a, b]: [Candidate; 2], half: [f64; 2]) -> Option<[Candidate; 2]> {
+    let (mut from, mut to) = (0.0_f64, 1.0_f64);
+    for ((start, end), half) in a.at.into_iter().zip(b.at).zip(half) {
+        let change = end - start;
+        for (room, speed) in [(half - start, change), (half + start, -change)] {
+            if speed > 0.0 {
+                to = to.min(room / speed);
+            } else if speed < 0.0 {
+                from = from.max(room / speed);
+            } else if room < 0.0 {
+                return None;
+            }
+        }
+    }
+    let point = |t: f64| Candidate {
+        at: [0, 1].map(|i| a.at[i] + t * (b.at[i] - a.at[i])),
+        distance: a.distance + t * (b.distance - a.distance),
+    };
+    (from <= to).then(|| [point(from), point(to)])
+}
+
+/// At most four that span the common area, near ones first.
+fn spanning(all: &[Candidate]) -> Vec<(usize, Candidate)> {
+    let along = |c: &Candidate, d: [f64; 2]| c.at[0] * d[0] + c.at[1] * d[1];
+    let extreme = |d: [f64; 2]| {
+        let score = |c: &Candidate| along(c, d) - SLOPE * c.distance;
+        // The first of equals.
+        let best = all
+            .iter()
+            .reduce(|a, b| if score(b) > score(a) { b } else { a });
+        best.copied()
+    };
+    let opposite = ASKEW.map(|x| -x);
+    let (Some(a), Some(b)) = (extreme(ASKEW), extreme(opposite)) else {
+        return Vec::new();
+    };
+    let line = [a.at[0] - b.at[0], a.at[1] - b.at[1]];
+    let length = line[0].hypot(line[1]);
+    let side = if length > 0.0 {
+        [-line[1] / length, line[0] / length]
+    } else {
+        [-ASKEW[1], ASKEW[0]]
+    };
+    let others = [extreme(side), extreme(side.map(|x| -x))];
+    let mut found: Vec<(usize, Candidate)> = Vec::with_capacity(4);
+    let chosen = [Some(a), Some(b)].into_iter().chain(others).enumerate();
+    for (slot, candidate) in chosen {
+        let Some(candidate) = candidate else { continue };
+        if !found.iter().any(|(_, other)| other.at == candidate.at) {
+            found.push((slot, candidate));
+        }
+    }
+    found
+}
+
+type Manifold = ContactManifold;
+
+/// Writes the contacts of a plate (first body, or second if `flipped`) and a piece.
+fn write(
+    manifold: &mut Manifold,
+    plate: &Plate,
+    piece: &ConvexPolyhedron,
+    pose: &Pose,
+    prediction: f64,
+    flipped: bool,
+) {
+    let old = std::mem::take(&mut manifold.points);
+    let candidates = plate.candidates(piece, pose, prediction);
+    for (slot, candidate) in spanning(&candidates) {
+        let on_plate = plate.on_plate(&candidate);
+        let on_piece = pose.inverse_transform_point(on_plate + plate.normal * candidate.distance);
+        let slot = slot as u32;
+        manifold.points.push(TrackedContact::flipped(
+            on_plate,
+            on_piece,
+            PackedFeatureId::face(0),
+            PackedFeatureId::vertex(slot),
+            candidate.distance,
+            flipped,
+        ));
+    }
+    let back = -pose.inverse_transform_vector(plate.normal);
+    (manifold.local_n1, manifold.local_n2) = if flipped {
+        (back, plate.normal)
+    } else {
+        (plate.normal, back)
+    };
+    manifold.match_contacts(&old);
+}
+
+/// The plate of a body, if it is one, that faces a piece at `pose` within `prediction`.
+fn plate(body: &dyn Shape, piece: &dyn Shape, pose: &Pose, prediction: f64) -> Option<Plate> {
+    if let Some(ground) = body.as_shape::<HalfSpace>() {
+        return Some(Plate::ground(ground));
+    }
+    let finger = body.as_cuboid()?;
+    let contact = DefaultQueryDispatcher.contact(pose, body, piece, prediction);
+    Plate::finger(finger, contact.ok()??.normal1)
+}
+
+impl PersistentQueryDispatcher<ContactManifoldData, ContactData> for FlatContacts {
+    fn contact_manifolds(
+        &self,
+        pos12: &Pose,
+        g1: &dyn Shape,
+        g2: &dyn Shape,
+        prediction: f64,
+        manifolds: &mut Vec<Manifold>,
+        workspace: &mut Option<ContactManifoldsWorkspace>,
+    ) -> Result<(), Unsupported> {
+        let pos21 = pos12.inverse();
+        for (flipped, body, other, pose) in [(false, g1, g2, pos12), (true, g2, g1, &pos21)] {
+            let Some(piece) = other.as_convex_polyhedron() else {
+                continue;
+            };
+            if let Some(plate) = plate(body, other, pose, prediction) {
+                if manifolds.len() != 1 {
+                    manifolds.clear();
+                    manifolds.push(Manifold::new());
+                }
+                write(&mut manifolds[0], &plate, piece, pose, prediction, flipped);
+                return Ok(());
+            }
+        }
+        DefaultQueryDispatcher.contact_manifolds(pos12, g1, g2, prediction, manifolds, workspace)
+    }
+
+    fn contact_manifold_convex_convex(
+        &self,
+        pos12: &Pose,
+        g1: &dyn Shape,
+        g2: &dyn Shape,
+        normal_constraints1: Option<&dyn NormalConstraints>,
+        normal_constraints2: Option<&dyn NormalConstraints>,
+        prediction: f64,
+        manifold: &mut Manifold,
+    ) -> Result<(), Unsupported> {
+        DefaultQueryDispatcher.contact_manifold_convex_convex(
+            pos12,
+            g1,
+            g2,
+            normal_constraints1,
+            normal_constraints2,
+            prediction,
+            manifold,
+        )
+    }
+}
+
+impl QueryDispatcher for FlatContacts {
+    fn intersection_test(
+        &self,
+        pos12: &Pose,
+        g1: &dyn Shape,
+        g2: &dyn Shape,
+    ) -> Result<ShapeIntersection, Unsupported> {
+        DefaultQueryDispatcher.intersection_test(pos12, g1, g2)
+    }
+
+    fn distance(
+        &self,
+        pos12: &Pose,
+        g1: &dyn Shape,
+        g2: &dyn Shape,
+    ) -> Result<ShapeDistance, Unsupported> {
+        DefaultQueryDispatcher.distance(pos12, g1, g2)
+    }
+
+    fn contact(
+        &self,
+        pos12: &Pose,
+        g1: &dyn Shape,
+        g2: &dyn Shape,
+        prediction: f64,
+    ) -> Result<Option<Contact>, Unsupported> {
+        DefaultQueryDispatcher.contact(pos12, g1, g2, prediction)
+    }
+
+    fn closest_points(
+        &self,
+        pos12: &Pose,
+        g1: &dyn Shape,
+        g2: &dyn Shape,
+        max_dist: f64,
+    ) -> Result<ClosestPoints, Unsupported> {
+        DefaultQueryDispatcher.closest_points(pos12, g1, g2, max_dist)
+    }
+
+    fn cast_shapes(
+        &self,
+        pos12: &Pose,
+        local_vel12: Vector,
+        g1: &dyn Shape,
+        g2: &dyn Shape,
+        options: ShapeCastOptions,
+    ) -> Result<Option<ShapeCastHit>, Unsupported> {
+        DefaultQueryDispatcher.cast_shapes(pos12, local_vel12, g1, g2, options)
+    }
+
+    fn cast_shapes_nonlinear(
+        &self,
+        motion1: &NonlinearRigidMotion,
+        g1: &dyn Shape,
+        motion2: &NonlinearRigidMotion,
+        g2: &dyn Shape,
+        start_time: f64,
+        end_time: f64,
+        stop_at_penetration: bool,
+    ) -> Result<Option<ShapeCastHit>, Unsupported> {
+        DefaultQueryDispatcher.cast_shapes_nonlinear(
+            motion1,
+            g1,
+            motion2,
+            g2,
+            start_time,
+            end_time,
+            stop_at_penetration,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(u: f64, v: f64) -> Candidate {
+        Candidate {
+            at: [u, v],
+            distance: 0.0,
+        }
+    }
+
+    /// Twice the area of the points in the order of their angles.
+    fn area(points: &[(usize, Candidate)]) -> f64 {
+        let mut corners: Vec<[f64; 2]> = points.iter().map(|p| p.1.at).collect();
+        corners.sort_by(|a, b| a[1].atan2(a[0]).total_cmp(&b[1].atan2(b[0])));
+        let next = corners.iter().cycle().skip(1);
+        corners
+            .iter()
+            .zip(next)
+            .map(|(a, b)| a[0] * b[1] - a[1] * b[0])
+            .sum()
+    }
+
+    #[test]
+    fn four_points_span_squares_and_rounds_however_they_lie() {
+        for turn in 0..90 {
+            let turn = f64::from(turn).to_radians();
+            for (corners, share) in [(4, 0.999), (32, 0.6)] {
+                let step = std::f64::consts::TAU / f64::from(corners);
+                let all: Vec<Candidate> = (0..corners)
+                    .map(|i| (turn + f64::from(i) * step).sin_cos())
+                    .map(|(s, c)| at(c, s))
+                    .collect();
+                let whole = f64::from(corners) * step.sin();
+                let found = area(&spanning(&all));
+                assert!(found > share * whole, "{corners}: {found} of {whole}");
+            }
+        }
+    }
+
+    #[test]
+    fn far_points_do_not_count() {
+        let mut all = vec![at(0.0, 0.0), at(0.001, 0.0), at(0.0, 0.001)];
+        all.push(Candidate {
+            at: [0.02, 0.02],
+            distance: 0.002,
+        });
+        assert!(spanning(&all).iter().all(|(_, c)| c.distance == 0.0));
+        assert!(spanning(&[]).is_empty());
+        assert_eq!(spanning(&all[..1]).len(), 1);
+    }
+
+    #[test]
+    fn edges_are_cut_at_the_plate() {
+        let end = Candidate {
+            at: [3.0, 0.0],
+            distance: 3.0,
+        };
+        let [a, b] = clipped([at(0.0, 0.0), end], [1.0, 1.0]).unwrap();
+        assert_eq!((a.at, a.distance), ([0.0, 0.0], 0.0));
+        assert_eq!((b.at, b.distance), ([1.0, 0.0], 1.0));
+        assert!(clipped([at(2.0, 0.0), at(2.0, 1.0)], [1.0, 1.0]).is_none());
+    }
+
+    #[test]
+    fn a_plate_within_a_face_touches_with_its_corners() {
+        let half = Vector::new(0.02, 0.02, 0.03);
+        let (points, triangles) = Cuboid::new(half).to_trimesh();
+        let piece = ConvexPolyhedron::from_convex_mesh(points, &triangles).unwrap();
+        let finger = Cuboid::new(Vector::new(0.002, 0.01, 0.0125));
+        let plate = Plate::finger(&finger, Vector::X).unwrap();
+        let pose = Pose::from_translation(Vector::new(0.0225, 0.0, 0.0));
+        let found = spanning(&plate.candidates(&piece, &pose, 2e-3));
+        assert_eq!(found.len(), 4);
+        for (_, candidate) in found {
+            assert_eq!(candidate.at.map(f64::abs), [0.01, 0.0125]);
+            assert!((candidate.distance - 5e-4).abs() < 1e-12);
+        }
+        assert!(plate.candidates(&piece, &pose, 1e-4).is_empty());
+        assert!(Plate::finger(&finger, Vector::new(0.9, 0.4, 0.0)).is_none());
+    }
+}
