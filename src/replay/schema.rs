@@ -63,13 +63,22 @@ mod tests {
     /// With `GRIPCAST_WRITE_SCHEMA=1` the file is written anew.
     #[test]
     fn the_schema_of_the_docs_is_this_one() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/replay-report.schema.json");
-        let text = format!("{}\n", serde_json::to_string_pretty(&report_schema()).unwrap());
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/docs/replay-report.schema.json"
+        );
+        let text = format!(
+            "{}\n",
+            serde_json::to_string_pretty(&report_schema()).unwrap()
+        );
         if std::env::var_os("GRIPCAST_WRITE_SCHEMA").is_some() {
             std::fs::write(path, &text).unwrap();
         }
         let written = std::fs::read_to_string(path).unwrap();
-        assert!(written == text, "write it anew with GRIPCAST_WRITE_SCHEMA=1");
+        assert!(
+            written == text,
+            "write it anew with GRIPCAST_WRITE_SCHEMA=1"
+        );
     }
 
     #[test]

@@ -4,6 +4,7 @@
 
 use super::{
     Context, bench_contact, bench_grasp, bench_live, bench_pose, bench_predict, bench_render,
+    bench_rigid,
 };
 use crate::error::Result;
 
@@ -28,6 +29,8 @@ enum Bench {
     Predict(bench_predict::Args),
     /// Tactile and path-traced pictures
     Render(bench_render::Args),
+    /// Grasps of the rigid-body baseline, beside PyBullet's
+    Rigid(bench_rigid::Args),
 }
 
 /// Runs the verb.
@@ -39,5 +42,6 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Bench::Pose(args) => bench_pose::run(context, &args),
         Bench::Predict(args) => bench_predict::run(context, &args),
         Bench::Render(args) => bench_render::run(context, args),
+        Bench::Rigid(args) => bench_rigid::run(context, &args),
     }
 }

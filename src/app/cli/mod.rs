@@ -17,6 +17,7 @@ mod bench_live;
 mod bench_pose;
 mod bench_predict;
 mod bench_render;
+mod bench_rigid;
 mod board;
 mod board_charuco;
 mod board_make;
