@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 
+use super::cpu_time::thread_cpu_s;
 use super::curves::{curves, min_height_m};
 use super::object_file::ReplayObject;
 use super::report::{CaseFacts, Curves, Setting};
@@ -192,12 +193,6 @@ fn absolute(source: &str) -> String {
     let path = fs::canonicalize(source).ok();
     path.and_then(|path| path.to_str().map(str::to_owned))
         .unwrap_or_else(|| source.to_owned())
-}
-
-/// CPU time of the calling thread, s. A case runs in one thread.
-fn thread_cpu_s() -> f64 {
-    let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
 }
 
 /// The folder of finished cases. A file is there whole or not at all.

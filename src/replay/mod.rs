@@ -8,6 +8,7 @@
 
 mod case;
 mod compare;
+mod cpu_time;
 mod curves;
 mod demo;
 mod html;

@@ -67,7 +67,7 @@ enum Sub {
 
 #[derive(Clone, Debug, clap::Args)]
 struct DemoArgs {
-    /// 20 grasps instead of 100, and fewer settings
+    /// 20 grasps instead of 100, on coarser meshes and with fewer settings
     #[arg(long)]
     quick: bool,
     /// Folder with data/egad_eval/{B1,B4,C2,C4}.obj, to grasp these instead of built-in shapes
@@ -98,9 +98,9 @@ struct SweepFlags {
     /// Set of parameters of the finite elements
     #[arg(long, value_enum, default_value_t = PresetName::Paper)]
     preset: PresetName,
-    /// Mesh of the gels
-    #[arg(long, value_enum, default_value_t = GelName::Default)]
-    gel: GelName,
+    /// Mesh of the gels [default: default; coarse for demo --quick]
+    #[arg(long, value_enum)]
+    gel: Option<GelName>,
     /// Iterations after which a case is given up
     #[arg(long, value_name = "N", default_value_t = 50_000,
         value_parser = clap::value_parser!(u64).range(1..))]
@@ -259,8 +259,8 @@ impl SweepFlags {
             }
         };
         Self {
-            friction: fewer(self.friction, &[0.4]),
-            stop_force_n: fewer(self.stop_force_n, &[20.0, 40.0]),
+            friction: fewer(self.friction, &[0.2, 0.4]),
+            gel: self.gel.or(quick.then_some(GelName::Coarse)),
             ..self
         }
     }
@@ -276,7 +276,7 @@ impl SweepFlags {
             values
         };
         let mut fem = GraspSettings::new(self.preset.into());
-        fem.resolution = self.gel.into();
+        fem.resolution = self.gel.unwrap_or(GelName::Default).into();
         fem.solver.max_grasp_iterations = self.max_iterations;
         let mut rigid = RigidSettings::default();
         rigid.decomposition.resolution = self.resolution;

@@ -13,11 +13,19 @@ use super::recording::{Recorder, film};
 use super::selection::{Chosen, Selection, choose};
 use crate::error::{Error, ErrorKind, Result};
 
-/// How this reality differs from a replay with default settings.
-const HOW: &str = "gels of 0.435 MPa and Poisson's ratio 0.45 on a mesh of 26 × 21 × 5 nodes (the \
-    replay's default is 1 MPa, 0.3 and 19 × 16 × 4), friction within 10 % of 0.4 and a squeeze \
-    between 25 and 50 N that the replay is not told, a shorter hold and a faster lift, other tactile \
-    sensors, and poses that were measured in rendered pictures.";
+/// How this reality differs from its replay.
+fn how(is_quick: bool) -> String {
+    let meshes = if is_quick {
+        "19 × 16 × 4 nodes (the replay's are 1 MPa, 0.3 and 13 × 11 × 3)"
+    } else {
+        "26 × 21 × 5 nodes (the replay's are 1 MPa, 0.3 and 19 × 16 × 4)"
+    };
+    format!(
+        "gels of 0.435 MPa and Poisson's ratio 0.45 on a mesh of {meshes}, friction within 10 % of \
+         0.4 and a squeeze between 25 and 50 N that the replay is not told, a shorter hold and a \
+         faster lift, other tactile sensors, and poses that were measured in rendered pictures"
+    )
+}
 
 /// Grasps of one object.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -32,7 +40,7 @@ pub struct DemoObjectCounts {
     pub without_pose: usize,
     /// Candidates that were drawn.
     pub drawn: usize,
-    /// Candidates that were simulated with the fine mesh.
+    /// Candidates that were simulated as reality.
     pub simulated: usize,
 }
 
@@ -74,7 +82,7 @@ pub fn build_demo(settings: &DemoSettings, out: &Path, watch: &DemoWatch<'_>) ->
     Ok(DemoData {
         dataset,
         objects: object_files,
-        how: HOW.to_owned(),
+        how: how(settings.quick),
         counts: counts(&all, &selection, &with_pose),
         simulation_cpu_s: selection.cpu_s,
     })
@@ -88,7 +96,7 @@ fn record(
     dataset: &Path,
     watch: &DemoWatch<'_>,
 ) -> Result<Vec<bool>> {
-    let recorder = Recorder::open(dataset, settings.seed)?;
+    let recorder = Recorder::open(dataset, settings.seed, settings.quick)?;
     let names: BTreeSet<String> = grasps.iter().map(|g| film(&all[g.object], g)).collect();
     if let Some(foreign) = recorder.foreign(&names) {
         let what = format!("the dataset holds `{foreign}`, which is no grasp of this demo");

@@ -10,7 +10,7 @@ use crate::error::{Error, ErrorKind, Result};
 pub struct DemoSettings {
     /// Everything that is drawn follows from it.
     pub seed: u64,
-    /// 4 grasps of each object instead of 20.
+    /// 4 grasps of each object instead of 20, on the default mesh instead of the fine one.
     pub quick: bool,
     /// Folder with EGAD's B1, B4, C2 and C4 in `data/egad_eval/`, for the full dataset; the
     /// project's own shapes where there are none.
@@ -36,7 +36,7 @@ impl DemoSettings {
 pub enum DemoStage {
     /// Candidates are simulated with a coarse mesh, to find some of each outcome.
     Screening,
-    /// Grasps are simulated with the fine mesh.
+    /// Grasps are simulated as reality.
     Simulating,
     /// Pictures are rendered and stored.
     Recording,

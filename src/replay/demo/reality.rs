@@ -5,7 +5,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sha2::{Digest as _, Sha256};
@@ -14,6 +13,7 @@ use super::object::DemoObject;
 use super::sampler::Candidate;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
+use crate::replay::cpu_time::thread_cpu_s;
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::GraspResult;
 use crate::sim::grasp::{
@@ -33,7 +33,7 @@ pub(super) struct Simulated {
     pub(super) lifted_m: f64,
     /// Normal force on the left and the right gel before the lift, N.
     pub(super) force_n: [f64; 2],
-    /// Before the lift; of the fine mesh only.
+    /// Before the lift; not of screening.
     pub(super) grasped: Option<Snapshot>,
     /// CPU time it took, s.
     pub(super) cpu_s: f64,
@@ -70,11 +70,14 @@ impl Simulated {
 const HOLD_S: f64 = 0.5;
 const LIFT_SPEED_M_S: f64 = 0.04;
 
-/// The simulation that stands for reality.
-pub(super) fn reality() -> FemEngine {
-    let mut settings = GraspSettings {
-        resolution: GelResolution::Fine,
-        ..GraspSettings::new(Preset::Feats)
+/// The simulation that stands for reality: the fine mesh, or the default one for the quick dataset,
+/// which is replayed on the coarse one.
+pub(super) fn reality(is_quick: bool) -> FemEngine {
+    let mut settings = GraspSettings::new(Preset::Feats);
+    settings.resolution = if is_quick {
+        GelResolution::Default
+    } else {
+        GelResolution::Fine
     };
     settings.protocol.adjust_s = HOLD_S;
     settings.protocol.lift_speed_m_s = LIFT_SPEED_M_S;
@@ -86,7 +89,7 @@ pub(super) fn screening() -> FemEngine {
     FemEngine {
         settings: GraspSettings {
             resolution: GelResolution::Coarse,
-            ..reality().settings
+            ..reality(true).settings
         },
     }
 }
@@ -121,13 +124,13 @@ impl<'a> Reality<'a> {
         if let Some(known) = read(&path, &key) {
             return Ok(known);
         }
-        let began = cpu_s();
+        let began = thread_cpu_s();
         let result = self.engine.simulate(
             &self.setup(candidate),
             self.object.friction,
             candidate.stop_force_n,
         )?;
-        let done = self.kept(&result, key, cpu_s() - began);
+        let done = self.kept(&result, key, thread_cpu_s() - began);
         let text = serde_json::to_vec(&done)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write a result").because(e))?;
         save(&path, &text)?;
@@ -151,13 +154,13 @@ impl<'a> Reality<'a> {
             .snapshots
             .iter()
             .find(|s| s.stage == StageName::Adjustment);
-        let is_fine = self.engine.settings.resolution == GelResolution::Fine;
+        let is_reality = self.engine.settings.resolution != GelResolution::Coarse;
         Simulated {
             key,
             outcome: result.outcome,
             lifted_m: result.lifted_m,
             force_n: last.map_or([0.0; 2], |step| step.force.map(|f| f.normal_n)),
-            grasped: snapshot.filter(|_| is_fine).cloned(),
+            grasped: snapshot.filter(|_| is_reality).cloned(),
             cpu_s,
         }
     }
@@ -189,10 +192,4 @@ fn read(path: &Path, key: &str) -> Option<Simulated> {
     let text = fs::read(path).ok()?;
     let found: Simulated = serde_json::from_slice(&text).ok()?;
     (found.key == key).then_some(found)
-}
-
-/// CPU time of this thread, s.
-fn cpu_s() -> f64 {
-    let now = clock_gettime(ClockId::ThreadCPUTime);
-    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
 }

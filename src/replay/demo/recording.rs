@@ -74,11 +74,11 @@ pub(super) struct Recorder {
 }
 
 impl Recorder {
-    /// Opens the dataset, or begins it.
+    /// Opens the dataset, or begins it; the quick one has other gels.
     ///
     /// # Errors
     /// Those of [`DatasetWriter::open_or_create`].
-    pub(super) fn open(folder: &Path, seed: u64) -> Result<Self> {
+    pub(super) fn open(folder: &Path, seed: u64, is_quick: bool) -> Result<Self> {
         let new = NewDataset {
             name: NAME.to_owned(),
             rig: RIG.to_owned(),
@@ -102,7 +102,7 @@ impl Recorder {
             }
             recorded.insert(truth.film.clone(), record.pose.is_some());
         }
-        let engine = reality().settings;
+        let engine = reality(is_quick).settings;
         Ok(Self {
             writer: Mutex::new(writer),
             recorded,

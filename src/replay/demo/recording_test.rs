@@ -86,7 +86,7 @@ fn intrinsics() -> Intrinsics {
 }
 
 fn record(folder: &Path, object: &DemoObject, stand: &Stand, all: &[Chosen]) {
-    let recorder = Recorder::open(folder, 1).unwrap();
+    let recorder = Recorder::open(folder, 1, false).unwrap();
     for one in all {
         if recorder.recorded.contains_key(&film(object, one)) {
             continue;
@@ -114,7 +114,7 @@ fn what_is_recorded_is_whole_labelled_and_the_same_after_a_stop() {
     record(&twice, &object, &stand, &all[..1]);
     // Stopped between the two frames of the second grasp.
     {
-        let recorder = Recorder::open(&twice, 1).unwrap();
+        let recorder = Recorder::open(&twice, 1, false).unwrap();
         let captures = recorder.captures(&object, &all[1], shot(5), None).unwrap();
         recorder
             .writer()
@@ -154,7 +154,7 @@ fn grasps_of_another_plan_are_noticed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("dataset");
     record(&path, &object, &stand, &[chosen(3, GraspOutcome::Success)]);
-    let recorder = Recorder::open(&path, 1).unwrap();
+    let recorder = Recorder::open(&path, 1, false).unwrap();
     let names = |text: &str| BTreeSet::from([text.to_owned()]);
     assert_eq!(recorder.foreign(&names("jack-003")), None);
     assert_eq!(

@@ -1,6 +1,6 @@
 //! Which candidates become grasps of the dataset: as many that hold as are lost.
 //!
-//! Every grasp's outcome is that of the fine mesh. The coarse mesh, with the same real friction and
+//! Every grasp's outcome is that of reality's mesh. The coarse mesh, with the same real friction and
 //! force, only says which candidate to look at next. No engine that will replay the dataset is asked.
 
 use std::collections::BTreeMap;
@@ -91,7 +91,7 @@ pub(super) struct Selection {
     pub(super) grasps: Vec<Chosen>,
     /// Candidates of each object that were drawn.
     pub(super) drawn: Vec<usize>,
-    /// Candidates of each object that were simulated with the fine mesh.
+    /// Candidates of each object that were simulated as reality.
     pub(super) simulated: Vec<usize>,
     /// CPU time of all simulations that the choice rests on, s.
     pub(super) cpu_s: f64,
@@ -118,7 +118,7 @@ pub(super) fn choose(
         .collect();
     let fine: Vec<Reality<'_>> = objects
         .iter()
-        .map(|object| Reality::new(object, reality(), folder))
+        .map(|object| Reality::new(object, reality(settings.quick), folder))
         .collect();
     loop {
         let batch = to_screen(objects, settings, &mut known)?;
