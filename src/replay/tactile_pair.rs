@@ -180,7 +180,10 @@ fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
         },
         difference: shown(&apart)?,
         contact_iou: any.then(|| both as f64 / union as f64),
-        fve: (square(&signal) > 0.0).then(|| 1.0 - square(&error) / square(&signal)),
+        // Without contact in reality there is nothing to explain.
+        fve: touched
+            .contains(&true)
+            .then(|| 1.0 - square(&error) / square(&signal)),
         psnr_db: (square(&error) > 0.0)
             .then(|| 10.0 * (255.0 * 255.0 * count / square(&error)).log10()),
         l1: any.then(|| error.iter().map(|level| level.abs()).sum::<f64>() / count),

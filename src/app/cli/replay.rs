@@ -70,8 +70,9 @@ struct DemoArgs {
     /// 20 grasps instead of 100, on coarser meshes and with fewer settings
     #[arg(long)]
     quick: bool,
-    /// Folder with data/egad_eval/{B1,B4,C2,C4}.obj, to grasp these instead of built-in shapes
-    #[arg(long, value_name = "DIR")]
+    /// Folder with data/egad_eval/{B1,B4,C2,C4}.obj, to grasp these and a built-in shape
+    /// [default: $GRIPCAST_SHARED, else built-in shapes]
+    #[arg(long, value_name = "DIR", conflicts_with = "quick")]
     shared: Option<PathBuf>,
     #[command(flatten)]
     sweep: SweepFlags,
@@ -220,7 +221,10 @@ impl DemoArgs {
         let settings = DemoSettings {
             seed: sweep.seed,
             quick: self.quick,
-            shared: self.shared.clone(),
+            shared: self
+                .shared
+                .clone()
+                .or_else(|| std::env::var_os("GRIPCAST_SHARED").map(PathBuf::from)),
             jobs: sweep.jobs(),
         };
         let watch = DemoWatch {
@@ -259,7 +263,7 @@ impl SweepFlags {
             }
         };
         Self {
-            friction: fewer(self.friction, &[0.2, 0.4]),
+            friction: fewer(self.friction, &[0.4]),
             gel: self.gel.or(quick.then_some(GelName::Coarse)),
             ..self
         }

@@ -108,7 +108,13 @@ pub fn solve_gripper(
             "give the opening, or let the camera see the body's or the other finger's markers",
         ));
     }
-    let solved = solve::<7>(board, Part::Body, &seen, intrinsics, &OPENINGS_M)?;
+    let solved = match solve::<7>(board, Part::Body, &seen, intrinsics, &OPENINGS_M) {
+        Ok(solved) => solved,
+        // Without its only finger marker, which may be the outlier, nothing tells the opening.
+        Err(error) => {
+            return solve_body(board, seen, intrinsics, notes).ok_or(error);
+        }
+    };
     let opening = Opening {
         opening_m: solved.fit.state.opening_m,
         sigma_m: solved.sigma_px * solved.fit.inverse_information[6][6].sqrt(),
@@ -123,6 +129,32 @@ pub fn solve_gripper(
     Ok(GripperPose {
         body: part_pose(Part::Body, &seen, solved, notes),
         opening: Some(opening),
+    })
+}
+
+/// The gripper from the markers of its body alone; none if they contradict each other, or there
+/// are none.
+fn solve_body(
+    board: &Board,
+    mut seen: Vec<Sighting>,
+    intrinsics: &Intrinsics,
+    mut notes: Vec<String>,
+) -> Option<GripperPose> {
+    let on_finger = |s: &Sighting| s.corners[0].slide != 0.0;
+    let left_out: Vec<String> = seen
+        .iter()
+        .filter(|s| on_finger(s))
+        .map(|s| s.id.to_string())
+        .collect();
+    seen.retain(|s| !on_finger(s));
+    let solved = solve::<6>(board, Part::Body, &seen, intrinsics, &[0.0]).ok()?;
+    notes.push(format!(
+        "the fingers' marker {} was left out: it is not where the body's markers put it",
+        left_out.join(", ")
+    ));
+    Some(GripperPose {
+        body: part_pose(Part::Body, &seen, solved, notes),
+        opening: None,
     })
 }
 

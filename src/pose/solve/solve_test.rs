@@ -8,7 +8,7 @@ use super::*;
 use crate::geometry::Pose;
 use crate::pose::camera::project;
 use crate::pose::synthetic::{GraspScene, gripper_markers, ring_board, test_camera};
-use crate::pose::{BoardMarker, Dictionary};
+use crate::pose::{BoardFile, BoardMarker, Dictionary};
 
 fn normal(random: &mut Pcg64) -> f64 {
     let radius = (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt();
@@ -145,6 +145,36 @@ fn opening_and_body_are_recovered_together() {
     }
     let mean = squared / 40.0;
     assert!((0.5..2.0).contains(&mean), "{mean}");
+}
+
+/// The outlier is the only marker that tells the opening.
+#[test]
+fn a_wrong_finger_marker_costs_the_opening_and_not_the_pose() {
+    let camera = test_camera(1280, 720);
+    let mut random = Pcg64::seed_from_u64(5);
+    let text = include_str!("../../../calib/boards/gripper-umi.toml");
+    let board = BoardFile::parse(text, std::path::Path::new(""))
+        .unwrap()
+        .board;
+    let truth = scene(5, [Part::Body; 2]).t_camera_gripper;
+    let right = truth * Pose::from_translation(DVec3::X * 0.04);
+    let poses = [(Part::Body, truth), (Part::FingerRight, right)];
+    let mut detections = seen(&board, &poses, 0.05, &mut random);
+    assert!(detections.len() > 3);
+    let whole = solve_gripper(&board, &detections, &camera, None).unwrap();
+    assert!((whole.opening.unwrap().opening_m - 0.08).abs() < 1e-3);
+
+    let finger = board.markers.iter().find(|m| m.part == Part::FingerRight);
+    let finger = finger.unwrap().id;
+    let wrong = detections.iter_mut().find(|d| d.id == finger).unwrap();
+    // Turned, so that no opening makes it fit.
+    wrong.corners_px.rotate_left(1);
+    let found = solve_gripper(&board, &detections, &camera, None).unwrap();
+    assert_eq!(found.opening, None);
+    let (shift, turn) = errors(&found.body.t_camera_part, &truth);
+    assert!(shift < 1e-3 && turn < 5e-3, "{shift} {turn}");
+    let told = format!("marker {finger} was left out");
+    assert!(found.body.notes.iter().any(|note| note.contains(&told)));
 }
 
 #[test]

@@ -22,10 +22,10 @@ use crate::sim::grasp::{Placed, Snapshot};
 
 /// Columns and rows of the pictures between the fingers, and their paths for each pixel.
 pub(super) const HAND: [usize; 2] = [320, 240];
-const HAND_SAMPLES: u32 = 16;
+const HAND_SAMPLES: u32 = 8;
 /// The same beside the table.
 pub(super) const BESIDE: [usize; 2] = [1280, 720];
-const BESIDE_SAMPLES: u32 = 8;
+const BESIDE_SAMPLES: u32 = 4;
 /// JPEG quality of all.
 const QUALITY: u8 = 92;
 /// Side of a sheet's markers, m.

@@ -72,7 +72,13 @@ type Expected = (&'static str, [&'static [usize]; 2]);
 
 /// What screening finds for the quick dataset of seed 0, so that it need not be done again. The
 /// outcome is still simulated.
-const QUICK: [Expected; 0] = [];
+const QUICK: [Expected; 5] = [
+    ("jack", [&[0, 1], &[2, 7]]),
+    ("star", [&[0, 1], &[11, 13]]),
+    ("dented", [&[0, 2], &[1, 3]]),
+    ("saddle", [&[0, 1], &[3, 5]]),
+    ("lump", [&[1, 2], &[0, 4]]),
+];
 
 fn known_candidates(settings: &DemoSettings) -> &'static [Expected] {
     match settings {
