@@ -26,6 +26,10 @@ const HAND_SAMPLES: u32 = 8;
 /// The same beside the table.
 pub(super) const BESIDE: [usize; 2] = [1280, 720];
 const BESIDE_SAMPLES: u32 = 4;
+/// Neighbourhood of its denoiser, px: the usual one takes longer than the paths.
+const BESIDE_DENOISE_PX: usize = 3;
+/// Its number among the pictures of a grasp.
+const BESIDE_NUMBER: u64 = 3;
 /// JPEG quality of all.
 const QUALITY: u8 = 92;
 /// Side of a sheet's markers, m.
@@ -115,7 +119,7 @@ impl Stand {
                 cancel: watch.cancel,
             };
             let rendering = Renderer::new(scene)?.render(camera, &settings, &watch)?;
-            let light = denoise(&rendering, &DenoiseSettings::default());
+            let light = denoise(&rendering, &cleaning(number));
             let picture = develop(&light, &colour(number), seed ^ number);
             encode_jpeg(&picture, QUALITY)
         };
@@ -127,9 +131,22 @@ impl Stand {
         let scene = annotation_scene(&self.model, &before, &self.conditions, camera, &self.prints)?;
         Ok(Pictures {
             hand: [hand(&before, 1)?, hand(&after, 2)?],
-            beside: shoot(&scene, &camera, BESIDE_SAMPLES, 3)?,
+            beside: shoot(&scene, &camera, BESIDE_SAMPLES, BESIDE_NUMBER)?,
             intrinsics: camera.intrinsics(),
         })
+    }
+}
+
+/// The denoiser of a picture.
+fn cleaning(number: u64) -> DenoiseSettings {
+    let usual = DenoiseSettings::default();
+    DenoiseSettings {
+        radius: if number == BESIDE_NUMBER {
+            BESIDE_DENOISE_PX
+        } else {
+            usual.radius
+        },
+        ..usual
     }
 }
 
@@ -137,7 +154,7 @@ impl Stand {
 fn colour(number: u64) -> ColourSettings {
     let usual = ColourSettings::default();
     match number {
-        3 => ColourSettings {
+        BESIDE_NUMBER => ColourSettings {
             full_well_e: 5000.0,
             read_noise_e: 4.0,
             ..usual
