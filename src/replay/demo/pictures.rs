@@ -25,7 +25,7 @@ pub(super) const HAND: [usize; 2] = [320, 240];
 const HAND_SAMPLES: u32 = 8;
 /// The same beside the table.
 pub(super) const BESIDE: [usize; 2] = [1280, 720];
-const BESIDE_SAMPLES: u32 = 4;
+const BESIDE_SAMPLES: u32 = 8;
 /// Neighbourhood of its denoiser, px: the usual one takes longer than the paths.
 const BESIDE_DENOISE_PX: usize = 3;
 /// Its number among the pictures of a grasp.
