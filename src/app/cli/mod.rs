@@ -130,7 +130,7 @@ enum Verb {
     /// Render what the sensors would see of simulated grasps
     Render(render::Args),
     /// Replay annotated grasps in the simulators and compare with what happened
-    Replay(replay::Args),
+    Replay(Box<replay::Args>),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -164,7 +164,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Dataset(args) => dataset::run(&context, args),
         Verb::Sim(args) => sim::run(&context, args),
         Verb::Render(args) => render::run(&context, args),
-        Verb::Replay(args) => replay::run(&context, args),
+        Verb::Replay(args) => replay::run(&context, *args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),
