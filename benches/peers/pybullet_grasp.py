@@ -23,7 +23,7 @@ import time
 
 # PyBullet prints lines of its own; only the answer may go to standard output.
 ANSWER = os.fdopen(os.dup(1), "w", encoding="utf-8")
-os.dup2(2, 1)
+os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
 try:
     import pybullet as p
@@ -86,7 +86,7 @@ def write_gripper(folder, number, grasp, settings):
     ball = [[1e-2, 0, 0], [0, 1e-2, 0], [0, 0, 1e-2]]
     x = 0.5 * grasp["opening_m"] + 0.5 * FINGER_M[0]
     parts = [
-        '<robot name="gripper"><link name="base"/>',
+        f'<robot name="gripper"><link name="base">{inertial(CARRIAGE_KG, [0, 0, 0], ball)}</link>',
         f'<link name="carriage">{inertial(CARRIAGE_KG, [0, 0, 0], ball)}</link>',
         '<joint name="lift" type="prismatic"><parent link="base"/><child link="carriage"/>'
         f'<axis xyz="{numbers(up)}"/><limit lower="-10" upper="10" effort="1e5" velocity="10"/>'

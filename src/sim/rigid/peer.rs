@@ -150,7 +150,7 @@ impl Agreement {
 }
 
 /// Random grasps of each mesh (m): stable pose, turn, offsets, tilt, lean, height, mass, friction
-/// and force from a seed. About half of them fail. Grasps that start inside something are drawn
+/// and force from a seed. About four of ten fail. Grasps that start inside something are drawn
 /// again.
 ///
 /// # Errors
