@@ -278,10 +278,10 @@ mod tests {
     #[test]
     fn a_grasp_has_no_say_in_its_own_setting() {
         let mut outcomes = sample();
-        // One grasp that only agrees at its own best setting.
-        outcomes.objects = vec!["a", "b", "b", "b"];
-        outcomes.real = vec![true, true, false, false];
-        let keep = [0, 3, 4, 5];
+        // Without the grasp of a, both frictions are as good, and the first is the wrong one for it.
+        outcomes.objects = vec!["a", "b", "b"];
+        outcomes.real = vec![true, false, false];
+        let keep = [0, 4, 5];
         outcomes.simulated = keep.map(|i| sample().simulated[i].clone()).to_vec();
         let found = outcomes.score();
         assert_eq!(found.scores.paper.by_object["a"].agree, 1);
