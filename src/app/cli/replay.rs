@@ -43,7 +43,7 @@ const VIEW_SAMPLES: u32 = 24;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(args_conflicts_with_subcommands = true)]
+#[command(args_conflicts_with_subcommands = true, allow_negative_numbers = true)]
 pub(crate) struct Args {
     #[command(subcommand)]
     demo: Option<Sub>,
@@ -66,6 +66,7 @@ enum Sub {
 }
 
 #[derive(Clone, Debug, clap::Args)]
+#[command(allow_negative_numbers = true)]
 struct DemoArgs {
     /// 20 grasps instead of 100, on coarser meshes and with fewer settings
     #[arg(long)]
