@@ -62,7 +62,7 @@ pub(crate) struct Args {
 #[derive(Clone, Debug, clap::Subcommand)]
 enum Sub {
     /// Build a small dataset whose reality is simulated, and replay it
-    Demo(DemoArgs),
+    Demo(Box<DemoArgs>),
 }
 
 #[derive(Clone, Debug, clap::Args)]
@@ -165,18 +165,30 @@ struct Source {
     reality: Option<Reality>,
 }
 
+/// Where the grasps come from.
+enum Origin {
+    Demo(Box<DemoArgs>),
+    Recorded(Source),
+}
+
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let command = command();
-    let (sweep, demo) = match &args.demo {
-        Some(Sub::Demo(demo)) => (demo.sweep.clone().for_demo(demo.quick), Some(demo.clone())),
-        None => (args.sweep.clone(), None),
+    let (sweep, origin) = match args.demo {
+        Some(Sub::Demo(demo)) => {
+            let sweep = demo.sweep.clone().for_demo(demo.quick);
+            (sweep, Origin::Demo(demo))
+        }
+        None => {
+            let sweep = args.sweep.clone();
+            (sweep, Origin::Recorded(args.source()?))
+        }
     };
     let json = sweep.json;
     let report = resumable(context, "replaying", move |progress| {
-        let source = match &demo {
-            Some(demo) => demo.build(&sweep, progress)?,
-            None => args.source()?,
+        let source = match origin {
+            Origin::Demo(demo) => demo.build(&sweep, progress)?,
+            Origin::Recorded(source) => source,
         };
         replayed(&source, &sweep, command, progress)
     })??;
