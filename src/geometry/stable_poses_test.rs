@@ -18,6 +18,10 @@ fn height(mesh: &TriangleMesh, center: DVec3, rotation: DQuat) -> f64 {
     (rotation * center).z - lowest.fold(f64::INFINITY, f64::min)
 }
 
+/// A vertex within this of the lowest one touches the ground, m: above the rounding of coordinates,
+/// and below the height of neighbouring facets that are nearly in one plane.
+const CONTACT_M: f64 = 1e-9;
+
 /// How far the foot of the centre of mass lies within the polygon of the contacts (negative:
 /// outside), m. Of all directions across two contacts, the support in the weakest.
 fn support_margin(mesh: &TriangleMesh, center: DVec3, down: DVec3) -> f64 {
@@ -26,7 +30,7 @@ fn support_margin(mesh: &TriangleMesh, center: DVec3, down: DVec3) -> f64 {
     let contacts: Vec<DVec3> = mesh
         .vertices
         .iter()
-        .filter(|v| depth(v) > lowest - 1e-7)
+        .filter(|v| depth(v) > lowest - CONTACT_M)
         .map(|v| (*v - center).reject_from_normalized(down))
         .collect();
     let mut margin = f64::INFINITY;

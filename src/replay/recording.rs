@@ -48,7 +48,7 @@ pub struct Recording {
     pub grasps: Vec<RecordedGrasp>,
     /// The others.
     pub left_out: Vec<LeftOut>,
-    /// Grasps of the dataset.
+    /// Grasps of the dataset, of the wanted objects.
     pub all: usize,
     /// Hash of the records in [`Self::grasps`].
     pub sha256: String,
@@ -68,6 +68,7 @@ impl Recording {
         let mut grasps = Vec::new();
         let mut left_out = Vec::new();
         let mut sheets = BTreeMap::new();
+        let mut unwanted = 0;
         let ids = dataset.ids()?;
         for id in &ids {
             let record = match dataset.grasp(id) {
@@ -82,6 +83,7 @@ impl Recording {
                 }
             };
             if wanted.is_some_and(|wanted| !wanted.contains(&record.object)) {
+                unwanted += 1;
                 continue;
             }
             let object = record.object.clone();
@@ -102,7 +104,7 @@ impl Recording {
             sha256: hash(&grasps)?,
             grasps,
             left_out,
-            all: ids.len(),
+            all: ids.len() - unwanted,
         })
     }
 }

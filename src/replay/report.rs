@@ -95,7 +95,7 @@ pub struct DatasetFacts {
     pub path: String,
     /// Hash of all records that were replayed, 12 hexadecimal digits.
     pub sha256: String,
-    /// Grasps in it.
+    /// Grasps in it, of the objects that were asked for.
     pub grasps: usize,
     /// Where its outcomes come from.
     pub reality: Reality,

@@ -85,6 +85,18 @@ fn report(out: &Path) -> Value {
     serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap()
 }
 
+/// Whether a case is finished.
+fn has_case(cases: &Path) -> bool {
+    let folders = fs::read_dir(cases).into_iter().flatten().flatten();
+    let mut files = folders.flat_map(|folder| fs::read_dir(folder.path()).into_iter().flatten());
+    files.any(|file| {
+        file.unwrap()
+            .path()
+            .extension()
+            .is_some_and(|end| end == "json")
+    })
+}
+
 /// Outcomes by grasp, engine and setting.
 fn outcomes(report: &Value) -> Vec<Value> {
     let grasps = report["grasps"].as_array().unwrap();
@@ -146,7 +158,7 @@ fn grasps_are_replayed_stopped_continued_and_reported() {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    wait_until(&mut child, || parts.join("cases").is_dir());
+    wait_until(&mut child, || has_case(&parts.join("cases")));
     Command::new("kill")
         .arg(child.id().to_string())
         .status()
