@@ -208,7 +208,7 @@ fn poses_agree_with_trimesh() {
             .iter()
             .filter(|(d, _)| ours.iter().all(|pose| down(pose).angle_between(*d) > 2e-3));
         let largest = missed
-            .map(|(d, _)| support_margin(&mesh, center, *d))
+            .map(|(d, _)| support_margin(&mesh, center, *d, CONTACT_M[1]))
             .fold(f64::MIN, f64::max);
         let cap = |d: DVec3| {
             let inside = |other: DVec3| other.angle_between(d) < 0.2;
