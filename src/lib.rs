@@ -10,7 +10,7 @@
 //!
 //! | layer | area | job |
 //! | --- | --- | --- |
-//! | 0 | [`error`], [`files`], [`geometry`], [`imaging`] | errors; files written whole; meshes and poses; frames, decoding, crops, differences |
+//! | 0 | [`error`], [`files`], [`geometry`], [`imaging`], [`workers`] | errors; files written whole; meshes and poses; frames, decoding, crops, differences; one item a core |
 //! | 1 | [`dataset`], [`pose`], [`sim`] | the crash-safe dataset on disk; poses from markers; the grasp simulator |
 //! | 2 | [`render`], [`predict`], [`annotate`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine; poses of a dataset's grasps |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
@@ -33,3 +33,4 @@ pub mod replay;
 pub mod rig;
 pub mod session;
 pub mod sim;
+pub mod workers;

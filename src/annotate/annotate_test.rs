@@ -11,8 +11,7 @@ use crate::pose::{BoardFile, Dictionary, Part};
 const WIDTH: u32 = 960;
 
 fn tags() -> BoardFile {
-    let text = include_str!("../../calib/boards/gripper-umi.toml");
-    BoardFile::parse(text, std::path::Path::new("")).unwrap()
+    BoardFile::gripper_umi().unwrap()
 }
 
 fn sheet(dictionary: &str) -> BoardFile {

@@ -35,3 +35,12 @@ pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};
 pub use z16::DepthImage;
 
 use resample::LARGEST_SIDE;
+
+/// Mean difference of two pictures of one size, grey levels.
+#[cfg(test)]
+pub(crate) fn mean_difference(a: &image::RgbImage, b: &image::RgbImage) -> f64 {
+    assert_eq!(a.dimensions(), b.dimensions());
+    let pairs = a.iter().zip(b.iter());
+    let sum: u64 = pairs.map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    sum as f64 / a.len() as f64
+}

@@ -99,6 +99,16 @@ impl BoardFile {
         })
     }
 
+    /// The tags of a UMI gripper as they are printed by default:
+    /// `calib/boards/gripper-umi.toml`.
+    ///
+    /// # Errors
+    /// None; a test reads the file.
+    pub fn gripper_umi() -> Result<Self> {
+        let text = include_str!("../../calib/boards/gripper-umi.toml");
+        Self::parse(text, Path::new(""))
+    }
+
     /// The board as one on a chessboard.
     ///
     /// # Errors

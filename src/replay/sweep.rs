@@ -1,10 +1,8 @@
 //! Runs cases, one on each core, and keeps what is finished.
 
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
 use super::case::{Case, CaseRecord, CaseStore};
 use crate::error::{Error, ErrorKind, Result};
+use crate::workers::one_per_core;
 
 /// How far a sweep is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,48 +50,14 @@ pub fn sweep(
         });
     };
     told(0);
-    let next = AtomicUsize::new(0);
-    let state = Mutex::new((0, Vec::with_capacity(open.len()), None::<Error>));
-    let worker = || -> Result<()> {
-        // The engines' own parallel parts stay in this thread: one grasp per core.
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(1)
-            .build()
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot start a thread").because(e))?;
-        while let Some(&index) = open.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let case = &cases[index];
-            let record = pool.install(|| {
-                let (record, trace) = case.simulate()?;
-                store.keep(case, &record, trace).map(|()| record)
-            })?;
-            if let Ok(mut state) = state.lock() {
-                state.1.push((index, record));
-                state.0 += 1;
-                told(state.0);
-            }
-        }
-        Ok(())
+    let run = |index: &usize| {
+        let case = &cases[*index];
+        let (record, trace) = case.simulate()?;
+        store.keep(case, &record, trace).map(|()| record)
     };
-    std::thread::scope(|scope| {
-        for _ in 0..jobs.clamp(1, open.len().max(1)) {
-            scope.spawn(|| {
-                if let Err(error) = worker() {
-                    // The others end after the case they are at.
-                    next.store(open.len(), Ordering::Relaxed);
-                    if let Ok(mut state) = state.lock() {
-                        state.2.get_or_insert(error);
-                    }
-                }
-            });
-        }
-    });
-    let state = state.into_inner();
-    let (simulated, new, error) =
-        state.map_err(|_| Error::new(ErrorKind::Internal, "a simulation ended early"))?;
-    if let Some(error) = error {
-        return Err(error);
-    }
-    for (index, record) in new {
+    let new = one_per_core(jobs, &open, &run, &told)?;
+    let simulated = new.len();
+    for (index, record) in open.into_iter().zip(new) {
         records[index] = Some(record);
     }
     let all: Option<Vec<CaseRecord>> = records.into_iter().collect();

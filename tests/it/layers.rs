@@ -5,26 +5,26 @@ use std::path::{Path, PathBuf};
 
 /// Areas that an area may use, besides itself.
 fn allowed(area: &str) -> Option<&'static [&'static str]> {
-    const LAYER_0: &[&str] = &["error", "files", "geometry", "imaging"];
-    const LAYER_1: &[&str] = &["error", "files", "geometry", "imaging"];
+    const LAYER_0: &[&str] = &["error", "files", "geometry", "imaging", "workers"];
+    const LAYER_1: &[&str] = &["error", "files", "geometry", "imaging", "workers"];
     const LAYER_2: &[&str] = &[
-        "error", "files", "geometry", "imaging", "sim", "pose", "dataset",
+        "error", "files", "geometry", "imaging", "workers", "sim", "pose", "dataset",
     ];
     const LAYER_3: &[&str] = &[
-        "error", "files", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict",
-        "annotate",
+        "error", "files", "geometry", "imaging", "workers", "sim", "pose", "dataset", "render",
+        "predict", "annotate",
     ];
     Some(match area {
         "error" => &[],
-        "files" => &["error"],
+        "files" | "workers" => &["error"],
         "geometry" | "imaging" => LAYER_0,
         "sim" | "pose" | "dataset" => LAYER_1,
         "render" | "predict" | "annotate" => LAYER_2,
         "rig" | "session" => LAYER_3,
         "synth" | "train" | "replay" => LAYER_3,
         "app" => &[
-            "error", "files", "geometry", "imaging", "sim", "pose", "dataset", "render", "predict",
-            "annotate", "rig", "session", "synth", "train", "replay",
+            "error", "files", "geometry", "imaging", "workers", "sim", "pose", "dataset", "render",
+            "predict", "annotate", "rig", "session", "synth", "train", "replay",
         ],
         _ => return None,
     })

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::error::{Error, Result};
 use crate::pose::BoardFile;
 use crate::rig::calibration::BoardsConfig;
-use crate::rig::camera::{VirtualHand, usual_tags};
+use crate::rig::camera::VirtualHand;
 
 /// The gripper's tags and the sheets of objects.
 pub struct Boards {
@@ -48,7 +48,7 @@ impl Boards {
     /// None; a test reads the file.
     pub fn of_virtual_rig(hand: Arc<VirtualHand>) -> Result<Self> {
         Ok(Self {
-            tags: usual_tags()?,
+            tags: BoardFile::gripper_umi()?,
             sheets: Sheets::Virtual(hand),
         })
     }

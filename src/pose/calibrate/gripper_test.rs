@@ -1,7 +1,5 @@
 //! Grippers with tags that are off: corners with noise, and one set of rendered pictures.
 
-use std::path::Path;
-
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64;
@@ -24,8 +22,7 @@ use crate::pose::{Board, BoardFile, Detection, Part};
 const NOISE_PX: f64 = 0.05;
 
 fn nominal() -> BoardFile {
-    let text = include_str!("../../../calib/boards/gripper-umi.toml");
-    BoardFile::parse(text, Path::new("")).unwrap()
+    BoardFile::gripper_umi().unwrap()
 }
 
 fn camera() -> Intrinsics {

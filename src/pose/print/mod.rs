@@ -26,7 +26,9 @@ pub use charuco_sheet::{CharucoSettings, CharucoSheet, charuco_sheet};
 pub use drawing::{Colour, Drawing, Shape, TextAnchor};
 pub use gripper_board::{GripperTags, gripper_board};
 pub use gripper_sheet::gripper_sheet;
-pub use object_sheet::{ObjectOnSheet, ObjectSheet, SheetSettings, object_sheet};
+pub use object_sheet::{
+    ObjectOnSheet, ObjectSheet, SheetSettings, object_sheet, usual_object_sheet,
+};
 pub use paper::Paper;
 
 use crate::error::{Error, ErrorKind, Result};

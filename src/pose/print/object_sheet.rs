@@ -58,6 +58,26 @@ pub struct SheetSettings {
     pub measured_mm: [f64; 2],
 }
 
+/// A sheet with the usual markers, of 30 mm from `DICT_6X6_250`, on the smallest of A4 and A3 that
+/// is large enough.
+///
+/// # Errors
+/// Those of [`object_sheet`] on A3.
+pub fn usual_object_sheet(name: &str, object: &ObjectOnSheet<'_>) -> Result<ObjectSheet> {
+    let on = |paper: Paper| {
+        let settings = SheetSettings {
+            name: name.to_owned(),
+            dictionary: Dictionary::by_name("DICT_6X6_250")?,
+            first_id: 0,
+            marker_m: 0.030,
+            paper,
+            measured_mm: [RULER_MM; 2],
+        };
+        object_sheet(object, &settings)
+    };
+    on(Paper::A4).or_else(|_| on(Paper::A3))
+}
+
 /// A sheet and its board.
 #[derive(Clone, Debug)]
 pub struct ObjectSheet {

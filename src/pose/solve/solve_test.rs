@@ -152,10 +152,7 @@ fn opening_and_body_are_recovered_together() {
 fn a_wrong_finger_marker_costs_the_opening_and_not_the_pose() {
     let camera = test_camera(1280, 720);
     let mut random = Pcg64::seed_from_u64(5);
-    let text = include_str!("../../../calib/boards/gripper-umi.toml");
-    let board = BoardFile::parse(text, std::path::Path::new(""))
-        .unwrap()
-        .board;
+    let board = BoardFile::gripper_umi().unwrap().board;
     let truth = scene(5, [Part::Body; 2]).t_camera_gripper;
     let right = truth * Pose::from_translation(DVec3::X * 0.04);
     let poses = [(Part::Body, truth), (Part::FingerRight, right)];

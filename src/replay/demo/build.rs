@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 use super::object::{DemoObject, objects};
 use super::pictures::Stand;
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
-use super::pool::for_each;
 use super::reality::Class;
 use super::recording::{Recorder, film};
 use super::selection::{Chosen, Selection, choose};
@@ -112,7 +111,7 @@ fn record(
         let at = chosen.object;
         recorder.record(&all[at], &stands[at], chosen, watch)
     };
-    let with_pose = for_each(settings.jobs, grasps, DemoStage::Recording, watch, &work)?;
+    let with_pose = watch.for_each(settings.jobs, DemoStage::Recording, grasps, &work)?;
     recorder.finish()?;
     Ok(with_pose)
 }

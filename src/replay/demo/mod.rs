@@ -10,7 +10,6 @@ mod build;
 mod object;
 mod pictures;
 mod plan;
-mod pool;
 mod reality;
 mod recording;
 mod sampler;

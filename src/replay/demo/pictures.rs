@@ -1,17 +1,13 @@
 //! What the colour cameras of the demo data see: the one on the gripper, and the one beside the table
 //! that sees the object's printed sheet and the gripper's tags.
 
-use std::path::Path;
-
 use super::object::DemoObject;
 use super::plan::DemoWatch;
 use crate::error::Result;
 use crate::geometry::Pose;
 use crate::imaging::{Intrinsics, encode_jpeg};
-use crate::pose::print::{
-    ObjectOnSheet, ObjectSheet, Paper, RULER_MM, SheetSettings, object_sheet,
-};
-use crate::pose::{BoardFile, Dictionary};
+use crate::pose::BoardFile;
+use crate::pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
 use crate::render::visual::{
     Camera, ColourSettings, DenoiseSettings, GraspPrints, GraspState, Model, RenderSettings,
     Renderer, Scene, SeedStream, View, VisualConditions, VisualRandomisation, Watch,
@@ -32,10 +28,6 @@ const BESIDE_DENOISE_PX: usize = 3;
 const BESIDE_NUMBER: u64 = 3;
 /// JPEG quality of all.
 const QUALITY: u8 = 92;
-/// Side of a sheet's markers, m.
-const MARKER_M: f64 = 0.030;
-/// Tags of the gripper.
-const TAGS: &str = include_str!("../../../calib/boards/gripper-umi.toml");
 
 /// An object on its sheet, as cameras see it.
 pub(super) struct Stand {
@@ -66,8 +58,13 @@ impl Stand {
     /// `Input` for an object that no paper is large enough for.
     pub(super) fn new(object: &DemoObject, seed: u64) -> Result<Self> {
         let looks = SeedStream::named(seed, &format!("looks {}", object.name)).bits();
-        let sheet = sheet(object)?;
-        let tags = BoardFile::parse(TAGS, Path::new(""))?;
+        let lying = ObjectOnSheet {
+            mesh: &object.mesh,
+            source: &object.source,
+            t_world_object: object.t_world_object,
+        };
+        let sheet = usual_object_sheet(&object.name, &lying)?;
+        let tags = BoardFile::gripper_umi()?;
         Ok(Self {
             model: Model::plain(&object.mesh, drawn_finish(looks), looks)?,
             prints: GraspPrints::new(&sheet, &tags)?,
@@ -161,25 +158,4 @@ fn colour(number: u64) -> ColourSettings {
         },
         _ => usual,
     }
-}
-
-/// The sheet of an object as it lies, on the smallest paper that is large enough.
-fn sheet(object: &DemoObject) -> Result<ObjectSheet> {
-    let lying = ObjectOnSheet {
-        mesh: &object.mesh,
-        source: &object.source,
-        t_world_object: object.t_world_object,
-    };
-    let on = |paper: Paper| {
-        let settings = SheetSettings {
-            name: object.name.clone(),
-            dictionary: Dictionary::by_name("DICT_6X6_250")?,
-            first_id: 0,
-            marker_m: MARKER_M,
-            paper,
-            measured_mm: [RULER_MM; 2],
-        };
-        object_sheet(&lying, &settings)
-    };
-    on(Paper::A4).or_else(|_| on(Paper::A3))
 }

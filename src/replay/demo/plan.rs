@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::workers::one_per_core;
 
 /// What a demo dataset is made of.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,6 +64,27 @@ pub struct DemoWatch<'a> {
 }
 
 impl DemoWatch<'_> {
+    /// Does `work` for every item, `jobs` at a time; results in the order of the items.
+    ///
+    /// # Errors
+    /// The error of the first item that failed, after which none is begun; `Stopped`.
+    pub(super) fn for_each<T: Sync, R: Send>(
+        &self,
+        jobs: usize,
+        stage: DemoStage,
+        items: &[T],
+        work: &(dyn Fn(&T) -> Result<R> + Sync),
+    ) -> Result<Vec<R>> {
+        let of = items.len();
+        let told = |done| (self.progress)(DemoProgress { stage, done, of });
+        one_per_core(
+            jobs,
+            items,
+            &|item| self.check().and_then(|()| work(item)),
+            &told,
+        )
+    }
+
     pub(super) fn check(&self) -> Result<()> {
         if self.cancel.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
             return Err(
@@ -71,5 +93,23 @@ impl DemoWatch<'_> {
             );
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stopped_watch_begins_nothing() {
+        let stop = AtomicBool::new(true);
+        let watch = DemoWatch {
+            progress: &|_| (),
+            cancel: Some(&stop),
+        };
+        let nothing = watch.for_each(2, DemoStage::Recording, &[1, 2, 3], &|_| {
+            Err::<(), _>(Error::new(ErrorKind::Internal, "begun"))
+        });
+        assert_eq!(nothing.unwrap_err().kind(), ErrorKind::Stopped);
     }
 }

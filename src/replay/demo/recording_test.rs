@@ -6,6 +6,7 @@ use super::*;
 use crate::dataset::verify;
 use crate::geometry::Pose;
 use crate::imaging::encode_jpeg;
+use crate::pose::synthetic::test_camera;
 use crate::replay::demo::object::objects;
 use crate::replay::demo::plan::DemoSettings;
 use crate::replay::demo::reality::Simulated;
@@ -67,21 +68,8 @@ fn shot(number: usize) -> Shot {
         pictures: Pictures {
             hand: [jpeg(hand, 4), jpeg(hand, 5)],
             beside: jpeg(BESIDE.map(|n| n as u32), 6),
-            intrinsics: intrinsics(),
+            intrinsics: test_camera(1280, 720),
         },
-    }
-}
-
-fn intrinsics() -> Intrinsics {
-    Intrinsics {
-        width: 1280,
-        height: 720,
-        fx: 915.0,
-        fy: 915.0,
-        cx: 640.0,
-        cy: 360.0,
-        model: crate::imaging::DistortionModel::None,
-        coefficients: [0.0; 5],
     }
 }
 

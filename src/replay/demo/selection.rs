@@ -8,7 +8,6 @@ use std::path::Path;
 
 use super::object::DemoObject;
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
-use super::pool::for_each;
 use super::reality::{Class, Reality, Simulated, reality, screening};
 use super::sampler::{Candidate, Sampler};
 use crate::error::Result;
@@ -131,7 +130,7 @@ pub(super) fn choose(
         if !batch.is_empty() {
             let look = |(at, candidate): &(usize, Candidate)| coarse[*at].simulate(candidate);
             let stage = DemoStage::Screening;
-            let found = for_each(settings.jobs, &batch, stage, watch, &look)?;
+            let found = watch.for_each(settings.jobs, stage, &batch, &look)?;
             for ((at, candidate), result) in batch.into_iter().zip(found) {
                 known[at].cpu_s += result.cpu_s;
                 if let Some(class) = result.class() {
@@ -145,7 +144,7 @@ pub(super) fn choose(
             break;
         }
         let look = |(at, candidate): &(usize, Candidate)| fine[*at].simulate(candidate);
-        let found = for_each(settings.jobs, &batch, DemoStage::Simulating, watch, &look)?;
+        let found = watch.for_each(settings.jobs, DemoStage::Simulating, &batch, &look)?;
         for ((at, candidate), simulated) in batch.into_iter().zip(found) {
             take(&mut known[at], wanted, at, candidate, simulated);
         }

@@ -39,5 +39,5 @@ pub use v4l2_node::{
 pub use virtual_camera::{VirtualOpener, VirtualRig};
 pub use virtual_scene::{
     Film, FilmFiles, FilmKeys, FilmLibrary, HandGoal, SceneMoment, ShootSettings, VirtualHand,
-    shoot, usual_tags,
+    shoot,
 };

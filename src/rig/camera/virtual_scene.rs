@@ -17,5 +17,5 @@ pub use film::{Film, FilmFiles, FilmKeys};
 pub(super) use gel::GelPainter;
 pub use hand::{HandGoal, SceneMoment, VirtualHand};
 pub use library::FilmLibrary;
-pub use shoot::{ShootSettings, shoot, usual_tags};
+pub use shoot::{ShootSettings, shoot};
 pub(super) use view::{ColourPainter, DepthPainter, Place};

@@ -69,6 +69,20 @@ pub struct GraspResult {
     pub trace: Trace,
 }
 
+impl GraspResult {
+    /// A grasp that ended before its first step, because the gripper was inside something.
+    pub(in crate::sim) fn penetrating_start(detail: String) -> Self {
+        Self {
+            outcome: GraspOutcome::PenetratingStart,
+            detail: Some(detail),
+            lifted_m: 0.0,
+            unconverged_steps: 0,
+            times: PhaseTimes::default(),
+            trace: Trace::default(),
+        }
+    }
+}
+
 /// Simulates a grasp.
 ///
 /// # Errors
@@ -82,14 +96,7 @@ pub fn simulate(
     protocol.validate()?;
     let stage = scene.build(parameters)?;
     if let Some(detail) = stage.starts_penetrating {
-        return Ok(GraspResult {
-            outcome: GraspOutcome::PenetratingStart,
-            detail: Some(detail),
-            lifted_m: 0.0,
-            unconverged_steps: 0,
-            times: PhaseTimes::default(),
-            trace: Trace::default(),
-        });
+        return Ok(GraspResult::penetrating_start(detail));
     }
     Ok(Run::new(stage, scene, protocol, parameters.dt_s).finish())
 }

@@ -276,14 +276,7 @@ mod tests {
 
     #[test]
     fn a_grasp_without_steps_has_no_force() {
-        let result = GraspResult {
-            outcome: GraspOutcome::PenetratingStart,
-            detail: Some("the left gel is inside the object".into()),
-            lifted_m: 0.0,
-            unconverged_steps: 0,
-            times: PhaseTimes::default(),
-            trace: Trace::default(),
-        };
+        let result = GraspResult::penetrating_start("the left gel is inside the object".into());
         let summary = GraspSummary::of(&result, &Protocol::default(), 0.01);
         assert_eq!((summary.steps, summary.mean_force_n), (0, None));
         let value = serde_json::to_value(summary).unwrap();

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::cache::DecompositionCache;
 use super::decomposition::Decomposition;
-use super::run::{self, Run};
+use super::run::Run;
 use super::settings::RigidSettings;
 use super::start;
 use super::world::{World, WorldSetup};
@@ -78,14 +78,11 @@ impl Engine for RigidEngine {
         let pieces = self.decomposition(&setup.mesh)?;
         let opening_m = match start::opening(setup, &pieces, self.settings.opening_m) {
             Ok(opening_m) => opening_m,
-            Err(detail) => return Ok(run::penetrating(detail)),
+            Err(detail) => return Ok(GraspResult::penetrating_start(detail)),
         };
         let world = WorldSetup {
-            mesh: &setup.mesh,
+            grasp: setup,
             pieces: &pieces,
-            mass_kg: setup.mass_kg,
-            t_world_object: setup.t_world_object,
-            t_world_gripper: setup.t_world_gripper,
             opening_m,
             friction,
             force_n,

@@ -11,18 +11,6 @@ use crate::sim::solver::PhaseTimes;
 /// Forces below this are no contact, N.
 const NO_FORCE: f64 = 1e-3;
 
-/// A grasp that ended before its first step.
-pub(super) fn penetrating(detail: String) -> GraspResult {
-    GraspResult {
-        outcome: GraspOutcome::PenetratingStart,
-        detail: Some(detail),
-        lifted_m: 0.0,
-        unconverged_steps: 0,
-        times: PhaseTimes::default(),
-        trace: Trace::default(),
-    }
-}
-
 /// A grasp under way.
 pub(super) struct Run<'a> {
     world: World,

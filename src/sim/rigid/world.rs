@@ -20,7 +20,8 @@ use super::convert;
 use super::decomposition::Decomposition;
 use super::settings::RigidSettings;
 use crate::error::Result;
-use crate::geometry::{MassProperties, Pose, TriangleMesh};
+use crate::geometry::{MassProperties, Pose};
+use crate::sim::GraspSetup;
 use crate::sim::grasp::{Finger, GelForce};
 
 /// Half of a finger's box along the gripper's x (closing), y and z (approach), m: the gel of the
@@ -39,11 +40,9 @@ const GROUND: Group = Group::GROUP_3;
 
 /// What of a grasp the bodies are made of.
 pub(super) struct WorldSetup<'a> {
-    pub(super) mesh: &'a TriangleMesh,
+    pub(super) grasp: &'a GraspSetup,
     pub(super) pieces: &'a Decomposition,
-    pub(super) mass_kg: f64,
-    pub(super) t_world_object: Pose,
-    pub(super) t_world_gripper: Pose,
+    /// Of the fingers at the start.
     pub(super) opening_m: f64,
     pub(super) friction: f64,
     pub(super) force_n: f64,
@@ -75,7 +74,7 @@ pub(super) fn finger_x(finger: Finger, opening_m: f64) -> f64 {
 
 impl World {
     pub(super) fn new(setup: &WorldSetup, settings: &RigidSettings) -> Result<Self> {
-        let t_gripper_world = setup.t_world_gripper.inverse();
+        let t_gripper_world = setup.grasp.t_world_gripper.inverse();
         let up = t_gripper_world.transform_vector(DVec3::Z);
         let mut physics = PhysicsWorld {
             gravity: convert::vector(up * -settings.gravity_m_s2),
@@ -101,7 +100,7 @@ impl World {
             .collision_groups(groups(GROUND, OBJECT)),
         );
 
-        let t_gripper_object = t_gripper_world * setup.t_world_object;
+        let t_gripper_object = t_gripper_world * setup.grasp.t_world_object;
         let object = physics.insert_body(
             RigidBodyBuilder::dynamic()
                 .pose(convert::pose(&t_gripper_object))
@@ -142,7 +141,7 @@ impl World {
         Ok(Self {
             physics,
             settings: *settings,
-            t_world_gripper: setup.t_world_gripper,
+            t_world_gripper: setup.grasp.t_world_gripper,
             up,
             object,
             base,
@@ -282,11 +281,11 @@ impl World {
 }
 
 fn mass(setup: &WorldSetup) -> Result<RapierMass> {
-    let properties = MassProperties::of(setup.mesh)?;
-    let tensor = inertia(&properties, setup.mass_kg).to_cols_array();
+    let properties = MassProperties::of(&setup.grasp.mesh)?;
+    let tensor = inertia(&properties, setup.grasp.mass_kg).to_cols_array();
     Ok(RapierMass::with_inertia_matrix(
         convert::vector(properties.center_of_mass_m),
-        setup.mass_kg,
+        setup.grasp.mass_kg,
         Matrix::from_cols_array(&tensor),
     ))
 }

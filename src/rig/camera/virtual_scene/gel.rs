@@ -1,18 +1,16 @@
 //! What a GelSight Mini on the virtual gripper sees: the tactile renderer's picture of the step
 //! that is shown, in the frame of the whole sensor.
 
-use std::ops::Range;
-
 use image::RgbImage;
 
 use super::film::Film;
 use super::hand::SceneMoment;
 use super::random::{NoiseTable, mixed, signed_unit};
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::Result;
 use crate::imaging::{CropWindow, Role};
 use crate::render::tactile::{
     FrameLook, PressDepth, Rasteriser, SensorPlace, SensorProfile, TactileRenderer, TactileScene,
-    object_depth,
+    WholeFrame, object_depth,
 };
 use crate::sim::grasp::Finger;
 
@@ -26,11 +24,11 @@ pub(in crate::rig::camera) struct GelPainter {
     look: FrameLook,
     rasteriser: Rasteriser,
     renderer: TactileRenderer,
-    frame: Frame,
+    frame: WholeFrame,
     untouched: RgbImage,
     noise: NoiseTable,
     /// The picture without noise, and of which grasp and step it is.
-    still: Vec<u8>,
+    still: RgbImage,
     shown: Option<(u64, usize)>,
 }
 
@@ -52,7 +50,7 @@ impl GelPainter {
             width: full.0,
             height: full.1,
         });
-        let frame = Frame::new(painted, full, window, &profile);
+        let frame = WholeFrame::new(&profile, window, full, painted);
         let look = FrameLook {
             offset: [0, 1, 2].map(|n| (OWN_COLOUR * signed_unit(seed, 1, n)) as f32),
             ..FrameLook::default()
@@ -76,7 +74,7 @@ impl GelPainter {
             frame,
             untouched,
             noise: NoiseTable::new(seed, noise_std),
-            still: Vec::new(),
+            still: RgbImage::new(0, 0),
             shown: None,
         })
     }
@@ -97,8 +95,8 @@ impl GelPainter {
             self.still = self.frame.place(picture, &self.untouched)?;
             self.shown = Some(wanted);
         }
-        let mut picture = self.still.clone();
-        let row_bytes = 3 * self.frame.columns.len();
+        let mut picture = self.still.as_raw().clone();
+        let row_bytes = 3 * self.still.width() as usize;
         self.noise.add_to(&mut picture, row_bytes, self.seed, frame);
         Ok(picture)
     }
@@ -118,114 +116,12 @@ impl GelPainter {
     }
 }
 
-/// Where a column or row of the painted frame lies in the sensor's own picture.
-#[derive(Clone, Copy)]
-struct Line {
-    /// The line before it.
-    before: usize,
-    /// Share of the line after that.
-    share: f32,
-    /// Distance outside of the crop, in parts of its size.
-    outside: f32,
-}
-
-/// How the sensor's picture, which is a crop, fills the whole frame.
-struct Frame {
-    columns: Vec<Line>,
-    rows: Vec<Line>,
-    size: (u32, u32),
-}
-
-impl Frame {
-    fn new(
-        painted: (u32, u32),
-        full: (u32, u32),
-        window: CropWindow,
-        profile: &SensorProfile,
-    ) -> Self {
-        let (width, height) = (profile.geometry.width, profile.geometry.height);
-        let across = window.left..window.left + window.width;
-        let down = window.top..window.top + window.height;
-        Self {
-            columns: lines(painted.0, full.0, across, width),
-            rows: lines(painted.1, full.1, down, height),
-            size: (width as u32, height as u32),
-        }
-    }
-
-    /// The whole frame: inside of the crop `picture`, outside its rim, the contact fading into
-    /// the untouched gel and both into the dark housing.
-    fn place(&self, picture: &RgbImage, untouched: &RgbImage) -> Result<Vec<u8>> {
-        if picture.dimensions() != self.size || untouched.dimensions() != self.size {
-            return Err(Error::new(
-                ErrorKind::Internal,
-                "a tactile picture has another size than its profile",
-            ));
-        }
-        let stride = 3 * self.size.0 as usize;
-        let mut frame = Vec::with_capacity(3 * self.columns.len() * self.rows.len());
-        for row in &self.rows {
-            let line = |of: &'_ RgbImage, at: usize| -> Vec<f32> {
-                let line = &of.as_raw()[at * stride..][..stride];
-                line.iter().map(|level| f32::from(*level)).collect()
-            };
-            let between = |of: &RgbImage| -> Vec<f32> {
-                let (above, below) = (line(of, row.before), line(of, row.before + 1));
-                let mixed = above.iter().zip(&below);
-                mixed.map(|(a, b)| a + row.share * (b - a)).collect()
-            };
-            let (touched, bare) = (between(picture), between(untouched));
-            for column in &self.columns {
-                let rim = column.outside.hypot(row.outside) / 0.2;
-                let light = 1.0 - 0.62 * ease((rim - 0.25) / 0.75);
-                let contact = 1.0 - ease((rim - 0.15) / 0.7);
-                for channel in 0..3 {
-                    let at = 3 * column.before + channel;
-                    let mix = |of: &[f32]| of[at] + column.share * (of[at + 3] - of[at]);
-                    let (touched, bare) = (mix(&touched), mix(&bare));
-                    let level = light * (bare + contact * (touched - bare));
-                    frame.push((level + 0.5) as u8);
-                }
-            }
-        }
-        Ok(frame)
-    }
-}
-
-/// Places of `painted` lines, which show `full` lines of which `window` is the crop, in a picture
-/// of `size` lines.
-fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> {
-    let (first, span) = (
-        f64::from(window.start),
-        f64::from(window.end - window.start),
-    );
-    (0..painted)
-        .map(|line| {
-            let at = (f64::from(line) + 0.5) * f64::from(full) / f64::from(painted);
-            let share = (at - first) / span;
-            let pixel = (share * size as f64 - 0.5).clamp(0.0, size as f64 - 1.0);
-            let before = (pixel as usize).min(size.saturating_sub(2));
-            Line {
-                before,
-                share: (pixel - before as f64) as f32,
-                outside: (-share).max(share - 1.0).max(0.0) as f32,
-            }
-        })
-        .collect()
-}
-
-/// Rises smoothly from 0 at 0 to 1 at 1.
-fn ease(t: f32) -> f32 {
-    let t = t.clamp(0.0, 1.0);
-    t * t * (3.0 - 2.0 * t)
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::imaging::{CropProfile, crop_and_resize};
+    use crate::imaging::{CropProfile, crop_and_resize, mean_difference};
     use crate::render::tactile::ObjectDepthRenderer;
     use crate::render::tactile::SceneRenderer as _;
     use crate::rig::camera::FilmLibrary;
@@ -250,15 +146,6 @@ mod tests {
     fn cropped(frame: Vec<u8>) -> RgbImage {
         let frame = RgbImage::from_raw(SIZE.0, SIZE.1, frame).unwrap();
         crop_and_resize(&frame, &CropProfile::GSMINI_SEVENTH, 320, 240).unwrap()
-    }
-
-    fn mean_difference(a: &RgbImage, b: &RgbImage) -> f64 {
-        let sum: u64 = a
-            .iter()
-            .zip(b.iter())
-            .map(|(a, b)| u64::from(a.abs_diff(*b)))
-            .sum();
-        sum as f64 / a.len() as f64
     }
 
     #[test]

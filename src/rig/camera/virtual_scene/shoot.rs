@@ -11,10 +11,8 @@ use super::film::{FilmFiles, FilmKeys, film_header};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Pose, TriangleMesh};
 use crate::imaging::{DepthImage, Intrinsics, encode_png_grey16};
-use crate::pose::print::{
-    ObjectOnSheet, ObjectSheet, Paper, RULER_MM, SheetSettings, object_sheet,
-};
-use crate::pose::{BoardFile, Dictionary};
+use crate::pose::BoardFile;
+use crate::pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
 use crate::render::tactile::{TraceHeader, TraceStart};
 use crate::render::visual::{
     Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspPrints, GraspState, Model,
@@ -69,7 +67,7 @@ impl Default for ShootSettings {
 /// told how many pictures are done, of how many.
 ///
 /// Seen from beside the table, the object stands on its printed sheet and the gripper has the tags
-/// of [`usual_tags`].
+/// of [`BoardFile::gripper_umi`].
 ///
 /// # Errors
 /// `Input` where the trace has no steps or no start, or the scene cannot be rendered.
@@ -91,7 +89,7 @@ pub fn shoot(
         settings,
     };
     let sheet = sheet_of(mesh, &object.source, set.start.t_world_object)?;
-    let prints = GraspPrints::new(&sheet, &usual_tags()?)?;
+    let prints = GraspPrints::new(&sheet, &BoardFile::gripper_umi()?)?;
     let beside = annotation_camera(&set.state(0)?, settings.outside, settings.seed);
     let keys = keys_of(trace, &shown, beside.intrinsics());
     let all = keys.keys.len() + keys.outside_keys.len();
@@ -131,16 +129,7 @@ pub fn shoot(
     })
 }
 
-/// The tags on the gripper of the virtual rig: `calib/boards/gripper-umi.toml`.
-///
-/// # Errors
-/// None; a test reads the file.
-pub fn usual_tags() -> Result<BoardFile> {
-    let text = include_str!("../../../../calib/boards/gripper-umi.toml");
-    BoardFile::parse(text, Path::new(""))
-}
-
-/// The sheet of an object as it stands, on the smallest paper that is large enough.
+/// The sheet of an object as it stands, named after its mesh.
 fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<ObjectSheet> {
     let object = ObjectOnSheet {
         mesh,
@@ -149,18 +138,7 @@ fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<O
     };
     let named = source.strip_prefix("builtin:").unwrap_or(source);
     let name = Path::new(named).file_stem().unwrap_or_default();
-    let on = |paper: Paper| {
-        let settings = SheetSettings {
-            name: name.to_string_lossy().into_owned(),
-            dictionary: Dictionary::by_name("DICT_6X6_250")?,
-            first_id: 0,
-            marker_m: 0.030,
-            paper,
-            measured_mm: [RULER_MM; 2],
-        };
-        object_sheet(&object, &settings)
-    };
-    on(Paper::A4).or_else(|_| on(Paper::A3))
+    usual_object_sheet(&name.to_string_lossy(), &object)
 }
 
 /// Everything that the pictures of a film share.
