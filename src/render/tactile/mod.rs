@@ -35,6 +35,7 @@ mod scene_renderer;
 mod shading;
 mod smooth;
 mod trace_header;
+mod variation;
 mod whole_frame;
 
 pub use background::BackgroundFit;
@@ -55,4 +56,5 @@ pub use scene_renderer::{ObjectDepthRenderer, SceneRenderer};
 pub use shading::{NormalOrder, PolynomialShading, PositionOrder};
 pub use smooth::{Smoother, Smoothing};
 pub use trace_header::{TraceHeader, TraceObject, TraceStart};
+pub use variation::SensorVariation;
 pub use whole_frame::WholeFrame;

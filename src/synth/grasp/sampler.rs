@@ -1,0 +1,257 @@
+//! Draws grasps: two opposite places approached from above, then what goes wrong in practice.
+
+use glam::{DVec2, DVec3};
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::Result;
+use crate::geometry::{Aabb, MeshQuery, Pose, TriangleMesh};
+use crate::render::visual::SeedStream;
+use crate::sim::fem::PAD_SIZE_M;
+use crate::sim::grasp::{Placed, Placement};
+
+/// Distance between the places that the fingers are to meet, m.
+const WIDTH_M: [f64; 2] = [0.008, 0.075];
+/// Widest opening of the gripper, m.
+const WIDEST_M: f64 = 0.085;
+/// Free space between the gels and the ground, m.
+const CLEARANCE_M: f64 = 1e-3;
+/// Largest angle between the closing direction and the surface's normals, as a cosine: 35°.
+const LEAST_FACING: f64 = 0.82;
+/// Attempts at a pair of places.
+const ATTEMPTS: usize = 400;
+/// Longer than any way from outside of an object to its surface, m.
+const FAR_M: f64 = 0.2;
+
+/// A grasp to try.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// Its number among those of its sampler.
+    pub number: usize,
+    /// How it departs from opposite places.
+    pub fault: GraspFault,
+    /// Where the gripper is and how far it is open.
+    pub placed: Placed,
+    /// How hard a person squeezes, between the least (0) and the most (1).
+    pub squeeze: f64,
+}
+
+/// How a grasp departs from a pair of opposite places.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GraspFault {
+    /// Hardly.
+    None,
+    /// The contacts lie off the middle of the gels, towards their side.
+    OffCentre,
+    /// One finger is higher than the other.
+    Tilted,
+    /// The approach is not vertical.
+    Leaned,
+    /// Only the ends of the gels meet the object.
+    Shallow,
+    /// The closing direction is turned away from the normals.
+    Edge,
+}
+
+const FAULTS: [GraspFault; 6] = [
+    GraspFault::None,
+    GraspFault::OffCentre,
+    GraspFault::Tilted,
+    GraspFault::Leaned,
+    GraspFault::Shallow,
+    GraspFault::Edge,
+];
+
+/// Draws grasps of an object that lies on the ground, from above.
+pub struct GraspSampler<'a> {
+    name: &'a str,
+    seed: u64,
+    /// The object in its own frame, m.
+    object: &'a TriangleMesh,
+    t_world_object: Pose,
+    /// The object as it lies.
+    mesh: TriangleMesh,
+    query: MeshQuery,
+    /// Running sum of the triangles' areas.
+    areas: Vec<f64>,
+}
+
+/// Two places on opposite sides, in the world.
+struct Pair {
+    middle: DVec3,
+    /// From the left to the right place.
+    closing: DVec3,
+}
+
+impl<'a> GraspSampler<'a> {
+    /// A sampler of `object` (m, its own frame) lying at `t_world_object` on the ground z = 0. Seed
+    /// and name say what is drawn.
+    pub fn new(name: &'a str, object: &'a TriangleMesh, t_world_object: Pose, seed: u64) -> Self {
+        let mesh = object.transformed(&t_world_object);
+        let areas = mesh.triangle_areas();
+        let running = areas.iter().scan(0.0, |sum, area| {
+            *sum += area;
+            Some(*sum)
+        });
+        Self {
+            name,
+            seed,
+            object,
+            t_world_object,
+            query: MeshQuery::new(&mesh),
+            areas: running.collect(),
+            mesh,
+        }
+    }
+
+    /// The candidate of a number; the same on every call. None where no pair of places was found.
+    ///
+    /// # Errors
+    /// `Input` for an object without extent.
+    pub fn candidate(&self, number: usize) -> Result<Option<Candidate>> {
+        let name = format!("grasp {} {number}", self.name);
+        let mut draw = SeedStream::named(self.seed, &name);
+        let pair = (0..ATTEMPTS).find_map(|_| self.pair(&mut draw));
+        let Some(pair) = pair else {
+            return Ok(None);
+        };
+        let squeeze = draw.uniform();
+        let (fault, placed) = self.placed(&pair, &mut draw)?;
+        Ok(Some(Candidate {
+            number,
+            fault,
+            placed,
+            squeeze,
+        }))
+    }
+
+    /// Places that two fingers would meet first, closing horizontally through a random point of the
+    /// surface along its normal.
+    fn pair(&self, draw: &mut SeedStream) -> Option<Pair> {
+        let total = *self.areas.last()?;
+        let at = draw.uniform() * total;
+        let triangle = self.areas.partition_point(|sum| *sum < at);
+        let corners = self.mesh.corners(*self.mesh.triangles.get(triangle)?);
+        let [a, b, c] = corners;
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let closing = (-normal.with_z(0.0)).try_normalize()?;
+        let through = (a + b + c) / 3.0;
+        let seen_from = |direction: DVec3| {
+            let start = through - FAR_M * direction;
+            let hit = self.query.ray_cast(start, direction, 2.0 * FAR_M)?;
+            let [a, b, c] = self
+                .mesh
+                .corners(self.mesh.triangles[hit.triangle as usize]);
+            let normal = (b - a).cross(c - a).normalize_or_zero();
+            let faces = -normal.dot(direction) > LEAST_FACING;
+            faces.then_some(start + hit.t * direction)
+        };
+        let (left, right) = (seen_from(closing)?, seen_from(-closing)?);
+        let width = (right - left).dot(closing);
+        (WIDTH_M[0]..=WIDTH_M[1]).contains(&width).then_some(Pair {
+            middle: 0.5 * (left + right),
+            closing,
+        })
+    }
+
+    /// The gripper at a pair of places, and off it by what a person does wrong.
+    fn placed(&self, pair: &Pair, draw: &mut SeedStream) -> Result<(GraspFault, Placed)> {
+        let fault = draw.pick(FAULTS);
+        let mut off = |is: GraspFault, least: f64, most: f64, usual: f64| {
+            let (sign, size) = (draw.pick([-1.0, 1.0]), draw.uniform());
+            sign * if fault == is {
+                least + (most - least) * size
+            } else {
+                usual * size
+            }
+        };
+        let across = off(GraspFault::OffCentre, 0.005, 0.013, 0.002);
+        let tilt = off(GraspFault::Tilted, 0.12, 0.35, 0.03);
+        let lean = off(GraspFault::Leaned, 0.15, 0.45, 0.03);
+        let turn = off(GraspFault::Edge, 0.2, 0.6, 0.04);
+        let raised = off(GraspFault::Shallow, 0.006, 0.012, 0.002);
+        let raised = if fault == GraspFault::Shallow {
+            raised.abs()
+        } else {
+            raised
+        };
+        let along = off(GraspFault::None, 0.0, 0.001, 0.002);
+        let bounds = Aabb::from_points(self.mesh.vertices.iter().copied());
+        let yaw = pair.closing.y.atan2(pair.closing.x) + turn;
+        let from_center = (pair.middle - bounds.center()).truncate();
+        let axis = DVec2::from_angle(yaw);
+        let mut placement = Placement {
+            yaw_rad: yaw,
+            tilt_rad: tilt,
+            lean_rad: lean,
+            offset_m: [
+                from_center.dot(axis) + along,
+                // The gripper's y axis is the world's, turned and mirrored.
+                from_center.perp_dot(axis) + across,
+            ],
+            height_m: None,
+            opening_m: None,
+        };
+        placement.opening_m = Some(
+            placement
+                .place(self.object, &self.t_world_object)?
+                .opening_m
+                .min(WIDEST_M),
+        );
+        placement.height_m = Some(pair.middle.z + raised);
+        let placed = placement.place(self.object, &self.t_world_object)?;
+        let low = lowest(&placed);
+        placement.height_m = Some(pair.middle.z + raised + (CLEARANCE_M - low).max(0.0));
+        Ok((fault, placement.place(self.object, &self.t_world_object)?))
+    }
+}
+
+/// Height of the lowest corner of the gels above the ground, m.
+fn lowest(placed: &Placed) -> f64 {
+    let [approach, across, thickness] = PAD_SIZE_M;
+    let half = DVec3::new(
+        0.5 * placed.opening_m + thickness,
+        0.5 * across,
+        0.5 * approach,
+    );
+    let axes = placed.t_world_gripper.rotation_matrix();
+    let up = DVec3::new(axes.x_axis.z, axes.y_axis.z, axes.z_axis.z);
+    placed.t_world_gripper.translation_m.z - up.abs().dot(half)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{builtin, stable_poses};
+
+    #[test]
+    fn candidates_clear_the_ground_fit_the_gripper_and_are_drawn_again_alike() {
+        for shape in ["jack", "star", "dented", "saddle", "lump"] {
+            let mesh = builtin(shape).unwrap();
+            let t_world_object = stable_poses(&mesh, 0.0).unwrap()[0].t_world_object;
+            let sampler = GraspSampler::new(shape, &mesh, t_world_object, 4);
+            let (mut found, mut tilts, mut faults) = (0, 0, Vec::new());
+            for number in 0..12 {
+                let Some(candidate) = sampler.candidate(number).unwrap() else {
+                    continue;
+                };
+                found += 1;
+                assert_eq!(sampler.candidate(number).unwrap(), Some(candidate));
+                let placed = candidate.placed;
+                assert!((0.0..1.0).contains(&candidate.squeeze));
+                assert!(placed.opening_m <= WIDEST_M, "{shape}");
+                assert!(lowest(&placed) > 0.9 * CLEARANCE_M, "{shape}");
+                let axes = placed.t_world_gripper.rotation_matrix();
+                assert!(axes.z_axis.z < -0.7, "{shape}");
+                tilts += usize::from(axes.z_axis.z > -0.99);
+                faults.push(candidate.fault);
+            }
+            assert!(found >= 8, "{shape}: {found}");
+            assert!((1..found).contains(&tilts), "{shape}: {tilts}");
+            faults.sort_unstable();
+            faults.dedup();
+            assert!(faults.len() > 2, "{shape}: {faults:?}");
+        }
+    }
+}
