@@ -4,6 +4,8 @@
 //! each, and `plan.sha256`. Results are kept beside it, in `results/`.
 
 mod file;
+mod make;
+mod preset;
 mod shard;
 
 use serde::{Deserialize, Serialize};
@@ -11,6 +13,8 @@ use serde_json::Value;
 
 pub(in crate::synth) use file::hex;
 pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
+pub use make::{LeftOutObject, MadePlan, ObjectDraft, PlanSettings, check_parameters, make_plan};
+pub use preset::{PlanPreset, family_drafts};
 pub use shard::{INDEX_VARIABLES, Shard};
 
 use super::grasp::GraspFault;

@@ -1,0 +1,376 @@
+//! Makes a plan: objects get properties and grasps, grasps get forces and seeds.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use super::{
+    MeshSource, PLAN_FORMAT, PLAN_VERSION, Plan, PlanHeader, PlannedObject, PlannedSimulation,
+    RenderingPlan,
+};
+use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::{MassProperties, TriangleMesh};
+use crate::render::visual::SeedStream;
+use crate::sim::{Engine, EngineKind};
+use crate::synth::grasp::{GraspChoice, choose_grasps};
+use crate::synth::properties::{
+    Appearances, Material, Modifier, PhysicalProperties, PropertyAsker, PropertyQuery,
+    PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
+};
+use crate::workers::one_per_core;
+
+/// Seeds in files are below 2⁵³, so that every JSON reader keeps them.
+const SEED_BITS: u32 = 53;
+/// Estimated CPU time of finite elements, s: for each node of a gel and N of stopping force beyond
+/// a base, from the costs of the built-in cases.
+const FEM_BASE_S: f64 = 0.4;
+const FEM_S_PER_NODE: f64 = 1.6e-3;
+/// The same for a colour picture of one path a pixel, and for a rigid grasp.
+const VISUAL_S_PER_SAMPLE: f64 = 0.1;
+const TACTILE_S: f64 = 0.1;
+const RIGID_S: f64 = 0.1;
+
+/// What a plan is made by.
+#[derive(Clone, Debug)]
+pub struct PlanSettings {
+    /// Name of the preset.
+    pub preset: String,
+    /// Everything that is drawn follows from it.
+    pub seed: u64,
+    /// Grasps of each object.
+    pub grasps: usize,
+    /// Forces at which each grasp is simulated, N.
+    pub stop_forces_n: Vec<f64>,
+    /// How simulations become pictures.
+    pub rendering: RenderingPlan,
+    /// Whether masses are mapped to those of the paper's objects (A.1).
+    pub map_masses: bool,
+    /// Objects that are worked on at a time.
+    pub jobs: usize,
+}
+
+/// An object before it has properties and grasps.
+#[derive(Clone, Debug)]
+pub struct ObjectDraft {
+    /// Name; a key.
+    pub name: String,
+    /// Kind of thing.
+    pub category: String,
+    /// Where the mesh comes from.
+    pub source: MeshSource,
+    /// The mesh, m: closed.
+    pub mesh: TriangleMesh,
+    /// What it is made of.
+    pub material: &'static Material,
+    /// Share of the mesh's volume that is material; none for what is usual in the category.
+    pub fill: Option<f64>,
+    /// Mass, kg, where it is known.
+    pub mass_kg: Option<f64>,
+    /// Friction coefficient, where it is known.
+    pub friction: Option<f64>,
+    /// What it may look like, where that is known.
+    pub looks: Vec<Modifier>,
+}
+
+/// An object that is not in the plan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LeftOutObject {
+    /// Its name.
+    pub name: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// A plan and what did not get into it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MadePlan {
+    /// The plan.
+    pub plan: Plan,
+    /// Objects without grasps.
+    pub left_out: Vec<LeftOutObject>,
+}
+
+/// Makes a plan of objects. The same input gives the same plan on any number of threads.
+///
+/// # Errors
+/// `Input` where no object can be grasped or a name comes twice; those of the asker.
+pub fn make_plan(
+    settings: &PlanSettings,
+    drafts: Vec<ObjectDraft>,
+    engine: &dyn Engine,
+    asker: Option<&mut PropertyAsker>,
+    told: &(dyn Fn(usize) + Sync),
+) -> Result<MadePlan> {
+    check_names(&drafts)?;
+    let look = |draft: &ObjectDraft| Ok(looked_at(draft, settings));
+    let seen = one_per_core(settings.jobs, &drafts, &look, told)?;
+    let mut left_out = Vec::new();
+    let mut kept = Vec::new();
+    for (draft, seen) in drafts.into_iter().zip(seen) {
+        match seen {
+            Ok(seen) => kept.push((draft, seen)),
+            Err(error) => left_out.push(LeftOutObject {
+                name: draft.name,
+                reason: error.to_string(),
+            }),
+        }
+    }
+    if kept.is_empty() {
+        let reason = left_out.first().map_or("no object was given", |l| &l.reason);
+        return Err(Error::new(
+            ErrorKind::Input,
+            format!("no object can be grasped: {reason}"),
+        ));
+    }
+    let objects = described(&kept, settings, asker)?;
+    let simulations = simulations(&kept, settings, engine)?;
+    let header = PlanHeader {
+        format: PLAN_FORMAT.to_owned(),
+        version: PLAN_VERSION,
+        software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
+        preset: settings.preset.clone(),
+        seed: settings.seed,
+        engine: engine.kind(),
+        parameters: engine.parameters()?,
+        rendering: settings.rendering,
+    };
+    let plan = Plan::new(header, objects, simulations)?;
+    Ok(MadePlan { plan, left_out })
+}
+
+/// What is found by looking at an object alone.
+struct Seen {
+    choice: GraspChoice,
+    volume_m3: f64,
+    size_m: f64,
+}
+
+fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
+    let volume_m3 = MassProperties::of(&draft.mesh)?.volume_m3;
+    let [size_m, ..] = oriented_size_m(&draft.mesh)?;
+    let choice = choose_grasps(&draft.name, &draft.mesh, settings.grasps, settings.seed)?;
+    if choice.grasps.is_empty() {
+        return Err(Error::new(ErrorKind::Input, without_grasps(&choice)));
+    }
+    Ok(Seen {
+        choice,
+        volume_m3,
+        size_m,
+    })
+}
+
+fn without_grasps(choice: &GraspChoice) -> String {
+    let worst = choice.collisions.iter().max_by_key(|(_, count)| **count);
+    let hits = worst.map_or(String::new(), |(part, count)| {
+        format!(", {count} would hit it with the {part}")
+    });
+    format!(
+        "the gripper finds no grasp: {} candidates without two opposite places{hits}",
+        choice.without_places
+    )
+}
+
+fn check_names(drafts: &[ObjectDraft]) -> Result<()> {
+    let mut names = BTreeMap::new();
+    for draft in drafts {
+        *names.entry(&draft.name).or_insert(0) += 1;
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if draft.name.is_empty() || !draft.name.chars().all(plain) {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("`{}` cannot be the name of an object", draft.name),
+            )
+            .remedy("use letters, digits, `-`, `_` and `.`: files are named after it"));
+        }
+    }
+    match names.iter().find(|(_, count)| **count > 1) {
+        Some((twice, _)) => Err(Error::new(
+            ErrorKind::Input,
+            format!("two objects are named {twice}"),
+        )),
+        None => Ok(()),
+    }
+}
+
+/// Objects with mass, friction and looks.
+fn described(
+    kept: &[(ObjectDraft, Seen)],
+    settings: &PlanSettings,
+    mut asker: Option<&mut PropertyAsker>,
+) -> Result<Vec<PlannedObject>> {
+    let mut objects = Vec::with_capacity(kept.len());
+    for (draft, seen) in kept {
+        let seed = SeedStream::named(settings.seed, &format!("object {}", draft.name)).bits();
+        let looks = looks(draft, seed, asker.as_deref_mut())?;
+        let physical = physical(draft, seen, &looks, seed, asker.as_deref_mut())?;
+        objects.push(PlannedObject {
+            name: draft.name.clone(),
+            category: draft.category.clone(),
+            mesh: draft.source.clone(),
+            mesh_sha256: draft.mesh.content_hash(),
+            material: draft.material.name.to_owned(),
+            mass_kg: physical.mass_kg,
+            friction: draft.friction.unwrap_or(physical.friction),
+            properties: physical.source,
+            looks,
+        });
+    }
+    if settings.map_masses {
+        let masses: Vec<f64> = objects.iter().map(|object| object.mass_kg).collect();
+        for (object, mass_kg) in objects.iter_mut().zip(map_masses(&masses)?) {
+            object.mass_kg = mass_kg;
+        }
+    }
+    // What JSON readers show, and no last bit of a logarithm.
+    for object in &mut objects {
+        object.mass_kg = rounded(object.mass_kg, 1e6);
+        object.friction = rounded(object.friction, 1e4);
+    }
+    Ok(objects)
+}
+
+fn rounded(value: f64, per_unit: f64) -> f64 {
+    (value * per_unit).round() / per_unit
+}
+
+fn looks(
+    draft: &ObjectDraft,
+    seed: u64,
+    asker: Option<&mut PropertyAsker>,
+) -> Result<Vec<Modifier>> {
+    if !draft.looks.is_empty() {
+        return Ok(draft.looks.clone());
+    }
+    let Some(asker) = asker else {
+        return Ok(builtin_appearances(&draft.name, draft.material, seed));
+    };
+    let query = query(draft, "", seed);
+    let Appearances { modifiers, .. } = asker.appearances(&query)?;
+    Ok(modifiers)
+}
+
+fn physical(
+    draft: &ObjectDraft,
+    seen: &Seen,
+    looks: &[Modifier],
+    seed: u64,
+    asker: Option<&mut PropertyAsker>,
+) -> Result<PhysicalProperties> {
+    if let (Some(mass_kg), Some(friction)) = (draft.mass_kg, draft.friction) {
+        return Ok(PhysicalProperties {
+            mass_kg,
+            friction,
+            source: PropertySource::Given,
+        });
+    }
+    let mut found = match asker {
+        Some(asker) => {
+            let texture = looks.first().map_or("", |look| &look.words);
+            asker.physical(&PropertyQuery {
+                size_m: seen.size_m,
+                volume_m3: seen.volume_m3,
+                ..query(draft, texture, seed)
+            })?
+        }
+        None => estimate(&draft.category, draft.material, seen.volume_m3, draft.fill, seed)?,
+    };
+    found.mass_kg = draft.mass_kg.unwrap_or(found.mass_kg);
+    Ok(found)
+}
+
+fn query<'a>(draft: &'a ObjectDraft, texture: &'a str, seed: u64) -> PropertyQuery<'a> {
+    PropertyQuery {
+        object: &draft.name,
+        category: &draft.category,
+        texture,
+        material: draft.material,
+        size_m: 0.0,
+        volume_m3: 0.0,
+        fill: draft.fill,
+        seed,
+    }
+}
+
+fn simulations(
+    kept: &[(ObjectDraft, Seen)],
+    settings: &PlanSettings,
+    engine: &dyn Engine,
+) -> Result<Vec<PlannedSimulation>> {
+    let cost_s = cost_s(settings, engine)?;
+    let mut all = Vec::new();
+    for (draft, seen) in kept {
+        for (number, grasp) in seen.choice.grasps.iter().enumerate() {
+            for force_n in &settings.stop_forces_n {
+                let id = format!("{}-{number:03}-{force_n}n", draft.name);
+                // The engine is no part of it: both make pictures under the same conditions.
+                let seed = SeedStream::named(settings.seed, &format!("pictures {id}")).bits();
+                all.push(PlannedSimulation {
+                    id,
+                    object: draft.name.clone(),
+                    grasp: number as u32,
+                    fault: Some(grasp.candidate.fault),
+                    engine: engine.kind(),
+                    stop_force_n: *force_n,
+                    t_world_object: grasp.t_world_object,
+                    t_world_gripper: grasp.candidate.placed.t_world_gripper,
+                    opening_m: grasp.candidate.placed.opening_m,
+                    seed: seed >> (u64::BITS - SEED_BITS),
+                    cost_s: rounded(cost_s, 1e3),
+                });
+            }
+        }
+    }
+    all.sort_by(|a, b| (&a.object, a.grasp).cmp(&(&b.object, b.grasp)));
+    Ok(all)
+}
+
+/// Estimated CPU time of a simulation with its pictures, s.
+fn cost_s(settings: &PlanSettings, engine: &dyn Engine) -> Result<f64> {
+    let simulate = match engine.kind() {
+        EngineKind::Rigid => RIGID_S,
+        EngineKind::Fem => {
+            let nodes = engine.gel()?.map_or(0, |(grid, _)| grid.positions().len());
+            FEM_BASE_S + FEM_S_PER_NODE * nodes as f64
+        }
+    };
+    let RenderingPlan {
+        renderings, samples, ..
+    } = settings.rendering;
+    let picture = TACTILE_S + VISUAL_S_PER_SAMPLE * f64::from(samples);
+    Ok(simulate + f64::from(renderings) * picture)
+}
+
+/// Whether an engine has the parameters that a plan was made with.
+///
+/// # Errors
+/// `Input` with the first parameter that differs.
+pub fn check_parameters(plan: &Plan, engine: &dyn Engine) -> Result<()> {
+    let now = engine.parameters()?;
+    match difference("", &plan.header.parameters, &now) {
+        None => Ok(()),
+        Some((name, planned, now)) => Err(Error::new(
+            ErrorKind::Input,
+            format!("the plan was made with {name} = {planned}, this build has {now}"),
+        )
+        .remedy(format!(
+            "run it with {}, or make a new plan",
+            plan.header.software
+        ))),
+    }
+}
+
+/// The first place where two values differ.
+fn difference(name: &str, a: &Value, b: &Value) -> Option<(String, Value, Value)> {
+    match (a, b) {
+        (Value::Object(a), Value::Object(b)) => {
+            let names: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+            names.into_iter().find_map(|key| {
+                let inner = format!("{name}{}{key}", if name.is_empty() { "" } else { "." });
+                let [a, b] = [a, b].map(|map| map.get(key).unwrap_or(&Value::Null));
+                difference(&inner, a, b)
+            })
+        }
+        _ if a == b => None,
+        _ => Some((name.to_owned(), a.clone(), b.clone())),
+    }
+}
