@@ -1,10 +1,10 @@
 //! Pictures of a simulated grasp as a collection would have taken them.
 
-use crate::error::Result;
+use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::encode_jpeg;
 use crate::render::tactile::{
-    ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SensorVariation,
-    SimulatedGel, TactileScene,
+    ObjectDepthRenderer, SceneRenderer as _, SensorGeometry, SensorPlace, SensorProfile,
+    SensorVariation, SimulatedGel, TactileScene, depth_under_force, foundation_pa_m,
 };
 use crate::render::visual::{
     ColourSettings, DenoiseSettings, GraspState, Model, RenderSettings, Renderer, SeedStream, View,
@@ -12,6 +12,7 @@ use crate::render::visual::{
 };
 use crate::sim::GraspSetup;
 use crate::sim::grasp::{Finger, Snapshot, StageName};
+use crate::sim::solver::GelMaterial;
 
 use super::plan::RenderingPlan;
 
@@ -37,8 +38,50 @@ pub(super) struct Grasped<'a> {
     pub(super) setup: &'a GraspSetup,
     /// Before the lift.
     pub(super) snapshot: &'a Snapshot,
-    /// The gels that were simulated.
-    pub(super) gel: &'a SimulatedGel,
+    /// The gels, where they were simulated.
+    pub(super) gel: Option<&'a SimulatedGel>,
+    /// Normal force on the left and the right finger, N.
+    pub(super) force_n: [f64; 2],
+}
+
+impl Grasped<'_> {
+    /// What a sensor meets before the lift. Gels that were not simulated are pressed in as far as
+    /// an elastic foundation carries the force.
+    fn scene(&self, finger: Finger, grid: &SensorGeometry) -> Result<TactileScene<'_>> {
+        let mesh = &self.setup.mesh;
+        let place = SensorPlace::on(finger);
+        if let Some(gel) = self.gel {
+            return TactileScene::of_snapshot(mesh, gel, self.snapshot, place);
+        }
+        let thickness = grid.gel_thickness_m;
+        let opening_m = self.snapshot.opening_m;
+        let t_gripper_sensor = place.t_gripper_sensor(opening_m, thickness);
+        let t_sensor_world = (self.snapshot.t_world_gripper * t_gripper_sensor).inverse();
+        let t_sensor_object = t_sensor_world * self.snapshot.t_world_object;
+        let GelMaterial {
+            young_pa, poisson, ..
+        } = GelMaterial::default();
+        let stiffness = foundation_pa_m(young_pa, poisson, thickness);
+        let force_n = self.force_n[finger as usize];
+        let depth_m = depth_under_force(mesh, &t_sensor_object, force_n, stiffness, grid);
+        let depth_m = depth_m.ok_or_else(|| {
+            Error::new(ErrorKind::Internal, "a finger that was touched has nothing before it")
+        })?;
+        TactileScene::pressed(mesh, &t_sensor_object, depth_m, grid)
+    }
+
+    fn state(&self) -> Result<GraspState> {
+        let snapshot = self.snapshot;
+        match self.gel {
+            Some(gel) => GraspState::at(snapshot, Some(&gel.grid)),
+            None => Ok(GraspState {
+                t_world_object: snapshot.t_world_object,
+                t_world_gripper: snapshot.t_world_gripper,
+                opening_m: snapshot.opening_m,
+                gels: None,
+            }),
+        }
+    }
 }
 
 /// Makes the pictures of a rendering: other sensors, light, ground, camera each.
@@ -72,9 +115,7 @@ impl Photographer {
         let mut of = |finger: Finger| -> Result<[Vec<u8>; 2]> {
             let variation = SensorVariation::drawn(draw.bits(), self.plan.sensor_spread);
             let mut renderer = ObjectDepthRenderer::new(&variation.of(&self.sensor))?;
-            let place = SensorPlace::on(finger);
-            let mesh = &grasped.setup.mesh;
-            let after = TactileScene::of_snapshot(mesh, grasped.gel, grasped.snapshot, place)?;
+            let after = grasped.scene(finger, &self.sensor.geometry)?;
             let mut picture = |scene: &TactileScene<'_>| -> Result<Vec<u8>> {
                 encode_jpeg(&renderer.render(scene, Some(draw.bits()))?, QUALITY)
             };
@@ -91,8 +132,7 @@ impl Photographer {
     pub(super) fn rgb(&self, grasped: &Grasped<'_>, model: &Model, seed: u64) -> Result<Vec<u8>> {
         let mut draw = SeedStream::named(seed, "visual");
         let conditions = self.visual.sample(draw.bits());
-        let grid = &grasped.gel.grid;
-        let state = GraspState::at(grasped.snapshot, Some(grid))?;
+        let state = grasped.state()?;
         let scene = grasp_scene(model, &state, &conditions, View::EyeInHand(VIEW))?;
         let settings = RenderSettings {
             samples: self.plan.samples,
