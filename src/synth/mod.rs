@@ -10,6 +10,7 @@
 
 pub mod acronym;
 mod coated;
+mod engine;
 pub mod curate;
 pub mod family;
 pub mod grasp;
@@ -21,6 +22,7 @@ pub mod properties;
 mod run;
 mod store;
 
+pub use engine::planned_engine;
 pub use merge::{MergeReport, MergeSettings, merge};
 pub use object_mesh::planned_mesh;
 pub use run::{RunProgress, RunSummary, run};

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use super::{Candidate, GraspSampler, Obstacle, collides};
+use super::{GraspFault, GraspSampler, Obstacle, collides};
 use crate::error::Result;
 use crate::geometry::{Pose, StablePose, TriangleMesh, stable_poses};
 use crate::render::visual::SeedStream;
+use crate::sim::grasp::{GraspPose, Placed};
 
 /// An object does not tip over when it is turned by this, rad.
 const LEAST_TIP_RAD: f64 = 0.05;
@@ -14,13 +15,18 @@ const LEAST_PROBABILITY: f64 = 0.03;
 /// Candidates for each grasp that is wanted.
 const CANDIDATES: usize = 12;
 
+/// Widest opening of the gripper at a grasp that was given, m.
+const WIDEST_M: f64 = 0.085;
+
 /// A grasp that can begin: nothing of the open gripper is in the object or in the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChosenGrasp {
     /// How the object lies.
     pub t_world_object: Pose,
     /// Where the gripper is.
-    pub candidate: Candidate,
+    pub placed: Placed,
+    /// How it departs from opposite places; none for one that was given.
+    pub fault: Option<GraspFault>,
 }
 
 /// What was drawn for an object.
@@ -70,8 +76,60 @@ pub fn choose_grasps(
             Some(part) => *choice.collisions.entry(part).or_default() += 1,
             None => choice.grasps.push(ChosenGrasp {
                 t_world_object,
-                candidate,
+                placed: candidate.placed,
+                fault: Some(candidate.fault),
             }),
+        }
+    }
+    Ok(choice)
+}
+
+/// Up to `wanted` of the grasps `given` of an object (m, its own frame; `t_object_gripper`), each in
+/// the most likely stable pose in which it can begin.
+///
+/// # Errors
+/// As [`choose_grasps`].
+pub fn choose_given_grasps(
+    name: &str,
+    object: &TriangleMesh,
+    given: &[Pose],
+    wanted: usize,
+    seed: u64,
+) -> Result<GraspChoice> {
+    let poses = likely_poses(object)?;
+    let obstacles = poses
+        .iter()
+        .map(|pose| Obstacle::new(object, pose.t_world_object))
+        .collect::<Result<Vec<_>>>()?;
+    let mut order: Vec<usize> = (0..given.len()).collect();
+    order.sort_by_key(|at| SeedStream::named(seed, &format!("given {name} {at}")).bits());
+    let mut choice = GraspChoice::default();
+    for at in order {
+        if choice.grasps.len() == wanted {
+            break;
+        }
+        let grasp = GraspPose {
+            t_object_gripper: given[at],
+            t_world_object: None,
+            opening_m: None,
+        };
+        let mut hit = None;
+        for (pose, obstacle) in poses.iter().zip(&obstacles) {
+            let t_world_object = pose.t_world_object;
+            let mut placed = grasp.place(object, &t_world_object);
+            placed.opening_m = placed.opening_m.min(WIDEST_M);
+            hit = collides(&placed, obstacle)?;
+            if hit.is_none() {
+                choice.grasps.push(ChosenGrasp {
+                    t_world_object,
+                    placed,
+                    fault: None,
+                });
+                break;
+            }
+        }
+        if let Some(part) = hit {
+            *choice.collisions.entry(part).or_default() += 1;
         }
     }
     Ok(choice)
@@ -113,11 +171,25 @@ mod tests {
         assert_ne!(choose_grasps("mug", &mesh, 6, 4).unwrap(), choice);
         for grasp in &choice.grasps {
             let obstacle = Obstacle::new(&mesh, grasp.t_world_object).unwrap();
-            assert_eq!(collides(&grasp.candidate.placed, &obstacle).unwrap(), None);
+            assert_eq!(collides(&grasp.placed, &obstacle).unwrap(), None);
         }
         // A shorter list is the beginning of a longer one.
         let fewer = choose_grasps("mug", &mesh, 3, 3).unwrap();
         assert_eq!(fewer.grasps, choice.grasps[..3]);
+    }
+
+    #[test]
+    fn given_grasps_get_a_pose_in_which_they_can_begin() {
+        let mesh = builtin("box").unwrap();
+        let down = Pose::from_rotation(glam::DQuat::from_rotation_x(std::f64::consts::PI));
+        let up = Pose::IDENTITY;
+        let inside_out = Pose::from_translation(glam::DVec3::X * 0.03);
+        let given = [down, up, inside_out];
+        let choice = choose_given_grasps("box", &mesh, &given, 5, 1).unwrap();
+        // From below it can begin once the box lies upside down.
+        assert_eq!(choice.grasps.len(), 2, "{choice:?}");
+        assert!(choice.grasps.iter().all(|grasp| grasp.fault.is_none()));
+        assert_eq!(choice.collisions.values().sum::<usize>(), 1);
     }
 
     #[test]

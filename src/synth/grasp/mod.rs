@@ -4,6 +4,6 @@ mod choice;
 mod collision;
 mod sampler;
 
-pub use choice::{ChosenGrasp, GraspChoice, choose_grasps};
+pub use choice::{ChosenGrasp, GraspChoice, choose_given_grasps, choose_grasps};
 pub use collision::{Obstacle, collides};
 pub use sampler::{Candidate, GraspFault, GraspSampler};

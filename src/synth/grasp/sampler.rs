@@ -54,6 +54,20 @@ pub enum GraspFault {
     Edge,
 }
 
+impl GraspFault {
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::OffCentre => "off_centre",
+            Self::Tilted => "tilted",
+            Self::Leaned => "leaned",
+            Self::Shallow => "shallow",
+            Self::Edge => "edge",
+        }
+    }
+}
+
 const FAULTS: [GraspFault; 6] = [
     GraspFault::None,
     GraspFault::OffCentre,

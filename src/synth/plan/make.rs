@@ -9,10 +9,10 @@ use super::{
     RenderingPlan,
 };
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{MassProperties, TriangleMesh};
+use crate::geometry::{MassProperties, Pose, TriangleMesh};
 use crate::render::visual::SeedStream;
 use crate::sim::{Engine, EngineKind};
-use crate::synth::grasp::{GraspChoice, choose_grasps};
+use crate::synth::grasp::{GraspChoice, choose_given_grasps, choose_grasps};
 use crate::synth::properties::{
     Appearances, Material, Modifier, PhysicalProperties, PropertyAsker, PropertyQuery,
     PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
@@ -70,6 +70,8 @@ pub struct ObjectDraft {
     pub friction: Option<f64>,
     /// What it may look like, where that is known.
     pub looks: Vec<Modifier>,
+    /// Its grasps as `t_object_gripper`; none to draw them.
+    pub grasps: Option<Vec<Pose>>,
 }
 
 /// An object that is not in the plan.
@@ -148,7 +150,11 @@ struct Seen {
 fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
     let volume_m3 = MassProperties::of(&draft.mesh)?.volume_m3;
     let [size_m, ..] = oriented_size_m(&draft.mesh)?;
-    let choice = choose_grasps(&draft.name, &draft.mesh, settings.grasps, settings.seed)?;
+    let (name, wanted, seed) = (&draft.name, settings.grasps, settings.seed);
+    let choice = match &draft.grasps {
+        Some(given) => choose_given_grasps(name, &draft.mesh, given, wanted, seed)?,
+        None => choose_grasps(name, &draft.mesh, wanted, seed)?,
+    };
     if choice.grasps.is_empty() {
         return Err(Error::new(ErrorKind::Input, without_grasps(&choice)));
     }
@@ -308,12 +314,12 @@ fn simulations(
                     id,
                     object: draft.name.clone(),
                     grasp: number as u32,
-                    fault: Some(grasp.candidate.fault),
+                    fault: grasp.fault,
                     engine: engine.kind(),
                     stop_force_n: *force_n,
                     t_world_object: grasp.t_world_object,
-                    t_world_gripper: grasp.candidate.placed.t_world_gripper,
-                    opening_m: grasp.candidate.placed.opening_m,
+                    t_world_gripper: grasp.placed.t_world_gripper,
+                    opening_m: grasp.placed.opening_m,
                     seed: seed >> (u64::BITS - SEED_BITS),
                     cost_s: rounded(cost_s, 1e3),
                 });

@@ -106,5 +106,6 @@ fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {
         mass_kg: None,
         friction: None,
         looks: Vec::new(),
+        grasps: None,
     })
 }
