@@ -83,7 +83,7 @@ until_true() {
         if "$@" >/dev/null 2>&1; then
             return 0
         fi
-        read -r -t 0.2 <> <(:) || true
+        sleep 0.2
     done
     echo "never came: $*" >&2
     tail -n 20 "$dir"/log/*.log >&2
