@@ -14,7 +14,7 @@ use super::columns::{Column, Kind, columns};
 use super::layout::Layout;
 use super::page::ChunkPages;
 use super::source::Source;
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, Result};
 
 /// Most bytes of rows that are in memory at once.
 const MAX_BYTES: usize = 1 << 30;
@@ -47,6 +47,13 @@ struct Leaf<D: DataType> {
     /// Definition level of a value that is there.
     defined: i16,
     repeated: bool,
+}
+
+/// Values of some rows with their levels.
+struct Levels<T> {
+    values: Vec<T>,
+    definition: Vec<i16>,
+    repetition: Vec<i16>,
 }
 
 impl GroupCursor {
@@ -161,7 +168,9 @@ impl<D: DataType> Leaf<D> {
 
     /// One value a row, none where it is null.
     fn read(&mut self, rows: usize, column: &Column) -> Result<Vec<Option<D::T>>> {
-        let (values, definition, _) = self.read_levels(rows, column)?;
+        let Levels {
+            values, definition, ..
+        } = self.read_levels(rows, column)?;
         if self.defined == 0 {
             return Ok(values.into_iter().map(Some).collect());
         }
@@ -171,11 +180,7 @@ impl<D: DataType> Leaf<D> {
     }
 
     /// Values, definition and repetition levels of so many rows.
-    fn read_levels(
-        &mut self,
-        rows: usize,
-        column: &Column,
-    ) -> Result<(Vec<D::T>, Vec<i16>, Vec<i16>)> {
+    fn read_levels(&mut self, rows: usize, column: &Column) -> Result<Levels<D::T>> {
         let (mut values, mut definition, mut repetition) = (Vec::new(), Vec::new(), Vec::new());
         let mut read = 0;
         while read < rows {
@@ -193,7 +198,11 @@ impl<D: DataType> Leaf<D> {
             }
             read += records;
         }
-        Ok((values, definition, repetition))
+        Ok(Levels {
+            values,
+            definition,
+            repetition,
+        })
     }
 }
 
@@ -205,7 +214,11 @@ impl Leaf<DoubleType> {
         length: usize,
         column: &Column,
     ) -> Result<Vec<Cell<'static>>> {
-        let (values, definition, repetition) = self.read_levels(rows, column)?;
+        let Levels {
+            values,
+            definition,
+            repetition,
+        } = self.read_levels(rows, column)?;
         let starts = repetition.iter().filter(|&&level| level == 0).count();
         let whole = definition.iter().all(|&level| level == self.defined)
             && values.len() == rows * length

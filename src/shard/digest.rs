@@ -51,21 +51,22 @@ mod tests {
 
     #[test]
     fn cells_do_not_run_together() {
-        let hash = |cells: &[Cell<'_>]| {
+        let hash = |cells: Vec<Cell<'_>>| {
             let mut hash = ContentHash::default();
             cells.iter().for_each(|cell| hash.add(cell));
             hash.finish()
         };
-        let (ab, a, b, empty) = (
-            Cell::text("ab"),
-            Cell::text("a"),
-            Cell::text("b"),
-            Cell::text(""),
+        let text = Cell::text;
+        assert_ne!(hash(vec![text("ab")]), hash(vec![text("a"), text("b")]));
+        assert_ne!(hash(vec![text("")]), hash(vec![Cell::Null]));
+        assert_ne!(
+            hash(vec![text("ab"), text("")]),
+            hash(vec![text(""), text("ab")])
         );
-        assert_ne!(hash(&[ab.clone()]), hash(&[a, b]));
-        assert_ne!(hash(&[empty.clone()]), hash(&[Cell::Null]));
-        assert_ne!(hash(&[ab.clone(), empty.clone()]), hash(&[empty, ab]));
-        assert_ne!(hash(&[Cell::Number(0.0)]), hash(&[Cell::Number(-0.0)]));
-        assert_eq!(hash(&[]).len(), 64);
+        assert_ne!(
+            hash(vec![Cell::Number(0.0)]),
+            hash(vec![Cell::Number(-0.0)])
+        );
+        assert_eq!(hash(vec![]).len(), 64);
     }
 }

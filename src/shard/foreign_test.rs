@@ -23,6 +23,29 @@ fn foreign(groups: &[Vec<Vec<Cell<'_>>>]) -> Vec<u8> {
     writer.into_inner().unwrap()
 }
 
+/// Five rows of our writer, and the first three of them as others wrote them
+/// (`tests/peers/read_shards.py --rewrite`): Snappy and dictionaries; gzip, dictionaries, INT32
+/// labels, a column of nulls, one missing and one too many; Zstandard, pages of version 2, checksums.
+const OURS: &[u8] = include_bytes!("../../tests/data/shard/gripcast-1.parquet");
+pub(super) const DATASETS: &[u8] = include_bytes!("../../tests/data/shard/datasets.parquet");
+pub(super) const PANDAS: &[u8] = include_bytes!("../../tests/data/shard/pandas-changed.parquet");
+pub(super) const PYARROW: &[u8] = include_bytes!("../../tests/data/shard/pyarrow-v2.parquet");
+
+#[test]
+fn files_of_pandas_datasets_and_pyarrow_are_read() {
+    let ours = read(OURS.to_vec()).unwrap();
+    assert_eq!(ours.len(), 5);
+    assert!(ours.iter().any(|row| row.images.grasp_depth.is_some()));
+    assert_eq!(read(DATASETS.to_vec()).unwrap(), ours[..3]);
+    assert_eq!(read(PYARROW.to_vec()).unwrap(), ours[..3]);
+    let mut changed = ours[..3].to_vec();
+    for row in &mut changed {
+        row.facts.fault = None;
+        row.images.grasp_depth = None;
+    }
+    assert_eq!(read(PANDAS.to_vec()).unwrap(), changed);
+}
+
 fn read(bytes: Vec<u8>) -> Result<Vec<ShardRow>> {
     ShardReader::from_bytes("foreign.parquet", bytes)?
         .rows()

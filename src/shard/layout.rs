@@ -164,12 +164,12 @@ mod tests {
         let ours = find("", "").unwrap();
         assert!(ours.leaves.iter().all(Option::is_some));
         assert_eq!(leaf(&ours, "grasp_depth"), Some(34));
-        let other = find("double force_left_n;", "double other_n;").unwrap();
+        let other = find("DOUBLE force_left_n;", "DOUBLE other_n;").unwrap();
         assert_eq!(leaf(&other, "force_left_n"), None);
         assert_eq!(leaf(&other, "opening_m"), leaf(&ours, "opening_m"));
-        let null = find("double force_left_n;", "int32 force_left_n (UNKNOWN);").unwrap();
+        let null = find("DOUBLE force_left_n;", "INT32 force_left_n (UNKNOWN);").unwrap();
         assert_eq!(leaf(&null, "force_left_n"), None);
-        let error = find("double mass_kg;", "double mass;").unwrap_err();
+        let error = find("DOUBLE mass_kg;", "DOUBLE mass;").unwrap_err();
         assert!(
             error.to_string().contains("the column mass_kg is missing"),
             "{error}"
@@ -180,34 +180,38 @@ mod tests {
     fn wrong_types_are_named() {
         for (ours, other, expected) in [
             (
-                "int64 label;",
-                "double label;",
+                "INT64 label;",
+                "DOUBLE label;",
                 "column label has the type DOUBLE",
             ),
             (
-                "double mass_kg;",
-                "float mass_kg;",
+                "DOUBLE mass_kg;",
+                "FLOAT mass_kg;",
                 "column mass_kg has the type FLOAT",
             ),
             (
-                "binary id (STRING);",
-                "int64 id;",
+                "BYTE_ARRAY id (STRING);",
+                "INT64 id;",
                 "expected BYTE_ARRAY, a text",
             ),
             (
-                "OPTIONAL double friction;",
-                "REPEATED double friction;",
+                "OPTIONAL DOUBLE friction;",
+                "REPEATED DOUBLE friction;",
                 "column friction has",
             ),
-            ("binary bytes;", "int32 bytes;", "column initial_left has"),
             (
-                "double element;",
-                "binary element;",
+                "BYTE_ARRAY bytes;",
+                "INT32 bytes;",
+                "column initial_left has",
+            ),
+            (
+                "DOUBLE element;",
+                "BYTE_ARRAY element;",
                 "expected a list of DOUBLE",
             ),
             (
-                "double element;",
-                "double element; OPTIONAL double more;",
+                "DOUBLE element;",
+                "DOUBLE element; OPTIONAL DOUBLE more;",
                 "column pose_t_m has the type a group of 2 values",
             ),
         ] {
@@ -215,6 +219,6 @@ mod tests {
             assert_eq!(error.kind(), ErrorKind::Input);
             assert!(error.to_string().contains(expected), "{error}");
         }
-        find("int64 label;", "int32 label;").unwrap();
+        find("INT64 label;", "INT32 label;").unwrap();
     }
 }

@@ -92,7 +92,7 @@ impl ShardReader {
         self.0.metadata.num_row_groups()
     }
 
-    /// The JSON that the writer's caller gave; none in files of other writers.
+    /// The JSON that the writer's caller gave; none where another writer did not keep it.
     #[must_use]
     pub fn info(&self) -> Option<&str> {
         self.0.own.as_ref().map(|own| &*own.info)
@@ -277,8 +277,6 @@ struct OpenGroup {
     rows: usize,
     /// Bytes of the rows in memory.
     bytes: usize,
-    facts: ContentHash,
-    images: ContentHash,
 }
 
 impl Walk {
@@ -355,8 +353,6 @@ impl OpenGroup {
             read: 0,
             rows: usize::try_from(group.num_rows()).unwrap_or(0),
             bytes: 0,
-            facts: ContentHash::default(),
-            images: ContentHash::default(),
         })
     }
 
@@ -379,29 +375,30 @@ impl OpenGroup {
             self.read += rows;
         }
         if let Some(hash) = hash {
-            self.check(&samples, hash)?;
+            check_hash(&samples, hash)?;
         }
         Ok(samples)
     }
+}
 
-    fn check<T: Sample>(&mut self, samples: &[T], expected: &GroupHash) -> Result<()> {
-        let (mut facts, mut images) = (ContentHash::default(), ContentHash::default());
-        let mut pictured = true;
-        for sample in samples {
-            sample.facts().cells().iter().for_each(|c| facts.add(c));
-            match sample.images() {
-                Some(found) => found.cells().iter().for_each(|c| images.add(c)),
-                None => pictured = false,
-            }
+/// Whether the samples of a whole row group say what was written.
+fn check_hash<T: Sample>(samples: &[T], expected: &GroupHash) -> Result<()> {
+    let (mut facts, mut images) = (ContentHash::default(), ContentHash::default());
+    let mut pictured = true;
+    for sample in samples {
+        sample.facts().cells().iter().for_each(|c| facts.add(c));
+        match sample.images() {
+            Some(found) => found.cells().iter().for_each(|c| images.add(c)),
+            None => pictured = false,
         }
-        if facts.finish() != expected.facts_sha256 {
-            return Err(altered("the columns besides the pictures"));
-        }
-        if pictured && images.finish() != expected.images_sha256 {
-            return Err(altered("the pictures"));
-        }
-        Ok(())
     }
+    if facts.finish() != expected.facts_sha256 {
+        return Err(altered("the columns besides the pictures"));
+    }
+    if pictured && images.finish() != expected.images_sha256 {
+        return Err(altered("the pictures"));
+    }
+    Ok(())
 }
 
 /// Runs what calls the Parquet crate; nothing of it is used again after a panic.

@@ -5,11 +5,13 @@ use std::fmt;
 use glam::DQuat;
 
 use super::cell::{Cell, Cells, wrong};
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::Result;
 use crate::geometry::Pose;
 
 /// Largest deviation of a quaternion's norm from 1 that is taken as rounding.
 const UNIT_TOLERANCE: f64 = 1e-3;
+/// The least number above 0.
+const ABOVE_0: f64 = f64::MIN_POSITIVE;
 /// Begin of every PNG file.
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Begin of every JPEG file.
@@ -233,44 +235,25 @@ impl ShardFacts {
                 return Err(wrong(name, "is empty".to_owned()));
             }
         }
-        let positive = |v: f64| v > 0.0;
-        let not_negative = |v: f64| v >= 0.0;
-        let any = |_: f64| true;
-        let bounds: [(&str, Option<f64>, &dyn Fn(f64) -> bool, &str); 7] = [
-            (
-                "stop_force_n",
-                Some(self.stop_force_n),
-                &positive,
-                "above 0",
-            ),
-            (
-                "friction",
-                Some(self.friction),
-                &not_negative,
-                "not negative",
-            ),
-            ("mass_kg", Some(self.mass_kg), &positive, "above 0"),
-            ("lifted_m", Some(self.lifted_m), &any, "finite"),
-            (
-                "force_left_n",
-                self.force_left_n,
-                &not_negative,
-                "not negative",
-            ),
-            (
-                "force_right_n",
-                self.force_right_n,
-                &not_negative,
-                "not negative",
-            ),
-            ("opening_m", Some(self.opening_m), &any, "finite"),
+        // The least that each may be.
+        let bounds = [
+            ("stop_force_n", Some(self.stop_force_n), ABOVE_0),
+            ("friction", Some(self.friction), 0.0),
+            ("mass_kg", Some(self.mass_kg), ABOVE_0),
+            ("lifted_m", Some(self.lifted_m), f64::MIN),
+            ("force_left_n", self.force_left_n, 0.0),
+            ("force_right_n", self.force_right_n, 0.0),
+            ("opening_m", Some(self.opening_m), f64::MIN),
         ];
-        for (name, value, holds, expected) in bounds {
-            if let Some(value) = value.filter(|&v| !(v.is_finite() && holds(v))) {
-                return Err(wrong(
-                    name,
-                    format!("is {value}; it must be a number, {expected}"),
-                ));
+        for (name, value, least) in bounds {
+            if let Some(value) = value.filter(|v| !(least..=f64::MAX).contains(v)) {
+                let expected = match least {
+                    ABOVE_0 => ", above 0",
+                    0.0 => ", not negative",
+                    _ => "",
+                };
+                let what = format!("is {value}; it must be a finite number{expected}");
+                return Err(wrong(name, what));
             }
         }
         if i64::try_from(self.seed).is_err() {
@@ -346,7 +329,8 @@ fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
     let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
     let off = (rotation.length() - 1.0).abs();
     // Written so that NaN is refused as well.
-    if !(off <= UNIT_TOLERANCE) {
+    let is_unit = off <= UNIT_TOLERANCE;
+    if !is_unit {
         return Err(wrong(
             "pose_q_wxyz",
             format!("is {q_wxyz:?}; it must be a unit quaternion"),

@@ -1,6 +1,6 @@
 //! A folder of shards by split.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -109,6 +109,29 @@ impl ShardSet {
         let shards = self.shards(split)?.to_vec();
         Ok(chain(shards, |shard| shard.facts()))
     }
+
+    /// Reads everything: hashes, values, and that no id is there twice. The rows of each split.
+    ///
+    /// # Errors
+    /// `Input`: two samples have one id; as of [`ShardReader::rows`].
+    pub fn verify(&self) -> Result<BTreeMap<String, usize>> {
+        let mut split_of: BTreeMap<String, &str> = BTreeMap::new();
+        let mut counts = BTreeMap::new();
+        for split in self.splits() {
+            let mut count = 0;
+            for row in self.rows(split)? {
+                count += 1;
+                let id = row?.facts.id;
+                if let Some(other) = split_of.get(&id) {
+                    let what = format!("the sample {id:?} is in {other} and again in {split}");
+                    return Err(Error::new(ErrorKind::Input, what).at(self.root.display()));
+                }
+                split_of.insert(id, split);
+            }
+            counts.insert(split.to_owned(), count);
+        }
+        Ok(counts)
+    }
 }
 
 /// What is in the files one after the other, up to the first error.
@@ -144,7 +167,7 @@ where
 fn list(root: &Path) -> Result<BTreeMap<String, Vec<PathBuf>>> {
     let folder = root.join(DATA);
     let unreadable = |e| Error::io(format!("cannot list the folder {DATA}"), e);
-    let mut found: BTreeMap<String, BTreeMap<usize, usize>> = BTreeMap::new();
+    let mut found: BTreeMap<String, BTreeSet<(usize, usize)>> = BTreeMap::new();
     for entry in fs::read_dir(&folder).map_err(unreadable)? {
         let name = entry.map_err(unreadable)?.file_name();
         let name = name.to_string_lossy();
@@ -157,33 +180,31 @@ fn list(root: &Path) -> Result<BTreeMap<String, Vec<PathBuf>>> {
             let remedy = "shards are called SPLIT-00000-of-00003.parquet, counted from 0";
             return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
         };
-        found
-            .entry(split.to_owned())
-            .or_default()
-            .insert(index, count);
+        let shards = found.entry(split.to_owned()).or_default();
+        shards.insert((index, count));
     }
     if found.is_empty() {
         let what = format!("there is no shard in the folder {DATA}");
         return Err(Error::new(ErrorKind::NotFound, what));
     }
-    let complete = |(split, shards): (String, BTreeMap<usize, usize>)| {
+    let complete = |(split, shards): (String, BTreeSet<(usize, usize)>)| {
         let files = files(root, &split, &shards)?;
         Ok((split, files))
     };
     found.into_iter().map(complete).collect()
 }
 
-/// The files of a split, all of them. `shards`: how many shards the name of each says.
-fn files(root: &Path, split: &str, shards: &BTreeMap<usize, usize>) -> Result<Vec<PathBuf>> {
-    let count = shards.values().next().copied().unwrap_or(0);
-    if let Some(other) = shards.values().find(|&&other| other != count) {
+/// The files of a split, all of them. `shards`: index and count in the name of each.
+fn files(root: &Path, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<Vec<PathBuf>> {
+    let count = shards.first().map_or(0, |&(_, count)| count);
+    if let Some((_, other)) = shards.iter().find(|&&(_, other)| other != count) {
         let what = format!(
             "the split {split} has shards of {count} and shards of {other}: they are of two sets"
         );
         return Err(Error::new(ErrorKind::Input, what).remedy("remove those of the older set"));
     }
     let missing: Vec<usize> = (0..count)
-        .filter(|index| !shards.contains_key(index))
+        .filter(|index| !shards.contains(&(*index, count)))
         .collect();
     if let Some(&first) = missing.first() {
         let name = shard_name(split, first, count)?;
@@ -247,6 +268,14 @@ mod tests {
         assert_eq!(rows, expected);
         let facts: Vec<ShardFacts> = set.facts("train").unwrap().map(Result::unwrap).collect();
         assert!(facts.iter().eq(expected.iter().map(|row| &row.facts)));
+        let counts = [("test", 2), ("train", 7)].map(|(split, rows)| (split.to_owned(), rows));
+        assert_eq!(set.verify().unwrap(), counts.into());
+        write(root, "data/test-00000-of-00001.parquet", 3, 1);
+        let error = set.verify().unwrap_err().to_string();
+        assert!(
+            error.contains("\"000003-r0\" is in test and again in train"),
+            "{error}"
+        );
         let error = set.num_rows("tain").unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Usage);
         assert!(error.to_string().contains("did you mean train"), "{error}");
