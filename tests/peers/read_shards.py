@@ -58,7 +58,9 @@ def check_row(row, where):
         if picture is None:
             expect(column in NULLABLE_IMAGES, f"{where}: {column} is null")
             continue
-        expect(isinstance(picture, Image.Image), f"{where}: {column} is {type(picture)}")
+        if not isinstance(picture, Image.Image):
+            faults.append(f"{where}: {column} is {type(picture)}")
+            continue
         picture.load()
         if column == "grasp_depth":
             expect(picture.mode in ("I;16", "I"), f"{where}: depth came as {picture.mode}")
