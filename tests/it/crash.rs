@@ -108,6 +108,7 @@ fn nothing_acknowledged_is_lost_at_200_random_moments() {
                  undo\nexpect saved\nwait contact\ngrasp\nexpect saved\nslip\nexpect saved\n";
     let steps = format!("wait live\n{}quit\n", cycle.repeat(50));
     let script = script(dir.path(), &steps);
+    let complaints = dir.path().join("stderr");
     let mut rng = Pcg64::seed_from_u64(20);
     let (mut acknowledged, mut in_flight) = (0, 0);
     let mut known = Acknowledged::default();
@@ -123,16 +124,17 @@ fn nothing_acknowledged_is_lost_at_200_random_moments() {
             // Without contact no virtual hand has to be waited for.
             .env("GRIPCAST__GUARDS__MIN_CONTACT_FRACTION", "0")
             .stdout(Stdio::piped())
-            .stderr(Stdio::null())
+            .stderr(std::fs::File::create(&complaints).unwrap())
             .spawn()
             .unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
         let events = rng.random_range(0..40);
         for _ in 0..events {
-            let line = lines
-                .next()
-                .expect("the collection ended too early")
-                .unwrap();
+            let line = lines.next().unwrap_or_else(|| {
+                let said = std::fs::read_to_string(&complaints).unwrap();
+                panic!("the collection ended too early: {:?}\n{said}", child.wait())
+            });
+            let line = line.unwrap();
             known.take(&serde_json::from_str(&line).unwrap());
         }
         // Somewhere in the next request or two.

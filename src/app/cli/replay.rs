@@ -284,13 +284,13 @@ impl SweepFlags {
 
     fn settings(&self) -> Result<ReplaySettings> {
         let given = |values: &[f64], default: [f64; 3]| {
-            let mut values = if values.is_empty() {
-                default.to_vec()
-            } else {
-                values.to_vec()
-            };
-            values.dedup();
-            values
+            let mut different: Vec<f64> = Vec::new();
+            for value in if values.is_empty() { &default } else { values } {
+                if !different.contains(value) {
+                    different.push(*value);
+                }
+            }
+            different
         };
         let mut fem = GraspSettings::new(self.preset.into());
         fem.resolution = self.gel.unwrap_or(GelName::Default).into();

@@ -9,6 +9,8 @@ pub struct SupervisionPolicy {
     pub fps_window_ns: u64,
     /// No usable frame for this many nominal intervals: the camera is silent.
     pub silent_periods: f64,
+    /// The same, at least this long, ns: a fast camera on a busy machine also waits for the machine.
+    pub silent_after_ns: u64,
     /// Silent or frozen for this long: the camera is opened anew, ns.
     pub reopen_after_ns: u64,
     /// The same bytes again and again for this long: the picture is frozen, ns. `None` for
@@ -31,6 +33,7 @@ impl Default for SupervisionPolicy {
         Self {
             fps_window_ns: 2_000_000_000,
             silent_periods: 8.0,
+            silent_after_ns: 250_000_000,
             reopen_after_ns: 3_000_000_000,
             freeze_after_ns: Some(1_000_000_000),
             first_backoff_ns: 250_000_000,
@@ -207,9 +210,10 @@ impl StreamMonitor {
     pub fn tick(&mut self, now_ns: u64) -> Option<String> {
         self.forget_arrivals(now_ns);
         let quiet_ns = now_ns.saturating_sub(self.usable_ns);
-        let limit_ns = (self.interval_ns as f64 * self.policy.silent_periods) as u64;
+        let periods_ns = (self.interval_ns as f64 * self.policy.silent_periods) as u64;
+        let limit_ns = periods_ns.max(self.policy.silent_after_ns);
         let opening = self.health == Health::Opening;
-        if quiet_ns > limit_ns && limit_ns > 0 && !opening {
+        if quiet_ns > limit_ns && periods_ns > 0 && !opening {
             self.health = Health::Silent {
                 since_ns: self.usable_ns,
             };
