@@ -1,3 +1,4 @@
 //! The synthetic dataset.
 
+pub mod acronym;
 pub mod properties;

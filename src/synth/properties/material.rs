@@ -69,7 +69,7 @@ const STEELY: &[&Coat] = &[&coat::STEEL, &coat::ENAMEL, &coat::POWDER_COAT];
 const PLASTIC: &[&Coat] = &[&coat::PLASTIC];
 const CLEAR: &[&Coat] = &[&coat::CLEAR_PLASTIC, &coat::PLASTIC];
 
-const TABLE: [Material; 40] = [
+static TABLE: [Material; 40] = [
     row("wood", 650.0, [0.50, 0.95], WOODEN),
     row("pine", 500.0, [0.50, 0.95], WOODEN),
     row("balsa", 160.0, [0.45, 0.85], WOODEN),

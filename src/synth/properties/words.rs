@@ -85,7 +85,7 @@ const PATTERNS: &[(&str, PatternWord)] = &[
     ("freckle", Speckled),
     ("textured", Speckled),
     ("mottled", Mottled),
-    ("stain", Mottled),
+    ("stained", Mottled),
     ("hammer", Mottled),
     ("marbl", Marbled),
     ("vein", Marbled),

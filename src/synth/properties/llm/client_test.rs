@@ -1,9 +1,11 @@
 //! The client against a server with a script.
 
 use std::fs;
+use std::io::{Read as _, Write as _};
 use std::net::TcpListener;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
+use std::thread;
 use std::time::Duration;
 
 use tempfile::TempDir;
@@ -197,6 +199,27 @@ fn no_server_is_given_up() {
     assert!(error.to_string().contains("refused"), "{error}");
     assert!(error.remedy_text().unwrap().contains("table"), "{error}");
     assert_eq!(bench.waits(), [1, 2, 4, 8]);
+}
+
+#[test]
+fn a_server_without_encryption_is_told_at_once() {
+    let bench = Bench::new();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("https://{}/v1", listener.local_addr().unwrap());
+    thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let _ = stream.read(&mut [0; 4096]).unwrap();
+        stream
+            .write_all(b"HTTP/1.1 400 Bad Request\r\n\r\n")
+            .unwrap();
+    });
+    let error = bench.asker(&url, true).physical(&query()).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Config, "{error}");
+    assert!(
+        error.to_string().contains("no secure connection"),
+        "{error}"
+    );
+    assert!(bench.waits().is_empty());
 }
 
 #[test]

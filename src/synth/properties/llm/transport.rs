@@ -1,5 +1,6 @@
 //! One question over HTTP.
 
+use std::io;
 use std::time::Duration;
 
 use serde_json::{Value, json};
@@ -157,6 +158,13 @@ impl Transport {
             ureq::Error::BadUri(_) | ureq::Error::Http(_) | ureq::Error::InvalidProxyUrl => {
                 Failure::Final(Error::new(ErrorKind::Usage, what))
             }
+            // Of the encryption: what comes is no TLS, or its certificate is not trusted.
+            ureq::Error::Io(e) if e.kind() == io::ErrorKind::InvalidData => Failure::Final(
+                Error::new(ErrorKind::Config, format!("no secure connection: {what}")).remedy(
+                    "use an endpoint with a public certificate, or http through a tunnel to \
+                     localhost (ssh -L)",
+                ),
+            ),
             _ => Failure::Passing {
                 what,
                 retry_after: None,
