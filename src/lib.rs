@@ -29,6 +29,7 @@ pub mod geometry;
 pub mod imaging;
 pub mod pose;
 pub mod predict;
+pub(crate) mod quiet_panic;
 pub mod render;
 pub mod replay;
 pub mod rig;

@@ -17,7 +17,6 @@ mod group;
 mod layout;
 mod metadata;
 mod page;
-mod quiet_panic;
 mod reader;
 mod row;
 mod set;

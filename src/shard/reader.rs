@@ -15,10 +15,10 @@ use super::cursor::GroupCursor;
 use super::digest::ContentHash;
 use super::layout::Layout;
 use super::metadata::{CREATED_BY, GroupHash, KEY, ShardMetadata};
-use super::quiet_panic;
 use super::row::{ShardFacts, ShardImages, ShardRow};
 use super::source::Source;
 use crate::error::{Error, ErrorKind, Result};
+use crate::quiet_panic;
 
 /// Rows that are read together; of other writers' files, also those that are in memory.
 const BATCH: usize = 32;

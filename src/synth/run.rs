@@ -1,7 +1,7 @@
 //! Simulates a part of a plan and takes the pictures.
 
 use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -11,6 +11,7 @@ use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameter
 use super::store::{CpuSeconds, ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::TriangleMesh;
+use crate::quiet_panic;
 use crate::render::tactile::SimulatedGel;
 use crate::render::visual::{Model, SeedStream};
 use crate::shard::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes};
@@ -129,12 +130,12 @@ impl<'a> Workshop<'a> {
     fn make(&self, simulation: &PlannedSimulation) -> Result<(SimulationResult, Samples)> {
         let object = self.plan.object(simulation)?;
         let mut result = SimulationResult::of(self.plan, simulation);
-        let tried = catch_unwind(AssertUnwindSafe(|| self.tried(simulation, object)));
+        let tried = quiet_panic::catch(AssertUnwindSafe(|| self.tried(simulation, object)));
         let why = match tried {
             Ok(Ok((result, samples))) => return Ok((result, samples)),
             Ok(Err(error)) if error.kind() == ErrorKind::DiskFull => return Err(error),
             Ok(Err(error)) => error.to_string(),
-            Err(_) => "the simulation ended early; this is a defect of gripcast".to_owned(),
+            Err(message) => format!("a defect of gripcast ended it: {message}"),
         };
         result.detail = Some(why);
         Ok((result, None))
