@@ -16,7 +16,16 @@ const ATTEMPTS: u32 = 16;
 const GRADIENT_M: f64 = 1e-5;
 
 /// Signed function of place (m), negative inside the body, growing by about 1 for each metre.
-pub(super) type Field<'a> = &'a dyn Fn(DVec3) -> f64;
+pub(crate) type Field<'a> = &'a dyn Fn(DVec3) -> f64;
+
+/// A surface of quadrilaterals, their corners counter-clockwise seen from outside.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct QuadMesh {
+    /// Positions, m.
+    pub(crate) vertices: Vec<DVec3>,
+    /// Indices into `vertices`.
+    pub(crate) quads: Vec<[u32; 4]>,
+}
 
 /// Mesh of the zero surface within ±`half` (m), which must enclose it, with faces about `cell` (m)
 /// wide.
@@ -35,26 +44,44 @@ pub(super) fn surface(field: Field<'_>, half: DVec3, cell: f64) -> TriangleMesh 
 }
 
 fn on_lattice(field: Field<'_>, half: DVec3, cell: f64, shift: f64) -> TriangleMesh {
-    let mut net = Net::new(field, half, cell, shift);
+    let mut net = net_of_quads(field, half, cell, shift);
+    even_out(field, &mut net, ROUNDS);
+    let mut mesh = TriangleMesh {
+        vertices: net.vertices,
+        triangles: Vec::new(),
+    };
+    for quad in net.quads {
+        let quad = along_shorter_diagonal(quad, &mesh.vertices);
+        push_quad(&mut mesh, quad);
+    }
+    mesh
+}
+
+/// Quadrilaterals near the zero surface within ±`half` (m) on a lattice of `cell` (m) moved by a
+/// `shift` from 0 to 1. [`even_out`] brings their corners onto the surface.
+pub(crate) fn net_of_quads(field: Field<'_>, half: DVec3, cell: f64, shift: f64) -> QuadMesh {
     let mut mesh = TriangleMesh::default();
-    let quads = net.quads(&mut mesh);
-    let neighbours = neighbours(&quads, mesh.vertices.len());
-    for vertex in &mut mesh.vertices {
+    let quads = Net::new(field, half, cell, shift).quads(&mut mesh);
+    QuadMesh {
+        vertices: mesh.vertices,
+        quads,
+    }
+}
+
+/// Moves vertices onto the surface, then in each round to the middle of their neighbours and back.
+pub(crate) fn even_out(field: Field<'_>, net: &mut QuadMesh, rounds: usize) {
+    let neighbours = neighbours(&net.quads, net.vertices.len());
+    for vertex in &mut net.vertices {
         *vertex = on_surface(field, *vertex);
     }
-    for _ in 0..ROUNDS {
-        let before = mesh.vertices.clone();
-        for (vertex, around) in mesh.vertices.iter_mut().zip(&neighbours) {
+    for _ in 0..rounds {
+        let before = net.vertices.clone();
+        for (vertex, around) in net.vertices.iter_mut().zip(&neighbours) {
             let sum: DVec3 = around.iter().map(|&n| before[n as usize]).sum();
             let middle = sum / around.len().max(1) as f64;
             *vertex = on_surface(field, vertex.lerp(middle, 0.5));
         }
     }
-    for quad in quads {
-        let quad = along_shorter_diagonal(quad, &mesh.vertices);
-        push_quad(&mut mesh, quad);
-    }
-    mesh
 }
 
 /// The quadrilateral, turned so that it is cut along its shorter diagonal.
@@ -71,17 +98,22 @@ fn along_shorter_diagonal([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> [u32; 4
 fn on_surface(field: Field<'_>, point: DVec3) -> DVec3 {
     let mut at = point;
     for _ in 0..2 {
-        let gradient = DVec3::AXES.map(|axis| {
-            let step = GRADIENT_M * axis;
-            (field(at + step) - field(at - step)) / (2.0 * GRADIENT_M)
-        });
-        let gradient = DVec3::from_array(gradient);
+        let gradient = gradient(field, at);
         at -= gradient * (field(at) / gradient.length_squared().max(1e-12));
     }
     at
 }
 
-fn neighbours(quads: &[[u32; 4]], count: usize) -> Vec<Vec<u32>> {
+/// Numerical gradient of the field.
+pub(crate) fn gradient(field: Field<'_>, at: DVec3) -> DVec3 {
+    DVec3::from_array(DVec3::AXES.map(|axis| {
+        let step = GRADIENT_M * axis;
+        (field(at + step) - field(at - step)) / (2.0 * GRADIENT_M)
+    }))
+}
+
+/// Vertices with which each vertex shares a side, ascending.
+pub(crate) fn neighbours(quads: &[[u32; 4]], count: usize) -> Vec<Vec<u32>> {
     let mut around = vec![Vec::with_capacity(6); count];
     for quad in quads {
         for corner in 0..4 {

@@ -1,0 +1,3 @@
+//! The synthetic dataset.
+
+pub mod family;
