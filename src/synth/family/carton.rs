@@ -12,6 +12,9 @@ use super::shape::sized;
 use crate::error::Result;
 use crate::geometry::TriangleMesh;
 
+/// Surface of the largest box, m².
+const MAX_AREA_M2: f64 = 0.048;
+
 pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     let form = draw.form(["carton", "soap", "book", "tapered box", "gabled carton"]);
     match form {
@@ -47,6 +50,8 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
             let length = draw.between("length_m", 0.03, 0.145);
             let width = draw.between("width_m", 0.02, 0.078_f64.min(length));
             let height = draw.between("height_m", 0.015, 0.12_f64.min(2.5 * width));
+            // Not more surface than the triangles suffice for.
+            let height = height.min((0.5 * MAX_AREA_M2 - length * width) / (length + width));
             let bevel = draw.between("bevel_m", 0.0007, 0.0025);
             let taper = if form == "tapered box" {
                 draw.between("taper", 0.08, 0.4)
@@ -122,7 +127,7 @@ pub(super) fn rounded_box(size: DVec3, fillet: f64, edge: f64) -> TriangleMesh {
 fn steps(length: f64, fillet: f64, edge: f64) -> Vec<f64> {
     let core = 0.5 * length - fillet;
     let bends = (FRAC_PI_4 * fillet / edge).round().max(1.0);
-    let pieces = (2.0 * core / edge - 0.2).ceil().max(1.0);
+    let pieces = (2.0 * core / edge - 0.05).ceil().max(1.0);
     let bend = |k: f64| core + fillet * (FRAC_PI_4 * k / bends).tan();
     let mut steps: Vec<f64> = (1..=bends as usize).map(|k| -bend(k as f64)).collect();
     steps.reverse();

@@ -74,7 +74,7 @@ fn spoon(draw: &mut Draw, handle: &Handle, ladle: bool) -> Result<TriangleMesh> 
     let wide = half * draw.between("bowl_width", 0.6, if ladle { 1.0 } else { 0.8 });
     let deep = half
         * if ladle {
-            draw.between("depth", 0.5, 0.75)
+            draw.between("depth", 0.4, 0.6)
         } else {
             draw.between("depth", 0.2, 0.4)
         };

@@ -2,6 +2,7 @@
 //! for, and cross sections that need not be round.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use glam::{DVec2, DVec3};
 
@@ -23,6 +24,11 @@ pub(super) struct Section {
 impl Section {
     pub(super) fn circle() -> Self {
         Self::of(1, |_| 1.0)
+    }
+
+    /// A circle of so many vertices, in columns from the bottom to the top.
+    pub(super) fn columns(count: usize) -> Self {
+        Self::of(count, |_| 1.0)
     }
 
     /// A rectangle with round corners, rounder with less `power` (2 is an ellipse): 1 wide to
@@ -134,6 +140,11 @@ pub(super) fn turned(profile: &[DVec2], closed: bool, edge: f64) -> TriangleMesh
 
 impl Lathe<'_> {
     pub(super) fn mesh(&self) -> TriangleMesh {
+        self.mesh_and_rings().0
+    }
+
+    /// The mesh, and for each point of the profile its vertices.
+    pub(super) fn mesh_and_rings(&self) -> (TriangleMesh, Vec<Range<u32>>) {
         let mut mesh = TriangleMesh::default();
         let rings: Vec<Ring> = (0..self.profile.len())
             .map(|row| self.ring(&mut mesh, row))
@@ -144,7 +155,8 @@ impl Lathe<'_> {
         if self.closed {
             stitch(&mut mesh, &rings[rings.len() - 1], &rings[0]);
         }
-        mesh
+        let ranges = rings.iter().map(|r| r.first..r.first + r.count).collect();
+        (mesh, ranges)
     }
 
     fn ring(&self, mesh: &mut TriangleMesh, row: usize) -> Ring {

@@ -108,7 +108,7 @@ fn corner(before: DVec2, knot: Knot, after: DVec2, edge: f64) -> Vec<DVec2> {
 fn divided(corners: &[DVec2], edge: f64) -> Vec<DVec2> {
     let mut points = vec![corners[0]];
     for w in corners.windows(2) {
-        let pieces = (w[0].distance(w[1]) / edge - 0.2).ceil().max(1.0);
+        let pieces = (w[0].distance(w[1]) / edge - 0.05).ceil().max(1.0);
         points.extend((1..=pieces as usize).map(|k| w[0].lerp(w[1], k as f64 / pieces)));
     }
     points

@@ -56,7 +56,9 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
             profile: &profile,
             closed: false,
             section: &section,
-            share: &|at| f64::from(at.y < 0.8 * length && at.x > 0.5 * radius),
+            share: &|at| {
+                f64::from((form == "candle" || at.y < 0.8 * length) && at.x > 0.5 * radius)
+            },
             edge,
         };
         let mut mesh = lathe.mesh();

@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
-use super::shape::rounded_to_grid;
-use crate::geometry::implicit::{Field, QuadMesh, even_out, gradient, neighbours, net_of_quads};
+use super::shape::{rounded_to_grid, slenderness};
+use crate::geometry::implicit::{Field, QuadMesh, even_out, gradient, neighbours, net_of_sheets};
 use crate::geometry::{Aabb, TriangleMesh};
 
 /// Rounds that even the mesh out.
@@ -11,11 +11,15 @@ const ROUNDS: usize = 6;
 /// Lattices that are tried.
 const LATTICES: u32 = 8;
 /// Quadrilaterals that a body is meant to have.
-const QUADS: f64 = 1700.0;
+const QUADS: f64 = 1900.0;
+/// Quadrilaterals in the square of a cell, on average over directions.
+const DENSITY: f64 = 1.4;
 /// Widths of cells, m.
-const CELL_M: (f64, f64) = (2.2e-3, 3.4e-3);
+const CELL_M: (f64, f64) = (2.4e-3, 4.0e-3);
 /// Normals around a vertex that differ by more (cosine) belong to an edge of the body.
 const EDGE_COSINE: f64 = 0.8;
+/// Height over the longest side of a triangle that is wide enough.
+const SOUND: f64 = 0.15;
 
 /// Signed distance and bounds of a part in its own frame.
 #[derive(Clone, Copy, Debug)]
@@ -191,12 +195,12 @@ pub(super) fn smooth_union(a: f64, b: f64, width: f64) -> f64 {
 
 /// Mesh of the zero surface of a field within ±`half` (m); walls are at least `thinnest` (m).
 pub(super) fn mesh_of(field: Field<'_>, half: DVec3, thinnest: f64) -> TriangleMesh {
-    let cell = (area(field, half) / QUADS).sqrt();
-    let cell = cell.clamp(CELL_M.0, CELL_M.1).min(thinnest / 1.3);
+    let cell = (DENSITY * area(field, half) / QUADS).sqrt();
+    let cell = cell.clamp(CELL_M.0, CELL_M.1).min(thinnest / 1.1);
     let mut mesh = TriangleMesh::default();
     for lattice in 0..LATTICES {
         let shift = f64::from(lattice) / f64::from(LATTICES);
-        let net = net_of_quads(field, half, cell, shift);
+        let net = net_of_sheets(field, half, cell, shift);
         if is_closed(&net) {
             return triangles(field, net, cell);
         }
@@ -255,41 +259,76 @@ fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
 /// Moves vertices near an edge of the body onto it: to the place that is least off the tangent
 /// planes around (the error function of Ju et al., *Dual contouring of Hermite data*, 2002).
 fn sharpen(field: Field<'_>, net: &mut QuadMesh, cell: f64) {
-    /// Weight of staying in place.
-    const STAY: f64 = 0.05;
     let normals: Vec<DVec3> = net
         .vertices
         .iter()
         .map(|&v| gradient(field, v).normalize_or_zero())
         .collect();
     let before = net.vertices.clone();
+    let mut faces = vec![Vec::new(); before.len()];
+    for (face, quad) in net.quads.iter().enumerate() {
+        quad.iter().for_each(|&v| faces[v as usize].push(face));
+    }
     for (v, around) in neighbours(&net.quads, before.len()).iter().enumerate() {
-        let planes = || around.iter().copied().chain([v as u32]).map(|n| n as usize);
-        let spread = planes().flat_map(|m| planes().map(move |n| (m, n)));
+        let planes: Vec<usize> = around.iter().map(|&n| n as usize).chain([v]).collect();
+        let spread = planes
+            .iter()
+            .flat_map(|&m| planes.iter().map(move |&n| (m, n)));
         let least = spread.fold(1.0, |c, (m, n)| f64::min(c, normals[m].dot(normals[n])));
         if least > EDGE_COSINE {
             continue;
         }
-        let mut matrix = DMat3::from_diagonal(DVec3::splat(STAY));
-        let mut right = DVec3::ZERO;
-        for n in planes() {
-            let normal = normals[n];
-            matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-            right += normal * normal.dot(before[n] - before[v]);
-        }
-        let step = (matrix.inverse() * right).clamp_length_max(0.45 * cell);
-        let place = before[v] + step;
+        let step = towards_planes(before[v], planes.iter().map(|&n| (before[n], normals[n])));
+        let place = before[v] + step.clamp_length_max(0.45 * cell);
         // Where parts blend smoothly, planes far around say little about the place.
-        if field(place).abs() <= field(before[v]).abs() + 0.12 * cell {
-            net.vertices[v] = place;
+        if field(place).abs() > field(before[v]).abs() + 0.12 * cell {
+            continue;
+        }
+        let kept = std::mem::replace(&mut net.vertices[v], place);
+        let sound = |&face: &usize| {
+            let quad = net.quads[face];
+            let turned = [quad[1], quad[2], quad[3], quad[0]];
+            quality(quad, &net.vertices).max(quality(turned, &net.vertices)) > SOUND
+        };
+        if !faces[v].iter().all(sound) {
+            net.vertices[v] = kept;
         }
     }
 }
 
-/// The quadrilateral, turned so that it is cut along the diagonal that is nearer to the surface.
-fn along_surface(field: Field<'_>, [a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> [u32; 4] {
+/// Step from a place to the least sum of squared distances from planes (point, normal).
+fn towards_planes(at: DVec3, planes: impl Iterator<Item = (DVec3, DVec3)>) -> DVec3 {
+    /// Weight of staying in place.
+    const STAY: f64 = 0.05;
+    let mut matrix = DMat3::from_diagonal(DVec3::splat(STAY));
+    let mut right = DVec3::ZERO;
+    for (point, normal) in planes {
+        matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+        right += normal * normal.dot(point - at);
+    }
+    matrix.inverse() * right
+}
+
+/// How good the two triangles are into which the first diagonal cuts a quadrilateral: the height
+/// of the narrower over its longest side, negative if they are folded onto one another.
+fn quality([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> f64 {
+    let [a, b, c, d] = [a, b, c, d].map(|v| vertices[v as usize]);
+    let narrower = slenderness([a, b, c]).min(slenderness([a, c, d]));
+    let folded = (b - a).cross(c - a).dot((c - a).cross(d - a)) < 0.0;
+    if folded { narrower - 1.0 } else { narrower }
+}
+
+/// The quadrilateral, turned so that it is cut along the diagonal that is nearer to the surface,
+/// unless the triangles are bad.
+fn along_surface(field: Field<'_>, quad: [u32; 4], vertices: &[DVec3]) -> [u32; 4] {
     /// Differences that could be rounding, m.
     const TIE_M: f64 = 2e-5;
+    let [a, b, c, d] = quad;
+    let turned = [b, c, d, a];
+    let [straight, across] = [quad, turned].map(|q| quality(q, vertices));
+    if straight.min(across) < SOUND && (straight - across).abs() > 1e-3 {
+        return if straight > across { quad } else { turned };
+    }
     let at = |i: u32| vertices[i as usize];
     let off = |i, j| field(at(i).midpoint(at(j))).abs();
     let longer = at(a).distance(at(c)) - at(b).distance(at(d));
@@ -299,7 +338,7 @@ fn along_surface(field: Field<'_>, [a, b, c, d]: [u32; 4], vertices: &[DVec3]) -
     } else {
         longer > TIE_M
     };
-    if turn { [b, c, d, a] } else { [a, b, c, d] }
+    if turn { turned } else { quad }
 }
 
 #[cfg(test)]
