@@ -172,7 +172,10 @@ struct Counts {
 fn unfinished(plan: &Plan, open: usize) -> Error {
     Error::new(
         ErrorKind::Input,
-        format!("{open} of {} simulations have no result yet", plan.simulations.len()),
+        format!(
+            "{open} of {} simulations have no result yet",
+            plan.simulations.len()
+        ),
     )
     .remedy("finish them with `gripcast synth run`, or merge what is there with --partial")
 }
@@ -187,9 +190,11 @@ fn check_free(out: &Path, plan: &Plan) -> Result<()> {
     if there.is_some_and(|there| there.plan_sha256 == plan.sha256) {
         return Ok(());
     }
-    Err(Error::new(ErrorKind::Input, "the folder holds another dataset")
-        .at(path.display())
-        .remedy("give a new folder"))
+    Err(
+        Error::new(ErrorKind::Input, "the folder holds another dataset")
+            .at(path.display())
+            .remedy("give a new folder"),
+    )
 }
 
 /// Chosen simulations by part, in the order of the plan.

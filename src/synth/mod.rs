@@ -10,8 +10,8 @@
 
 pub mod acronym;
 mod coated;
-mod engine;
 pub mod curate;
+mod engine;
 pub mod family;
 pub mod grasp;
 mod merge;

@@ -14,7 +14,7 @@ use crate::geometry::{TriangleMesh, load_object_mesh};
 pub fn planned_mesh(object: &PlannedObject, folder: &Path) -> Result<TriangleMesh> {
     let mesh = match &object.mesh {
         MeshSource::Family { category, seed } => {
-            family_shape(Category::named(category)?, *seed)?.mesh
+            family_shape(Category::parse(category)?, *seed)?.mesh
         }
         MeshSource::File { path, unit, scale } => {
             let path = folder.join(path);

@@ -65,7 +65,10 @@ impl Grasped<'_> {
         let force_n = self.force_n[finger as usize];
         let depth_m = depth_under_force(mesh, &t_sensor_object, force_n, stiffness, grid);
         let depth_m = depth_m.ok_or_else(|| {
-            Error::new(ErrorKind::Internal, "a finger that was touched has nothing before it")
+            Error::new(
+                ErrorKind::Internal,
+                "a finger that was touched has nothing before it",
+            )
         })?;
         TactileScene::pressed(mesh, &t_sensor_object, depth_m, grid)
     }
@@ -139,7 +142,8 @@ impl Photographer {
             seed: draw.bits(),
             ..RenderSettings::default()
         };
-        let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
+        let rendering =
+            Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
         let light = denoise(&rendering, &DenoiseSettings::default());
         let picture = develop(&light, &ColourSettings::default(), draw.bits());
         encode_jpeg(&picture, QUALITY)

@@ -79,7 +79,9 @@ pub fn run(
     let workshop = Workshop::new(plan, folder, engine)?;
     let work = |simulation: &&PlannedSimulation| -> Result<SimulationResult> {
         let (result, samples) = workshop.make(simulation)?;
-        let samples = samples.as_ref().map(|(rows, bytes)| (*rows, bytes.as_slice()));
+        let samples = samples
+            .as_ref()
+            .map(|(rows, bytes)| (*rows, bytes.as_slice()));
         store.keep(result.clone(), samples)?;
         Ok(result)
     };

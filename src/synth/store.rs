@@ -153,7 +153,11 @@ impl ResultStore {
     ///
     /// # Errors
     /// `DiskFull`, `Io`, …; what was finished before stays.
-    pub fn keep(&self, mut result: SimulationResult, samples: Option<(usize, &[u8])>) -> Result<()> {
+    pub fn keep(
+        &self,
+        mut result: SimulationResult,
+        samples: Option<(usize, &[u8])>,
+    ) -> Result<()> {
         let path = self.path(&result.id, "json");
         let folder = path.parent().unwrap_or(&self.folder);
         fs::create_dir_all(folder).map_err(|e| {

@@ -96,12 +96,18 @@ impl Args {
         if !(self.category_cap >= 0.0 && self.category_cap.is_finite()) {
             return Err(Error::new(
                 ErrorKind::Usage,
-                format!("`--category-cap` must be 0 or above, found {}", self.category_cap),
+                format!(
+                    "`--category-cap` must be 0 or above, found {}",
+                    self.category_cap
+                ),
             ));
         }
         let parts: BTreeMap<String, f64> = self.split.iter().cloned().collect();
         if parts.len() < self.split.len() {
-            return Err(Error::new(ErrorKind::Usage, "a part is named twice in `--split`"));
+            return Err(Error::new(
+                ErrorKind::Usage,
+                "a part is named twice in `--split`",
+            ));
         }
         Ok(MergeSettings {
             curation: CurationSettings {

@@ -147,7 +147,10 @@ impl Args {
         if !(0.0..=3.0).contains(&self.sensor_spread) {
             return Err(Error::new(
                 ErrorKind::Usage,
-                format!("`--sensor-spread` must be from 0 to 3, found {}", self.sensor_spread),
+                format!(
+                    "`--sensor-spread` must be from 0 to 3, found {}",
+                    self.sensor_spread
+                ),
             ));
         }
         let of_preset = preset.rendering();

@@ -85,7 +85,10 @@ mod tests {
         let depth = |force| depth_under_force(&ball, &Pose::IDENTITY, force, k, &grid()).unwrap();
         let expected = |force: f64| (force / (k * std::f64::consts::PI * 0.025)).sqrt();
         for force in [2.0, 8.0] {
-            assert!((depth(force) / expected(force) - 1.0).abs() < 0.04, "{force}");
+            assert!(
+                (depth(force) / expected(force) - 1.0).abs() < 0.04,
+                "{force}"
+            );
         }
         let soft = depth_under_force(&ball, &Pose::IDENTITY, 1e6, k, &grid()).unwrap();
         assert!(soft <= grid().gel_thickness_m);

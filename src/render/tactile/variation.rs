@@ -144,7 +144,10 @@ mod tests {
         let varied = same.of(&shipped());
         assert_eq!(varied.shading, shipped().shading);
         assert_eq!(varied.noise_std, shipped().noise_std);
-        assert_eq!(mean_difference(&background(&varied), &background(&shipped())), 0.0);
+        assert_eq!(
+            mean_difference(&background(&varied), &background(&shipped())),
+            0.0
+        );
     }
 
     #[test]

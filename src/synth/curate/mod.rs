@@ -279,7 +279,11 @@ mod tests {
         let mut parts: BTreeMap<&str, &str> = BTreeMap::new();
         for one in &all {
             let part = &curation.part[&one.id];
-            assert!(parts.insert(&one.category, part).is_none_or(|known| known == part));
+            assert!(
+                parts
+                    .insert(&one.category, part)
+                    .is_none_or(|known| known == part)
+            );
         }
         assert!(parts.values().any(|p| *p == "train") && parts.values().any(|p| *p == "test"));
     }

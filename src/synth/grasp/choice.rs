@@ -138,7 +138,9 @@ pub fn choose_given_grasps(
 /// What an object often falls into; round ones have no pose that survives a nudge.
 fn likely_poses(object: &TriangleMesh) -> Result<Vec<StablePose>> {
     let mut poses = stable_poses(object, LEAST_TIP_RAD).or_else(|_| stable_poses(object, 0.0))?;
-    let likely = poses.iter().take_while(|pose| pose.probability >= LEAST_PROBABILITY);
+    let likely = poses
+        .iter()
+        .take_while(|pose| pose.probability >= LEAST_PROBABILITY);
     let likely = likely.count().max(1);
     poses.truncate(likely);
     Ok(poses)

@@ -55,7 +55,11 @@ pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<&'static 
         };
         let hit = intersection_test(&place, obstacle.surface.as_ref(), &gripper, solid.as_ref());
         let hit = hit.map_err(|e| {
-            Error::new(ErrorKind::Internal, "shapes cannot be tested for collisions").because(e)
+            Error::new(
+                ErrorKind::Internal,
+                "shapes cannot be tested for collisions",
+            )
+            .because(e)
         })?;
         if hit.intersecting {
             return Ok(Some(part.name));

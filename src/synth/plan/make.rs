@@ -118,7 +118,9 @@ pub fn make_plan(
         }
     }
     if kept.is_empty() {
-        let reason = left_out.first().map_or("no object was given", |l| &l.reason);
+        let reason = left_out
+            .first()
+            .map_or("no object was given", |l| &l.reason);
         return Err(Error::new(
             ErrorKind::Input,
             format!("no object can be grasped: {reason}"),
@@ -278,7 +280,13 @@ fn physical(
                 ..query(draft, texture, seed)
             })?
         }
-        None => estimate(&draft.category, draft.material, seen.volume_m3, draft.fill, seed)?,
+        None => estimate(
+            &draft.category,
+            draft.material,
+            seen.volume_m3,
+            draft.fill,
+            seed,
+        )?,
     };
     found.mass_kg = draft.mass_kg.unwrap_or(found.mass_kg);
     Ok(found)
@@ -340,7 +348,9 @@ fn cost_s(settings: &PlanSettings, engine: &dyn Engine) -> Result<f64> {
         }
     };
     let RenderingPlan {
-        renderings, samples, ..
+        renderings,
+        samples,
+        ..
     } = settings.rendering;
     let picture = TACTILE_S + VISUAL_S_PER_SAMPLE * f64::from(samples);
     Ok(simulate + f64::from(renderings) * picture)

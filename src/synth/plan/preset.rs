@@ -92,7 +92,7 @@ fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {
     let shape = family_shape(category, shape_seed)?;
     let materials = category.materials();
     let material = Material::named(materials[draw.index(materials.len())])?;
-    let [least, most] = category.fill();
+    let (least, most) = category.fill();
     Ok(ObjectDraft {
         name,
         category: category.name().to_owned(),

@@ -37,7 +37,10 @@ impl Shard {
             ErrorKind::Usage,
             format!("shard {index}/{count} does not exist"),
         )
-        .remedy(format!("shards are 0/{count} to {}/{count}", count.max(1) - 1)))
+        .remedy(format!(
+            "shards are 0/{count} to {}/{count}",
+            count.max(1) - 1
+        )))
     }
 
     /// `INDEX/COUNT`, or `COUNT` alone (as `/COUNT`) with the index from `variable`, which reads
@@ -59,14 +62,14 @@ impl Shard {
             .iter()
             .find_map(|name| Some((name, variable(name)?)));
         let Some((name, told)) = told else {
-            return Err(Error::new(
-                ErrorKind::Usage,
-                format!("shard {text} lacks its index"),
-            )
-            .remedy(format!(
-                "write INDEX{text}, or run it where one of {} is set",
-                INDEX_VARIABLES.join(", ")
-            )));
+            return Err(
+                Error::new(ErrorKind::Usage, format!("shard {text} lacks its index")).remedy(
+                    format!(
+                        "write INDEX{text}, or run it where one of {} is set",
+                        INDEX_VARIABLES.join(", ")
+                    ),
+                ),
+            );
         };
         let index = usize::from_str(told.trim()).map_err(|_| {
             Error::new(ErrorKind::Usage, format!("{name} is `{told}`, no index"))
@@ -148,10 +151,13 @@ mod tests {
             let mut all: Vec<String> = plan.simulations.iter().map(|s| s.id.clone()).collect();
             all.sort();
             assert_eq!(seen, all, "{count}");
-            let [least, most] = [f64::min, f64::max].map(|pick| {
-                costs.iter().copied().reduce(pick).unwrap()
-            });
-            let largest = plan.simulations.iter().map(|s| s.cost_s).fold(0.0, f64::max);
+            let [least, most] =
+                [f64::min, f64::max].map(|pick| costs.iter().copied().reduce(pick).unwrap());
+            let largest = plan
+                .simulations
+                .iter()
+                .map(|s| s.cost_s)
+                .fold(0.0, f64::max);
             assert!(most - least <= largest, "{count}: {costs:?}");
         }
     }
