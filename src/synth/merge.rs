@@ -15,7 +15,7 @@ use crate::files::save;
 use crate::shard::{ShardReader, ShardRow, ShardWriter, shard_name};
 
 /// Facts of the dataset, beside `data/`.
-pub const DATASET_FILE: &str = "synth.json";
+const DATASET_FILE: &str = "synth.json";
 /// The text that people and the Hugging Face hub show.
 const CARD_FILE: &str = "README.md";
 /// Folder of the shards.
@@ -279,7 +279,7 @@ impl<'a> Writing<'a> {
         let shards = shards(part);
         let count = shards.len();
         for (number, shard) in shards.into_iter().enumerate() {
-            let file = shard_name(name, number, count);
+            let file = shard_name(name, number, count)?;
             let path = self.folder.join(&file);
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
             let mut writer = ShardWriter::create(&path, &info)?;

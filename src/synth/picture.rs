@@ -21,17 +21,6 @@ const VIEW: [usize; 2] = [320, 240];
 /// JPEG quality of all pictures.
 const QUALITY: u8 = 92;
 
-/// JPEGs of one rendering.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct SamplePictures {
-    /// Left and right sensor before the fingers close.
-    pub(super) initial: [Vec<u8>; 2],
-    /// The same before the lift.
-    pub(super) grasp: [Vec<u8>; 2],
-    /// Between the fingers, before the lift.
-    pub(super) rgb: Vec<u8>,
-}
-
 /// A simulated grasp up to the lift.
 pub(super) struct Grasped<'a> {
     /// Where everything was before.

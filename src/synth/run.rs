@@ -172,8 +172,8 @@ impl<'a> Workshop<'a> {
             return Ok((result, None));
         }
         let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
-        let bytes = to_bytes(&rows, &info)?;
-        Ok((result, Some((rows.len(), bytes))))
+        let count = rows.len();
+        Ok((result, Some((count, to_bytes(rows, &info)?))))
     }
 
     /// The renderings of a grasp that has an outcome and something to see before the lift.
@@ -282,19 +282,17 @@ fn forces(grasp: &GraspResult) -> Option<[f64; 2]> {
     Some(last.force.map(|force| force.normal_n))
 }
 
-fn facts(result: SimulationResult, grasp: &GraspResult) -> SimulationResult {
+fn facts(mut result: SimulationResult, grasp: &GraspResult) -> SimulationResult {
     let iterations = grasp.trace.steps.iter().filter_map(|step| step.solver);
-    SimulationResult {
-        outcome: grasp.outcome.name().to_owned(),
-        detail: grasp.detail.clone(),
-        stable: stable(grasp.outcome),
-        lifted_m: grasp.lifted_m,
-        force_n: forces(grasp),
-        steps: grasp.trace.steps.len(),
-        newton_iterations: iterations.map(|step| u64::from(step.iterations)).sum(),
-        unconverged_steps: grasp.unconverged_steps,
-        ..result
-    }
+    result.outcome = grasp.outcome.name().to_owned();
+    result.detail = grasp.detail.clone();
+    result.stable = stable(grasp.outcome);
+    result.lifted_m = grasp.lifted_m;
+    result.force_n = forces(grasp);
+    result.steps = grasp.trace.steps.len();
+    result.newton_iterations = iterations.map(|step| u64::from(step.iterations)).sum();
+    result.unconverged_steps = grasp.unconverged_steps;
+    result
 }
 
 /// CPU time of this thread between laps.

@@ -87,7 +87,7 @@ impl Shard {
         let all = &plan.simulations;
         let mut order: Vec<usize> = (0..all.len()).collect();
         order.sort_by(|a, b| all[*b].cost_s.total_cmp(&all[*a].cost_s).then(a.cmp(b)));
-        let mut load = vec![0.0; self.count];
+        let mut load = vec![0.0_f64; self.count];
         let mut mine = Vec::new();
         for at in order {
             let least = (0..self.count).min_by(|a, b| load[*a].total_cmp(&load[*b]));
