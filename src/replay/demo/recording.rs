@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard};
 
-use glam::DQuat;
 use image::imageops::grayscale;
 use jiff::{SignedDuration, Timestamp};
 use serde::Serialize;
@@ -383,24 +382,11 @@ fn truth(object: &DemoObject, chosen: &Chosen) -> Option<SimulatedTruth> {
         outcome: simulated.outcome.name().to_owned(),
         held: simulated.class() == Some(Class::Stable),
         lifted_m: simulated.lifted_m,
-        t_object_gripper_initial: positive(initial),
-        t_object_gripper: positive(grasped.t_world_object.inverse() * grasped.t_world_gripper),
+        t_object_gripper_initial: initial,
+        t_object_gripper: grasped.t_world_object.inverse() * grasped.t_world_gripper,
         opening_m: grasped.opening_m,
         force_n: simulated.force_n,
     })
-}
-
-/// The same pose with the quaternion that files have.
-fn positive(pose: crate::geometry::Pose) -> crate::geometry::Pose {
-    let DQuat { w, .. } = pose.rotation;
-    crate::geometry::Pose {
-        rotation: if w < 0.0 {
-            -pose.rotation
-        } else {
-            pose.rotation
-        },
-        ..pose
-    }
 }
 
 fn product(role: Role) -> &'static str {
