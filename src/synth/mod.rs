@@ -9,7 +9,6 @@
 //! The paper's §3.2 and A.1. Every result depends on the plan alone.
 
 pub mod acronym;
-mod coated;
 pub mod curate;
 mod engine;
 pub mod family;

@@ -260,7 +260,7 @@ fn appearance(object: &PlannedObject, mesh: &TriangleMesh, seed: u64) -> Result<
         let what = format!("{} has no appearance", object.name);
         Error::new(ErrorKind::Input, what)
     })?;
-    let model = super::coated::coated_model(mesh, &look.look, draw.bits())?;
+    let model = Model::coated(mesh, &look.look, draw.bits())?;
     Ok((look.words.clone(), model))
 }
 
