@@ -102,18 +102,7 @@ pub fn family_shape(category: Category, seed: u64) -> Result<FamilyShape> {
             Err(e) if rejected + 1 == ATTEMPTS => {
                 return Err(e.at(format!("shape {seed} of the family {}", category.name())));
             }
-            Err(_e) => {
-                if std::env::var("WHY").is_ok() {
-                    eprintln!(
-                        "WHY {} {} {:?} {}",
-                        category.name(),
-                        seed,
-                        draw.into_record().0,
-                        _e.what()
-                    );
-                }
-                rejected += 1;
-            }
+            Err(_) => rejected += 1,
         }
     }
 }

@@ -37,6 +37,12 @@ pub(super) fn sized_within(
     make(edge.max(EDGE_M.0))
 }
 
+/// From 0 to 1 without a kink while `share` goes from 0 to 1.
+pub(super) fn eased(share: f64) -> f64 {
+    let share = share.clamp(0.0, 1.0);
+    share * share * (3.0 - 2.0 * share)
+}
+
 /// The point rounded to the grid of all coordinates.
 pub(super) fn rounded_to_grid(p: DVec3) -> DVec3 {
     // Adding zero turns −0 into 0.
