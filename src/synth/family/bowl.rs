@@ -37,15 +37,15 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
         let inner =
             curve(radius - wall, height - wall, power).map(|p| p + DVec2::Y * (foot_height + wall));
         let outer = curve(radius, height, power).map(|p| p + DVec2::Y * foot_height);
-        let mut profile = open_line(
-            &[
-                sharp(0.0, 0.0),
-                rounded(foot, 0.0, 0.001),
-                sharp(foot, 0.3 * foot_height),
-            ],
-            edge,
-        );
-        profile.extend(even(&beyond(&outer, foot), edge));
+        let side = even(&beyond(&outer, foot), edge);
+        let standing = [
+            sharp(0.0, 0.0),
+            rounded(foot, 0.0, 0.001),
+            sharp(foot, 0.3 * foot_height),
+            sharp(side[0].x, side[0].y),
+        ];
+        let mut profile = open_line(&standing, edge);
+        profile.extend(&side[1..]);
         let mut inside = even(&inner, edge);
         inside.reverse();
         // The rim: one ring between the two sides.

@@ -2,19 +2,18 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::DVec2;
 
 use super::draw::Draw;
 use super::outline::{circle, closed_line, rounded};
 use super::plate::{bent, flat, upright};
 use super::shape::sized_within;
-use super::solid::{Form, Role, Solid};
 use crate::error::Result;
 use crate::geometry::TriangleMesh;
 
 pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     match draw.form(["L", "U", "Z", "plate", "gusset", "flange", "channel"]) {
-        "flange" => Ok(flange(draw)),
+        "flange" => flange(draw),
         "gusset" => gusset(draw),
         "channel" => channel(draw),
         form => bent_strip(draw, form),
@@ -152,36 +151,29 @@ fn channel(draw: &mut Draw) -> Result<TriangleMesh> {
     })
 }
 
-/// A disc with a hub, a bore and a circle of holes.
-fn flange(draw: &mut Draw) -> TriangleMesh {
-    let radius = draw.between("radius_m", 0.02, 0.037);
-    let thick = draw.between("thickness_m", 0.0035, 0.007);
-    let hub = radius * draw.between("hub", 0.4, 0.55);
-    let high = draw.between("hub_height_m", 0.008, 0.025);
-    let bore = (hub - 0.0032).min(hub * draw.between("bore", 0.5, 0.75));
-    let count = draw.count("holes", 3, 6);
-    let hole = (0.22 * (radius - hub)).clamp(0.0018, 0.0032);
-    let mut solid = Solid::new(0.0033);
-    let still = DQuat::IDENTITY;
-    let drum = |radius, half| Form::Drum([radius; 2], half, 0.0);
-    solid.put(
-        drum(radius, 0.5 * thick),
-        DVec3::ZERO,
-        still,
-        Role::Add(0.0),
-    );
-    let above = DVec3::Z * (0.5 * high);
-    solid.put(
-        drum(hub, 0.5 * (high + thick)),
-        above,
-        still,
-        Role::Add(0.002),
-    );
-    solid.put(drum(bore, 0.1), DVec3::ZERO, still, Role::Cut(0.0));
-    for k in 0..count {
-        let turn = DVec2::from_angle(TAU * k as f64 / count as f64);
-        let at = (0.5 * (radius + hub) + 0.0005) * turn;
-        solid.put(drum(hole, 0.1), at.extend(0.0), still, Role::Cut(0.0));
-    }
-    solid.mesh()
+/// A round or square plate with a bore and a circle of holes.
+fn flange(draw: &mut Draw) -> Result<TriangleMesh> {
+    let radius = draw.between("radius_m", 0.018, 0.04);
+    let thick = draw.between("thickness_m", 0.004, 0.014);
+    let bore = radius * draw.between("bore", 0.2, 0.5);
+    let hole = draw.between("hole", 0.07, 0.13) * radius;
+    let square = draw.chance("square", 0.4);
+    let fillet = draw.between("fillet_m", 0.001, 0.45 * radius);
+    let count = if square { 4 } else { draw.count("holes", 3, 6) };
+    sized_within(3.2e-3, |edge| {
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)];
+        let outline = if square {
+            let corners = corners.map(|(x, y)| rounded(radius * x, radius * y, fillet));
+            closed_line(&corners, edge)
+        } else {
+            circle(DVec2::ZERO, radius, edge)
+        };
+        let mut holes = vec![circle(DVec2::ZERO, bore, edge)];
+        for k in 0..count {
+            let turn = TAU * (k as f64 + 0.5) / count as f64;
+            let out = if square { 0.98 } else { 0.77 };
+            holes.push(circle(out * radius * DVec2::from_angle(turn), hole, edge));
+        }
+        flat(outline, holes, thick, edge)
+    })
 }

@@ -36,16 +36,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
                 Ok(mesh)
             })
         }
-        "book" => {
-            let height = draw.between("height_m", 0.07, 0.14);
-            let size = DVec3::new(
-                height,
-                draw.between("aspect", 0.62, 0.85) * height,
-                draw.between("thickness_m", 0.008, 0.035),
-            );
-            let groove = draw.between("groove_m", 0.0, 0.0015);
-            sized(|edge| Ok(book(size, groove, edge)))
-        }
+        "book" => book(draw),
         _ => {
             let length = draw.between("length_m", 0.03, 0.145);
             let width = draw.between("width_m", 0.02, 0.078_f64.min(length));
@@ -93,19 +84,28 @@ fn gabled(draw: &mut Draw) -> Result<TriangleMesh> {
     })
 }
 
-/// A block whose pages lie back behind the covers on three sides.
-fn book(size: DVec3, groove: f64, edge: f64) -> TriangleMesh {
-    let mut mesh = rounded_box(size, 0.0008, edge);
-    let cover = 0.5 * size.z - 0.0025_f64.min(0.3 * size.z);
-    for v in &mut mesh.vertices {
-        let between = v.z.abs() < cover;
-        if between && v.y > -0.5 * size.y + 0.004 {
-            let inset = 2.0 * groove + 0.0005;
-            v.x = v.x.clamp(-0.5 * size.x + inset, 0.5 * size.x - inset);
-            v.y = v.y.min(0.5 * size.y - inset);
-        }
-    }
-    mesh
+/// A book that lies: its pages lie back behind the covers on the side away from the spine.
+fn book(draw: &mut Draw) -> Result<TriangleMesh> {
+    let height = draw.between("height_m", 0.07, 0.14);
+    let width = draw.between("aspect", 0.55, 0.8) * height;
+    let thick = draw.between("thickness_m", 0.008, 0.035);
+    let cover = draw.between("cover_m", 0.002, 0.003);
+    let overhang = draw.between("overhang_m", 0.002, 0.004);
+    let spine = draw.between("spine_fillet_m", 0.001, 0.48 * thick);
+    sized(|edge| {
+        let pages = width - overhang;
+        let line = [
+            rounded(0.0, 0.0, spine),
+            rounded(width, 0.0, 0.0),
+            rounded(width, cover, 0.0),
+            rounded(pages, cover, 0.0),
+            rounded(pages, thick - cover, 0.0),
+            rounded(width, thick - cover, 0.0),
+            rounded(width, thick, 0.0),
+            rounded(0.0, thick, spine),
+        ];
+        flat(closed_line(&line, edge), Vec::new(), height, edge).map(upright)
+    })
 }
 
 /// A box of the given size (m) with rounded edges.

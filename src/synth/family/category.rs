@@ -110,14 +110,10 @@ impl Category {
                 &["cardboard", "paper", "wood", "wax", "foam"],
                 (0.1, 0.6),
             ),
-            Self::Block => (
-                "block",
-                &["wood", "abs plastic", "foam", "stone"],
-                (0.3, 1.0),
-            ),
+            Self::Block => ("block", &["wood", "abs", "foam", "stone"], (0.3, 1.0)),
             Self::Bottle => (
                 "bottle",
-                &["polyethylene", "pet plastic", "glass", "aluminium"],
+                &["polyethylene", "pet", "glass", "aluminium"],
                 (0.1, 0.5),
             ),
             Self::Can => (
@@ -130,11 +126,7 @@ impl Category {
                 &["ceramic", "wood", "polypropylene", "glass", "steel"],
                 (1.0, 1.0),
             ),
-            Self::Mug => (
-                "mug",
-                &["ceramic", "glass", "abs plastic", "steel"],
-                (1.0, 1.0),
-            ),
+            Self::Mug => ("mug", &["ceramic", "glass", "abs", "steel"], (1.0, 1.0)),
             Self::Tube => (
                 "tube",
                 &["pvc", "cardboard", "copper", "steel", "rubber"],
@@ -142,24 +134,16 @@ impl Category {
             ),
             Self::Ring => (
                 "ring",
-                &["rubber", "steel", "wood", "abs plastic", "brass"],
+                &["rubber", "steel", "wood", "abs", "brass"],
                 (0.8, 1.0),
             ),
-            Self::Tool => (
-                "tool",
-                &["steel", "abs plastic", "wood", "rubber"],
-                (0.4, 1.0),
-            ),
+            Self::Tool => ("tool", &["steel", "abs", "wood", "rubber"], (0.4, 1.0)),
             Self::Cutlery => (
                 "cutlery",
                 &["steel", "wood", "polypropylene", "bamboo"],
                 (0.8, 1.0),
             ),
-            Self::Pen => (
-                "pen",
-                &["wood", "abs plastic", "wax", "aluminium"],
-                (0.4, 1.0),
-            ),
+            Self::Pen => ("pen", &["wood", "abs", "wax", "aluminium"], (0.4, 1.0)),
             Self::Fastener => (
                 "fastener",
                 &["steel", "brass", "nylon", "aluminium"],
@@ -167,19 +151,15 @@ impl Category {
             ),
             Self::Bracket => (
                 "bracket",
-                &["steel", "aluminium", "abs plastic", "brass"],
+                &["steel", "aluminium", "abs", "brass"],
                 (0.6, 1.0),
             ),
             Self::Knob => (
                 "knob",
-                &["abs plastic", "brass", "wood", "rubber", "aluminium"],
+                &["abs", "brass", "wood", "rubber", "aluminium"],
                 (0.4, 1.0),
             ),
-            Self::Toy => (
-                "toy",
-                &["abs plastic", "pla plastic", "rubber", "wood"],
-                (0.1, 0.6),
-            ),
+            Self::Toy => ("toy", &["abs", "pla", "rubber", "wood"], (0.1, 0.6)),
             Self::Sheet => (
                 "sheet",
                 &["cardboard", "wood", "acrylic", "aluminium", "cork"],
@@ -188,7 +168,7 @@ impl Category {
             Self::Fruit => ("fruit", &["fruit flesh", "wax", "foam", "wood"], (0.8, 1.0)),
             Self::Figure => (
                 "figure",
-                &["abs plastic", "rubber", "fabric", "wood", "ceramic"],
+                &["abs", "rubber", "fabric", "wood", "ceramic"],
                 (0.1, 0.6),
             ),
         }

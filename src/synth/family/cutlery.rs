@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::draw::Draw;
 use super::outline::{Knot, closed_line, even, rounded};
 use super::plate::Plate;
-use super::shape::sized_within;
+use super::shape::{eased, sized_within};
 use crate::error::Result;
 use crate::geometry::TriangleMesh;
 
@@ -175,13 +175,11 @@ fn knife(draw: &mut Draw, handle: &Handle) -> Result<TriangleMesh> {
             outline: closed_line(&knots, edge),
             holes: Vec::new(),
             heights: &|p, depth| {
-                let half = if p.x > 0.001 {
-                    let share = ((p.y - grip + wide) / wide).clamp(0.0, 1.0);
-                    0.5 * (0.0014 + 0.0014 * share)
-                } else {
-                    let crown = (depth / grip).clamp(0.0, 1.0).sqrt();
-                    0.5 * thick * (0.6 + 0.4 * crown)
-                };
+                let share = ((p.y - grip + wide) / wide).clamp(0.0, 1.0);
+                let thin = 0.5 * (0.0014 + 0.0014 * share);
+                let crown = (depth / grip).clamp(0.0, 1.0).sqrt();
+                let half = 0.5 * thick * (0.6 + 0.4 * crown);
+                let half = half + (thin - half) * eased(p.x / 0.012 + 0.6);
                 [-half, half]
             },
             edge,
@@ -233,8 +231,7 @@ fn spatula(draw: &mut Draw, handle: &Handle) -> Result<TriangleMesh> {
         .mesh()?;
         for v in &mut mesh.vertices {
             let share = ((v.x + 0.2 * blade) / (0.4 * blade)).clamp(0.0, 1.0);
-            let step = share * share * (3.0 - 2.0 * share);
-            *v += DVec3::Z * (handle.height(v.x) - drop * step);
+            *v += DVec3::Z * (handle.height(v.x) - drop * eased(share));
         }
         Ok(mesh)
     })

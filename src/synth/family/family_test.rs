@@ -1,7 +1,7 @@
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
 
-use super::shape::{MAX_TRIANGLES, SIZE_M, slenderness};
+use super::shape::{MAX_SIDE_M, MAX_TRIANGLES, SIZE_M, slenderness};
 use super::*;
 use crate::geometry::{MassProperties, PrepareOptions, prepare};
 
@@ -61,7 +61,7 @@ fn sizes_and_faces_are_within_their_limits() {
             .flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)])
             .collect();
         let longest = sides.iter().copied().fold(0.0, f64::max);
-        assert!(longest < 8e-3, "{}: {longest}", name(shape));
+        assert!(longest <= MAX_SIDE_M, "{}: {longest}", name(shape));
         let mean = sides.iter().sum::<f64>() / sides.len() as f64;
         assert!((1.2e-3..4.5e-3).contains(&mean), "{}: {mean}", name(shape));
         let least = shape

@@ -127,7 +127,7 @@ fn pointer(draw: &mut Draw) -> TriangleMesh {
     let reach = radius * draw.between("reach", 0.9, 1.5);
     let tilt = draw.between("tilt_rad", 0.0, 0.2);
     let mut solid = Solid::new(2.0 * grip);
-    let drum = Form::Drum([radius, 0.93 * radius], 0.5 * base, 0.001);
+    let drum = Form::Drum([radius, 0.93 * radius], 0.5 * base, 0.0018);
     solid.put(drum, DVec3::ZERO, DQuat::IDENTITY, Role::Add(0.0));
     let middle = DVec3::new(0.5 * (reach - 0.85 * radius), 0.0, 0.5 * high);
     let half = DVec3::new(0.5 * (reach + 0.85 * radius), grip, 0.5 * high);

@@ -1,8 +1,8 @@
 //! Built-in families of objects that people pick up from a table: hundreds of distinct closed
 //! meshes for each category from a seed, so that a synthetic dataset can be made offline.
 //!
-//! Bodies are turned ([`lathe`]), cut out ([`plate`]), or blended from parts given by their signed
-//! distance ([`solid`]); none needs boolean operations on meshes.
+//! Bodies are turned, cut out of plates, or blended from parts given by their signed
+//! distance; none needs boolean operations on meshes.
 
 mod block;
 mod bottle;
@@ -102,18 +102,7 @@ pub fn family_shape(category: Category, seed: u64) -> Result<FamilyShape> {
             Err(e) if rejected + 1 == ATTEMPTS => {
                 return Err(e.at(format!("shape {seed} of the family {}", category.name())));
             }
-            Err(_e) => {
-                if std::env::var("WHY").is_ok() {
-                    eprintln!(
-                        "WHY {} {} {:?} {}",
-                        category.name(),
-                        seed,
-                        draw.into_record().0,
-                        _e.what()
-                    );
-                }
-                rejected += 1;
-            }
+            Err(_) => rejected += 1,
         }
     }
 }

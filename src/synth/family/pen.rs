@@ -46,7 +46,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
         ("pencil", 3..=5) => Section::polygon(6),
         ("candle", 6..=8) => Section::lobes(sides, 0.04),
         ("lipstick", 3..=5) => Section::oblong(1.0, 5.0),
-        ("pencil", 6) => Section::polygon(3),
+        ("pencil", 6) => Section::lobes(3, 0.07),
         _ => Section::circle(),
     };
     let standing = matches!(form, "candle" | "lipstick" | "battery");

@@ -3,12 +3,14 @@
 use glam::{DVec2, DVec3};
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation as _};
 
-use super::shape::rounded_to_grid;
+use super::shape::{rounded_to_grid, slenderness};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::TriangleMesh;
 
 /// Points of the lattice stay this many edges away from the rim.
 const CLEARANCE: f64 = 0.65;
+/// Height over the longest side below which a triangle is flat.
+const FLAT: f64 = 1e-3;
 
 /// A body over an area.
 pub(super) struct Plate<'a> {
@@ -179,10 +181,18 @@ fn triangulated(points: &[DVec2], sides: &[[usize; 2]]) -> Result<Vec<[usize; 3]
         net.add_constraint(handles[a], handles[b]);
     }
     let rim = &points[..sides.len()];
+    // Three points of a straight side can span a triangle without area, beside the body.
+    let on_side = |face: &[usize; 3]| {
+        let corners = face.map(|v| points[v].extend(0.0));
+        face.iter().all(|&v| v < rim.len()) && slenderness(corners) < FLAT
+    };
     Ok(net
         .inner_faces()
         .map(|face| face.vertices().map(|v| v.index()))
         .filter(|face| {
+            if on_side(face) {
+                return false;
+            }
             let middle = face.iter().map(|&v| points[v]).sum::<DVec2>() / 3.0;
             inside(middle, rim, sides)
         })

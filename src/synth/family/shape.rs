@@ -11,6 +11,8 @@ const TRIANGLES: f64 = 3200.0;
 pub(super) const MAX_TRIANGLES: usize = 8000;
 /// Widths of faces, m: smaller ones cost time, wider ones leave contact without vertices.
 const EDGE_M: (f64, f64) = (2.2e-3, 3.8e-3);
+/// Longest side of a triangle, m: the diagonal of a square of the widest faces.
+pub(super) const MAX_SIDE_M: f64 = 5.6e-3;
 /// Longest side of the bounding box, m.
 pub(super) const SIZE_M: (f64, f64) = (0.02, 0.15);
 /// Least height of a triangle over its longest side, as a part of that side.
@@ -37,10 +39,54 @@ pub(super) fn sized_within(
     make(edge.max(EDGE_M.0))
 }
 
+/// From 0 to 1 without a kink while `share` goes from 0 to 1.
+pub(super) fn eased(share: f64) -> f64 {
+    let share = share.clamp(0.0, 1.0);
+    share * share * (3.0 - 2.0 * share)
+}
+
 /// The point rounded to the grid of all coordinates.
 pub(super) fn rounded_to_grid(p: DVec3) -> DVec3 {
     // Adding zero turns −0 into 0.
     (p / GRID_M).round() * GRID_M + DVec3::ZERO
+}
+
+/// Cuts sides longer than [`MAX_SIDE_M`] in two, the longest first: contact is felt at vertices.
+fn split_long_sides(mesh: &mut TriangleMesh) {
+    loop {
+        let edges = mesh.edges();
+        let length = |edge: usize| {
+            let [a, b] = edges.vertices[edge].map(|v| mesh.vertices[v as usize]);
+            a.distance_squared(b)
+        };
+        let mut long: Vec<(f64, usize)> = (0..edges.len())
+            .map(|edge| (length(edge), edge))
+            .filter(|(squared, _)| *squared > MAX_SIDE_M * MAX_SIDE_M)
+            .collect();
+        if long.is_empty() {
+            return;
+        }
+        long.sort_by(|x, y| y.0.total_cmp(&x.0).then(x.1.cmp(&y.1)));
+        let mut touched = vec![false; mesh.triangles.len()];
+        for (_, edge) in long {
+            let beside = edges.triangles(edge);
+            if beside.iter().any(|&t| touched[t as usize]) {
+                continue;
+            }
+            let [a, b] = edges.vertices[edge];
+            let ends = [a, b].map(|v| mesh.vertices[v as usize]);
+            let middle = mesh.vertices.len() as u32;
+            mesh.vertices
+                .push(rounded_to_grid(ends[0].midpoint(ends[1])));
+            for &t in beside {
+                touched[t as usize] = true;
+                let whole = mesh.triangles[t as usize];
+                mesh.triangles[t as usize] = whole.map(|v| if v == b { middle } else { v });
+                let rest = whole.map(|v| if v == a { middle } else { v });
+                mesh.triangles.push(rest);
+            }
+        }
+    }
 }
 
 /// The mesh with its bounding box centred in the origin and rounded coordinates.
@@ -53,6 +99,7 @@ pub(super) fn finished(mut mesh: TriangleMesh) -> Result<TriangleMesh> {
     for v in &mut mesh.vertices {
         *v = rounded_to_grid(*v - center);
     }
+    split_long_sides(&mut mesh);
     check(&mesh)?;
     Ok(mesh)
 }
@@ -113,7 +160,7 @@ mod tests {
 
     #[test]
     fn unsound_meshes_are_refused() {
-        let sound = builtin("box").unwrap();
+        let sound = builtin("wedge").unwrap();
         assert!(finished(sound.clone()).is_ok());
         let far = sound.transformed(&crate::geometry::Pose::new(
             glam::DQuat::IDENTITY,
@@ -122,13 +169,27 @@ mod tests {
         let two = sound.scaled(0.9).joined(&far.scaled(0.9));
         let text = finished(two).unwrap_err().to_string();
         assert!(text.contains("several parts"), "{text}");
-        assert!(finished(sound.scaled(3.0)).is_err());
+        assert!(finished(sound.scaled(4.0)).is_err());
         let mut open = sound.clone();
         open.triangles.pop();
         assert!(finished(open).is_err());
         let mut thin = sound;
         thin.vertices[1] = thin.vertices[0];
         assert!(finished(thin).is_err());
+    }
+
+    #[test]
+    fn long_sides_are_cut_without_a_change_of_the_body() {
+        let large = builtin("box").unwrap().scaled(2.0);
+        let mut mesh = large.clone();
+        split_long_sides(&mut mesh);
+        assert!(mesh.edges().is_closed());
+        let volume = |mesh| MassProperties::of(mesh).unwrap().volume_m3;
+        assert!((volume(&mesh) / volume(&large) - 1.0).abs() < 1e-9);
+        let sides = mesh
+            .all_corners()
+            .flat_map(|[a, b, c]| [a - b, b - c, c - a]);
+        assert!(sides.into_iter().all(|side| side.length() <= MAX_SIDE_M));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::draw::Draw;
 use super::lathe::{Lathe, Section};
 use super::outline::{Knot, circle, closed_line, open_line, rounded, sharp};
 use super::plate::{Plate, bent};
-use super::shape::{sized, sized_within};
+use super::shape::{eased, sized, sized_within};
 use super::solid::{Form, Role, Solid};
 use crate::error::Result;
 use crate::geometry::TriangleMesh;
@@ -232,12 +232,9 @@ fn scraper(draw: &mut Draw) -> Result<TriangleMesh> {
             outline: closed_line(&knots, edge),
             holes: Vec::new(),
             heights: &|p, depth| {
-                let half = if p.x > 0.0 {
-                    0.5 * (thin + (0.5 * thick - thin) * (1.0 - 8.0 * p.x / reach).max(0.0))
-                } else {
-                    let crown = 1.0 - (1.0 - depth / (0.6 * grip)).max(0.0).powi(2);
-                    0.5 * thick * (0.55 + 0.45 * crown)
-                };
+                let crown = 1.0 - (1.0 - depth / (0.6 * grip)).max(0.0).powi(2);
+                let half = 0.5 * thick * (0.55 + 0.45 * crown);
+                let half = half + (0.5 * thin - half) * eased(p.x / 0.014 + 0.6);
                 [-half, half]
             },
             edge,

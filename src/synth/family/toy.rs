@@ -15,7 +15,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     draw.form(["random body"]);
     let complexity = draw.count("complexity", 1, 6);
     let size = draw.between("size_m", 0.02, 0.042);
-    let blend = draw.between("blend", 0.0, 0.25) * size;
+    let blend = draw.between("blend", 0.08, 0.3) * size;
     let cuts = draw.count("cuts", 0, complexity.div_ceil(2));
     let spread = draw.between("spread", 0.5, 0.85);
     let mut solid = Solid::new(THINNEST_M);
@@ -40,7 +40,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
         let at = direction(draw) * (size * draw.quiet(0.55, 0.75));
         let half = size * draw.quiet(0.2, 0.35);
         let dent = form(draw, half);
-        solid.put(dent, at, turn(draw), Role::Cut(0.4 * blend));
+        solid.put(dent, at, turn(draw), Role::Cut(blend.max(0.004)));
     }
     Ok(solid.mesh())
 }

@@ -79,9 +79,9 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
 /// Two pipes in one.
 fn tee(draw: &mut Draw) -> TriangleMesh {
     let radius = draw.between("radius_m", 0.009, 0.018);
-    let wall = draw.between("wall_m", 0.0028, 0.004);
+    let wall = draw.between("wall_m", 0.0033, 0.0045);
     let half = draw.between("half_length_m", 0.02, 0.045);
-    let branch = radius * draw.between("branch_radius", 0.75, 1.0);
+    let branch = radius * draw.between("branch_radius", 0.7, 0.92);
     let arm = radius + draw.between("branch_m", 0.008, 0.025);
     let across = draw.chance("cross", 0.3);
     let mut solid = Solid::new(wall);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{GraspFault, GraspSampler, Obstacle, collides};
 use crate::error::Result;
-use crate::geometry::{Pose, StablePose, TriangleMesh, stable_poses};
+use crate::geometry::{Pose, StablePose, TriangleMesh, likely_poses};
 use crate::render::visual::SeedStream;
 use crate::sim::grasp::{GraspPose, Placed};
 
@@ -51,7 +51,7 @@ pub fn choose_grasps(
     wanted: usize,
     seed: u64,
 ) -> Result<GraspChoice> {
-    let poses = likely_poses(object)?;
+    let poses = likely_poses(object, LEAST_TIP_RAD, LEAST_PROBABILITY)?;
     let mut draw = SeedStream::named(seed, &format!("poses {name}"));
     let mut stages = BTreeMap::new();
     let mut choice = GraspChoice::default();
@@ -96,7 +96,7 @@ pub fn choose_given_grasps(
     wanted: usize,
     seed: u64,
 ) -> Result<GraspChoice> {
-    let poses = likely_poses(object)?;
+    let poses = likely_poses(object, LEAST_TIP_RAD, LEAST_PROBABILITY)?;
     let obstacles = poses
         .iter()
         .map(|pose| Obstacle::new(object, pose.t_world_object))
@@ -133,17 +133,6 @@ pub fn choose_given_grasps(
         }
     }
     Ok(choice)
-}
-
-/// What an object often falls into; round ones have no pose that survives a nudge.
-fn likely_poses(object: &TriangleMesh) -> Result<Vec<StablePose>> {
-    let mut poses = stable_poses(object, LEAST_TIP_RAD).or_else(|_| stable_poses(object, 0.0))?;
-    let likely = poses
-        .iter()
-        .take_while(|pose| pose.probability >= LEAST_PROBABILITY);
-    let likely = likely.count().max(1);
-    poses.truncate(likely);
-    Ok(poses)
 }
 
 /// Index of a pose by where `share` of 0..1 falls among the probabilities.

@@ -109,3 +109,28 @@ fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {
         grasps: None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_materials_of_every_category_are_in_the_table() {
+        for category in Category::ALL {
+            for name in category.materials() {
+                Material::named(name).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn drafts_go_through_the_categories_and_come_again() {
+        let count = Category::ALL.len() + 1;
+        let drafts = family_drafts(count, 3, 2, &|_| ()).unwrap();
+        assert_eq!(drafts[0].category, drafts[count - 1].category);
+        assert_ne!(drafts[0].mesh, drafts[count - 1].mesh);
+        let again = family_drafts(count, 3, 1, &|_| ()).unwrap();
+        let hash = |d: &ObjectDraft| (d.name.clone(), d.mesh.content_hash(), d.fill);
+        assert!(drafts.iter().map(hash).eq(again.iter().map(hash)));
+    }
+}
