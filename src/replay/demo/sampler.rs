@@ -3,7 +3,7 @@
 use super::object::DemoObject;
 use crate::error::Result;
 use crate::sim::grasp::Placed;
-use crate::synth::grasp::GraspSampler;
+use crate::synth::grasp::{FaultRanges, GraspSampler};
 
 /// A person's squeeze, N.
 const FORCE_N: [f64; 2] = [25.0, 50.0];
@@ -25,7 +25,14 @@ pub(super) struct Sampler<'a>(GraspSampler<'a>);
 impl<'a> Sampler<'a> {
     pub(super) fn new(object: &'a DemoObject, seed: u64) -> Self {
         let pose = object.t_world_object;
-        Self(GraspSampler::new(&object.name, &object.mesh, pose, seed))
+        let ranges = FaultRanges::COLLECTED;
+        Self(GraspSampler::new(
+            &object.name,
+            &object.mesh,
+            pose,
+            ranges,
+            seed,
+        ))
     }
 
     /// The candidate of a number; the same on every call. None where no pair of places was found.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{GraspFault, GraspSampler, Obstacle, collides};
+use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, collides};
 use crate::error::Result;
 use crate::geometry::{Pose, StablePose, TriangleMesh, likely_poses};
 use crate::render::visual::SeedStream;
@@ -64,7 +64,7 @@ pub fn choose_grasps(
         let (sampler, obstacle) = match stages.entry(at) {
             std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
             std::collections::btree_map::Entry::Vacant(new) => new.insert((
-                GraspSampler::new(name, object, t_world_object, seed),
+                GraspSampler::new(name, object, t_world_object, FaultRanges::WIDE, seed),
                 Obstacle::new(object, t_world_object)?,
             )),
         };

@@ -1,12 +1,14 @@
 //! Whether the open gripper would hit the object or the ground.
 
+use std::sync::OnceLock;
+
 use glam::DVec3;
 use rapier3d_f64::geometry::SharedShape;
 use rapier3d_f64::parry::query::intersection_test;
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{Pose, TriangleMesh, convex_hull};
-use crate::render::visual::gripper_parts;
+use crate::render::visual::{GripperPart, gripper_parts};
 use crate::sim::grasp::Placed;
 use crate::sim::rigid::convert;
 
@@ -42,18 +44,19 @@ impl Obstacle {
 pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<&'static str>> {
     let t_world_gripper = placed.t_world_gripper;
     let place = convert::pose(&obstacle.t_world_object);
-    let gripper = convert::pose(&t_world_gripper);
-    for part in gripper_parts(placed.opening_m)? {
-        let height = |v: &DVec3| t_world_gripper.transform_point(*v).z;
-        if part.shape.vertices.iter().any(|v| height(v) < 0.0) {
+    for (part, solid) in gripper_parts(placed.opening_m)?.iter().zip(solids()?) {
+        // Parts move with the opening, but keep their shape.
+        let moved_m = part.shape.vertices[0] - solid.reference_m;
+        let t_world_solid = t_world_gripper * Pose::from_translation(moved_m);
+        let height = |v: &DVec3| t_world_solid.transform_point(*v).z;
+        if solid.corners.iter().any(|v| height(v) < 0.0) {
             return Ok(Some(part.name));
         }
-        let hull = convex_hull(&part.shape.vertices)?;
-        let points = hull.vertices.iter().map(|v| convert::vector(*v)).collect();
-        let Some(solid) = SharedShape::convex_mesh(points, &hull.triangles) else {
+        let Some(shape) = &solid.shape else {
             continue;
         };
-        let hit = intersection_test(&place, obstacle.surface.as_ref(), &gripper, solid.as_ref());
+        let at = convert::pose(&t_world_solid);
+        let hit = intersection_test(&place, obstacle.surface.as_ref(), &at, shape.as_ref());
         let hit = hit.map_err(|e| {
             Error::new(
                 ErrorKind::Internal,
@@ -66,6 +69,39 @@ pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<&'static 
         }
     }
     Ok(None)
+}
+
+/// Convex hull of a part of the gripper at [`REFERENCE_M`].
+struct Solid {
+    /// First vertex of the part, m.
+    reference_m: DVec3,
+    corners: Vec<DVec3>,
+    /// None for a hull without volume.
+    shape: Option<SharedShape>,
+}
+
+/// Opening at which hulls are made, m.
+const REFERENCE_M: f64 = 0.08;
+
+/// The hulls of all parts, in the order of [`gripper_parts`].
+fn solids() -> Result<&'static [Solid]> {
+    static SOLIDS: OnceLock<Vec<Solid>> = OnceLock::new();
+    if let Some(solids) = SOLIDS.get() {
+        return Ok(solids);
+    }
+    let parts = gripper_parts(REFERENCE_M)?;
+    let made: Vec<Solid> = parts.iter().map(solid).collect::<Result<_>>()?;
+    Ok(SOLIDS.get_or_init(|| made))
+}
+
+fn solid(part: &GripperPart) -> Result<Solid> {
+    let hull = convex_hull(&part.shape.vertices)?;
+    let points = hull.vertices.iter().map(|v| convert::vector(*v)).collect();
+    Ok(Solid {
+        reference_m: part.shape.vertices[0],
+        shape: SharedShape::convex_mesh(points, &hull.triangles),
+        corners: hull.vertices,
+    })
 }
 
 #[cfg(test)]

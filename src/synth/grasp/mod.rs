@@ -6,4 +6,4 @@ mod sampler;
 
 pub use choice::{ChosenGrasp, GraspChoice, choose_given_grasps, choose_grasps};
 pub use collision::{Obstacle, collides};
-pub use sampler::{Candidate, GraspFault, GraspSampler};
+pub use sampler::{Candidate, FaultRanges, GraspFault, GraspSampler};

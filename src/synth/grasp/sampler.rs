@@ -77,10 +77,49 @@ const FAULTS: [GraspFault; 6] = [
     GraspFault::Edge,
 ];
 
+/// How far grasps depart from opposite places.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FaultRanges {
+    /// Shift of the contacts towards the gels' side, m.
+    pub across_m: [f64; 2],
+    /// One finger higher than the other, rad.
+    pub tilt_rad: [f64; 2],
+    /// Approach off the vertical, rad.
+    pub lean_rad: [f64; 2],
+    /// Turn of the closing direction away from the normals, rad.
+    pub turn_rad: [f64; 2],
+    /// Height of the gels' middle above the contacts, m.
+    pub raised_m: [f64; 2],
+    /// Where given: off-centre and shallow grasps are moved until the gels overlap the object by
+    /// only this much, m, instead of by the shifts above.
+    pub overlap_m: Option<[f64; 2]>,
+}
+
+impl FaultRanges {
+    /// What goes wrong while a dataset is collected.
+    pub const COLLECTED: Self = Self {
+        across_m: [0.005, 0.013],
+        tilt_rad: [0.12, 0.35],
+        lean_rad: [0.15, 0.45],
+        turn_rad: [0.2, 0.6],
+        raised_m: [0.006, 0.012],
+        overlap_m: None,
+    };
+    /// More of it, so that about as many grasps are lost as are held.
+    pub const WIDE: Self = Self {
+        tilt_rad: [0.2, 0.6],
+        lean_rad: [0.3, 0.9],
+        turn_rad: [0.4, 1.1],
+        overlap_m: Some([0.0005, 0.005]),
+        ..Self::COLLECTED
+    };
+}
+
 /// Draws grasps of an object that lies on the ground, from above.
 pub struct GraspSampler<'a> {
     name: &'a str,
     seed: u64,
+    ranges: FaultRanges,
     /// The object in its own frame, m.
     object: &'a TriangleMesh,
     t_world_object: Pose,
@@ -96,12 +135,20 @@ struct Pair {
     middle: DVec3,
     /// From the left to the right place.
     closing: DVec3,
+    /// Distance between them, m.
+    width_m: f64,
 }
 
 impl<'a> GraspSampler<'a> {
     /// A sampler of `object` (m, its own frame) lying at `t_world_object` on the ground z = 0. Seed
     /// and name say what is drawn.
-    pub fn new(name: &'a str, object: &'a TriangleMesh, t_world_object: Pose, seed: u64) -> Self {
+    pub fn new(
+        name: &'a str,
+        object: &'a TriangleMesh,
+        t_world_object: Pose,
+        ranges: FaultRanges,
+        seed: u64,
+    ) -> Self {
         let mesh = object.transformed(&t_world_object);
         let areas = mesh.triangle_areas();
         let running = areas.iter().scan(0.0, |sum, area| {
@@ -111,6 +158,7 @@ impl<'a> GraspSampler<'a> {
         Self {
             name,
             seed,
+            ranges,
             object,
             t_world_object,
             query: MeshQuery::new(&mesh),
@@ -166,13 +214,48 @@ impl<'a> GraspSampler<'a> {
         (WIDTH_M[0]..=WIDTH_M[1]).contains(&width).then_some(Pair {
             middle: 0.5 * (left + right),
             closing,
+            width_m: width,
         })
+    }
+
+    /// Height of the object between two places, over the width of the gels, m.
+    fn top(&self, pair: &Pair) -> Option<f64> {
+        let across = pair.closing.cross(DVec3::Z);
+        let sides = [-0.4, 0.0, 0.4].map(|share| share * PAD_SIZE_M[1] * across);
+        let tops = FEELERS.iter().flat_map(|share| {
+            let between = pair.middle + (share - 0.5) * pair.width_m * pair.closing;
+            sides.map(|side| between + side)
+        });
+        let height = |place: DVec3| {
+            let start = place.with_z(FAR_M);
+            let hit = self.query.ray_cast(start, -DVec3::Z, FAR_M)?;
+            Some(FAR_M - hit.t)
+        };
+        tops.filter_map(height).reduce(f64::max)
+    }
+
+    /// How far the object goes on from two places along the gels' width, m: to the left or the
+    /// right of the gripper as `side` is −1 or 1.
+    fn reach(&self, pair: &Pair, side: f64) -> Option<f64> {
+        let outwards = side * DVec3::Z.cross(-pair.closing);
+        let heights = [-0.2, 0.0, 0.2].map(|share| share * PAD_SIZE_M[0] * DVec3::Z);
+        let places = FEELERS.iter().flat_map(|share| {
+            let between = pair.middle + (share - 0.5) * pair.width_m * pair.closing;
+            heights.map(|height| between + height)
+        });
+        let reach = |place: DVec3| {
+            let start = place + FAR_M * outwards;
+            let hit = self.query.ray_cast(start, -outwards, 2.0 * FAR_M)?;
+            Some(FAR_M - hit.t)
+        };
+        places.filter_map(reach).reduce(f64::max)
     }
 
     /// The gripper at a pair of places, and off it by what a person does wrong.
     fn placed(&self, pair: &Pair, draw: &mut SeedStream) -> Result<(GraspFault, Placed)> {
         let fault = draw.pick(FAULTS);
-        let mut off = |is: GraspFault, least: f64, most: f64, usual: f64| {
+        let ranges = &self.ranges;
+        let mut off = |is: GraspFault, [least, most]: [f64; 2], usual: f64| {
             let (sign, size) = (draw.pick([-1.0, 1.0]), draw.uniform());
             sign * if fault == is {
                 least + (most - least) * size
@@ -180,17 +263,30 @@ impl<'a> GraspSampler<'a> {
                 usual * size
             }
         };
-        let across = off(GraspFault::OffCentre, 0.005, 0.013, 0.002);
-        let tilt = off(GraspFault::Tilted, 0.12, 0.35, 0.03);
-        let lean = off(GraspFault::Leaned, 0.15, 0.45, 0.03);
-        let turn = off(GraspFault::Edge, 0.2, 0.6, 0.04);
-        let raised = off(GraspFault::Shallow, 0.006, 0.012, 0.002);
-        let raised = if fault == GraspFault::Shallow {
-            raised.abs()
-        } else {
-            raised
-        };
-        let along = off(GraspFault::None, 0.0, 0.001, 0.002);
+        let mut across = off(GraspFault::OffCentre, ranges.across_m, 0.002);
+        let tilt = off(GraspFault::Tilted, ranges.tilt_rad, 0.03);
+        let lean = off(GraspFault::Leaned, ranges.lean_rad, 0.03);
+        let turn = off(GraspFault::Edge, ranges.turn_rad, 0.04);
+        let mut raised = off(GraspFault::Shallow, ranges.raised_m, 0.002);
+        if fault == GraspFault::Shallow {
+            raised = raised.abs();
+        }
+        let along = off(GraspFault::None, [0.0, 0.001], 0.002);
+        if let Some([least, most]) = ranges.overlap_m {
+            let overlap = draw.between(least, most);
+            match fault {
+                GraspFault::OffCentre => {
+                    let side = across.signum();
+                    let reach = self.reach(pair, side).unwrap_or_default();
+                    across = side * (reach + 0.5 * PAD_SIZE_M[1] - overlap);
+                }
+                GraspFault::Shallow => {
+                    let top = self.top(pair).unwrap_or(pair.middle.z);
+                    raised = top + 0.5 * PAD_SIZE_M[0] - overlap - pair.middle.z;
+                }
+                _ => {}
+            }
+        }
         let bounds = Aabb::from_points(self.mesh.vertices.iter().copied());
         let yaw = pair.closing.y.atan2(pair.closing.x) + turn;
         let from_center = (pair.middle - bounds.center()).truncate();
@@ -221,6 +317,9 @@ impl<'a> GraspSampler<'a> {
     }
 }
 
+/// Shares of the way from one place to the other at which the object is felt for.
+const FEELERS: [f64; 5] = [0.05, 0.25, 0.5, 0.75, 0.95];
+
 /// Height of the lowest corner of the gels above the ground, m.
 fn lowest(placed: &Placed) -> f64 {
     let [approach, across, thickness] = PAD_SIZE_M;
@@ -244,7 +343,8 @@ mod tests {
         for shape in ["jack", "star", "dented", "saddle", "lump"] {
             let mesh = builtin(shape).unwrap();
             let t_world_object = stable_poses(&mesh, 0.0).unwrap()[0].t_world_object;
-            let sampler = GraspSampler::new(shape, &mesh, t_world_object, 4);
+            let sampler =
+                GraspSampler::new(shape, &mesh, t_world_object, FaultRanges::COLLECTED, 4);
             let (mut found, mut tilts, mut faults) = (0, 0, Vec::new());
             for number in 0..12 {
                 let Some(candidate) = sampler.candidate(number).unwrap() else {
