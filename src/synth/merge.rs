@@ -294,8 +294,7 @@ impl<'a> Writing<'a> {
             writer.finish()?;
             let bytes = fs::read(&path)
                 .map_err(|e| Error::io("cannot read the shard again", e).at(path.display()))?;
-            self.files
-                .insert(file, hex(&Sha256::digest(bytes)));
+            self.files.insert(file, hex(&Sha256::digest(bytes)));
         }
         Ok(())
     }

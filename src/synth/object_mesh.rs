@@ -17,8 +17,12 @@ pub fn planned_mesh(object: &PlannedObject, folder: &Path) -> Result<TriangleMes
             family_shape(Category::parse(category)?, *seed)?.mesh
         }
         MeshSource::File { path, unit, scale } => {
-            let path = folder.join(path);
-            load_object_mesh(&path.to_string_lossy(), unit.parse()?, *scale)?.mesh
+            let source = if path.starts_with("builtin:") {
+                path.clone()
+            } else {
+                folder.join(path).to_string_lossy().into_owned()
+            };
+            load_object_mesh(&source, unit.parse()?, *scale)?.mesh
         }
     };
     let found = mesh.content_hash();

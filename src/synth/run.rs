@@ -202,7 +202,7 @@ impl<'a> Workshop<'a> {
             let seed = rendering_seed(simulation.seed, rendering);
             let [initial, pressed] = self.photographer.tactile(&grasped, seed)?;
             cpu_s.tactile += clock.lap();
-            let (words, model) = appearance(object, &setup.mesh, seed)?;
+            let (words, model) = appearance(object, &self.folder, &setup.mesh, seed)?;
             let rgb = self.photographer.rgb(&grasped, &model, seed)?;
             cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
@@ -253,15 +253,25 @@ impl<'a> Workshop<'a> {
 }
 
 /// What an object looks like in a rendering, in words and as a model.
-fn appearance(object: &PlannedObject, mesh: &TriangleMesh, seed: u64) -> Result<(String, Model)> {
+fn appearance(
+    object: &PlannedObject,
+    folder: &Path,
+    mesh: &TriangleMesh,
+    seed: u64,
+) -> Result<(String, Model)> {
     let mut draw = SeedStream::named(seed, "appearance");
-    let look = object.looks.get(draw.index(object.looks.len()));
-    let look = look.ok_or_else(|| {
+    let (looks, textures) = (&object.looks, &object.textures);
+    let which = draw.index(looks.len() + textures.len());
+    if let Some(look) = looks.get(which) {
+        let model = Model::coated(mesh, &look.look, draw.bits())?;
+        return Ok((look.words.clone(), model));
+    }
+    let texture = textures.get(which - looks.len()).ok_or_else(|| {
         let what = format!("{} has no appearance", object.name);
         Error::new(ErrorKind::Input, what)
     })?;
-    let model = Model::coated(mesh, &look.look, draw.bits())?;
-    Ok((look.words.clone(), model))
+    let model = Model::textured(mesh, &texture.load(folder)?, texture.width_m)?;
+    Ok((texture.words().to_owned(), model))
 }
 
 /// Whether the object was held; none where there is no outcome, or no contact.

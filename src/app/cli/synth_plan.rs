@@ -3,7 +3,7 @@
 //! The same flags give the same plan, byte for byte. Exit codes: 0 a plan was written · 1 it could
 //! not be · 2 usage · 3 objects were left out of it, each with its reason · 130 interrupted.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
@@ -15,7 +15,11 @@ use crate::sim::grasp::GraspSettings;
 use crate::sim::rigid::{RigidEngine, RigidSettings};
 use crate::sim::{Engine, FemEngine};
 use crate::synth::plan::{
-    MadePlan, PlanPreset, PlanSettings, RenderingPlan, family_drafts, make_plan,
+    Drafts, LeftOutObject, MadePlan, PlanPreset, PlanSettings, RenderingPlan, acronym_drafts,
+    family_drafts, make_plan, table_drafts, texture_folder,
+};
+use crate::synth::properties::{
+    DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, PropertyAsker,
 };
 
 /// Arguments.
@@ -30,9 +34,14 @@ pub(crate) struct Args {
     /// Everything that is drawn follows from it
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Objects of the built-in families [default: that of the preset]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    /// Objects of the built-in families [default: that of the preset, none beside --table or
+    /// --acronym]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     objects: Option<u32>,
+    #[command(flatten)]
+    sources: Sources,
+    #[command(flatten)]
+    llm: Llm,
     /// Grasps of each object [default: that of the preset]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     grasps: Option<u32>,
@@ -71,6 +80,53 @@ pub(crate) struct Args {
     /// Print what was planned as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// Objects and pictures of the user's.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Objects of your own")]
+struct Sources {
+    /// Table of objects beside their meshes (docs/synth.md)
+    #[arg(long, value_name = "FILE")]
+    table: Option<PathBuf>,
+    /// Folder of ACRONYM's grasps, `.h5` files
+    #[arg(long, value_name = "DIR", requires = "meshes")]
+    acronym: Option<PathBuf>,
+    /// Folder that ACRONYM's mesh paths begin in
+    #[arg(long, value_name = "DIR", requires = "acronym")]
+    meshes: Option<PathBuf>,
+    /// Objects drawn from those of ACRONYM [default: all]
+    #[arg(long, value_name = "N", requires = "acronym",
+        value_parser = clap::value_parser!(u32).range(1..))]
+    acronym_objects: Option<u32>,
+    /// Folder of pictures that objects may wear besides their built-in appearances
+    #[arg(long, value_name = "DIR")]
+    textures: Option<PathBuf>,
+    /// Width of these pictures on an object, m
+    #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = above_zero)]
+    texture_width_m: f64,
+}
+
+/// The language model that knows masses, friction and appearances.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Properties from a language model")]
+struct Llm {
+    /// OpenAI-compatible endpoint, such as http://localhost:11434/v1 [default: none is asked; the
+    /// built-in table of materials is used]
+    #[arg(long, value_name = "URL", requires = "llm_model")]
+    llm_url: Option<String>,
+    /// Model at the endpoint
+    #[arg(long, value_name = "NAME", requires = "llm_url")]
+    llm_model: Option<String>,
+    /// Environment variable with the endpoint's key
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_KEY_VARIABLE)]
+    llm_key_variable: String,
+    /// Use the table of materials where the endpoint does not answer; the plan says where
+    #[arg(long, requires = "llm_url")]
+    llm_fallback: bool,
+    /// Folder of answers that are not asked for again [default: ~/.cache/gripcast/llm]
+    #[arg(long, value_name = "DIR", requires = "llm_url")]
+    llm_cache: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -158,6 +214,11 @@ impl Args {
             || std::thread::available_parallelism().map_or(1, usize::from),
             usize::from,
         );
+        let plan_folder = &self.out;
+        let textures = match &self.sources.textures {
+            None => Vec::new(),
+            Some(folder) => texture_folder(folder, self.sources.texture_width_m, plan_folder)?,
+        };
         let settings = PlanSettings {
             preset: preset.name().to_owned(),
             seed: self.seed,
@@ -168,15 +229,52 @@ impl Args {
                 samples: self.samples.unwrap_or(of_preset.samples),
                 sensor_spread: self.sensor_spread,
             },
+            textures,
             map_masses: !self.true_masses,
             jobs,
         };
-        let count = self.objects.map_or(preset.objects(), |n| n as usize);
-        progress.stage("making objects");
-        let told = |done: usize| progress.at(done as u64, count as u64);
-        let drafts = family_drafts(count, self.seed, jobs, &told)?;
+        let Drafts { drafts, left_out } = self.drafts(preset, jobs, progress)?;
+        if drafts.is_empty() {
+            return Err(nothing_to_grasp(&left_out));
+        }
+        let count = drafts.len() as u64;
         progress.stage("drawing grasps");
-        make_plan(&settings, drafts, self.engine().as_ref(), None, &told)
+        let told = |done: usize| progress.at(done as u64, count);
+        let mut asker = self.llm.asker(plan_folder)?;
+        let engine = self.engine();
+        let mut made = make_plan(&settings, drafts, engine.as_ref(), asker.as_mut(), &told)?;
+        made.left_out.splice(0..0, left_out);
+        Ok(made)
+    }
+
+    /// Objects of all sources.
+    fn drafts(&self, preset: PlanPreset, jobs: usize, progress: &Progress) -> Result<Drafts> {
+        let Sources {
+            table,
+            acronym,
+            meshes,
+            acronym_objects,
+            ..
+        } = &self.sources;
+        progress.stage("making objects");
+        let mut all = Drafts::default();
+        if let Some(table) = table {
+            all.extend(table_drafts(table, &self.out, self.seed)?);
+        }
+        if let (Some(grasps), Some(meshes)) = (acronym, meshes) {
+            let most = acronym_objects.map(|n| n as usize);
+            all.extend(acronym_drafts(grasps, meshes, &self.out, most, self.seed)?);
+        }
+        let usual = if table.is_some() || acronym.is_some() {
+            0
+        } else {
+            preset.objects()
+        };
+        let count = self.objects.map_or(usual, |n| n as usize);
+        let told = |done: usize| progress.at(done as u64, count as u64);
+        all.drafts
+            .extend(family_drafts(count, self.seed, jobs, &told)?);
+        Ok(all)
     }
 
     fn engine(&self) -> Box<dyn Engine> {
@@ -190,4 +288,36 @@ impl Args {
             EngineName::Rigid => Box::new(RigidEngine::new(RigidSettings::default())),
         }
     }
+}
+
+impl Llm {
+    fn asker(&self, plan_folder: &Path) -> Result<Option<PropertyAsker>> {
+        let (Some(url), Some(model)) = (&self.llm_url, &self.llm_model) else {
+            return Ok(None);
+        };
+        let cache = self
+            .llm_cache
+            .clone()
+            .or_else(usual_cache)
+            .unwrap_or_else(|| plan_folder.join("llm"));
+        let mut options = LlmOptions::new(url, model, cache);
+        options.key = EndpointKey::from_env(&self.llm_key_variable)?;
+        let client = LlmClient::new(options)?;
+        Ok(Some(PropertyAsker::new(client, self.llm_fallback)))
+    }
+}
+
+/// Where programs of the desktop keep what can be had again (XDG base directories).
+fn usual_cache() -> Option<PathBuf> {
+    let set = |name| std::env::var_os(name).filter(|value| !value.is_empty());
+    let cache = set("XDG_CACHE_HOME").map(PathBuf::from);
+    let cache = cache.or_else(|| set("HOME").map(|home| PathBuf::from(home).join(".cache")));
+    cache.map(|cache| cache.join("gripcast").join("llm"))
+}
+
+fn nothing_to_grasp(left_out: &[LeftOutObject]) -> Error {
+    let reason = left_out
+        .first()
+        .map_or_else(|| "--objects is 0".to_owned(), |l| l.reason.clone());
+    Error::new(ErrorKind::Input, format!("no object can be used: {reason}"))
 }

@@ -5,22 +5,24 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::{
-    MeshSource, PLAN_FORMAT, PLAN_VERSION, Plan, PlanHeader, PlannedObject, PlannedSimulation,
-    RenderingPlan,
+    LeftOutObject, ObjectDraft, PLAN_FORMAT, PLAN_VERSION, PictureTexture, Plan, PlanHeader,
+    PlannedObject, PlannedSimulation, RenderingPlan,
 };
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{MassProperties, Pose, TriangleMesh};
+use crate::geometry::MassProperties;
 use crate::render::visual::SeedStream;
 use crate::sim::{Engine, EngineKind};
 use crate::synth::grasp::{GraspChoice, choose_given_grasps, choose_grasps};
 use crate::synth::properties::{
-    Appearances, Material, Modifier, PhysicalProperties, PropertyAsker, PropertyQuery,
+    APPEARANCES, Appearances, Modifier, PhysicalProperties, PropertyAsker, PropertyQuery,
     PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
 };
 use crate::workers::one_per_core;
 
 /// Seeds in files are below 2⁵³, so that every JSON reader keeps them.
 const SEED_BITS: u32 = 53;
+/// Largest side of objects that are believed, m: others are mostly in another unit.
+const SIZE_M: [f64; 2] = [0.005, 0.5];
 /// Estimated CPU time of finite elements, s: for each node of a gel and N of stopping force beyond
 /// a base, from the costs of the built-in cases.
 const FEM_BASE_S: f64 = 0.4;
@@ -43,44 +45,12 @@ pub struct PlanSettings {
     pub stop_forces_n: Vec<f64>,
     /// How simulations become pictures.
     pub rendering: RenderingPlan,
+    /// Pictures of the user's: objects without appearances of their own may wear them.
+    pub textures: Vec<PictureTexture>,
     /// Whether masses are mapped to those of the paper's objects (A.1).
     pub map_masses: bool,
     /// Objects that are worked on at a time.
     pub jobs: usize,
-}
-
-/// An object before it has properties and grasps.
-#[derive(Clone, Debug)]
-pub struct ObjectDraft {
-    /// Name; a key.
-    pub name: String,
-    /// Kind of thing.
-    pub category: String,
-    /// Where the mesh comes from.
-    pub source: MeshSource,
-    /// The mesh, m: closed.
-    pub mesh: TriangleMesh,
-    /// What it is made of.
-    pub material: &'static Material,
-    /// Share of the mesh's volume that is material; none for what is usual in the category.
-    pub fill: Option<f64>,
-    /// Mass, kg, where it is known.
-    pub mass_kg: Option<f64>,
-    /// Friction coefficient, where it is known.
-    pub friction: Option<f64>,
-    /// What it may look like, where that is known.
-    pub looks: Vec<Modifier>,
-    /// Its grasps as `t_object_gripper`; none to draw them.
-    pub grasps: Option<Vec<Pose>>,
-}
-
-/// An object that is not in the plan.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LeftOutObject {
-    /// Its name.
-    pub name: String,
-    /// Why.
-    pub reason: String,
 }
 
 /// A plan and what did not get into it.
@@ -152,6 +122,13 @@ struct Seen {
 fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
     let volume_m3 = MassProperties::of(&draft.mesh)?.volume_m3;
     let [size_m, ..] = oriented_size_m(&draft.mesh)?;
+    if !(SIZE_M[0]..=SIZE_M[1]).contains(&size_m) {
+        let what = format!(
+            "the object is {size_m:.3e} m large, expected {} to {} m",
+            SIZE_M[0], SIZE_M[1]
+        );
+        return Err(Error::new(ErrorKind::Input, what).remedy("check its unit and scale"));
+    }
     let (name, wanted, seed) = (&draft.name, settings.grasps, settings.seed);
     let choice = match &draft.grasps {
         Some(given) => choose_given_grasps(name, &draft.mesh, given, wanted, seed)?,
@@ -220,6 +197,7 @@ fn described(
             mass_kg: physical.mass_kg,
             friction: draft.friction.unwrap_or(physical.friction),
             properties: physical.source,
+            textures: textures(draft, seed, settings),
             looks,
         });
     }
@@ -246,7 +224,7 @@ fn looks(
     seed: u64,
     asker: Option<&mut PropertyAsker>,
 ) -> Result<Vec<Modifier>> {
-    if !draft.looks.is_empty() {
+    if !draft.looks.is_empty() || !draft.textures.is_empty() {
         return Ok(draft.looks.clone());
     }
     let Some(asker) = asker else {
@@ -255,6 +233,18 @@ fn looks(
     let query = query(draft, "", seed);
     let Appearances { modifiers, .. } = asker.appearances(&query)?;
     Ok(modifiers)
+}
+
+/// Pictures on an object: its own, else as many as it has other appearances.
+fn textures(draft: &ObjectDraft, seed: u64, settings: &PlanSettings) -> Vec<PictureTexture> {
+    if !draft.looks.is_empty() || !draft.textures.is_empty() {
+        return draft.textures.clone();
+    }
+    let mut drawn: Vec<&PictureTexture> = settings.textures.iter().collect();
+    drawn.sort_by_key(|texture| {
+        SeedStream::named(seed, &format!("texture {}", texture.sha256)).bits()
+    });
+    drawn.into_iter().take(APPEARANCES).cloned().collect()
 }
 
 fn physical(

@@ -3,19 +3,27 @@
 //! A plan is a folder with `plan.jsonl`: a header, then objects, then simulations, a JSON object
 //! each, and `plan.sha256`. Results are kept beside it, in `results/`.
 
+mod acronym;
+mod draft;
 mod file;
 mod make;
 mod preset;
 mod shard;
+mod table;
+mod texture;
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+pub use acronym::acronym_drafts;
+pub use draft::{Drafts, LeftOutObject, ObjectDraft};
 pub(in crate::synth) use file::hex;
 pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
-pub use make::{LeftOutObject, MadePlan, ObjectDraft, PlanSettings, check_parameters, make_plan};
+pub use make::{MadePlan, PlanSettings, check_parameters, make_plan};
 pub use preset::{PlanPreset, family_drafts};
 pub use shard::{INDEX_VARIABLES, Shard};
+pub use table::table_drafts;
+pub use texture::{PictureTexture, texture_folder};
 
 use super::grasp::GraspFault;
 use super::properties::{Modifier, PropertySource};
@@ -69,7 +77,7 @@ pub enum MeshSource {
     },
     /// A file.
     File {
-        /// Path as given; a relative one is relative to the plan's folder.
+        /// `builtin:NAME`, or the file: relative to the plan's folder where it lies in it.
         path: String,
         /// Unit of its coordinates.
         unit: String,
@@ -100,6 +108,9 @@ pub struct PlannedObject {
     pub properties: PropertySource,
     /// What it may look like.
     pub looks: Vec<Modifier>,
+    /// Pictures that may be on it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub textures: Vec<PictureTexture>,
 }
 
 /// A simulation of a plan.
@@ -159,6 +170,7 @@ mod tests {
             friction: 0.4,
             properties: PropertySource::Table,
             looks: Vec::new(),
+            textures: Vec::new(),
         }
     }
 

@@ -106,6 +106,7 @@ fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {
         mass_kg: None,
         friction: None,
         looks: Vec::new(),
+        textures: Vec::new(),
         grasps: None,
     })
 }

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::material::Material;
+use super::words::look_of_words;
 use crate::imaging::srgb_decode;
 pub use crate::render::visual::{FinishClass, Look, PatternWord};
 
@@ -13,6 +15,17 @@ pub struct Modifier {
     pub words: String,
     /// What these words look like.
     pub look: Look,
+}
+
+impl Modifier {
+    /// An appearance of a thing of `material` in English words; what they leave open is that of
+    /// the bare material, the colour one by chance.
+    pub fn of_words(words: &str, material: &Material, seed: u64) -> Self {
+        Self {
+            words: words.to_owned(),
+            look: look_of_words(words, material, seed),
+        }
+    }
 }
 
 /// Linear RGB of a colour written as 0xRRGGBB in sRGB.

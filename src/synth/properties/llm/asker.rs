@@ -10,7 +10,6 @@ use crate::synth::properties::appearance::builtin_appearances;
 use crate::synth::properties::look::Modifier;
 use crate::synth::properties::material::Material;
 use crate::synth::properties::physical::{PhysicalProperties, PropertySource, estimate};
-use crate::synth::properties::words::look_of_words;
 
 /// What is known of an object before it is asked about.
 #[derive(Clone, Copy, Debug)]
@@ -107,7 +106,10 @@ impl PropertyAsker {
         let prompt = texture_prompt(query.category)?;
         Ok(match self.answer(&prompt, answer::appearances)? {
             Ok(words) => Appearances {
-                modifiers: words.into_iter().map(|w| seen(w, query)).collect(),
+                modifiers: words
+                    .iter()
+                    .map(|words| Modifier::of_words(words, query.material, query.seed))
+                    .collect(),
                 source: self.model_source(),
             },
             Err(why) => Appearances {
@@ -149,9 +151,4 @@ impl PropertyAsker {
             model: self.client.model().to_owned(),
         }
     }
-}
-
-fn seen(words: String, query: &PropertyQuery<'_>) -> Modifier {
-    let look = look_of_words(&words, query.material, query.seed);
-    Modifier { words, look }
 }
