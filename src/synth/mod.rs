@@ -24,5 +24,5 @@ mod store;
 pub use engine::planned_engine;
 pub use merge::{MergeReport, MergeSettings, merge};
 pub use object_mesh::planned_mesh;
-pub use run::{RunProgress, RunSummary, run};
+pub use run::{RunProgress, RunSummary, run, simulate_labels};
 pub use store::{CpuSeconds, FAILED, RESULTS, ResultStore, SampleFile, SimulationResult};

@@ -96,6 +96,42 @@ pub fn run(
     })
 }
 
+/// Whether each simulation of a plan holds with another engine, without pictures; none where it has
+/// no outcome.
+///
+/// # Errors
+/// Those of the meshes and of the engine.
+pub fn simulate_labels(
+    plan: &Plan,
+    folder: &Path,
+    engine: &dyn Engine,
+    jobs: usize,
+    told: &(dyn Fn(usize) + Sync),
+) -> Result<Vec<Option<bool>>> {
+    let label = |simulation: &PlannedSimulation| -> Result<Option<bool>> {
+        let object = plan.object(simulation)?;
+        let setup = setup(simulation, object, folder)?;
+        let force_n = simulation.stop_force_n;
+        let grasp = engine.simulate(&setup, object.friction, force_n)?;
+        Ok(stable(grasp.outcome))
+    };
+    one_per_core(jobs, &plan.simulations, &label, told)
+}
+
+fn setup(
+    simulation: &PlannedSimulation,
+    object: &PlannedObject,
+    folder: &Path,
+) -> Result<GraspSetup> {
+    Ok(GraspSetup {
+        mesh: Arc::new(planned_mesh(object, folder)?),
+        mass_kg: object.mass_kg,
+        t_world_object: simulation.t_world_object,
+        t_world_gripper: simulation.t_world_gripper,
+        opening_m: simulation.opening_m,
+    })
+}
+
 fn note_failure(result: &SimulationResult, failed: &mut BTreeMap<String, String>) {
     if result.is_failed() {
         let why = result.detail.clone().unwrap_or_default();
@@ -149,14 +185,7 @@ impl<'a> Workshop<'a> {
         object: &PlannedObject,
     ) -> Result<(SimulationResult, Samples)> {
         let mut clock = Clock::new();
-        let mesh = Arc::new(planned_mesh(object, &self.folder)?);
-        let setup = GraspSetup {
-            mesh: mesh.clone(),
-            mass_kg: object.mass_kg,
-            t_world_object: simulation.t_world_object,
-            t_world_gripper: simulation.t_world_gripper,
-            opening_m: simulation.opening_m,
-        };
+        let setup = setup(simulation, object, &self.folder)?;
         let mut cpu_s = CpuSeconds {
             prepare: clock.lap(),
             ..CpuSeconds::default()
@@ -289,7 +318,8 @@ fn stable(outcome: GraspOutcome) -> Option<bool> {
 /// Normal force on each finger before the lift, N.
 fn forces(grasp: &GraspResult) -> Option<[f64; 2]> {
     let last = grasp.trace.stage(StageName::Adjustment).next_back()?;
-    Some(last.force.map(|force| force.normal_n))
+    // A gel that swings back is below zero by less than a millinewton.
+    Some(last.force.map(|force| force.normal_n.max(0.0)))
 }
 
 fn facts(mut result: SimulationResult, grasp: &GraspResult) -> SimulationResult {

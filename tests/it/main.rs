@@ -22,4 +22,5 @@ mod rig;
 mod screen;
 mod shared_data;
 mod sim;
+mod synth;
 mod visual_scene;

@@ -18,6 +18,7 @@ mod bench_pose;
 mod bench_predict;
 mod bench_render;
 mod bench_rigid;
+mod bench_synth;
 mod board;
 mod board_charuco;
 mod board_make;

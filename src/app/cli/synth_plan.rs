@@ -19,7 +19,7 @@ use crate::synth::plan::{
     family_drafts, make_plan, table_drafts, texture_folder,
 };
 use crate::synth::properties::{
-    DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, PropertyAsker,
+    DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyAsker,
 };
 
 /// Arguments.
@@ -71,9 +71,9 @@ pub(crate) struct Args {
     /// Spread of the tactile sensors: 0 the shipped profile, 1 as real ones differ
     #[arg(long, value_name = "S", default_value_t = 1.0)]
     sensor_spread: f64,
-    /// Keep masses as estimated instead of mapping them to 10 to 200 g as the paper does
-    #[arg(long)]
-    true_masses: bool,
+    /// How estimated masses become masses of 10 to 200 g; given ones stay
+    #[arg(long, value_enum, default_value_t = MassMapName::Linear)]
+    mass_map: MassMapName,
     /// Objects at a time; the plan does not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
@@ -157,6 +157,26 @@ enum EngineName {
     Rigid,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum MassMapName {
+    /// As in the paper
+    Linear,
+    /// By their logarithm: light things are spread over the range
+    Log,
+    /// As estimated
+    None,
+}
+
+impl From<MassMapName> for MassMap {
+    fn from(name: MassMapName) -> Self {
+        match name {
+            MassMapName::Linear => Self::Linear,
+            MassMapName::Log => Self::Logarithmic,
+            MassMapName::None => Self::None,
+        }
+    }
+}
+
 /// Runs the verb.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let (out, is_json) = (args.out.clone(), args.json);
@@ -230,7 +250,7 @@ impl Args {
                 sensor_spread: self.sensor_spread,
             },
             textures,
-            map_masses: !self.true_masses,
+            mass_map: self.mass_map.into(),
             jobs,
         };
         let Drafts { drafts, left_out } = self.drafts(preset, jobs, progress)?;

@@ -68,15 +68,6 @@ impl GraspFault {
     }
 }
 
-const FAULTS: [GraspFault; 6] = [
-    GraspFault::None,
-    GraspFault::OffCentre,
-    GraspFault::Tilted,
-    GraspFault::Leaned,
-    GraspFault::Shallow,
-    GraspFault::Edge,
-];
-
 /// How far grasps depart from opposite places.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FaultRanges {
@@ -93,6 +84,9 @@ pub struct FaultRanges {
     /// Where given: off-centre and shallow grasps are moved until the gels overlap the object by
     /// only this much, m, instead of by the shifts above.
     pub overlap_m: Option<[f64; 2]>,
+    /// What is drawn from, each item as often as any other. Many tilted and leaned grasps hit
+    /// something and are drawn again.
+    pub faults: &'static [GraspFault],
 }
 
 impl FaultRanges {
@@ -104,13 +98,39 @@ impl FaultRanges {
         turn_rad: [0.2, 0.6],
         raised_m: [0.006, 0.012],
         overlap_m: None,
+        faults: &[
+            GraspFault::None,
+            GraspFault::OffCentre,
+            GraspFault::Tilted,
+            GraspFault::Leaned,
+            GraspFault::Shallow,
+            GraspFault::Edge,
+        ],
     };
     /// More of it, so that about as many grasps are lost as are held.
     pub const WIDE: Self = Self {
-        tilt_rad: [0.2, 0.6],
-        lean_rad: [0.3, 0.9],
+        tilt_rad: [0.15, 0.45],
+        lean_rad: [0.2, 0.7],
         turn_rad: [0.4, 1.1],
-        overlap_m: Some([0.0005, 0.005]),
+        overlap_m: Some([0.001, 0.007]),
+        faults: &[
+            GraspFault::None,
+            GraspFault::None,
+            GraspFault::OffCentre,
+            GraspFault::OffCentre,
+            GraspFault::OffCentre,
+            GraspFault::Tilted,
+            GraspFault::Tilted,
+            GraspFault::Tilted,
+            GraspFault::Leaned,
+            GraspFault::Leaned,
+            GraspFault::Shallow,
+            GraspFault::Shallow,
+            GraspFault::Shallow,
+            GraspFault::Shallow,
+            GraspFault::Edge,
+            GraspFault::Edge,
+        ],
         ..Self::COLLECTED
     };
 }
@@ -253,8 +273,8 @@ impl<'a> GraspSampler<'a> {
 
     /// The gripper at a pair of places, and off it by what a person does wrong.
     fn placed(&self, pair: &Pair, draw: &mut SeedStream) -> Result<(GraspFault, Placed)> {
-        let fault = draw.pick(FAULTS);
         let ranges = &self.ranges;
+        let fault = ranges.faults[draw.index(ranges.faults.len())];
         let mut off = |is: GraspFault, [least, most]: [f64; 2], usual: f64| {
             let (sign, size) = (draw.pick([-1.0, 1.0]), draw.uniform());
             sign * if fault == is {

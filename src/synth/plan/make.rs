@@ -14,7 +14,7 @@ use crate::render::visual::SeedStream;
 use crate::sim::{Engine, EngineKind};
 use crate::synth::grasp::{GraspChoice, choose_given_grasps, choose_grasps};
 use crate::synth::properties::{
-    APPEARANCES, Appearances, Modifier, PhysicalProperties, PropertyAsker, PropertyQuery,
+    APPEARANCES, Appearances, MassMap, Modifier, PhysicalProperties, PropertyAsker, PropertyQuery,
     PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
 };
 use crate::workers::one_per_core;
@@ -23,13 +23,15 @@ use crate::workers::one_per_core;
 const SEED_BITS: u32 = 53;
 /// Largest side of objects that are believed, m: others are mostly in another unit.
 const SIZE_M: [f64; 2] = [0.005, 0.5];
-/// Estimated CPU time of finite elements, s: for each node of a gel and N of stopping force beyond
-/// a base, from the costs of the built-in cases.
-const FEM_BASE_S: f64 = 0.4;
-const FEM_S_PER_NODE: f64 = 1.6e-3;
-/// The same for a colour picture of one path a pixel, and for a rigid grasp.
-const VISUAL_S_PER_SAMPLE: f64 = 0.1;
-const TACTILE_S: f64 = 0.1;
+/// Estimated CPU time of finite elements, s: a base and for each node of a gel, from the costs of
+/// grasps of the built-in families with the three meshes.
+const FEM_BASE_S: f64 = 0.2;
+const FEM_S_PER_NODE: f64 = 1.7e-3;
+/// The same of a colour picture without a path and for each path of a pixel, of a pair of tactile
+/// pictures and of a rigid grasp.
+const VISUAL_S: f64 = 0.25;
+const VISUAL_S_PER_SAMPLE: f64 = 0.06;
+const TACTILE_S: f64 = 0.06;
 const RIGID_S: f64 = 0.1;
 
 /// What a plan is made by.
@@ -47,8 +49,8 @@ pub struct PlanSettings {
     pub rendering: RenderingPlan,
     /// Pictures of the user's: objects without appearances of their own may wear them.
     pub textures: Vec<PictureTexture>,
-    /// Whether masses are mapped to those of the paper's objects (A.1).
-    pub map_masses: bool,
+    /// How masses that were not given are mapped to those of the paper's objects (A.1).
+    pub mass_map: MassMap,
     /// Objects that are worked on at a time.
     pub jobs: usize,
 }
@@ -201,11 +203,16 @@ fn described(
             looks,
         });
     }
-    if settings.map_masses {
-        let masses: Vec<f64> = objects.iter().map(|object| object.mass_kg).collect();
-        for (object, mass_kg) in objects.iter_mut().zip(map_masses(&masses)?) {
-            object.mass_kg = mass_kg;
-        }
+    let drafts = kept.iter().map(|(draft, _)| draft);
+    let mut estimated: Vec<&mut PlannedObject> = drafts
+        .zip(&mut objects)
+        .filter(|(draft, _)| draft.mass_kg.is_none())
+        .map(|(_, object)| object)
+        .collect();
+    let masses: Vec<f64> = estimated.iter().map(|object| object.mass_kg).collect();
+    let mapped = map_masses(&masses, settings.mass_map)?;
+    for (object, mass_kg) in estimated.iter_mut().zip(mapped) {
+        object.mass_kg = mass_kg;
     }
     // What JSON readers show, and no last bit of a logarithm.
     for object in &mut objects {
@@ -342,7 +349,7 @@ fn cost_s(settings: &PlanSettings, engine: &dyn Engine) -> Result<f64> {
         samples,
         ..
     } = settings.rendering;
-    let picture = TACTILE_S + VISUAL_S_PER_SAMPLE * f64::from(samples);
+    let picture = TACTILE_S + VISUAL_S + VISUAL_S_PER_SAMPLE * f64::from(samples);
     Ok(simulate + f64::from(renderings) * picture)
 }
 

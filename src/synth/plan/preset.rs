@@ -62,7 +62,7 @@ impl PlanPreset {
     pub fn rendering(self) -> RenderingPlan {
         RenderingPlan {
             renderings: if self == Self::Tiny { 1 } else { 3 },
-            samples: 8,
+            samples: 4,
             sensor_spread: 1.0,
         }
     }

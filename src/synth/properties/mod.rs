@@ -21,6 +21,6 @@ pub use llm::{
 pub use look::{FinishClass, Look, Modifier, PatternWord};
 pub use material::Material;
 pub use physical::{
-    FRICTION_RANGE, MASS_RANGE_KG, MAX_MASS_KG, PhysicalProperties, PropertySource, estimate,
-    map_masses,
+    FRICTION_RANGE, MASS_RANGE_KG, MAX_MASS_KG, MassMap, PhysicalProperties, PropertySource,
+    estimate, map_masses,
 };

@@ -129,8 +129,21 @@ fn usual_fill(category: &str) -> f64 {
         .map_or(OTHER_FILL, |(_, fill)| *fill)
 }
 
-/// Masses of a whole set of objects as in the paper (A.1): above 1 kg they become 1 kg, then all
-/// are mapped linearly, the lightest to 0.01 kg and the heaviest to 0.2 kg:
+/// How masses of things become masses of a dataset's objects.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MassMap {
+    /// As in the paper (A.1): linearly to [`MASS_RANGE_KG`].
+    #[default]
+    Linear,
+    /// Linearly in the logarithm of the mass: where most things are light, [`Linear`](Self::Linear)
+    /// leaves nearly all of them at the lower end.
+    Logarithmic,
+    /// Not at all.
+    None,
+}
+
+/// Masses of a whole set of objects: above 1 kg they become 1 kg, then all are mapped, the lightest
+/// to 0.01 kg and the heaviest to 0.2 kg. Linearly (A.1):
 ///
 /// m → 0.01 + 0.19 (min(m, 1) − low) / (high − low), with low and high the smallest and largest
 /// min(m, 1) of the list.
@@ -140,27 +153,37 @@ fn usual_fill(category: &str) -> f64 {
 ///
 /// # Errors
 /// `Input` for a mass that is not positive and finite.
-pub fn map_masses(masses_kg: &[f64]) -> Result<Vec<f64>> {
+pub fn map_masses(masses_kg: &[f64], map: MassMap) -> Result<Vec<f64>> {
     if let Some((i, mass)) = (masses_kg.iter().enumerate()).find(|(_, m)| !is_mass(**m)) {
         return Err(Error::new(
             ErrorKind::Input,
             format!("mass {i} must be positive and finite, found {mass} kg"),
         ));
     }
-    let clamped: Vec<f64> = masses_kg.iter().map(|m| m.min(MAX_MASS_KG)).collect();
-    let low = clamped.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = clamped.iter().copied().fold(0.0, f64::max);
+    let forth = match map {
+        MassMap::None => return Ok(masses_kg.to_vec()),
+        MassMap::Linear => |m: f64| m,
+        MassMap::Logarithmic => f64::ln,
+    };
+    let scale: Vec<f64> = masses_kg
+        .iter()
+        .map(|m| forth(m.min(MAX_MASS_KG)))
+        .collect();
+    let low = scale.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = scale.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let [to_low, to_high] = MASS_RANGE_KG;
-    let mapped = |m: f64| {
-        if high > low {
-            let share = (m - low) / (high - low);
+    let mapped = |(at, mass): (&f64, &f64)| {
+        if high <= low {
+            return mass.clamp(to_low, to_high);
+        }
+        let share = (at - low) / (high - low);
+        match map {
+            MassMap::Logarithmic => to_low.powf(1.0 - share) * to_high.powf(share),
             // The ends exactly, whatever rounding does.
-            to_low * (1.0 - share) + to_high * share
-        } else {
-            m.clamp(to_low, to_high)
+            _ => to_low * (1.0 - share) + to_high * share,
         }
     };
-    Ok(clamped.into_iter().map(mapped).collect())
+    Ok(scale.iter().zip(masses_kg).map(mapped).collect())
 }
 
 pub(super) fn is_mass(mass_kg: f64) -> bool {
@@ -221,7 +244,7 @@ mod tests {
 
     #[test]
     fn masses_are_clamped_and_mapped_linearly() {
-        let mapped = map_masses(&[0.02, 0.51, 500.0, 1.0]).unwrap();
+        let mapped = map_masses(&[0.02, 0.51, 500.0, 1.0], MassMap::Linear).unwrap();
         let expected = [0.01, 0.105, 0.2, 0.2];
         for (found, wanted) in mapped.iter().zip(expected) {
             assert!((found - wanted).abs() < 1e-12, "{mapped:?}");
@@ -231,15 +254,26 @@ mod tests {
     }
 
     #[test]
+    fn logarithms_spread_the_light_ones() {
+        let masses = [0.001, 0.01, 0.1, 1.0];
+        let mapped = map_masses(&masses, MassMap::Logarithmic).unwrap();
+        let steps: Vec<f64> = mapped.windows(2).map(|w| w[1] / w[0]).collect();
+        assert!((mapped[0] - 0.01).abs() < 1e-12 && (mapped[3] - 0.2).abs() < 1e-12);
+        assert!(steps.iter().all(|step| (step - steps[0]).abs() < 1e-9));
+        assert_eq!(map_masses(&masses, MassMap::None).unwrap(), masses);
+    }
+
+    #[test]
     fn masses_without_a_spread_stay_in_the_range() {
-        assert_eq!(map_masses(&[]).unwrap(), Vec::<f64>::new());
-        assert_eq!(map_masses(&[0.1]).unwrap(), [0.1]);
-        assert_eq!(map_masses(&[0.001, 0.001]).unwrap(), [0.01, 0.01]);
-        assert_eq!(map_masses(&[3.0, 7.0]).unwrap(), [0.2, 0.2]);
-        let near = map_masses(&[0.1, 0.1 + 1e-17, f64::MIN_POSITIVE]).unwrap();
+        let map = |masses: &[f64]| map_masses(masses, MassMap::Linear);
+        assert_eq!(map(&[]).unwrap(), Vec::<f64>::new());
+        assert_eq!(map(&[0.1]).unwrap(), [0.1]);
+        assert_eq!(map(&[0.001, 0.001]).unwrap(), [0.01, 0.01]);
+        assert_eq!(map(&[3.0, 7.0]).unwrap(), [0.2, 0.2]);
+        let near = map(&[0.1, 0.1 + 1e-17, f64::MIN_POSITIVE]).unwrap();
         assert!(near.iter().all(|m| (0.01..=0.2).contains(m)), "{near:?}");
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            assert!(map_masses(&[0.1, bad]).is_err());
+            assert!(map(&[0.1, bad]).is_err());
         }
     }
 
