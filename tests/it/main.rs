@@ -6,6 +6,7 @@ mod annotate;
 mod board;
 mod calibrate;
 mod calibrate_intrinsics;
+mod cluster;
 mod collect;
 mod crash;
 mod dataset;
