@@ -122,7 +122,7 @@ fn finish(report: &SynthReport) -> Result<()> {
     );
     if !progress.damaged.is_empty() {
         what.push_str(&format!(
-            "; {} of the open ones have a damaged result, the first is {}",
+            "; of the open ones, {} with a damaged result, {} first",
             progress.damaged.len(),
             progress.damaged[0]
         ));

@@ -65,9 +65,9 @@ pub(super) fn fault(done: &Done<'_>) -> String {
     }
 }
 
-/// The group of a value: at a limit it is in the group above.
+/// The group of a value: at a limit it is in the group below, as masses end at the paper's 200 g.
 fn bin(value: f64, limits: &[f64], unit: f64) -> Key {
-    let at = limits.partition_point(|limit| *limit <= value);
+    let at = limits.partition_point(|limit| *limit < value);
     let show = |limit: &f64| {
         let shown = limit * unit;
         // Limits in other units are not quite round.
@@ -76,8 +76,8 @@ fn bin(value: f64, limits: &[f64], unit: f64) -> Key {
     let below = at.checked_sub(1).and_then(|at| limits.get(at)).map(show);
     let name = match (below, limits.get(at).map(show)) {
         (Some(low), Some(high)) => format!("{low} to {high}"),
-        (Some(low), None) => format!("{low} and above"),
-        (None, Some(high)) => format!("below {high}"),
+        (Some(low), None) => format!("above {low}"),
+        (None, Some(high)) => format!("up to {high}"),
         (None, None) => String::new(),
     };
     (at as i64, name)
@@ -89,10 +89,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bins_have_their_limits_below() {
-        assert_eq!(bin(0.0199, &MASS_KG, 1e3), (0, "below 20".into()));
-        assert_eq!(bin(0.02, &MASS_KG, 1e3), (1, "20 to 50".into()));
-        assert_eq!(bin(0.9, &MASS_KG, 1e3), (6, "500 and above".into()));
+    fn bins_have_their_limits() {
+        assert_eq!(bin(0.02, &MASS_KG, 1e3), (0, "up to 20".into()));
+        assert_eq!(bin(0.0201, &MASS_KG, 1e3), (1, "20 to 50".into()));
+        assert_eq!(bin(0.2, &MASS_KG, 1e3), (4, "150 to 200".into()));
+        assert_eq!(bin(0.9, &MASS_KG, 1e3), (6, "above 500".into()));
         assert_eq!(bin(0.35, &FRICTION, 1.0), (1, "0.3 to 0.4".into()));
     }
 

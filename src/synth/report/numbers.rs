@@ -32,7 +32,9 @@ pub(super) fn correlation(pairs: &[[f64; 2]]) -> Option<f64> {
         first += a * a;
         second += b * b;
     }
-    (first > 0.0 && second > 0.0).then(|| both / (first * second).sqrt())
+    // Means are rounded, so that equal numbers leave something too.
+    let varies = |squares: f64, mean: f64| squares > count * (1e-9 * mean).powi(2);
+    (varies(first, means[0]) && varies(second, means[1])).then(|| both / (first * second).sqrt())
 }
 
 /// Probability that a value of the first group is above one of the second, ties counted half
@@ -77,6 +79,8 @@ mod tests {
         let found = correlation(&[[0.0, 0.5], [1.0, -1.0], [2.0, 2.0]]).unwrap();
         assert!((found - 1.5 / 9.0f64.sqrt()).abs() < 1e-12, "{found}");
         assert_eq!(correlation(&[[1.0, 2.0], [1.0, 3.0]]), None);
+        let same: Vec<[f64; 2]> = (0..72).map(|k| [1.986, f64::from(k)]).collect();
+        assert_eq!(correlation(&same), None);
         assert_eq!(correlation(&[]), None);
     }
 

@@ -34,10 +34,8 @@ fn finished(folder: &Path) -> Sample {
         let samples = Some((1, &*bytes));
         store.keep(sample.result(k, held), samples).unwrap();
     }
-    let failed = SimulationResult {
-        detail: Some("defect 7".to_owned()),
-        ..SimulationResult::of(&sample.plan, &sample.plan.simulations[10])
-    };
+    let mut failed = SimulationResult::of(&sample.plan, &sample.plan.simulations[10]);
+    failed.detail = Some("defect 7".to_owned());
     store.keep(failed, None).unwrap();
     sample
 }

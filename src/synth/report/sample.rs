@@ -33,19 +33,18 @@ impl Sample {
 
     /// The result of simulation k: it costs 2 + k s.
     pub(super) fn result(&self, k: usize, held: bool) -> SimulationResult {
-        SimulationResult {
-            outcome: if held { "success" } else { "slip" }.to_owned(),
-            stable: Some(held),
-            steps: 100,
-            newton_iterations: 1000 + k as u64,
-            cpu_s: CpuSeconds {
-                prepare: 0.1,
-                simulate: 1.0 + k as f64,
-                tactile: 0.2,
-                visual: 0.7,
-            },
-            ..SimulationResult::of(&self.plan, &self.plan.simulations[k])
-        }
+        let mut result = SimulationResult::of(&self.plan, &self.plan.simulations[k]);
+        result.outcome = if held { "success" } else { "slip" }.to_owned();
+        result.stable = Some(held);
+        result.steps = 100;
+        result.newton_iterations = 1000 + k as u64;
+        result.cpu_s = CpuSeconds {
+            prepare: 0.1,
+            simulate: 1.0 + k as f64,
+            tactile: 0.2,
+            visual: 0.7,
+        };
+        result
     }
 
     /// One rendering of simulation k, whose sensors are touched or not.

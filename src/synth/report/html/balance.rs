@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{bar, key, open_section, percent};
+use super::{bar, key, open_section, percent, words};
 use crate::html::{Esc, put};
 use crate::synth::report::facts::{BalanceTable, Labels, SynthReport};
 
@@ -41,7 +41,11 @@ fn draw(table: &BalanceTable, has_dataset: bool, out: &mut String) {
     out.push_str("</tr></thead><tbody>\n");
     for group in &table.groups {
         let first = group.dataset.unwrap_or(group.results);
-        put!(out, "<tr><th scope=\"row\">{}</th><td>", Esc(&group.name));
+        put!(
+            out,
+            "<tr><th scope=\"row\">{}</th><td>",
+            Esc(&words(&group.name))
+        );
         bar(out, first, first.all());
         out.push_str("</td>");
         cells(first, out);

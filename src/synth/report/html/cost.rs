@@ -121,14 +121,17 @@ fn estimate(found: &EstimateFacts, out: &mut String) {
     put!(
         out,
         "<p>The plan estimated {}, and {} were found: {} times as much (each: median {}, 5 to \
-         95&nbsp;% {} to {}). Correlation of both: {}.</p>\n",
+         95&nbsp;% {} to {}); {}.</p>\n",
         duration(found.estimated_s),
         duration(found.found_s),
         fixed(found.found_s / found.estimated_s, 2),
         fixed(found.ratio.median, 2),
         fixed(found.ratio.p05, 2),
         fixed(found.ratio.p95, 2),
-        optional(found.correlation, 2)
+        match found.correlation {
+            Some(correlation) => format!("correlation of both {}", fixed(correlation, 2)),
+            None => "the estimate is the same for all, or the cost is".to_owned(),
+        }
     );
 }
 

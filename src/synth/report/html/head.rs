@@ -19,15 +19,14 @@ pub(super) fn summary(report: &SynthReport, out: &mut String) {
     put!(
         out,
         "<p class=\"verdict\"><b>{} of {}</b> planned simulations are done: <b>{}</b> held, \
-         <b>{}</b> were lost ({} held), {} have no label, {} of them because they failed. They \
-         make {} renderings of {} objects in {} categories.</p>\n",
+         <b>{}</b> were lost ({} held), {}. They make {} renderings of {} objects in {} \
+         categories.</p>\n",
         progress.done,
         plan.simulations,
         progress.labels.held,
         progress.labels.lost,
         percent(progress.labels.share()),
-        progress.done - progress.labels.all(),
-        progress.failed,
+        without_label(report),
         progress.rows,
         plan.objects,
         plan.categories
@@ -37,14 +36,25 @@ pub(super) fn summary(report: &SynthReport, out: &mut String) {
     out.push_str("</section>\n");
 }
 
+fn without_label(report: &SynthReport) -> String {
+    let progress = &report.progress;
+    match (progress.done - progress.labels.all(), progress.failed) {
+        (0, _) => "none is without a label".to_owned(),
+        (without, 0) => format!("<b>{without}</b> gave no label"),
+        (without, failed) => {
+            format!("<b>{without}</b> gave no label, of which {failed} could not be simulated")
+        }
+    }
+}
+
 /// What is not as it should be when a dataset is finished.
 fn warnings(report: &SynthReport, out: &mut String) {
     let progress = &report.progress;
     let mut warn = |text: String| put!(out, "<p class=\"warning\">{text}</p>\n");
     if progress.open > 0 {
         warn(format!(
-            "{} simulations are open: this report shows the plan as far as it is. <code>gripcast \
-             synth run</code> goes on with it.",
+            "Simulations without a result: {}. This report shows the plan as far as it is; \
+             <code>gripcast synth run</code> goes on with it.",
             progress.open
         ));
     }
@@ -56,8 +66,8 @@ fn warnings(report: &SynthReport, out: &mut String) {
             .map(|id| Esc(id).to_string())
             .collect();
         warn(format!(
-            "{} of the open ones have a damaged result, which <code>gripcast synth run</code> makes \
-             again: {}{}",
+            "Of these, damaged results that <code>gripcast synth run</code> makes again: {} \
+             ({}{}).",
             progress.damaged.len(),
             names.join(", "),
             if progress.damaged.len() > names.len() {

@@ -112,6 +112,11 @@ fn percent(share: Option<f64>) -> String {
     )
 }
 
+/// A name in files as people write it.
+fn words(name: &str) -> String {
+    name.replace('_', " ")
+}
+
 /// What the colours of the bars mean.
 fn key(out: &mut String) {
     out.push_str("<p class=\"key\"><i class=\"held\"></i> held <i class=\"lost\"></i> lost</p>\n");

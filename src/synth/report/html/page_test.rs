@@ -113,7 +113,7 @@ fn the_summary_says_what_is_not_finished_and_that_all_is_simulated() {
     let unfinished = page(&report).unwrap();
     assert!(unfinished.contains("<b>7 of 8</b> planned simulations"));
     assert!(unfinished.contains("<b>3</b> held, <b>3</b> were lost (50&nbsp;% held)"));
-    assert!(unfinished.contains("1 simulations are open"));
+    assert!(unfinished.contains("Simulations without a result: 1."));
     assert!(unfinished.contains("Everything here is simulated"));
     report.progress.open = 0;
     report.progress.damaged.clear();

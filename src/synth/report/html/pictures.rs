@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::open_section;
+use super::{open_section, percent};
 use crate::html::{MISSING, fixed, label_name, open_wide, optional, put, trimmed};
 use crate::synth::report::facts::{ContactGroup, SynthReport};
 
@@ -20,6 +20,7 @@ pub(super) fn section(report: &SynthReport, out: &mut String) {
     if contact.groups.is_empty() {
         out.push_str("<p class=\"nothing\">There are no pictures yet.</p>\n");
     } else {
+        sentence(report, out);
         groups(report, out);
     }
     match &report.dataset {
@@ -32,6 +33,22 @@ pub(super) fn section(report: &SynthReport, out: &mut String) {
         None => out.push_str("<p class=\"nothing\">Duplicates are counted when merging.</p>\n"),
     }
     out.push_str("</section>\n");
+}
+
+/// Both labels in a sentence.
+fn sentence(report: &SynthReport, out: &mut String) {
+    let of = |held: bool| {
+        let groups = report.contact.groups.iter().filter(|g| g.held == held);
+        let [without, pairs] = groups.fold([0, 0], |[w, p], g| [w + g.without, p + g.pairs]);
+        (pairs > 0).then(|| without as f64 / pairs as f64)
+    };
+    put!(
+        out,
+        "<p class=\"verdict\">No contact is seen in <b>{}</b> of the pairs of held grasps and in \
+         <b>{}</b> of those of lost ones.</p>\n",
+        percent(of(true)),
+        percent(of(false))
+    );
 }
 
 fn groups(report: &SynthReport, out: &mut String) {

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::open_section;
+use super::{open_section, words};
 use crate::html::picture::picture;
 use crate::html::{Esc, fixed, label_name, outcome_name, put, trimmed};
 use crate::synth::report::facts::{Example, SynthReport};
@@ -68,7 +68,7 @@ fn card(number: usize, example: &Example, out: &mut String) {
         "</div><p><b>{}</b> {}</p>\n<p>{}&nbsp;N, {}, friction {}, {}&nbsp;g</p>\n\
          <p>{}; rose {}&nbsp;mm</p>\n<p class=\"nothing\">{}</p></li>\n",
         Esc(&example.object),
-        Esc(&example.material),
+        Esc(&words(&example.material)),
         trimmed(example.stop_force_n, 3),
         Esc(&fault(example)),
         fixed(example.friction, 2),
