@@ -14,7 +14,7 @@
 //! | 1 | [`dataset`], [`pose`], [`shard`], [`sim`] | the crash-safe dataset on disk; poses from markers; Parquet shards; the grasp simulator |
 //! | 2 | [`render`], [`predict`], [`annotate`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine; poses of a dataset's grasps |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
-//! | 4 | [`synth`] | synthetic datasets: objects, plans, simulation, pictures, curation |
+//! | 4 | [`synth`] | synthetic datasets: objects, plans, simulation, pictures, curation, report |
 //! | 5 | [`replay`] | annotated grasps in the simulators, scores and report |
 //! | 6 | [`app`] | command line, engine, operator's screen |
 
@@ -26,6 +26,7 @@ pub mod dataset;
 pub mod error;
 pub mod files;
 pub mod geometry;
+pub(crate) mod html;
 pub mod imaging;
 pub mod pose;
 pub mod predict;

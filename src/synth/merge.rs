@@ -9,10 +9,10 @@ use sha2::{Digest as _, Sha256};
 
 use super::curate::{Curation, CurationSettings, Labelled, LeftOut, curate};
 use super::plan::{Plan, PlannedSimulation, hex};
-use super::store::{ResultStore, SampleFile, SimulationResult};
+use super::store::{ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
-use crate::shard::{ShardReader, ShardRow, ShardWriter, shard_name};
+use crate::shard::{ShardRow, ShardWriter, shard_name};
 
 /// Facts of the dataset, beside `data/`.
 const DATASET_FILE: &str = "synth.json";
@@ -61,6 +61,36 @@ pub struct MergeReport {
     pub parts: BTreeMap<String, PartFacts>,
     /// Files of the dataset with their hashes.
     pub files: BTreeMap<String, String>,
+}
+
+impl MergeReport {
+    /// The facts of a dataset.
+    ///
+    /// # Errors
+    /// `NotFound` for a folder without a dataset of `synth merge`; `Input` for damaged facts or
+    /// those of another version.
+    pub fn read(folder: &Path) -> Result<Self> {
+        let path = folder.join(DATASET_FILE);
+        let bytes = fs::read(&path).map_err(|e| {
+            Error::io("cannot read the facts of the dataset", e)
+                .at(path.display())
+                .remedy("give the folder that `gripcast synth merge --out` wrote")
+        })?;
+        let wrong = |what: String| {
+            Error::new(ErrorKind::Input, what)
+                .at(path.display())
+                .remedy("merge again: gripcast synth merge --plan P --out D")
+        };
+        let found: Self = serde_json::from_slice(&bytes)
+            .map_err(|e| wrong(format!("these are no facts of a dataset: {e}")))?;
+        if found.format != FORMAT || found.version != VERSION {
+            return Err(wrong(format!(
+                "expected {FORMAT} version {VERSION}, found {:?} version {}",
+                found.format, found.version
+            )));
+        }
+        Ok(found)
+    }
 }
 
 /// What is in a part of a dataset.
@@ -283,8 +313,8 @@ impl<'a> Writing<'a> {
             let path = self.out.join(&file);
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
             let mut writer = ShardWriter::create(&path, &info)?;
-            for (simulation, result) in shard {
-                for row in self.rows(&simulation.id, result.samples.as_ref())? {
+            for (_, result) in shard {
+                for row in self.store.rows(result)? {
                     self.note(&row);
                     writer.push(row)?;
                 }
@@ -297,24 +327,6 @@ impl<'a> Writing<'a> {
             self.files.insert(file, hex(&Sha256::digest(bytes)));
         }
         Ok(())
-    }
-
-    /// The rows of a result, whose file must be the one that was kept.
-    fn rows(&self, id: &str, expected: Option<&SampleFile>) -> Result<Vec<ShardRow>> {
-        let path = self.store.samples(id);
-        let wrong = || {
-            Error::new(ErrorKind::Input, "the pictures are not those of the result")
-                .at(path.display())
-                .remedy("remove the file and run its shard again: it comes out the same")
-        };
-        let expected = expected.ok_or_else(wrong)?;
-        let bytes = fs::read(&path)
-            .map_err(|e| Error::io("cannot read the pictures", e).at(path.display()))?;
-        if hex(&Sha256::digest(&bytes)) != expected.sha256 {
-            return Err(wrong());
-        }
-        let reader = ShardReader::from_bytes(path.display().to_string(), bytes)?;
-        reader.rows().collect()
     }
 
     fn note(&mut self, row: &ShardRow) {

@@ -2,8 +2,9 @@
 //! number of processes work on; pictures; and the choice of what becomes the dataset.
 //!
 //! ```text
-//! family, acronym ─► drafts ─► plan ─► run (shards) ─► results ─► merge ─► Parquet
-//!   properties, grasp ───┘                simulate, render     curate
+//! family, acronym ─► drafts ─► plan ─► run (shards) ─► results ─┬─► merge ─► Parquet
+//!   properties, grasp ───┘                simulate, render      │    curate     │
+//!                                                               └───► report ◄──┘
 //! ```
 //!
 //! The paper's §3.2 and A.1. Every result depends on the plan alone.
@@ -18,6 +19,7 @@ mod object_mesh;
 mod picture;
 pub mod plan;
 pub mod properties;
+pub mod report;
 mod run;
 mod store;
 

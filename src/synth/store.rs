@@ -9,6 +9,7 @@ use sha2::{Digest as _, Sha256};
 use super::plan::{Plan, PlannedSimulation};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
+use crate::shard::{ShardReader, ShardRow};
 
 /// Folder of the results in that of the plan.
 pub const RESULTS: &str = "results";
@@ -175,6 +176,32 @@ impl ResultStore {
         let text = serde_json::to_vec(&result)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
         save(&path, &text)
+    }
+
+    /// Whether there is a file of a result, sound or not.
+    pub fn is_begun(&self, id: &str) -> bool {
+        self.path(id, "json").exists()
+    }
+
+    /// The renderings of a result, whose file must be the one that was kept.
+    ///
+    /// # Errors
+    /// `Input` for pictures that are damaged or of another result; those of the operating system.
+    pub fn rows(&self, result: &SimulationResult) -> Result<Vec<ShardRow>> {
+        let path = self.samples(&result.id);
+        let wrong = || {
+            Error::new(ErrorKind::Input, "the pictures are not those of the result")
+                .at(path.display())
+                .remedy("remove the file and run its shard again: it comes out the same")
+        };
+        let expected = result.samples.as_ref().ok_or_else(wrong)?;
+        let bytes = fs::read(&path)
+            .map_err(|e| Error::io("cannot read the pictures", e).at(path.display()))?;
+        if super::plan::hex(&Sha256::digest(&bytes)) != expected.sha256 {
+            return Err(wrong());
+        }
+        let reader = ShardReader::from_bytes(path.display().to_string(), bytes)?;
+        reader.rows().collect()
     }
 
     /// The file of a simulation's pictures.

@@ -52,6 +52,7 @@ mod sim_validate;
 mod synth;
 mod synth_merge;
 mod synth_plan;
+mod synth_report;
 mod synth_run;
 mod working;
 

@@ -6,9 +6,10 @@
 //! gripcast synth run --plan P --shard 3/8           part 3 of 8; /8 where a scheduler tells the index
 //! gripcast synth status --plan P                    how far it is, from its files
 //! gripcast synth merge --plan P --out D             the dataset: Parquet shards, split and balanced
+//! gripcast synth report --plan P --dataset D --out R   what is in it, what it looks like, what it cost
 //! ```
 
-use super::{Context, synth_merge, synth_plan, synth_run};
+use super::{Context, synth_merge, synth_plan, synth_report, synth_run};
 use crate::error::Result;
 
 /// Arguments.
@@ -28,6 +29,8 @@ enum Action {
     Status(synth_run::StatusArgs),
     /// Choose from the results of a plan and write the dataset
     Merge(synth_merge::Args),
+    /// Counts, balance, examples and costs of a plan and its dataset, as a page and as JSON
+    Report(synth_report::Args),
 }
 
 /// Runs the verb.
@@ -37,5 +40,6 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::Run(args) => synth_run::run(context, args),
         Action::Status(args) => synth_run::status(&args),
         Action::Merge(args) => synth_merge::run(context, args),
+        Action::Report(args) => synth_report::run(context, args),
     }
 }
