@@ -210,7 +210,8 @@ impl Args {
             stop_forces_n: vec![10.0, 40.0],
             rendering: PlanPreset::Small.rendering(),
             textures: Vec::new(),
-            mass_map: MassMap::Linear,
+            mass_map: MassMap::Logarithmic,
+            least_friction_share: 0.4,
             jobs: self.jobs(),
         }
     }

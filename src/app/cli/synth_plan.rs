@@ -74,6 +74,9 @@ pub(crate) struct Args {
     /// How estimated masses become masses of 10 to 200 g; given ones stay
     #[arg(long, value_enum, default_value_t = MassMapName::Linear)]
     mass_map: MassMapName,
+    /// Share of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
+    #[arg(long, value_name = "S", default_value_t = 0.4)]
+    least_friction_share: f64,
     /// Objects at a time; the plan does not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
@@ -229,6 +232,15 @@ impl Args {
                 ),
             ));
         }
+        if !(self.least_friction_share > 0.0 && self.least_friction_share <= 1.0) {
+            return Err(Error::new(
+                ErrorKind::Usage,
+                format!(
+                    "`--least-friction-share` must be above 0 and at most 1, found {}",
+                    self.least_friction_share
+                ),
+            ));
+        }
         let of_preset = preset.rendering();
         let jobs = self.jobs.map_or_else(
             || std::thread::available_parallelism().map_or(1, usize::from),
@@ -251,6 +263,7 @@ impl Args {
             },
             textures,
             mass_map: self.mass_map.into(),
+            least_friction_share: self.least_friction_share,
             jobs,
         };
         let Drafts { drafts, left_out } = self.drafts(preset, jobs, progress)?;

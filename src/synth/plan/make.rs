@@ -14,8 +14,8 @@ use crate::render::visual::SeedStream;
 use crate::sim::{Engine, EngineKind};
 use crate::synth::grasp::{GraspChoice, choose_given_grasps, choose_grasps};
 use crate::synth::properties::{
-    APPEARANCES, Appearances, MassMap, Modifier, PhysicalProperties, PropertyAsker, PropertyQuery,
-    PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
+    APPEARANCES, Appearances, FRICTION_RANGE, MassMap, Modifier, PhysicalProperties, PropertyAsker,
+    PropertyQuery, PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
 };
 use crate::workers::one_per_core;
 
@@ -51,6 +51,9 @@ pub struct PlanSettings {
     pub textures: Vec<PictureTexture>,
     /// How masses that were not given are mapped to those of the paper's objects (A.1).
     pub mass_map: MassMap,
+    /// Share of a clean surface's friction that the dirtiest keeps: friction of the table is that
+    /// of clean and dry things.
+    pub least_friction_share: f64,
     /// Objects that are worked on at a time.
     pub jobs: usize,
 }
@@ -197,7 +200,9 @@ fn described(
             mesh_sha256: draft.mesh.content_hash(),
             material: draft.material.name.to_owned(),
             mass_kg: physical.mass_kg,
-            friction: draft.friction.unwrap_or(physical.friction),
+            friction: draft
+                .friction
+                .unwrap_or_else(|| soiled(&physical, settings.least_friction_share, seed)),
             properties: physical.source,
             textures: textures(draft, seed, settings),
             looks,
@@ -220,6 +225,16 @@ fn described(
         object.friction = rounded(object.friction, 1e4);
     }
     Ok(objects)
+}
+
+/// Friction after dust, grease and wear, where it is not known for the object itself.
+fn soiled(physical: &PhysicalProperties, least_share: f64, seed: u64) -> f64 {
+    if matches!(physical.source, PropertySource::Llm { .. }) {
+        return physical.friction;
+    }
+    let share = SeedStream::named(seed, "surface").between(least_share, 1.0);
+    let [low, high] = FRICTION_RANGE;
+    (share * physical.friction).clamp(low, high)
 }
 
 fn rounded(value: f64, per_unit: f64) -> f64 {
