@@ -54,11 +54,22 @@ fn without_numbers(text: &str) -> String {
             .char_indices()
             .find(|(at, c)| !is_in_number(number, *at, *c))
             .map_or(number.len(), |(at, _)| at);
-        out.push_str(before.strip_suffix(['-', '−']).unwrap_or(before));
+        out.push_str(before);
+        drop_sign(&mut out);
         out.push('#');
         rest = &number[number_end..];
     }
     out + rest
+}
+
+/// Drops a minus at the end that is no hyphen.
+fn drop_sign(out: &mut String) {
+    let is_name = |c: char| c.is_alphanumeric() || c == '#';
+    if let Some(before) = out.strip_suffix(['-', '−'])
+        && !before.ends_with(is_name)
+    {
+        out.truncate(before.len());
+    }
 }
 
 /// Digits, a point before a digit, an exponent.
@@ -84,6 +95,7 @@ mod tests {
         check("step 12: |g| = 3.5e-7 of -2.", "step #: |g| = # of #.");
         check("no numbers, größe", "no numbers, größe");
         check("7 end 8e", "# end #e");
+        check("box-0007-10n: −3", "box-#-#n: #");
     }
 
     #[test]
