@@ -88,7 +88,7 @@ fn nothing_is_fetched_and_nothing_needs_a_script() {
         assert!(!page.contains(word), "{word}");
     }
     assert!(page.contains("default-src 'none'") && !page.contains("script-src"));
-    assert_eq!(count(&page, "no picture"), 1, "the address is no picture");
+    assert_eq!(count(&page, "class=\"nopic\""), 1, "an address");
 }
 
 #[test]
