@@ -152,6 +152,7 @@ pub fn merge(
             id: simulation.id.clone(),
             object: simulation.object.clone(),
             category: plan.object(simulation)?.category.clone(),
+            stop_force_n: simulation.stop_force_n,
             stable: result.stable == Some(true),
         })
     });

@@ -32,7 +32,8 @@ pub struct CurationSettings {
     pub parts: BTreeMap<String, f64>,
     /// Most simulations of a category, as a multiple of the mean; none for no cap.
     pub category_cap: Option<f64>,
-    /// Whether each part gets as many stable simulations as lost ones.
+    /// Whether each part gets as many stable simulations as lost ones at each force, so that the
+    /// force says nothing about the label.
     pub is_balanced: bool,
     /// Decides what is left out.
     pub seed: u64,
@@ -54,7 +55,7 @@ impl Default for CurationSettings {
 }
 
 /// A simulation that could be in the dataset.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Labelled {
     /// Its id.
     pub id: String,
@@ -62,6 +63,8 @@ pub struct Labelled {
     pub object: String,
     /// The object's category.
     pub category: String,
+    /// Stopping force, N.
+    pub stop_force_n: f64,
     /// Whether it held.
     pub stable: bool,
 }
@@ -116,7 +119,15 @@ pub fn curate(labelled: &[Labelled], settings: &CurationSettings) -> Result<Cura
         all.sort_by_key(|one| (chance(settings.seed, &one.id), &one.id));
         cap(&mut all, settings.category_cap, &mut curation.left_out);
         if settings.is_balanced {
-            balance(&mut all, &mut curation.left_out);
+            let mut forces: Vec<f64> = all.iter().map(|one| one.stop_force_n).collect();
+            forces.sort_by(f64::total_cmp);
+            forces.dedup();
+            for force_n in forces {
+                let at_force = |one: &&&Labelled| one.stop_force_n == force_n;
+                let of_force = all.iter().filter(at_force).copied().collect();
+                balance(of_force, &mut curation.left_out);
+            }
+            all.retain(|one| !curation.left_out.contains_key(&one.id));
         }
         let kept = all.iter().map(|one| (one.id.clone(), part.clone()));
         curation.part.extend(kept);
@@ -173,7 +184,7 @@ fn cap(all: &mut Vec<&Labelled>, most: Option<f64>, left_out: &mut BTreeMap<Stri
 }
 
 /// Leaves out what one label has more, first where that label is most frequent in its category.
-fn balance(all: &mut Vec<&Labelled>, left_out: &mut BTreeMap<String, LeftOut>) {
+fn balance(all: Vec<&Labelled>, left_out: &mut BTreeMap<String, LeftOut>) {
     let stable = all.iter().filter(|one| one.stable).count();
     let frequent = 2 * stable > all.len();
     // By category: how many more of the frequent label there are, and these.
@@ -199,7 +210,6 @@ fn balance(all: &mut Vec<&Labelled>, left_out: &mut BTreeMap<String, LeftOut>) {
             left_out.insert(id.clone(), LeftOut::Balance);
         }
     }
-    all.retain(|one| !left_out.contains_key(&one.id));
 }
 
 #[cfg(test)]
@@ -217,6 +227,7 @@ mod tests {
                     id: format!("s{number:04}"),
                     object: format!("{category}-{}", draw.index(12)),
                     category: category.to_owned(),
+                    stop_force_n: if number % 3 == 0 { 10.0 } else { 40.0 },
                     stable: draw.uniform() < held,
                 }
             })
@@ -229,6 +240,7 @@ mod tests {
         let curation = curate(&all, &CurationSettings::default()).unwrap();
         let mut part_of_object: BTreeMap<&str, &str> = BTreeMap::new();
         let mut counts: BTreeMap<(&str, bool), usize> = BTreeMap::new();
+        let mut by_force: BTreeMap<(u32, bool), usize> = BTreeMap::new();
         for one in &all {
             let Some(part) = curation.part.get(&one.id) else {
                 assert!(curation.left_out.contains_key(&one.id));
@@ -237,10 +249,19 @@ mod tests {
             let known = part_of_object.insert(&one.object, part);
             assert!(known.is_none_or(|known| known == part), "{}", one.object);
             *counts.entry((part, one.stable)).or_default() += 1;
+            let force = one.stop_force_n as u32;
+            *by_force.entry((force, one.stable)).or_default() += 1;
         }
         assert_eq!(counts.len(), 6);
         for part in ["train", "validation", "test"] {
             assert_eq!(counts[&(part, true)], counts[&(part, false)], "{part}");
+        }
+        for force in [10, 40] {
+            assert_eq!(
+                by_force[&(force, true)],
+                by_force[&(force, false)],
+                "{force} N"
+            );
         }
         let total: usize = counts.values().sum();
         let train = 2 * counts[&("train", true)];

@@ -112,7 +112,7 @@ impl FaultRanges {
         tilt_rad: [0.15, 0.45],
         lean_rad: [0.2, 0.7],
         turn_rad: [0.4, 1.1],
-        overlap_m: Some([0.003, 0.012]),
+        overlap_m: Some([0.002, 0.010]),
         faults: &[
             GraspFault::None,
             GraspFault::None,
@@ -238,37 +238,40 @@ impl<'a> GraspSampler<'a> {
         })
     }
 
-    /// Height of the object between two places, over the width of the gels, m.
+    /// Height that both gels can touch over their width, m.
     fn top(&self, pair: &Pair) -> Option<f64> {
         let across = pair.closing.cross(DVec3::Z);
         let sides = [-0.4, 0.0, 0.4].map(|share| share * PAD_SIZE_M[1] * across);
-        let tops = FEELERS.iter().flat_map(|share| {
-            let between = pair.middle + (share - 0.5) * pair.width_m * pair.closing;
-            sides.map(|side| between + side)
-        });
         let height = |place: DVec3| {
             let start = place.with_z(FAR_M);
             let hit = self.query.ray_cast(start, -DVec3::Z, FAR_M)?;
             Some(FAR_M - hit.t)
         };
-        tops.filter_map(height).reduce(f64::max)
+        Self::of_both(pair, &sides, height)
     }
 
-    /// How far the object goes on from two places along the gels' width, m: to the left or the
-    /// right of the gripper as `side` is −1 or 1.
+    /// How far both gels can touch the object from two places along their width, m: to the left or
+    /// the right of the gripper as `side` is −1 or 1.
     fn reach(&self, pair: &Pair, side: f64) -> Option<f64> {
         let outwards = side * DVec3::Z.cross(-pair.closing);
         let heights = [-0.2, 0.0, 0.2].map(|share| share * PAD_SIZE_M[0] * DVec3::Z);
-        let places = FEELERS.iter().flat_map(|share| {
-            let between = pair.middle + (share - 0.5) * pair.width_m * pair.closing;
-            heights.map(|height| between + height)
-        });
         let reach = |place: DVec3| {
             let start = place + FAR_M * outwards;
             let hit = self.query.ray_cast(start, -outwards, 2.0 * FAR_M)?;
             Some(FAR_M - hit.t)
         };
-        places.filter_map(reach).reduce(f64::max)
+        Self::of_both(pair, &heights, reach)
+    }
+
+    /// The most that `felt` finds at each of two places and around it; the lesser of both.
+    fn of_both(pair: &Pair, around: &[DVec3], felt: impl Fn(DVec3) -> Option<f64>) -> Option<f64> {
+        let depth_m = TOUCHED_M.min(pair.width_m / 3.0);
+        let most = |sign: f64| {
+            let inside = sign * (0.5 * pair.width_m - depth_m) * pair.closing;
+            let places = around.iter().map(|offset| pair.middle + inside + *offset);
+            places.filter_map(&felt).reduce(f64::max)
+        };
+        Some(most(-1.0)?.min(most(1.0)?))
     }
 
     /// The gripper at a pair of places, and off it by what a person does wrong.
@@ -337,8 +340,8 @@ impl<'a> GraspSampler<'a> {
     }
 }
 
-/// Shares of the way from one place to the other at which the object is felt for.
-const FEELERS: [f64; 5] = [0.05, 0.25, 0.5, 0.75, 0.95];
+/// How deep gels reach into the space between two places, m: what lies deeper is not touched.
+const TOUCHED_M: f64 = 0.0015;
 
 /// Height of the lowest corner of the gels above the ground, m.
 fn lowest(placed: &Placed) -> f64 {
