@@ -19,6 +19,10 @@ use crate::sim::grasp::{GraspOutcome, GraspResult, StageName};
 use crate::sim::{Engine, EngineKind, GraspSetup};
 use crate::workers::{one_per_core, thread_cpu_s};
 
+/// Normal force on each finger before the lift under which nobody would lift, N: the object was
+/// squeezed out, or lies beside the gels.
+const LEAST_FORCE_N: f64 = 0.5;
+
 /// How far a run is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RunProgress {
@@ -205,7 +209,7 @@ impl<'a> Workshop<'a> {
         Ok((result, Some((count, to_bytes(rows, &info)?))))
     }
 
-    /// The renderings of a grasp that has an outcome and something to see before the lift.
+    /// The renderings of a grasp that has an outcome and held something before the lift.
     fn rows(
         &self,
         simulation: &PlannedSimulation,
@@ -219,11 +223,15 @@ impl<'a> Workshop<'a> {
         let (Some(stable), Some(snapshot)) = (stable(grasp.outcome), snapshot) else {
             return Ok(Vec::new());
         };
+        let force_n = forces(grasp).unwrap_or_default();
+        if force_n.iter().any(|force| *force < LEAST_FORCE_N) {
+            return Ok(Vec::new());
+        }
         let grasped = Grasped {
             setup,
             snapshot,
             gel: self.gel.as_ref(),
-            force_n: forces(grasp).unwrap_or([0.0; 2]),
+            force_n,
         };
         let count = self.plan.header.rendering.renderings;
         let mut rows = Vec::with_capacity(count as usize);
@@ -256,8 +264,8 @@ impl<'a> Workshop<'a> {
                     friction: object.friction,
                     mass_kg: object.mass_kg,
                     lifted_m: grasp.lifted_m,
-                    force_left_n: forces(grasp).map(|f| f[0]),
-                    force_right_n: forces(grasp).map(|f| f[1]),
+                    force_left_n: Some(force_n[0]),
+                    force_right_n: Some(force_n[1]),
                     opening_m: snapshot.opening_m,
                     t_object_gripper: snapshot.t_world_object.inverse() * snapshot.t_world_gripper,
                     fault: simulation.fault.map(|fault| fault.name().to_owned()),

@@ -211,7 +211,7 @@ impl Args {
             rendering: PlanPreset::Small.rendering(),
             textures: Vec::new(),
             mass_map: MassMap::Logarithmic,
-            least_friction_share: 0.4,
+            least_friction_share: 0.25,
             jobs: self.jobs(),
         }
     }

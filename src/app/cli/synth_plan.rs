@@ -75,7 +75,7 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value_t = MassMapName::Linear)]
     mass_map: MassMapName,
     /// Share of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
-    #[arg(long, value_name = "S", default_value_t = 0.4)]
+    #[arg(long, value_name = "S", default_value_t = 0.25)]
     least_friction_share: f64,
     /// Objects at a time; the plan does not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]

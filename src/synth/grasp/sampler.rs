@@ -112,10 +112,10 @@ impl FaultRanges {
         tilt_rad: [0.15, 0.45],
         lean_rad: [0.2, 0.7],
         turn_rad: [0.4, 1.1],
-        overlap_m: Some([0.002, 0.010]),
+        overlap_m: Some([0.002, 0.008]),
         faults: &[
             GraspFault::None,
-            GraspFault::None,
+            GraspFault::OffCentre,
             GraspFault::OffCentre,
             GraspFault::OffCentre,
             GraspFault::OffCentre,
