@@ -226,8 +226,10 @@ mod tests {
         let picture = Bitmap::from_srgb8(&image::RgbImage::new(40, 20)).unwrap();
         let model = Model::textured(&mesh, &picture, 0.06).unwrap();
         validate(&model);
-        // The box is 60 mm high: two pictures of 30 mm.
-        let rows = model.meshes[0].uvs.iter().map(|uv| uv[1]);
+        // The box is 60 mm high: two pictures of 30 mm on its upright sides.
+        let shaded = &model.meshes[0];
+        let sides = shaded.uvs.iter().zip(&shaded.normals);
+        let rows = sides.filter(|(_, n)| n.z.abs() < 0.1).map(|(uv, _)| uv[1]);
         let (low, high) = rows.fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(v), b.max(v)));
         assert!((high - low - 2.0).abs() < 1e-4, "{low} {high}");
     }

@@ -135,11 +135,13 @@ mod tests {
     }
 
     #[test]
-    fn the_palm_hits_a_tall_object() {
+    fn the_rail_hits_a_tall_object() {
         let mesh = builtin("bar").unwrap();
         let upright = Pose::from_translation(DVec3::Z * 0.06);
         let obstacle = Obstacle::new(&mesh, upright).unwrap();
         assert_eq!(collides(&placed(0.11, 0.05), &obstacle).unwrap(), None);
-        assert!(collides(&placed(0.02, 0.05), &obstacle).unwrap().is_some());
+        // The rail is 101 mm above the gels' middle, the bar 120 mm high.
+        let low = collides(&placed(0.014, 0.05), &obstacle).unwrap();
+        assert_eq!(low, Some("rail"));
     }
 }
