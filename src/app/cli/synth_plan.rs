@@ -134,7 +134,7 @@ struct Llm {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum PresetSize {
-    /// 4 objects, 2 grasps each: to see that it works
+    /// 6 objects, 2 grasps each: to see that it works
     Tiny,
     /// 60 objects, 5 grasps each
     Small,

@@ -145,7 +145,7 @@ fn unusable(what: String) -> Error {
         ErrorKind::Input,
         format!("the answer cannot be used: {what}"),
     )
-    .remedy("ask another model, or allow the table of materials in place of its answers")
+    .remedy("ask another model, or allow the table of materials in place of its answers (--llm-fallback)")
 }
 
 #[cfg(test)]

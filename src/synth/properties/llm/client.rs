@@ -195,7 +195,7 @@ impl LlmClient {
         let what = format!("no answer in {attempts} attempts: {what}{asked}");
         self.placed(Error::new(ErrorKind::Io, what).remedy(
             "run it again when the endpoint is up (answers are kept), or allow the table of \
-             materials in its place",
+             materials in its place (--llm-fallback)",
         ))
     }
 
