@@ -1,5 +1,5 @@
 # make run    build and open the collect screen on the built-in virtual rig
-# make test   everything: format, lints, unit, integration, crash and real-kernel tests
+# make test   everything: format, lints, unit, integration, crash, real-kernel and Slurm tests
 # Both install what they need first (apt through sudo when not root, pinned Rust toolchain).
 
 SHELL := /bin/bash
@@ -13,7 +13,7 @@ DATASET ?= demo-dataset
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' $(MAKEFILE_LIST)
-	@echo "make test-fast   tests without kernel build; make bench   all measurements"
+	@echo "make test-fast   tests without kernel and Slurm; make bench   all measurements"
 
 setup:
 	@tools/setup.sh build
@@ -50,7 +50,7 @@ test: setup-test lint kernel
 	@$(CARGO) test
 
 test-fast: lint
-	@GRIPCAST_SKIP_KERNEL=1 $(CARGO) test
+	@GRIPCAST_SKIP_KERNEL=1 GRIPCAST_SKIP_SLURM=1 $(CARGO) test
 
 bench: setup
 	@$(CARGO) build --release --bin gripcast

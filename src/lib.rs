@@ -11,11 +11,12 @@
 //! | layer | area | job |
 //! | --- | --- | --- |
 //! | 0 | [`error`], [`files`], [`geometry`], [`imaging`], [`workers`] | errors; files written whole; meshes and poses; frames, decoding, crops, differences; one item a core |
-//! | 1 | [`dataset`], [`pose`], [`sim`] | the crash-safe dataset on disk; poses from markers; the grasp simulator |
+//! | 1 | [`dataset`], [`pose`], [`shard`], [`sim`] | the crash-safe dataset on disk; poses from markers; Parquet shards; the grasp simulator |
 //! | 2 | [`render`], [`predict`], [`annotate`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine; poses of a dataset's grasps |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
-//! | 4 | [`replay`] | annotated grasps in the simulators, scores and report |
-//! | 5 | [`app`] | command line, engine, operator's screen |
+//! | 4 | [`synth`] | synthetic datasets: objects, plans, simulation, pictures, curation, report |
+//! | 5 | [`replay`] | annotated grasps in the simulators, scores and report |
+//! | 6 | [`app`] | command line, engine, operator's screen |
 
 #![deny(unsafe_code)]
 
@@ -25,12 +26,16 @@ pub mod dataset;
 pub mod error;
 pub mod files;
 pub mod geometry;
+pub(crate) mod html;
 pub mod imaging;
 pub mod pose;
 pub mod predict;
+pub(crate) mod quiet_panic;
 pub mod render;
 pub mod replay;
 pub mod rig;
 pub mod session;
+pub mod shard;
 pub mod sim;
+pub mod synth;
 pub mod workers;

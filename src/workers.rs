@@ -3,6 +3,8 @@
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
+use rustix::time::{ClockId, clock_gettime};
+
 use crate::error::{Error, ErrorKind, Result};
 
 /// Does `work` for every item, `jobs` at a time; results in the order of the items.
@@ -56,6 +58,12 @@ pub fn one_per_core<T: Sync, R: Send>(
     let mut results = results.into_inner().unwrap_or_else(PoisonError::into_inner);
     results.sort_by_key(|(at, _)| *at);
     results.into_iter().map(|(_, result)| result).collect()
+}
+
+/// CPU time of the calling thread, s: what an item costs, as its work stays in one thread.
+pub fn thread_cpu_s() -> f64 {
+    let now = clock_gettime(ClockId::ThreadCPUTime);
+    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
 }
 
 #[cfg(test)]

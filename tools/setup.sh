@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Installs what gripcast needs to be built on Debian 12/13 and Ubuntu 22.04/24.04.
 #   tools/setup.sh build   compiler, cmake, nasm, libclang, Rust toolchain
-#   tools/setup.sh test    the same, and what the kernel tests build and boot
+#   tools/setup.sh test    the same, and what the kernel tests build and boot and, for root, the
+#                          Slurm of the cluster test
 # Idempotent; asks apt only for what is missing; uses sudo when it is not root.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -19,16 +20,47 @@ case "$want" in
         ;;
 esac
 
-if ! command -v dpkg-query >/dev/null || ! command -v apt-get >/dev/null; then
-    echo "setup: no apt here; install the equivalents of: ${packages[*]}" >&2
-else
+# Packages that are not there; `missing` is set to them.
+find_missing() {
+    local package status
     missing=()
-    for package in "${packages[@]}"; do
+    for package in "$@"; do
         status=$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null || true)
         [ "$status" = installed ] || missing+=("$package")
     done
+}
+apt_install() {
+    echo "setup: installing $*" >&2
+    "${sudo[@]}" apt-get update -qq
+    "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive \
+        apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+}
+
+# Slurm is no reason to have no other tests; GRIPCAST_REQUIRE_SLURM=1 makes it one.
+without_slurm() {
+    echo "SKIPPED: $1; the test on a Slurm cluster will be skipped" >&2
+    [ -z "${GRIPCAST_REQUIRE_SLURM:-}" ]
+}
+install_slurm() {
+    # It may be there without packages of these names.
+    if command -v slurmctld >/dev/null && command -v munged >/dev/null; then
+        return 0
+    fi
+    find_missing slurm-wlm munge
+    [ ${#missing[@]} -gt 0 ] || return 0
+    if [ "$(id -u)" -ne 0 ]; then
+        without_slurm "a Slurm cluster needs root"
+    else
+        apt_install "${missing[@]}" || without_slurm "Slurm could not be installed"
+    fi
+}
+
+if ! command -v dpkg-query >/dev/null || ! command -v apt-get >/dev/null; then
+    echo "setup: no apt here; install the equivalents of: ${packages[*]}" >&2
+else
+    sudo=()
+    find_missing "${packages[@]}"
     if [ ${#missing[@]} -gt 0 ]; then
-        sudo=()
         if [ "$(id -u)" -ne 0 ]; then
             command -v sudo >/dev/null || {
                 echo "setup: not root and no sudo; as root: apt-get install ${missing[*]}" >&2
@@ -36,10 +68,10 @@ else
             }
             sudo=(sudo)
         fi
-        echo "setup: installing ${missing[*]}" >&2
-        "${sudo[@]}" apt-get update -qq
-        "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive \
-            apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null
+        apt_install "${missing[@]}"
+    fi
+    if [ "$want" = test ] && [ -z "${GRIPCAST_SKIP_SLURM:-}" ]; then
+        install_slurm
     fi
 fi
 

@@ -20,6 +20,7 @@ mod stable_poses;
 mod weld;
 
 pub use aabb::Aabb;
+pub(crate) use builtin::implicit;
 pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
 pub use check::{PrepareOptions, Prepared, prepare};

@@ -14,8 +14,9 @@ use tract_onnx::prelude::{
 
 use super::contract::{self, InputName, ModelContract};
 use super::input::ModelInput;
-use super::{baseline, onnx, quiet_panic};
+use super::{baseline, onnx};
 use crate::error::{Error, ErrorKind, Result};
+use crate::quiet_panic;
 
 /// A model that has been checked and is ready to run, on the thread that asks.
 #[derive(Debug)]

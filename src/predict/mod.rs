@@ -11,7 +11,6 @@ mod engine;
 mod input;
 mod live;
 pub mod onnx;
-mod quiet_panic;
 mod timing;
 
 pub use contract::ModelContract;

@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sha2::{Digest as _, Sha256};
 
-use super::cpu_time::thread_cpu_s;
 use super::curves::{curves, min_height_m};
 use super::object_file::ReplayObject;
 use super::report::{CaseFacts, Curves, Setting};
@@ -17,6 +16,7 @@ use crate::sim::grasp::{
     GraspOutcome, GraspResult, STEADY_STEPS, Snapshot, StageName, Trace, TraceFile,
 };
 use crate::sim::{Engine, GraspSetup};
+use crate::workers::thread_cpu_s;
 
 /// Name of the format in the file.
 const FORMAT: &str = "gripcast-replay-case";

@@ -8,7 +8,6 @@
 
 mod case;
 mod compare;
-mod cpu_time;
 mod curves;
 mod demo;
 mod html;

@@ -1,7 +1,5 @@
 //! Pictures of a report: the camera's view beside the path tracer's.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 use image::{RgbImage, imageops};
 
 use super::object_file::ReplayObject;
@@ -10,28 +8,18 @@ use super::report::PicturePair;
 use crate::dataset::{Dataset, Stage};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
-use crate::imaging::{Decoder, Role, encode_jpeg};
+use crate::html::picture::data_uri;
+use crate::imaging::{Decoder, Role};
 use crate::render::visual::{
     ColourSettings, DenoiseSettings, Finish, GraspState, Model, Pattern, RenderSettings, Renderer,
     View, VisualConditions, VisualRandomisation, Watch, denoise, develop, grasp_scene,
 };
 use crate::sim::grasp::Snapshot;
 
-/// JPEG quality of the pictures in a report.
-const QUALITY: u8 = 80;
 /// Columns and rows of a view.
 const VIEW: [usize; 2] = [240, 180];
 /// Columns and rows of an object's picture.
 const OBJECT: [usize; 2] = [240, 180];
-
-/// A picture as `data:image/jpeg;base64,…`.
-///
-/// # Errors
-/// `Input` for an empty picture.
-pub(super) fn data_uri(picture: &RgbImage) -> Result<String> {
-    let bytes = encode_jpeg(picture, QUALITY)?;
-    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
-}
 
 /// How the path tracer draws.
 #[derive(Clone, Copy, Debug)]

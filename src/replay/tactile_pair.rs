@@ -3,11 +3,11 @@
 use image::{Rgb, RgbImage, imageops};
 
 use super::object_file::ReplayObject;
-use super::picture::data_uri;
 use super::recording::RecordedGrasp;
 use super::report::{PicturePair, TactilePair};
 use crate::dataset::{Dataset, Stage};
 use crate::error::{Error, ErrorKind, Result};
+use crate::html::picture::data_uri;
 use crate::imaging::{CropProfile, Decoder, Role, TactileDifference};
 use crate::render::tactile::{SceneRenderer, SensorPlace, SimulatedGel, TactileScene};
 use crate::sim::grasp::{Finger, Snapshot};

@@ -4,7 +4,7 @@
 
 use super::{
     Context, bench_contact, bench_grasp, bench_live, bench_pose, bench_predict, bench_render,
-    bench_rigid,
+    bench_rigid, bench_synth,
 };
 use crate::error::Result;
 
@@ -31,6 +31,8 @@ enum Bench {
     Render(bench_render::Args),
     /// Grasps of the rigid-body baseline, beside PyBullet's
     Rigid(bench_rigid::Args),
+    /// Simulated and rendered grasps per hour
+    Synth(bench_synth::Args),
 }
 
 /// Runs the verb.
@@ -43,5 +45,6 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Bench::Predict(args) => bench_predict::run(context, &args),
         Bench::Render(args) => bench_render::run(context, args),
         Bench::Rigid(args) => bench_rigid::run(context, &args),
+        Bench::Synth(args) => bench_synth::run(context, &args),
     }
 }

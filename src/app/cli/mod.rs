@@ -18,6 +18,7 @@ mod bench_pose;
 mod bench_predict;
 mod bench_render;
 mod bench_rigid;
+mod bench_synth;
 mod board;
 mod board_charuco;
 mod board_make;
@@ -48,6 +49,11 @@ mod sim_grasp;
 mod sim_object;
 mod sim_press;
 mod sim_validate;
+mod synth;
+mod synth_merge;
+mod synth_plan;
+mod synth_report;
+mod synth_run;
 mod working;
 
 /// Collect grasps with touch; predict before the lift whether they hold.
@@ -131,6 +137,8 @@ enum Verb {
     Render(render::Args),
     /// Replay annotated grasps in the simulators and compare with what happened
     Replay(Box<replay::Args>),
+    /// Generate labelled synthetic datasets, on one machine or many
+    Synth(Box<synth::Args>),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -165,6 +173,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Sim(args) => sim::run(&context, args),
         Verb::Render(args) => render::run(&context, args),
         Verb::Replay(args) => replay::run(&context, *args),
+        Verb::Synth(args) => synth::run(&context, *args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),

@@ -357,7 +357,7 @@ fn cpu_seconds() -> f64 {
 }
 
 /// Peak resident memory of this process, MB; not a number where /proc does not tell.
-fn peak_rss_mb() -> f64 {
+pub(crate) fn peak_rss_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     status
         .lines()

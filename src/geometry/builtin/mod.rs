@@ -3,7 +3,7 @@
 
 mod fine;
 mod hard;
-mod implicit;
+pub(crate) mod implicit;
 mod mug;
 mod shapes;
 

@@ -230,6 +230,17 @@ impl<'a> TactileScene<'a> {
         }
     }
 
+    /// A gel with the object beside it, out of its picture.
+    pub fn without_contact(object: &'a TriangleMesh, grid: &SensorGeometry) -> Self {
+        Self {
+            object,
+            t_sensor_object: Pose::from_translation(DVec3::Z * AWAY_M),
+            face_m: grid.gel_thickness_m,
+            gap_m: 0.0,
+            gel_face: None,
+        }
+    }
+
     /// An object pressed in along the sensor's z axis until the deepest pixel of the picture is
     /// `depth_m` deep. `t_sensor_object` gives its turn and its place across; its z is not used.
     ///

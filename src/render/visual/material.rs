@@ -116,7 +116,7 @@ impl Material {
     }
 }
 
-fn in_range(name: &str, values: &[f32], range: RangeInclusive<f32>) -> Result<()> {
+pub(super) fn in_range(name: &str, values: &[f32], range: RangeInclusive<f32>) -> Result<()> {
     match values.iter().find(|v| !range.contains(v)) {
         None => Ok(()),
         Some(found) => Err(Error::new(

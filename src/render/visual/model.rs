@@ -412,7 +412,7 @@ fn welded(shape: &TriangleMesh) -> TriangleMesh {
     }
 }
 
-fn is_closed(shape: &TriangleMesh) -> bool {
+pub(super) fn is_closed(shape: &TriangleMesh) -> bool {
     welded(shape).edges().is_closed()
 }
 

@@ -13,13 +13,13 @@ use super::object::DemoObject;
 use super::sampler::Candidate;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
-use crate::replay::cpu_time::thread_cpu_s;
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::GraspResult;
 use crate::sim::grasp::{
     GraspOutcome, GraspSettings, Preset, Snapshot, StageName, resolution_name,
 };
 use crate::sim::{Engine as _, FemEngine, GraspSetup};
+use crate::workers::thread_cpu_s;
 
 /// A simulated candidate, as it is kept in a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,14 +1,12 @@
 //! Frames of the demo data's tactile sensors: GelSight Minis that are not the one the project was
 //! calibrated on.
 
-use image::{Rgb, imageops};
-
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::TriangleMesh;
 use crate::imaging::encode_jpeg;
 use crate::render::tactile::{
-    BackgroundFit, ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile,
-    ShadingModel, SimulatedGel, TactileScene, WholeFrame,
+    ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SensorVariation,
+    SimulatedGel, TactileScene, WholeFrame,
 };
 use crate::sim::grasp::{Finger, Placed, Snapshot};
 
@@ -17,31 +15,23 @@ pub(super) const FRAME: [u32; 2] = [640, 480];
 /// JPEG quality of the frames.
 const QUALITY: u8 = 92;
 
-/// How a sensor differs from the shipped profile.
-struct Differences {
-    /// Factor on the light of the untouched gel in red, green, blue.
-    light: [f64; 3],
-    /// Factor on what a slope changes.
-    response: [f64; 3],
-    /// Factor on the camera's noise.
-    noise: f64,
-    /// Factor on the width of the smoothing.
-    smoothing: f64,
-}
-
-/// Left and right.
-const DIFFERENCES: [Differences; 2] = [
-    Differences {
+/// How the left and the right sensor differ from the shipped profile.
+const VARIATIONS: [SensorVariation; 2] = [
+    SensorVariation {
         light: [1.10, 0.93, 0.96],
         response: [0.85, 1.12, 0.95],
         noise: 1.6,
         smoothing: 1.2,
+        is_mirrored: true,
+        ..SensorVariation::NONE
     },
-    Differences {
+    SensorVariation {
         light: [0.92, 1.06, 1.03],
         response: [1.10, 0.88, 1.08],
         noise: 1.5,
         smoothing: 1.1,
+        is_mirrored: true,
+        ..SensorVariation::NONE
     },
 ];
 
@@ -52,37 +42,14 @@ const DIFFERENCES: [Differences; 2] = [
 /// # Errors
 /// None; a test makes them.
 pub(super) fn sensor(finger: Finger) -> Result<SensorProfile> {
-    let change = &DIFFERENCES[finger as usize];
-    let mut profile = SensorProfile::gelsight_mini()?;
-    profile.name = format!(
-        "demo-{}",
-        if finger == Finger::Left {
-            "left"
-        } else {
-            "right"
-        }
-    );
+    let variation = &VARIATIONS[finger as usize];
+    let mut profile = variation.of(&SensorProfile::gelsight_mini()?);
+    profile.name = format!("demo-{}", ["left", "right"][finger as usize]);
     profile.provenance = format!(
         "Not a real sensor: the shipped gelsight-mini profile with its background mirrored and \
          scaled by {:?}, its shading scaled by {:?}, its noise by {} and its smoothing by {}.",
-        change.light, change.response, change.noise, change.smoothing
+        variation.light, variation.response, variation.noise, variation.smoothing
     );
-    profile.noise_std = profile.noise_std.map(|std| change.noise * std);
-    profile.smoothing.sigma_m *= change.smoothing;
-    if let ShadingModel::Polynomial(shading) = &mut profile.shading {
-        let channels = [&mut shading.red, &mut shading.green, &mut shading.blue];
-        for (channel, factor) in channels.into_iter().zip(change.response) {
-            channel.iter_mut().for_each(|value| *value *= factor);
-        }
-    }
-    if let Some(picture) = &mut profile.background.picture {
-        imageops::flip_horizontal_in_place(picture);
-        for pixel in picture.pixels_mut() {
-            let scaled = |c: usize| (f64::from(pixel[c]) * change.light[c]).round().min(255.0);
-            *pixel = Rgb([scaled(0) as u8, scaled(1) as u8, scaled(2) as u8]);
-        }
-        profile.background.fit = BackgroundFit::of_picture(picture, profile.background.fit.degree);
-    }
     profile.validate()?;
     Ok(profile)
 }

@@ -2,7 +2,7 @@
 //! which everything can still be read.
 //!
 //! Every string of the report goes through [`text::Esc`]; pictures are data URIs that
-//! [`picture`] has looked at. The page's policy allows no other source.
+//! [`crate::html::picture`] has looked at. The page's policy allows no other source.
 
 mod appendix;
 mod changes;
@@ -16,7 +16,6 @@ mod head;
 mod heat;
 #[cfg(test)]
 mod page_test;
-mod picture;
 mod plot;
 mod tables;
 mod text;
@@ -30,14 +29,7 @@ use sha2::{Digest as _, Sha256};
 use self::text::Esc;
 use super::report::{REPORT_FORMAT, REPORT_VERSION, Reality, Report};
 use crate::error::{Error, ErrorKind, Result};
-
-/// Writes into a `String`, which cannot fail.
-macro_rules! put {
-    ($out:expr, $($argument:tt)*) => {{
-        let _ = write!($out, $($argument)*);
-    }};
-}
-use put;
+use crate::html::{BASE_STYLE, open_wide, picture, put, theme_choice};
 
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
@@ -136,7 +128,7 @@ impl Page<'_> {
              <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
              img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{script}'\">\n\
              <meta name=\"generator\" content=\"{}\">\n<title>Replay of {name}</title>\n\
-             <style>{STYLE}</style>\n</head>\n<body>\n",
+             <style>{BASE_STYLE}{STYLE}</style>\n</head>\n<body>\n",
             Esc(&self.report.software)
         );
         if self.simulated().is_some() {
@@ -171,24 +163,7 @@ impl Page<'_> {
         if self.simulated().is_some() {
             out.push_str("<span class=\"flag\">reality is simulated</span>");
         }
-        out.push_str("<fieldset class=\"theme\"><legend>Colours</legend>");
-        for (value, name) in [("auto", "auto"), ("light", "light"), ("dark", "dark")] {
-            let checked = if value == "auto" { " checked" } else { "" };
-            put!(
-                out,
-                "<label><input type=\"radio\" name=\"theme\" id=\"theme-{value}\"{checked}>\
-                 <span>{name}</span></label>"
-            );
-        }
-        out.push_str("</fieldset></header>\n");
+        theme_choice(out);
+        out.push_str("</header>\n");
     }
-}
-
-/// Opens the frame in which a wide table scrolls; it can be reached by keyboard.
-fn open_wide(out: &mut String, label: &str) {
-    put!(
-        out,
-        "<div class=\"wide\" role=\"region\" tabindex=\"0\" aria-label=\"{}\">",
-        Esc(label)
-    );
 }

@@ -12,7 +12,7 @@
 
 mod cache;
 mod contact;
-mod convert;
+pub(crate) mod convert;
 mod decomposition;
 mod engine;
 mod merge;

@@ -1,6 +1,6 @@
 //! Stone, concrete and tiles.
 
-use super::noise::{cellular, fractal, mix, mix_color, smoothstep, value};
+use super::noise::{Cells, Fractal, Value, mix, mix_color, smoothstep};
 use super::{PaintedSurface, paint_by_place, scaled, srgb};
 use crate::render::seed::{SeedStream, lattice};
 
@@ -36,60 +36,127 @@ pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
 
 fn marble(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
     let [ground, vein] = stream.pick(MARBLES).map(srgb);
-    let seed = stream.bits();
+    let veins = Veins::new(stream.bits());
     paint_by_place(size_px, |x, y| {
-        let bend = 0.18 * (fractal(seed, x, y, [3, 3], 4) - 0.5);
-        let field = fractal(seed ^ 0x11, x + bend, y - bend, [3, 4], 5);
-        // Veins lie where the field crosses its middle.
-        let ridge = 1.0 - (2.0 * field - 1.0).abs();
-        let fine = fractal(seed ^ 0x12, x - bend, y + bend, [7, 6], 4);
-        let fine = 1.0 - (2.0 * fine - 1.0).abs();
-        let share = 0.75 * smoothstep(0.86, 1.0, ridge) + 0.3 * smoothstep(0.93, 1.0, fine);
-        let cloud = mix(0.9, 1.04, fractal(seed ^ 0x13, x, y, [3, 3], 3));
-        scaled(mix_color(ground, vein, share.min(1.0)), cloud)
+        let (share, cloud) = veins.at(x, y);
+        scaled(mix_color(ground, vein, share), cloud)
     })
 }
 
+/// Veins of marble.
+pub(super) struct Veins {
+    bend: Fractal,
+    field: Fractal,
+    fine: Fractal,
+    cloud: Fractal,
+}
+
+impl Veins {
+    pub(super) fn new(seed: u64) -> Self {
+        Self {
+            bend: Fractal::new(seed, [3, 3], 4),
+            field: Fractal::new(seed ^ 0x11, [3, 4], 5),
+            fine: Fractal::new(seed ^ 0x12, [7, 6], 4),
+            cloud: Fractal::new(seed ^ 0x13, [3, 3], 3),
+        }
+    }
+
+    /// Share of the vein's colour, and a factor on all.
+    pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32) {
+        let bend = 0.18 * (self.bend.at(x, y) - 0.5);
+        let field = self.field.at(x + bend, y - bend);
+        // Veins lie where the field crosses its middle.
+        let ridge = 1.0 - (2.0 * field - 1.0).abs();
+        let fine = self.fine.at(x - bend, y + bend);
+        let fine = 1.0 - (2.0 * fine - 1.0).abs();
+        let share = 0.75 * smoothstep(0.86, 1.0, ridge) + 0.3 * smoothstep(0.93, 1.0, fine);
+        (share.min(1.0), mix(0.9, 1.04, self.cloud.at(x, y)))
+    }
+}
+
 fn granite(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
-    let minerals = stream.pick(GRANITES).map(srgb);
-    let seed = stream.bits();
-    paint_by_place(size_px, |x, y| {
-        let bend = 0.012 * (fractal(seed, x, y, [24, 24], 3) - 0.5);
-        let (near, far, id) = cellular(seed ^ 0x21, x + bend, y - bend, 70);
-        let (_, _, small) = cellular(seed ^ 0x22, x - bend, y + bend, 150);
+    let granite = Granite::new(stream.pick(GRANITES).map(srgb), stream.bits());
+    paint_by_place(size_px, |x, y| granite.color(x, y))
+}
+
+/// Grains of three minerals.
+pub(super) struct Granite {
+    minerals: [[f32; 3]; 3],
+    bend: Fractal,
+    large: Cells,
+    small: Cells,
+    grain: Value,
+}
+
+impl Granite {
+    /// The most frequent mineral first.
+    pub(super) fn new(minerals: [[f32; 3]; 3], seed: u64) -> Self {
+        Self {
+            minerals,
+            bend: Fractal::new(seed, [24, 24], 3),
+            large: Cells::new(seed ^ 0x21, 70),
+            small: Cells::new(seed ^ 0x22, 150),
+            grain: Value::new(seed ^ 0x23, [160, 160]),
+        }
+    }
+
+    pub(super) fn color(&self, x: f32, y: f32) -> [f32; 3] {
+        let bend = 0.012 * (self.bend.at(x, y) - 0.5);
+        let (near, far, id) = self.large.at(x + bend, y - bend);
+        let (_, _, small) = self.small.at(x - bend, y + bend);
         let chosen = match 0.7 * id + 0.3 * small {
-            share if share < 0.5 => minerals[0],
-            share if share < 0.74 => minerals[1],
-            _ => minerals[2],
+            share if share < 0.5 => self.minerals[0],
+            share if share < 0.74 => self.minerals[1],
+            _ => self.minerals[2],
         };
         let edge = smoothstep(0.0, 0.25, far - near);
-        let grain = mix(0.85, 1.1, value(seed ^ 0x23, x, y, [160, 160]));
-        scaled(mix_color(minerals[1], chosen, mix(0.55, 1.0, edge)), grain)
-    })
+        let grain = mix(0.85, 1.1, self.grain.at(x, y));
+        let between = self.minerals[1];
+        scaled(mix_color(between, chosen, mix(0.55, 1.0, edge)), grain)
+    }
 }
 
 pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let grey = stream.between(0.16, 0.5) as f32;
     let warmth = stream.between(-0.05, 0.07) as f32;
     let base = [grey * (1.0 + warmth), grey, grey * (1.0 - warmth)];
-    let seed = stream.bits();
-    let picture = paint_by_place(size_px, |x, y| {
-        let stain = mix(0.8, 1.15, fractal(seed, x, y, [3, 3], 6));
-        let sand = mix(0.93, 1.05, value(seed ^ 0x31, x, y, [220, 220]));
-        let (near, _, id) = cellular(seed ^ 0x32, x, y, 60);
+    let concrete = Concrete::new(stream.bits());
+    PaintedSurface {
+        picture: paint_by_place(size_px, |x, y| scaled(base, concrete.shade(x, y))),
+        tile_m: 0.5,
+        roughness: stream.between(0.6, 0.9) as f32,
+        metallic: 0.0,
+    }
+}
+
+/// Stained sand with pores.
+pub(super) struct Concrete {
+    stain: Fractal,
+    sand: Value,
+    pores: Cells,
+}
+
+impl Concrete {
+    pub(super) fn new(seed: u64) -> Self {
+        Self {
+            stain: Fractal::new(seed, [3, 3], 6),
+            sand: Value::new(seed ^ 0x31, [220, 220]),
+            pores: Cells::new(seed ^ 0x32, 60),
+        }
+    }
+
+    /// Factor on the colour.
+    pub(super) fn shade(&self, x: f32, y: f32) -> f32 {
+        let stain = mix(0.8, 1.15, self.stain.at(x, y));
+        let sand = mix(0.93, 1.05, self.sand.at(x, y));
+        let (near, _, id) = self.pores.at(x, y);
         let radius = 0.16 * (id * 7.0).fract().powi(2);
         let pore = if id < 0.3 {
             1.0 - smoothstep(0.5 * radius, radius + 0.01, near)
         } else {
             0.0
         };
-        scaled(base, stain * sand * (1.0 - 0.6 * pore))
-    });
-    PaintedSurface {
-        picture,
-        tile_m: 0.5,
-        roughness: stream.between(0.6, 0.9) as f32,
-        metallic: 0.0,
+        stain * sand * (1.0 - 0.6 * pore)
     }
 }
 
@@ -101,6 +168,8 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let seed = stream.bits();
     let tile_m = 0.4;
     let half_joint = 0.0015 / tile_m as f32 * count as f32;
+    let clouds = Fractal::new(seed, [6, 6], 4);
+    let sands = Value::new(seed ^ 0x41, [200, 200]);
     let picture = paint_by_place(size_px, |x, y| {
         let (mut sx, sy) = (x * count as f32, y * count as f32);
         let row = sy as i64;
@@ -112,8 +181,8 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         let edge = inset(sx).min(inset(sy));
         let in_joint = 1.0 - smoothstep(0.8 * half_joint, 1.4 * half_joint, edge);
         let own = mix(0.92, 1.05, lattice(seed, column, row, 0));
-        let cloud = mix(0.94, 1.04, fractal(seed, x, y, [6, 6], 4));
-        let sand = mix(0.8, 1.1, value(seed ^ 0x41, x, y, [200, 200]));
+        let cloud = mix(0.94, 1.04, clouds.at(x, y));
+        let sand = mix(0.8, 1.1, sands.at(x, y));
         mix_color(scaled(tile, own * cloud), scaled(grout, sand), in_joint)
     });
     PaintedSurface {

@@ -1,6 +1,7 @@
 //! Surfaces painted from a seed: wood, stone, fabric, glaze, print and others, as pictures that
 //! tile.
 
+mod coat;
 mod coating;
 mod fabric;
 mod mineral;
@@ -19,6 +20,8 @@ use super::picture::Picture;
 use crate::error::{Error, Result, unknown_name};
 use crate::imaging::srgb_decode;
 use crate::render::seed::SeedStream;
+
+pub(super) use coat::paint as paint_coat;
 
 /// Kind of a painted surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,8 +140,13 @@ pub struct PaintedSurface {
     pub metallic: f32,
 }
 
-/// Linear colour of each pixel of a square picture from its place in the unit square.
+/// Square picture of a linear colour of each place in the unit square.
 fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
+    light_by_place(size_px, color).to_srgb8(1.0)
+}
+
+/// The same in linear light.
+fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Picture {
     let size = size_px.max(1) as usize;
     let place = |index: usize| (index as f32 + 0.5) / size as f32;
     let mut picture = Picture::filled(size, size, [0.0; 3]);
@@ -151,7 +159,7 @@ fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> 
                 *pixel = color(place(column), place(row));
             }
         });
-    picture.to_srgb8(1.0)
+    picture
 }
 
 /// Linear RGB of an sRGB colour `0xRRGGBB`.
@@ -195,6 +203,21 @@ mod tests {
         sum / f64::from(3 * n)
     }
 
+    /// Asserts that a picture's opposite borders match.
+    pub(super) fn closes(picture: &RgbImage, name: &str) {
+        let n = picture.width();
+        for by_row in [false, true] {
+            // The step over the border is no larger than the largest one inside.
+            let border = step(picture, n - 1, 0, by_row);
+            let inside = (1..n).map(|i| step(picture, i - 1, i, by_row));
+            let largest = inside.fold(0.0, f64::max);
+            assert!(
+                border <= 1.3 * largest + 1.0,
+                "{name}: {border} > {largest}"
+            );
+        }
+    }
+
     #[test]
     fn pictures_are_fixed_by_their_seed_and_tile() {
         for pattern in Pattern::ALL {
@@ -203,17 +226,7 @@ mod tests {
             let other = pattern.paint(128, 6);
             assert_ne!(painted.picture, other.picture, "{pattern}");
             assert!(painted.tile_m > 0.0 && (0.0..=1.0).contains(&painted.roughness));
-            let n = painted.picture.width();
-            for by_row in [false, true] {
-                // The step over the border is no larger than the largest one inside.
-                let border = step(&painted.picture, n - 1, 0, by_row);
-                let inside = (1..n).map(|i| step(&painted.picture, i - 1, i, by_row));
-                let largest = inside.fold(0.0, f64::max);
-                assert!(
-                    border <= 1.3 * largest + 1.0,
-                    "{pattern}: {border} > {largest}"
-                );
-            }
+            closes(&painted.picture, pattern.name());
         }
     }
 

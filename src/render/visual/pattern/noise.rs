@@ -1,60 +1,126 @@
 //! Noise that repeats: every function has period 1 along x and y.
+//!
+//! The random numbers of a lattice are drawn once, since a picture asks for each of them often.
 
 use crate::render::seed::lattice;
 
-/// Gradient-free value noise with quintic interpolation, 0 to 1, over a lattice of
-/// `cells` × `cells` cells in the unit square.
-pub(super) fn value(seed: u64, x: f32, y: f32, cells: [u32; 2]) -> f32 {
-    let along = |c: f32, n: u32| {
-        let scaled = c.rem_euclid(1.0) * n as f32;
-        let low = (scaled as i64).min(i64::from(n) - 1);
-        let t = scaled - low as f32;
-        let smooth = t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
-        (low, (low + 1) % i64::from(n), smooth)
-    };
-    let [nx, ny] = cells.map(|n| n.max(1));
-    let (x0, x1, tx) = along(x, nx);
-    let (y0, y1, ty) = along(y, ny);
-    let level = i64::from(nx) * 8191 + i64::from(ny);
-    let at = |x, y| lattice(seed, x, y, level);
-    let low = mix(at(x0, y0), at(x1, y0), tx);
-    let high = mix(at(x0, y1), at(x1, y1), tx);
-    mix(low, high, ty)
+/// Gradient-free value noise with quintic interpolation, 0 to 1.
+pub(super) struct Value {
+    cells: [usize; 2],
+    /// At the corners of the cells, row by row.
+    levels: Vec<f32>,
 }
 
-/// Sum of `octaves` of value noise, each twice as fine and half as strong, 0 to 1.
-pub(super) fn fractal(seed: u64, x: f32, y: f32, cells: [u32; 2], octaves: u32) -> f32 {
-    let (mut sum, mut weights, mut weight) = (0.0, 0.0, 1.0);
-    for octave in 0..octaves {
-        let n = cells.map(|n| n << octave);
-        sum += weight * value(seed.wrapping_add(u64::from(octave)), x, y, n);
-        weights += weight;
-        weight *= 0.5;
-    }
-    sum / weights
-}
-
-/// Distances to the nearest and the second nearest of one random point in each cell of a
-/// `cells` × `cells` lattice, in cells, and a number of the nearest in 0..1 (Worley, 1996).
-pub(super) fn cellular(seed: u64, x: f32, y: f32, cells: u32) -> (f32, f32, f32) {
-    let n = i64::from(cells.max(1));
-    let (sx, sy) = (x.rem_euclid(1.0) * n as f32, y.rem_euclid(1.0) * n as f32);
-    let (cx, cy) = (sx as i64, sy as i64);
-    let mut best = (f32::MAX, f32::MAX, 0.0);
-    for j in cy - 1..=cy + 1 {
-        for i in cx - 1..=cx + 1 {
-            let (wi, wj) = (i.rem_euclid(n), j.rem_euclid(n));
-            let px = i as f32 + lattice(seed, wi, wj, 1);
-            let py = j as f32 + lattice(seed, wi, wj, 2);
-            let distance = (px - sx).hypot(py - sy);
-            if distance < best.0 {
-                best = (distance, best.0, lattice(seed, wi, wj, 3));
-            } else if distance < best.1 {
-                best.1 = distance;
-            }
+impl Value {
+    /// Over a lattice of `cells` × `cells` cells in the unit square.
+    pub(super) fn new(seed: u64, cells: [u32; 2]) -> Self {
+        let [nx, ny] = cells.map(|n| i64::from(n.max(1)));
+        let layer = nx * 8191 + ny;
+        let row = |y| (0..nx).map(move |x| lattice(seed, x, y, layer));
+        Self {
+            cells: [nx, ny].map(|n| n as usize),
+            levels: (0..ny).flat_map(row).collect(),
         }
     }
-    best
+
+    pub(super) fn at(&self, x: f32, y: f32) -> f32 {
+        let along = |c: f32, n: usize| {
+            let scaled = wrapped(c) * n as f32;
+            let low = (scaled as usize).min(n - 1);
+            let t = scaled - low as f32;
+            let smooth = t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
+            (low, if low + 1 == n { 0 } else { low + 1 }, smooth)
+        };
+        let [nx, ny] = self.cells;
+        let (x0, x1, tx) = along(x, nx);
+        let (y0, y1, ty) = along(y, ny);
+        let at = |x: usize, y: usize| self.levels[y * nx + x];
+        let low = mix(at(x0, y0), at(x1, y0), tx);
+        let high = mix(at(x0, y1), at(x1, y1), tx);
+        mix(low, high, ty)
+    }
+}
+
+/// Sum of octaves of value noise, each twice as fine and half as strong, 0 to 1.
+pub(super) struct Fractal {
+    octaves: Vec<Value>,
+}
+
+impl Fractal {
+    /// The coarsest of the octaves has `cells` × `cells` cells in the unit square.
+    pub(super) fn new(seed: u64, cells: [u32; 2], octaves: u32) -> Self {
+        let octave = |o: u32| Value::new(seed.wrapping_add(u64::from(o)), cells.map(|n| n << o));
+        Self {
+            octaves: (0..octaves).map(octave).collect(),
+        }
+    }
+
+    pub(super) fn at(&self, x: f32, y: f32) -> f32 {
+        let (mut sum, mut weights, mut weight) = (0.0, 0.0, 1.0);
+        for octave in &self.octaves {
+            sum += weight * octave.at(x, y);
+            weights += weight;
+            weight *= 0.5;
+        }
+        sum / weights
+    }
+}
+
+/// One random point in each cell of a lattice (Worley, 1996).
+pub(super) struct Cells {
+    count: i64,
+    /// Place in its cell and a number in 0..1 of each point, row by row.
+    points: Vec<[f32; 3]>,
+}
+
+impl Cells {
+    /// In a lattice of `count` × `count` cells in the unit square.
+    pub(super) fn new(seed: u64, count: u32) -> Self {
+        let n = i64::from(count.max(1));
+        let point = |x, y| [1, 2, 3].map(|z| lattice(seed, x, y, z));
+        Self {
+            count: n,
+            points: (0..n)
+                .flat_map(|y| (0..n).map(move |x| point(x, y)))
+                .collect(),
+        }
+    }
+
+    /// Distances to the nearest and the second nearest point, in cells, and the number of the
+    /// nearest.
+    pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32, f32) {
+        let n = self.count;
+        let (sx, sy) = (wrapped(x) * n as f32, wrapped(y) * n as f32);
+        let (cx, cy) = (sx as i64, sy as i64);
+        let around = |c: i64| match c {
+            c if c < 0 => c + n,
+            c if c >= n => (c - n).min(n - 1),
+            c => c,
+        };
+        let mut best = (f32::MAX, f32::MAX, 0.0);
+        for j in cy - 1..=cy + 1 {
+            let row = around(j) * n;
+            for i in cx - 1..=cx + 1 {
+                let [px, py, number] = self.points[(row + around(i)) as usize];
+                let distance = (i as f32 + px - sx).hypot(j as f32 + py - sy);
+                if distance < best.0 {
+                    best = (distance, best.0, number);
+                } else if distance < best.1 {
+                    best.1 = distance;
+                }
+            }
+        }
+        best
+    }
+}
+
+/// A coordinate in the unit square.
+fn wrapped(c: f32) -> f32 {
+    if (0.0..1.0).contains(&c) {
+        c
+    } else {
+        c.rem_euclid(1.0)
+    }
 }
 
 pub(super) fn mix(a: f32, b: f32, t: f32) -> f32 {
@@ -77,23 +143,36 @@ mod tests {
 
     #[test]
     fn noise_repeats_and_stays_in_range() {
+        let (fractal, cells) = (Fractal::new(5, [4, 6], 4), Cells::new(5, 7));
         for i in 0..200 {
             let (x, y) = (i as f32 * 0.0137, i as f32 * 0.0311);
-            let a = fractal(5, x, y, [4, 6], 4);
-            let b = fractal(5, x + 1.0, y - 2.0, [4, 6], 4);
+            let a = fractal.at(x, y);
+            let b = fractal.at(x + 1.0, y - 2.0);
             assert!((a - b).abs() < 2e-3, "{a} {b}");
             assert!((0.0..=1.0).contains(&a));
-            let (near, far, id) = cellular(5, x, y, 7);
+            let (near, far, id) = cells.at(x, y);
             assert!(near <= far && near < 1.5 && (0.0..1.0).contains(&id));
         }
     }
 
     #[test]
     fn noise_is_continuous_over_the_border() {
+        let noise = Value::new(9, [8, 8]);
         for i in 0..50 {
             let y = i as f32 / 50.0;
-            let (left, right) = (value(9, 0.0, y, [8, 8]), value(9, 0.999_999, y, [8, 8]));
+            let (left, right) = (noise.at(0.0, y), noise.at(0.999_999, y));
             assert!((left - right).abs() < 1e-3, "{left} {right}");
+        }
+    }
+
+    #[test]
+    fn places_that_wrap_to_the_far_end_have_a_value() {
+        for cells in [1, 2, 9] {
+            let noise = (Value::new(1, [cells; 2]), Cells::new(1, cells));
+            for place in [-1e-9, 1.0, -3.0, 1e9] {
+                assert!((0.0..=1.0).contains(&noise.0.at(place, place)));
+                assert!(noise.1.at(place, place).0.is_finite());
+            }
         }
     }
 }

@@ -1,15 +1,26 @@
 //! Printed carton: colour fields, a badge, lines of text, a bar code.
 
-use super::noise::{fractal, mix, mix_color};
+use super::noise::{Fractal, mix, mix_color};
 use super::{PaintedSurface, paint_by_place, random_color, scaled, srgb};
 use crate::render::seed::{SeedStream, lattice};
 
+/// Bare paper.
+const PAPER: u32 = 0xf4f2ec;
+/// Black ink.
+const INK: u32 = 0x1d1d22;
+
+/// Colours of a print beside that of its ground.
+#[derive(Clone, Copy)]
+pub(super) struct Inks {
+    pub(super) text: [f32; 3],
+    pub(super) field: [f32; 3],
+    pub(super) badge: [f32; 3],
+}
+
 /// What is printed; places and sizes in the unit square.
-struct Label {
+pub(super) struct Label {
     ground: [f32; 3],
-    ink: [f32; 3],
-    field: [f32; 3],
-    badge: [f32; 3],
+    pub(super) inks: Inks,
     /// Lower and upper edge of the colour field.
     band: [f32; 2],
     /// Centre and radius.
@@ -19,12 +30,15 @@ struct Label {
     /// Left, top, right, bottom.
     bars: [f32; 4],
     seed: u64,
+    paper: Fractal,
 }
 
 pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let label = Label::random(stream);
     PaintedSurface {
-        picture: paint_by_place(size_px, |x, y| label.color(x, y)),
+        picture: paint_by_place(size_px, |x, y| {
+            scaled(label.ink(x, y, label.ground), label.paper(x, y))
+        }),
         tile_m: 0.08,
         roughness: stream.between(0.25, 0.6) as f32,
         metallic: 0.0,
@@ -32,7 +46,7 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
 }
 
 impl Label {
-    fn random(stream: &mut SeedStream) -> Self {
+    pub(super) fn random(stream: &mut SeedStream) -> Self {
         let is_white = stream.uniform() < 0.4;
         let ground = if is_white {
             srgb(0xf1efe9)
@@ -51,40 +65,52 @@ impl Label {
             place(0.018, 0.03),
         ];
         let bars = [0.72, place(0.72, 0.8), 0.93, 0.92];
-        Self {
-            ground,
-            ink: srgb(0x1d1d22),
+        let inks = Inks {
+            text: srgb(INK),
             field: random_color(stream, [0.5, 0.95], [0.35, 0.95]),
             badge: random_color(stream, [0.4, 0.95], [0.5, 1.0]),
-            band: [top, top + stream.between(0.12, 0.3) as f32],
+        };
+        let band = [top, top + stream.between(0.12, 0.3) as f32];
+        let seed = stream.bits();
+        Self {
+            ground,
+            inks,
+            band,
             disc,
             text,
             bars,
-            seed: stream.bits(),
+            seed,
+            paper: Fractal::new(seed, [24, 24], 3),
         }
     }
 
-    fn color(&self, x: f32, y: f32) -> [f32; 3] {
-        let paper = mix(0.95, 1.02, fractal(self.seed, x, y, [24, 24], 3));
-        let mut color = self.ground;
+    /// Factor of the paper on all colours.
+    pub(super) fn paper(&self, x: f32, y: f32) -> f32 {
+        mix(0.95, 1.02, self.paper.at(x, y))
+    }
+
+    /// Colour on a ground of any colour, on even paper.
+    pub(super) fn ink(&self, x: f32, y: f32, ground: [f32; 3]) -> [f32; 3] {
+        let mut color = ground;
         if (self.band[0]..self.band[1]).contains(&y) {
-            color = self.field;
+            color = self.inks.field;
         }
         let [cx, cy, radius] = self.disc;
         let from_centre = (x - cx).hypot(y - cy) / radius;
         if from_centre < 1.0 {
             color = if from_centre > 0.86 {
-                srgb(0xf4f2ec)
+                srgb(PAPER)
             } else {
-                self.badge
+                self.inks.badge
             };
         }
-        if self.is_text(x, y) || self.is_bar(x, y) == Some(true) {
-            color = mix_color(color, self.ink, 0.93);
-        } else if self.is_bar(x, y) == Some(false) {
-            color = srgb(0xf4f2ec);
+        match self.is_bar(x, y) {
+            Some(true) => color = mix_color(color, srgb(INK), 0.93),
+            _ if self.is_text(x, y) => color = mix_color(color, self.inks.text, 0.93),
+            Some(false) => color = srgb(PAPER),
+            None => {}
         }
-        scaled(color, paper)
+        color
     }
 
     /// Words as dark blocks with the strokes of letters.

@@ -1,15 +1,29 @@
-//! Pictures of the report: data URIs, checked before they get into the page.
+//! Pictures of a page: data URIs, checked before they get into it.
 
 use std::fmt::Write as _;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use image::RgbImage;
 
-use super::put;
-use super::text::Esc;
+use super::{Esc, put};
+use crate::error::Result;
+use crate::imaging::encode_jpeg;
+
+/// JPEG quality of the pictures in a page.
+const QUALITY: u8 = 80;
+
+/// A picture as `data:image/jpeg;base64,…`.
+///
+/// # Errors
+/// `Input` for an empty picture.
+pub(crate) fn data_uri(picture: &RgbImage) -> Result<String> {
+    let bytes = encode_jpeg(picture, QUALITY)?;
+    Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
+}
 
 /// Draws the picture and names it `id` for [`again`]; says so where it is none.
-pub(super) fn picture(out: &mut String, uri: &str, id: &str, alt: &str) {
+pub(crate) fn picture(out: &mut String, uri: &str, id: &str, alt: &str) {
     match size(uri) {
         Some([width, height]) => put!(
             out,
@@ -23,7 +37,7 @@ pub(super) fn picture(out: &mut String, uri: &str, id: &str, alt: &str) {
 }
 
 /// Draws a picture of another place of the page a second time, without its bytes.
-pub(super) fn again(out: &mut String, uri: &str, id: &str, alt: &str) {
+pub(crate) fn again(out: &mut String, uri: &str, id: &str, alt: &str) {
     match size(uri) {
         Some([width, height]) => put!(
             out,
@@ -36,7 +50,7 @@ pub(super) fn again(out: &mut String, uri: &str, id: &str, alt: &str) {
 }
 
 /// The place of a picture that is not there.
-pub(super) fn missing(out: &mut String, alt: &str) {
+pub(crate) fn missing(out: &mut String, alt: &str) {
     put!(
         out,
         "<span class=\"nopic\" role=\"img\" aria-label=\"{}: missing\">no picture</span>",

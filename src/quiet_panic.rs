@@ -1,7 +1,8 @@
 //! Panics of a library as values.
 //!
-//! The ONNX engine panics on some graphs that no exporter writes but a damaged file can hold. Such
-//! a panic is an explained refusal to the user, so neither the process nor the screen may see it.
+//! The ONNX engine and the Parquet decoders panic on some contents that no exporter writes but a
+//! damaged file can hold. Such a panic is an explained refusal to the user, so neither the process
+//! nor the screen may see it.
 
 use std::any::Any;
 use std::cell::Cell;
@@ -13,7 +14,7 @@ thread_local! {
 }
 
 /// Runs `work`; a panic in it is returned as its message and prints nothing.
-pub(super) fn catch<T>(work: impl FnOnce() -> T + UnwindSafe) -> Result<T, String> {
+pub(crate) fn catch<T>(work: impl FnOnce() -> T + UnwindSafe) -> Result<T, String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
         let previous = panic::take_hook();

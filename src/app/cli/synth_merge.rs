@@ -1,0 +1,142 @@
+//! `gripcast synth merge`: the dataset of a plan.
+//!
+//! Exit codes: 0 the dataset is whole · 1 it could not be written · 2 usage · 3 it was written, but
+//! simulations of the plan are open or could not be done · 130 interrupted.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use super::working::interruptible;
+use super::{Context, print, print_json};
+use crate::error::{Error, ErrorKind, Result};
+use crate::synth::curate::{Apart, CurationSettings};
+use crate::synth::plan::Plan;
+use crate::synth::{MergeReport, MergeSettings, merge};
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder of the plan with its results
+    #[arg(long, value_name = "DIR")]
+    plan: PathBuf,
+    /// Folder of the dataset
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Parts and their shares
+    #[arg(long, value_name = "PART=SHARE", value_delimiter = ',', value_parser = share,
+        default_values = ["train=0.8", "validation=0.1", "test=0.1"])]
+    split: Vec<(String, f64)>,
+    /// What may not be in two parts
+    #[arg(long, value_enum, default_value_t = ApartName::Object)]
+    apart: ApartName,
+    /// Most simulations of a category in a part, as a multiple of the mean; 0 for no cap
+    #[arg(long, value_name = "TIMES", default_value_t = 2.0)]
+    category_cap: f64,
+    /// Keep all of both labels instead of as many of one as of the other
+    #[arg(long)]
+    unbalanced: bool,
+    /// Decides what is left out
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Merge what is there of a plan that is not finished
+    #[arg(long)]
+    partial: bool,
+    /// Print what is in the dataset as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum ApartName {
+    /// Objects
+    Object,
+    /// Whole categories, which is harder
+    Category,
+}
+
+fn share(text: &str) -> Result<(String, f64), String> {
+    let wrong = || "expected NAME=SHARE, such as train=0.8".to_owned();
+    let (name, share) = text.split_once('=').ok_or_else(wrong)?;
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    if name.is_empty() || !name.chars().all(plain) {
+        return Err("a part is named with a-z, 0-9 and _".to_owned());
+    }
+    Ok((name.to_owned(), share.parse().map_err(|_| wrong())?))
+}
+
+/// Runs the verb.
+pub(super) fn run(context: &Context, args: Args) -> Result<()> {
+    let settings = args.settings()?;
+    let is_json = args.json;
+    let report = interruptible(context, "merging", move |progress| {
+        let plan = Plan::read(&args.plan)?;
+        merge(&plan, &args.plan, &args.out, &settings, &|done, all| {
+            progress.at(done as u64, all as u64);
+        })
+    })??;
+    if is_json {
+        print_json(&report)?;
+    } else {
+        print(&text(&report))?;
+    }
+    if report.open + report.failed == 0 {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Partial,
+        format!(
+            "{} simulations of the plan are open, {} could not be done",
+            report.open, report.failed
+        ),
+    ))
+}
+
+impl Args {
+    fn settings(&self) -> Result<MergeSettings> {
+        if !(self.category_cap >= 0.0 && self.category_cap.is_finite()) {
+            return Err(Error::new(
+                ErrorKind::Usage,
+                format!(
+                    "`--category-cap` must be 0 or above, found {}",
+                    self.category_cap
+                ),
+            ));
+        }
+        let parts: BTreeMap<String, f64> = self.split.iter().cloned().collect();
+        if parts.len() < self.split.len() {
+            return Err(Error::new(
+                ErrorKind::Usage,
+                "a part is named twice in `--split`",
+            ));
+        }
+        Ok(MergeSettings {
+            curation: CurationSettings {
+                apart: match self.apart {
+                    ApartName::Object => Apart::Object,
+                    ApartName::Category => Apart::Category,
+                },
+                parts,
+                category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
+                is_balanced: !self.unbalanced,
+                seed: self.seed,
+            },
+            is_partial_allowed: self.partial,
+        })
+    }
+}
+
+fn text(report: &MergeReport) -> String {
+    let mut text = String::new();
+    for (name, part) in &report.parts {
+        text.push_str(&format!(
+            "{name}: {} rows of {} grasps on {} objects; {} simulations held, {} were lost\n",
+            part.rows, part.grasps, part.objects, part.stable, part.slip
+        ));
+    }
+    let left_out: usize = report.left_out.values().sum();
+    let without: usize = report.without_sample.values().sum();
+    text.push_str(&format!(
+        "left out: {left_out} for balance and caps, {without} without an outcome to see"
+    ));
+    text
+}

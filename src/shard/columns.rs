@@ -1,0 +1,166 @@
+//! The columns: names, kinds, order; the Parquet schema and the features of Hugging Face.
+
+use parquet::errors::ParquetError;
+use parquet::schema::parser::parse_message_type;
+use parquet::schema::types::TypePtr;
+
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// UTF-8.
+    Text,
+    /// Signed, 64 bit.
+    Integer,
+    /// Double precision.
+    Number,
+    /// A list of so many doubles.
+    Numbers(usize),
+    /// An encoded picture: its bytes and its file name.
+    Picture,
+}
+
+/// One column.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Column {
+    pub(super) name: &'static str,
+    pub(super) kind: Kind,
+    /// Whether rows may lack it, and so the file.
+    pub(super) nullable: bool,
+}
+
+const fn always(name: &'static str, kind: Kind) -> Column {
+    Column {
+        name,
+        kind,
+        nullable: false,
+    }
+}
+
+const fn nullable(name: &'static str, kind: Kind) -> Column {
+    Column {
+        name,
+        kind,
+        nullable: true,
+    }
+}
+
+/// Columns of `ShardFacts`, in the order of the file.
+pub(super) const FACTS: [Column; 22] = [
+    always("id", Kind::Text),
+    always("simulation", Kind::Text),
+    always("object", Kind::Text),
+    always("category", Kind::Text),
+    always("engine", Kind::Text),
+    always("outcome", Kind::Text),
+    always("outcome_detail", Kind::Text),
+    always("label", Kind::Integer),
+    always("stop_force_n", Kind::Number),
+    always("friction", Kind::Number),
+    always("mass_kg", Kind::Number),
+    always("lifted_m", Kind::Number),
+    nullable("force_left_n", Kind::Number),
+    nullable("force_right_n", Kind::Number),
+    always("opening_m", Kind::Number),
+    always("pose_t_m", Kind::Numbers(3)),
+    always("pose_q_wxyz", Kind::Numbers(4)),
+    nullable("fault", Kind::Text),
+    always("appearance", Kind::Text),
+    always("rendering", Kind::Integer),
+    always("seed", Kind::Integer),
+    always("crop_profile", Kind::Text),
+];
+
+/// Columns of `ShardImages`, after the facts: `<stage>_<role>`.
+pub(super) const IMAGES: [Column; 7] = [
+    always("initial_left", Kind::Picture),
+    always("initial_right", Kind::Picture),
+    always("grasp_left", Kind::Picture),
+    always("grasp_right", Kind::Picture),
+    always("grasp_rgb", Kind::Picture),
+    nullable("initial_rgb", Kind::Picture),
+    nullable("grasp_depth", Kind::Picture),
+];
+
+/// Names of the labels 0 and 1.
+const LABELS: [&str; 2] = ["slip", "stable"];
+
+/// All columns in the order of the file.
+pub(super) fn columns() -> impl Iterator<Item = &'static Column> {
+    FACTS.iter().chain(&IMAGES)
+}
+
+/// The schema of the file. Every column is optional, as Arrow writes them; those that a row always
+/// has are never null.
+pub(super) fn schema() -> Result<TypePtr, ParquetError> {
+    let mut text = String::from("message schema {");
+    for Column { name, kind, .. } in columns() {
+        text += &match kind {
+            Kind::Text => format!("optional binary {name} (STRING);"),
+            Kind::Integer => format!("optional int64 {name};"),
+            Kind::Number => format!("optional double {name};"),
+            Kind::Numbers(_) => format!(
+                "optional group {name} (LIST) {{ repeated group list {{ optional double element; }} }}"
+            ),
+            Kind::Picture => format!(
+                "optional group {name} {{ optional binary bytes; optional binary path (STRING); }}"
+            ),
+        };
+    }
+    text.push('}');
+    Ok(TypePtr::new(parse_message_type(&text)?))
+}
+
+/// The value of the `huggingface` key.
+///
+/// Lists are called `Sequence`, which releases of `datasets` before 4 and after it know.
+pub(super) fn features() -> String {
+    // Written by hand: a map of another build of serde_json might have another order.
+    let features: Vec<String> = columns()
+        .map(|column| format!(r#""{}":{}"#, column.name, feature(column)))
+        .collect();
+    format!(r#"{{"info":{{"features":{{{}}}}}}}"#, features.join(","))
+}
+
+fn feature(column: &Column) -> String {
+    let value = |dtype: &str| format!(r#"{{"dtype":"{dtype}","_type":"Value"}}"#);
+    match column.kind {
+        _ if column.name == "label" => {
+            let [slip, stable] = LABELS;
+            format!(r#"{{"names":["{slip}","{stable}"],"_type":"ClassLabel"}}"#)
+        }
+        Kind::Text => value("string"),
+        Kind::Integer => value("int64"),
+        Kind::Number => value("float64"),
+        Kind::Numbers(_) => {
+            format!(r#"{{"feature":{},"_type":"Sequence"}}"#, value("float64"))
+        }
+        Kind::Picture => r#"{"_type":"Image"}"#.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::{Value, json};
+
+    use super::*;
+
+    #[test]
+    fn schema_and_features_have_the_columns_in_order() {
+        let schema = schema().unwrap();
+        let names: Vec<&str> = schema.get_fields().iter().map(|f| f.name()).collect();
+        let expected: Vec<&str> = columns().map(|c| c.name).collect();
+        assert_eq!(names, expected);
+        let features = features();
+        let parsed: Value = serde_json::from_str(&features).unwrap();
+        assert_eq!(
+            parsed["info"]["features"]["label"]["names"],
+            json!(["slip", "stable"])
+        );
+        let mut at = 0;
+        for name in expected {
+            let found = features.find(&format!("\"{name}\":")).unwrap();
+            assert!(found > at, "{name}");
+            at = found;
+        }
+    }
+}

@@ -1,0 +1,347 @@
+//! One sample.
+
+use std::fmt;
+
+use glam::DQuat;
+
+use super::cell::{Cell, Cells, wrong};
+use crate::error::Result;
+use crate::geometry::Pose;
+
+/// Largest deviation of a quaternion's norm from 1 that is taken as rounding.
+const UNIT_TOLERANCE: f64 = 1e-3;
+/// The least number above 0.
+const ABOVE_0: f64 = f64::MIN_POSITIVE;
+/// Begin of every PNG file.
+const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+/// Begin of every JPEG file.
+const JPEG: &[u8] = b"\xff\xd8\xff";
+
+/// One rendering of one simulated grasp: what is known of it, and its pictures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShardRow {
+    /// The scalars.
+    pub facts: ShardFacts,
+    /// The pictures.
+    pub images: ShardImages,
+}
+
+/// A sample without its pictures. Columns have the names of the fields, except where said.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShardFacts {
+    /// Key of the sample, not empty, unique in its dataset.
+    pub id: String,
+    /// The simulation that is rendered; its renderings share it. Not empty.
+    pub simulation: String,
+    /// What is grasped. Not empty.
+    pub object: String,
+    /// Its category.
+    pub category: String,
+    /// Which simulator decided.
+    pub engine: ShardEngine,
+    /// Outcome of the lift; also the column `label`: 0 slip, 1 stable.
+    pub outcome: ShardOutcome,
+    /// What the simulator says more precisely: `success`, `slip`, `eject`, ….
+    pub outcome_detail: String,
+    /// Mean normal force at which the fingers stop closing, N, > 0.
+    pub stop_force_n: f64,
+    /// Coefficient of friction between gel and object, ≥ 0.
+    pub friction: f64,
+    /// Mass of the object, kg, > 0.
+    pub mass_kg: f64,
+    /// How far the object's lowest point was above the ground at the end, m.
+    pub lifted_m: f64,
+    /// Normal force on the left finger in the grasp, N, ≥ 0.
+    pub force_left_n: Option<f64>,
+    /// Normal force on the right finger in the grasp, N, ≥ 0.
+    pub force_right_n: Option<f64>,
+    /// Distance of the gels' front faces in the grasp, m.
+    pub opening_m: f64,
+    /// Maps gripper coordinates into the object frame; columns `pose_t_m` (m) and `pose_q_wxyz`
+    /// (unit quaternion, w ≥ 0).
+    pub t_object_gripper: Pose,
+    /// What was broken on purpose in the pictures, if anything.
+    pub fault: Option<String>,
+    /// Which look of object and scene was drawn.
+    pub appearance: String,
+    /// Number of the rendering of its simulation, from 0.
+    pub rendering: u32,
+    /// Seed of the rendering, below 2⁶³: readers have signed integers.
+    pub seed: u64,
+    /// Crop profile of the tactile pictures.
+    pub crop_profile: String,
+}
+
+/// Encoded pictures of a sample, PNG or JPEG, of the two stages of the cycle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShardImages {
+    /// Left tactile sensor (−x of the gripper frame) before the fingers close.
+    pub initial_left: Vec<u8>,
+    /// Right tactile sensor (+x of the gripper frame) before the fingers close.
+    pub initial_right: Vec<u8>,
+    /// Left tactile sensor in the grasp, before the lift.
+    pub grasp_left: Vec<u8>,
+    /// Right tactile sensor in the grasp, before the lift.
+    pub grasp_right: Vec<u8>,
+    /// Colour camera between the fingers in the grasp.
+    pub grasp_rgb: Vec<u8>,
+    /// Colour camera between the fingers before the fingers close.
+    pub initial_rgb: Option<Vec<u8>>,
+    /// Depth camera between the fingers in the grasp: 16-bit PNG, mm.
+    pub grasp_depth: Option<Vec<u8>>,
+}
+
+/// Which simulator decided the outcome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ShardEngine {
+    /// Finite-element gels.
+    Fem,
+    /// Rigid fingers.
+    Rigid,
+}
+
+/// Outcome of a simulated lift; the number is the label.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ShardOutcome {
+    /// It slipped, fell or was squeezed out.
+    Slip = 0,
+    /// It held.
+    Stable = 1,
+}
+
+impl ShardEngine {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Fem, Self::Rigid];
+
+    /// Name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fem => "fem",
+            Self::Rigid => "rigid",
+        }
+    }
+}
+
+impl ShardOutcome {
+    /// Both, in the order of the labels.
+    pub const ALL: [Self; 2] = [Self::Slip, Self::Stable];
+
+    /// Name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Slip => "slip",
+            Self::Stable => "stable",
+        }
+    }
+
+    /// 0 slip, 1 stable.
+    #[must_use]
+    pub fn label(self) -> i64 {
+        self as i64
+    }
+}
+
+impl fmt::Display for ShardEngine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl fmt::Display for ShardOutcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl ShardFacts {
+    /// In the order of the columns.
+    pub(super) fn cells(&self) -> Vec<Cell<'_>> {
+        let t = self.t_object_gripper.translation_m;
+        let q = self.t_object_gripper.rotation;
+        vec![
+            Cell::text(&self.id),
+            Cell::text(&self.simulation),
+            Cell::text(&self.object),
+            Cell::text(&self.category),
+            Cell::text(self.engine.name()),
+            Cell::text(self.outcome.name()),
+            Cell::text(&self.outcome_detail),
+            Cell::Integer(self.outcome.label()),
+            Cell::Number(self.stop_force_n),
+            Cell::Number(self.friction),
+            Cell::Number(self.mass_kg),
+            Cell::Number(self.lifted_m),
+            Cell::optional_number(self.force_left_n),
+            Cell::optional_number(self.force_right_n),
+            Cell::Number(self.opening_m),
+            Cell::Numbers(t.to_array().to_vec()),
+            Cell::Numbers(vec![q.w, q.x, q.y, q.z]),
+            Cell::optional_text(self.fault.as_deref()),
+            Cell::text(&self.appearance),
+            Cell::Integer(i64::from(self.rendering)),
+            Cell::Integer(self.seed.cast_signed()),
+            Cell::text(&self.crop_profile),
+        ]
+    }
+
+    /// From cells in the order of the columns, which have the kinds of the columns.
+    pub(super) fn from_cells(cells: &mut Cells<'_>) -> Result<Self> {
+        let [id, simulation, object, category] =
+            [cells.text()?, cells.text()?, cells.text()?, cells.text()?];
+        let engine = cells.named(&ShardEngine::ALL.map(|e| (e.name(), e)))?;
+        let outcome = cells.named(&ShardOutcome::ALL.map(|o| (o.name(), o)))?;
+        let outcome_detail = cells.text()?;
+        let label = cells.integer()?;
+        if label != outcome.label() {
+            let expected = outcome.label();
+            let what = format!("is {label}; for the outcome {outcome} it is {expected}");
+            return Err(wrong("label", what));
+        }
+        Ok(Self {
+            id,
+            simulation,
+            object,
+            category,
+            engine,
+            outcome,
+            outcome_detail,
+            stop_force_n: cells.number()?,
+            friction: cells.number()?,
+            mass_kg: cells.number()?,
+            lifted_m: cells.number()?,
+            force_left_n: cells.optional_number()?,
+            force_right_n: cells.optional_number()?,
+            opening_m: cells.number()?,
+            t_object_gripper: pose(&cells.numbers()?, &cells.numbers()?)?,
+            fault: cells.optional_text()?,
+            appearance: cells.text()?,
+            rendering: cells.natural()?,
+            seed: cells.natural()?,
+            crop_profile: cells.text()?,
+        })
+    }
+
+    /// # Errors
+    /// `Input`: the first field that no sample can have.
+    pub(super) fn check(&self) -> Result<()> {
+        for (name, text) in [
+            ("id", &self.id),
+            ("simulation", &self.simulation),
+            ("object", &self.object),
+        ] {
+            if text.is_empty() {
+                return Err(wrong(name, "is empty".to_owned()));
+            }
+        }
+        // The least that each may be.
+        let bounds = [
+            ("stop_force_n", Some(self.stop_force_n), ABOVE_0),
+            ("friction", Some(self.friction), 0.0),
+            ("mass_kg", Some(self.mass_kg), ABOVE_0),
+            ("lifted_m", Some(self.lifted_m), f64::MIN),
+            ("force_left_n", self.force_left_n, 0.0),
+            ("force_right_n", self.force_right_n, 0.0),
+            ("opening_m", Some(self.opening_m), f64::MIN),
+        ];
+        for (name, value, least) in bounds {
+            if let Some(value) = value.filter(|v| !(least..=f64::MAX).contains(v)) {
+                let expected = match least {
+                    ABOVE_0 => ", above 0",
+                    0.0 => ", not negative",
+                    _ => "",
+                };
+                let what = format!("is {value}; it must be a finite number{expected}");
+                return Err(wrong(name, what));
+            }
+        }
+        if i64::try_from(self.seed).is_err() {
+            return Err(wrong(
+                "seed",
+                format!("is {}; it must be below 2^63", self.seed),
+            ));
+        }
+        let t = self.t_object_gripper.translation_m;
+        let q = self.t_object_gripper.rotation;
+        pose(&t.to_array(), &[q.w, q.x, q.y, q.z]).map(|_| ())
+    }
+}
+
+impl ShardImages {
+    /// In the order of the columns.
+    pub(super) fn cells(&self) -> Vec<Cell<'_>> {
+        vec![
+            Cell::picture(&self.initial_left),
+            Cell::picture(&self.initial_right),
+            Cell::picture(&self.grasp_left),
+            Cell::picture(&self.grasp_right),
+            Cell::picture(&self.grasp_rgb),
+            Cell::optional_picture(self.initial_rgb.as_deref()),
+            Cell::optional_picture(self.grasp_depth.as_deref()),
+        ]
+    }
+
+    /// From cells in the order of the columns, which have the kinds of the columns.
+    pub(super) fn from_cells(cells: &mut Cells<'_>) -> Result<Self> {
+        Ok(Self {
+            initial_left: cells.picture()?,
+            initial_right: cells.picture()?,
+            grasp_left: cells.picture()?,
+            grasp_right: cells.picture()?,
+            grasp_rgb: cells.picture()?,
+            initial_rgb: cells.optional_picture()?,
+            grasp_depth: cells.optional_picture()?,
+        })
+    }
+}
+
+impl ShardRow {
+    /// In the order of the columns.
+    pub(super) fn cells(&self) -> Vec<Cell<'_>> {
+        let mut cells = self.facts.cells();
+        cells.extend(self.images.cells());
+        cells
+    }
+}
+
+/// Ending of the file name of an encoded picture; none when it is neither PNG nor JPEG.
+pub(super) fn picture_extension(bytes: &[u8]) -> Option<&'static str> {
+    match bytes {
+        _ if bytes.starts_with(PNG) => Some("png"),
+        _ if bytes.starts_with(JPEG) => Some("jpg"),
+        _ => None,
+    }
+}
+
+/// A pose that keeps the bits of one that was written.
+fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
+    let (&[x, y, z], &[qw, qx, qy, qz]) = (t_m, q_wxyz) else {
+        return Err(wrong(
+            "pose_t_m",
+            "and pose_q_wxyz need 3 and 4 numbers".to_owned(),
+        ));
+    };
+    let translation_m = glam::DVec3::new(x, y, z);
+    if !translation_m.is_finite() {
+        return Err(wrong("pose_t_m", format!("is {t_m:?}; it must be finite")));
+    }
+    let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
+    let off = (rotation.length() - 1.0).abs();
+    // Written so that NaN is refused as well.
+    let is_unit = off <= UNIT_TOLERANCE;
+    if !is_unit {
+        return Err(wrong(
+            "pose_q_wxyz",
+            format!("is {q_wxyz:?}; it must be a unit quaternion"),
+        ));
+    }
+    // Normalising again would change last bits.
+    if off <= 4.0 * f64::EPSILON && qw >= 0.0 {
+        return Ok(Pose {
+            rotation,
+            translation_m,
+        });
+    }
+    Ok(Pose::new(rotation, translation_m))
+}

@@ -1,0 +1,18 @@
+//! Objects and grasps of ACRONYM (Eppner, Mousavian and Fox, *ACRONYM: A Large-Scale Grasp Dataset
+//! Based on Simulation*, 2021): one HDF5 file per object, with the result of each grasp in NVIDIA
+//! FleX. The meshes come apart from it, from ShapeNetSem.
+//!
+//! The grasps are poses of the hand of a Franka Panda in the frame of the mesh after scaling. The
+//! hand's axes are those of our gripper: its fingers close along x and point along z. The marker
+//! that `acronym_tools` draws has its fingers at x = ±41 mm and their tips at z = 112.2 mm. The
+//! origins differ by [`PANDA_GEL_MIDDLE_M`] along z.
+
+mod hdf5;
+mod object;
+mod transform;
+
+#[cfg(test)]
+mod acronym_test;
+
+pub use object::{AcronymObject, AcronymSet, read_acronym};
+pub use transform::{AcronymGrasp, PANDA_GEL_MIDDLE_M, SkippedGrasp};

@@ -1,0 +1,338 @@
+//! Which simulations become the dataset, and in which part of it.
+//!
+//! Objects (or whole categories) are dealt to the parts first, so that no part sees another's.
+//! Within each part, categories are capped and the two labels balanced, as the paper does (§3.2).
+
+mod deal;
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::{Error, ErrorKind, Result};
+use crate::render::visual::SeedStream;
+
+/// What may not be in two parts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Apart {
+    /// All grasps of an object stay together.
+    Object,
+    /// All grasps of a category stay together: harder.
+    Category,
+}
+
+/// How a dataset is chosen from results.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CurationSettings {
+    /// What may not be in two parts.
+    pub apart: Apart,
+    /// Share of the simulations of each part, by its name; they sum to 1.
+    pub parts: BTreeMap<String, f64>,
+    /// Most simulations of a category, as a multiple of the mean; none for no cap.
+    pub category_cap: Option<f64>,
+    /// Whether each part gets as many stable simulations as lost ones at each force, so that the
+    /// force says nothing about the label.
+    pub is_balanced: bool,
+    /// Decides what is left out.
+    pub seed: u64,
+}
+
+impl Default for CurationSettings {
+    /// 80 % to train, 10 % each to validate and test, no object in two; no category with more
+    /// than twice the mean.
+    fn default() -> Self {
+        let parts = [("train", 0.8), ("validation", 0.1), ("test", 0.1)];
+        Self {
+            apart: Apart::Object,
+            parts: parts.map(|(name, share)| (name.to_owned(), share)).into(),
+            category_cap: Some(2.0),
+            is_balanced: true,
+            seed: 0,
+        }
+    }
+}
+
+/// A simulation that could be in the dataset.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Labelled {
+    /// Its id.
+    pub id: String,
+    /// Its object.
+    pub object: String,
+    /// The object's category.
+    pub category: String,
+    /// Stopping force, N.
+    pub stop_force_n: f64,
+    /// Whether it held.
+    pub stable: bool,
+}
+
+/// Why a simulation is not in the dataset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LeftOut {
+    /// Its category has enough.
+    CategoryCap,
+    /// Its label has enough.
+    Balance,
+}
+
+/// What becomes of the simulations.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Curation {
+    /// The part of each simulation that is in the dataset, by id.
+    pub part: BTreeMap<String, String>,
+    /// The others.
+    pub left_out: BTreeMap<String, LeftOut>,
+}
+
+/// Chooses the dataset. The result does not depend on the order of the simulations.
+///
+/// # Errors
+/// `Usage` for shares that are no shares; `Input` where no simulation is left.
+pub fn curate(labelled: &[Labelled], settings: &CurationSettings) -> Result<Curation> {
+    check_parts(&settings.parts)?;
+    let group = |one: &Labelled| match settings.apart {
+        Apart::Object => one.object.clone(),
+        Apart::Category => one.category.clone(),
+    };
+    let mut sizes: BTreeMap<String, (String, usize)> = BTreeMap::new();
+    for one in labelled {
+        let stratum = match settings.apart {
+            Apart::Object => one.category.clone(),
+            Apart::Category => String::new(),
+        };
+        sizes.entry(group(one)).or_insert((stratum, 0)).1 += 1;
+    }
+    let dealt = deal::deal(&sizes, &settings.parts, settings.seed);
+    let mut by_part: BTreeMap<&String, Vec<&Labelled>> = BTreeMap::new();
+    for one in labelled {
+        if let Some(part) = dealt.get(&group(one)) {
+            by_part.entry(part).or_default().push(one);
+        }
+    }
+    let mut curation = Curation::default();
+    for (part, mut all) in by_part {
+        // By chance, but the same for any order and for any other simulations beside them.
+        all.sort_by_key(|one| (chance(settings.seed, &one.id), &one.id));
+        cap(&mut all, settings.category_cap, &mut curation.left_out);
+        if settings.is_balanced {
+            let mut forces: Vec<f64> = all.iter().map(|one| one.stop_force_n).collect();
+            forces.sort_by(f64::total_cmp);
+            forces.dedup();
+            for force_n in forces {
+                let at_force = |one: &&&Labelled| one.stop_force_n == force_n;
+                let of_force = all.iter().filter(at_force).copied().collect();
+                balance(of_force, &mut curation.left_out);
+            }
+            all.retain(|one| !curation.left_out.contains_key(&one.id));
+        }
+        let kept = all.iter().map(|one| (one.id.clone(), part.clone()));
+        curation.part.extend(kept);
+    }
+    if curation.part.is_empty() {
+        return Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "no simulation is left of {}: {} of them held",
+                labelled.len(),
+                labelled.iter().filter(|one| one.stable).count()
+            ),
+        )
+        .remedy("simulate more grasps, or merge with --unbalanced"));
+    }
+    Ok(curation)
+}
+
+fn check_parts(parts: &BTreeMap<String, f64>) -> Result<()> {
+    let sum: f64 = parts.values().sum();
+    let is_share = |share: &f64| *share > 0.0 && *share <= 1.0;
+    if parts.values().all(is_share) && (sum - 1.0).abs() < 1e-6 {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Usage,
+        format!("the shares of the parts must be above 0 and sum to 1, found {parts:?}"),
+    )
+    .remedy("for instance train=0.8,validation=0.1,test=0.1"))
+}
+
+fn chance(seed: u64, id: &str) -> u64 {
+    SeedStream::named(seed, &format!("curation {id}")).bits()
+}
+
+/// Leaves out what a category has beyond `most` times the mean over categories.
+fn cap(all: &mut Vec<&Labelled>, most: Option<f64>, left_out: &mut BTreeMap<String, LeftOut>) {
+    let Some(most) = most else { return };
+    let mut counts: BTreeMap<&String, usize> = BTreeMap::new();
+    for one in all.iter() {
+        *counts.entry(&one.category).or_default() += 1;
+    }
+    let mean = all.len() as f64 / counts.len().max(1) as f64;
+    let most = (most * mean).ceil() as usize;
+    let mut taken: BTreeMap<&String, usize> = BTreeMap::new();
+    all.retain(|one| {
+        let taken = taken.entry(&one.category).or_default();
+        *taken += 1;
+        if *taken > most {
+            left_out.insert(one.id.clone(), LeftOut::CategoryCap);
+        }
+        *taken <= most
+    });
+}
+
+/// Leaves out what one label has more, first where that label is most frequent in its category.
+fn balance(all: Vec<&Labelled>, left_out: &mut BTreeMap<String, LeftOut>) {
+    let stable = all.iter().filter(|one| one.stable).count();
+    let frequent = 2 * stable > all.len();
+    // By category: how many more of the frequent label there are, and these.
+    let mut categories: BTreeMap<&String, (i64, Vec<&String>)> = BTreeMap::new();
+    for one in all.iter() {
+        let (excess, members) = categories.entry(&one.category).or_default();
+        if one.stable == frequent {
+            *excess += 1;
+            members.push(&one.id);
+        } else {
+            *excess -= 1;
+        }
+    }
+    for _ in 0..(2 * stable).abs_diff(all.len()) {
+        let most = categories
+            .values_mut()
+            .filter(|(_, members)| !members.is_empty())
+            .rev()
+            .max_by_key(|(excess, _)| *excess);
+        let Some((excess, members)) = most else { break };
+        *excess -= 1;
+        if let Some(id) = members.pop() {
+            left_out.insert(id.clone(), LeftOut::Balance);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labelled(count: usize) -> Vec<Labelled> {
+        let mut draw = SeedStream::named(1, "test");
+        (0..count)
+            .map(|number| {
+                // Mugs are four times as frequent, and held more often.
+                let category = draw.pick(["mug", "mug", "mug", "mug", "box", "ring", "tool"]);
+                let held = if category == "mug" { 0.8 } else { 0.5 };
+                Labelled {
+                    id: format!("s{number:04}"),
+                    object: format!("{category}-{}", draw.index(12)),
+                    category: category.to_owned(),
+                    stop_force_n: if number % 3 == 0 { 10.0 } else { 40.0 },
+                    stable: draw.uniform() < held,
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn parts_share_no_object_have_their_size_and_as_many_of_both_labels() {
+        let all = labelled(1200);
+        let curation = curate(&all, &CurationSettings::default()).unwrap();
+        let mut part_of_object: BTreeMap<&str, &str> = BTreeMap::new();
+        let mut counts: BTreeMap<(&str, bool), usize> = BTreeMap::new();
+        let mut by_force: BTreeMap<(u32, bool), usize> = BTreeMap::new();
+        for one in &all {
+            let Some(part) = curation.part.get(&one.id) else {
+                assert!(curation.left_out.contains_key(&one.id));
+                continue;
+            };
+            let known = part_of_object.insert(&one.object, part);
+            assert!(known.is_none_or(|known| known == part), "{}", one.object);
+            *counts.entry((part, one.stable)).or_default() += 1;
+            let force = one.stop_force_n as u32;
+            *by_force.entry((force, one.stable)).or_default() += 1;
+        }
+        assert_eq!(counts.len(), 6);
+        for part in ["train", "validation", "test"] {
+            assert_eq!(counts[&(part, true)], counts[&(part, false)], "{part}");
+        }
+        for force in [10, 40] {
+            assert_eq!(
+                by_force[&(force, true)],
+                by_force[&(force, false)],
+                "{force} N"
+            );
+        }
+        let total: usize = counts.values().sum();
+        let train = 2 * counts[&("train", true)];
+        let share = train as f64 / total as f64;
+        assert!((0.72..0.88).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn a_frequent_category_is_capped() {
+        let all = labelled(1200);
+        let settings = CurationSettings {
+            is_balanced: false,
+            category_cap: Some(1.2),
+            ..CurationSettings::default()
+        };
+        let curation = curate(&all, &settings).unwrap();
+        let capped: Vec<&Labelled> = all
+            .iter()
+            .filter(|one| curation.left_out.get(&one.id) == Some(&LeftOut::CategoryCap))
+            .collect();
+        assert!(capped.len() > 100);
+        assert!(capped.iter().all(|one| one.category == "mug"));
+    }
+
+    #[test]
+    fn whole_categories_stay_together_where_that_is_wanted() {
+        let all = labelled(600);
+        let settings = CurationSettings {
+            apart: Apart::Category,
+            parts: [("train".to_owned(), 0.6), ("test".to_owned(), 0.4)].into(),
+            is_balanced: false,
+            category_cap: None,
+            ..CurationSettings::default()
+        };
+        let curation = curate(&all, &settings).unwrap();
+        let mut parts: BTreeMap<&str, &str> = BTreeMap::new();
+        for one in &all {
+            let part = &curation.part[&one.id];
+            assert!(
+                parts
+                    .insert(&one.category, part)
+                    .is_none_or(|known| known == part)
+            );
+        }
+        assert!(parts.values().any(|p| *p == "train") && parts.values().any(|p| *p == "test"));
+    }
+
+    #[test]
+    fn neither_order_nor_repetition_changes_the_choice() {
+        let mut all = labelled(300);
+        let first = curate(&all, &CurationSettings::default()).unwrap();
+        all.reverse();
+        assert_eq!(curate(&all, &CurationSettings::default()).unwrap(), first);
+        let other = CurationSettings {
+            seed: 1,
+            ..CurationSettings::default()
+        };
+        assert_ne!(curate(&all, &other).unwrap(), first);
+    }
+
+    #[test]
+    fn one_label_alone_leaves_nothing_and_wrong_shares_are_refused() {
+        let mut all = labelled(50);
+        all.iter_mut().for_each(|one| one.stable = true);
+        let error = curate(&all, &CurationSettings::default()).unwrap_err();
+        assert!(error.to_string().contains("50 of them held"), "{error}");
+        let settings = CurationSettings {
+            parts: [("train".to_owned(), 0.8), ("test".to_owned(), 0.3)].into(),
+            ..CurationSettings::default()
+        };
+        let error = curate(&all, &settings).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Usage);
+    }
+}

@@ -1,0 +1,30 @@
+//! The synthetic dataset: objects, their properties and grasps; a plan of simulations that any
+//! number of processes work on; pictures; and the choice of what becomes the dataset.
+//!
+//! ```text
+//! family, acronym ─► drafts ─► plan ─► run (shards) ─► results ─┬─► merge ─► Parquet
+//!   properties, grasp ───┘                simulate, render      │    curate     │
+//!                                                               └───► report ◄──┘
+//! ```
+//!
+//! The paper's §3.2 and A.1. Every result depends on the plan alone.
+
+pub mod acronym;
+pub mod curate;
+mod engine;
+pub mod family;
+pub mod grasp;
+mod merge;
+mod object_mesh;
+mod picture;
+pub mod plan;
+pub mod properties;
+pub mod report;
+mod run;
+mod store;
+
+pub use engine::planned_engine;
+pub use merge::{MergeReport, MergeSettings, merge};
+pub use object_mesh::planned_mesh;
+pub use run::{RunProgress, RunSummary, run, simulate_labels};
+pub use store::{CpuSeconds, FAILED, RESULTS, ResultStore, SampleFile, SimulationResult};

@@ -1,0 +1,253 @@
+//! What is to be simulated, fixed before anything is: objects, grasps, forces and seeds.
+//!
+//! A plan is a folder with `plan.jsonl`: a header, then objects, then simulations, a JSON object
+//! each, and `plan.sha256`. Results are kept beside it, in `results/`.
+
+mod acronym;
+mod draft;
+mod file;
+mod make;
+mod preset;
+mod shard;
+mod table;
+mod texture;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+pub use acronym::acronym_drafts;
+pub use draft::{Drafts, LeftOutObject, ObjectDraft};
+pub(in crate::synth) use file::hex;
+pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
+pub use make::{MadePlan, PlanSettings, check_parameters, make_plan};
+pub use preset::{PlanPreset, family_drafts};
+pub use shard::{INDEX_VARIABLES, Shard};
+pub use table::table_drafts;
+pub use texture::{PictureTexture, texture_folder};
+
+use super::grasp::GraspFault;
+use super::properties::{Modifier, PropertySource};
+use crate::geometry::Pose;
+use crate::sim::EngineKind;
+
+/// What all simulations of a plan share.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanHeader {
+    /// [`PLAN_FORMAT`].
+    pub format: String,
+    /// [`PLAN_VERSION`].
+    pub version: u32,
+    /// `gripcast <version>` that made it.
+    pub software: String,
+    /// Name of the preset it began with.
+    pub preset: String,
+    /// Everything that is drawn follows from it.
+    pub seed: u64,
+    /// Simulator.
+    pub engine: EngineKind,
+    /// All its parameters besides friction and force.
+    pub parameters: Value,
+    /// How a simulation becomes pictures.
+    pub rendering: RenderingPlan,
+}
+
+/// How a simulation becomes pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RenderingPlan {
+    /// Renderings of each simulation with other light, ground, camera, texture and sensors.
+    pub renderings: u32,
+    /// Paths for each pixel of a colour picture.
+    pub samples: u32,
+    /// Spread of the sensors: 0 for the shipped profile, 1 for what is found between real ones.
+    pub sensor_spread: f64,
+}
+
+/// Where an object's mesh comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "from", rename_all = "snake_case", deny_unknown_fields)]
+pub enum MeshSource {
+    /// A built-in family.
+    Family {
+        /// Its category.
+        category: String,
+        /// Which of its shapes.
+        seed: u64,
+    },
+    /// A file.
+    File {
+        /// `builtin:NAME`, or the file: relative to the plan's folder where it lies in it.
+        path: String,
+        /// Unit of its coordinates.
+        unit: String,
+        /// Factor on its size.
+        scale: f64,
+    },
+}
+
+/// An object of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannedObject {
+    /// Name; a key.
+    pub name: String,
+    /// Kind of thing.
+    pub category: String,
+    /// Where its mesh comes from.
+    pub mesh: MeshSource,
+    /// Hash of the mesh in metres, as [`crate::geometry::TriangleMesh::content_hash`] gives it.
+    pub mesh_sha256: String,
+    /// What it is made of.
+    pub material: String,
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Coulomb friction coefficient of gel and object.
+    pub friction: f64,
+    /// Where mass and friction come from.
+    pub properties: PropertySource,
+    /// What it may look like.
+    pub looks: Vec<Modifier>,
+    /// Pictures that may be on it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub textures: Vec<PictureTexture>,
+}
+
+/// A simulation of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannedSimulation {
+    /// `<object>-<grasp>-<force>n`; a key and a file name.
+    pub id: String,
+    /// Name of the object.
+    pub object: String,
+    /// Number of the grasp among those of the object.
+    pub grasp: u32,
+    /// How it departs from a pair of opposite places; none for one that was given.
+    pub fault: Option<GraspFault>,
+    /// Simulator.
+    pub engine: EngineKind,
+    /// Stopping force of finite elements, closing force of rigid bodies, N.
+    pub stop_force_n: f64,
+    /// How the object lies on the ground z = 0.
+    pub t_world_object: Pose,
+    /// The gripper before the fingers close.
+    pub t_world_gripper: Pose,
+    /// Distance between the gels' faces at the start, m.
+    pub opening_m: f64,
+    /// Seed of its pictures; below 2⁵³, so that every JSON reader keeps it.
+    pub seed: u64,
+    /// Estimated CPU time, s.
+    pub cost_s: f64,
+}
+
+/// A plan of `count` simulations of two objects with uneven costs.
+#[cfg(test)]
+pub(crate) fn sample_plan(count: usize) -> Plan {
+    tests::plan(count)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use glam::DVec3;
+
+    use super::*;
+    use crate::error::ErrorKind;
+
+    fn object(name: &str) -> PlannedObject {
+        PlannedObject {
+            name: name.to_owned(),
+            category: "box".to_owned(),
+            mesh: MeshSource::Family {
+                category: "box".to_owned(),
+                seed: 7,
+            },
+            mesh_sha256: "00".to_owned(),
+            material: "wood".to_owned(),
+            mass_kg: 0.05,
+            friction: 0.4,
+            properties: PropertySource::Table,
+            looks: Vec::new(),
+            textures: Vec::new(),
+        }
+    }
+
+    fn simulation(number: usize) -> PlannedSimulation {
+        let object = ["box-0000", "box-0001"][number % 2];
+        PlannedSimulation {
+            id: format!("{object}-{number:02}-10n"),
+            object: object.to_owned(),
+            grasp: number as u32,
+            fault: Some(GraspFault::Tilted),
+            engine: EngineKind::Fem,
+            stop_force_n: 10.0,
+            t_world_object: Pose::IDENTITY,
+            t_world_gripper: Pose::from_translation(DVec3::Z * 0.04),
+            opening_m: 0.05,
+            seed: number as u64,
+            cost_s: 1.0 + (number % 7) as f64,
+        }
+    }
+
+    pub(super) fn plan(count: usize) -> Plan {
+        let header = PlanHeader {
+            format: PLAN_FORMAT.to_owned(),
+            version: PLAN_VERSION,
+            software: "gripcast 0".to_owned(),
+            preset: "tiny".to_owned(),
+            seed: 3,
+            engine: EngineKind::Fem,
+            parameters: serde_json::json!({"preset": "paper"}),
+            rendering: RenderingPlan {
+                renderings: 3,
+                samples: 8,
+                sensor_spread: 1.0,
+            },
+        };
+        let objects = ["box-0000", "box-0001"].map(object).to_vec();
+        Plan::new(header, objects, (0..count).map(simulation).collect()).unwrap()
+    }
+
+    #[test]
+    fn a_plan_is_read_back_as_it_was_written_and_stays_the_only_one() {
+        let folder = tempfile::tempdir().unwrap();
+        plan(5).write(folder.path()).unwrap();
+        assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
+        plan(5).write(folder.path()).unwrap();
+        let other = plan(6).write(folder.path()).unwrap_err();
+        assert_eq!(other.kind(), ErrorKind::Input);
+        assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
+        assert_ne!(plan(5).sha256, plan(6).sha256);
+    }
+
+    #[test]
+    fn what_was_altered_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        plan(5).write(folder.path()).unwrap();
+        let path = folder.path().join(PLAN_FILE);
+        let text = fs::read_to_string(&path).unwrap();
+        let check = |text: String, words: &str| {
+            fs::write(&path, text).unwrap();
+            let error = Plan::read(folder.path()).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        };
+        check(text.replace("0.4,", "0.9,"), "was altered");
+        fs::write(&path, &text).unwrap();
+        fs::remove_file(folder.path().join(HASH_FILE)).unwrap();
+        assert!(Plan::read(folder.path()).is_err());
+        assert!(Plan::read(&folder.path().join("nothing")).is_err());
+    }
+
+    #[test]
+    fn contradictions_are_refused() {
+        let mut twice = plan(2).simulations;
+        twice.push(twice[0].clone());
+        let objects = || plan(0).objects.into_values().collect::<Vec<_>>();
+        let error = Plan::new(plan(0).header, objects(), twice).unwrap_err();
+        assert!(error.to_string().contains("two simulations"));
+        let error = Plan::new(plan(0).header, Vec::new(), plan(1).simulations).unwrap_err();
+        assert!(error.to_string().contains("unknown object"));
+    }
+}

@@ -1,0 +1,358 @@
+//! Simulates a part of a plan and takes the pictures.
+
+use std::collections::BTreeMap;
+use std::panic::AssertUnwindSafe;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::object_mesh::planned_mesh;
+use super::picture::{Grasped, Photographer, before_lift, rendering_seed};
+use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
+use super::store::{CpuSeconds, ResultStore, SimulationResult};
+use crate::error::{Error, ErrorKind, Result};
+use crate::geometry::TriangleMesh;
+use crate::quiet_panic;
+use crate::render::tactile::SimulatedGel;
+use crate::render::visual::{Model, SeedStream};
+use crate::shard::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes};
+use crate::sim::grasp::{GraspOutcome, GraspResult, StageName};
+use crate::sim::{Engine, EngineKind, GraspSetup};
+use crate::workers::{one_per_core, thread_cpu_s};
+
+/// Normal force on each finger before the lift under which nobody would lift, N: the object was
+/// squeezed out, or lies beside the gels.
+const LEAST_FORCE_N: f64 = 0.5;
+
+/// How far a run is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RunProgress {
+    /// Simulations of the part with a result.
+    pub done: usize,
+    /// Of those, simulated by this run.
+    pub simulated: usize,
+    /// Simulations of the part.
+    pub all: usize,
+}
+
+/// What a run did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RunSummary {
+    /// Simulations of the part.
+    pub all: usize,
+    /// Of those, simulated by this run.
+    pub simulated: usize,
+    /// Simulations without a usable result, with the reason.
+    pub failed: Vec<(String, String)>,
+}
+
+/// Simulates what of a part has no result yet, `jobs` at a time, each in one thread. Every result
+/// is kept at once: a run that is cut off goes on where it was. A simulation that cannot be done is
+/// a result as well.
+///
+/// # Errors
+/// `Input` where the plan was made with other parameters than the engine has, or a result is of
+/// another plan; those of keeping results.
+pub fn run(
+    plan: &Plan,
+    folder: &Path,
+    shard: Shard,
+    engine: &dyn Engine,
+    jobs: usize,
+    told: &(dyn Fn(RunProgress) + Sync),
+) -> Result<RunSummary> {
+    check_parameters(plan, engine)?;
+    let store = ResultStore::beside(folder);
+    let part = shard.of(plan);
+    let mut open = Vec::new();
+    let mut failed = BTreeMap::new();
+    for simulation in &part {
+        match store.find(plan, &simulation.id)? {
+            None => open.push(*simulation),
+            Some(result) => note_failure(&result, &mut failed),
+        }
+    }
+    let found = part.len() - open.len();
+    let tell = |simulated| {
+        told(RunProgress {
+            done: found + simulated,
+            simulated,
+            all: part.len(),
+        });
+    };
+    tell(0);
+    let workshop = Workshop::new(plan, folder, engine)?;
+    let work = |simulation: &&PlannedSimulation| -> Result<SimulationResult> {
+        let (result, samples) = workshop.make(simulation)?;
+        let samples = samples
+            .as_ref()
+            .map(|(rows, bytes)| (*rows, bytes.as_slice()));
+        store.keep(result.clone(), samples)?;
+        Ok(result)
+    };
+    let made = one_per_core(jobs, &open, &work, &tell)?;
+    for result in &made {
+        note_failure(result, &mut failed);
+    }
+    Ok(RunSummary {
+        all: part.len(),
+        simulated: made.len(),
+        failed: failed.into_iter().collect(),
+    })
+}
+
+/// Whether each simulation of a plan holds with another engine, without pictures; none where it has
+/// no outcome.
+///
+/// # Errors
+/// Those of the meshes and of the engine.
+pub fn simulate_labels(
+    plan: &Plan,
+    folder: &Path,
+    engine: &dyn Engine,
+    jobs: usize,
+    told: &(dyn Fn(usize) + Sync),
+) -> Result<Vec<Option<bool>>> {
+    let label = |simulation: &PlannedSimulation| -> Result<Option<bool>> {
+        let object = plan.object(simulation)?;
+        let setup = setup(simulation, object, folder)?;
+        let force_n = simulation.stop_force_n;
+        let grasp = engine.simulate(&setup, object.friction, force_n)?;
+        Ok(stable(grasp.outcome))
+    };
+    one_per_core(jobs, &plan.simulations, &label, told)
+}
+
+fn setup(
+    simulation: &PlannedSimulation,
+    object: &PlannedObject,
+    folder: &Path,
+) -> Result<GraspSetup> {
+    Ok(GraspSetup {
+        mesh: Arc::new(planned_mesh(object, folder)?),
+        mass_kg: object.mass_kg,
+        t_world_object: simulation.t_world_object,
+        t_world_gripper: simulation.t_world_gripper,
+        opening_m: simulation.opening_m,
+    })
+}
+
+fn note_failure(result: &SimulationResult, failed: &mut BTreeMap<String, String>) {
+    if result.is_failed() {
+        let why = result.detail.clone().unwrap_or_default();
+        failed.insert(result.id.clone(), why);
+    }
+}
+
+/// Rows and the file of them.
+type Samples = Option<(usize, Vec<u8>)>;
+
+/// Everything that all simulations share.
+struct Workshop<'a> {
+    plan: &'a Plan,
+    folder: PathBuf,
+    engine: &'a dyn Engine,
+    gel: Option<SimulatedGel>,
+    photographer: Photographer,
+}
+
+impl<'a> Workshop<'a> {
+    fn new(plan: &'a Plan, folder: &Path, engine: &'a dyn Engine) -> Result<Self> {
+        let gel = engine.gel()?;
+        Ok(Self {
+            plan,
+            folder: folder.to_owned(),
+            engine,
+            gel: gel.map(|(grid, d_hat_m)| SimulatedGel { grid, d_hat_m }),
+            photographer: Photographer::new(plan.header.rendering)?,
+        })
+    }
+
+    /// The result of a simulation. What goes wrong in it is in the result: one bad object does not
+    /// end a night's work.
+    fn make(&self, simulation: &PlannedSimulation) -> Result<(SimulationResult, Samples)> {
+        let object = self.plan.object(simulation)?;
+        let mut result = SimulationResult::of(self.plan, simulation);
+        let tried = quiet_panic::catch(AssertUnwindSafe(|| self.tried(simulation, object)));
+        let why = match tried {
+            Ok(Ok((result, samples))) => return Ok((result, samples)),
+            Ok(Err(error)) if error.kind() == ErrorKind::DiskFull => return Err(error),
+            Ok(Err(error)) => error.to_string(),
+            Err(message) => format!("a defect of gripcast ended it: {message}"),
+        };
+        result.detail = Some(why);
+        Ok((result, None))
+    }
+
+    fn tried(
+        &self,
+        simulation: &PlannedSimulation,
+        object: &PlannedObject,
+    ) -> Result<(SimulationResult, Samples)> {
+        let mut clock = Clock::new();
+        let setup = setup(simulation, object, &self.folder)?;
+        let mut cpu_s = CpuSeconds {
+            prepare: clock.lap(),
+            ..CpuSeconds::default()
+        };
+        let force_n = simulation.stop_force_n;
+        let grasp = self.engine.simulate(&setup, object.friction, force_n)?;
+        cpu_s.simulate = clock.lap();
+        let mut result = facts(SimulationResult::of(self.plan, simulation), &grasp);
+        let rows = self.rows(simulation, object, &setup, &grasp, &mut clock, &mut cpu_s)?;
+        result.cpu_s = cpu_s;
+        if rows.is_empty() {
+            result.stable = None;
+            return Ok((result, None));
+        }
+        let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
+        let count = rows.len();
+        Ok((result, Some((count, to_bytes(rows, &info)?))))
+    }
+
+    /// The renderings of a grasp that has an outcome and held something before the lift.
+    fn rows(
+        &self,
+        simulation: &PlannedSimulation,
+        object: &PlannedObject,
+        setup: &GraspSetup,
+        grasp: &GraspResult,
+        clock: &mut Clock,
+        cpu_s: &mut CpuSeconds,
+    ) -> Result<Vec<ShardRow>> {
+        let snapshot = before_lift(&grasp.trace.snapshots);
+        let (Some(stable), Some(snapshot)) = (stable(grasp.outcome), snapshot) else {
+            return Ok(Vec::new());
+        };
+        let force_n = forces(grasp).unwrap_or_default();
+        if force_n.iter().any(|force| *force < LEAST_FORCE_N) {
+            return Ok(Vec::new());
+        }
+        let grasped = Grasped {
+            setup,
+            snapshot,
+            gel: self.gel.as_ref(),
+            force_n,
+        };
+        let count = self.plan.header.rendering.renderings;
+        let mut rows = Vec::with_capacity(count as usize);
+        for rendering in 0..count {
+            let seed = rendering_seed(simulation.seed, rendering);
+            let [initial, pressed] = self.photographer.tactile(&grasped, seed)?;
+            cpu_s.tactile += clock.lap();
+            let (words, model) = appearance(object, &self.folder, &setup.mesh, seed)?;
+            let rgb = self.photographer.rgb(&grasped, &model, seed)?;
+            cpu_s.visual += clock.lap();
+            let [initial_left, initial_right] = initial;
+            let [grasp_left, grasp_right] = pressed;
+            rows.push(ShardRow {
+                facts: ShardFacts {
+                    id: format!("{}-r{rendering}", simulation.id),
+                    simulation: simulation.id.clone(),
+                    object: object.name.clone(),
+                    category: object.category.clone(),
+                    engine: match simulation.engine {
+                        EngineKind::Fem => ShardEngine::Fem,
+                        EngineKind::Rigid => ShardEngine::Rigid,
+                    },
+                    outcome: if stable {
+                        ShardOutcome::Stable
+                    } else {
+                        ShardOutcome::Slip
+                    },
+                    outcome_detail: grasp.outcome.name().to_owned(),
+                    stop_force_n: simulation.stop_force_n,
+                    friction: object.friction,
+                    mass_kg: object.mass_kg,
+                    lifted_m: grasp.lifted_m,
+                    force_left_n: Some(force_n[0]),
+                    force_right_n: Some(force_n[1]),
+                    opening_m: snapshot.opening_m,
+                    t_object_gripper: snapshot.t_world_object.inverse() * snapshot.t_world_gripper,
+                    fault: simulation.fault.map(|fault| fault.name().to_owned()),
+                    appearance: words,
+                    rendering,
+                    seed: seed >> 1,
+                    crop_profile: self.photographer.crop_profile().to_owned(),
+                },
+                images: ShardImages {
+                    initial_left,
+                    initial_right,
+                    grasp_left,
+                    grasp_right,
+                    grasp_rgb: rgb,
+                    initial_rgb: None,
+                    grasp_depth: None,
+                },
+            });
+        }
+        Ok(rows)
+    }
+}
+
+/// What an object looks like in a rendering, in words and as a model.
+fn appearance(
+    object: &PlannedObject,
+    folder: &Path,
+    mesh: &TriangleMesh,
+    seed: u64,
+) -> Result<(String, Model)> {
+    let mut draw = SeedStream::named(seed, "appearance");
+    let (looks, textures) = (&object.looks, &object.textures);
+    let which = draw.index(looks.len() + textures.len());
+    if let Some(look) = looks.get(which) {
+        let model = Model::coated(mesh, &look.look, draw.bits())?;
+        return Ok((look.words.clone(), model));
+    }
+    let texture = textures.get(which - looks.len()).ok_or_else(|| {
+        let what = format!("{} has no appearance", object.name);
+        Error::new(ErrorKind::Input, what)
+    })?;
+    let model = Model::textured(mesh, &texture.load(folder)?, texture.width_m)?;
+    Ok((texture.words().to_owned(), model))
+}
+
+/// Whether the object was held; none where there is no outcome, or no contact.
+fn stable(outcome: GraspOutcome) -> Option<bool> {
+    match outcome {
+        GraspOutcome::Success => Some(true),
+        GraspOutcome::Slip | GraspOutcome::Eject => Some(false),
+        GraspOutcome::Closed
+        | GraspOutcome::Miss
+        | GraspOutcome::PenetratingStart
+        | GraspOutcome::NotConverged => None,
+    }
+}
+
+/// Normal force on each finger before the lift, N.
+fn forces(grasp: &GraspResult) -> Option<[f64; 2]> {
+    let last = grasp.trace.stage(StageName::Adjustment).next_back()?;
+    // A gel that swings back is below zero by less than a millinewton.
+    Some(last.force.map(|force| force.normal_n.max(0.0)))
+}
+
+fn facts(mut result: SimulationResult, grasp: &GraspResult) -> SimulationResult {
+    let iterations = grasp.trace.steps.iter().filter_map(|step| step.solver);
+    result.outcome = grasp.outcome.name().to_owned();
+    result.detail = grasp.detail.clone();
+    result.stable = stable(grasp.outcome);
+    result.lifted_m = grasp.lifted_m;
+    result.force_n = forces(grasp);
+    result.steps = grasp.trace.steps.len();
+    result.newton_iterations = iterations.map(|step| u64::from(step.iterations)).sum();
+    result.unconverged_steps = grasp.unconverged_steps;
+    result
+}
+
+/// CPU time of this thread between laps.
+struct Clock(f64);
+
+impl Clock {
+    fn new() -> Self {
+        Self(thread_cpu_s())
+    }
+
+    fn lap(&mut self) -> f64 {
+        let began = std::mem::replace(&mut self.0, thread_cpu_s());
+        self.0 - began
+    }
+}

@@ -1,0 +1,175 @@
+//! The example scripts for clusters: Slurm by running them on a cluster of this machine alone,
+//! Kubernetes by what the manifest says.
+
+use std::fs;
+use std::io::Write as _;
+use std::os::unix::fs::PermissionsExt as _;
+use std::os::unix::process::CommandExt as _;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::Duration;
+
+use gripcast::error::ErrorKind;
+use serde_json::{Value, json};
+
+/// Exit code of the script where Slurm cannot run.
+const NO_SLURM: i32 = 77;
+
+fn in_repository(path: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// # Panics
+/// Where `GRIPCAST_REQUIRE_SLURM` says that a missing Slurm is a failure.
+fn skip(reason: &str) {
+    assert!(
+        std::env::var_os("GRIPCAST_REQUIRE_SLURM").is_none(),
+        "GRIPCAST_REQUIRE_SLURM is set, but: {reason}"
+    );
+    // Not `eprintln!`, which the test harness keeps to itself where a test passes.
+    let _ = writeln!(std::io::stderr(), "SKIPPED: Slurm test: {reason}");
+}
+
+#[test]
+fn a_slurm_cluster_makes_the_dataset_of_a_single_process() {
+    if std::env::var_os("GRIPCAST_SKIP_SLURM").is_some() {
+        return skip("GRIPCAST_SKIP_SLURM is set");
+    }
+    let output = Command::new(in_repository("tests/cluster/slurm.sh"))
+        .arg(env!("CARGO_BIN_EXE_gripcast"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    if output.status.code() == Some(NO_SLURM) {
+        return skip(errors.trim());
+    }
+    assert!(
+        output.status.success(),
+        "{}\n{said}\n{errors}",
+        output.status
+    );
+    eprintln!("{said}");
+}
+
+fn manifest() -> Value {
+    let text = fs::read_to_string(in_repository("examples/cluster/kubernetes-job.yaml")).unwrap();
+    serde_saphyr::from_str(&text).unwrap()
+}
+
+fn container(manifest: &Value) -> &Value {
+    &manifest["spec"]["template"]["spec"]["containers"][0]
+}
+
+/// What the pod gives to its shell.
+fn pod_script(manifest: &Value) -> &str {
+    let container = container(manifest);
+    assert_eq!(container["command"], json!(["/bin/sh", "-c"]));
+    container["args"][0].as_str().unwrap()
+}
+
+#[test]
+fn a_kubernetes_job_has_a_pod_for_each_shard() {
+    let manifest = manifest();
+    let spec = &manifest["spec"];
+    assert_eq!(manifest["kind"], "Job");
+    assert_eq!(spec["completionMode"], "Indexed");
+    // Needed for a limit of each index and for a policy of failures.
+    assert_eq!(spec["template"]["spec"]["restartPolicy"], "Never");
+    let shards = spec["completions"].as_u64().unwrap();
+    let script = pod_script(&manifest);
+    assert!(script.contains(&format!("--shard /{shards} ")), "{script}");
+    assert!(spec["maxFailedIndexes"].as_u64().unwrap() <= shards);
+    assert!(spec["parallelism"].as_u64().unwrap() <= shards);
+    let claims = &spec["template"]["spec"]["volumes"];
+    assert_eq!(
+        container(&manifest)["volumeMounts"][0]["name"],
+        claims[0]["name"]
+    );
+}
+
+#[test]
+fn a_kubernetes_job_tries_again_what_can_succeed() {
+    let manifest = manifest();
+    let rules = manifest["spec"]["podFailurePolicy"]["rules"]
+        .as_array()
+        .unwrap();
+    let action = |kind: ErrorKind| {
+        let code = kind.exit_code();
+        let rule = rules.iter().find(|rule| {
+            rule["onExitCodes"]["values"]
+                .as_array()
+                .is_some_and(|all| all.contains(&json!(code)))
+        });
+        rule.map_or("Count", |rule| rule["action"].as_str().unwrap())
+    };
+    for kind in [
+        ErrorKind::Usage,
+        ErrorKind::Config,
+        ErrorKind::Input,
+        ErrorKind::NotFound,
+    ] {
+        assert_eq!(action(kind), "FailIndex", "{kind:?}");
+    }
+    assert_eq!(action(ErrorKind::Stopped), "Ignore");
+    for rule in rules {
+        if rule.get("onExitCodes").is_some() {
+            assert_eq!(
+                rule["onExitCodes"]["containerName"],
+                container(&manifest)["name"]
+            );
+            assert_eq!(rule["onExitCodes"]["operator"], "In");
+        }
+    }
+}
+
+/// The shell of a pod, with a shell script in place of the program.
+fn pod(folder: &Path, program: &str) -> Child {
+    let path = folder.join("gripcast");
+    fs::write(&path, format!("#!/bin/sh\n{program}\n")).unwrap();
+    fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+    let manifest = manifest();
+    let search = format!("{}:{}", folder.display(), std::env::var("PATH").unwrap());
+    let mut shell = Command::new("/bin/sh");
+    shell
+        .args(["-c", pod_script(&manifest)])
+        .env("PATH", search);
+    shell.current_dir(folder).process_group(0).spawn().unwrap()
+}
+
+#[test]
+fn a_pod_ends_as_its_shard_does() {
+    let folder = tempfile::tempdir().unwrap();
+    for (code, ends) in [(0, 0), (1, 1), (2, 2), (75, 75), (137, 137)] {
+        let status = pod(folder.path(), &format!("exit {code}")).wait().unwrap();
+        assert_eq!(status.code(), Some(ends), "{code}");
+    }
+    // Simulations that could not be done are results.
+    let partial = ErrorKind::Partial.exit_code();
+    let status = pod(folder.path(), &format!("exit {partial}"))
+        .wait()
+        .unwrap();
+    assert_eq!(status.code(), Some(0));
+}
+
+#[test]
+fn a_pod_that_is_evicted_stops_its_shard() {
+    let folder = tempfile::tempdir().unwrap();
+    let stopped = ErrorKind::Stopped.exit_code();
+    // Ends by itself where nobody stops it.
+    let program =
+        format!("trap 'exit {stopped}' TERM\n: > runs\nfor i in $(seq 600); do sleep 0.1; done");
+    let mut pod = pod(folder.path(), &program);
+    for _ in 0..1200 {
+        if folder.path().join("runs").exists() {
+            break;
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
+    // The shell only, as Kubernetes signals the first process.
+    let shell = rustix::process::Pid::from_child(&pod);
+    rustix::process::kill_process(shell, rustix::process::Signal::TERM).unwrap();
+    assert_eq!(pod.wait().unwrap().code(), Some(i32::from(stopped)));
+}

@@ -1,0 +1,279 @@
+//! The commands `synth`: a dataset in shards and in one go, stopped, killed and continued, and wrong
+//! input.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+use crate::program::{gripcast, json, stderr, succeed, wait_until};
+
+/// A plan of a few rigid grasps.
+const FEW: [&str; 12] = [
+    "--preset",
+    "tiny",
+    "--engine",
+    "rigid",
+    "--objects",
+    "4",
+    "--grasps",
+    "2",
+    "--samples",
+    "1",
+    "--seed",
+    "3",
+];
+
+fn synth(verb: &str, plan: &Path) -> Command {
+    let mut command = gripcast();
+    command.args(["synth", verb, "--plan"]).arg(plan);
+    command
+}
+
+fn plan(folder: &Path, flags: &[&str]) -> Output {
+    let mut command = gripcast();
+    let output = command
+        .args(["synth", "plan", "--json"])
+        .args(flags)
+        .arg("--out")
+        .arg(folder)
+        .output()
+        .unwrap();
+    // 3: an object without grasps is left out.
+    let code = output.status.code();
+    assert!(matches!(code, Some(0 | 3)), "{}", stderr(&output));
+    output
+}
+
+fn merge(plan: &Path, out: &Path) -> Command {
+    let mut command = synth("merge", plan);
+    command
+        .args(["--unbalanced", "--split", "train=1", "--json", "--out"])
+        .arg(out);
+    command
+}
+
+/// All files below a folder, by their paths in it.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(next) = open.pop() {
+        for entry in fs::read_dir(next).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else {
+                let name = path.strip_prefix(folder).unwrap().to_owned();
+                found.insert(name, fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+fn results(plan: &Path) -> usize {
+    if !plan.join("results").exists() {
+        return 0;
+    }
+    let all = files(&plan.join("results"));
+    all.keys()
+        .filter(|path| path.extension().is_some_and(|end| end == "json"))
+        .count()
+}
+
+fn started(plan: &Path) -> Child {
+    synth("run", plan)
+        .args(["--jobs", "1"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+/// Waits for a first result, sends a signal, and tells how the run ended.
+fn interrupted(plan: &Path, signal: Signal) -> Option<i32> {
+    let before = results(plan);
+    let mut child = started(plan);
+    wait_until(&mut child, || results(plan) > before);
+    // It may have come to its end meanwhile, which is no error either.
+    let _ = kill_process(Pid::from_child(&child), signal);
+    child.wait().unwrap().code()
+}
+
+#[test]
+fn a_dataset_is_the_same_in_one_go_and_in_shards_that_were_killed() {
+    let dir = tempfile::tempdir().unwrap();
+    let [whole, shards] = ["whole", "shards"].map(|name| dir.path().join(name));
+    let told = json(&plan(&whole, &FEW));
+    assert_eq!(json(&plan(&shards, &FEW))["sha256"], told["sha256"]);
+    let simulations = told["simulations"].as_u64().unwrap() as usize;
+    assert!(simulations >= 12, "{told}");
+    succeed(synth("run", &whole).args(["--jobs", "2"]));
+
+    assert_eq!(interrupted(&shards, Signal::KILL), None);
+    let code = interrupted(&shards, Signal::TERM);
+    assert!(matches!(code, Some(75 | 0)), "{code:?}");
+    let open = merge(&shards, &dir.path().join("early")).output().unwrap();
+    assert!(results(&shards) < simulations, "all was done already");
+    assert_eq!(open.status.code(), Some(1));
+    assert!(stderr(&open).contains("--partial"), "{}", stderr(&open));
+
+    for index in ["2", "0", "1"] {
+        let mut run = synth("run", &shards);
+        run.args(["--shard", "/3", "--jobs", "1", "--json"]);
+        let told = json(&succeed(run.env("SLURM_ARRAY_TASK_ID", index)));
+        assert_eq!(told["shard"], format!("{index}/3"));
+    }
+    let again = json(&succeed(synth("run", &shards).arg("--json")));
+    assert_eq!(again["simulated_now"], 0, "nothing is done twice");
+    let status = json(&succeed(synth("status", &shards).arg("--json")));
+    assert_eq!(status["done"], simulations);
+
+    let [a, b] = [&whole, &shards].map(|plan| {
+        let out = plan.join("dataset");
+        succeed(&mut merge(plan, &out));
+        files(&out)
+    });
+    assert!(
+        a.keys()
+            .any(|path| path.ends_with("train-00000-of-00001.parquet"))
+    );
+    assert!(a == b, "the datasets differ");
+}
+
+#[test]
+fn finite_elements_end_in_rows_that_say_what_was_simulated() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("p");
+    let mut flags = FEW;
+    flags[3] = "fem";
+    flags[5] = "1";
+    plan(&folder, &flags);
+    succeed(&mut synth("run", &folder));
+    let out = dir.path().join("d");
+    let report = json(&succeed(&mut merge(&folder, &out)));
+    let part = &report["parts"]["train"];
+    assert!(part["rows"].as_u64().unwrap() > 0, "{report}");
+    let shard = out.join("data/train-00000-of-00001.parquet");
+    let rows = gripcast::shard::ShardReader::open(&shard).unwrap();
+    for row in rows.rows() {
+        let facts = row.unwrap().facts;
+        assert_eq!(facts.engine, gripcast::shard::ShardEngine::Fem);
+        assert!(facts.force_left_n.unwrap() > 0.0 && facts.mass_kg <= 0.2);
+        assert!([10.0, 40.0].contains(&facts.stop_force_n));
+    }
+}
+
+#[test]
+fn what_does_not_belong_together_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let [one, other] = ["one", "other"].map(|name| dir.path().join(name));
+    let mut flags = FEW;
+    flags[5] = "1";
+    plan(&one, &flags);
+    flags[11] = "4";
+    plan(&other, &flags);
+    succeed(&mut synth("run", &one));
+    let fails = |command: &mut Command, words: &str| {
+        let output = command.output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        assert!(stderr(&output).contains(words), "{}", stderr(&output));
+    };
+    // Another plan into the same folder.
+    let mut again = gripcast();
+    again
+        .args(["synth", "plan"])
+        .args(flags)
+        .arg("--out")
+        .arg(&one);
+    fails(&mut again, "plan");
+    // A picture that was changed, then one that was cut off: that one is open again.
+    let dataset = dir.path().join("d");
+    let result = files(&one.join("results"));
+    let (name, bytes) = result
+        .iter()
+        .find(|(path, _)| path.extension().is_some_and(|end| end == "parquet"))
+        .unwrap();
+    let picture = one.join("results").join(name);
+    let mut changed = bytes.clone();
+    changed[bytes.len() / 2] ^= 1;
+    fs::write(&picture, &changed).unwrap();
+    fails(&mut merge(&one, &dataset), "not those of the result");
+    fs::write(&picture, &bytes[..bytes.len() / 2]).unwrap();
+    fails(&mut merge(&one, &dataset), "no result yet");
+    succeed(&mut synth("run", &one));
+    assert_eq!(&fs::read(&picture).unwrap(), bytes);
+    succeed(&mut merge(&one, &dataset));
+    // Results of another plan, and a dataset of another one.
+    fs::rename(one.join("results"), other.join("results")).unwrap();
+    fails(&mut synth("run", &other), "another plan");
+    fs::remove_dir_all(other.join("results")).unwrap();
+    succeed(&mut synth("run", &other));
+    fails(&mut merge(&other, &dataset), "another dataset");
+    // A plan that was altered.
+    let path = other.join("plan.jsonl");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(
+        &path,
+        text.replace("\"stop_force_n\":10.0", "\"stop_force_n\":11.0"),
+    )
+    .unwrap();
+    for verb in ["run", "status"] {
+        fails(&mut synth(verb, &other), "altered");
+    }
+    fails(&mut synth("run", &dir.path().join("nothing")), "plan");
+}
+
+#[test]
+fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let table = dir.path().join("objects.toml");
+    let picture = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
+    picture.save(dir.path().join("red.png")).unwrap();
+    let rows = "schema = 1\n\
+        [[object]]\nname = \"own-mug\"\nmesh = \"builtin:mug\"\ncategory = \"mug\"\n\
+        material = \"ceramic\"\nmass_kg = 0.12\nfriction = 0.8\ntextures = [\"red.png\"]\n\
+        [[object]]\nname = \"house\"\nmesh = \"builtin:box\"\nscale = 1.0\ncategory = \"box\"\n\
+        material = \"cardbord\"\n";
+    fs::write(&table, rows).unwrap();
+    let folder = dir.path().join("p");
+    let run = |out: &Path, table: &Path| {
+        let mut command = gripcast();
+        command
+            .args(["synth", "plan", "--preset", "tiny", "--engine", "rigid"])
+            .args(["--grasps", "1", "--samples", "1", "--table"])
+            .arg(table)
+            .arg("--out")
+            .arg(out);
+        command.output().unwrap()
+    };
+    let output = run(&folder, &table);
+    assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+    assert!(stderr(&output).contains("house: ") && stderr(&output).contains("cardboard"));
+    let text = fs::read_to_string(folder.join("plan.jsonl")).unwrap();
+    let object = text.lines().nth(1).unwrap();
+    let object: Value = serde_json::from_str(object).unwrap();
+    assert_eq!(
+        (&object["mass_kg"], &object["friction"]),
+        (&0.12.into(), &0.8.into())
+    );
+    succeed(&mut synth("run", &folder));
+    // The picture is part of the plan.
+    picture.save(dir.path().join("other.png")).unwrap();
+    let other = image::RgbImage::from_pixel(8, 4, image::Rgb([30, 200, 30]));
+    other.save(dir.path().join("red.png")).unwrap();
+    fs::remove_dir_all(folder.join("results")).unwrap();
+    let changed = synth("run", &folder).output().unwrap();
+    assert_eq!(changed.status.code(), Some(3), "{}", stderr(&changed));
+    assert!(
+        stderr(&changed).contains("texture changed"),
+        "{}",
+        stderr(&changed)
+    );
+    let nothing = run(&dir.path().join("q"), &dir.path().join("none.toml"));
+    assert_eq!(nothing.status.code(), Some(1));
+    assert!(stderr(&nothing).contains("none.toml"));
+}
