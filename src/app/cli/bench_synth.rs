@@ -25,6 +25,7 @@ use crate::sim::{Engine, FemEngine};
 use crate::synth::plan::{Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan};
 use crate::synth::properties::MassMap;
 use crate::synth::{CpuSeconds, ResultStore, run as run_plan, simulate_labels};
+use crate::workers::cores;
 
 /// Share of labels that have to agree.
 const LEAST_AGREEMENT: f64 = 0.95;
@@ -196,10 +197,7 @@ fn gel_name(gel: GelName) -> &'static str {
 
 impl Args {
     fn jobs(&self) -> usize {
-        self.jobs.map_or_else(
-            || std::thread::available_parallelism().map_or(1, usize::from),
-            usize::from,
-        )
+        self.jobs.map_or_else(cores, usize::from)
     }
 
     fn settings(&self) -> PlanSettings {

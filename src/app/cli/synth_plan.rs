@@ -21,6 +21,7 @@ use crate::synth::plan::{
 use crate::synth::properties::{
     DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyAsker,
 };
+use crate::workers::cores;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -242,10 +243,7 @@ impl Args {
             ));
         }
         let of_preset = preset.rendering();
-        let jobs = self.jobs.map_or_else(
-            || std::thread::available_parallelism().map_or(1, usize::from),
-            usize::from,
-        );
+        let jobs = self.jobs.map_or_else(cores, usize::from);
         let plan_folder = &self.out;
         let textures = match &self.sources.textures {
             None => Vec::new(),

@@ -14,6 +14,7 @@ use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::synth::plan::{Plan, Shard};
 use crate::synth::{ResultStore, planned_engine};
+use crate::workers::cores;
 
 /// Reasons of failures that are shown.
 const SHOWN_FAILURES: usize = 10;
@@ -54,10 +55,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         None => Shard::WHOLE,
     };
     let folder = args.plan.clone();
-    let jobs = args.jobs.map_or_else(
-        || std::thread::available_parallelism().map_or(1, usize::from),
-        usize::from,
-    );
+    let jobs = args.jobs.map_or_else(cores, usize::from);
     let summary = resumable(context, "simulating", move |progress| {
         let plan = Plan::read(&folder)?;
         let engine = planned_engine(&plan, &folder)?;
