@@ -73,7 +73,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "S", default_value_t = 1.0)]
     sensor_spread: f64,
     /// How estimated masses become masses of 10 to 200 g; given ones stay
-    #[arg(long, value_enum, default_value_t = MassMapName::Linear)]
+    #[arg(long, value_enum, default_value_t = MassMapName::Log)]
     mass_map: MassMapName,
     /// Share of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
     #[arg(long, value_name = "S", default_value_t = 0.25)]
@@ -137,7 +137,7 @@ struct Llm {
 enum PresetSize {
     /// 6 objects, 2 grasps each: to see that it works
     Tiny,
-    /// 60 objects, 5 grasps each
+    /// 60 objects, 6 grasps each
     Small,
     /// 453 objects, 24 grasps each, as in the paper
     Full,
