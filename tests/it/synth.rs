@@ -276,6 +276,11 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         "{}",
         stderr(&changed)
     );
+    // Mended: a failure is a result until it is asked for again.
+    fs::copy(dir.path().join("other.png"), dir.path().join("red.png")).unwrap();
+    let same = synth("run", &folder).output().unwrap();
+    assert_eq!(same.status.code(), Some(3), "{}", stderr(&same));
+    succeed(synth("run", &folder).arg("--retry-failed"));
     let nothing = run(&dir.path().join("q"), &dir.path().join("none.toml"));
     assert_eq!(nothing.status.code(), Some(1));
     assert!(stderr(&nothing).contains("none.toml"));

@@ -24,7 +24,7 @@ use crate::sim::grasp::{GraspSettings, Preset, resolution_name};
 use crate::sim::{Engine, FemEngine};
 use crate::synth::plan::{Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan};
 use crate::synth::properties::MassMap;
-use crate::synth::{CpuSeconds, ResultStore, run as run_plan, simulate_labels};
+use crate::synth::{CpuSeconds, ResultStore, RunSettings, run as run_plan, simulate_labels};
 use crate::workers::cores;
 
 /// Share of labels that have to agree.
@@ -138,7 +138,12 @@ fn figures(
 ) -> Result<Figures> {
     let began = Instant::now();
     let told = |at: crate::synth::RunProgress| progress.at(at.done as u64, at.all as u64);
-    let summary = run_plan(plan, folder, Shard::WHOLE, engine, jobs, &told)?;
+    let settings = RunSettings {
+        shard: Shard::WHOLE,
+        jobs,
+        is_failed_retried: false,
+    };
+    let summary = run_plan(plan, folder, &settings, engine, &told)?;
     let wall_h = began.elapsed().as_secs_f64() / 3600.0;
     let store = ResultStore::beside(folder);
     let mut figures = Figures {
