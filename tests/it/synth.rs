@@ -238,7 +238,7 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         material = \"ceramic\"\nmass_kg = 0.12\nfriction = 0.8\ntextures = [\"red.png\"]\n\
         [[object]]\nname = \"house\"\nmesh = \"builtin:box\"\nscale = 1.0\ncategory = \"box\"\n\
         material = \"cardbord\"\n\
-        [[object]]\nname = \"huge\"\nmesh = \"builtin:box\"\nscale = 100.0\n\
+        [[object]]\nname = \"huge\"\nmesh = \"builtin:box\"\nscale = 10.0\n\
         category = \"box\"\nmaterial = \"wood\"\n";
     fs::write(&table, rows).unwrap();
     let folder = dir.path().join("p");
