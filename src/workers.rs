@@ -7,6 +7,11 @@ use rustix::time::{ClockId, clock_gettime};
 
 use crate::error::{Error, ErrorKind, Result};
 
+/// Cores that this process may use; 1 where the system does not tell.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
 /// Does `work` for every item, `jobs` at a time; results in the order of the items.
 ///
 /// What `work` shares over rayon's threads stays in the thread of its item, so that many items keep

@@ -586,7 +586,7 @@ impl Parts<'_> {
 
 /// Name of the processor and how many of it there are.
 fn processor() -> String {
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = crate::workers::cores();
     let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let name = info
         .lines()

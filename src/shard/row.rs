@@ -49,7 +49,7 @@ pub struct ShardFacts {
     pub friction: f64,
     /// Mass of the object, kg, > 0.
     pub mass_kg: f64,
-    /// How far the object's lowest point was above the ground at the end, m.
+    /// Rise of the object's centre of mass from the ground to the end of the lift, m.
     pub lifted_m: f64,
     /// Normal force on the left finger in the grasp, N, ≥ 0.
     pub force_left_n: Option<f64>,
@@ -60,7 +60,8 @@ pub struct ShardFacts {
     /// Maps gripper coordinates into the object frame; columns `pose_t_m` (m) and `pose_q_wxyz`
     /// (unit quaternion, w ≥ 0).
     pub t_object_gripper: Pose,
-    /// What was broken on purpose in the pictures, if anything.
+    /// How the grasp departs from two opposite places: `none`, `off_centre`, `tilted`, …; none for a
+    /// grasp that was given.
     pub fault: Option<String>,
     /// Which look of object and scene was drawn.
     pub appearance: String,

@@ -26,5 +26,5 @@ mod store;
 pub use engine::planned_engine;
 pub use merge::{MergeReport, MergeSettings, merge};
 pub use object_mesh::planned_mesh;
-pub use run::{RunProgress, RunSummary, run, simulate_labels};
+pub use run::{RunProgress, RunSettings, RunSummary, run, simulate_labels};
 pub use store::{CpuSeconds, FAILED, RESULTS, ResultStore, SampleFile, SimulationResult};

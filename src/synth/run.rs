@@ -45,9 +45,21 @@ pub struct RunSummary {
     pub failed: Vec<(String, String)>,
 }
 
-/// Simulates what of a part has no result yet, `jobs` at a time, each in one thread. Every result
-/// is kept at once: a run that is cut off goes on where it was. A simulation that cannot be done is
-/// a result as well.
+/// Which simulations of a plan are run, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RunSettings {
+    /// Part of the plan.
+    pub shard: Shard,
+    /// Simulations at a time; the results do not depend on it.
+    pub jobs: usize,
+    /// Whether simulations that could not be done are tried again, as after a missing file came
+    /// back.
+    pub is_failed_retried: bool,
+}
+
+/// Simulates what of a part has no result yet, each simulation in one thread. Every result is kept
+/// at once: a run that is cut off goes on where it was. A simulation that cannot be done is a result
+/// as well.
 ///
 /// # Errors
 /// `Input` where the plan was made with other parameters than the engine has, or a result is of
@@ -55,19 +67,21 @@ pub struct RunSummary {
 pub fn run(
     plan: &Plan,
     folder: &Path,
-    shard: Shard,
+    settings: &RunSettings,
     engine: &dyn Engine,
-    jobs: usize,
     told: &(dyn Fn(RunProgress) + Sync),
 ) -> Result<RunSummary> {
     check_parameters(plan, engine)?;
     let store = ResultStore::beside(folder);
-    let part = shard.of(plan);
+    let part = settings.shard.of(plan);
     let mut open = Vec::new();
     let mut failed = BTreeMap::new();
     for simulation in &part {
         match store.find(plan, &simulation.id)? {
             None => open.push(*simulation),
+            Some(result) if settings.is_failed_retried && result.is_failed() => {
+                open.push(*simulation);
+            }
             Some(result) => note_failure(&result, &mut failed),
         }
     }
@@ -89,7 +103,7 @@ pub fn run(
         store.keep(result.clone(), samples)?;
         Ok(result)
     };
-    let made = one_per_core(jobs, &open, &work, &tell)?;
+    let made = one_per_core(settings.jobs, &open, &work, &tell)?;
     for result in &made {
         note_failure(result, &mut failed);
     }

@@ -237,7 +237,9 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         [[object]]\nname = \"own-mug\"\nmesh = \"builtin:mug\"\ncategory = \"mug\"\n\
         material = \"ceramic\"\nmass_kg = 0.12\nfriction = 0.8\ntextures = [\"red.png\"]\n\
         [[object]]\nname = \"house\"\nmesh = \"builtin:box\"\nscale = 1.0\ncategory = \"box\"\n\
-        material = \"cardbord\"\n";
+        material = \"cardbord\"\n\
+        [[object]]\nname = \"huge\"\nmesh = \"builtin:box\"\nscale = 10.0\n\
+        category = \"box\"\nmaterial = \"wood\"\n";
     fs::write(&table, rows).unwrap();
     let folder = dir.path().join("p");
     let run = |out: &Path, table: &Path| {
@@ -253,6 +255,7 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
     let output = run(&folder, &table);
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
     assert!(stderr(&output).contains("house: ") && stderr(&output).contains("cardboard"));
+    assert!(stderr(&output).contains("huge: ") && stderr(&output).contains("unit and scale"));
     let text = fs::read_to_string(folder.join("plan.jsonl")).unwrap();
     let object = text.lines().nth(1).unwrap();
     let object: Value = serde_json::from_str(object).unwrap();
@@ -273,6 +276,11 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         "{}",
         stderr(&changed)
     );
+    // Mended: a failure is a result until it is asked for again.
+    fs::copy(dir.path().join("other.png"), dir.path().join("red.png")).unwrap();
+    let same = synth("run", &folder).output().unwrap();
+    assert_eq!(same.status.code(), Some(3), "{}", stderr(&same));
+    succeed(synth("run", &folder).arg("--retry-failed"));
     let nothing = run(&dir.path().join("q"), &dir.path().join("none.toml"));
     assert_eq!(nothing.status.code(), Some(1));
     assert!(stderr(&nothing).contains("none.toml"));

@@ -24,7 +24,8 @@ use crate::sim::grasp::{GraspSettings, Preset, resolution_name};
 use crate::sim::{Engine, FemEngine};
 use crate::synth::plan::{Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan};
 use crate::synth::properties::MassMap;
-use crate::synth::{CpuSeconds, ResultStore, run as run_plan, simulate_labels};
+use crate::synth::{CpuSeconds, ResultStore, RunSettings, run as run_plan, simulate_labels};
+use crate::workers::cores;
 
 /// Share of labels that have to agree.
 const LEAST_AGREEMENT: f64 = 0.95;
@@ -137,7 +138,12 @@ fn figures(
 ) -> Result<Figures> {
     let began = Instant::now();
     let told = |at: crate::synth::RunProgress| progress.at(at.done as u64, at.all as u64);
-    let summary = run_plan(plan, folder, Shard::WHOLE, engine, jobs, &told)?;
+    let settings = RunSettings {
+        shard: Shard::WHOLE,
+        jobs,
+        is_failed_retried: false,
+    };
+    let summary = run_plan(plan, folder, &settings, engine, &told)?;
     let wall_h = began.elapsed().as_secs_f64() / 3600.0;
     let store = ResultStore::beside(folder);
     let mut figures = Figures {
@@ -196,10 +202,7 @@ fn gel_name(gel: GelName) -> &'static str {
 
 impl Args {
     fn jobs(&self) -> usize {
-        self.jobs.map_or_else(
-            || std::thread::available_parallelism().map_or(1, usize::from),
-            usize::from,
-        )
+        self.jobs.map_or_else(cores, usize::from)
     }
 
     fn settings(&self) -> PlanSettings {

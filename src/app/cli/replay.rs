@@ -263,8 +263,7 @@ impl DemoArgs {
 
 impl SweepFlags {
     fn jobs(&self) -> usize {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        self.jobs.map_or(cores, usize::from)
+        self.jobs.map_or_else(crate::workers::cores, usize::from)
     }
 
     fn for_demo(self, quick: bool) -> Self {

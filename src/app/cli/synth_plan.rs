@@ -21,6 +21,7 @@ use crate::synth::plan::{
 use crate::synth::properties::{
     DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyAsker,
 };
+use crate::workers::cores;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -72,7 +73,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "S", default_value_t = 1.0)]
     sensor_spread: f64,
     /// How estimated masses become masses of 10 to 200 g; given ones stay
-    #[arg(long, value_enum, default_value_t = MassMapName::Linear)]
+    #[arg(long, value_enum, default_value_t = MassMapName::Log)]
     mass_map: MassMapName,
     /// Share of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
     #[arg(long, value_name = "S", default_value_t = 0.25)]
@@ -136,7 +137,7 @@ struct Llm {
 enum PresetSize {
     /// 6 objects, 2 grasps each: to see that it works
     Tiny,
-    /// 60 objects, 5 grasps each
+    /// 60 objects, 6 grasps each
     Small,
     /// 453 objects, 24 grasps each, as in the paper
     Full,
@@ -242,10 +243,7 @@ impl Args {
             ));
         }
         let of_preset = preset.rendering();
-        let jobs = self.jobs.map_or_else(
-            || std::thread::available_parallelism().map_or(1, usize::from),
-            usize::from,
-        );
+        let jobs = self.jobs.map_or_else(cores, usize::from);
         let plan_folder = &self.out;
         let textures = match &self.sources.textures {
             None => Vec::new(),

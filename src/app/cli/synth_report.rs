@@ -12,6 +12,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::synth::plan::Plan;
 use crate::synth::report::{SynthReport, SynthReportSettings, page, report};
+use crate::workers::cores;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -67,10 +68,7 @@ impl Args {
             dataset: self.dataset.clone(),
             examples: usize::from(self.examples),
             seed: self.seed,
-            jobs: self.jobs.map_or_else(
-                || std::thread::available_parallelism().map_or(1, usize::from),
-                usize::from,
-            ),
+            jobs: self.jobs.map_or_else(cores, usize::from),
         }
     }
 }

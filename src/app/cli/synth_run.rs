@@ -13,7 +13,8 @@ use super::working::resumable;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::synth::plan::{Plan, Shard};
-use crate::synth::{ResultStore, planned_engine};
+use crate::synth::{ResultStore, RunSettings, planned_engine};
+use crate::workers::cores;
 
 /// Reasons of failures that are shown.
 const SHOWN_FAILURES: usize = 10;
@@ -31,6 +32,9 @@ pub(crate) struct Args {
     /// Simulations at a time; the results do not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
+    /// Try simulations again that could not be done, as after a missing mesh came back
+    #[arg(long)]
+    retry_failed: bool,
     /// Print what was done as JSON
     #[arg(long)]
     json: bool,
@@ -54,14 +58,15 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         None => Shard::WHOLE,
     };
     let folder = args.plan.clone();
-    let jobs = args.jobs.map_or_else(
-        || std::thread::available_parallelism().map_or(1, usize::from),
-        usize::from,
-    );
+    let settings = RunSettings {
+        shard,
+        jobs: args.jobs.map_or_else(cores, usize::from),
+        is_failed_retried: args.retry_failed,
+    };
     let summary = resumable(context, "simulating", move |progress| {
         let plan = Plan::read(&folder)?;
         let engine = planned_engine(&plan, &folder)?;
-        crate::synth::run(&plan, &folder, shard, engine.as_ref(), jobs, &|at| {
+        crate::synth::run(&plan, &folder, &settings, engine.as_ref(), &|at| {
             progress.at(at.done as u64, at.all as u64);
         })
     })??;
@@ -89,7 +94,9 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     if failed > SHOWN_FAILURES {
         text.push_str("\n  …");
     }
-    Err(Error::new(ErrorKind::Partial, text))
+    Err(Error::new(ErrorKind::Partial, text).remedy(
+        "they are results like others; once the cause is mended, --retry-failed does them again",
+    ))
 }
 
 /// Runs `synth status`.

@@ -25,8 +25,9 @@ pub(super) fn deal(
         let whole: f64 = total.values().sum::<f64>() + all as f64;
         for (group, size) in members {
             let lacks = |part: &String, share: f64| {
-                let in_stratum = share - here[part] / all as f64;
-                let overall = share - total[part] / whole;
+                // In simulations, so that what small strata cannot give adds up until it counts.
+                let in_stratum = share * all as f64 - here[part];
+                let overall = share * whole - total[part];
                 in_stratum + overall
             };
             let most = parts
@@ -39,4 +40,27 @@ pub(super) fn deal(
         }
     }
     dealt
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strata_of_two_give_all_parts_their_share() {
+        let parts = [("test", 0.1), ("train", 0.8), ("validation", 0.1)];
+        let parts = parts.map(|(name, share)| (name.to_owned(), share)).into();
+        let group = |k: usize| (format!("object {k}"), (format!("category {}", k / 2), 4));
+        let groups = (0..60).map(group).collect();
+        let dealt = deal(&groups, &parts, 0);
+        let count = |name: &str| dealt.values().filter(|part| *part == name).count();
+        assert_eq!(dealt.len(), 60);
+        for (name, expected) in [("train", 48), ("validation", 6), ("test", 6)] {
+            assert!(
+                count(name).abs_diff(expected) <= 1,
+                "{name}: {}",
+                count(name)
+            );
+        }
+    }
 }

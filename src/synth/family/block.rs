@@ -132,13 +132,7 @@ fn column(draw: &mut Draw) -> Result<TriangleMesh> {
             rounded(0.0, height, 0.0),
         ];
         let profile = open_line(&knots, edge);
-        let lathe = Lathe {
-            profile: &profile,
-            closed: false,
-            section: &section,
-            share: &|_| 1.0,
-            edge,
-        };
+        let lathe = Lathe::prism(&profile, &section, edge);
         let mut mesh = lathe.mesh();
         for v in &mut mesh.vertices {
             *v = DQuat::from_rotation_z(twist * v.z) * *v;

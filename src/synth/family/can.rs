@@ -38,13 +38,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
     };
     sized(|edge| {
         let profile = open_line(&knots, edge);
-        let lathe = Lathe {
-            profile: &profile,
-            closed: false,
-            section: &section,
-            share: &|_| 1.0,
-            edge,
-        };
+        let lathe = Lathe::prism(&profile, &section, edge);
         Ok(lathe.mesh())
     })
 }

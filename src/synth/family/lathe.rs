@@ -118,6 +118,19 @@ pub(super) struct Lathe<'a> {
     pub(super) edge: f64,
 }
 
+impl<'a> Lathe<'a> {
+    /// A body from axis to axis with the same section all along.
+    pub(super) fn prism(profile: &'a [DVec2], section: &'a Section, edge: f64) -> Self {
+        Self {
+            profile,
+            closed: false,
+            section,
+            share: &|_| 1.0,
+            edge,
+        }
+    }
+}
+
 /// A ring of vertices: the first and their number. The apex of a cone has one.
 struct Ring {
     first: u32,

@@ -94,13 +94,7 @@ fn tray(draw: &mut Draw, width: f64) -> Result<TriangleMesh> {
             sharp(0.0, wall),
         ];
         let profile = open_line(&knots, edge);
-        let lathe = Lathe {
-            profile: &profile,
-            closed: false,
-            section: &section,
-            share: &|_| 1.0,
-            edge,
-        };
+        let lathe = Lathe::prism(&profile, &section, edge);
         Ok(lathe.mesh())
     })
 }

@@ -93,3 +93,85 @@ fn draft(file: &Path, mesh_root: &Path, plan_folder: &Path, seed: u64) -> Result
         grasps: Some(set.grasps.iter().map(|g| g.t_object_gripper).collect()),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use hdf5_pure::{FileBuilder, GroupBuilder};
+
+    use super::*;
+    use crate::geometry::{builtin, save_mesh};
+
+    /// Two grasps of a mesh, from above and 10 mm aside.
+    fn h5(mesh: &str) -> Vec<u8> {
+        #[rustfmt::skip]
+        let matrix = |x: f64| [
+            1.0, 0.0, 0.0, x,
+            0.0, -1.0, 0.0, 0.0,
+            0.0, 0.0, -1.0, 0.12,
+            0.0, 0.0, 0.0, 1.0,
+        ];
+        let mut file = FileBuilder::new();
+        let scalar = |group: &mut GroupBuilder, key, value| {
+            let data = group.create_dataset(key);
+            data.with_f64_data(&[value]).with_shape(&[]);
+        };
+        let mut object = file.create_group("object");
+        object
+            .create_dataset("file")
+            .with_vlen_strings(&[mesh])
+            .with_shape(&[]);
+        scalar(&mut object, "scale", 0.5);
+        file.add_group(object.finish());
+        let mut gripper = file.create_group("gripper");
+        scalar(&mut gripper, "configuration", 0.04);
+        file.add_group(gripper.finish());
+        let mut grasps = file.create_group("grasps");
+        grasps
+            .create_dataset("transforms")
+            .with_f64_data(&[matrix(0.0), matrix(0.01)].concat())
+            .with_shape(&[2, 4, 4]);
+        let mut qualities = grasps.create_group("qualities");
+        let mut flex = qualities.create_group("flex");
+        flex.create_dataset("object_in_gripper")
+            .with_i64_data(&[1, 0]);
+        qualities.add_group(flex.finish());
+        grasps.add_group(qualities.finish());
+        file.add_group(grasps.finish());
+        file.finish().unwrap()
+    }
+
+    #[test]
+    fn objects_have_their_scale_category_and_grasps() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir_all(at("meshes/Box")).unwrap();
+        fs::create_dir(at("grasps")).unwrap();
+        let mesh = builtin("box").unwrap();
+        save_mesh(&at("meshes/Box/a.obj"), &mesh.scaled(2.0)).unwrap();
+        for (name, mesh) in [("Box_a", "meshes/Box/a.obj"), ("Box_b", "meshes/Box/b.obj")] {
+            fs::write(at("grasps").join(format!("{name}_0.5.h5")), h5(mesh)).unwrap();
+        }
+        fs::write(at("grasps/broken.h5"), "no hdf5").unwrap();
+        let read = |most| acronym_drafts(&at("grasps"), folder.path(), folder.path(), most, 1);
+        let found = read(None).unwrap();
+        let [object] = found.drafts.as_slice() else {
+            panic!("one object, found {:?}", found.left_out);
+        };
+        assert_eq!(
+            (object.name.as_str(), object.category.as_str()),
+            ("Box_a_0.5", "box")
+        );
+        let materials = Category::parse("box").unwrap().materials();
+        assert!(materials.contains(&object.material.name));
+        assert_eq!(object.grasps.as_ref().unwrap().len(), 2);
+        let sizes = [&object.mesh, &mesh].map(|mesh| mesh.bounds().extent());
+        assert!((sizes[0] - sizes[1]).length() < 1e-6, "{sizes:?}");
+        let names: Vec<&str> = found.left_out.iter().map(|l| l.name.as_str()).collect();
+        assert_eq!(names, ["Box_b_0.5", "broken"]);
+        assert!(found.left_out[0].reason.contains("b.obj"));
+        let one = read(Some(1)).unwrap();
+        assert_eq!(one.drafts.len() + one.left_out.len(), 1);
+        let error = acronym_drafts(&at("meshes"), folder.path(), folder.path(), None, 1);
+        assert!(error.unwrap_err().to_string().contains(".h5"));
+    }
+}

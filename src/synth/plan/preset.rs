@@ -53,7 +53,7 @@ impl PlanPreset {
     pub fn grasps(self) -> usize {
         match self {
             Self::Tiny => 2,
-            Self::Small => 5,
+            Self::Small => 6,
             Self::Full => 24,
         }
     }

@@ -133,10 +133,10 @@ fn usual_fill(category: &str) -> f64 {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MassMap {
     /// As in the paper (A.1): linearly to [`MASS_RANGE_KG`].
-    #[default]
     Linear,
     /// Linearly in the logarithm of the mass: where most things are light, [`Linear`](Self::Linear)
     /// leaves nearly all of them at the lower end.
+    #[default]
     Logarithmic,
     /// Not at all.
     None,
