@@ -135,7 +135,7 @@ struct Llm {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum PresetSize {
-    /// 6 objects, 2 grasps each: to see that it works
+    /// 10 objects, 2 grasps each: to see that it works
     Tiny,
     /// 60 objects, 6 grasps each
     Small,

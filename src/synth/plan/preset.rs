@@ -43,7 +43,7 @@ impl PlanPreset {
     /// Objects.
     pub fn objects(self) -> usize {
         match self {
-            Self::Tiny => 6,
+            Self::Tiny => 10,
             Self::Small => 60,
             Self::Full => 453,
         }
