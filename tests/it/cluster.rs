@@ -7,11 +7,11 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::thread;
-use std::time::Duration;
 
 use gripcast::error::ErrorKind;
 use serde_json::{Value, json};
+
+use crate::program::wait_until;
 
 /// Exit code of the script where Slurm cannot run.
 const NO_SLURM: i32 = 77;
@@ -162,12 +162,7 @@ fn a_pod_that_is_evicted_stops_its_shard() {
     let program =
         format!("trap 'exit {stopped}' TERM\n: > runs\nfor i in $(seq 600); do sleep 0.1; done");
     let mut pod = pod(folder.path(), &program);
-    for _ in 0..1200 {
-        if folder.path().join("runs").exists() {
-            break;
-        }
-        thread::sleep(Duration::from_millis(50));
-    }
+    wait_until(&mut pod, || folder.path().join("runs").exists());
     // The shell only, as Kubernetes signals the first process.
     let shell = rustix::process::Pid::from_child(&pod);
     rustix::process::kill_process(shell, rustix::process::Signal::TERM).unwrap();

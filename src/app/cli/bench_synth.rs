@@ -22,7 +22,9 @@ use crate::app::daemon::live_load::peak_rss_mb;
 use crate::error::{Error, ErrorKind, Result};
 use crate::sim::grasp::{GraspSettings, Preset, resolution_name};
 use crate::sim::{Engine, FemEngine};
-use crate::synth::plan::{Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan};
+use crate::synth::plan::{
+    LEAST_FRICTION_SHARE, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
+};
 use crate::synth::properties::MassMap;
 use crate::synth::{CpuSeconds, ResultStore, RunSettings, run as run_plan, simulate_labels};
 use crate::workers::cores;
@@ -108,7 +110,7 @@ fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelName, Figures)>> 
         let engine = engine(*gel);
         let jobs = args.jobs();
         let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
-        let plan = make_plan(&args.settings(), drafts, &engine, None, &|_| ())?.plan;
+        let plan = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?.plan;
         let at = folder.path().join(gel_name(*gel));
         plan.write(&at)?;
         progress.line(format!("{} gels", gel_name(*gel)));
@@ -214,7 +216,7 @@ impl Args {
             rendering: PlanPreset::Small.rendering(),
             textures: Vec::new(),
             mass_map: MassMap::Logarithmic,
-            least_friction_share: 0.25,
+            least_friction_share: LEAST_FRICTION_SHARE,
             jobs: self.jobs(),
         }
     }

@@ -15,8 +15,8 @@ use crate::sim::grasp::GraspSettings;
 use crate::sim::rigid::{RigidEngine, RigidSettings};
 use crate::sim::{Engine, FemEngine};
 use crate::synth::plan::{
-    Drafts, LeftOutObject, MadePlan, PlanPreset, PlanSettings, RenderingPlan, acronym_drafts,
-    family_drafts, make_plan, table_drafts, texture_folder,
+    Drafts, LEAST_FRICTION_SHARE, MadePlan, PlanPreset, PlanSettings, RenderingPlan,
+    acronym_drafts, family_drafts, make_plan, table_drafts, texture_folder,
 };
 use crate::synth::properties::{
     DEFAULT_KEY_VARIABLE, EndpointKey, LlmClient, LlmOptions, MassMap, PropertyAsker,
@@ -76,7 +76,7 @@ pub(crate) struct Args {
     #[arg(long, value_enum, default_value_t = MassMapName::Log)]
     mass_map: MassMapName,
     /// Share of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
-    #[arg(long, value_name = "S", default_value_t = 0.25)]
+    #[arg(long, value_name = "S", default_value_t = LEAST_FRICTION_SHARE)]
     least_friction_share: f64,
     /// Objects at a time; the plan does not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
@@ -264,18 +264,13 @@ impl Args {
             least_friction_share: self.least_friction_share,
             jobs,
         };
-        let Drafts { drafts, left_out } = self.drafts(preset, jobs, progress)?;
-        if drafts.is_empty() {
-            return Err(nothing_to_grasp(&left_out));
-        }
-        let count = drafts.len() as u64;
+        let drafts = self.drafts(preset, jobs, progress)?;
+        let count = drafts.drafts.len() as u64;
         progress.stage("drawing grasps");
         let told = |done: usize| progress.at(done as u64, count);
         let mut asker = self.llm.asker(plan_folder)?;
         let engine = self.engine();
-        let mut made = make_plan(&settings, drafts, engine.as_ref(), asker.as_mut(), &told)?;
-        made.left_out.splice(0..0, left_out);
-        Ok(made)
+        make_plan(&settings, drafts, engine.as_ref(), asker.as_mut(), &told)
     }
 
     /// Objects of all sources.
@@ -344,11 +339,4 @@ fn usual_cache() -> Option<PathBuf> {
     let cache = set("XDG_CACHE_HOME").map(PathBuf::from);
     let cache = cache.or_else(|| set("HOME").map(|home| PathBuf::from(home).join(".cache")));
     cache.map(|cache| cache.join("gripcast").join("llm"))
-}
-
-fn nothing_to_grasp(left_out: &[LeftOutObject]) -> Error {
-    let reason = left_out
-        .first()
-        .map_or_else(|| "--objects is 0".to_owned(), |l| l.reason.clone());
-    Error::new(ErrorKind::Input, format!("no object can be used: {reason}"))
 }

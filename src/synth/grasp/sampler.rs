@@ -391,4 +391,40 @@ mod tests {
             assert!(faults.len() > 2, "{shape}: {faults:?}");
         }
     }
+
+    #[test]
+    fn off_centre_and_shallow_grasps_overlap_the_object_as_they_should() {
+        let mesh = builtin("box").unwrap();
+        let t_world_object = stable_poses(&mesh, 0.0).unwrap()[0].t_world_object;
+        let overlaps = |ranges: FaultRanges, fault: GraspFault, axis: usize| -> Vec<f64> {
+            let sampler = GraspSampler::new("box", &mesh, t_world_object, ranges, 2);
+            let drawn = (0..60).filter_map(|number| sampler.candidate(number).unwrap());
+            let of_fault = drawn.filter(|candidate| candidate.fault == fault);
+            let overlap = |candidate: Candidate| {
+                let t_gripper_object = candidate.placed.t_world_gripper.inverse() * t_world_object;
+                let places = mesh
+                    .vertices
+                    .iter()
+                    .map(|v| t_gripper_object.transform_point(*v));
+                let bounds = Aabb::from_points(places);
+                // Gels span half of their size on both sides of the origin.
+                let half = 0.5 * [0.0, PAD_SIZE_M[1], PAD_SIZE_M[0]][axis];
+                bounds.max[axis].min(half) - bounds.min[axis].max(-half)
+            };
+            of_fault.map(overlap).collect()
+        };
+        for (fault, axis) in [(GraspFault::OffCentre, 1), (GraspFault::Shallow, 2)] {
+            let wide = overlaps(FaultRanges::WIDE, fault, axis);
+            assert!(wide.len() > 4, "{fault:?}: {wide:?}");
+            // Small turns of the gripper add up to a millimetre and a half.
+            let [least, most] = FaultRanges::WIDE.overlap_m.unwrap();
+            let near = least - 1.5e-3..most + 1.5e-3;
+            assert!(wide.iter().all(|m| near.contains(m)), "{fault:?}: {wide:?}");
+            let collected = overlaps(FaultRanges::COLLECTED, fault, axis);
+            assert!(
+                collected.iter().any(|m| !near.contains(m)),
+                "{fault:?}: {collected:?}"
+            );
+        }
+    }
 }

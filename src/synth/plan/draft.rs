@@ -73,6 +73,15 @@ impl Drafts {
     }
 }
 
+impl From<Vec<ObjectDraft>> for Drafts {
+    fn from(drafts: Vec<ObjectDraft>) -> Self {
+        Self {
+            drafts,
+            left_out: Vec::new(),
+        }
+    }
+}
+
 /// A file as plans name it: relative where it lies in the plan's folder, so that the folder can be
 /// moved with it, else from the root.
 pub(super) fn stored_path(file: &Path, plan_folder: &Path) -> Result<String> {

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use super::{
-    LeftOutObject, ObjectDraft, PLAN_FORMAT, PLAN_VERSION, PictureTexture, Plan, PlanHeader,
-    PlannedObject, PlannedSimulation, RenderingPlan,
+    Drafts, LeftOutObject, ObjectDraft, PLAN_FORMAT, PLAN_VERSION, PictureTexture, Plan,
+    PlanHeader, PlannedObject, PlannedSimulation, RenderingPlan,
 };
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::MassProperties;
@@ -23,8 +23,8 @@ use crate::workers::one_per_core;
 const SEED_BITS: u32 = 53;
 /// Largest side of objects that are believed, m: others are mostly in another unit.
 const SIZE_M: [f64; 2] = [0.005, 0.5];
-/// Estimated CPU time of finite elements, s: a base and for each node of a gel, from the costs of
-/// grasps of the built-in families with the three meshes.
+/// Estimated CPU time of finite elements, s: a base and for each node of a gel; of the size that
+/// grasps of the built-in families cost with coarse gels.
 const FEM_BASE_S: f64 = 0.2;
 const FEM_S_PER_NODE: f64 = 1.7e-3;
 /// The same of a colour picture without a path and for each path of a pixel, of a pair of tactile
@@ -33,6 +33,9 @@ const VISUAL_S: f64 = 0.25;
 const VISUAL_S_PER_SAMPLE: f64 = 0.06;
 const TACTILE_S: f64 = 0.06;
 const RIGID_S: f64 = 0.1;
+
+/// Usual [`PlanSettings::least_friction_share`]: dusty, greasy and worn surfaces.
+pub const LEAST_FRICTION_SHARE: f64 = 0.25;
 
 /// What a plan is made by.
 #[derive(Clone, Debug)]
@@ -73,15 +76,18 @@ pub struct MadePlan {
 /// `Input` where no object can be grasped or a name comes twice; those of the asker.
 pub fn make_plan(
     settings: &PlanSettings,
-    drafts: Vec<ObjectDraft>,
+    drafts: Drafts,
     engine: &dyn Engine,
     asker: Option<&mut PropertyAsker>,
     told: &(dyn Fn(usize) + Sync),
 ) -> Result<MadePlan> {
+    let Drafts {
+        drafts,
+        mut left_out,
+    } = drafts;
     check_names(&drafts)?;
     let look = |draft: &ObjectDraft| Ok(looked_at(draft, settings));
     let seen = one_per_core(settings.jobs, &drafts, &look, told)?;
-    let mut left_out = Vec::new();
     let mut kept = Vec::new();
     for (draft, seen) in drafts.into_iter().zip(seen) {
         match seen {
@@ -98,7 +104,7 @@ pub fn make_plan(
             .map_or("no object was given", |l| &l.reason);
         return Err(Error::new(
             ErrorKind::Input,
-            format!("no object can be grasped: {reason}"),
+            format!("no object can be used: {reason}"),
         ));
     }
     let objects = described(&kept, settings, asker)?;
@@ -400,5 +406,124 @@ fn difference(name: &str, a: &Value, b: &Value) -> Option<(String, Value, Value)
         }
         _ if a == b => None,
         _ => Some((name.to_owned(), a.clone(), b.clone())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::builtin;
+    use crate::sim::rigid::{RigidEngine, RigidSettings};
+    use crate::synth::plan::MeshSource;
+    use crate::synth::properties::Material;
+
+    fn settings(jobs: usize) -> PlanSettings {
+        PlanSettings {
+            preset: "test".to_owned(),
+            seed: 5,
+            grasps: 2,
+            stop_forces_n: vec![10.0, 40.0],
+            rendering: RenderingPlan {
+                renderings: 1,
+                samples: 1,
+                sensor_spread: 1.0,
+            },
+            textures: Vec::new(),
+            mass_map: MassMap::None,
+            least_friction_share: LEAST_FRICTION_SHARE,
+            jobs,
+        }
+    }
+
+    fn draft(name: &str, size: f64) -> ObjectDraft {
+        ObjectDraft {
+            name: name.to_owned(),
+            category: "box".to_owned(),
+            source: MeshSource::File {
+                path: "builtin:box".to_owned(),
+                unit: "m".to_owned(),
+                scale: size,
+            },
+            mesh: builtin("box").unwrap().scaled(size),
+            material: Material::named("wood").unwrap(),
+            fill: Some(1.0),
+            mass_kg: None,
+            friction: None,
+            looks: Vec::new(),
+            textures: Vec::new(),
+            grasps: None,
+        }
+    }
+
+    fn made(drafts: Vec<ObjectDraft>, settings: &PlanSettings) -> Result<MadePlan> {
+        let engine = RigidEngine::new(RigidSettings::default());
+        make_plan(settings, drafts.into(), &engine, None, &|_| ())
+    }
+
+    #[test]
+    fn the_plan_is_the_same_on_any_number_of_threads_and_leaves_out_what_does_not_fit() {
+        let drafts = || vec![draft("a", 1.0), draft("b", 0.8), draft("huge", 9.0)];
+        let one = made(drafts(), &settings(1)).unwrap();
+        assert_eq!(one, made(drafts(), &settings(3)).unwrap());
+        assert_eq!(one.left_out.len(), 1);
+        assert!(one.left_out[0].reason.contains("unit and scale"));
+        assert_eq!(one.plan.simulations.len(), 2 * 2 * 2);
+        let other = PlanSettings {
+            seed: 6,
+            ..settings(1)
+        };
+        assert_ne!(made(drafts(), &other).unwrap().plan.sha256, one.plan.sha256);
+        let forces = one.plan.simulations.iter().map(|s| s.stop_force_n);
+        assert_eq!(forces.filter(|force| *force == 10.0).count(), 4);
+    }
+
+    #[test]
+    fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
+        let mut given = draft("given", 1.0);
+        (given.mass_kg, given.friction) = (Some(0.42), Some(1.4));
+        let mut drafts = vec![given];
+        drafts.extend((0..12).map(|number| draft(&format!("n{number}"), 1.0)));
+        let mapped = PlanSettings {
+            mass_map: MassMap::Logarithmic,
+            grasps: 1,
+            ..settings(2)
+        };
+        let plan = made(drafts, &mapped).unwrap().plan;
+        let given = &plan.objects["given"];
+        assert_eq!((given.mass_kg, given.friction), (0.42, 1.4));
+        let wood = Material::named("wood").unwrap().friction;
+        let others = plan
+            .objects
+            .values()
+            .filter(|object| object.name != "given");
+        let friction: Vec<f64> = others.map(|object| object.friction).collect();
+        let possible = LEAST_FRICTION_SHARE * wood[0] - 1e-4..wood[1] + 1e-4;
+        assert!(
+            friction.iter().all(|f| possible.contains(f)),
+            "{friction:?}"
+        );
+        assert!(friction.iter().any(|f| *f < wood[0]), "{friction:?}");
+    }
+
+    #[test]
+    fn names_that_cannot_be_and_nothing_to_grasp_are_explained() {
+        let text = |drafts| made(drafts, &settings(1)).unwrap_err().to_string();
+        assert!(text(vec![draft("a", 1.0), draft("a", 0.8)]).contains("two objects"));
+        assert!(text(vec![draft("a/b", 1.0)]).contains("cannot be the name"));
+        assert!(text(vec![draft("huge", 9.0)]).contains("unit and scale"));
+        assert!(text(Vec::new()).contains("no object was given"));
+    }
+
+    #[test]
+    fn other_parameters_than_those_of_the_plan_are_named() {
+        let plan = made(vec![draft("a", 1.0)], &settings(1)).unwrap().plan;
+        let same = RigidEngine::new(RigidSettings::default());
+        check_parameters(&plan, &same).unwrap();
+        let mut changed = plan;
+        let parameters = changed.header.parameters.as_object_mut().unwrap();
+        let name = parameters.keys().next().unwrap().clone();
+        parameters.insert(name.clone(), Value::from("other"));
+        let error = check_parameters(&changed, &same).unwrap_err().to_string();
+        assert!(error.contains(&name), "{error}");
     }
 }

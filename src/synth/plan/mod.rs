@@ -19,7 +19,7 @@ pub use acronym::acronym_drafts;
 pub use draft::{Drafts, LeftOutObject, ObjectDraft};
 pub(in crate::synth) use file::hex;
 pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
-pub use make::{MadePlan, PlanSettings, check_parameters, make_plan};
+pub use make::{LEAST_FRICTION_SHARE, MadePlan, PlanSettings, check_parameters, make_plan};
 pub use preset::{PlanPreset, family_drafts};
 pub use shard::{INDEX_VARIABLES, Shard};
 pub use table::table_drafts;
