@@ -8,6 +8,8 @@ mod builtin;
 mod bvh;
 mod check;
 mod convex_hull;
+mod corner_normals;
+mod curved;
 mod mass_properties;
 mod mesh;
 mod mesh_file;
@@ -25,6 +27,8 @@ pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
 pub use check::{PrepareOptions, Prepared, prepare};
 pub use convex_hull::convex_hull;
+pub use corner_normals::{CREASE_RAD, corner_normals};
+pub use curved::curved;
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
 pub use mesh_file::{

@@ -1,6 +1,7 @@
 //! Pictures of a simulated grasp as a collection would have taken them.
 
 use crate::error::Result;
+use crate::geometry::{CREASE_RAD, TriangleMesh, curved};
 use crate::imaging::encode_jpeg;
 use crate::render::tactile::{
     ObjectDepthRenderer, SceneRenderer as _, SensorGeometry, SensorPlace, SensorProfile,
@@ -23,10 +24,21 @@ const DENOISE_RADIUS: usize = 5;
 /// JPEG quality of all pictures.
 const QUALITY: u8 = 92;
 
+/// Sides of the triangles that a tactile sensor sees, m: the facets of the meshes that meet the
+/// gels are a few millimetres wide, which shows.
+const SEEN_SIDE_M: f64 = 8e-4;
+
+/// The surface of an object that a tactile sensor sees.
+pub(super) fn seen_surface(mesh: &TriangleMesh) -> TriangleMesh {
+    curved(mesh, CREASE_RAD, SEEN_SIDE_M)
+}
+
 /// A simulated grasp up to the lift.
 pub(super) struct Grasped<'a> {
     /// Where everything was before.
     pub(super) setup: &'a GraspSetup,
+    /// [`seen_surface`] of the object.
+    pub(super) seen: &'a TriangleMesh,
     /// Before the lift.
     pub(super) snapshot: &'a Snapshot,
     /// The gels, where they were simulated.
@@ -39,10 +51,15 @@ impl Grasped<'_> {
     /// What a sensor meets before the lift. Gels that were not simulated are pressed in as far as
     /// an elastic foundation carries the force.
     fn scene(&self, finger: Finger, grid: &SensorGeometry) -> Result<TactileScene<'_>> {
-        let mesh = &self.setup.mesh;
+        let mesh = self.seen;
         let place = SensorPlace::on(finger);
         if let Some(gel) = self.gel {
-            return TactileScene::of_snapshot(mesh, gel, self.snapshot, place);
+            // The gap is that to the facets: the simulation knows no other surface.
+            let met = TactileScene::of_snapshot(&self.setup.mesh, gel, self.snapshot, place)?;
+            return Ok(TactileScene {
+                object: mesh,
+                ..met
+            });
         }
         let thickness = grid.gel_thickness_m;
         let opening_m = self.snapshot.opening_m;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::object_mesh::planned_mesh;
-use super::picture::{Grasped, Photographer, before_lift, rendering_seed};
+use super::picture::{Grasped, Photographer, before_lift, rendering_seed, seen_surface};
 use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
 use super::store::{CpuSeconds, ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
@@ -241,8 +241,10 @@ impl<'a> Workshop<'a> {
         if force_n.iter().any(|force| *force < LEAST_FORCE_N) {
             return Ok(Vec::new());
         }
+        let seen = seen_surface(&setup.mesh);
         let grasped = Grasped {
             setup,
+            seen: &seen,
             snapshot,
             gel: self.gel.as_ref(),
             force_n,

@@ -4,10 +4,10 @@ use super::look::{FinishClass, Look};
 use super::material::{Colour, Material};
 use super::model::{Model, is_closed};
 use super::pattern::paint_coat;
-use super::shading::{CREASE_RAD, Projection, shaded_mesh};
+use super::shading::{Projection, shaded_mesh};
 use super::texture::{Bitmap, Texture};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::TriangleMesh;
+use crate::geometry::{CREASE_RAD, TriangleMesh};
 
 /// Width and height of painted coats, px.
 const TEXTURE_PX: u32 = 256;

@@ -66,6 +66,6 @@ pub use print::{GraspPrints, annotation_camera};
 pub use renderer::{Renderer, Rendering};
 pub use scene::{Mesh, Scene};
 pub use settings::{PixelFilter, RenderSettings, Watch};
-pub use shading::{CREASE_RAD, Projection, shaded_mesh};
+pub use shading::{Projection, shaded_mesh};
 pub use sky::{Sky, normalise, white_table_luminance};
 pub use texture::{Bitmap, ProceduralTexture, Texture};

@@ -10,12 +10,12 @@ use super::finish::Finish;
 use super::material::{Colour, Material};
 use super::pattern::Pattern;
 use super::scene::{Mesh, Scene};
-use super::shading::{CREASE_RAD, Projection, shaded_mesh};
+use super::shading::{Projection, shaded_mesh};
 use super::texture::{Bitmap, Texture};
 use crate::error::Result;
 use crate::geometry::{
-    Aabb, LengthUnit, MeshMaterial, MeshPart, PictureSource, Pose, TexturedMesh, TriangleMesh,
-    load_textured_mesh,
+    Aabb, CREASE_RAD, LengthUnit, MeshMaterial, MeshPart, PictureSource, Pose, TexturedMesh,
+    TriangleMesh, load_textured_mesh,
 };
 
 /// Transmission from which a material is drawn as glass; below, it is opaque.

@@ -2,13 +2,10 @@
 
 use std::collections::HashMap;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 
 use super::scene::Mesh;
-use crate::geometry::TriangleMesh;
-
-/// Triangles that meet at less than this angle shade as one smooth surface, rad (40°).
-pub const CREASE_RAD: f64 = 0.698;
+use crate::geometry::{TriangleMesh, corner_normals};
 
 /// How a mesh gets its texture coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,7 +31,7 @@ pub fn shaded_mesh(
     material: usize,
 ) -> Mesh {
     let faces: Vec<DVec3> = mesh.all_corners().map(scaled_normal).collect();
-    let corners = corner_normals(mesh, &faces, crease_rad);
+    let corners = corner_normals(mesh, crease_rad);
     let mut known: HashMap<(u32, [i32; 3], u8), u32> = HashMap::new();
     let mut shaded = Mesh {
         material,
@@ -47,7 +44,7 @@ pub fn shaded_mesh(
         };
         let mut renamed = [0; 3];
         for k in 0..3 {
-            let (vertex, normal) = (triangle[k], corners[t][k]);
+            let (vertex, normal) = (triangle[k], corners[t][k].as_vec3());
             // Normals equal to 1e-4 are one.
             let rounded = normal.to_array().map(|c| (c * 1e4).round() as i32);
             renamed[k] = *known.entry((vertex, rounded, side)).or_insert_with(|| {
@@ -68,39 +65,6 @@ pub fn shaded_mesh(
 /// Normal of a triangle times twice its area.
 fn scaled_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
-}
-
-/// Normal at each corner: the sum over the triangles at its vertex that are within the crease
-/// angle, weighted by their area.
-fn corner_normals(mesh: &TriangleMesh, faces: &[DVec3], crease_rad: f64) -> Vec<[Vec3; 3]> {
-    let mut first = vec![0_u32; mesh.vertices.len() + 1];
-    for &v in mesh.triangles.iter().flatten() {
-        first[v as usize + 1] += 1;
-    }
-    for v in 1..first.len() {
-        first[v] += first[v - 1];
-    }
-    let mut at_vertex = vec![0_u32; 3 * mesh.triangles.len()];
-    let mut next = first.clone();
-    for (t, triangle) in mesh.triangles.iter().enumerate() {
-        for &v in triangle {
-            at_vertex[next[v as usize] as usize] = t as u32;
-            next[v as usize] += 1;
-        }
-    }
-    let units: Vec<DVec3> = faces.iter().map(|n| n.normalize_or_zero()).collect();
-    let limit = crease_rad.cos();
-    let corner = |t: usize, v: u32| {
-        let range = first[v as usize] as usize..first[v as usize + 1] as usize;
-        let around = at_vertex[range].iter().map(|&other| other as usize);
-        let smooth = around.filter(|&other| units[t].dot(units[other]) >= limit);
-        let sum: DVec3 = smooth.map(|other| faces[other]).sum();
-        sum.normalize_or(units[t]).normalize_or(DVec3::Z).as_vec3()
-    };
-    let triangles = mesh.triangles.iter().enumerate();
-    triangles
-        .map(|(t, tri)| tri.map(|v| corner(t, v)))
-        .collect()
 }
 
 /// Which of the six sides of a box a normal points to: twice the axis, plus 1 for its lower end.
@@ -133,7 +97,7 @@ fn box_uv(p: DVec3, side: u8) -> [f32; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::builtin;
+    use crate::geometry::{CREASE_RAD, builtin};
 
     #[test]
     fn a_box_keeps_its_edges_and_a_sphere_is_smooth() {
