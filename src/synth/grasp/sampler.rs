@@ -112,7 +112,7 @@ impl FaultRanges {
         tilt_rad: [0.15, 0.45],
         lean_rad: [0.2, 0.7],
         turn_rad: [0.4, 1.1],
-        overlap_m: Some([0.002, 0.008]),
+        overlap_m: Some([0.0035, 0.009]),
         faults: &[
             GraspFault::None,
             GraspFault::OffCentre,
