@@ -1,0 +1,460 @@
+//! The classifier: forwards, backwards, in training.
+
+use rayon::prelude::*;
+
+use super::architecture::{Architecture, EncoderParts, Layout, PICTURE, Part, Senses};
+use super::batch_norm::{self, Moments};
+use super::conv::{self, ConvShape, Scratch};
+use super::product::{Finish, Packed};
+
+/// Share of a batch's moments in the running ones.
+const MOMENTUM: f32 = 0.1;
+/// Parts of a batch whose gradients are summed on their own, so that sums do not depend on the
+/// number of threads.
+const GROUPS: usize = 8;
+
+/// Pictures of a batch, HWC floats one after the other; empty where the classifier lacks the sense.
+#[derive(Clone, Debug, Default)]
+pub struct Batch {
+    /// All left tactile differences, then all right ones.
+    pub touch: Vec<f32>,
+    /// Colour pictures.
+    pub vision: Vec<f32>,
+    /// 1 for a stable grasp, 0 for a lost one, or between.
+    pub targets: Vec<f32>,
+    /// What each sample's loss counts.
+    pub weights: Vec<f32>,
+}
+
+/// What a step of training needs beside the data.
+#[derive(Clone, Debug, Default)]
+pub struct Drop {
+    /// What the hidden floats of each sample are multiplied with; empty for nothing.
+    pub hidden: Vec<f32>,
+}
+
+/// Parameters and what belongs to them.
+#[derive(Clone, Debug)]
+pub struct Network {
+    shapes: Vec<ConvShape>,
+    pooled: [usize; 3],
+    pool: [usize; 2],
+    layout: Layout,
+    senses: Senses,
+    /// All parameters, by [`Layout`].
+    pub parameters: Vec<f32>,
+    /// Running means and variances of the convolutions' channels.
+    pub moments: Vec<f32>,
+}
+
+/// What an encoder keeps on its way forwards.
+#[derive(Debug, Default)]
+struct EncoderPass {
+    /// After each convolution, before normalisation.
+    z: Vec<Vec<f32>>,
+    /// After ReLU.
+    a: Vec<Vec<f32>>,
+    moments: Vec<Moments>,
+    pooled: Vec<f32>,
+    embedding: Vec<f32>,
+}
+
+impl Network {
+    /// A network whose parameters are drawn by `uniform` from [0, 1): weights uniform within
+    /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, the rest 0.
+    pub fn new(architecture: &Architecture, senses: Senses, mut uniform: impl FnMut() -> f64) -> Self {
+        let layout = Layout::of(architecture, senses);
+        let mut parameters = vec![0.0; layout.len()];
+        for part in layout.parts() {
+            let values = &mut parameters[part.range()];
+            if part.name.ends_with("gamma") {
+                values.fill(1.0);
+            } else if part.is_weight() {
+                let is_linear = part.name.contains("projection") || part.name.contains("logit");
+                let gain = if is_linear { 3.0 } else { 6.0 };
+                let most = (gain / part.shape[0] as f64).sqrt();
+                values.fill_with(|| ((2.0 * uniform() - 1.0) * most) as f32);
+            }
+        }
+        let mut moments = vec![0.0; layout.moments()];
+        for encoder in layout.touch.iter().chain(&layout.vision) {
+            for [_, variance] in &encoder.moments {
+                moments[variance.clone()].fill(1.0);
+            }
+        }
+        Self {
+            shapes: architecture.shapes(),
+            pooled: architecture.pooled(),
+            pool: architecture.pool,
+            layout,
+            senses,
+            parameters,
+            moments,
+        }
+    }
+
+    /// Where the parameters lie.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    fn part(&self, part: &Part) -> &[f32] {
+        &self.parameters[part.range()]
+    }
+
+    /// Logits of a batch with the running moments.
+    pub fn logits(&self, batch: &Batch) -> Vec<f32> {
+        let passes = self.encoders(batch, false);
+        self.head(&passes, None).logits
+    }
+
+    /// Mean loss of a batch, binary cross entropy (nats); adds the gradient of all parameters to
+    /// `gradient` and updates the running moments.
+    pub fn learn(&mut self, batch: &Batch, drop: &Drop, gradient: &mut [f32]) -> f64 {
+        let passes = self.encoders(batch, true);
+        let head = self.head(&passes, Some(drop));
+        let count = head.logits.len();
+        let mut loss = 0.0;
+        let total: f64 = batch.weights.iter().map(|w| f64::from(*w)).sum();
+        let dlogits: Vec<f32> = (0..count)
+            .map(|i| {
+                let (x, y) = (f64::from(head.logits[i]), f64::from(batch.targets[i]));
+                let weight = f64::from(batch.weights[i]) / total;
+                // ln(1 + eˣ) − y·x without overflow.
+                loss += weight * (x.max(0.0) - x * y + (-x.abs()).exp().ln_1p());
+                (weight * (1.0 / (1.0 + (-x).exp()) - y)) as f32
+            })
+            .collect();
+        let dembeddings = self.backward_head(&passes, &head, drop, &dlogits, gradient);
+        let mut first = 0;
+        for ((encoder, pass), (name, images)) in
+            self.encoder_parts().into_iter().zip(&passes).zip(self.inputs(batch))
+        {
+            let _ = name;
+            let length = pass.embedding.len();
+            self.backward_encoder(
+                encoder,
+                pass,
+                images,
+                &dembeddings[first..first + length],
+                gradient,
+            );
+            first += length;
+        }
+        self.update_moments(&passes);
+        loss
+    }
+
+    /// Gives the batch's moments their share in the running ones.
+    fn update_moments(&mut self, passes: &[EncoderPass]) {
+        let encoders: Vec<EncoderParts> = self.encoder_parts().into_iter().cloned().collect();
+        for (encoder, pass) in encoders.iter().zip(passes) {
+            for ([mean, variance], (moments, z)) in
+                encoder.moments.iter().zip(pass.moments.iter().zip(&pass.z))
+            {
+                let count = (z.len() / moments.mean.len()) as f32;
+                // That of the population.
+                let unbiased = count / (count - 1.0).max(1.0);
+                let keep = |running: &mut [f32], found: &[f32], factor: f32| {
+                    for (running, found) in running.iter_mut().zip(found) {
+                        *running += MOMENTUM * (found * factor - *running);
+                    }
+                };
+                keep(&mut self.moments[mean.clone()], &moments.mean, 1.0);
+                keep(&mut self.moments[variance.clone()], &moments.variance, unbiased);
+            }
+        }
+    }
+
+    fn encoder_parts(&self) -> Vec<&EncoderParts> {
+        self.layout.touch.iter().chain(&self.layout.vision).collect()
+    }
+
+    fn inputs<'a>(&self, batch: &'a Batch) -> Vec<(&'static str, &'a [f32])> {
+        let touch = self.senses.touch.then_some(("touch", &batch.touch[..]));
+        let vision = self.senses.vision.then_some(("vision", &batch.vision[..]));
+        touch.into_iter().chain(vision).collect()
+    }
+
+    fn encoders(&self, batch: &Batch, is_training: bool) -> Vec<EncoderPass> {
+        let inputs = self.inputs(batch);
+        let parts = self.encoder_parts().into_iter();
+        parts
+            .zip(inputs)
+            .map(|(parts, (_, images))| self.encode(parts, images, is_training))
+            .collect()
+    }
+
+    fn encode(&self, parts: &EncoderParts, images: &[f32], is_training: bool) -> EncoderPass {
+        let count = images.len() / PICTURE.iter().product::<usize>();
+        let mut pass = EncoderPass::default();
+        for (i, shape) in self.shapes.iter().enumerate() {
+            let [weight, gamma, beta] = &parts.convolutions[i];
+            let mut packed = Packed::default();
+            shape.pack(self.part(weight), &mut packed);
+            let input: usize = shape.input.iter().product();
+            let output: usize = shape.output().iter().product();
+            let x = if i == 0 { images } else { &pass.a[i - 1][..] };
+            let mut z = vec![0.0; count * output];
+            z.par_chunks_mut(output)
+                .zip(x.par_chunks(input))
+                .for_each_init(Scratch::default, |scratch, (z, x)| {
+                    conv::forward(shape, x, &packed, z, Finish::default(), scratch);
+                });
+            let moments = if is_training {
+                Moments::of(&z, output, shape.channels)
+            } else {
+                let [mean, variance] = parts.moments[i].clone().map(|at| self.moments[at].to_vec());
+                Moments { mean, variance }
+            };
+            let (scale, shift) = moments.scale_and_shift(self.part(gamma), self.part(beta));
+            let mut a = vec![0.0; z.len()];
+            batch_norm::normalise(&z, output, &scale, &shift, &mut a);
+            if is_training {
+                pass.z.push(z);
+            }
+            pass.a.push(a);
+            pass.moments.push(moments);
+        }
+        let last = pass.a.last().map_or(images, |a| &a[..]);
+        pass.pooled = self.pool(last, count);
+        let [weight, bias] = &parts.projection;
+        pass.embedding = linear(&pass.pooled, self.part(weight), self.part(bias), false);
+        pass
+    }
+
+    /// Height, width and channels of what the last convolution gives.
+    fn last(&self) -> [usize; 3] {
+        self.shapes.last().map_or(PICTURE, ConvShape::output)
+    }
+
+    /// Means over windows.
+    fn pool(&self, a: &[f32], count: usize) -> Vec<f32> {
+        let [_, width, channels] = self.last();
+        let image: usize = self.last().iter().product();
+        let [rows, columns, _] = self.pooled;
+        let [tall, wide] = self.pool;
+        let share = 1.0 / (tall * wide) as f32;
+        let mut pooled = vec![0.0; count * rows * columns * channels];
+        for (a, pooled) in a.chunks_exact(image).zip(pooled.chunks_exact_mut(rows * columns * channels)) {
+            for (window, pooled) in pooled.chunks_exact_mut(channels).enumerate() {
+                let (row, column) = (window / columns * tall, window % columns * wide);
+                for y in row..row + tall {
+                    let from = (y * width + column) * channels;
+                    for pixel in a[from..from + wide * channels].chunks_exact(channels) {
+                        for (pooled, a) in pooled.iter_mut().zip(pixel) {
+                            *pooled += share * a;
+                        }
+                    }
+                }
+            }
+        }
+        pooled
+    }
+
+    /// Gradient of what the last convolution gives.
+    fn unpool(&self, dpooled: &[f32]) -> Vec<f32> {
+        let [_, width, channels] = self.last();
+        let image: usize = self.last().iter().product();
+        let [rows, columns, _] = self.pooled;
+        let [tall, wide] = self.pool;
+        let share = 1.0 / (tall * wide) as f32;
+        let count = dpooled.len() / (rows * columns * channels);
+        let mut d = vec![0.0; count * image];
+        for (d, dpooled) in d.chunks_exact_mut(image).zip(dpooled.chunks_exact(rows * columns * channels)) {
+            for (window, dpooled) in dpooled.chunks_exact(channels).enumerate() {
+                let (row, column) = (window / columns * tall, window % columns * wide);
+                for y in row..row + tall {
+                    let from = (y * width + column) * channels;
+                    for pixel in d[from..from + wide * channels].chunks_exact_mut(channels) {
+                        for (d, dpooled) in pixel.iter_mut().zip(dpooled) {
+                            *d = share * dpooled;
+                        }
+                    }
+                }
+            }
+        }
+        d
+    }
+
+    fn head(&self, passes: &[EncoderPass], drop: Option<&Drop>) -> HeadPass {
+        let [[weight, bias], [last, last_bias]] = &self.layout.head;
+        let joined = self.join(passes);
+        let mut hidden = linear(&joined, self.part(weight), self.part(bias), true);
+        if let Some(drop) = drop {
+            for (hidden, factor) in hidden.iter_mut().zip(&drop.hidden) {
+                *hidden *= factor;
+            }
+        }
+        let logits = linear(&hidden, self.part(last), self.part(last_bias), false);
+        HeadPass {
+            joined,
+            hidden,
+            logits,
+        }
+    }
+
+    /// Embeddings side by side: left, right, colour.
+    fn join(&self, passes: &[EncoderPass]) -> Vec<f32> {
+        let width = self.embedding();
+        let count = self.count(passes);
+        let mut joined = Vec::with_capacity(count * self.senses.embeddings() * width);
+        for sample in 0..count {
+            for pass in passes {
+                for row in (sample..pass.embedding.len() / width).step_by(count) {
+                    joined.extend_from_slice(&pass.embedding[row * width..][..width]);
+                }
+            }
+        }
+        joined
+    }
+
+    fn embedding(&self) -> usize {
+        self.layout.head[0][0].shape[0] / self.senses.embeddings()
+    }
+
+    fn count(&self, passes: &[EncoderPass]) -> usize {
+        let floats: usize = passes.iter().map(|pass| pass.embedding.len()).sum();
+        floats / (self.embedding() * self.senses.embeddings())
+    }
+
+    /// Gradients of the encoders' embeddings, in the order of the passes.
+    fn backward_head(
+        &self,
+        passes: &[EncoderPass],
+        head: &HeadPass,
+        drop: &Drop,
+        dlogits: &[f32],
+        gradient: &mut [f32],
+    ) -> Vec<f32> {
+        let [[weight, bias], [last, last_bias]] = &self.layout.head;
+        let mut dhidden = backward_linear(&head.hidden, dlogits, self, last, last_bias, gradient);
+        for (d, hidden) in dhidden.iter_mut().zip(&head.hidden) {
+            if *hidden <= 0.0 {
+                *d = 0.0;
+            }
+        }
+        for (d, factor) in dhidden.iter_mut().zip(&drop.hidden) {
+            *d *= factor;
+        }
+        let djoined = backward_linear(&head.joined, &dhidden, self, weight, bias, gradient);
+        let width = self.embedding();
+        let count = self.count(passes);
+        let row = self.senses.embeddings() * width;
+        let mut split = Vec::with_capacity(djoined.len());
+        for which in 0..self.senses.embeddings() {
+            for sample in 0..count {
+                split.extend_from_slice(&djoined[sample * row + which * width..][..width]);
+            }
+        }
+        split
+    }
+
+    fn backward_encoder(
+        &self,
+        parts: &EncoderParts,
+        pass: &EncoderPass,
+        images: &[f32],
+        dembedding: &[f32],
+        gradient: &mut [f32],
+    ) {
+        let [weight, bias] = &parts.projection;
+        let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
+        let mut d = self.unpool(&dpooled);
+        for (i, shape) in self.shapes.iter().enumerate().rev() {
+            let [weight, gamma, beta] = &parts.convolutions[i];
+            let input: usize = shape.input.iter().product();
+            let output: usize = shape.output().iter().product();
+            let (mut dgamma, mut dbeta) = (vec![0.0; gamma.len()], vec![0.0; beta.len()]);
+            batch_norm::backward(
+                &pass.z[i],
+                &pass.a[i],
+                output,
+                &pass.moments[i],
+                self.part(gamma),
+                &mut d,
+                [&mut dgamma, &mut dbeta],
+            );
+            add(&mut gradient[gamma.range()], &dgamma);
+            add(&mut gradient[beta.range()], &dbeta);
+            let x = if i == 0 { images } else { &pass.a[i - 1][..] };
+            let count = x.len() / input;
+            let some = count.div_ceil(GROUPS);
+            let groups: Vec<Vec<f32>> = x
+                .par_chunks(some * input)
+                .zip(d.par_chunks(some * output))
+                .map(|(x, d)| {
+                    let mut dweight = vec![0.0; weight.len()];
+                    let mut scratch = Scratch::default();
+                    for (x, d) in x.chunks_exact(input).zip(d.chunks_exact(output)) {
+                        conv::backward_weights(shape, x, d, &mut dweight, &mut scratch);
+                    }
+                    dweight
+                })
+                .collect();
+            for group in &groups {
+                add(&mut gradient[weight.range()], group);
+            }
+            if i == 0 {
+                return;
+            }
+            let mut packed = Packed::default();
+            shape.pack_transposed(self.part(weight), &mut packed);
+            let mut dx = vec![0.0; x.len()];
+            dx.par_chunks_mut(input)
+                .zip(d.par_chunks(output))
+                .for_each_init(Scratch::default, |scratch, (dx, d)| {
+                    conv::backward_input(shape, d, &packed, dx, scratch);
+                });
+            d = dx;
+        }
+    }
+}
+
+/// What the head keeps on its way forwards.
+struct HeadPass {
+    joined: Vec<f32>,
+    hidden: Vec<f32>,
+    logits: Vec<f32>,
+}
+
+fn add(to: &mut [f32], from: &[f32]) {
+    for (to, from) in to.iter_mut().zip(from) {
+        *to += from;
+    }
+}
+
+/// `x·weight + bias` for the rows of `x`.
+fn linear(x: &[f32], weight: &[f32], bias: &[f32], relu: bool) -> Vec<f32> {
+    let (outputs, inputs) = (bias.len(), weight.len() / bias.len());
+    let mut y = vec![0.0; x.len() / inputs * outputs];
+    let mut packed = Packed::default();
+    packed.pack_rows([inputs, outputs], weight);
+    let finish = Finish {
+        bias: Some(bias),
+        relu,
+    };
+    conv::linear_forward(x, &packed, inputs, &mut y, finish);
+    y
+}
+
+/// Gradient of `x`; adds those of weight and bias.
+fn backward_linear(
+    x: &[f32],
+    dy: &[f32],
+    network: &Network,
+    weight: &Part,
+    bias: &Part,
+    gradient: &mut [f32],
+) -> Vec<f32> {
+    let [inputs, outputs] = weight.shape;
+    conv::linear_backward_weights(x, dy, weight.shape, &mut gradient[weight.range()]);
+    for dy in dy.chunks_exact(outputs) {
+        add(&mut gradient[bias.range()], dy);
+    }
+    let mut packed = Packed::default();
+    packed.pack_columns([outputs, inputs], network.part(weight));
+    let mut dx = vec![0.0; x.len()];
+    conv::linear_forward(dy, &packed, outputs, &mut dx, Finish::default());
+    dx
+}
