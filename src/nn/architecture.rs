@@ -82,7 +82,12 @@ impl Architecture {
         };
         Self {
             name: "paper".to_owned(),
-            convolutions: vec![conv(32, 5, 2), conv(64, 3, 1), conv(128, 3, 1), conv(256, 3, 1)],
+            convolutions: vec![
+                conv(32, 5, 2),
+                conv(64, 3, 1),
+                conv(128, 3, 1),
+                conv(256, 3, 1),
+            ],
             pool: [3, 4],
             embedding: 512,
             hidden: 256,
@@ -210,8 +215,14 @@ impl Layout {
             let convolutions = convolutions.collect();
             let pooled = architecture.pooled().iter().product();
             let projection = [
-                part(format!("{name}.projection.weight"), [pooled, architecture.embedding]),
-                part(format!("{name}.projection.bias"), [1, architecture.embedding]),
+                part(
+                    format!("{name}.projection.weight"),
+                    [pooled, architecture.embedding],
+                ),
+                part(
+                    format!("{name}.projection.bias"),
+                    [1, architecture.embedding],
+                ),
             ];
             let ranges = shapes.iter().map(|shape| {
                 let mean = moments..moments + shape.channels;

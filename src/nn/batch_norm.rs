@@ -23,14 +23,22 @@ impl Moments {
     pub(super) fn of(z: &[f32], image: usize, channels: usize) -> Self {
         let parts: Vec<Vec<[f64; 2]>> = z
             .par_chunks(image)
-            .map(|z| Isa::best().run(Sums { z, other: z, channels }))
+            .map(|z| {
+                Isa::best().run(Sums {
+                    z,
+                    other: z,
+                    channels,
+                })
+            })
             .collect();
         let count = (z.len() / channels) as f64;
         let mut moments = Self::default();
         for [sum, squares] in added(&parts, channels) {
             let mean = sum / count;
             moments.mean.push(mean as f32);
-            moments.variance.push((squares / count - mean * mean).max(0.0) as f32);
+            moments
+                .variance
+                .push((squares / count - mean * mean).max(0.0) as f32);
         }
         moments
     }
@@ -91,7 +99,11 @@ pub(super) fn backward(
         .zip(a.par_chunks(image).zip(z.par_chunks(image)))
         .map(|(d, (a, z))| {
             Isa::best().run(Mask { a, d });
-            Isa::best().run(Sums { z: d, other: z, channels })
+            Isa::best().run(Sums {
+                z: d,
+                other: z,
+                channels,
+            })
         })
         .collect();
     let count = (z.len() / channels) as f64;
@@ -175,9 +187,14 @@ impl WithLanes for Normalise<'_> {
     #[inline(always)]
     fn with_lanes<S: Lanes>(self, _: S) {
         let channels = self.scale.len();
-        let pixels = self.a.chunks_exact_mut(channels).zip(self.z.chunks_exact(channels));
+        let pixels = self
+            .a
+            .chunks_exact_mut(channels)
+            .zip(self.z.chunks_exact(channels));
         for (a, z) in pixels {
-            for ((a, z), (scale, shift)) in a.iter_mut().zip(z).zip(self.scale.iter().zip(self.shift)) {
+            for ((a, z), (scale, shift)) in
+                a.iter_mut().zip(z).zip(self.scale.iter().zip(self.shift))
+            {
                 *a = (z * scale + shift).max(0.0);
             }
         }
@@ -215,7 +232,10 @@ impl WithLanes for Combine<'_> {
     #[inline(always)]
     fn with_lanes<S: Lanes>(self, _: S) {
         let channels = self.factor.len();
-        let pixels = self.d.chunks_exact_mut(channels).zip(self.z.chunks_exact(channels));
+        let pixels = self
+            .d
+            .chunks_exact_mut(channels)
+            .zip(self.z.chunks_exact(channels));
         for (d, z) in pixels {
             let of_channel = self.factor.iter().zip(self.slope).zip(self.offset);
             for ((d, z), ((factor, slope), offset)) in d.iter_mut().zip(z).zip(of_channel) {

@@ -203,7 +203,13 @@ pub(super) fn backward_input(
 }
 
 /// `y = finish(x·weights)` for rows of `x`; a convolution with windows of one pixel.
-pub(super) fn linear_forward(x: &[f32], weights: &Packed, inputs: usize, y: &mut [f32], finish: Finish<'_>) {
+pub(super) fn linear_forward(
+    x: &[f32],
+    weights: &Packed,
+    inputs: usize,
+    y: &mut [f32],
+    finish: Finish<'_>,
+) {
     let count = y.len() / weights.columns();
     Isa::best().run(Multiply {
         a: x,
@@ -305,7 +311,7 @@ impl WithLanes for Spread<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_lanes<S: Lanes>(self, lanes: S) {
+    fn with_lanes<S: Lanes>(self, _: S) {
         let Self {
             spread,
             rows,

@@ -118,8 +118,6 @@ macro_rules! x86 {
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub(super) struct $name(());
 
-        // SAFETY of all: the processor has the instructions, or there would be no `self`; pointers
-        // are those of slices that are long enough.
         #[cfg(target_arch = "x86_64")]
         impl Lanes for $name {
             type Vector = $vector;
@@ -128,33 +126,41 @@ macro_rules! x86 {
 
             #[inline(always)]
             fn splat(self, x: f32) -> $vector {
+                // SAFETY: `self` says that the processor has the instruction.
                 unsafe { $splat(x) }
             }
 
             #[inline(always)]
             fn load(self, from: &[f32]) -> $vector {
                 let from = &from[..$count];
+                // SAFETY: `self` says that the processor has the instruction;
+                // the slice is as long as the vector.
                 unsafe { $load(from.as_ptr()) }
             }
 
             #[inline(always)]
             fn store(self, x: $vector, to: &mut [f32]) {
                 let to = &mut to[..$count];
+                // SAFETY: `self` says that the processor has the instruction;
+                // the slice is as long as the vector.
                 unsafe { $store(to.as_mut_ptr(), x) }
             }
 
             #[inline(always)]
             fn add(self, a: $vector, b: $vector) -> $vector {
+                // SAFETY: `self` says that the processor has the instruction.
                 unsafe { $add(a, b) }
             }
 
             #[inline(always)]
             fn max(self, a: $vector, b: $vector) -> $vector {
+                // SAFETY: `self` says that the processor has the instruction.
                 unsafe { $max(a, b) }
             }
 
             #[inline(always)]
             fn mul_add(self, a: $vector, b: $vector, c: $vector) -> $vector {
+                // SAFETY: `self` says that the processor has the instruction.
                 unsafe { $mul_add(a, b, c) }
             }
         }
@@ -162,12 +168,30 @@ macro_rules! x86 {
 }
 
 x86!(
-    "16 lanes in 32 registers.", Avx512, __m512, 16, 10, _mm512_set1_ps, _mm512_loadu_ps,
-    _mm512_storeu_ps, _mm512_add_ps, _mm512_max_ps, _mm512_fmadd_ps
+    "16 lanes in 32 registers.",
+    Avx512,
+    __m512,
+    16,
+    10,
+    _mm512_set1_ps,
+    _mm512_loadu_ps,
+    _mm512_storeu_ps,
+    _mm512_add_ps,
+    _mm512_max_ps,
+    _mm512_fmadd_ps
 );
 x86!(
-    "8 lanes in 16 registers.", Avx2, __m256, 8, 5, _mm256_set1_ps, _mm256_loadu_ps,
-    _mm256_storeu_ps, _mm256_add_ps, _mm256_max_ps, _mm256_fmadd_ps
+    "8 lanes in 16 registers.",
+    Avx2,
+    __m256,
+    8,
+    5,
+    _mm256_set1_ps,
+    _mm256_loadu_ps,
+    _mm256_storeu_ps,
+    _mm256_add_ps,
+    _mm256_max_ps,
+    _mm256_fmadd_ps
 );
 
 /// 8 lanes, whatever the compiler makes of them.

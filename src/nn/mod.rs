@@ -1,9 +1,19 @@
-//! Networks.
-#![allow(dead_code, unused_imports)]
-pub mod architecture;
+//! The classifier's network and the arithmetic that trains and runs it, on the processor's widest
+//! vectors.
+//!
+//! Convolutions gather their windows where they lie (no matrix of windows is made) and keep sums in
+//! registers. Results do not depend on the number of threads, nor on the width of vectors where
+//! they have fused multiply-add.
+
+mod adam;
+mod architecture;
 mod batch_norm;
-pub mod conv;
+mod conv;
 mod lanes;
-pub mod network;
+mod network;
 mod product;
-pub mod probe;
+
+pub use adam::{Adam, linear_schedule};
+pub use architecture::{Architecture, ConvSpec, Layout, PICTURE, Part, Senses};
+pub use conv::ConvShape;
+pub use network::{Batch, Drop, FoldedConvolution, Network, Sense};

@@ -33,6 +33,24 @@ pub struct Drop {
     pub hidden: Vec<f32>,
 }
 
+/// One of the encoders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sense {
+    /// Of tactile differences.
+    Touch,
+    /// Of the colour picture.
+    Vision,
+}
+
+/// A convolution and its normalisation in one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoldedConvolution {
+    /// KH·KW·C rows, a column for each output channel.
+    pub weight: Vec<f32>,
+    /// One for each output channel.
+    pub bias: Vec<f32>,
+}
+
 /// Parameters and what belongs to them.
 #[derive(Clone, Debug)]
 pub struct Network {
@@ -62,7 +80,11 @@ struct EncoderPass {
 impl Network {
     /// A network whose parameters are drawn by `uniform` from [0, 1): weights uniform within
     /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, the rest 0.
-    pub fn new(architecture: &Architecture, senses: Senses, mut uniform: impl FnMut() -> f64) -> Self {
+    pub fn new(
+        architecture: &Architecture,
+        senses: Senses,
+        mut uniform: impl FnMut() -> f64,
+    ) -> Self {
         let layout = Layout::of(architecture, senses);
         let mut parameters = vec![0.0; layout.len()];
         for part in layout.parts() {
@@ -98,21 +120,73 @@ impl Network {
         &self.layout
     }
 
-    fn part(&self, part: &Part) -> &[f32] {
+    /// The values of a part.
+    pub fn part(&self, part: &Part) -> &[f32] {
         &self.parameters[part.range()]
+    }
+
+    /// Shapes of an encoder's convolutions.
+    pub fn shapes(&self) -> &[ConvShape] {
+        &self.shapes
+    }
+
+    /// Height, width and channels of the means that are projected.
+    pub fn pooled(&self) -> [usize; 3] {
+        self.pooled
+    }
+
+    /// Height and width of the windows whose means are projected.
+    pub fn pool_window(&self) -> [usize; 2] {
+        self.pool
+    }
+
+    /// Weight and bias of the hidden and of the last layer.
+    pub fn head(&self) -> &[[Part; 2]; 2] {
+        &self.layout.head
+    }
+
+    fn encoder(&self, sense: Sense) -> Option<&EncoderParts> {
+        match sense {
+            Sense::Touch => self.layout.touch.as_ref(),
+            Sense::Vision => self.layout.vision.as_ref(),
+        }
+    }
+
+    /// Weight and bias of an encoder's projection; none where the classifier lacks the sense.
+    pub fn projection(&self, sense: Sense) -> Option<&[Part; 2]> {
+        self.encoder(sense).map(|parts| &parts.projection)
+    }
+
+    /// Convolutions of an encoder with their normalisation by the running moments in them; none
+    /// where the classifier lacks the sense.
+    pub fn folded(&self, sense: Sense) -> Option<Vec<FoldedConvolution>> {
+        let parts = self.encoder(sense)?;
+        let folded = parts.convolutions.iter().zip(&parts.moments);
+        let folded = folded.map(|([weight, gamma, beta], moments)| {
+            let [mean, variance] = moments.clone().map(|at| self.moments[at].to_vec());
+            let moments = Moments { mean, variance };
+            let (scale, bias) = moments.scale_and_shift(self.part(gamma), self.part(beta));
+            let rows = self.part(weight).chunks_exact(scale.len());
+            let weight = rows.flat_map(|row| row.iter().zip(&scale).map(|(w, scale)| w * scale));
+            FoldedConvolution {
+                weight: weight.collect(),
+                bias,
+            }
+        });
+        Some(folded.collect())
     }
 
     /// Logits of a batch with the running moments.
     pub fn logits(&self, batch: &Batch) -> Vec<f32> {
         let passes = self.encoders(batch, false);
-        self.head(&passes, None).logits
+        self.decide(&passes, None).logits
     }
 
     /// Mean loss of a batch, binary cross entropy (nats); adds the gradient of all parameters to
     /// `gradient` and updates the running moments.
     pub fn learn(&mut self, batch: &Batch, drop: &Drop, gradient: &mut [f32]) -> f64 {
         let passes = self.encoders(batch, true);
-        let head = self.head(&passes, Some(drop));
+        let head = self.decide(&passes, Some(drop));
         let count = head.logits.len();
         let mut loss = 0.0;
         let total: f64 = batch.weights.iter().map(|w| f64::from(*w)).sum();
@@ -127,10 +201,8 @@ impl Network {
             .collect();
         let dembeddings = self.backward_head(&passes, &head, drop, &dlogits, gradient);
         let mut first = 0;
-        for ((encoder, pass), (name, images)) in
-            self.encoder_parts().into_iter().zip(&passes).zip(self.inputs(batch))
-        {
-            let _ = name;
+        let encoders = self.encoder_parts().into_iter().zip(&passes);
+        for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
             let length = pass.embedding.len();
             self.backward_encoder(
                 encoder,
@@ -161,18 +233,26 @@ impl Network {
                     }
                 };
                 keep(&mut self.moments[mean.clone()], &moments.mean, 1.0);
-                keep(&mut self.moments[variance.clone()], &moments.variance, unbiased);
+                keep(
+                    &mut self.moments[variance.clone()],
+                    &moments.variance,
+                    unbiased,
+                );
             }
         }
     }
 
     fn encoder_parts(&self) -> Vec<&EncoderParts> {
-        self.layout.touch.iter().chain(&self.layout.vision).collect()
+        self.layout
+            .touch
+            .iter()
+            .chain(&self.layout.vision)
+            .collect()
     }
 
-    fn inputs<'a>(&self, batch: &'a Batch) -> Vec<(&'static str, &'a [f32])> {
-        let touch = self.senses.touch.then_some(("touch", &batch.touch[..]));
-        let vision = self.senses.vision.then_some(("vision", &batch.vision[..]));
+    fn inputs<'a>(&self, batch: &'a Batch) -> Vec<&'a [f32]> {
+        let touch = self.senses.touch.then_some(&batch.touch[..]);
+        let vision = self.senses.vision.then_some(&batch.vision[..]);
         touch.into_iter().chain(vision).collect()
     }
 
@@ -181,7 +261,7 @@ impl Network {
         let parts = self.encoder_parts().into_iter();
         parts
             .zip(inputs)
-            .map(|(parts, (_, images))| self.encode(parts, images, is_training))
+            .map(|(parts, images)| self.encode(parts, images, is_training))
             .collect()
     }
 
@@ -236,7 +316,10 @@ impl Network {
         let [tall, wide] = self.pool;
         let share = 1.0 / (tall * wide) as f32;
         let mut pooled = vec![0.0; count * rows * columns * channels];
-        for (a, pooled) in a.chunks_exact(image).zip(pooled.chunks_exact_mut(rows * columns * channels)) {
+        for (a, pooled) in a
+            .chunks_exact(image)
+            .zip(pooled.chunks_exact_mut(rows * columns * channels))
+        {
             for (window, pooled) in pooled.chunks_exact_mut(channels).enumerate() {
                 let (row, column) = (window / columns * tall, window % columns * wide);
                 for y in row..row + tall {
@@ -261,7 +344,10 @@ impl Network {
         let share = 1.0 / (tall * wide) as f32;
         let count = dpooled.len() / (rows * columns * channels);
         let mut d = vec![0.0; count * image];
-        for (d, dpooled) in d.chunks_exact_mut(image).zip(dpooled.chunks_exact(rows * columns * channels)) {
+        for (d, dpooled) in d
+            .chunks_exact_mut(image)
+            .zip(dpooled.chunks_exact(rows * columns * channels))
+        {
             for (window, dpooled) in dpooled.chunks_exact(channels).enumerate() {
                 let (row, column) = (window / columns * tall, window % columns * wide);
                 for y in row..row + tall {
@@ -277,7 +363,7 @@ impl Network {
         d
     }
 
-    fn head(&self, passes: &[EncoderPass], drop: Option<&Drop>) -> HeadPass {
+    fn decide(&self, passes: &[EncoderPass], drop: Option<&Drop>) -> HeadPass {
         let [[weight, bias], [last, last_bias]] = &self.layout.head;
         let joined = self.join(passes);
         let mut hidden = linear(&joined, self.part(weight), self.part(bias), true);

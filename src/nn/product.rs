@@ -66,13 +66,17 @@ impl Packed {
     /// Packs a matrix that lies row after row.
     pub(super) fn pack_rows(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
         let lanes = Isa::best().lanes();
-        self.pack([rows, columns], lanes, |row, column| values[row * columns + column]);
+        self.pack([rows, columns], lanes, |row, column| {
+            values[row * columns + column]
+        });
     }
 
     /// Packs a matrix that lies column after column.
     pub(super) fn pack_columns(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
         let lanes = Isa::best().lanes();
-        self.pack([rows, columns], lanes, |row, column| values[column * rows + row]);
+        self.pack([rows, columns], lanes, |row, column| {
+            values[column * rows + row]
+        });
     }
 
     pub(super) fn columns(&self) -> usize {
@@ -93,13 +97,11 @@ impl Packed {
 
 /// First column and width of each panel.
 fn panels(columns: usize, lanes: usize) -> impl Iterator<Item = (usize, usize)> {
-    (0..columns.div_ceil(lanes))
-        .step_by(2)
-        .map(move |vector| {
-            let first = vector * lanes;
-            let vectors = (columns - first).div_ceil(lanes).min(2);
-            (first, vectors * lanes)
-        })
+    (0..columns.div_ceil(lanes)).step_by(2).map(move |vector| {
+        let first = vector * lanes;
+        let vectors = (columns - first).div_ceil(lanes).min(2);
+        (first, vectors * lanes)
+    })
 }
 
 /// What is done to a sum before it is stored.
@@ -134,7 +136,11 @@ pub(super) fn multiply<S: Lanes>(
                 let at_once = if count >= S::ROWS { S::ROWS } else { 1 };
                 let from = done.min(count - at_once);
                 let (a, c) = (&a[from * rows.step..], &mut c[from * columns..]);
-                let to = Target { columns, first, finish };
+                let to = Target {
+                    columns,
+                    first,
+                    finish,
+                };
                 match (at_once, vectors) {
                     (10, 2) => block::<S, 10, 2>(lanes, a, rows, panel, c, to),
                     (10, _) => block::<S, 10, 1>(lanes, a, rows, panel, c, to),

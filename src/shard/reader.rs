@@ -92,6 +92,15 @@ impl ShardReader {
         self.0.metadata.num_row_groups()
     }
 
+    /// Rows of a row group; 0 where there is no such group.
+    #[must_use]
+    pub fn group_rows(&self, group: usize) -> usize {
+        let groups = self.0.metadata.row_groups();
+        let rows = groups.get(group).map(|group| group.num_rows());
+        rows.and_then(|rows| usize::try_from(rows).ok())
+            .unwrap_or(0)
+    }
+
     /// The JSON that the writer's caller gave; none where another writer did not keep it.
     #[must_use]
     pub fn info(&self) -> Option<&str> {

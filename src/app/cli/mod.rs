@@ -54,6 +54,7 @@ mod synth_merge;
 mod synth_plan;
 mod synth_report;
 mod synth_run;
+mod train;
 mod working;
 
 /// Collect grasps with touch; predict before the lift whether they hold.
@@ -139,6 +140,8 @@ enum Verb {
     Replay(Box<replay::Args>),
     /// Generate labelled synthetic datasets, on one machine or many
     Synth(Box<synth::Args>),
+    /// Train a stability classifier on a dataset
+    Train(Box<train::Args>),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -174,6 +177,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Render(args) => render::run(&context, args),
         Verb::Replay(args) => replay::run(&context, *args),
         Verb::Synth(args) => synth::run(&context, *args),
+        Verb::Train(args) => train::run(&context, *args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),

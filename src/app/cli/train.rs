@@ -1,0 +1,221 @@
+//! `gripcast train`: a classifier from a dataset of labelled grasps.
+//!
+//! Exit codes: 0 trained · 1 it could not be trained · 2 usage, or a run of other settings · 75
+//! stopped by SIGTERM, run it again · 130 interrupted. A run that was stopped in any way goes on
+//! where it was and ends with the same bytes.
+
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+
+use super::working::{Progress, resumable};
+use super::{Context, print, print_json};
+use crate::error::{Error, ErrorKind, Result};
+use crate::files;
+use crate::nn::Architecture;
+use crate::predict::contract::Variant;
+use crate::train::{
+    Augmentation, EpochFigures, Finished, RunFolder, Samples, TrainEvent, TrainSettings, Trained,
+    finish, train,
+};
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder of the dataset, as `synth merge` makes it
+    #[arg(long, value_name = "DIR")]
+    data: PathBuf,
+    /// Folder of the run; one that was begun is gone on with
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What the classifier sees
+    #[arg(long, value_enum, default_value_t = Modality::Vt)]
+    modality: Modality,
+    /// Network
+    #[arg(long, default_value = "gripcast", value_parser = Architecture::NAMES)]
+    arch: String,
+    /// First seed
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Runs with seeds one after the other; the model is that of the best on the validation part
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
+    seeds: u64,
+    /// Times that every sample is seen
+    #[arg(long, default_value_t = 30)]
+    epochs: u32,
+    /// Samples of a step
+    #[arg(long, default_value_t = 16)]
+    batch: usize,
+    /// Learning rate at its highest; it falls linearly to zero
+    #[arg(long, default_value_t = 3e-4)]
+    learning_rate: f64,
+    /// Share of themselves that weights lose in a step at a rate of 1
+    #[arg(long, default_value_t = 0.01)]
+    weight_decay: f64,
+    /// Share of the hidden floats that are left out at random
+    #[arg(long, default_value_t = 0.2)]
+    dropout: f64,
+    /// Epochs without a better validation accuracy after which training ends; 0 for never
+    #[arg(long, default_value_t = 0)]
+    patience: u32,
+    /// Leave pictures as they are
+    #[arg(long)]
+    no_augmentation: bool,
+    /// Name of the model
+    #[arg(long, default_value = "gripcast-vt")]
+    name: String,
+    /// Print what came out as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum Modality {
+    /// The colour picture
+    V,
+    /// Both tactile differences
+    T,
+    /// All of them
+    Vt,
+}
+
+impl From<Modality> for Variant {
+    fn from(modality: Modality) -> Self {
+        match modality {
+            Modality::V => Self::V,
+            Modality::T => Self::T,
+            Modality::Vt => Self::Vt,
+        }
+    }
+}
+
+/// Runs the verb.
+pub(super) fn run(context: &Context, args: Args) -> Result<()> {
+    let is_json = args.json;
+    let found = resumable(context, "training", move |progress| {
+        all_seeds(&args, progress)
+    })??;
+    if is_json {
+        return print_json(&found);
+    }
+    print(&text(&found))
+}
+
+fn all_seeds(args: &Args, progress: &Progress) -> Result<Value> {
+    let mut runs = Vec::new();
+    let mut best: Option<(f64, Finished)> = None;
+    for seed in args.seed..args.seed.saturating_add(args.seeds) {
+        let folder = if args.seeds == 1 {
+            args.out.clone()
+        } else {
+            args.out.join(format!("seed-{seed}"))
+        };
+        let settings = args.settings(seed)?;
+        let trained = train(&args.data, &folder, &settings, &|event| {
+            tell(progress, &event)
+        })?;
+        let folder = RunFolder::at(folder);
+        let file = folder.read()?.ok_or_else(|| {
+            Error::new(ErrorKind::Internal, "the run has no description").at(folder.run().display())
+        })?;
+        progress.stage("calibrating");
+        let validation = Samples::open(&args.data, "validation")?;
+        let finished = finish(&folder, &file, &validation, &args.name, &|_| {})?;
+        runs.push(described(seed, &folder, &trained, &finished));
+        let accuracy = trained.best.validation_accuracy;
+        if best.as_ref().is_none_or(|(most, _)| accuracy > *most) {
+            best = Some((accuracy, finished));
+        }
+        progress.stage("training");
+    }
+    let model = args.out.join("model.onnx");
+    if let (true, Some((_, finished))) = (args.seeds > 1, &best) {
+        files::save(&model, &finished.onnx)?;
+    }
+    Ok(json!({ "model": model.display().to_string(), "runs": runs }))
+}
+
+fn tell(progress: &Progress, event: &TrainEvent) {
+    match event {
+        TrainEvent::Step {
+            at: [done, all], ..
+        } => progress.at(*done, *all),
+        TrainEvent::Epoch(figures) => progress.line(epoch_line(figures)),
+    }
+}
+
+fn epoch_line(figures: &EpochFigures) -> String {
+    let auroc = figures
+        .validation_auroc
+        .map_or("–".to_owned(), |x| format!("{x:.3}"));
+    format!(
+        "epoch {:>3}  loss {:.4}  validation: loss {:.4}, accuracy {:.3}, AUROC {auroc}  \
+         {:.0} samples/s",
+        figures.epoch,
+        figures.train_loss,
+        figures.validation_loss,
+        figures.validation_accuracy,
+        figures.samples_per_s,
+    )
+}
+
+fn described(seed: u64, folder: &RunFolder, trained: &Trained, finished: &Finished) -> Value {
+    json!({
+        "seed": seed,
+        "model": folder.model().display().to_string(),
+        "epochs": trained.epochs,
+        "best_epoch": trained.best_epoch,
+        "temperature": finished.temperature,
+        "threshold": finished.threshold,
+        "validation": finished.validation,
+    })
+}
+
+fn text(found: &Value) -> String {
+    let number = |value: &Value| value.as_f64().map_or("–".to_owned(), |x| format!("{x:.3}"));
+    let mut lines: Vec<String> = Vec::new();
+    for run in found["runs"].as_array().into_iter().flatten() {
+        let validation = &run["validation"];
+        lines.push(format!(
+            "seed {}: best epoch {} of {}, validation accuracy {}, AUROC {}, ECE {}",
+            run["seed"],
+            run["best_epoch"],
+            run["epochs"],
+            number(&validation["balanced_accuracy"]),
+            number(&validation["auroc"]),
+            number(&validation["ece"]),
+        ));
+    }
+    lines.push(format!(
+        "model: {}",
+        found["model"].as_str().unwrap_or_default()
+    ));
+    lines.join("\n")
+}
+
+impl Args {
+    fn settings(&self, seed: u64) -> Result<TrainSettings> {
+        let architecture = Architecture::named(&self.arch).ok_or_else(|| {
+            Error::new(
+                ErrorKind::Usage,
+                format!("there is no network `{}`", self.arch),
+            )
+        })?;
+        let settings = TrainSettings {
+            epochs: self.epochs,
+            batch: self.batch,
+            learning_rate: self.learning_rate,
+            weight_decay: self.weight_decay,
+            dropout: self.dropout,
+            patience: self.patience,
+            augmentation: if self.no_augmentation {
+                Augmentation::NONE
+            } else {
+                Augmentation::USUAL
+            },
+            ..TrainSettings::usual(self.modality.into(), architecture, seed)
+        };
+        settings.check()?;
+        Ok(settings)
+    }
+}

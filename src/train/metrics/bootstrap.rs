@@ -1,0 +1,158 @@
+//! Confidence intervals over objects: grasps of one object resemble each other, so objects are
+//! drawn, not grasps (cluster bootstrap; Davison & Hinkley 1997, §3.8).
+
+use serde::{Deserialize, Serialize};
+
+/// Resamples unless told otherwise.
+const RESAMPLES: usize = 2000;
+
+/// Quantiles that bound a 95 % interval.
+const QUANTILES: [f64; 2] = [0.025, 0.975];
+
+/// A bootstrap: how many resamples, of which random numbers. Equal settings and samples give equal
+/// intervals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bootstrap {
+    /// Number of resamples.
+    pub resamples: usize,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
+/// A figure with its 95 % percentile interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Interval {
+    /// The figure of the samples themselves.
+    pub estimate: f64,
+    /// 2.5 % quantile over the resamples.
+    pub low: f64,
+    /// 97.5 % quantile over the resamples.
+    pub high: f64,
+    /// Resamples in which the figure is defined; the others are left out.
+    pub resamples: usize,
+}
+
+impl Bootstrap {
+    /// With 2,000 resamples.
+    pub fn new(seed: u64) -> Self {
+        Self {
+            resamples: RESAMPLES,
+            seed,
+        }
+    }
+
+    /// Interval of a figure. `objects` names the object of each sample; `figure` computes the
+    /// figure from how often each sample is in the resample, see
+    /// [`Ranking::resampled_auroc`](super::Ranking::resampled_auroc) and [`resampled_mean`].
+    ///
+    /// None with fewer than two objects, and where the figure of the samples themselves or of all
+    /// resamples is undefined.
+    pub fn interval(
+        &self,
+        objects: &[usize],
+        figure: impl Fn(&[u32]) -> Option<f64>,
+    ) -> Option<Interval> {
+        let defined = |multiplicities: &[u32]| figure(multiplicities).filter(|f| f.is_finite());
+        let (clusters, count) = numbered(objects);
+        if count < 2 {
+            return None;
+        }
+        let estimate = defined(&vec![1; objects.len()])?;
+        let mut drawn = vec![0; count];
+        let mut multiplicities = vec![0; objects.len()];
+        let mut figures = Vec::new();
+        for resample in 0..self.resamples {
+            self.draw(resample, &mut drawn);
+            for (times, &cluster) in multiplicities.iter_mut().zip(&clusters) {
+                *times = drawn.get(cluster).copied().unwrap_or(0);
+            }
+            figures.extend(defined(&multiplicities));
+        }
+        figures.sort_by(f64::total_cmp);
+        let [low, high] = QUANTILES.map(|share| quantile(&figures, share));
+        Some(Interval {
+            estimate,
+            low: low?,
+            high: high?,
+            resamples: figures.len(),
+        })
+    }
+
+    /// Interval of the first figure minus the second, both of the same resamples: two models on
+    /// the same samples. As [`Bootstrap::interval`].
+    pub fn paired_interval(
+        &self,
+        objects: &[usize],
+        first: impl Fn(&[u32]) -> Option<f64>,
+        second: impl Fn(&[u32]) -> Option<f64>,
+    ) -> Option<Interval> {
+        self.interval(objects, |multiplicities| {
+            Some(first(multiplicities)? - second(multiplicities)?)
+        })
+    }
+
+    /// Draws as many objects as there are, with replacement.
+    fn draw(&self, resample: usize, drawn: &mut [u32]) {
+        drawn.fill(0);
+        let count = drawn.len() as u64;
+        for i in 0..count {
+            let bits = bits(self.seed, resample as u64 * count + i);
+            // The upper half of the product is uniform below `count`.
+            let object = (u128::from(bits) * u128::from(count)) >> 64;
+            if let Some(times) = drawn.get_mut(object as usize) {
+                *times += 1;
+            }
+        }
+    }
+}
+
+/// Mean of the values of a resample: value `i` counts `multiplicities[i]` times. Values that are
+/// no finite numbers are left out; none where nothing is left.
+pub fn resampled_mean(values: &[f64], multiplicities: &[u32]) -> Option<f64> {
+    let present = values.iter().zip(multiplicities);
+    let (sum, n) = present
+        .filter(|(value, _)| value.is_finite())
+        .fold((0.0, 0_u64), |(sum, n), (value, &times)| {
+            (sum + f64::from(times) * value, n + u64::from(times))
+        });
+    (n > 0).then(|| sum / n as f64)
+}
+
+/// The objects numbered from 0 without gaps, and how many there are.
+fn numbered(objects: &[usize]) -> (Vec<usize>, usize) {
+    let mut names = objects.to_vec();
+    names.sort_unstable();
+    names.dedup();
+    let number = |object: &usize| names.partition_point(|name| name < object);
+    (objects.iter().map(number).collect(), names.len())
+}
+
+/// Quantile of sorted numbers, straight between neighbours (Hyndman & Fan 1996, type 7).
+fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
+    let place = share * (sorted.len().checked_sub(1)?) as f64;
+    let (&below, &above) = (
+        sorted.get(place.floor() as usize)?,
+        sorted.get(place.ceil() as usize)?,
+    );
+    Some(below + (place - place.floor()) * (above - below))
+}
+
+/// Number `counter` of the sequence of a seed: SplitMix64 (Steele et al., *Fast splittable
+/// pseudorandom number generators*, 2014), whose state is a plain count.
+fn bits(seed: u64, counter: u64) -> u64 {
+    let steps = counter.wrapping_add(1);
+    let mut z = seed.wrapping_add(steps.wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// Uniform in 0..1, for the samples of tests.
+#[cfg(test)]
+pub(super) fn unit(seed: u64, counter: u64) -> f64 {
+    (bits(seed, counter) >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+#[cfg(test)]
+#[path = "bootstrap_test.rs"]
+mod tests;

@@ -1,0 +1,164 @@
+use super::super::reference_test::{dyadic_samples, mapped};
+use super::super::{Ranking, Scored};
+use super::*;
+
+fn objects_of(n: usize, per_object: usize) -> Vec<usize> {
+    (0..n).map(|i| i / per_object).collect()
+}
+
+#[test]
+fn the_generator_is_splitmix64() {
+    // First numbers of the seed 1234567 by Vigna's splitmix64.c.
+    let first = [0, 1, 2].map(|counter| bits(1_234_567, counter));
+    assert_eq!(
+        first,
+        [
+            6_457_827_717_110_365_317,
+            3_203_168_211_198_807_973,
+            9_817_491_932_198_370_423
+        ]
+    );
+}
+
+#[test]
+fn quantiles_are_those_of_numpy() {
+    let sorted = [1.0, 2.0, 4.0, 8.0];
+    // numpy.quantile([1, 2, 4, 8], q)
+    assert_eq!(quantile(&sorted, 0.0), Some(1.0));
+    assert_eq!(quantile(&sorted, 0.5), Some(3.0));
+    assert_eq!(quantile(&sorted, 0.9), Some(6.800_000_000_000_001));
+    assert_eq!(quantile(&sorted, 1.0), Some(8.0));
+    assert_eq!(quantile(&[], 0.5), None);
+}
+
+#[test]
+fn as_many_objects_are_drawn_as_there_are_each_alike_often() {
+    let bootstrap = Bootstrap::new(3);
+    let mut total = [0_u32; 10];
+    for resample in 0..2000 {
+        let mut drawn = [7; 10];
+        bootstrap.draw(resample, &mut drawn);
+        assert_eq!(drawn.iter().sum::<u32>(), 10);
+        for (total, times) in total.iter_mut().zip(drawn) {
+            *total += times;
+        }
+    }
+    // Binomial with mean 2000 and deviation 42.
+    assert!(
+        total.iter().all(|&t| (1800..2200).contains(&t)),
+        "{total:?}"
+    );
+}
+
+#[test]
+fn an_interval_is_as_wide_as_theory_says() {
+    // 100 objects of 5 samples with the same value: the mean of 100 uniform numbers has the
+    // deviation 0.2887 / 10, whatever the number of samples of each.
+    let objects = objects_of(500, 5);
+    let values: Vec<f64> = objects.iter().map(|&o| unit(17, o as u64)).collect();
+    let interval = Bootstrap::new(1)
+        .interval(&objects, |m| resampled_mean(&values, m))
+        .unwrap();
+    assert!(interval.low < interval.estimate && interval.estimate < interval.high);
+    let expected = 2.0 * 1.96 * (1.0_f64 / 12.0).sqrt() / 10.0;
+    let width = interval.high - interval.low;
+    assert!((width / expected - 1.0).abs() < 0.15, "{width} {expected}");
+    // Taken for independent, the samples would seem to say more than they do.
+    let single: Vec<usize> = (0..500).collect();
+    let naive = Bootstrap::new(1)
+        .interval(&single, |m| resampled_mean(&values, m))
+        .unwrap();
+    assert!(naive.high - naive.low < 0.6 * width);
+}
+
+#[test]
+fn the_interval_of_an_auroc_contains_it() {
+    let samples = dyadic_samples(400, 31);
+    let ranking = Ranking::new(&samples);
+    let objects = objects_of(400, 8);
+    let interval = Bootstrap::new(2)
+        .interval(&objects, |m| ranking.resampled_auroc(m))
+        .unwrap();
+    assert_eq!(Some(interval.estimate), ranking.auroc());
+    assert!(interval.low < interval.estimate && interval.estimate < interval.high);
+    assert!(interval.high - interval.low < 0.2);
+    assert_eq!(interval.resamples, 2000);
+}
+
+#[test]
+fn intervals_depend_on_the_seed_alone() {
+    let samples = dyadic_samples(100, 32);
+    let ranking = Ranking::new(&samples);
+    let objects = objects_of(100, 4);
+    let interval = |seed| Bootstrap::new(seed).interval(&objects, |m| ranking.resampled_auroc(m));
+    assert_eq!(interval(5), interval(5));
+    assert_ne!(interval(5), interval(6));
+    // Names of objects are only names.
+    let renamed: Vec<usize> = objects.iter().map(|o| usize::MAX - 1000 + 3 * o).collect();
+    let other = Bootstrap::new(5).interval(&renamed, |m| ranking.resampled_auroc(m));
+    assert_eq!(interval(5), other);
+}
+
+#[test]
+fn pairing_cancels_what_two_models_share() {
+    let samples = dyadic_samples(300, 33);
+    // Nearly the same model.
+    let other: Vec<Scored> = mapped(&samples, |p| if p > 0.9 { 0.85 } else { p });
+    let objects = objects_of(300, 6);
+    let (a, b) = (Ranking::new(&samples), Ranking::new(&other));
+    let bootstrap = Bootstrap::new(7);
+    let single = bootstrap
+        .interval(&objects, |m| a.resampled_auroc(m))
+        .unwrap();
+    let paired = bootstrap
+        .paired_interval(&objects, |m| a.resampled_auroc(m), |m| b.resampled_auroc(m))
+        .unwrap();
+    assert_eq!(paired.estimate, a.auroc().unwrap() - b.auroc().unwrap());
+    assert!(paired.high - paired.low < 0.3 * (single.high - single.low));
+    let same =
+        bootstrap.paired_interval(&objects, |m| a.resampled_auroc(m), |m| a.resampled_auroc(m));
+    assert_eq!(same.map(|i| [i.low, i.estimate, i.high]), Some([0.0; 3]));
+}
+
+#[test]
+fn undefined_resamples_are_left_out_and_counted() {
+    // Two objects of one class each: half of the resamples have both.
+    let samples = dyadic_samples(20, 34);
+    let samples: Vec<Scored> = samples
+        .iter()
+        .enumerate()
+        .map(|(i, s)| Scored {
+            stable: i < 10,
+            ..*s
+        })
+        .collect();
+    let ranking = Ranking::new(&samples);
+    let objects = objects_of(20, 10);
+    let interval = Bootstrap::new(1)
+        .interval(&objects, |m| ranking.resampled_auroc(m))
+        .unwrap();
+    assert!((900..1100).contains(&interval.resamples), "{interval:?}");
+}
+
+#[test]
+fn without_two_objects_or_a_figure_there_is_no_interval() {
+    let bootstrap = Bootstrap::new(1);
+    let one = |_: &[u32]| Some(1.0);
+    assert_eq!(bootstrap.interval(&[], one), None);
+    assert_eq!(bootstrap.interval(&[4, 4, 4], one), None);
+    assert_eq!(bootstrap.interval(&[4, 5], |_| None), None);
+    assert_eq!(bootstrap.interval(&[4, 5], |_| Some(f64::NAN)), None);
+    let never = Bootstrap {
+        resamples: 0,
+        seed: 1,
+    };
+    assert_eq!(never.interval(&[4, 5], one), None);
+}
+
+#[test]
+fn means_count_multiplicities_and_skip_what_is_no_number() {
+    let values = [1.0, f64::NAN, 4.0];
+    assert_eq!(resampled_mean(&values, &[3, 9, 1]), Some(7.0 / 4.0));
+    assert_eq!(resampled_mean(&values, &[0, 9, 0]), None);
+    assert_eq!(resampled_mean(&[], &[]), None);
+}

@@ -1,0 +1,197 @@
+//! Whether predicted probabilities mean what they say.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Scored, mean_of, present};
+
+/// Probabilities are kept this far from 0 and 1 in the log loss, so that one wrong sample cannot
+/// make it infinite.
+const LOG_LOSS_CLAMP: f64 = 1e-7;
+
+/// Bins of a reliability table, as in Guo et al. (2017).
+const BINS: usize = 15;
+
+/// Mean squared difference of probability and outcome, 0..1 (Brier 1950). None without samples.
+pub fn brier_score(samples: &[Scored]) -> Option<f64> {
+    mean_over(samples, |sample| {
+        (sample.p_stable - sample.outcome()).powi(2)
+    })
+}
+
+/// Mean negative log-likelihood, nats; probabilities are clamped to 1e-7..1 − 1e-7. None without
+/// samples.
+pub fn log_loss(samples: &[Scored]) -> Option<f64> {
+    mean_over(samples, |sample| {
+        let p = sample.p_stable.clamp(LOG_LOSS_CLAMP, 1.0 - LOG_LOSS_CLAMP);
+        if sample.stable {
+            -p.ln()
+        } else {
+            -(-p).ln_1p()
+        }
+    })
+}
+
+/// Expected calibration error over 15 bins of equal width (Naeini et al. 2015): the mean, over the
+/// samples, of the difference between a bin's mean probability of stable and its share of stable
+/// grasps. 0..1; none without samples.
+pub fn expected_calibration_error(samples: &[Scored]) -> Option<f64> {
+    ReliabilityTable::new(samples).expected_calibration_error()
+}
+
+fn mean_over(samples: &[Scored], value: impl Fn(&Scored) -> f64) -> Option<f64> {
+    let (n, sum) = present(samples).fold((0, 0.0), |(n, sum), sample| (n + 1, sum + value(sample)));
+    mean_of(sum, n)
+}
+
+/// Samples by predicted probability: 15 bins of equal width.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReliabilityTable {
+    /// The lowest probabilities first; empty bins are there too.
+    pub bins: Vec<ReliabilityBin>,
+}
+
+/// Samples whose probability is above `low` and at most `high`; the first bin has 0 too.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReliabilityBin {
+    /// Lower edge.
+    pub low: f64,
+    /// Upper edge.
+    pub high: f64,
+    /// Samples in the bin.
+    pub n: usize,
+    /// Their mean probability of stable.
+    pub mean_p: Option<f64>,
+    /// Share of them that is stable.
+    pub stable_share: Option<f64>,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    n: usize,
+    stable: usize,
+    p: f64,
+}
+
+impl ReliabilityTable {
+    /// Sorts the samples into bins.
+    pub fn new(samples: &[Scored]) -> Self {
+        let mut sums = [Sums::default(); BINS];
+        for sample in present(samples) {
+            let bin = (1..BINS).take_while(|&i| edge(i) < sample.p_stable).count();
+            if let Some(sums) = sums.get_mut(bin) {
+                sums.n += 1;
+                sums.stable += usize::from(sample.stable);
+                sums.p += sample.p_stable;
+            }
+        }
+        let bins = sums.iter().enumerate().map(|(i, sums)| ReliabilityBin {
+            low: edge(i),
+            high: edge(i + 1),
+            n: sums.n,
+            mean_p: mean_of(sums.p, sums.n),
+            stable_share: mean_of(sums.stable as f64, sums.n),
+        });
+        Self {
+            bins: bins.collect(),
+        }
+    }
+
+    /// Samples in all bins.
+    pub fn n(&self) -> usize {
+        self.bins.iter().map(|bin| bin.n).sum()
+    }
+
+    /// See [`expected_calibration_error`].
+    pub fn expected_calibration_error(&self) -> Option<f64> {
+        let error = |bin: &ReliabilityBin| {
+            let gap = bin.mean_p? - bin.stable_share?;
+            Some(bin.n as f64 * gap.abs())
+        };
+        mean_of(self.bins.iter().filter_map(error).sum(), self.n())
+    }
+}
+
+/// Lower edge of a bin.
+fn edge(bin: usize) -> f64 {
+    bin as f64 / BINS as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::reference_test::{scored, smooth_samples};
+    use super::*;
+
+    #[test]
+    fn a_sure_mistake_costs_the_clamped_loss() {
+        let worst = -(1e-7_f64).ln();
+        assert!((log_loss(&scored(&[(0.0, true)])).unwrap() - worst).abs() < 1e-9);
+        assert!((log_loss(&scored(&[(1.0, false)])).unwrap() - worst).abs() < 1e-7);
+        assert!(log_loss(&scored(&[(1.0, true)])).unwrap() < 2e-7);
+        let even = log_loss(&scored(&[(0.5, true), (0.5, false)])).unwrap();
+        assert!((even - std::f64::consts::LN_2).abs() < 1e-15);
+    }
+
+    #[test]
+    fn the_brier_score_is_a_mean_square() {
+        let samples = scored(&[(0.75, true), (0.5, false)]);
+        assert_eq!(brier_score(&samples), Some(0.5 * (0.0625 + 0.25)));
+    }
+
+    #[test]
+    fn bins_own_their_upper_edge() {
+        let table = ReliabilityTable::new(&scored(&[
+            (0.0, false),
+            (0.2, true),
+            (0.2_f64.next_up(), true),
+            (1.0, true),
+        ]));
+        let filled: Vec<_> = (0..BINS).filter(|&i| table.bins[i].n > 0).collect();
+        assert_eq!(filled, [0, 2, 3, 14]);
+        assert_eq!(table.bins[2].high, 0.2);
+        assert_eq!((table.bins[0].low, table.bins[14].high), (0.0, 1.0));
+    }
+
+    #[test]
+    fn the_calibration_error_weighs_bins_by_their_samples() {
+        // Bin of 0.9: three samples, mean 0.9, share 2/3. Bin of 0.1: one sample, share 0.
+        let samples = scored(&[(0.9, true), (0.9, true), (0.9, false), (0.1, false)]);
+        let expected = 0.75 * (0.9 - 2.0 / 3.0) + 0.25 * 0.1;
+        let ece = expected_calibration_error(&samples).unwrap();
+        assert!((ece - expected).abs() < 1e-15);
+    }
+
+    #[test]
+    fn calibrated_predictions_have_a_small_error() {
+        // These samples are stable with the probability that is predicted.
+        let samples = smooth_samples(50_000, 9);
+        let honest = expected_calibration_error(&samples).unwrap();
+        assert!(honest < 0.01, "{honest}");
+        let shifted: Vec<Scored> = samples
+            .iter()
+            .map(|s| Scored {
+                p_stable: (s.p_stable + 0.2).min(1.0),
+                ..*s
+            })
+            .collect();
+        let dishonest = expected_calibration_error(&shifted).unwrap();
+        assert!(dishonest > 0.15, "{dishonest}");
+        assert!(brier_score(&shifted) > brier_score(&samples));
+    }
+
+    #[test]
+    fn nothing_has_no_calibration() {
+        let absent = scored(&[(f64::NAN, true)]);
+        for samples in [&[][..], &absent] {
+            assert_eq!(brier_score(samples), None);
+            assert_eq!(log_loss(samples), None);
+            assert_eq!(expected_calibration_error(samples), None);
+            assert_eq!(ReliabilityTable::new(samples).n(), 0);
+        }
+    }
+
+    #[test]
+    fn probabilities_out_of_range_fall_into_the_end_bins() {
+        let table = ReliabilityTable::new(&scored(&[(-3.0, true), (7.0, true)]));
+        assert_eq!((table.bins[0].n, table.bins[14].n), (1, 1));
+    }
+}

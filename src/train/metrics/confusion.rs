@@ -1,0 +1,220 @@
+//! Decisions at a threshold: the confusion matrix and what follows from it.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Scored, present};
+
+/// Counts of decisions by outcome.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ConfusionMatrix {
+    /// Predicted stable and stable: true positives.
+    pub true_stable: usize,
+    /// Predicted stable but unstable: false positives.
+    pub false_stable: usize,
+    /// Predicted unstable and unstable: true negatives.
+    pub true_unstable: usize,
+    /// Predicted unstable but stable: false negatives.
+    pub false_unstable: usize,
+}
+
+/// How well one class is found; none where nothing can be counted.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ClassFigures {
+    /// Share of the predictions of this class that are right.
+    pub precision: Option<f64>,
+    /// Share of the grasps of this class that are found.
+    pub recall: Option<f64>,
+    /// Share of the grasps of the other class that are told apart from this one.
+    pub specificity: Option<f64>,
+}
+
+impl ConfusionMatrix {
+    /// Counts the samples; a prediction of at least `threshold` is stable.
+    pub fn at(samples: &[Scored], threshold: f64) -> Self {
+        let mut matrix = Self::default();
+        for sample in present(samples) {
+            matrix.count(sample, threshold, 1);
+        }
+        matrix
+    }
+
+    /// Of a resample: sample `i` counts `multiplicities[i]` times, not at all if that is missing.
+    pub fn resampled(samples: &[Scored], threshold: f64, multiplicities: &[u32]) -> Self {
+        let mut matrix = Self::default();
+        for (sample, &times) in samples.iter().zip(multiplicities) {
+            if sample.p_stable.is_finite() {
+                matrix.count(sample, threshold, times as usize);
+            }
+        }
+        matrix
+    }
+
+    fn count(&mut self, sample: &Scored, threshold: f64, times: usize) {
+        let cell = match (sample.p_stable >= threshold, sample.stable) {
+            (true, true) => &mut self.true_stable,
+            (true, false) => &mut self.false_stable,
+            (false, false) => &mut self.true_unstable,
+            (false, true) => &mut self.false_unstable,
+        };
+        *cell += times;
+    }
+
+    /// All samples.
+    pub fn n(&self) -> usize {
+        self.n_stable() + self.n_unstable()
+    }
+
+    /// Samples that are stable.
+    pub fn n_stable(&self) -> usize {
+        self.true_stable + self.false_unstable
+    }
+
+    /// Samples that are unstable.
+    pub fn n_unstable(&self) -> usize {
+        self.true_unstable + self.false_stable
+    }
+
+    /// Share of right decisions. None without samples.
+    pub fn accuracy(&self) -> Option<f64> {
+        share(self.true_stable + self.true_unstable, self.n())
+    }
+
+    /// Mean recall of the two classes. None with one class only.
+    pub fn balanced_accuracy(&self) -> Option<f64> {
+        Some(0.5 * (self.stable().recall? + self.unstable().recall?))
+    }
+
+    /// Share of the unstable grasps that are predicted stable: the false positive rate. None
+    /// without an unstable sample.
+    pub fn false_stable_rate(&self) -> Option<f64> {
+        share(self.false_stable, self.n_unstable())
+    }
+
+    /// How well stable grasps are found.
+    pub fn stable(&self) -> ClassFigures {
+        ClassFigures {
+            precision: share(self.true_stable, self.true_stable + self.false_stable),
+            recall: share(self.true_stable, self.n_stable()),
+            specificity: share(self.true_unstable, self.n_unstable()),
+        }
+    }
+
+    /// How well unstable grasps are found.
+    pub fn unstable(&self) -> ClassFigures {
+        ClassFigures {
+            precision: share(self.true_unstable, self.true_unstable + self.false_unstable),
+            recall: share(self.true_unstable, self.n_unstable()),
+            specificity: share(self.true_stable, self.n_stable()),
+        }
+    }
+
+    /// Matthews correlation coefficient, −1..1 (Matthews 1975). None where one class or one
+    /// decision is missing.
+    pub fn matthews_correlation(&self) -> Option<f64> {
+        let [ts, fs, tu, fu] = [
+            self.true_stable,
+            self.false_stable,
+            self.true_unstable,
+            self.false_unstable,
+        ]
+        .map(|count| count as f64);
+        // Roots one by one, so that the product of four large counts does not lose digits.
+        let scale = [ts + fs, ts + fu, tu + fs, tu + fu]
+            .map(f64::sqrt)
+            .iter()
+            .product::<f64>();
+        (scale > 0.0).then(|| ((ts * tu - fs * fu) / scale).clamp(-1.0, 1.0))
+    }
+}
+
+fn share(part: usize, whole: usize) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::reference_test::{dyadic_samples, scored};
+    use super::*;
+
+    #[test]
+    fn a_prediction_at_the_threshold_is_stable() {
+        let samples = scored(&[(0.6, true), (0.6, false), (0.59, true), (0.1, false)]);
+        let matrix = ConfusionMatrix::at(&samples, 0.6);
+        let expected = ConfusionMatrix {
+            true_stable: 1,
+            false_stable: 1,
+            true_unstable: 1,
+            false_unstable: 1,
+        };
+        assert_eq!(matrix, expected);
+        assert_eq!(matrix.false_stable_rate(), Some(0.5));
+    }
+
+    #[test]
+    fn each_class_has_its_own_figures() {
+        let matrix = ConfusionMatrix {
+            true_stable: 6,
+            false_stable: 2,
+            true_unstable: 3,
+            false_unstable: 4,
+        };
+        assert_eq!((matrix.n_stable(), matrix.n_unstable()), (10, 5));
+        let stable = matrix.stable();
+        assert_eq!(stable.precision, Some(0.75));
+        assert_eq!(stable.recall, Some(0.6));
+        assert_eq!(stable.specificity, Some(0.6));
+        let unstable = matrix.unstable();
+        assert_eq!(unstable.precision, Some(3.0 / 7.0));
+        assert_eq!(unstable.recall, Some(0.6));
+        assert_eq!(unstable.specificity, stable.recall);
+        assert_eq!(matrix.accuracy(), Some(0.6));
+    }
+
+    #[test]
+    fn what_is_undefined_is_none() {
+        let nothing = ConfusionMatrix::at(&[], 0.5);
+        assert_eq!(nothing.accuracy(), None);
+        assert_eq!(nothing.matthews_correlation(), None);
+        let stable = ConfusionMatrix::at(&scored(&[(0.9, true), (0.2, true)]), 0.5);
+        assert_eq!(stable.accuracy(), Some(0.5));
+        assert_eq!(stable.balanced_accuracy(), None);
+        assert_eq!(stable.false_stable_rate(), None);
+        assert_eq!(stable.unstable().recall, None);
+        assert_eq!(stable.unstable().precision, Some(0.0));
+        assert_eq!(stable.matthews_correlation(), None);
+    }
+
+    #[test]
+    fn perfect_and_inverted_decisions_correlate_fully() {
+        let good = scored(&[(0.9, true), (0.8, true), (0.1, false)]);
+        let bad = scored(&[(0.1, true), (0.2, true), (0.9, false)]);
+        let correlation = |samples: &[Scored]| {
+            let matrix = ConfusionMatrix::at(samples, 0.5);
+            matrix.matthews_correlation().unwrap()
+        };
+        assert!((correlation(&good) - 1.0).abs() < 1e-12);
+        assert!((correlation(&bad) + 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn multiplicities_are_copies() {
+        let samples = dyadic_samples(40, 2);
+        let multiplicities: Vec<u32> = (0..40).map(|i| i * 5 % 3).collect();
+        let mut copies = Vec::new();
+        for (sample, &times) in samples.iter().zip(&multiplicities) {
+            copies.extend((0..times).map(|_| *sample));
+        }
+        assert_eq!(
+            ConfusionMatrix::resampled(&samples, 0.5, &multiplicities),
+            ConfusionMatrix::at(&copies, 0.5)
+        );
+    }
+
+    #[test]
+    fn a_prediction_that_is_no_number_is_not_counted() {
+        let samples = scored(&[(f64::NAN, false), (0.7, true)]);
+        assert_eq!(ConfusionMatrix::at(&samples, 0.5).n(), 1);
+        let resampled = ConfusionMatrix::resampled(&samples, 0.5, &[3, 2]);
+        assert_eq!((resampled.n(), resampled.true_stable), (2, 2));
+    }
+}

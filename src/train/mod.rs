@@ -1,0 +1,25 @@
+//! Training the stability classifier on datasets of labelled grasps, and measuring it.
+//!
+//! [`train`] makes a run: a folder with settings, figures of each epoch, checkpoints, from which it
+//! goes on at any time and ends with the same bytes. [`finish`] calibrates the best checkpoint and
+//! writes the model file.
+
+mod augment;
+mod batches;
+mod export;
+mod finish;
+mod look;
+pub mod metrics;
+mod run;
+mod samples;
+mod settings;
+mod state;
+
+pub use augment::Augmentation;
+pub use batches::colour_normalisation;
+pub use export::to_onnx;
+pub use finish::{Finished, finish};
+pub use look::{Logit, logits};
+pub use run::{EpochFigures, RunFile, RunFolder, TrainEvent, Trained, train};
+pub use samples::{SampleFacts, Samples, dataset_sha256};
+pub use settings::TrainSettings;

@@ -1,0 +1,550 @@
+//! A training run: a folder that can be left and gone on with at any time.
+
+use std::fs::{self, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use super::augment::InputWriter;
+use super::batches::{Batches, colour_normalisation};
+use super::look::{Scores, logits};
+use super::samples::{Samples, dataset_sha256};
+use super::settings::TrainSettings;
+use super::state::{self, Position};
+use crate::error::{Error, ErrorKind, Result};
+use crate::files;
+use crate::nn::{Adam, Drop, Network, linear_schedule};
+use crate::predict::contract::RgbNormalisation;
+use crate::render::visual::SeedStream;
+
+/// Parts of a dataset that a run reads.
+const TRAIN: &str = "train";
+const VALIDATION: &str = "validation";
+/// Steps between checkpoints.
+const CHECKPOINT_STEPS: u64 = 100;
+
+/// What `run.json` says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunFile {
+    /// Of this file.
+    pub version: u32,
+    /// Of gripcast.
+    pub software: String,
+    /// What the run is made by.
+    pub settings: TrainSettings,
+    /// [`dataset_sha256`] of the dataset.
+    pub dataset_sha256: String,
+    /// Mean and deviation of the colour pictures.
+    pub rgb_mean: [f32; 3],
+    /// Deviation.
+    pub rgb_std: [f32; 3],
+    /// Crop profile of the tactile pictures.
+    pub crop_profile: String,
+}
+
+impl RunFile {
+    /// Mean and deviation of the colour pictures.
+    pub fn normalisation(&self) -> RgbNormalisation {
+        RgbNormalisation {
+            mean: self.rgb_mean,
+            std: self.rgb_std,
+        }
+    }
+}
+
+/// One line of `metrics.jsonl`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochFigures {
+    /// From 1.
+    pub epoch: u32,
+    /// Mean loss over its steps, nats.
+    pub train_loss: f64,
+    /// On the validation part: mean loss of balanced labels, nats.
+    pub validation_loss: f64,
+    /// Balanced accuracy there at a probability of one half.
+    pub validation_accuracy: f64,
+    /// Area under the ROC curve there.
+    pub validation_auroc: Option<f64>,
+    /// Samples learned from in a second of wall time.
+    pub samples_per_s: f64,
+}
+
+/// What a run tells while it goes on.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TrainEvent {
+    /// A step is done.
+    Step {
+        /// Steps done and all.
+        at: [u64; 2],
+        /// Loss of the step.
+        loss: f64,
+    },
+    /// An epoch is done.
+    Epoch(EpochFigures),
+}
+
+/// Where a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trained {
+    /// Epochs that were done.
+    pub epochs: u32,
+    /// Epoch of the best validation accuracy, from 1.
+    pub best_epoch: u32,
+    /// What was measured there.
+    pub best: EpochFigures,
+}
+
+/// Files of a run.
+#[derive(Clone, Debug)]
+pub struct RunFolder(PathBuf);
+
+impl RunFolder {
+    /// The run in a folder.
+    pub fn at(folder: impl Into<PathBuf>) -> Self {
+        Self(folder.into())
+    }
+
+    /// Its settings and origin.
+    pub fn run(&self) -> PathBuf {
+        self.0.join("run.json")
+    }
+
+    /// Figures of its epochs.
+    pub fn metrics(&self) -> PathBuf {
+        self.0.join("metrics.jsonl")
+    }
+
+    /// The last checkpoint.
+    pub fn state(&self) -> PathBuf {
+        self.0.join("state.bin")
+    }
+
+    /// The best one.
+    pub fn best(&self) -> PathBuf {
+        self.0.join("best.bin")
+    }
+
+    /// The model that came out.
+    pub fn model(&self) -> PathBuf {
+        self.0.join("model.onnx")
+    }
+
+    /// Reads `run.json`; none where there is no run.
+    ///
+    /// # Errors
+    /// `Input`: the file is damaged. Those of reading it.
+    pub fn read(&self) -> Result<Option<RunFile>> {
+        let path = self.run();
+        let text = match fs::read(&path) {
+            Ok(text) => text,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(Error::io("cannot read the run", e).at(path.display())),
+        };
+        let found = serde_json::from_slice(&text).map_err(|e| {
+            Error::new(ErrorKind::Input, "the run's description cannot be read")
+                .because(e)
+                .at(path.display())
+        })?;
+        Ok(Some(found))
+    }
+
+    /// The network of the best checkpoint, and what was measured there.
+    ///
+    /// # Errors
+    /// `Input`: it is damaged, or of other settings. Those of reading it.
+    pub fn best_network(&self, settings: &TrainSettings) -> Result<(Network, EpochFigures)> {
+        let path = self.best();
+        let (figures, arrays): (EpochFigures, _) = state::load(&path)?;
+        let mut network = Network::new(&settings.architecture, settings.senses(), || 0.5);
+        match <[Vec<f32>; 2]>::try_from(arrays) {
+            Ok([parameters, moments])
+                if parameters.len() == network.parameters.len()
+                    && moments.len() == network.moments.len() =>
+            {
+                network.parameters = parameters;
+                network.moments = moments;
+                Ok((network, figures))
+            }
+            _ => Err(foreign_checkpoint(&path)),
+        }
+    }
+}
+
+fn foreign_checkpoint(path: &Path) -> Error {
+    let what = "the checkpoint is of a network with other sizes";
+    let error = Error::new(ErrorKind::Input, what).at(path.display());
+    error.remedy("name another folder for the run")
+}
+
+/// Trains a classifier, or goes on with it where it was stopped.
+///
+/// # Errors
+/// `Usage`: settings that cannot be, or that are not those of the run in the folder. `Input`: a
+/// dataset without both labels, with objects in two parts, or with pictures of another size; a loss
+/// that is no number (the best checkpoint stays). Those of reading and writing.
+pub fn train(
+    data: &Path,
+    out: &Path,
+    settings: &TrainSettings,
+    told: &(dyn Fn(TrainEvent) + Sync),
+) -> Result<Trained> {
+    settings.check()?;
+    let train = Samples::open(data, TRAIN)?;
+    let validation = Samples::open(data, VALIDATION)?;
+    train.check_apart(&validation)?;
+    for samples in [&train, &validation] {
+        check_labels(samples)?;
+    }
+    if train.facts().len() < settings.batch {
+        let what = format!(
+            "the dataset has {} samples to train on, a batch {}",
+            train.facts().len(),
+            settings.batch
+        );
+        return Err(Error::new(ErrorKind::Usage, what).remedy("choose a smaller `--batch`"));
+    }
+    let folder = RunFolder::at(out);
+    let file = begun(&folder, out, data, settings, &train)?;
+    Training::new(&folder, &file, &train, &validation)?.go_on(told)
+}
+
+fn check_labels(samples: &Samples) -> Result<()> {
+    let [lost, stable] = samples.by_label();
+    if lost > 0 && stable > 0 {
+        return Ok(());
+    }
+    let what = format!(
+        "the part `{}` has {stable} stable and {lost} lost samples; both labels are needed",
+        samples.split()
+    );
+    Err(Error::new(ErrorKind::Input, what)
+        .at(samples.root().display())
+        .remedy("make a larger dataset, or split it in another way"))
+}
+
+/// The run's file: the one that is there, if it is of the same settings, or a new one.
+fn begun(
+    folder: &RunFolder,
+    out: &Path,
+    data: &Path,
+    settings: &TrainSettings,
+    train: &Samples,
+) -> Result<RunFile> {
+    let dataset_sha256 = dataset_sha256(data)?;
+    if let Some(found) = folder.read()? {
+        let other = |what: &str| {
+            Error::new(ErrorKind::Usage, format!("the run was begun with {what}"))
+                .at(folder.run().display())
+                .remedy("go on with the same command, or name another folder for a new run")
+        };
+        if found.dataset_sha256 != dataset_sha256 {
+            return Err(other("another dataset"));
+        }
+        if found.settings != *settings {
+            return Err(other(&format!(
+                "other settings: {}",
+                differing(&found.settings, settings)
+            )));
+        }
+        return Ok(found);
+    }
+    fs::create_dir_all(out)
+        .map_err(|e| Error::io("cannot make the folder of the run", e).at(out.display()))?;
+    let normalisation = if settings.senses().vision {
+        colour_normalisation(train)?
+    } else {
+        RgbNormalisation {
+            mean: [0.0; 3],
+            std: [1.0; 3],
+        }
+    };
+    let file = RunFile {
+        version: 1,
+        software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
+        settings: settings.clone(),
+        dataset_sha256,
+        rgb_mean: normalisation.mean,
+        rgb_std: normalisation.std,
+        crop_profile: train.crop_profile().to_owned(),
+    };
+    let text = serde_json::to_vec_pretty(&file)
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the run").because(e))?;
+    files::save(&folder.run(), &text)?;
+    Ok(file)
+}
+
+/// The settings that differ, with both values.
+fn differing(found: &TrainSettings, wanted: &TrainSettings) -> String {
+    let [found, wanted] = [found, wanted].map(|s| serde_json::to_value(s).unwrap_or_default());
+    let Some(fields) = found.as_object() else {
+        return String::new();
+    };
+    let differing = fields
+        .iter()
+        .filter(|(name, value)| wanted[name.as_str()] != **value);
+    let texts: Vec<String> = differing
+        .map(|(name, value)| format!("{name} {value}, not {}", wanted[name.as_str()]))
+        .collect();
+    texts.join("; ")
+}
+
+/// A run under way.
+struct Training<'a> {
+    folder: &'a RunFolder,
+    settings: &'a TrainSettings,
+    normalisation: RgbNormalisation,
+    train: &'a Samples,
+    validation: &'a Samples,
+    network: Network,
+    adam: Adam,
+    position: Position,
+}
+
+impl<'a> Training<'a> {
+    fn new(
+        folder: &'a RunFolder,
+        file: &'a RunFile,
+        train: &'a Samples,
+        validation: &'a Samples,
+    ) -> Result<Self> {
+        let settings = &file.settings;
+        let mut draw = SeedStream::named(settings.seed, "parameters");
+        let network = Network::new(&settings.architecture, settings.senses(), || draw.uniform());
+        let mut training = Self {
+            folder,
+            settings,
+            normalisation: file.normalisation(),
+            train,
+            validation,
+            adam: Adam::new(network.parameters.len()),
+            network,
+            position: Position {
+                epoch: 0,
+                step: 0,
+                loss: 0.0,
+                steps: 0,
+                best_epoch: None,
+                best: None,
+            },
+        };
+        let path = folder.state();
+        if path.exists() {
+            training.restore(&path)?;
+        }
+        training.cut_metrics()?;
+        Ok(training)
+    }
+
+    fn restore(&mut self, path: &Path) -> Result<()> {
+        let (position, arrays) = state::load(path)?;
+        let [parameters, moments, first, second] =
+            <[Vec<f32>; 4]>::try_from(arrays).map_err(|_| foreign_checkpoint(path))?;
+        let lengths = [parameters.len(), moments.len(), first.len(), second.len()];
+        let network = &mut self.network;
+        let count = network.parameters.len();
+        if lengths != [count, network.moments.len(), count, count] {
+            return Err(foreign_checkpoint(path));
+        }
+        self.position = position;
+        network.parameters = parameters;
+        network.moments = moments;
+        self.adam = Adam {
+            first,
+            second,
+            steps: self.position.steps,
+        };
+        Ok(())
+    }
+
+    fn save(&mut self) -> Result<()> {
+        self.position.steps = self.adam.steps;
+        let arrays: [&[f32]; 4] = [
+            &self.network.parameters,
+            &self.network.moments,
+            &self.adam.first,
+            &self.adam.second,
+        ];
+        state::save(&self.folder.state(), &self.position, &arrays)
+    }
+
+    /// Takes away what was written of epochs after the checkpoint.
+    fn cut_metrics(&self) -> Result<()> {
+        let path = self.folder.metrics();
+        let text = fs::read_to_string(&path).unwrap_or_default();
+        let whole = text.lines().filter(|line| {
+            serde_json::from_str::<EpochFigures>(line)
+                .is_ok_and(|figures| figures.epoch <= self.position.epoch)
+        });
+        let kept: String = whole.flat_map(|line| [line, "\n"]).collect();
+        if kept == text {
+            return Ok(());
+        }
+        files::save(&path, kept.as_bytes())
+    }
+
+    fn note(&self, figures: &EpochFigures) -> Result<()> {
+        let path = self.folder.metrics();
+        let line = serde_json::to_string(figures)
+            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the figures").because(e))?;
+        OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .and_then(|mut file| writeln!(file, "{line}"))
+            .map_err(|e| Error::io("cannot write the figures", e).at(path.display()))
+    }
+
+    fn steps_per_epoch(&self) -> u64 {
+        (self.train.facts().len() / self.settings.batch) as u64
+    }
+
+    fn go_on(mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
+        while self.position.epoch < self.settings.epochs && !self.is_out_of_patience() {
+            let figures = self.epoch(told)?;
+            let accuracy = [figures.validation_accuracy, figures.validation_loss];
+            let is_better = self.position.best.is_none_or(|[best, loss]| {
+                accuracy[0] > best || (accuracy[0] == best && accuracy[1] < loss)
+            });
+            if is_better {
+                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
+                state::save(&self.folder.best(), &figures, &arrays)?;
+                self.position.best = Some(accuracy);
+                self.position.best_epoch = Some(figures.epoch);
+            }
+            self.position.epoch = figures.epoch;
+            self.position.step = 0;
+            self.position.loss = 0.0;
+            // The line first: after a kill between the two it is cut again.
+            self.note(&figures)?;
+            self.save()?;
+            told(TrainEvent::Epoch(figures));
+        }
+        let (_, best) = self.folder.best_network(self.settings)?;
+        Ok(Trained {
+            epochs: self.position.epoch,
+            best_epoch: best.epoch,
+            best,
+        })
+    }
+
+    fn is_out_of_patience(&self) -> bool {
+        let since = self.position.epoch - self.position.best_epoch.unwrap_or(self.position.epoch);
+        self.settings.patience > 0 && since >= self.settings.patience
+    }
+
+    fn epoch(&mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochFigures> {
+        let settings = self.settings;
+        let epoch = self.position.epoch;
+        let (train, senses) = (self.train, settings.senses());
+        let of_epoch = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
+        let order = train.shuffled(of_epoch, settings.memory);
+        let writer = InputWriter::new(settings.augmentation, self.normalisation);
+        let mut batches = Batches::new(train, senses, writer, settings.memory).balanced();
+        let mut read = |step: u64| {
+            let first = step as usize * settings.batch;
+            let samples = &order[first..first + settings.batch];
+            let seed = |at: &usize| SeedStream::named(of_epoch, &train.facts()[*at].id).bits();
+            let seeds: Vec<u64> = samples.iter().map(seed).collect();
+            batches.batch(samples, Some(&seeds))
+        };
+        let steps = self.steps_per_epoch();
+        let all = steps * u64::from(settings.epochs);
+        let begun = Instant::now();
+        let first = self.position.step;
+        let mut gradient = vec![0.0; self.network.parameters.len()];
+        let mut next = if first < steps {
+            Some(read(first)?)
+        } else {
+            None
+        };
+        while let Some(batch) = next.take() {
+            let step = self.position.step;
+            let drop = self.dropped(of_epoch, step);
+            gradient.fill(0.0);
+            let network = &mut self.network;
+            let (loss, read) = rayon::join(
+                || network.learn(&batch, &drop, &mut gradient),
+                || (step + 1 < steps).then(|| read(step + 1)).transpose(),
+            );
+            next = read?;
+            self.check_loss(loss, epoch, step)?;
+            let share = linear_schedule(self.adam.steps, settings.warm_up, all);
+            let layout = self.network.layout().clone();
+            self.adam.step(
+                &layout,
+                &mut self.network.parameters,
+                &gradient,
+                share * settings.learning_rate as f32,
+                settings.weight_decay as f32,
+            );
+            self.position.loss += loss;
+            self.position.step += 1;
+            told(TrainEvent::Step {
+                at: [u64::from(epoch) * steps + step + 1, all],
+                loss,
+            });
+            if self.position.step % CHECKPOINT_STEPS == 0 {
+                self.save()?;
+            }
+        }
+        let seconds = begun.elapsed().as_secs_f64();
+        let done = (steps - first) * settings.batch as u64;
+        let scores = self.look()?;
+        Ok(EpochFigures {
+            epoch: epoch + 1,
+            train_loss: self.position.loss / steps.max(1) as f64,
+            validation_loss: scores.loss,
+            validation_accuracy: scores.accuracy,
+            validation_auroc: scores.auroc,
+            samples_per_s: done as f64 / seconds.max(1e-9),
+        })
+    }
+
+    /// Which hidden floats are left out in a step.
+    fn dropped(&self, of_epoch: u64, step: u64) -> Drop {
+        let share = self.settings.dropout;
+        if share <= 0.0 {
+            return Drop::default();
+        }
+        let mut draw = SeedStream::named(of_epoch, &format!("dropout {step}"));
+        let kept = (1.0 / (1.0 - share)) as f32;
+        let count = self.settings.batch * self.settings.architecture.hidden;
+        let hidden = (0..count).map(|_| if draw.uniform() < share { 0.0 } else { kept });
+        Drop {
+            hidden: hidden.collect(),
+        }
+    }
+
+    fn check_loss(&self, loss: f64, epoch: u32, step: u64) -> Result<()> {
+        if loss.is_finite() {
+            return Ok(());
+        }
+        let kept = match self.position.best_epoch {
+            Some(best) => format!("the best checkpoint, of epoch {best}, is kept"),
+            None => "no epoch was finished".to_owned(),
+        };
+        Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "the loss is {loss} in epoch {}, step {step}; {kept}",
+                epoch + 1
+            ),
+        )
+        .remedy("train anew with a lower `--learning-rate`"))
+    }
+
+    /// How the network does on the validation part.
+    fn look(&self) -> Result<Scores> {
+        let scored = logits(
+            &self.network,
+            self.validation,
+            self.settings,
+            self.normalisation,
+            &|_| {},
+        )?;
+        Ok(Scores::of(&scored))
+    }
+}

@@ -1,0 +1,127 @@
+//! Checkpoints: all that a run needs to go on as if it had never been stopped.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+use sha2::{Digest as _, Sha256};
+
+use crate::error::{Error, ErrorKind, Result};
+use crate::files;
+
+/// What every checkpoint begins with.
+const MAGIC: &[u8; 8] = b"gcstate1";
+/// Bytes of the hash at the end.
+const HASH: usize = 32;
+
+/// Where a run is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Position {
+    /// Epochs that are finished.
+    pub epoch: u32,
+    /// Steps of the next epoch that are done.
+    pub step: u64,
+    /// Sum of those steps' losses.
+    pub loss: f64,
+    /// Steps of the optimiser.
+    pub steps: u64,
+    /// Epoch with the best validation accuracy, from 1.
+    pub best_epoch: Option<u32>,
+    /// That accuracy, and the loss there.
+    pub best: Option<[f64; 2]>,
+}
+
+/// Saves a header and numbers: whole or not at all.
+///
+/// # Errors
+/// Those of writing the file; an older one is then as it was.
+pub fn save<H: Serialize>(path: &Path, header: &H, arrays: &[&[f32]]) -> Result<()> {
+    let header = serde_json::to_vec(header)
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the checkpoint").because(e))?;
+    let floats: usize = arrays.iter().map(|array| array.len()).sum();
+    let mut bytes = Vec::with_capacity(64 + header.len() + 4 * floats);
+    bytes.extend_from_slice(MAGIC);
+    bytes.extend_from_slice(&(header.len() as u64).to_le_bytes());
+    bytes.extend_from_slice(&header);
+    for array in arrays {
+        bytes.extend_from_slice(&(array.len() as u64).to_le_bytes());
+        bytes.extend(array.iter().flat_map(|x| x.to_le_bytes()));
+    }
+    let hash = Sha256::digest(&bytes);
+    bytes.extend_from_slice(&hash);
+    files::save(path, &bytes)
+}
+
+/// Reads what [`save`] wrote.
+///
+/// # Errors
+/// `Input`: damaged, or no checkpoint of this version. Those of reading the file.
+pub fn load<H: DeserializeOwned>(path: &Path) -> Result<(H, Vec<Vec<f32>>)> {
+    let bytes = std::fs::read(path)
+        .map_err(|e| Error::io("cannot read the checkpoint", e).at(path.display()))?;
+    parse(&bytes).ok_or_else(|| {
+        Error::new(
+            ErrorKind::Input,
+            "the checkpoint is damaged or of another version",
+        )
+        .at(path.display())
+        .remedy("delete the file: the run then starts from the beginning")
+    })
+}
+
+fn parse<H: DeserializeOwned>(bytes: &[u8]) -> Option<(H, Vec<Vec<f32>>)> {
+    let (body, hash) = bytes.split_at_checked(bytes.len().checked_sub(HASH)?)?;
+    if Sha256::digest(body)[..] != *hash {
+        return None;
+    }
+    let rest = body.strip_prefix(MAGIC)?;
+    let (header, mut rest) = sized(rest, 1)?;
+    let header = serde_json::from_slice(header).ok()?;
+    let mut arrays = Vec::new();
+    while !rest.is_empty() {
+        let (array, after) = sized(rest, 4)?;
+        let floats = array.as_chunks::<4>().0;
+        arrays.push(floats.iter().map(|x| f32::from_le_bytes(*x)).collect());
+        rest = after;
+    }
+    Some((header, arrays))
+}
+
+/// A run of items of `size` bytes behind their number.
+fn sized(bytes: &[u8], size: usize) -> Option<(&[u8], &[u8])> {
+    let (count, rest) = bytes.split_first_chunk::<8>()?;
+    let count = usize::try_from(u64::from_le_bytes(*count)).ok()?;
+    rest.split_at_checked(count.checked_mul(size)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_checkpoint_comes_back_and_a_damaged_one_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("state.bin");
+        let position = Position {
+            epoch: 3,
+            step: 7,
+            loss: 0.1 + 0.2,
+            steps: 99,
+            best_epoch: Some(2),
+            best: Some([0.75, 0.5]),
+        };
+        save(&path, &position, &[&[1.5, -0.0], &[], &[f32::MIN_POSITIVE]]).unwrap();
+        let (found, arrays): (Position, _) = load(&path).unwrap();
+        assert_eq!(found, position);
+        assert_eq!(arrays, [vec![1.5, -0.0], vec![], vec![f32::MIN_POSITIVE]]);
+        let whole = std::fs::read(&path).unwrap();
+        for cut in [0, 7, 8, 20, whole.len() - 1] {
+            std::fs::write(&path, &whole[..cut]).unwrap();
+            assert!(load::<Position>(&path).is_err(), "{cut}");
+        }
+        let mut flipped = whole;
+        flipped[30] ^= 4;
+        std::fs::write(&path, &flipped).unwrap();
+        let error = load::<Position>(&path).unwrap_err();
+        assert!(error.to_string().contains("from the beginning"), "{error}");
+    }
+}
