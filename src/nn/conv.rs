@@ -333,3 +333,7 @@ impl WithLanes for Spread<'_> {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "conv_test.rs"]
+mod tests;

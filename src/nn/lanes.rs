@@ -72,6 +72,26 @@ impl Isa {
         Self::Portable
     }
 
+    /// All that this processor has, the best one first.
+    #[cfg(test)]
+    pub(super) fn available() -> Vec<Self> {
+        let mut found = vec![Self::best()];
+        #[cfg(target_arch = "x86_64")]
+        if matches!(Self::best(), Self::Avx512(_)) && std::arch::is_x86_feature_detected!("fma") {
+            found.push(Self::Avx2(Avx2(())));
+        }
+        if Self::best() != Self::Portable {
+            found.push(Self::Portable);
+        }
+        found
+    }
+
+    /// Whether products and sums are rounded once.
+    #[cfg(test)]
+    pub(super) fn is_fused(self) -> bool {
+        self != Self::Portable || cfg!(target_arch = "aarch64")
+    }
+
     /// Floats in a vector.
     pub(super) fn lanes(self) -> usize {
         match self {

@@ -544,3 +544,7 @@ fn backward_linear(
     conv::linear_forward(dy, &packed, outputs, &mut dx, Finish::default());
     dx
 }
+
+#[cfg(test)]
+#[path = "network_test.rs"]
+mod tests;

@@ -65,8 +65,12 @@ impl Packed {
 
     /// Packs a matrix that lies row after row.
     pub(super) fn pack_rows(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
-        let lanes = Isa::best().lanes();
-        self.pack([rows, columns], lanes, |row, column| {
+        self.pack_for(Isa::best(), [rows, columns], values);
+    }
+
+    /// The same for another processor.
+    pub(super) fn pack_for(&mut self, isa: Isa, [rows, columns]: [usize; 2], values: &[f32]) {
+        self.pack([rows, columns], isa.lanes(), |row, column| {
             values[row * columns + column]
         });
     }

@@ -11,6 +11,8 @@ mod finish;
 mod look;
 pub mod metrics;
 mod run;
+#[cfg(test)]
+mod sample_dataset;
 mod samples;
 mod settings;
 mod state;

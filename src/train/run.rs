@@ -548,3 +548,7 @@ impl<'a> Training<'a> {
         Ok(Scores::of(&scored))
     }
 }
+
+#[cfg(test)]
+#[path = "run_test.rs"]
+mod tests;

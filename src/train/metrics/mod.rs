@@ -18,7 +18,7 @@ mod bootstrap;
 mod calibration;
 mod confusion;
 mod curve;
-//PLOT pub mod plot;
+pub mod plot;
 mod ranking;
 #[cfg(test)]
 mod reference_test;

@@ -1,7 +1,7 @@
 //! Figures that depend only on the order of the predictions: AUROC and average precision.
 
 use super::curve::{PrecisionRecallPoint, RocPoint, precision_recall_points, roc_points};
-use super::{Scored, present};
+use super::Scored;
 
 /// Area under the ROC curve: the probability that a stable grasp gets a higher prediction than an
 /// unstable one, ties count half (Hanley & McNeil 1982). None with one class only.
@@ -155,12 +155,6 @@ fn multiplicity(multiplicities: &[u32], sample: usize) -> u64 {
     multiplicities.get(sample).copied().map_or(0, u64::from)
 }
 
-/// How many samples are present, stable and unstable.
-pub(super) fn class_counts(samples: &[Scored]) -> [usize; 2] {
-    let stable = present(samples).filter(|sample| sample.stable).count();
-    [stable, present(samples).count() - stable]
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::reference_test::{dyadic_samples, flipped, mapped, scored};
@@ -244,7 +238,6 @@ mod tests {
             (0.4, false),
         ]);
         assert_eq!(auroc(&more), auroc(&samples));
-        assert_eq!(class_counts(&more), [1, 1]);
         // Multiplicities still belong to the samples as they were given.
         let resampled = Ranking::new(&more).resampled_auroc(&[5, 1, 5, 0]);
         assert_eq!(resampled, None);
