@@ -4,7 +4,7 @@
 //! as there are output channels.
 
 use super::lanes::{Isa, Lanes, WithLanes};
-use super::product::{Finish, Packed, Rows, multiply, multiply_transposed};
+use super::product::{Finish, Output, Packed, Rows, multiply, multiply_transposed};
 
 /// Output pixels whose gradients are spread at once; their products stay in the cache.
 const SPREAD_PIXELS: usize = 80;
@@ -55,7 +55,7 @@ impl ConvShape {
     }
 
     /// Where windows lie in the padded input.
-    fn rows(&self) -> (Rows, [usize; 3]) {
+    pub(super) fn rows(&self) -> (Rows, [usize; 3]) {
         let [height, width, _] = self.output();
         let row = self.padded()[1] * self.input[2];
         let rows = Rows {
@@ -135,8 +135,11 @@ pub(super) fn forward(
         rows,
         lines,
         b: weights,
-        c: y,
-        finish,
+        c: Output {
+            line_step: lines[2] * shape.channels,
+            values: y,
+            finish,
+        },
     });
 }
 
@@ -188,8 +191,11 @@ pub(super) fn backward_input(
             },
             lines: [1, 0, pixels],
             b: weights,
-            c: &mut spread[..pixels * shape.fan_in()],
-            finish: Finish::default(),
+            c: Output {
+                values: &mut spread[..pixels * shape.fan_in()],
+                line_step: 0,
+                finish: Finish::default(),
+            },
         });
         Isa::best().run(Spread {
             spread,
@@ -216,8 +222,11 @@ pub(super) fn linear_forward(
         rows: rows_of(inputs),
         lines: [1, 0, count],
         b: weights,
-        c: y,
-        finish,
+        c: Output {
+            values: y,
+            line_step: 0,
+            finish,
+        },
     });
 }
 
@@ -247,29 +256,20 @@ fn rows_of(length: usize) -> Rows {
     }
 }
 
-struct Multiply<'a> {
-    a: &'a [f32],
-    rows: Rows,
-    lines: [usize; 3],
-    b: &'a Packed,
-    c: &'a mut [f32],
-    finish: Finish<'a>,
+pub(super) struct Multiply<'a> {
+    pub(super) a: &'a [f32],
+    pub(super) rows: Rows,
+    pub(super) lines: [usize; 3],
+    pub(super) b: &'a Packed,
+    pub(super) c: Output<'a>,
 }
 
 impl WithLanes for Multiply<'_> {
     type Output = ();
 
     #[inline(always)]
-    fn with_lanes<S: Lanes>(self, lanes: S) {
-        let Self {
-            a,
-            rows,
-            lines,
-            b,
-            c,
-            finish,
-        } = self;
-        multiply(lanes, a, rows, lines, b, c, finish);
+    fn with_lanes<S: Lanes>(self, lanes: S) -> Self::Output {
+        multiply(lanes, self.a, self.rows, self.lines, self.b, self.c);
     }
 }
 

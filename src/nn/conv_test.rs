@@ -132,8 +132,11 @@ fn all_processors_find_the_same() {
                 rows,
                 lines,
                 b: &packed,
-                c: &mut y,
-                finish: Finish::default(),
+                c: Output {
+                    line_step: lines[2] * shape.channels,
+                    values: &mut y,
+                    finish: Finish::default(),
+                },
             });
             let mut dw = vec![0.0; w.len()];
             isa.run(MultiplyTransposed {

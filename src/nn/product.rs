@@ -117,8 +117,17 @@ pub(super) struct Finish<'a> {
     pub(super) relu: bool,
 }
 
+/// Where the rows of C lie.
+#[derive(Debug)]
+pub(super) struct Output<'a> {
+    pub(super) values: &'a mut [f32],
+    /// Distance from a line of rows to the next, floats; within a line they follow one another.
+    pub(super) line_step: usize,
+    pub(super) finish: Finish<'a>,
+}
+
 /// `c[row][column] = finish(Σ a[row][k]·b[k][column])` for lines of rows: line `i` begins at
-/// `a[i·line_step]` and fills the next `count` rows of `c`.
+/// `a[i·line_step]` and has `count` rows.
 #[inline(always)]
 pub(super) fn multiply<S: Lanes>(
     lanes: S,
@@ -126,32 +135,70 @@ pub(super) fn multiply<S: Lanes>(
     rows: Rows,
     [lines, line_step, count]: [usize; 3],
     b: &Packed,
-    c: &mut [f32],
-    finish: Finish<'_>,
+    c: Output<'_>,
 ) {
-    let columns = b.columns;
     for (first, vectors, panel) in b.panels() {
         for line in 0..lines {
             let a = &a[line * line_step..];
-            let c = &mut c[line * count * columns..][..count * columns];
             let mut done = 0;
             while done < count {
                 // The last rows overlap those before: computed twice, they are the same.
                 let at_once = if count >= S::ROWS { S::ROWS } else { 1 };
                 let from = done.min(count - at_once);
-                let (a, c) = (&a[from * rows.step..], &mut c[from * columns..]);
+                let a = &a[from * rows.step..];
                 let to = Target {
-                    columns,
+                    c: &mut c.values[line * c.line_step + from * b.columns..],
+                    columns: b.columns,
                     first,
-                    finish,
+                    finish: c.finish,
                 };
                 match (at_once, vectors) {
-                    (10, 2) => block::<S, 10, 2>(lanes, a, rows, panel, c, to),
-                    (10, _) => block::<S, 10, 1>(lanes, a, rows, panel, c, to),
-                    (5, 2) => block::<S, 5, 2>(lanes, a, rows, panel, c, to),
-                    (5, _) => block::<S, 5, 1>(lanes, a, rows, panel, c, to),
-                    (_, 2) => block::<S, 1, 2>(lanes, a, rows, panel, c, to),
-                    _ => block::<S, 1, 1>(lanes, a, rows, panel, c, to),
+                    (10, 2) => block::<S, 10, 2>(lanes, a, rows, panel, to),
+                    (10, _) => block::<S, 10, 1>(lanes, a, rows, panel, to),
+                    (5, 2) => block::<S, 5, 2>(lanes, a, rows, panel, to),
+                    (5, _) => block::<S, 5, 1>(lanes, a, rows, panel, to),
+                    (_, 2) => block::<S, 1, 2>(lanes, a, rows, panel, to),
+                    _ => block::<S, 1, 1>(lanes, a, rows, panel, to),
+                }
+                done = from + at_once;
+            }
+        }
+    }
+}
+
+/// [`multiply`] for windows of `SIDE`×`SIDE` pixels side by side in planes of `height`×`width`
+/// pixels, one for each channel. Rows of B run over planes, then rows, then columns of a window.
+#[inline(always)]
+pub(super) fn multiply_patches<S: Lanes, const SIDE: usize>(
+    lanes: S,
+    planes: &[f32],
+    [height, width]: [usize; 2],
+    b: &Packed,
+    c: Output<'_>,
+) {
+    let count = width / SIDE;
+    for (first, vectors, panel) in b.panels() {
+        for line in 0..height / SIDE {
+            let lines = &planes[line * SIDE * width..];
+            let mut done = 0;
+            while done < count {
+                let at_once = if count >= S::ROWS { S::ROWS } else { 1 };
+                let from = done.min(count - at_once);
+                let a = &lines[from * SIDE..];
+                let to = Target {
+                    c: &mut c.values[line * c.line_step + from * b.columns..],
+                    columns: b.columns,
+                    first,
+                    finish: c.finish,
+                };
+                let size = [height * width, width];
+                match (at_once, vectors) {
+                    (10, 2) => patches::<S, SIDE, 10, 2>(lanes, a, size, panel, to),
+                    (10, _) => patches::<S, SIDE, 10, 1>(lanes, a, size, panel, to),
+                    (5, 2) => patches::<S, SIDE, 5, 2>(lanes, a, size, panel, to),
+                    (5, _) => patches::<S, SIDE, 5, 1>(lanes, a, size, panel, to),
+                    (_, 2) => patches::<S, SIDE, 1, 2>(lanes, a, size, panel, to),
+                    _ => patches::<S, SIDE, 1, 1>(lanes, a, size, panel, to),
                 }
                 done = from + at_once;
             }
@@ -160,12 +207,52 @@ pub(super) fn multiply<S: Lanes>(
 }
 
 /// Where a block of sums goes.
-#[derive(Clone, Copy)]
 struct Target<'a> {
+    c: &'a mut [f32],
     columns: usize,
     /// Column of the first sum.
     first: usize,
     finish: Finish<'a>,
+}
+
+impl Target<'_> {
+    #[inline(always)]
+    fn store<S: Lanes, const M: usize, const V: usize>(
+        self,
+        lanes: S,
+        sums: &[[S::Vector; V]; M],
+    ) {
+        // Anything more in this loop, and the compiler keeps the sums in memory.
+        let mut tile = [[[0.0; 16]; V]; M];
+        for row in 0..M {
+            for v in 0..V {
+                lanes.store(sums[row][v], &mut tile[row][v]);
+            }
+        }
+        let zero = lanes.splat(0.0);
+        for v in 0..V {
+            let column = self.first + v * S::COUNT;
+            let width = self.columns.saturating_sub(column).min(S::COUNT);
+            let mut bias = [0.0; 16];
+            if let Some(from) = self.finish.bias {
+                bias[..width].copy_from_slice(&from[column..column + width]);
+            }
+            let bias = lanes.load(&bias);
+            for (row, sums) in tile.iter_mut().enumerate() {
+                let mut sum = lanes.add(lanes.load(&sums[v]), bias);
+                if self.finish.relu {
+                    sum = lanes.max(sum, zero);
+                }
+                let c = &mut self.c[row * self.columns + column..];
+                if width == S::COUNT {
+                    lanes.store(sum, c);
+                } else {
+                    lanes.store(sum, &mut sums[v]);
+                    c[..width].copy_from_slice(&sums[v][..width]);
+                }
+            }
+        }
+    }
 }
 
 #[inline(always)]
@@ -174,7 +261,6 @@ fn block<S: Lanes, const M: usize, const V: usize>(
     a: &[f32],
     rows: Rows,
     panel: &[f32],
-    c: &mut [f32],
     to: Target<'_>,
 ) {
     let mut sums = [[lanes.splat(0.0); V]; M];
@@ -195,36 +281,32 @@ fn block<S: Lanes, const M: usize, const V: usize>(
             }
         }
     }
-    // Anything more in this loop, and the compiler keeps the sums in memory.
-    let mut tile = [[[0.0; 16]; V]; M];
-    for row in 0..M {
-        for v in 0..V {
-            lanes.store(sums[row][v], &mut tile[row][v]);
-        }
-    }
-    let zero = lanes.splat(0.0);
-    for v in 0..V {
-        let column = to.first + v * S::COUNT;
-        let width = to.columns.saturating_sub(column).min(S::COUNT);
-        let mut bias = [0.0; 16];
-        if let Some(from) = to.finish.bias {
-            bias[..width].copy_from_slice(&from[column..column + width]);
-        }
-        let bias = lanes.load(&bias);
-        for (row, sums) in tile.iter_mut().enumerate() {
-            let mut sum = lanes.add(lanes.load(&sums[v]), bias);
-            if to.finish.relu {
-                sum = lanes.max(sum, zero);
-            }
-            let c = &mut c[row * to.columns + column..];
-            if width == S::COUNT {
-                lanes.store(sum, c);
-            } else {
-                lanes.store(sum, &mut sums[v]);
-                c[..width].copy_from_slice(&sums[v][..width]);
+    to.store(lanes, &sums);
+}
+
+#[inline(always)]
+fn patches<S: Lanes, const SIDE: usize, const M: usize, const V: usize>(
+    lanes: S,
+    a: &[f32],
+    [plane, row_step]: [usize; 2],
+    panel: &[f32],
+    to: Target<'_>,
+) {
+    let mut sums = [[lanes.splat(0.0); V]; M];
+    for (run, of_run) in panel.chunks_exact(SIDE * V * S::COUNT).enumerate() {
+        let a = &a[run / SIDE * plane + run % SIDE * row_step..][..M * SIDE];
+        for k in 0..SIDE {
+            let b = &of_run[k * V * S::COUNT..][..V * S::COUNT];
+            let b: [S::Vector; V] = std::array::from_fn(|v| lanes.load(&b[v * S::COUNT..]));
+            for row in 0..M {
+                let factor = lanes.splat(a[row * SIDE + k]);
+                for v in 0..V {
+                    sums[row][v] = lanes.mul_add(factor, b[v], sums[row][v]);
+                }
             }
         }
     }
+    to.store(lanes, &sums);
 }
 
 /// `c[k][column] += Σ a[row][k]·b[row][column]` over lines of rows as in [`multiply`]; `b` has a

@@ -86,6 +86,25 @@ fn the_interval_of_an_auroc_contains_it() {
 }
 
 #[test]
+fn the_interval_is_that_of_scikit_learn_and_numpy() {
+    // roc_auc_score of scikit-learn 1.9.1 over the samples of the drawn objects, one by one, and
+    // numpy.quantile of NumPy 2.4.6.
+    let samples = dyadic_samples(60, 51);
+    let ranking = Ranking::new(&samples);
+    let bootstrap = Bootstrap {
+        resamples: 200,
+        seed: 9,
+    };
+    let interval = bootstrap
+        .interval(&objects_of(60, 5), |m| ranking.resampled_auroc(m))
+        .unwrap();
+    assert!((interval.estimate - 0.773_081_201_334_816_6).abs() < 1e-12);
+    assert!((interval.low - 0.717_449_944_382_647_4).abs() < 1e-12);
+    assert!((interval.high - 0.846_881_981_254_040_1).abs() < 1e-12);
+    assert_eq!(interval.resamples, 200);
+}
+
+#[test]
 fn intervals_depend_on_the_seed_alone() {
     let samples = dyadic_samples(100, 32);
     let ranking = Ranking::new(&samples);

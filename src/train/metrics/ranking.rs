@@ -1,7 +1,7 @@
 //! Figures that depend only on the order of the predictions: AUROC and average precision.
 
-use super::curve::{PrecisionRecallPoint, RocPoint, precision_recall_points, roc_points};
 use super::Scored;
+use super::curve::{PrecisionRecallPoint, RocPoint, precision_recall_points, roc_points};
 
 /// Area under the ROC curve: the probability that a stable grasp gets a higher prediction than an
 /// unstable one, ties count half (Hanley & McNeil 1982). None with one class only.

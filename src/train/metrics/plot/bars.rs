@@ -55,7 +55,7 @@ pub struct BarGroup {
 /// A bar.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bar {
-    /// Its height.
+    /// Its end; it starts at 0 or the end of the axis nearest to 0.
     pub mean: f64,
     /// Lower and upper end of its error bar.
     pub interval: Option<[f64; 2]>,
@@ -72,7 +72,7 @@ pub struct Reference {
     pub value: f64,
 }
 
-/// A bar chart as SVG.
+/// A bar chart as SVG. Six series are told apart by colour, more by their order.
 pub fn bars(chart: &BarChart) -> String {
     let layout = Layout::new(chart);
     let frame = &layout.frame;
@@ -88,14 +88,13 @@ pub fn bars(chart: &BarChart) -> String {
             layout.draw_place(&mut body, &mut values, [i, series], bar);
         }
     }
-    let [low, high] = frame.ordinate.range;
-    let in_range = |reference: &&Reference| (low..=high).contains(&reference.value);
-    if let Some(reference) = chart.reference.as_ref().filter(in_range) {
-        let y = reference.value;
+    let reference = chart.reference.as_ref().map(|reference| reference.value);
+    if let Some(y) = reference.filter(|&y| layout.shows(y)) {
         frame.draw_guide(&mut body, [0.0, y], [1.0, y]);
     }
     body.push_str(&values);
     frame.draw_edges(&mut body);
+    layout.draw_zero(&mut body);
     let top = frame.bottom + 10.0 + lowest_line as f64 * LINE + 8.0;
     let entries = entries(chart, layout.decimals);
     let height = legend::draw(&mut body, [8.0, top], frame.right - 8.0, &entries);
@@ -159,6 +158,18 @@ impl<'a> Layout<'a> {
         self.frame.left + GAP + 0.5 * self.group + group as f64 * (GAP + self.group)
     }
 
+    /// Line from which bars of either sign start.
+    fn draw_zero(&self, out: &mut String) {
+        if self.frame.ordinate.range[0] < 0.0 && self.shows(0.0) {
+            let [left, y] = self.frame.place([0.0, 0.0]);
+            let right = self.frame.right;
+            put!(
+                out,
+                "<path class=\"axis\" d=\"M{left:.1} {y:.1}H{right:.1}\"/>"
+            );
+        }
+    }
+
     /// Writes the name of a group; returns how many lines it takes.
     fn draw_name(&self, out: &mut String, group: usize, name: &str) -> usize {
         let lines = wrapped(name, NORMAL, self.group + 0.5 * GAP, NAME_LINES);
@@ -185,7 +196,8 @@ impl<'a> Layout<'a> {
             value(values, [x, self.frame.bottom - 5.0], MISSING);
             return;
         };
-        let top = self.frame.y(bar.mean);
+        let [end, base] = [self.frame.y(bar.mean), self.frame.y(0.0)];
+        let top = end.min(base);
         let half = 0.5 * BAR * self.place;
         put!(
             out,
@@ -193,7 +205,7 @@ impl<'a> Layout<'a> {
             colour(series),
             x - half,
             2.0 * half,
-            self.frame.bottom - top
+            (end - base).abs()
         );
         let whisker = self.draw_whisker(out, x, bar.interval).unwrap_or(top);
         let seeds = self.draw_seeds(out, x, half, &bar.seeds);
@@ -202,24 +214,32 @@ impl<'a> Layout<'a> {
         value(values, [x, highest - 5.0], &mean);
     }
 
-    /// Draws an error bar; returns its upper end, px.
+    /// Draws an error bar, without a cap where it leaves the frame; returns its upper end, px.
     fn draw_whisker(&self, out: &mut String, x: f64, interval: Option<[f64; 2]>) -> Option<f64> {
-        let finite = interval.filter(|ends| ends.iter().all(|end| end.is_finite()));
-        let [low, high] = finite?.map(|end| self.frame.y(end));
+        let ends = interval.filter(|ends| ends.iter().all(|end| end.is_finite()))?;
+        let [low, high] = ends.map(|end| self.frame.y(end));
         put!(
             out,
-            "<path class=\"whisker\" d=\"M{x:.1} {low:.1}V{high:.1}M{:.1} {low:.1}h8M{:.1} {high:.1}h8\"/>",
-            x - 4.0,
-            x - 4.0
+            "<path class=\"whisker\" d=\"M{x:.1} {low:.1}V{high:.1}"
         );
+        for end in ends.into_iter().filter(|&end| self.shows(end)) {
+            put!(out, "M{:.1} {:.1}h8", x - 4.0, self.frame.y(end));
+        }
+        put!(out, "\"/>");
         Some(low.min(high))
     }
 
-    /// Draws the dots of seeds, each at the same place of every bar; returns their upper edge, px.
+    /// Whether a value is in the range of the axis.
+    fn shows(&self, value: f64) -> bool {
+        let [low, high] = self.frame.ordinate.range;
+        (low..=high).contains(&value)
+    }
+
+    /// Draws the dots of the seeds in the range, each at the same place of every bar; returns their upper edge, px.
     fn draw_seeds(&self, out: &mut String, x: f64, half: f64, seeds: &[f64]) -> f64 {
         const RADIUS: f64 = 2.4;
         let mut upper_edge = f64::INFINITY;
-        for (i, &seed) in seeds.iter().enumerate().filter(|(_, s)| s.is_finite()) {
+        for (i, &seed) in seeds.iter().enumerate().filter(|(_, s)| self.shows(**s)) {
             let across = (i as f64 + 0.5) / seeds.len() as f64 - 0.5;
             let y = self.frame.y(seed);
             upper_edge = upper_edge.min(y - RADIUS);

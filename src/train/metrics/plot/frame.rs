@@ -2,12 +2,12 @@
 
 use std::fmt::Write as _;
 
-use super::text::{Anchor, NORMAL, SMALL, fitted, label, small, upright, width};
+use super::text::{Anchor, NORMAL, SMALL, count, fitted, label, small, upright, width};
 use crate::html::{fixed, put};
 
 /// Room between numbers of the ordinate and the frame, px.
 const GAP: f64 = 7.0;
-/// Room that the label of the ordinate takes, px.
+/// Room at the left edge of the figure that the label of the ordinate takes, px.
 const UPRIGHT: f64 = 22.0;
 /// Room below the frame that numbers and label of the abscissa take, px.
 pub(super) const ABSCISSA: f64 = 42.0;
@@ -55,7 +55,13 @@ impl<'a> Axis<'a> {
         Self {
             label,
             range,
-            ticks: ticks(range, step),
+            ticks: ticks(range, step)
+                .into_iter()
+                .map(|tick| Tick {
+                    text: count(tick.value as usize),
+                    ..tick
+                })
+                .collect(),
         }
     }
 
@@ -129,8 +135,7 @@ impl Frame<'_> {
         put!(out, "<path class=\"grid\" d=\"{lines}\"/>");
         let text = fitted(self.ordinate.label, NORMAL, self.bottom - self.top);
         let middle = 0.5 * (self.top + self.bottom);
-        let x = self.left - self.ordinate.room() + NORMAL;
-        upright(out, [x, middle], &text);
+        upright(out, [UPRIGHT - 8.0, middle], &text);
     }
 
     /// Grid lines of the abscissa.
@@ -154,7 +159,7 @@ impl Frame<'_> {
         label(out, [middle, self.bottom + 36.0], Anchor::Middle, &text);
     }
 
-    /// Left and lower edge with marks; after the data, which they cover.
+    /// Left and lower edge with marks.
     pub(super) fn draw_edges(&self, out: &mut String) {
         let mut lines = format!(
             "M{:.1} {:.1}V{:.1}H{:.1}",
@@ -208,6 +213,8 @@ mod tests {
         assert_eq!(texts(&Axis::of_counts("", 0)), ["0", "1"]);
         assert_eq!(texts(&Axis::of_counts("", 3)), ["0", "2", "4"]);
         assert_eq!(texts(&Axis::of_counts("", 230)), ["0", "200", "400"]);
+        let axis = Axis::of_counts("", 17_000);
+        assert_eq!(texts(&axis), ["0", "10,000", "20,000"]);
         for highest in 1..500 {
             let axis = Axis::of_counts("", highest);
             assert!(axis.range[1] >= highest as f64);

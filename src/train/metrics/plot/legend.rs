@@ -8,8 +8,8 @@ use crate::html::{Esc, put};
 
 /// Room that the key of an entry takes, px.
 const KEY: f64 = 30.0;
-/// Room between name and figure, and between columns, px.
-const GAP: f64 = 12.0;
+/// Room between name and figures, and between entries, px.
+const GAP: f64 = 14.0;
 /// Height of a row, px.
 const ROW: f64 = 18.0;
 
@@ -32,6 +32,13 @@ pub(super) enum Key {
     Nothing,
 }
 
+impl Key {
+    /// Room that it takes before the name, px.
+    fn room(self) -> f64 {
+        if self == Self::Nothing { 0.0 } else { KEY }
+    }
+}
+
 /// A line of the legend.
 pub(super) struct Entry {
     pub(super) key: Key,
@@ -50,37 +57,76 @@ impl Entry {
     }
 }
 
-/// Draws entries in as many equal columns as fit into a width, from a point downwards; returns the
-/// height, px.
+/// Draws entries from a point downwards within a width; returns the height, px. Entries with figures
+/// are the rows of a table, others follow each other like words.
 pub(super) fn draw(out: &mut String, [left, top]: [f64; 2], room: f64, entries: &[Entry]) -> f64 {
+    let has_figures = entries.iter().any(|entry| !entry.figures.is_empty());
+    let places = if has_figures {
+        table(entries, room)
+    } else {
+        flow(entries, room)
+    };
+    for (entry, place) in entries.iter().zip(&places) {
+        let [x, y] = [left + place.x, top + (place.row as f64 + 0.5) * ROW];
+        draw_entry(out, entry, [x, y], place.name_room);
+    }
+    places
+        .last()
+        .map_or(0.0, |last| (last.row + 1) as f64 * ROW)
+}
+
+/// Where an entry stands.
+struct Place {
+    x: f64,
+    row: usize,
+    name_room: f64,
+}
+
+fn table(entries: &[Entry], room: f64) -> Vec<Place> {
     let widest = |text: fn(&Entry) -> &str| {
         let widths = entries.iter().map(|entry| width(text(entry), NORMAL));
         widths.fold(0.0, f64::max)
     };
-    let figures = widest(|entry| &entry.figures);
-    let beside = if figures > 0.0 { GAP + figures } else { 0.0 };
-    let name = widest(|entry| &entry.name).min(room - KEY - beside);
-    let column = KEY + name + beside + GAP;
-    let columns = (((room + GAP) / column) as usize).max(1);
-    for (i, entry) in entries.iter().enumerate() {
-        let x = left + (i % columns) as f64 * column;
-        let y = top + (i / columns) as f64 * ROW + 0.5 * ROW;
-        put!(out, "<g>");
-        draw_key(out, entry.key, [x, y]);
-        let short = fitted(&entry.name, NORMAL, name);
-        if short != entry.name {
-            put!(out, "<title>{}</title>", Esc(&entry.name));
+    let beside = KEY + GAP + widest(|entry| &entry.figures);
+    let name_room = widest(|entry| &entry.name).min(room - beside);
+    let place = |row| Place {
+        x: 0.0,
+        row,
+        name_room,
+    };
+    (0..entries.len()).map(place).collect()
+}
+
+fn flow(entries: &[Entry], room: f64) -> Vec<Place> {
+    let (mut x, mut row) = (0.0, 0);
+    let place = |entry: &Entry| {
+        let name_room = width(&entry.name, NORMAL).min(room - entry.key.room());
+        let taken = entry.key.room() + name_room;
+        if x > 0.0 && x + taken > room {
+            (x, row) = (0.0, row + 1);
         }
-        let start = if entry.key == Key::Nothing { 0.0 } else { KEY };
-        let baseline = y + 0.36 * NORMAL;
-        label(out, [x + start, baseline], Anchor::Start, &short);
-        if !entry.figures.is_empty() {
-            let at = [x + KEY + name + GAP, baseline];
-            label(out, at, Anchor::Start, &entry.figures);
-        }
-        put!(out, "</g>");
+        let place = Place { x, row, name_room };
+        x += taken + GAP;
+        place
+    };
+    entries.iter().map(place).collect()
+}
+
+/// An entry with the middle of its left edge at a point.
+fn draw_entry(out: &mut String, entry: &Entry, [x, y]: [f64; 2], name_room: f64) {
+    put!(out, "<g>");
+    let short = fitted(&entry.name, NORMAL, name_room);
+    if short != entry.name {
+        put!(out, "<title>{}</title>", Esc(&entry.name));
     }
-    entries.len().div_ceil(columns) as f64 * ROW
+    draw_key(out, entry.key, [x, y]);
+    let (start, baseline) = (x + entry.key.room(), y + 0.36 * NORMAL);
+    label(out, [start, baseline], Anchor::Start, &short);
+    if !entry.figures.is_empty() {
+        let at = [start + name_room + GAP, baseline];
+        label(out, at, Anchor::Start, &entry.figures);
+    }
+    put!(out, "</g>");
 }
 
 /// A key with the middle of its left edge at a point.

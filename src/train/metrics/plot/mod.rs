@@ -1,11 +1,13 @@
 //! Figures as SVG strings: ROC, precision–recall and reliability diagrams, bar charts.
 //!
-//! A figure stands in a page or alone. Its colours are the page's variables `--ink`, `--soft`,
-//! `--line`, `--paper` and `--series-0` to `--series-5`; without them it follows the page's
-//! `color-scheme`. Names are escaped, shortened where the room ends, and complete in tooltips.
+//! A figure stands in a page or alone. Its colours are the page's variables `--ink`, `--line`,
+//! `--paper` and `--series-0` to `--series-5`; without them it follows the page's `color-scheme`.
+//! Names are escaped, shortened where the room ends, and complete in tooltips.
 
 mod bars;
 mod figure;
+#[cfg(test)]
+mod figures_test;
 mod frame;
 #[cfg(test)]
 mod layout_test;
@@ -20,9 +22,10 @@ pub use precision_recall::{PrecisionRecallCurve, precision_recall};
 pub use reliability::reliability;
 pub use roc::{RocCurve, roc};
 
+use crate::html::fixed;
+
 /// `0.912`, with its interval if there is one, or that it is undefined.
 fn figure_text(name: &str, value: Option<f64>, interval: Option<[f64; 2]>) -> String {
-    use crate::html::fixed;
     match (value, interval) {
         (None, _) => format!("{name} undefined"),
         (Some(value), None) => format!("{name} {}", fixed(value, 3)),

@@ -49,12 +49,14 @@ pub fn precision_recall(
     stable_share: Option<f64>,
 ) -> String {
     let frame = square(
-        "Recall (stable grasps found)",
-        "Precision (predicted stable that are stable)",
+        "Recall of the stable class",
+        "Precision of the stable class",
     );
     let mut body = String::new();
     frame.draw_ordinate(&mut body);
     frame.draw_verticals(&mut body);
+    frame.draw_abscissa(&mut body);
+    frame.draw_edges(&mut body);
     let chance = stable_share.filter(|share| share.is_finite());
     if let Some(share) = chance {
         frame.draw_guide(&mut body, [0.0, share], [1.0, share]);
@@ -70,8 +72,6 @@ pub fn precision_recall(
             figures: figure_text("AP", curve.average_precision, curve.interval),
         });
     }
-    frame.draw_edges(&mut body);
-    frame.draw_abscissa(&mut body);
     let what = "Precision–recall curves of the stability prediction.";
     let description = described(what, &entries);
     if let Some(share) = chance {

@@ -8,6 +8,7 @@ use super::figure_text;
 use super::frame::{ABSCISSA, Axis, Frame};
 use super::legend::{self, Entry, Key};
 use super::roc::{MARGIN, SIDE};
+use super::text::count;
 use crate::html::{fixed, put};
 
 /// Height of the histogram, px.
@@ -29,23 +30,27 @@ pub fn reliability(title: &str, table: &ReliabilityTable) -> String {
         draw_bar(&mut body, &diagram, bin, bin.stable_share.unwrap_or(0.0));
         draw_bar(&mut body, &histogram, bin, bin.n as f64);
     }
+    diagram.draw_edges(&mut body);
+    histogram.draw_edges(&mut body);
     diagram.draw_guide(&mut body, [0.0, 0.0], [1.0, 1.0]);
     for bin in &table.bins {
         draw_point(&mut body, &diagram, bin);
     }
     put!(body, "</g>");
-    diagram.draw_edges(&mut body);
-    histogram.draw_edges(&mut body);
     histogram.draw_abscissa(&mut body);
-    let ece = figure_text("ECE", table.expected_calibration_error(), None);
-    let n = table.n();
+    let verdict = match table.n() {
+        0 => "No grasps".to_owned(),
+        n => {
+            let ece = figure_text("ECE", table.expected_calibration_error(), None);
+            format!("{ece} over {} grasps", count(n))
+        }
+    };
     let entries = [
         Entry::new(Key::PointedBar(0), "Grasps of a bin"),
         Entry::new(Key::Guide, "Perfect calibration"),
-        Entry::new(Key::Nothing, format!("{ece} over {n} grasps")),
+        Entry::new(Key::Nothing, verdict.as_str()),
     ];
-    let description =
-        format!("Reliability diagram of the stability prediction. {ece}, {n} grasps.");
+    let description = format!("Reliability diagram of the stability prediction. {verdict}.");
     let top = histogram.bottom + ABSCISSA + 4.0;
     let room = histogram.right - 8.0;
     let height = legend::draw(&mut body, [8.0, top], room, &entries);

@@ -53,6 +53,8 @@ pub fn roc(title: &str, curves: &[RocCurve]) -> String {
     let mut body = String::new();
     frame.draw_ordinate(&mut body);
     frame.draw_verticals(&mut body);
+    frame.draw_abscissa(&mut body);
+    frame.draw_edges(&mut body);
     frame.draw_guide(&mut body, [0.0, 0.0], [1.0, 1.0]);
     let mut entries = Vec::new();
     for (series, curve) in curves.iter().enumerate() {
@@ -67,8 +69,6 @@ pub fn roc(title: &str, curves: &[RocCurve]) -> String {
             figures: figure_text("AUROC", curve.auroc, curve.interval),
         });
     }
-    frame.draw_edges(&mut body);
-    frame.draw_abscissa(&mut body);
     let description = described("ROC curves of the stability prediction.", &entries);
     entries.push(Entry {
         key: Key::Guide,

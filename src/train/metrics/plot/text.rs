@@ -65,6 +65,19 @@ pub(super) fn upright(out: &mut String, [x, y]: [f64; 2], text: &str) {
     );
 }
 
+/// A count with its thousands set apart: `12,000`.
+pub(super) fn count(n: usize) -> String {
+    let digits = n.to_string();
+    let mut text = String::new();
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
 /// Room that a text takes at a font size, px. The font is the reader's, so this is the width in
 /// DejaVu Sans, one of the widest, rounded up.
 pub(super) fn width(text: &str, size: f64) -> f64 {
@@ -139,6 +152,13 @@ mod tests {
         // It uses the room that there is.
         assert!(width(&short, NORMAL) > 60.0);
         assert_eq!(fitted("名前", NORMAL, 0.0), "…");
+    }
+
+    #[test]
+    fn thousands_are_set_apart() {
+        let counts = [0, 999, 1000, 12_345, 100_000, 1_234_567].map(count);
+        let expected = ["0", "999", "1,000", "12,345", "100,000", "1,234,567"];
+        assert_eq!(counts, expected);
     }
 
     #[test]

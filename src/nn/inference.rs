@@ -1,0 +1,256 @@
+//! Layers of a trained network: weights packed once, one picture at a time.
+
+use super::conv::{ConvShape, Multiply};
+use super::lanes::{Isa, Lanes, WithLanes};
+use super::product::{Finish, Output, Packed, multiply_patches};
+
+/// Sides of windows for which [`Patches`] is compiled.
+const PATCH_SIDES: [usize; 3] = [2, 4, 8];
+
+/// A picture HWC with a border of zeros, which windows may read.
+#[derive(Clone, Debug)]
+pub struct Padded {
+    size: [usize; 3],
+    border: usize,
+    values: Vec<f32>,
+}
+
+impl Padded {
+    /// A black picture of height, width and channels with a border of so many pixels.
+    pub fn new(size: [usize; 3], border: usize) -> Self {
+        let [height, width, channels] = size;
+        let floats = (height + 2 * border) * (width + 2 * border) * channels;
+        Self {
+            size,
+            border,
+            values: vec![0.0; floats],
+        }
+    }
+
+    /// Height, width and channels.
+    pub fn size(&self) -> [usize; 3] {
+        self.size
+    }
+
+    /// Floats from a row to the next.
+    fn row(&self) -> usize {
+        (self.size[1] + 2 * self.border) * self.size[2]
+    }
+
+    /// Place of a pixel that lies `border` pixels within the picture with its border.
+    fn at(&self, border: usize) -> usize {
+        let inset = self.border - border;
+        inset * self.row() + inset * self.size[2]
+    }
+
+    /// Copies planes, one for each channel.
+    pub fn set_planes(&mut self, planes: &[f32]) {
+        let [height, width, channels] = self.size;
+        let (first, step) = (self.at(0), self.row());
+        for (channel, plane) in planes.chunks_exact(height * width).enumerate() {
+            for (y, from) in plane.chunks_exact(width).enumerate() {
+                let row = &mut self.values[first + y * step..][..width * channels];
+                for (to, from) in row.chunks_exact_mut(channels).zip(from) {
+                    to[channel] = *from;
+                }
+            }
+        }
+    }
+
+    /// Means over windows of `window` pixels side by side, HWC.
+    pub fn pooled(&self, window: [usize; 2], means: &mut Vec<f32>) {
+        let [height, width, channels] = self.size;
+        let [tall, wide] = window;
+        let share = 1.0 / (tall * wide) as f32;
+        means.clear();
+        for y in 0..height / tall {
+            for x in 0..width / wide {
+                let begun = means.len();
+                means.resize(begun + channels, 0.0);
+                for line in y * tall..(y + 1) * tall {
+                    let from = self.at(0) + line * self.row() + x * wide * channels;
+                    let pixels = self.values[from..][..wide * channels].chunks_exact(channels);
+                    for pixel in pixels {
+                        for (mean, value) in means[begun..].iter_mut().zip(pixel) {
+                            *mean += share * value;
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// A convolution with its bias, and ReLU where there is one.
+#[derive(Clone, Debug)]
+pub struct Convolution {
+    shape: ConvShape,
+    weights: Packed,
+    /// The same for windows in planes, where they lie side by side.
+    patches: Option<Packed>,
+    bias: Vec<f32>,
+    relu: bool,
+}
+
+impl Convolution {
+    /// A convolution; `weights` has a row for each float of a window (rows, columns, channels) and
+    /// a column for each output channel.
+    pub fn new(shape: ConvShape, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
+        let mut packed = Packed::default();
+        shape.pack(weights, &mut packed);
+        let [height, width, inputs] = shape.input;
+        let is_patch = shape.stride == shape.kernel
+            && shape.pad == 0
+            && PATCH_SIDES.contains(&shape.kernel)
+            && height % shape.kernel == 0
+            && width % shape.kernel == 0;
+        let patches = is_patch.then(|| {
+            let window = shape.kernel * shape.kernel;
+            let rows = (0..inputs).flat_map(|input| (0..window).map(move |at| at * inputs + input));
+            let planar: Vec<f32> = rows
+                .flat_map(|row| &weights[row * shape.channels..][..shape.channels])
+                .copied()
+                .collect();
+            let mut packed = Packed::default();
+            shape.pack(&planar, &mut packed);
+            packed
+        });
+        Self {
+            shape,
+            weights: packed,
+            patches,
+            bias,
+            relu,
+        }
+    }
+
+    /// Sizes.
+    pub fn shape(&self) -> &ConvShape {
+        &self.shape
+    }
+
+    /// Whether it reads planes as they are, see [`Convolution::of_planes`].
+    pub fn reads_planes(&self) -> bool {
+        self.patches.is_some()
+    }
+
+    fn finish(&self) -> Finish<'_> {
+        Finish {
+            bias: Some(&self.bias),
+            relu: self.relu,
+        }
+    }
+
+    /// Convolves a picture whose border is as wide as the convolution's padding.
+    pub fn of(&self, x: &Padded, y: &mut Padded) {
+        let (rows, [height, _, width]) = self.shape.rows();
+        let step = x.row();
+        let rows = super::product::Rows {
+            run_step: step,
+            ..rows
+        };
+        let (first, line_step) = (y.at(0), y.row());
+        Isa::best().run(Multiply {
+            a: &x.values[x.at(self.shape.pad)..],
+            rows,
+            lines: [height, self.shape.stride * step, width],
+            b: &self.weights,
+            c: Output {
+                values: &mut y.values[first..],
+                line_step,
+                finish: self.finish(),
+            },
+        });
+    }
+
+    /// Convolves planes, one for each channel; nothing where it does not [read
+    /// them](Convolution::reads_planes).
+    pub fn of_planes(&self, planes: &[f32], y: &mut Padded) {
+        let Some(weights) = &self.patches else { return };
+        let [height, width, _] = self.shape.input;
+        let (first, line_step) = (y.at(0), y.row());
+        Isa::best().run(Patches {
+            side: self.shape.kernel,
+            planes,
+            size: [height, width],
+            weights,
+            output: Output {
+                values: &mut y.values[first..],
+                line_step,
+                finish: self.finish(),
+            },
+        });
+    }
+}
+
+struct Patches<'a> {
+    side: usize,
+    planes: &'a [f32],
+    size: [usize; 2],
+    weights: &'a Packed,
+    output: Output<'a>,
+}
+
+impl WithLanes for Patches<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_lanes<S: Lanes>(self, lanes: S) {
+        let Self {
+            planes,
+            size,
+            weights,
+            output,
+            ..
+        } = self;
+        match self.side {
+            2 => multiply_patches::<S, 2>(lanes, planes, size, weights, output),
+            4 => multiply_patches::<S, 4>(lanes, planes, size, weights, output),
+            _ => multiply_patches::<S, 8>(lanes, planes, size, weights, output),
+        }
+    }
+}
+
+/// `x·weights + bias`, and ReLU where there is one.
+#[derive(Clone, Debug)]
+pub struct Dense {
+    inputs: usize,
+    weights: Packed,
+    bias: Vec<f32>,
+    relu: bool,
+}
+
+impl Dense {
+    /// A layer; `weights` has a row for each input and a column for each output.
+    pub fn new(inputs: usize, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
+        let mut packed = Packed::default();
+        packed.pack_rows([inputs, bias.len()], weights);
+        Self {
+            inputs,
+            weights: packed,
+            bias,
+            relu,
+        }
+    }
+
+    /// Number of inputs.
+    pub fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    /// Number of outputs.
+    pub fn outputs(&self) -> usize {
+        self.bias.len()
+    }
+
+    /// Of rows of inputs.
+    pub fn of(&self, x: &[f32], y: &mut Vec<f32>) {
+        y.clear();
+        y.resize(x.len() / self.inputs * self.bias.len(), 0.0);
+        let finish = Finish {
+            bias: Some(&self.bias),
+            relu: self.relu,
+        };
+        super::conv::linear_forward(x, &self.weights, self.inputs, y, finish);
+    }
+}
