@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::lanes::{Isa, Lanes, WithLanes};
 
 /// Added to variances.
-pub const EPSILON: f32 = 1e-5;
+const EPSILON: f32 = 1e-5;
 
 /// Mean and variance of each channel.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -32,6 +32,11 @@ impl Padded {
         self.size
     }
 
+    /// Zeros around it, pixels.
+    pub fn border(&self) -> usize {
+        self.border
+    }
+
     /// Floats from a row to the next.
     fn row(&self) -> usize {
         (self.size[1] + 2 * self.border) * self.size[2]

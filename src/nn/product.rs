@@ -217,11 +217,7 @@ struct Target<'a> {
 
 impl Target<'_> {
     #[inline(always)]
-    fn store<S: Lanes, const M: usize, const V: usize>(
-        self,
-        lanes: S,
-        sums: &[[S::Vector; V]; M],
-    ) {
+    fn store<S: Lanes, const M: usize, const V: usize>(self, lanes: S, sums: &[[S::Vector; V]; M]) {
         // Anything more in this loop, and the compiler keeps the sums in memory.
         let mut tile = [[[0.0; 16]; V]; M];
         for row in 0..M {

@@ -14,6 +14,7 @@ use tract_onnx::prelude::{
 
 use super::contract::{self, InputName, ModelContract};
 use super::input::ModelInput;
+use super::plan::Plan;
 use super::{baseline, onnx};
 use crate::error::{Error, ErrorKind, Result};
 use crate::quiet_panic;
@@ -24,9 +25,19 @@ pub struct Model {
     contract: ModelContract,
     sha256: String,
     load_ms: f64,
-    /// Inputs in the order of the graph.
-    order: Vec<InputName>,
-    plan: Arc<TypedRunnableModel>,
+    engine: Engine,
+}
+
+#[derive(Debug)]
+enum Engine {
+    /// Ours, for the networks that gripcast trains.
+    Own(Box<Plan>),
+    /// The general one.
+    Tract {
+        /// Inputs in the order of the graph.
+        order: Vec<InputName>,
+        model: Arc<TypedRunnableModel>,
+    },
 }
 
 /// What a model says about one grasp.
@@ -68,14 +79,18 @@ impl Model {
         let started = Instant::now();
         let proto = onnx::decode(bytes)?;
         let contract = ModelContract::of(&proto)?;
-        let order = input_order(&proto, &contract);
-        let plan = guarded("build the model's graph", || optimise(&proto))?;
+        let engine = match Plan::of(&proto) {
+            Some(plan) => Engine::Own(Box::new(plan)),
+            None => Engine::Tract {
+                order: input_order(&proto, &contract),
+                model: guarded("build the model's graph", || optimise(&proto))?,
+            },
+        };
         let mut model = Self {
             contract,
             sha256: hex(&Sha256::digest(bytes)),
             load_ms: 0.0,
-            order,
-            plan,
+            engine,
         };
         let zeros = ModelInput::zeros(&model.contract)?;
         model.predict(&zeros).map_err(|error| {
@@ -83,6 +98,27 @@ impl Model {
         })?;
         model.load_ms = milliseconds_since(started);
         Ok(model)
+    }
+
+    /// As [`Model::from_bytes`], on the general engine even where ours would do.
+    ///
+    /// # Errors
+    /// As [`Model::load`].
+    #[cfg(test)]
+    pub(crate) fn on_tract(bytes: &[u8]) -> Result<Self> {
+        let proto = onnx::decode(bytes)?;
+        let mut model = Self::from_bytes(bytes)?;
+        model.engine = Engine::Tract {
+            order: input_order(&proto, &model.contract),
+            model: guarded("build the model's graph", || optimise(&proto))?,
+        };
+        Ok(model)
+    }
+
+    /// Whether our own engine runs it.
+    #[cfg(test)]
+    pub(crate) fn is_on_own_engine(&self) -> bool {
+        matches!(self.engine, Engine::Own(_))
     }
 
     /// What the model promises.
@@ -110,28 +146,10 @@ impl Model {
     /// no probability.
     pub fn predict(&self, input: &ModelInput) -> Result<Prediction> {
         let started = Instant::now();
-        let mut tensors = TVec::new();
-        for &name in &self.order {
-            let tensor = input.tensor(name).ok_or_else(|| {
-                Error::new(
-                    ErrorKind::Internal,
-                    format!("the model needs the input `{name}`, which was not given"),
-                )
-            })?;
-            tensors.push(tensor.share());
-        }
-        let p_stable = guarded("run the model", || {
-            let output = TypedSimpleState::new(&self.plan)?.run(tensors)?;
-            let values = output
-                .first()
-                .map(|value| value.try_as_plain_ram())
-                .transpose()?;
-            Ok(match values.as_ref().map(|view| view.as_slice::<f32>()) {
-                Some(Ok([p_stable])) => *p_stable,
-                Some(Err(cause)) => return Err(cause),
-                _ => f32::NAN,
-            })
-        })?;
+        let p_stable = match &self.engine {
+            Engine::Own(plan) => plan.run(input).ok_or_else(missing_input)?,
+            Engine::Tract { order, model } => run_tract(order, model, input)?,
+        };
         if !(0.0..=1.0).contains(&p_stable) {
             return Err(Error::new(
                 ErrorKind::Input,
@@ -147,6 +165,35 @@ impl Model {
             engine_ms: milliseconds_since(started),
         })
     }
+}
+
+fn missing_input() -> Error {
+    let what = "the model needs an input that was not given";
+    Error::new(ErrorKind::Internal, what)
+}
+
+fn run_tract(
+    order: &[InputName],
+    model: &Arc<TypedRunnableModel>,
+    input: &ModelInput,
+) -> Result<f32> {
+    let mut tensors = TVec::new();
+    for &name in order {
+        let tensor = input.tensor(name).ok_or_else(missing_input)?;
+        tensors.push(tensor.share());
+    }
+    guarded("run the model", || {
+        let output = TypedSimpleState::new(model)?.run(tensors)?;
+        let values = output
+            .first()
+            .map(|value| value.try_as_plain_ram())
+            .transpose()?;
+        Ok(match values.as_ref().map(|view| view.as_slice::<f32>()) {
+            Some(Ok([p_stable])) => *p_stable,
+            Some(Err(cause)) => return Err(cause),
+            _ => f32::NAN,
+        })
+    })
 }
 
 fn optimise(proto: &ModelProto) -> TractResult<Arc<TypedRunnableModel>> {

@@ -11,6 +11,7 @@ mod engine;
 mod input;
 mod live;
 pub mod onnx;
+mod plan;
 mod timing;
 
 pub use contract::ModelContract;

@@ -82,11 +82,11 @@ impl Augmentation {
 
 /// The decoded pictures of a sample.
 #[derive(Clone, Debug)]
-pub struct SamplePictures {
+pub(super) struct SamplePictures {
     /// Left and right sensor, initial and grasp.
-    pub tactile: [[RgbImage; 2]; 2],
+    pub(super) tactile: [[RgbImage; 2]; 2],
     /// Colour camera in the grasp.
-    pub rgb: RgbImage,
+    pub(super) rgb: RgbImage,
 }
 
 impl SamplePictures {
@@ -94,7 +94,7 @@ impl SamplePictures {
     ///
     /// # Errors
     /// `Input`: a picture is damaged or not 320×240.
-    pub fn decode(
+    pub(super) fn decode(
         decoder: &mut Decoder,
         images: &ShardImages,
         [touch, vision]: [bool; 2],
@@ -132,7 +132,7 @@ impl SamplePictures {
 
 /// Writes the floats of samples.
 #[derive(Debug)]
-pub struct InputWriter {
+pub(super) struct InputWriter {
     augmentation: Augmentation,
     normalisation: RgbNormalisation,
     noise: Vec<f32>,
@@ -147,7 +147,7 @@ struct Pose {
 
 impl InputWriter {
     /// A writer; pictures are changed by `augmentation` where a seed is given.
-    pub fn new(augmentation: Augmentation, normalisation: RgbNormalisation) -> Self {
+    pub(super) fn new(augmentation: Augmentation, normalisation: RgbNormalisation) -> Self {
         let mut noise = Vec::new();
         if augmentation.tactile_noise > 0.0 {
             let mut draw = SeedStream::named(0, "noise");
@@ -164,7 +164,7 @@ impl InputWriter {
 
     /// Writes left and right tactile difference and the colour picture, HWC; slices that are empty
     /// stay empty.
-    pub fn write(
+    pub(super) fn write(
         &self,
         pictures: &SamplePictures,
         seed: Option<u64>,

@@ -14,7 +14,7 @@ const NORMALISATION_SAMPLES: usize = 256;
 
 /// Makes batches of a part of a dataset.
 #[derive(Debug)]
-pub struct Batches<'a> {
+pub(super) struct Batches<'a> {
     samples: &'a Samples,
     reader: SampleReader<'a>,
     senses: Senses,
@@ -25,7 +25,12 @@ pub struct Batches<'a> {
 
 impl<'a> Batches<'a> {
     /// Batches for a network with these senses; `memory` bytes of encoded pictures are kept.
-    pub fn new(samples: &'a Samples, senses: Senses, writer: InputWriter, memory: usize) -> Self {
+    pub(super) fn new(
+        samples: &'a Samples,
+        senses: Senses,
+        writer: InputWriter,
+        memory: usize,
+    ) -> Self {
         Self {
             samples,
             reader: SampleReader::new(samples, memory),
@@ -37,7 +42,7 @@ impl<'a> Batches<'a> {
 
     /// Lets both labels count the same in sum.
     #[must_use]
-    pub fn balanced(mut self) -> Self {
+    pub(super) fn balanced(mut self) -> Self {
         let counts = self.samples.by_label();
         let all = counts[0] + counts[1];
         self.weights = counts.map(|count| all as f32 / (2 * count.max(1)) as f32);
@@ -48,7 +53,7 @@ impl<'a> Batches<'a> {
     ///
     /// # Errors
     /// Those of reading and decoding, with the sample.
-    pub fn batch(&mut self, samples: &[usize], seeds: Option<&[u64]>) -> Result<Batch> {
+    pub(super) fn batch(&mut self, samples: &[usize], seeds: Option<&[u64]>) -> Result<Batch> {
         let rows = self.reader.rows(samples)?;
         let count = samples.len();
         let floats = |is_seen, pictures: usize| vec![0.0; usize::from(is_seen) * pictures * FLOATS];

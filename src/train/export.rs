@@ -201,3 +201,7 @@ const _: () = {
     // The file's inputs and the network's pictures are of one size.
     assert!(INPUT_SHAPE[1] as usize == PICTURE[2] && INPUT_SHAPE[2] as usize == PICTURE[0]);
 };
+
+#[cfg(test)]
+#[path = "export_test.rs"]
+mod tests;

@@ -486,7 +486,7 @@ impl<'a> Training<'a> {
                 at: [u64::from(epoch) * steps + step + 1, all],
                 loss,
             });
-            if self.position.step % CHECKPOINT_STEPS == 0 {
+            if self.position.step.is_multiple_of(CHECKPOINT_STEPS) {
                 self.save()?;
             }
         }

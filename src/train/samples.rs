@@ -236,7 +236,7 @@ fn shuffle<T>(items: &mut [T], draw: &mut SeedStream) {
 
 /// Reads samples; keeps the groups that were read last.
 #[derive(Debug)]
-pub struct SampleReader<'a> {
+pub(super) struct SampleReader<'a> {
     samples: &'a Samples,
     memory: usize,
     kept: BTreeMap<usize, (u64, Arc<Vec<ShardRow>>)>,
@@ -245,7 +245,7 @@ pub struct SampleReader<'a> {
 
 impl<'a> SampleReader<'a> {
     /// A reader that keeps about `memory` bytes of pictures.
-    pub fn new(samples: &'a Samples, memory: usize) -> Self {
+    pub(super) fn new(samples: &'a Samples, memory: usize) -> Self {
         Self {
             samples,
             memory,
@@ -258,7 +258,7 @@ impl<'a> SampleReader<'a> {
     ///
     /// # Errors
     /// Those of reading the files.
-    pub fn rows(&mut self, samples: &[usize]) -> Result<Vec<(Arc<Vec<ShardRow>>, usize)>> {
+    pub(super) fn rows(&mut self, samples: &[usize]) -> Result<Vec<(Arc<Vec<ShardRow>>, usize)>> {
         self.clock += 1;
         let places: Vec<_> = samples.iter().map(|at| self.samples.place(*at)).collect();
         let rows = places.iter().map(|(group, at)| {

@@ -86,7 +86,7 @@ impl TrainSettings {
 }
 
 /// Senses of a variant.
-pub fn senses(variant: Variant) -> Senses {
+pub(super) fn senses(variant: Variant) -> Senses {
     Senses {
         touch: variant != Variant::V,
         vision: variant != Variant::T,

@@ -15,26 +15,26 @@ const HASH: usize = 32;
 
 /// Where a run is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Position {
+pub(super) struct Position {
     /// Epochs that are finished.
-    pub epoch: u32,
+    pub(super) epoch: u32,
     /// Steps of the next epoch that are done.
-    pub step: u64,
+    pub(super) step: u64,
     /// Sum of those steps' losses.
-    pub loss: f64,
+    pub(super) loss: f64,
     /// Steps of the optimiser.
-    pub steps: u64,
+    pub(super) steps: u64,
     /// Epoch with the best validation accuracy, from 1.
-    pub best_epoch: Option<u32>,
+    pub(super) best_epoch: Option<u32>,
     /// That accuracy, and the loss there.
-    pub best: Option<[f64; 2]>,
+    pub(super) best: Option<[f64; 2]>,
 }
 
 /// Saves a header and numbers: whole or not at all.
 ///
 /// # Errors
 /// Those of writing the file; an older one is then as it was.
-pub fn save<H: Serialize>(path: &Path, header: &H, arrays: &[&[f32]]) -> Result<()> {
+pub(super) fn save<H: Serialize>(path: &Path, header: &H, arrays: &[&[f32]]) -> Result<()> {
     let header = serde_json::to_vec(header)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the checkpoint").because(e))?;
     let floats: usize = arrays.iter().map(|array| array.len()).sum();
@@ -55,7 +55,7 @@ pub fn save<H: Serialize>(path: &Path, header: &H, arrays: &[&[f32]]) -> Result<
 ///
 /// # Errors
 /// `Input`: damaged, or no checkpoint of this version. Those of reading the file.
-pub fn load<H: DeserializeOwned>(path: &Path) -> Result<(H, Vec<Vec<f32>>)> {
+pub(super) fn load<H: DeserializeOwned>(path: &Path) -> Result<(H, Vec<Vec<f32>>)> {
     let bytes = std::fs::read(path)
         .map_err(|e| Error::io("cannot read the checkpoint", e).at(path.display()))?;
     parse(&bytes).ok_or_else(|| {

@@ -155,19 +155,19 @@ mod tests {
         let matrix = ConfusionMatrix {
             true_stable: 6,
             false_stable: 2,
-            true_unstable: 3,
+            true_unstable: 8,
             false_unstable: 4,
         };
-        assert_eq!((matrix.n_stable(), matrix.n_unstable()), (10, 5));
+        assert_eq!((matrix.n_stable(), matrix.n_unstable()), (10, 10));
         let stable = matrix.stable();
         assert_eq!(stable.precision, Some(0.75));
         assert_eq!(stable.recall, Some(0.6));
-        assert_eq!(stable.specificity, Some(0.6));
+        assert_eq!(stable.specificity, Some(0.8));
         let unstable = matrix.unstable();
-        assert_eq!(unstable.precision, Some(3.0 / 7.0));
-        assert_eq!(unstable.recall, Some(0.6));
-        assert_eq!(unstable.specificity, stable.recall);
-        assert_eq!(matrix.accuracy(), Some(0.6));
+        assert_eq!(unstable.precision, Some(8.0 / 12.0));
+        assert_eq!(unstable.recall, Some(0.8));
+        assert_eq!(unstable.specificity, Some(0.6));
+        assert_eq!(matrix.accuracy(), Some(0.7));
     }
 
     #[test]

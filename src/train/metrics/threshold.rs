@@ -146,9 +146,11 @@ mod tests {
 
     #[test]
     fn neighbouring_numbers_can_be_divided() {
-        let low = 0.3_f64;
-        let samples = scored(&[(low.next_up(), true), (low, false)]);
-        assert_eq!(youden_threshold(&samples), Some(low.next_up()));
+        // The middle of the first pair is rounded down, that of the second up.
+        for low in [0.5_f64, 0.5_f64.next_up()] {
+            let samples = scored(&[(low.next_up(), true), (low, false)]);
+            assert_eq!(youden_threshold(&samples), Some(low.next_up()));
+        }
     }
 
     #[test]

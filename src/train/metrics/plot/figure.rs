@@ -65,11 +65,14 @@ mod tests {
 
     #[test]
     fn many_lines_differ() {
-        let mut looks: Vec<String> = (0..12).map(line).collect();
+        let mut looks: Vec<String> = (0..COLOURS * DASHES).map(line).collect();
         looks.sort();
         looks.dedup();
-        assert_eq!(looks.len(), 12);
-        assert!((0..4).all(|i| include_str!("style.css").contains(&colour(i))));
+        assert_eq!(looks.len(), COLOURS * DASHES);
+        let style = include_str!("style.css");
+        assert!((0..COLOURS).all(|i| style.contains(&format!(".{}{{", colour(i)))));
+        // The first is drawn through.
+        assert!((1..DASHES).all(|i| style.contains(&format!(".dash-{i}{{"))));
     }
 
     #[test]

@@ -56,11 +56,52 @@ fn the_legend_of_a_roc_figure_has_the_areas() {
     assert!(texts.contains(&"AUROC undefined".to_owned()), "{texts:?}");
     assert!(svg.contains("V: AUROC 0.875."));
     // Straight from (0, 1/2) to (1/2, 1), as the tie counts half; then along the top.
-    let frame = roc::square("", "");
-    let places = [[0.0, 0.0], [0.0, 0.5], [0.5, 1.0], [1.0, 1.0]].map(|p| frame.place(p));
-    let [[x0, y0], [x1, y1], [x2, y2], [x3, y3]] = places;
-    let data = format!("M{x0:.1} {y0:.1}L{x1:.1} {y1:.1}L{x2:.1} {y2:.1}L{x3:.1} {y3:.1}");
+    let data = path(&[[0.0, 0.0], [0.0, 0.5], [0.5, 1.0], [1.0, 1.0]]);
     assert!(svg.contains(&data), "{data}");
+}
+
+/// The line through points of a square figure.
+fn path(points: &[[f64; 2]]) -> String {
+    let frame = roc::square("", "");
+    let mut out = String::new();
+    figure::polyline(&mut out, "", points.iter().map(|&p| frame.place(p)));
+    let (_, data) = out.split_once("d=").unwrap();
+    data.to_owned()
+}
+
+#[test]
+fn a_precision_recall_figure_shows_steps_and_chance() {
+    let samples = scored(&[(0.9, true), (0.6, false), (0.4, true)]);
+    let curve = PrecisionRecallCurve::new("V", &samples);
+    let svg = precision_recall("PR", &[curve], Some(0.25));
+    let third = 2.0 / 3.0;
+    let steps = [
+        [0.0, 1.0],
+        [0.5, 1.0],
+        [0.5, 0.5],
+        [0.5, third],
+        [1.0, third],
+    ];
+    assert!(svg.contains(&path(&steps)), "{svg}");
+    assert!(svg.contains(&path(&[[0.0, 0.25], [1.0, 0.25]])), "{svg}");
+    let texts = texts(&svg);
+    assert!(texts.contains(&"AP 0.833".to_owned()) && texts.contains(&"AP 0.250".to_owned()));
+}
+
+#[test]
+fn a_reliability_figure_shows_shares_at_mean_probabilities() {
+    let samples = scored(&[(0.9, true), (0.9, true), (0.9, true), (0.9, false)]);
+    let svg = reliability("Reliability", &ReliabilityTable::new(&samples));
+    let tags = tags(&svg);
+    let drawn = |what: &str| tags.iter().find(|tag| tag.starts_with(what)).unwrap();
+    let frame = roc::square("", "");
+    let (point, bar) = (drawn("circle"), drawn("rect"));
+    assert!((number(point, "cx") - frame.x(0.9)).abs() < 0.1);
+    assert!((number(point, "cy") - frame.y(0.75)).abs() < 0.1);
+    assert!((number(bar, "y") - frame.y(0.75)).abs() < 0.1);
+    // The bin from 13/15 to 14/15.
+    assert!((number(bar, "x") - 1.0 - frame.x(13.0 / 15.0)).abs() < 0.1);
+    assert!((number(bar, "width") - frame.x(1.0 / 15.0) + frame.x(0.0) + 2.0).abs() < 0.1);
 }
 
 #[test]
@@ -177,6 +218,32 @@ fn bars_end_at_their_values() {
 }
 
 #[test]
+fn negative_bars_hang_from_zero() {
+    let mut chart = chart([-0.5, 0.5], 2, 1);
+    chart.groups[0].bars = vec![bar(-0.25, 0.01), bar(0.25, 0.01)];
+    let svg = bars(&chart);
+    check(&svg);
+    let tags = tags(&svg);
+    let [down, up]: [&str; 2] = tags
+        .iter()
+        .filter(|tag| tag.contains("\"bar "))
+        .take(2)
+        .copied()
+        .collect::<Vec<_>>()
+        .try_into()
+        .unwrap();
+    let zero = number(down, "y");
+    assert!((number(up, "y") + number(up, "height") - zero).abs() < 0.2);
+    assert!((number(up, "height") - number(down, "height")).abs() < 0.2);
+    assert!(number(up, "height") > 20.0);
+    assert_eq!(
+        svg.matches(&format!("{zero:.1}H")).count(),
+        2,
+        "grid and axis"
+    );
+}
+
+#[test]
 fn what_is_out_of_range_or_missing_is_not_drawn() {
     let mut chart = chart([0.5, 1.0], 3, 1);
     chart.groups[0].bars = vec![bar(0.98, 0.05), None, bar(f64::NAN, 0.1)];
@@ -186,6 +253,12 @@ fn what_is_out_of_range_or_missing_is_not_drawn() {
     });
     let svg = bars(&chart);
     check(&svg);
+    // One cap of the error bar from 0.93 to 1.03.
+    let whisker = svg.split("class=\"whisker\"").nth(1).unwrap();
+    assert_eq!(
+        whisker[..whisker.find('>').unwrap()].matches("h8").count(),
+        1
+    );
     // 0.93 and 0.98 but not 1.005; none of the missing bars; one in the legend.
     assert_eq!(svg.matches("class=\"seed\"").count(), 2 + 1);
     assert_eq!(svg.matches("class=\"bar ").count(), 1 + 3);

@@ -236,16 +236,32 @@ mod tests {
         assert!(tiny.ticks.len() < 10);
     }
 
-    #[test]
-    fn data_stay_inside_the_frame() {
-        let frame = Frame {
+    fn small_frame() -> Frame<'static> {
+        Frame {
             left: 10.0,
             right: 110.0,
             top: 20.0,
             bottom: 70.0,
             abscissa: Axis::of_shares(""),
             ordinate: Axis::of_shares(""),
-        };
+        }
+    }
+
+    #[test]
+    fn numbers_stand_beside_their_marks() {
+        let (frame, mut out) = (small_frame(), String::new());
+        frame.draw_ordinate(&mut out);
+        frame.draw_abscissa(&mut out);
+        frame.draw_edges(&mut out);
+        assert!(out.contains("M10.0 60.0h-4") && out.contains("M30.0 70.0v4"));
+        let left = "x=\"3.0\" y=\"64.0\" text-anchor=\"end\">0.2<";
+        let below = "x=\"30.0\" y=\"87.0\" text-anchor=\"middle\">0.2<";
+        assert!(out.contains(left) && out.contains(below), "{out}");
+    }
+
+    #[test]
+    fn data_stay_inside_the_frame() {
+        let frame = small_frame();
         assert_eq!(frame.place([0.5, 0.5]), [60.0, 45.0]);
         assert_eq!(frame.place([-3.0, 9.0]), [10.0, 20.0]);
     }
