@@ -7,7 +7,7 @@ use super::batch_norm::{self, Moments};
 use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
 
-/// Share of a batch's moments in the running ones.
+/// Share of a batch's moments in the running ones, at least.
 const MOMENTUM: f32 = 0.1;
 /// Parts of a batch whose gradients are summed on their own, so that sums do not depend on the
 /// number of threads.
@@ -28,9 +28,11 @@ pub struct Batch {
 
 /// What a step of training needs beside the data.
 #[derive(Clone, Debug, Default)]
-pub struct Drop {
+pub struct Step {
+    /// Steps that were taken before.
+    pub number: u64,
     /// What the hidden floats of each sample are multiplied with; empty for nothing.
-    pub hidden: Vec<f32>,
+    pub dropout: Vec<f32>,
 }
 
 /// One of the encoders.
@@ -184,9 +186,9 @@ impl Network {
 
     /// Mean loss of a batch, binary cross entropy (nats); adds the gradient of all parameters to
     /// `gradient` and updates the running moments.
-    pub fn learn(&mut self, batch: &Batch, drop: &Drop, gradient: &mut [f32]) -> f64 {
+    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
         let passes = self.encoders(batch, true);
-        let head = self.decide(&passes, Some(drop));
+        let head = self.decide(&passes, Some(step));
         let count = head.logits.len();
         let mut loss = 0.0;
         let total: f64 = batch.weights.iter().map(|w| f64::from(*w)).sum();
@@ -199,7 +201,7 @@ impl Network {
                 (weight * (1.0 / (1.0 + (-x).exp()) - y)) as f32
             })
             .collect();
-        let dembeddings = self.backward_head(&passes, &head, drop, &dlogits, gradient);
+        let dembeddings = self.backward_head(&passes, &head, step, &dlogits, gradient);
         let mut first = 0;
         let encoders = self.encoder_parts().into_iter().zip(&passes);
         for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
@@ -213,12 +215,14 @@ impl Network {
             );
             first += length;
         }
-        self.update_moments(&passes);
+        self.update_moments(&passes, step.number);
         loss
     }
 
     /// Gives the batch's moments their share in the running ones.
-    fn update_moments(&mut self, passes: &[EncoderPass]) {
+    fn update_moments(&mut self, passes: &[EncoderPass], number: u64) {
+        // At the beginning the mean of all batches: the first moments stand for nothing.
+        let share = MOMENTUM.max(1.0 / (number + 1) as f32);
         let encoders: Vec<EncoderParts> = self.encoder_parts().into_iter().cloned().collect();
         for (encoder, pass) in encoders.iter().zip(passes) {
             for ([mean, variance], (moments, z)) in
@@ -229,7 +233,7 @@ impl Network {
                 let unbiased = count / (count - 1.0).max(1.0);
                 let keep = |running: &mut [f32], found: &[f32], factor: f32| {
                     for (running, found) in running.iter_mut().zip(found) {
-                        *running += MOMENTUM * (found * factor - *running);
+                        *running += share * (found * factor - *running);
                     }
                 };
                 keep(&mut self.moments[mean.clone()], &moments.mean, 1.0);
@@ -363,12 +367,12 @@ impl Network {
         d
     }
 
-    fn decide(&self, passes: &[EncoderPass], drop: Option<&Drop>) -> HeadPass {
+    fn decide(&self, passes: &[EncoderPass], step: Option<&Step>) -> HeadPass {
         let [[weight, bias], [last, last_bias]] = &self.layout.head;
         let joined = self.join(passes);
         let mut hidden = linear(&joined, self.part(weight), self.part(bias), true);
-        if let Some(drop) = drop {
-            for (hidden, factor) in hidden.iter_mut().zip(&drop.hidden) {
+        if let Some(step) = step {
+            for (hidden, factor) in hidden.iter_mut().zip(&step.dropout) {
                 *hidden *= factor;
             }
         }
@@ -409,7 +413,7 @@ impl Network {
         &self,
         passes: &[EncoderPass],
         head: &HeadPass,
-        drop: &Drop,
+        step: &Step,
         dlogits: &[f32],
         gradient: &mut [f32],
     ) -> Vec<f32> {
@@ -420,7 +424,7 @@ impl Network {
                 *d = 0.0;
             }
         }
-        for (d, factor) in dhidden.iter_mut().zip(&drop.hidden) {
+        for (d, factor) in dhidden.iter_mut().zip(&step.dropout) {
             *d *= factor;
         }
         let djoined = backward_linear(&head.joined, &dhidden, self, weight, bias, gradient);

@@ -49,13 +49,14 @@ fn every_gradient_is_the_slope_of_the_loss() {
     let mut draw = uniform(5);
     let network = Network::new(&tiny(), BOTH, &mut draw);
     let batch = batch(BOTH, 4, &mut draw);
-    let drop = Drop {
-        hidden: (0..4 * 16)
+    let step = Step {
+        number: 0,
+        dropout: (0..4 * 16)
             .map(|i| if i % 5 == 0 { 0.0 } else { 1.25 })
             .collect(),
     };
     let mut gradient = vec![0.0; network.parameters.len()];
-    network.clone().learn(&batch, &drop, &mut gradient);
+    network.clone().learn(&batch, &step, &mut gradient);
     for part in network.layout().parts() {
         let of_part = &gradient[part.range()];
         let squares = |values: &[f32]| values.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
@@ -67,7 +68,7 @@ fn every_gradient_is_the_slope_of_the_loss() {
             for (parameter, slope) in moved.parameters[part.range()].iter_mut().zip(of_part) {
                 *parameter += (way * f64::from(*slope) / norm) as f32;
             }
-            moved.learn(&batch, &drop, &mut vec![0.0; gradient.len()])
+            moved.learn(&batch, &step, &mut vec![0.0; gradient.len()])
         };
         // ReLUs bend the loss, floats round it: one of the steps is between both.
         let off = [1e-2, 3e-3, 1e-3].map(|share| {
@@ -91,7 +92,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
             .unwrap();
         let mut network = network.clone();
         let mut gradient = vec![0.0; network.parameters.len()];
-        let loss = pool.install(|| network.learn(&batch, &Drop::default(), &mut gradient));
+        let loss = pool.install(|| network.learn(&batch, &Step::default(), &mut gradient));
         (loss, gradient, network.moments)
     };
     assert!(learn(1) == learn(3));
@@ -109,7 +110,7 @@ fn running_moments_follow_those_of_batches() {
     let in_training = network.encoders(&batch, true);
     let mut gradient = vec![0.0; network.parameters.len()];
     for _ in 0..200 {
-        network.learn(&batch, &Drop::default(), &mut gradient);
+        network.learn(&batch, &Step::default(), &mut gradient);
     }
     let later = network.encoders(&batch, false);
     let pairs = in_training[0].embedding.iter().zip(&later[0].embedding);

@@ -29,7 +29,7 @@ fn contract(variant: Variant, temperature: f64) -> ModelContract {
             .collect(),
         threshold: 0.5,
         temperature,
-        crop_profile: None,
+        crop_profile: Some(crate::imaging::CropProfile::FULL),
         card: "random".to_owned(),
         other: std::collections::BTreeMap::new(),
     }

@@ -13,6 +13,9 @@ use crate::imaging::CropProfile;
 use crate::predict::ModelContract;
 use crate::predict::contract::{InputName, InputSpec, Origin};
 
+/// Metadata with the names of the objects that a model was trained on.
+pub(super) const OBJECTS: &str = "gripcast.train.objects";
+
 /// Decimal places of the temperature and the threshold in the file.
 const PLACES: f64 = 1e4;
 
@@ -96,6 +99,10 @@ fn contract(
             ("gripcast.arch", settings.architecture.name.clone()),
             ("gripcast.software", file.software.clone()),
             ("gripcast.epoch", best.epoch.to_string()),
+            (
+                OBJECTS,
+                serde_json::to_string(&file.objects).unwrap_or_default(),
+            ),
             ("gripcast.val.n", validation.n.to_string()),
             ("gripcast.val.accuracy", text(validation.accuracy)),
             (

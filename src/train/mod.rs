@@ -6,10 +6,12 @@
 
 mod augment;
 mod batches;
+mod evaluate;
 mod export;
 mod finish;
 mod look;
 pub mod metrics;
+mod page;
 mod run;
 #[cfg(test)]
 mod sample_dataset;
@@ -19,9 +21,13 @@ mod state;
 
 pub use augment::Augmentation;
 pub use batches::colour_normalisation;
+pub use evaluate::{
+    Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, evaluate, sample_pictures,
+};
 pub use export::to_onnx;
 pub use finish::{Finished, finish};
 pub use look::{Logit, logits};
+pub use page::page;
 pub use run::{EpochFigures, RunFile, RunFolder, TrainEvent, Trained, train};
 pub use samples::{SampleFacts, Samples, dataset_sha256};
 pub use settings::TrainSettings;

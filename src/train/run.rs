@@ -15,7 +15,7 @@ use super::settings::TrainSettings;
 use super::state::{self, Position};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
-use crate::nn::{Adam, Drop, Network, linear_schedule};
+use crate::nn::{Adam, Network, Step, linear_schedule};
 use crate::predict::contract::RgbNormalisation;
 use crate::render::visual::SeedStream;
 
@@ -43,6 +43,8 @@ pub struct RunFile {
     pub rgb_std: [f32; 3],
     /// Crop profile of the tactile pictures.
     pub crop_profile: String,
+    /// Objects that are trained on.
+    pub objects: Vec<String>,
 }
 
 impl RunFile {
@@ -269,6 +271,7 @@ fn begun(
         rgb_mean: normalisation.mean,
         rgb_std: normalisation.std,
         crop_profile: train.crop_profile().to_owned(),
+        objects: train.objects().into_iter().map(str::to_owned).collect(),
     };
     let text = serde_json::to_vec_pretty(&file)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the run").because(e))?;
@@ -470,7 +473,7 @@ impl<'a> Training<'a> {
                 || (step + 1 < steps).then(|| read(step + 1)).transpose(),
             );
             next = read?;
-            self.check_loss(loss, epoch, step)?;
+            self.check_loss(loss, &gradient, epoch, step)?;
             let share = linear_schedule(self.adam.steps, settings.warm_up, all);
             let layout = self.network.layout().clone();
             self.adam.step(
@@ -504,22 +507,22 @@ impl<'a> Training<'a> {
     }
 
     /// Which hidden floats are left out in a step.
-    fn dropped(&self, of_epoch: u64, step: u64) -> Drop {
+    fn dropped(&self, of_epoch: u64, step: u64) -> Step {
         let share = self.settings.dropout;
-        if share <= 0.0 {
-            return Drop::default();
-        }
         let mut draw = SeedStream::named(of_epoch, &format!("dropout {step}"));
         let kept = (1.0 / (1.0 - share)) as f32;
         let count = self.settings.batch * self.settings.architecture.hidden;
+        let count = if share > 0.0 { count } else { 0 };
         let hidden = (0..count).map(|_| if draw.uniform() < share { 0.0 } else { kept });
-        Drop {
-            hidden: hidden.collect(),
+        Step {
+            number: self.adam.steps,
+            dropout: hidden.collect(),
         }
     }
 
-    fn check_loss(&self, loss: f64, epoch: u32, step: u64) -> Result<()> {
-        if loss.is_finite() {
+    fn check_loss(&self, loss: f64, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
+        // A ReLU hides what is no number from the loss, but not from the gradient.
+        if loss.is_finite() && gradient.iter().all(|slope| slope.is_finite()) {
             return Ok(());
         }
         let kept = match self.position.best_epoch {
@@ -529,7 +532,7 @@ impl<'a> Training<'a> {
         Err(Error::new(
             ErrorKind::Input,
             format!(
-                "the loss is {loss} in epoch {}, step {step}; {kept}",
+                "loss {loss} or its gradient is no number in epoch {}, step {step}; {kept}",
                 epoch + 1
             ),
         )

@@ -31,6 +31,7 @@ mod collect;
 mod completions;
 mod config;
 mod dataset;
+mod eval;
 mod predict;
 mod python_peer;
 mod render;
@@ -142,6 +143,8 @@ enum Verb {
     Synth(Box<synth::Args>),
     /// Train a stability classifier on a dataset
     Train(Box<train::Args>),
+    /// Measure models on a dataset whose outcomes are known
+    Eval(eval::Args),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -178,6 +181,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Replay(args) => replay::run(&context, *args),
         Verb::Synth(args) => synth::run(&context, *args),
         Verb::Train(args) => train::run(&context, *args),
+        Verb::Eval(args) => eval::run(&context, args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),

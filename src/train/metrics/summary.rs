@@ -39,7 +39,8 @@ pub struct Summary {
 }
 
 impl Summary {
-    /// Computes all figures; `threshold` must have been chosen on other samples.
+    /// Computes all figures. Decisions at a threshold that was chosen on the same samples look
+    /// better than they are.
     pub fn new(samples: &[Scored], threshold: f64) -> Self {
         let confusion = ConfusionMatrix::at(samples, threshold);
         let ranking = Ranking::new(samples);
