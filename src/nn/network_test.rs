@@ -107,12 +107,17 @@ fn running_moments_follow_those_of_batches() {
     };
     let mut network = Network::new(&tiny(), senses, &mut draw);
     let batch = batch(senses, 4, &mut draw);
-    let in_training = network.encoders(&batch, true);
+    let passes = |network: &Network, is_training| {
+        let mut passes = Vec::new();
+        network.encode(&batch, is_training, &mut passes);
+        passes
+    };
+    let in_training: Vec<EncoderPass> = passes(&network, true);
     let mut gradient = vec![0.0; network.parameters.len()];
     for _ in 0..200 {
         network.learn(&batch, &Step::default(), &mut gradient);
     }
-    let later = network.encoders(&batch, false);
+    let later = passes(&network, false);
     let pairs = in_training[0].embedding.iter().zip(&later[0].embedding);
     for (now, later) in pairs {
         assert!(
@@ -136,8 +141,11 @@ fn swapped_sensors_swap_their_embeddings() {
         touch: [&batch.touch[half..], &batch.touch[..half]].concat(),
         ..batch.clone()
     };
-    let [joined, of_swapped] =
-        [&batch, &swapped].map(|batch| network.join(&network.encoders(batch, false)));
+    let [joined, of_swapped] = [&batch, &swapped].map(|batch| {
+        let mut passes = Vec::new();
+        network.encode(batch, false, &mut passes);
+        network.join(&passes)
+    });
     for (row, other) in joined.chunks(32).zip(of_swapped.chunks(32)) {
         assert_eq!(row[..16], other[16..]);
         assert_eq!(row[16..], other[..16]);

@@ -157,8 +157,8 @@ pub(super) fn multiply<S: Lanes>(
                     (10, _) => block::<S, 10, 1>(lanes, a, rows, panel, to),
                     (5, 2) => block::<S, 5, 2>(lanes, a, rows, panel, to),
                     (5, _) => block::<S, 5, 1>(lanes, a, rows, panel, to),
-                    (_, 2) => block::<S, 1, 2>(lanes, a, rows, panel, to),
-                    _ => block::<S, 1, 1>(lanes, a, rows, panel, to),
+                    (_, 2) => single::<S, 2>(lanes, a, rows, panel, to),
+                    _ => single::<S, 1>(lanes, a, rows, panel, to),
                 }
                 done = from + at_once;
             }
@@ -278,6 +278,53 @@ fn block<S: Lanes, const M: usize, const V: usize>(
         }
     }
     to.store(lanes, &sums);
+}
+
+/// Products of a single row at once.
+const INTERLEAVED: usize = 4;
+
+/// [`block`] of a single row: every fourth product goes into the same sums, because one sum waits
+/// for the one before.
+#[inline(always)]
+fn single<S: Lanes, const V: usize>(
+    lanes: S,
+    a: &[f32],
+    rows: Rows,
+    panel: &[f32],
+    to: Target<'_>,
+) {
+    let mut sums = [[lanes.splat(0.0); V]; INTERLEAVED];
+    let width = V * S::COUNT;
+    let mut panel = panel;
+    for run in 0..rows.runs {
+        let a = &a[run * rows.run_step..][..rows.run];
+        let (of_run, rest) = panel.split_at(rows.run * width);
+        panel = rest;
+        let whole = rows.run / INTERLEAVED * INTERLEAVED;
+        let some = of_run.chunks_exact(INTERLEAVED * width);
+        for (a, b) in a.as_chunks::<INTERLEAVED>().0.iter().zip(some) {
+            for k in 0..INTERLEAVED {
+                let factor = lanes.splat(a[k]);
+                for v in 0..V {
+                    let b = lanes.load(&b[k * width + v * S::COUNT..]);
+                    sums[k][v] = lanes.mul_add(factor, b, sums[k][v]);
+                }
+            }
+        }
+        for k in whole..rows.run {
+            let factor = lanes.splat(a[k]);
+            for v in 0..V {
+                let b = lanes.load(&of_run[k * width + v * S::COUNT..]);
+                sums[0][v] = lanes.mul_add(factor, b, sums[0][v]);
+            }
+        }
+    }
+    let [mut sum, second, third, fourth] = sums;
+    for v in 0..V {
+        let pair = lanes.add(third[v], fourth[v]);
+        sum[v] = lanes.add(lanes.add(sum[v], second[v]), pair);
+    }
+    to.store(lanes, &[sum]);
 }
 
 #[inline(always)]

@@ -40,11 +40,11 @@ enum Step {
         from: usize,
         to: usize,
     },
-    /// A dense layer.
+    /// A dense layer of one or more rows of numbers, each into one of its own.
     Dense {
         layer: usize,
-        from: usize,
-        to: usize,
+        from: Vec<usize>,
+        to: Vec<usize>,
     },
     /// Numbers one after the other.
     Join { from: Vec<usize>, to: usize },
@@ -81,6 +81,9 @@ pub(super) struct Plan {
 struct Memory {
     pictures: Vec<Padded>,
     numbers: Vec<Vec<f32>>,
+    /// Rows of a dense layer, and what it gives for them.
+    joined: Vec<f32>,
+    results: Vec<f32>,
 }
 
 impl Plan {
@@ -101,7 +104,12 @@ impl Plan {
     }
 
     fn logit(&self, input: &ModelInput, memory: &mut Memory) -> Option<f32> {
-        let Memory { pictures, numbers } = memory;
+        let Memory {
+            pictures,
+            numbers,
+            joined,
+            results,
+        } = memory;
         for step in &self.steps {
             match step {
                 Step::Convert { from, to } => pictures[*to].set_planes(input.values(*from)?),
@@ -118,8 +126,16 @@ impl Plan {
                     pictures[*from].pooled(*window, &mut numbers[*to]);
                 }
                 Step::Dense { layer, from, to } => {
-                    let (before, after) = numbers.split_at_mut(*to);
-                    self.layers[*layer].of(&before[*from], &mut after[0]);
+                    joined.clear();
+                    for at in from {
+                        joined.extend_from_slice(&numbers[*at]);
+                    }
+                    let layer = &self.layers[*layer];
+                    layer.of(joined, results);
+                    for (at, result) in to.iter().zip(results.chunks_exact(layer.outputs())) {
+                        numbers[*at].clear();
+                        numbers[*at].extend_from_slice(result);
+                    }
                 }
                 Step::Join { from, to } => {
                     let (before, after) = numbers.split_at_mut(*to);
@@ -455,12 +471,47 @@ impl<'a> Builder<'a> {
             }
         };
         let to = self.new_numbers();
-        self.plan.steps.push(Step::Dense { layer, from, to });
+        self.add_dense(layer, from, to);
         Some(Place::Numbers {
             at: to,
             length: outputs,
             pooled: None,
         })
+    }
+
+    /// Adds a dense layer; to the one before where the sensors share it, so that its weights are
+    /// read once. Nothing has read what that one gives: its reader is the one that joins both.
+    fn add_dense(&mut self, layer: usize, from: usize, to: usize) {
+        let steps = &mut self.plan.steps;
+        let same = steps
+            .iter()
+            .position(|step| matches!(step, Step::Dense { layer: other, .. } if *other == layer));
+        let reads = |step: &Step, number: usize| match step {
+            Step::Dense { from, .. } | Step::Join { from, .. } => from.contains(&number),
+            _ => false,
+        };
+        let free = same.filter(|&at| match &steps[at] {
+            Step::Dense { to, .. } => {
+                let later = &steps[at + 1..];
+                !to.iter()
+                    .any(|number| later.iter().any(|step| reads(step, *number)))
+                    && !to.contains(&from)
+            }
+            _ => false,
+        });
+        let (mut all_from, mut all_to) = (Vec::new(), Vec::new());
+        if let Some(at) = free
+            && let Step::Dense { from, to, .. } = steps.remove(at)
+        {
+            (all_from, all_to) = (from, to);
+        }
+        all_from.push(from);
+        all_to.push(to);
+        steps.push(Step::Dense {
+            layer,
+            from: all_from,
+            to: all_to,
+        });
     }
 
     fn join(&mut self, node: &'a NodeProto) -> Option<Place> {
