@@ -71,6 +71,12 @@ pub fn thread_cpu_s() -> f64 {
     now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
 }
 
+/// CPU time of this process with all its threads, s.
+pub fn process_cpu_s() -> f64 {
+    let now = clock_gettime(ClockId::ProcessCPUTime);
+    now.tv_sec as f64 + 1e-9 * now.tv_nsec as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -394,14 +394,14 @@ impl Difference {
 }
 
 /// Figures of resamples.
-struct Figures {
+pub(super) struct Figures {
     ranking: Ranking,
     /// 1 for right, 0 for wrong, no number for the other label: of lost and of stable grasps.
     right: [Vec<f64>; 2],
 }
 
 impl Figures {
-    fn new(scored: &[Scored], threshold: f64) -> Self {
+    pub(super) fn new(scored: &[Scored], threshold: f64) -> Self {
         let right = [false, true].map(|label| {
             let of = scored.iter().map(|sample| {
                 let is_right = (sample.p_stable >= threshold) == sample.stable;
@@ -419,11 +419,11 @@ impl Figures {
         }
     }
 
-    fn auroc(&self, times: &[u32]) -> Option<f64> {
+    pub(super) fn auroc(&self, times: &[u32]) -> Option<f64> {
         self.ranking.resampled_auroc(times)
     }
 
-    fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
+    pub(super) fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
         let [lost, stable] = &self.right;
         Some(0.5 * (resampled_mean(lost, times)? + resampled_mean(stable, times)?))
     }
@@ -487,3 +487,7 @@ pub fn sample_pictures(samples: &Samples, sample: usize) -> Result<[image::RgbIm
     let [left, right] = pictures.tactile.each_ref().map(change);
     Ok([left, right, pictures.rgb])
 }
+
+#[cfg(test)]
+#[path = "evaluate_test.rs"]
+mod tests;

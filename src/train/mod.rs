@@ -7,6 +7,7 @@
 mod augment;
 mod batches;
 mod evaluate;
+mod experiment;
 mod export;
 mod finish;
 mod look;
@@ -23,6 +24,10 @@ pub use augment::Augmentation;
 pub use batches::colour_normalisation;
 pub use evaluate::{
     Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, evaluate, sample_pictures,
+};
+pub use experiment::{
+    Condition, ConditionDifference, ConditionResult, ExperimentEvent, ExperimentReport,
+    ExperimentSettings, TestSet, experiment,
 };
 pub use export::to_onnx;
 pub use finish::{Finished, finish};

@@ -4,7 +4,7 @@
 
 use super::{
     Context, bench_contact, bench_grasp, bench_live, bench_pose, bench_predict, bench_render,
-    bench_rigid, bench_synth,
+    bench_rigid, bench_synth, bench_train,
 };
 use crate::error::Result;
 
@@ -33,6 +33,8 @@ enum Bench {
     Rigid(bench_rigid::Args),
     /// Simulated and rendered grasps per hour
     Synth(bench_synth::Args),
+    /// Samples that the classifier learns from in a second
+    Train(bench_train::Args),
 }
 
 /// Runs the verb.
@@ -46,5 +48,6 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Bench::Render(args) => bench_render::run(context, args),
         Bench::Rigid(args) => bench_rigid::run(context, &args),
         Bench::Synth(args) => bench_synth::run(context, &args),
+        Bench::Train(args) => bench_train::run(context, &args),
     }
 }

@@ -19,6 +19,7 @@ mod bench_predict;
 mod bench_render;
 mod bench_rigid;
 mod bench_synth;
+mod bench_train;
 mod board;
 mod board_charuco;
 mod board_make;
@@ -32,6 +33,7 @@ mod completions;
 mod config;
 mod dataset;
 mod eval;
+mod experiment;
 mod predict;
 mod python_peer;
 mod render;
@@ -145,6 +147,8 @@ enum Verb {
     Train(Box<train::Args>),
     /// Measure models on a dataset whose outcomes are known
     Eval(eval::Args),
+    /// Repeat comparisons of the paper
+    Experiment(experiment::Args),
     /// Measure gripcast on this machine
     Bench(bench::Args),
     /// Show the configuration and where each value comes from
@@ -182,6 +186,7 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Synth(args) => synth::run(&context, *args),
         Verb::Train(args) => train::run(&context, *args),
         Verb::Eval(args) => eval::run(&context, args),
+        Verb::Experiment(args) => experiment::run(&context, args),
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),

@@ -1,0 +1,143 @@
+//! `gripcast experiment`: comparisons of the paper, repeated.
+//!
+//! Exit codes: 0 done · 1 it could not be done · 2 usage · 75 stopped by SIGTERM, run it again · 130
+//! interrupted. What is done is kept and not done again.
+
+use std::path::PathBuf;
+
+use super::working::resumable;
+use super::{Context, print, print_json};
+use crate::error::{Error, ErrorKind, Result};
+use crate::nn::Architecture;
+use crate::predict::contract::Variant;
+use crate::train::metrics::Interval;
+use crate::train::{
+    ExperimentEvent, ExperimentReport, ExperimentSettings, TestSet, TrainEvent, TrainSettings,
+    experiment,
+};
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    experiment: Experiment,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum Experiment {
+    /// Vision, touch and both on data of the finite elements, both on data of rigid bodies (the
+    /// paper's Figure 6)
+    Fig6(Fig6Args),
+}
+
+/// Arguments of `fig6`.
+#[derive(Clone, Debug, clap::Args)]
+struct Fig6Args {
+    /// Dataset simulated with finite elements
+    #[arg(long, value_name = "DIR")]
+    fem: PathBuf,
+    /// Dataset of the same plan with the rigid engine
+    #[arg(long, value_name = "DIR")]
+    rigid: PathBuf,
+    /// Dataset of other objects under other conditions, whose part `test` stands for reality
+    #[arg(long, value_name = "DIR")]
+    shifted: Option<PathBuf>,
+    /// Folder of the runs and the figure
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Seeds of each bar
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=100))]
+    seeds: u64,
+    /// Times that every sample is seen
+    #[arg(long, default_value_t = 30)]
+    epochs: u32,
+    /// Network
+    #[arg(long, default_value = "gripcast", value_parser = Architecture::NAMES)]
+    arch: String,
+    /// Print what came out as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the verb.
+pub(super) fn run(context: &Context, args: Args) -> Result<()> {
+    let Experiment::Fig6(args) = args.experiment;
+    let architecture = Architecture::named(&args.arch).ok_or_else(|| {
+        Error::new(
+            ErrorKind::Usage,
+            format!("there is no network `{}`", args.arch),
+        )
+    })?;
+    let test = |title: &str, name: &str, data: &PathBuf| TestSet {
+        title: title.to_owned(),
+        name: name.to_owned(),
+        data: data.clone(),
+        split: "test".to_owned(),
+    };
+    let mut tests = vec![test("Held-out objects", "held-out", &args.fem)];
+    if let Some(shifted) = &args.shifted {
+        tests.push(test("Shifted domain", "shifted", shifted));
+    }
+    let settings = ExperimentSettings {
+        fem: args.fem.clone(),
+        rigid: args.rigid.clone(),
+        tests,
+        seeds: args.seeds,
+        training: TrainSettings {
+            epochs: args.epochs,
+            ..TrainSettings::usual(Variant::Vt, architecture, 0)
+        },
+    };
+    let out = args.out.clone();
+    let report = resumable(context, "experiment", move |progress| {
+        experiment(&settings, &out, &|event| match event {
+            ExperimentEvent::Run(condition, seed) => {
+                progress.line(format!("{}, seed {seed}", condition.title()));
+            }
+            ExperimentEvent::Train(TrainEvent::Step {
+                at: [done, all], ..
+            }) => {
+                progress.at(done, all);
+            }
+            ExperimentEvent::Train(TrainEvent::Epoch(_)) => {}
+        })
+    })??;
+    if args.json {
+        return print_json(&report);
+    }
+    print(&text(&report))
+}
+
+fn text(report: &ExperimentReport) -> String {
+    let interval = |found: Option<Interval>| {
+        found.map_or("–".to_owned(), |i| {
+            format!("{:.3} [{:.3}, {:.3}]", i.estimate, i.low, i.high)
+        })
+    };
+    let mut lines = vec![format!(
+        "{:<12} {:<12} {:>6} {:>22} {:>22}",
+        "test", "trained on", "n", "balanced accuracy", "AUROC"
+    )];
+    for result in &report.results {
+        lines.push(format!(
+            "{:<12} {:<12} {:>6} {:>22} {:>22}",
+            result.test,
+            result.condition.title(),
+            result.n,
+            interval(result.balanced_accuracy),
+            interval(result.auroc),
+        ));
+    }
+    lines.push(String::new());
+    for difference in &report.differences {
+        lines.push(format!(
+            "{:<12} {} − {}: balanced accuracy {}, AUROC {}",
+            difference.test,
+            difference.first.title(),
+            difference.second.title(),
+            interval(difference.balanced_accuracy),
+            interval(difference.auroc),
+        ));
+    }
+    lines.join("\n")
+}
