@@ -15,6 +15,7 @@ use super::settings::TrainSettings;
 use super::state::{self, Position};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
+use crate::imaging::CropProfile;
 use crate::nn::{Adam, Network, Step, linear_schedule};
 use crate::predict::contract::RgbNormalisation;
 use crate::render::visual::SeedStream;
@@ -196,6 +197,8 @@ pub fn train(
     settings.check()?;
     let train = Samples::open(data, TRAIN)?;
     let validation = Samples::open(data, VALIDATION)?;
+    // Else the model could not be written after hours of training.
+    CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(data.display()))?;
     train.check_apart(&validation)?;
     for samples in [&train, &validation] {
         check_labels(samples)?;

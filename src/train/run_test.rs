@@ -217,7 +217,7 @@ fn datasets_that_teach_nothing_are_refused() {
     cropped[3].facts.crop_profile = "paper".to_owned();
     let text = refused("crops", cropped, "validation");
     assert!(
-        text.contains("cropped in several ways: full, paper"),
+        text.contains("cropped in several ways: full-v1, paper"),
         "{text}"
     );
     let text = refused("none", Vec::new(), "validation");

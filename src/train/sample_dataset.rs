@@ -38,7 +38,7 @@ pub(super) fn row(part: &str, number: u64) -> ShardRow {
         appearance: "plain".to_owned(),
         rendering: 0,
         seed: number,
-        crop_profile: "full".to_owned(),
+        crop_profile: "full-v1".to_owned(),
     };
     let gel = |side: u64, contact: f32| {
         let salt = part.bytes().map(u64::from).sum::<u64>();
