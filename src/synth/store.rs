@@ -16,7 +16,7 @@ pub const RESULTS: &str = "results";
 /// Name of the format in the file.
 const FORMAT: &str = "gripcast-synth-result";
 /// Raised whenever the same plan may give other results.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// What became of a simulation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

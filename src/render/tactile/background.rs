@@ -26,28 +26,28 @@ pub struct BackgroundFit {
 impl BackgroundFit {
     /// Least-squares fit to a picture of at least 2 × 2 pixels.
     ///
-    /// Along each axis the sampled polynomials are nearly orthogonal; a few sweeps over the
-    /// residual make the fit exact enough.
+    /// The sampled polynomials are nearly orthogonal: a few sweeps over the normal equations make
+    /// the fit exact enough.
     pub fn of_picture(picture: &RgbImage, degree: usize) -> Self {
         let degree = degree.min(HIGHEST_DEGREE);
         let (width, height) = (picture.width() as usize, picture.height() as usize);
         let (columns, rows) = (legendre(width, degree), legendre(height, degree));
-        let mut coefficients: [Vec<f64>; 3] =
-            std::array::from_fn(|_| vec![0.0; terms(degree).count()]);
-        for (channel, values) in coefficients.iter_mut().enumerate() {
-            let mut residual: Vec<f64> = picture
-                .pixels()
-                .map(|pixel| f64::from(pixel.0[channel]))
-                .collect();
+        let (column_products, row_products) = (products(&columns), products(&rows));
+        let [red, green, blue] = std::array::from_fn(|channel| {
+            let wanted = moments(picture, channel, &columns, &rows);
+            let mut values = vec![0.0; terms(degree).count()];
             for _ in 0..SWEEPS {
-                for ((i, j), value) in terms(degree).zip(values.iter_mut()) {
-                    let step = project(&residual, &columns[i], &rows[j]);
-                    *value += step;
-                    subtract(&mut residual, &columns[i], &rows[j], step);
+                for (term, (i, j)) in terms(degree).enumerate() {
+                    let fitted = |((k, l), value): ((usize, usize), &f64)| {
+                        value * column_products[i][k] * row_products[j][l]
+                    };
+                    let found: f64 = terms(degree).zip(&values).map(fitted).sum();
+                    let norm = column_products[i][i] * row_products[j][j];
+                    values[term] += (wanted[i][j] - found) / norm;
                 }
             }
-        }
-        let [red, green, blue] = coefficients;
+            values
+        });
         Self {
             degree,
             red,
@@ -129,14 +129,36 @@ fn legendre(count: usize, degree: usize) -> Vec<Vec<f64>> {
     all
 }
 
-/// Coefficient of column ⊗ row in a plane.
-fn project(plane: &[f64], column: &[f64], row: &[f64]) -> f64 {
-    let mut sum = 0.0;
-    for (line, weight) in plane.chunks_exact(column.len()).zip(row) {
-        sum += weight * line.iter().zip(column).map(|(v, c)| v * c).sum::<f64>();
+/// Sums of the products of each two of some polynomials over the pixels.
+fn products(polynomials: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    let with = |a: &Vec<f64>| polynomials.iter().map(|b| dot(a, b)).collect();
+    polynomials.iter().map(with).collect()
+}
+
+/// `[i][j]`: sum of a channel of a picture times column polynomial i and row polynomial j.
+fn moments(
+    picture: &RgbImage,
+    channel: usize,
+    columns: &[Vec<f64>],
+    rows: &[Vec<f64>],
+) -> Vec<Vec<f64>> {
+    let mut sums = vec![vec![0.0; rows.len()]; columns.len()];
+    let mut line = Vec::with_capacity(picture.width() as usize);
+    for (y, pixels) in picture.rows().enumerate() {
+        line.clear();
+        line.extend(pixels.map(|pixel| f64::from(pixel.0[channel])));
+        for (sums, column) in sums.iter_mut().zip(columns) {
+            let along = dot(&line, column);
+            for (sum, row) in sums.iter_mut().zip(rows) {
+                *sum += along * row[y];
+            }
+        }
     }
-    let norm = |values: &[f64]| values.iter().map(|v| v * v).sum::<f64>();
-    sum / (norm(column) * norm(row))
+    sums
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
 /// plane −= step · column ⊗ row.

@@ -24,8 +24,11 @@ use crate::sim::grasp::Snapshot;
 
 /// Half width of the table, m; beyond it the lower half of the dome is seen.
 const TABLE_HALF_M: f32 = 0.9;
-/// Pixels of a painted ground.
+/// Pixels of a painted ground, and in a picture that shows no more of it.
 const GROUND_PX: u32 = 1024;
+const SMALL_GROUND_PX: u32 = 512;
+/// Columns of a small picture.
+const SMALL_WIDTH: usize = 320;
 /// Half extent of a gel's face along the gripper's y and z, m.
 const GEL_HALF_M: [f64; 2] = [0.010, 0.0125];
 /// Space between the gels and the border of the picture, as a share of its size.
@@ -190,7 +193,11 @@ fn compose(
     object.add_to(&mut scene, &state.t_world_object);
     check_camera(&scene, object)?;
     let table = Pose::from_translation(DVec3::NEG_Z * table_below_m);
-    ground(conditions)?.add_to(&mut scene, &table);
+    let ground_px = match scene.camera.width {
+        0..=SMALL_WIDTH => SMALL_GROUND_PX,
+        _ => GROUND_PX,
+    };
+    ground(conditions, ground_px)?.add_to(&mut scene, &table);
     let body = gripper(state, conditions.print_colour, with_camera)?;
     body.add_to(&mut scene, &state.t_world_gripper);
     if let Some(gels) = &state.gels {
@@ -294,10 +301,10 @@ fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
 }
 
 /// The table.
-fn ground(conditions: &VisualConditions) -> Result<Model> {
+fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     let (bitmap, tile_m, roughness, metallic) = match &conditions.ground {
         GroundChoice::Painted(pattern, seed) => {
-            let painted = pattern.paint(GROUND_PX, *seed);
+            let painted = pattern.paint(size_px, *seed);
             let bitmap = Arc::new(Bitmap::from_srgb8(&painted.picture)?);
             (bitmap, painted.tile_m, painted.roughness, painted.metallic)
         }

@@ -44,6 +44,8 @@ impl Default for ColourSettings {
 
 /// Exposure gains that are tried, as powers of 2 around a mean of 18 %.
 const MOST_STOPS: f32 = 12.0;
+/// Halvings of that range: to 1/700 of a stop.
+const EXPOSURE_STEPS: u32 = 14;
 
 /// The 8-bit sRGB picture that the camera gives for linear light; the same seed gives the same
 /// bytes.
@@ -189,7 +191,7 @@ fn exposure(picture: &Picture, balance: [f32; 3], settings: &ColourSettings) -> 
         sum / sample.len().max(1) as f64
     };
     let (mut low, mut high) = (-MOST_STOPS, MOST_STOPS);
-    for _ in 0..24 {
+    for _ in 0..EXPOSURE_STEPS {
         let stops = 0.5 * (low + high);
         if developed_mean(middle * stops.exp2()) < settings.target_mean {
             low = stops;

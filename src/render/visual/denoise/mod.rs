@@ -1,0 +1,223 @@
+//! Denoiser guided by the first surfaces: non-local means over patches, joint with albedo, normal
+//! and depth.
+//!
+//! A pixel becomes the weighted mean of the pixels around it. Weights compare small patches of
+//! light, divided by the albedo so that textures stay sharp, against the noise that is expected
+//! there, and the first surfaces. The weights for one half of the paths come from the other half,
+//! so that noise does not choose itself.
+//!
+//! A firefly, a pixel with one or a few paths that are far brighter than all around, would be
+//! spread evenly over its neighbourhood: a bright square. Its weight is cut, see [`noise::trust`]; the
+//! light that it stands for is lost, as with a clamp, and the picture is so much too dark there.
+//! Pixels without such paths keep their weight. Sources: Buades, Coll, Morel, *A non-local algorithm for
+//! image denoising* (2005); Rousselle, Knaus, Zwicker, *Adaptive rendering with non-local means
+//! filtering* (2012); Rousselle, Manzi, Zwicker, *Robust denoising using feature and color
+//! information* (2013).
+
+mod filter;
+mod noise;
+
+use rayon::prelude::*;
+
+use self::filter::Guide;
+use super::picture::Picture;
+use super::renderer::Rendering;
+
+/// Albedo below which light is not divided any further.
+const LEAST_ALBEDO: f32 = 0.02;
+/// Rows that are filtered together.
+const BAND: usize = 16;
+
+/// How much is smoothed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DenoiseSettings {
+    /// Radius of the neighbourhood, px.
+    pub radius: usize,
+    /// Radius of the compared patches, px.
+    pub patch_radius: usize,
+    /// How far patches may differ, in standard deviations of their noise.
+    pub noise: f32,
+    /// Difference of albedo, of the cosine between normals and of relative depth at which the
+    /// weight of a pixel has fallen to 1/e.
+    pub albedo: f32,
+    /// See `albedo`.
+    pub normal: f32,
+    /// See `albedo`.
+    pub depth: f32,
+}
+
+impl Default for DenoiseSettings {
+    fn default() -> Self {
+        Self {
+            radius: 7,
+            patch_radius: 2,
+            noise: 0.6,
+            albedo: 0.2,
+            normal: 0.05,
+            depth: 0.02,
+        }
+    }
+}
+
+/// Light of one half of the paths.
+type Light = Vec<[f32; 3]>;
+
+/// Picture with less noise. The result depends on the rendering alone.
+pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Picture {
+    let (width, height) = (rendering.picture.width, rendering.picture.height);
+    let albedo: Vec<[f32; 3]> = (0..width * height)
+        .map(|at| match rendering.depth_m[at] > 0.0 {
+            true => rendering.albedo.pixels[at].map(|a| a.max(LEAST_ALBEDO)),
+            false => [1.0; 3],
+        })
+        .collect();
+    let halves: [Light; 2] = [0, 1].map(|half| {
+        let pixels = rendering.halves[half].pixels.iter().zip(&albedo);
+        pixels
+            .map(|(p, a)| std::array::from_fn(|k| p[k] / a[k]))
+            .collect()
+    });
+    let guide = Guide::new(rendering, settings, &halves, &albedo);
+    let bands: Vec<Vec<[f32; 3]>> = (0..height.div_ceil(BAND))
+        .into_par_iter()
+        .map(|band| guide.filter(band * BAND..height.min((band + 1) * BAND)))
+        .collect();
+    let mut picture = rendering.picture.clone();
+    for (at, light) in bands.into_iter().flatten().enumerate() {
+        picture.pixels[at] = std::array::from_fn(|k| light[k] * albedo[at][k]);
+    }
+    picture
+}
+
+#[cfg(test)]
+mod tests {
+    use super::noise::{trust, variance_of_paths};
+    use super::*;
+
+    /// A wall of two colours, half lit and half in shade, with noise.
+    fn noisy() -> (Rendering, Picture) {
+        noisy_by(0.5)
+    }
+
+    /// With noise of this share of the light.
+    fn noisy_by(noise: f32) -> (Rendering, Picture) {
+        let (width, height) = (48, 32);
+        let mut truth = Picture::filled(width, height, [0.0; 3]);
+        let mut rendering = Rendering {
+            picture: truth.clone(),
+            variance: Picture::filled(width, height, [0.0; 3]),
+            halves: [truth.clone(), truth.clone()],
+            albedo: truth.clone(),
+            normal: Picture::filled(width, height, [0.0, 0.0, 1.0]),
+            depth_m: vec![1.0; width * height],
+        };
+        let mut state = 1u64;
+        let mut number = move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
+        };
+        for at in 0..width * height {
+            let (column, row) = (at % width, at / width);
+            let albedo = if column / 3 % 2 == 0 { 0.8 } else { 0.2 };
+            let light = if row < height / 2 { 1.0 } else { 0.3 };
+            truth.pixels[at] = [albedo * light; 3];
+            rendering.albedo.pixels[at] = [albedo; 3];
+            let sigma = noise * light;
+            let [a, b] = [(); 2].map(|()| albedo * (light + sigma * 12f32.sqrt() * number()));
+            rendering.halves[0].pixels[at] = [a; 3];
+            rendering.halves[1].pixels[at] = [b; 3];
+            rendering.picture.pixels[at] = [0.5 * (a + b); 3];
+            rendering.variance.pixels[at] = [0.5 * (albedo * sigma).powi(2); 3];
+        }
+        (rendering, truth)
+    }
+
+    #[test]
+    fn noise_shrinks_and_edges_stay() {
+        let (rendering, truth) = noisy();
+        let before = rendering.picture.rmse(&truth).unwrap();
+        let picture = denoise(&rendering, &DenoiseSettings::default());
+        let after = picture.rmse(&truth).unwrap();
+        assert!(after < 0.35 * before, "{before} to {after}");
+        // The stripes of the texture keep their contrast.
+        let row = |r: usize| (0..48).map(move |c| (c, r));
+        for (column, row) in row(5).chain(row(26)) {
+            let [found, wanted] = [&picture, &truth].map(|p| p.at(column, row)[0]);
+            assert!(
+                (found / wanted - 1.0).abs() < 0.35,
+                "{column}, {row}: {found} {wanted}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_clean_picture_stays_as_it_is() {
+        let (mut rendering, truth) = noisy();
+        rendering.picture = truth.clone();
+        rendering.halves = [truth.clone(), truth.clone()];
+        rendering.variance.pixels.fill([0.0; 3]);
+        let picture = denoise(&rendering, &DenoiseSettings::default());
+        assert!(picture.rmse(&truth).unwrap() < 1e-4);
+    }
+
+    /// One path of many that is `factor` times the mean of all pixels after all are averaged.
+    fn add_firefly(rendering: &mut Rendering, at: usize, factor: f32) {
+        let mean = rendering.picture.mean()[0] as f32;
+        let extra = factor * mean;
+        for value in &mut rendering.picture.pixels[at] {
+            *value += extra;
+        }
+        for value in &mut rendering.halves[0].pixels[at] {
+            *value += 2.0 * extra;
+        }
+        for value in &mut rendering.variance.pixels[at] {
+            *value += extra * extra;
+        }
+    }
+
+    #[test]
+    fn fireflies_leave_no_squares() {
+        let (clean, truth) = noisy_by(0.1);
+        let settings = DenoiseSettings::default();
+        let wanted = denoise(&clean, &settings);
+        // In the middle, near another, and in a corner.
+        let places = [(20, 10), (25, 12), (47, 31)];
+        let mut rendering = clean;
+        for ((column, row), factor) in places.iter().zip([1000.0, 50.0, 1000.0]) {
+            add_firefly(&mut rendering, row * 48 + column, factor);
+        }
+        let found = denoise(&rendering, &settings);
+        for (at, (found, wanted)) in found.pixels.iter().zip(&wanted.pixels).enumerate() {
+            let ratio = found[0] / wanted[0];
+            // Spread evenly, 1000 means would be 4.4 means a pixel.
+            let place = (at % 48, at / 48);
+            assert!((ratio - 1.0).abs() < 0.04, "{place:?}: {ratio}");
+        }
+        let [before, after] = [&wanted, &found].map(|p| p.rmse(&truth).unwrap());
+        assert!(after < 1.05 * before, "{before} to {after}");
+    }
+
+    #[test]
+    fn what_many_paths_see_is_no_firefly() {
+        let (mut rendering, _) = noisy();
+        let of = |rendering: &Rendering| {
+            let albedo = vec![[1.0; 3]; 48 * 32];
+            let halves = [0, 1].map(|half: usize| rendering.halves[half].pixels.clone());
+            let of_paths = variance_of_paths(rendering, &albedo);
+            trust(&halves, &of_paths, [48, 32], 7)
+        };
+        assert!(of(&rendering).iter().all(|t| *t == 1.0));
+        // A glint that a quarter of 64 paths meet.
+        let at = 10 * 48 + 20;
+        for picture in [&mut rendering.picture]
+            .into_iter()
+            .chain(&mut rendering.halves)
+        {
+            picture.pixels[at] = [300.0; 3];
+        }
+        rendering.variance.pixels[at] = [300.0f32.powi(2) * 3.0 / 64.0; 3];
+        assert!(of(&rendering).iter().all(|t| *t == 1.0));
+    }
+}
