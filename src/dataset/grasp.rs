@@ -276,6 +276,10 @@ pub struct SimulatedTruth {
 pub struct PredictionRecord {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
+    /// Distance of the tactile pictures from those of the training, over what counts as known;
+    /// absent where the model does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub novelty: Option<f64>,
     /// Decision threshold of the model.
     pub threshold: f64,
     /// sha256 of the ONNX file.

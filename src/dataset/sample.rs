@@ -110,6 +110,7 @@ pub(crate) fn meta(object: &str) -> GraspMeta {
         rig: "bench".into(),
         prediction: Some(PredictionRecord {
             p_stable: 0.75,
+            novelty: None,
             threshold: 0.5,
             model_sha256: "0".repeat(64),
             model: "baseline".into(),

@@ -26,6 +26,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 use tract_onnx::pb::tensor_proto::{DataLocation, DataType};
+use tract_onnx::pb::tensor_shape_proto::Dimension as TensorDimension;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
 
@@ -529,11 +530,14 @@ impl ModelContract {
                 list(found.iter().map(|input| &input.name))
             )));
         }
+        let batch = batch_name(found.first().copied());
         for input in found {
-            check_tensor("input", input, &INPUT_SHAPE)?;
+            check_tensor("input", input, &INPUT_SHAPE, batch)?;
         }
         match graph.output.as_slice() {
-            [output] if output.name == OUTPUT => check_tensor("output", output, &OUTPUT_SHAPE),
+            [output] if output.name == OUTPUT => {
+                check_tensor("output", output, &OUTPUT_SHAPE, batch)
+            }
             outputs => Err(refusal(format!(
                 "the graph must have the one output `{OUTPUT}`, found {}",
                 list(outputs.iter().map(|output| &output.name))
@@ -619,7 +623,44 @@ fn check_windows(graph: &GraphProto) -> Result<()> {
     Ok(())
 }
 
-fn check_tensor(role: &str, value: &ValueInfoProto, expected: &[i64]) -> Result<()> {
+fn shape_of(value: &ValueInfoProto) -> &[TensorDimension] {
+    let tensor = match value.r#type.as_ref().and_then(|t| t.value.as_ref()) {
+        Some(type_proto::Value::TensorType(tensor)) => tensor,
+        _ => return &[],
+    };
+    tensor.shape.as_ref().map_or(&[], |shape| &shape.dim)
+}
+
+/// Name of the first side of a tensor, where its size is left open.
+fn batch_name(value: Option<&ValueInfoProto>) -> Option<&str> {
+    match &shape_of(value?).first()?.value {
+        Some(Dimension::DimParam(symbol)) if !symbol.is_empty() => Some(symbol),
+        _ => None,
+    }
+}
+
+/// Closes a batch of any size to one picture, which the general engine is much quicker with.
+pub(super) fn close_batch(graph: &mut GraphProto) {
+    for value in graph.input.iter_mut().chain(&mut graph.output) {
+        if batch_name(Some(value)).is_none() {
+            continue;
+        }
+        if let Some(type_proto::Value::TensorType(tensor)) =
+            value.r#type.as_mut().and_then(|t| t.value.as_mut())
+            && let Some(side) = tensor.shape.as_mut().and_then(|s| s.dim.first_mut())
+        {
+            side.value = Some(Dimension::DimValue(1));
+        }
+    }
+}
+
+/// `batch` is the name of the first side where the graph takes any number of pictures at once.
+fn check_tensor(
+    role: &str,
+    value: &ValueInfoProto,
+    expected: &[i64],
+    batch: Option<&str>,
+) -> Result<()> {
     let name = &value.name;
     let Some(type_proto::Value::TensorType(tensor)) =
         value.r#type.as_ref().and_then(|t| t.value.as_ref())
@@ -633,8 +674,7 @@ fn check_tensor(role: &str, value: &ValueInfoProto, expected: &[i64]) -> Result<
             "{role} `{name}` of the graph: expected 32-bit floats, found {found}"
         )));
     }
-    let dimensions = tensor.shape.as_ref().map_or(&[][..], |shape| &shape.dim);
-    let found: Vec<String> = dimensions
+    let found: Vec<String> = shape_of(value)
         .iter()
         .map(|dimension| match &dimension.value {
             Some(Dimension::DimValue(size)) => size.to_string(),
@@ -642,17 +682,21 @@ fn check_tensor(role: &str, value: &ValueInfoProto, expected: &[i64]) -> Result<
             None => "?".to_owned(),
         })
         .collect();
-    if found
-        .iter()
-        .eq(&expected.iter().map(ToString::to_string).collect::<Vec<_>>())
-    {
+    let mut expected: Vec<String> = expected.iter().map(ToString::to_string).collect();
+    if let Some(batch) = batch {
+        expected[0] = format!("`{batch}`");
+    }
+    if found == expected {
         return Ok(());
     }
     Err(refusal(format!(
-        "{role} `{name}` of the graph: expected shape {expected:?}, found [{}]",
+        "{role} `{name}` of the graph: expected shape [{}], found [{}]",
+        expected.join(", "),
         found.join(", ")
     ))
-    .remedy("export the model with fixed shapes and a batch of one"))
+    .remedy(
+        "export the model with fixed shapes; only the batch may be open, everywhere or nowhere",
+    ))
 }
 
 /// `metadata_props` as a map that is emptied while it is read.

@@ -208,15 +208,16 @@ fn inputs_that_are_made_in_another_way_are_refused() {
     }
 }
 
+fn tensor_of(value: &mut ValueInfoProto) -> &mut type_proto::Tensor {
+    let value = value.r#type.as_mut().unwrap().value.as_mut().unwrap();
+    let type_proto::Value::TensorType(tensor) = value;
+    tensor
+}
+
 #[test]
 fn a_graph_that_breaks_the_contract_is_refused() {
     fn graph(model: &mut ModelProto) -> &mut GraphProto {
         model.graph.as_mut().unwrap()
-    }
-    fn tensor(value: &mut ValueInfoProto) -> &mut type_proto::Tensor {
-        let value = value.r#type.as_mut().unwrap().value.as_mut().unwrap();
-        let type_proto::Value::TensorType(tensor) = value;
-        tensor
     }
     refuses(&[
         (
@@ -232,7 +233,7 @@ fn a_graph_that_breaks_the_contract_is_refused() {
         ),
         (
             |m| {
-                let shape = tensor(&mut graph(m).input[1]).shape.as_mut().unwrap();
+                let shape = tensor_of(&mut graph(m).input[1]).shape.as_mut().unwrap();
                 shape.dim[0].value = Some(Dimension::DimParam("batch".to_owned()));
             },
             &[
@@ -242,7 +243,17 @@ fn a_graph_that_breaks_the_contract_is_refused() {
             ],
         ),
         (
-            |m| tensor(&mut graph(m).input[0]).elem_type = DataType::Float16 as i32,
+            |m| {
+                let shape = tensor_of(&mut graph(m).input[0]).shape.as_mut().unwrap();
+                shape.dim[0].value = Some(Dimension::DimParam("batch".to_owned()));
+            },
+            &[
+                "input `tactile_right`",
+                "expected shape [`batch`, 3, 240, 320], found [1, 3, 240, 320]",
+            ],
+        ),
+        (
+            |m| tensor_of(&mut graph(m).input[0]).elem_type = DataType::Float16 as i32,
             &[
                 "input `tactile_left`",
                 "expected 32-bit floats, found Float16",
@@ -281,6 +292,20 @@ fn a_graph_that_breaks_the_contract_is_refused() {
             &["expected `kernel_shape` between 1 and 4096"],
         ),
     ]);
+}
+
+#[test]
+fn an_open_batch_is_taken_and_closed_for_the_engine() {
+    let mut model = file();
+    let graph = model.graph.as_mut().unwrap();
+    for value in graph.input.iter_mut().chain(&mut graph.output) {
+        let shape = tensor_of(value).shape.as_mut().unwrap();
+        shape.dim[0].value = Some(Dimension::DimParam("n".to_owned()));
+    }
+    let contract = ModelContract::of(&model).unwrap();
+    close_batch(model.graph.as_mut().unwrap());
+    assert_eq!(model, file());
+    assert_eq!(ModelContract::of(&model).unwrap(), contract);
 }
 
 #[test]

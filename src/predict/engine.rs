@@ -14,6 +14,7 @@ use tract_onnx::prelude::{
 
 use super::contract::{self, InputName, ModelContract};
 use super::input::ModelInput;
+use super::novelty::{self, Novelty};
 use super::plan::Plan;
 use super::{baseline, onnx};
 use crate::error::{Error, ErrorKind, Result};
@@ -25,6 +26,7 @@ pub struct Model {
     contract: ModelContract,
     sha256: String,
     load_ms: f64,
+    novelty: Option<Novelty>,
     engine: Engine,
 }
 
@@ -77,8 +79,11 @@ impl Model {
     /// As [`Model::load`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let started = Instant::now();
-        let proto = onnx::decode(bytes)?;
+        let mut proto = onnx::decode(bytes)?;
         let contract = ModelContract::of(&proto)?;
+        let novelty = contract.other.get(novelty::METADATA);
+        let novelty = novelty.map(|text| Novelty::of_metadata(text)).transpose()?;
+        proto.graph.iter_mut().for_each(contract::close_batch);
         let engine = match Plan::of(&proto) {
             Some(plan) => Engine::Own(Box::new(plan)),
             None => Engine::Tract {
@@ -90,6 +95,7 @@ impl Model {
             contract,
             sha256: hex(&Sha256::digest(bytes)),
             load_ms: 0.0,
+            novelty,
             engine,
         };
         let zeros = ModelInput::zeros(&model.contract)?;
@@ -106,7 +112,8 @@ impl Model {
     /// As [`Model::load`].
     #[cfg(test)]
     pub(crate) fn on_tract(bytes: &[u8]) -> Result<Self> {
-        let proto = onnx::decode(bytes)?;
+        let mut proto = onnx::decode(bytes)?;
+        proto.graph.iter_mut().for_each(contract::close_batch);
         let mut model = Self::from_bytes(bytes)?;
         model.engine = Engine::Tract {
             order: input_order(&proto, &model.contract),
@@ -137,6 +144,12 @@ impl Model {
     #[must_use]
     pub fn load_ms(&self) -> f64 {
         self.load_ms
+    }
+
+    /// What its training pictures looked like, if it says so.
+    #[must_use]
+    pub fn novelty(&self) -> Option<&Novelty> {
+        self.novelty.as_ref()
     }
 
     /// Predicts one grasp.

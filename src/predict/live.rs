@@ -40,6 +40,9 @@ struct Picture {
 pub struct LivePrediction {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
+    /// How far the tactile pictures are from those of the training, over what counts as known: above 1
+    /// the model cannot know. None where the model does not say, or has no touch.
+    pub novelty: Option<f64>,
     /// Time of the model alone, ms.
     pub engine_ms: f64,
     /// Time from pictures to tensors, ms.
@@ -141,6 +144,7 @@ impl LivePredictor {
             newest_frame_ns = picture.driver_time_ns.max(newest_frame_ns);
             oldest_frame_ns = picture.driver_time_ns.min(oldest_frame_ns);
         };
+        let mut novelty: Option<f64> = None;
         let uses = self.model.contract().variant.inputs();
         for (name, tactile) in [
             (InputName::TactileLeft, &self.left),
@@ -151,6 +155,9 @@ impl LivePredictor {
             {
                 let difference = TactileDifference::between(initial, &picture.image)?;
                 self.input.set_tactile(name, &difference)?;
+                let known = self.model.novelty();
+                let score = known.and_then(|known| known.score(&difference));
+                novelty = novelty.into_iter().chain(score).reduce(f64::max);
                 used(picture);
             }
         }
@@ -162,6 +169,7 @@ impl LivePredictor {
         let prediction = self.model.predict(&self.input)?;
         Ok(LivePrediction {
             p_stable: prediction.p_stable,
+            novelty,
             engine_ms: prediction.engine_ms,
             preprocess_ms,
             newest_frame_ns,

@@ -2,7 +2,8 @@
 //!
 //! A model is one ONNX file whose metadata is a [`contract::ModelContract`]. [`Model`] loads and
 //! checks it, [`ModelInput`] turns 320×240 pictures into its tensors, [`LivePredictor`] keeps the
-//! pictures of a running session. [`baseline`] is a heuristic to use until a trained model exists;
+//! pictures of a running session; [`Smoothing`] calms its answers for a screen, [`Novelty`] tells
+//! pictures that are unlike those of the training. [`baseline`] is a heuristic to use until a trained model exists;
 //! [`onnx`] writes such files.
 
 pub mod baseline;
@@ -10,12 +11,16 @@ pub mod contract;
 mod engine;
 mod input;
 mod live;
+pub mod novelty;
 pub mod onnx;
 mod plan;
+mod smoothing;
 mod timing;
 
 pub use contract::ModelContract;
 pub use engine::{Model, Prediction};
 pub use input::ModelInput;
 pub use live::{LivePrediction, LivePredictor};
+pub use novelty::Novelty;
+pub use smoothing::Smoothing;
 pub use timing::{PredictFigures, measure};

@@ -220,9 +220,8 @@ fn trained(
     let file = run.read()?.ok_or_else(|| {
         Error::new(ErrorKind::Internal, "the run has no description").at(folder.display())
     })?;
-    let validation = Samples::open(data, "validation")?;
     let name = format!("fig6-{}-{seed}", condition.folder());
-    finish(&run, &file, &validation, &name, &|_| {})?;
+    finish(&run, &file, data, &name, &|_| {})?;
     Ok(run.model())
 }
 

@@ -1,13 +1,13 @@
 //! A trained network as an ONNX file.
 //!
 //! Batch normalisation becomes part of the convolutions, the temperature part of the last layer;
-//! the left and the right sensor share the weights of one encoder.
+//! the left and the right sensor share the weights of one encoder. The batch is of any size.
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::nn::{FoldedConvolution, Network, PICTURE, Part, Sense};
 use crate::predict::ModelContract;
 use crate::predict::contract::{INPUT_SHAPE, InputName, OUTPUT, OUTPUT_SHAPE};
-use crate::predict::onnx::{Attribute, OnnxGraphBuilder, Value};
+use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
 
 /// The bytes of a model's file.
 ///
@@ -20,7 +20,10 @@ pub fn to_onnx(network: &Network, contract: &ModelContract) -> Result<Vec<u8>> {
     let inputs: Vec<(InputName, Value)> = contract
         .inputs
         .iter()
-        .map(|input| Ok((input.name, graph.input(input.name.name(), &INPUT_SHAPE)?)))
+        .map(|input| {
+            let shape = of_any_batch(INPUT_SHAPE);
+            Ok((input.name, graph.input(input.name.name(), &shape)?))
+        })
         .collect::<Result<_>>()?;
     let touch = Encoder::write(&mut graph, network, Sense::Touch)?;
     let vision = Encoder::write(&mut graph, network, Sense::Vision)?;
@@ -50,8 +53,14 @@ pub fn to_onnx(network: &Network, contract: &ModelContract) -> Result<Vec<u8>> {
     let active = graph.node("Relu", "hidden_relu", &[&sums], [])?;
     let logit = last.apply(&mut graph, "logit", &active)?;
     let p_stable = graph.node("Sigmoid", OUTPUT, &[&logit], [])?;
-    graph.output(&p_stable, &OUTPUT_SHAPE);
+    graph.output(&p_stable, &of_any_batch(OUTPUT_SHAPE));
     graph.to_bytes()
+}
+
+/// A shape for any number of pictures at once.
+fn of_any_batch<const N: usize>(mut shape: [i64; N]) -> [i64; N] {
+    shape[0] = OPEN_BATCH;
+    shape
 }
 
 /// Weights of a layer, as they are in the file.

@@ -1,8 +1,10 @@
 //! The model that comes out of a run.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use super::export::to_onnx;
+use super::known::known_touch;
 use super::look::{Logit, logits};
 use super::metrics::{Summary, fit_temperature, youden_threshold};
 use super::run::{EpochFigures, RunFile, RunFolder};
@@ -10,8 +12,8 @@ use super::samples::Samples;
 use crate::error::Result;
 use crate::files;
 use crate::imaging::CropProfile;
-use crate::predict::ModelContract;
 use crate::predict::contract::{InputName, InputSpec, Origin};
+use crate::predict::{ModelContract, novelty};
 
 /// Metadata with the names of the objects that a model was trained on.
 pub(super) const OBJECTS: &str = "gripcast.train.objects";
@@ -32,21 +34,23 @@ pub struct Finished {
     pub onnx: Vec<u8>,
 }
 
-/// Fits temperature and threshold on the validation part and writes the run's `model.onnx`.
+/// Fits temperature and threshold on the validation part, describes the tactile pictures of the
+/// training part of the dataset `data`, and writes the run's `model.onnx`.
 ///
 /// # Errors
 /// Those of reading the dataset and the checkpoint and of writing the file.
 pub fn finish(
     folder: &RunFolder,
     file: &RunFile,
-    validation: &Samples,
+    data: &Path,
     name: &str,
     told: &dyn Fn(usize),
 ) -> Result<Finished> {
+    let validation = Samples::open(data, "validation")?;
     let (network, best) = folder.best_network(&file.settings)?;
     let found = logits(
         &network,
-        validation,
+        &validation,
         &file.settings,
         file.normalisation(),
         told,
@@ -54,7 +58,11 @@ pub fn finish(
     let (temperature, threshold) = calibrate(&found);
     let scored: Vec<_> = found.iter().map(|x| x.scored(temperature)).collect();
     let summary = Summary::new(&scored, threshold);
-    let contract = contract(file, name, &best, [temperature, threshold], &summary)?;
+    let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
+    if let Some(novelty) = known_touch(&Samples::open(data, "train")?, file)? {
+        let known = (novelty::METADATA.to_owned(), novelty.to_metadata());
+        contract.other.extend([known]);
+    }
     let onnx = to_onnx(&network, &contract)?;
     files::save(&folder.model(), &onnx)?;
     Ok(Finished {

@@ -10,6 +10,7 @@ mod evaluate;
 mod experiment;
 mod export;
 mod finish;
+mod known;
 mod look;
 pub mod metrics;
 mod page;

@@ -64,10 +64,11 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
         let run = RunFolder::at(&out);
         let file = run.read().unwrap().unwrap();
         let validation = Samples::open(&data, "validation").unwrap();
-        let finished = finish(&run, &file, &validation, "tiny", &|_| {}).unwrap();
+        let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
         assert_eq!(fs::read(run.model()).unwrap(), finished.onnx);
         let model = Model::from_bytes(&finished.onnx).unwrap();
         assert_eq!(model.contract().variant, variant);
+        assert_eq!(model.novelty().is_some(), variant != Variant::V);
         let (network, _) = run.best_network(&settings).unwrap();
         let found = logits(
             &network,

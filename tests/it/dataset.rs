@@ -90,6 +90,7 @@ fn capture(number: u32, roles: &[Role]) -> StageCapture {
 fn prediction() -> PredictionRecord {
     PredictionRecord {
         p_stable: 0.75,
+        novelty: None,
         threshold: 0.5,
         model_sha256: "ab".repeat(32),
         model: "baseline-contact".into(),

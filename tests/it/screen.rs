@@ -107,6 +107,7 @@ fn waiting_for_grasp() -> EngineStatus {
         ],
         prediction: Some(PredictionStatus {
             p_stable: 0.81,
+            novelty: None,
             threshold: 0.5,
             model: "baseline-contact".to_owned(),
             frame_age_ms: 18.0,
@@ -445,6 +446,7 @@ prop_compose! {
     {
         PredictionStatus {
             p_stable: n.0, threshold: n.1, model, frame_age_ms: n.2, latency_ms: n.0,
+            novelty: None,
             engine_ms: n.1, heuristic: n.2 > 0.5,
         }
     }

@@ -15,8 +15,8 @@ use crate::files;
 use crate::nn::Architecture;
 use crate::predict::contract::Variant;
 use crate::train::{
-    Augmentation, EpochFigures, Finished, RunFolder, Samples, TrainEvent, TrainSettings, Trained,
-    finish, train,
+    Augmentation, EpochFigures, Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish,
+    train,
 };
 
 /// Arguments.
@@ -119,8 +119,7 @@ fn all_seeds(args: &Args, progress: &Progress) -> Result<Value> {
             Error::new(ErrorKind::Internal, "the run has no description").at(folder.run().display())
         })?;
         progress.stage("calibrating");
-        let validation = Samples::open(&args.data, "validation")?;
-        let finished = finish(&folder, &file, &validation, &args.name, &|_| {})?;
+        let finished = finish(&folder, &file, &args.data, &args.name, &|_| {})?;
         runs.push(described(seed, &folder, &trained, &finished));
         let accuracy = trained.best.validation_accuracy;
         if best.as_ref().is_none_or(|(most, _)| accuracy > *most) {

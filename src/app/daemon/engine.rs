@@ -687,6 +687,7 @@ impl Engine {
                 .collect(),
             prediction: prediction.map(|(live, model)| PredictionStatus {
                 p_stable: live.p_stable,
+                novelty: live.novelty,
                 threshold: model.threshold,
                 model: model.name.clone(),
                 frame_age_ms: now_ns.saturating_sub(live.frame_time_ns) as f64 * 1e-6,

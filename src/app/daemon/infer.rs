@@ -14,7 +14,7 @@ use super::status::Preview;
 use crate::dataset::GraspId;
 use crate::error::Result;
 use crate::imaging::{Role, TactileDifference};
-use crate::predict::{LivePredictor, Model};
+use crate::predict::{LivePredictor, Model, Smoothing};
 use crate::rig::camera::monotonic_ns;
 
 /// Difference from which a pixel counts as touched, grey levels: far above the sensor's noise
@@ -56,6 +56,8 @@ pub(super) enum InferRequest {
 pub(super) struct Judgement {
     /// Probability that the grasp is stable.
     pub(super) p_stable: f64,
+    /// Distance from the training pictures over what counts as known, where the model says it.
+    pub(super) novelty: Option<f64>,
     /// Time of the model alone, ms.
     pub(super) engine_ms: f64,
 }
@@ -76,8 +78,10 @@ pub(super) struct ModelFacts {
 /// The newest live prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Live {
-    /// Probability that the grasp is stable.
+    /// Probability that the grasp is stable, steadied over the frames.
     pub(super) p_stable: f64,
+    /// Distance from the training pictures over what counts as known, where the model says it.
+    pub(super) novelty: Option<f64>,
     /// Driver time of the newest frame that it was made from, ns.
     pub(super) frame_time_ns: u64,
     /// Driver time of that frame to result, ms.
@@ -157,6 +161,7 @@ impl Inference {
             predictor: model.map(LivePredictor::new).transpose()?,
             initial: BTreeMap::new(),
             predicting: false,
+            smoothing: Smoothing::default(),
             seen: BTreeMap::new(),
             findings: Arc::clone(&findings),
         };
@@ -197,6 +202,7 @@ struct Worker {
     predictor: Option<LivePredictor>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
     predicting: bool,
+    smoothing: Smoothing,
     /// Serial of the newest picture used, by role.
     seen: BTreeMap<Role, u64>,
     findings: Arc<Mutex<Findings>>,
@@ -224,6 +230,7 @@ impl Worker {
         }
         self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
         self.predicting = true;
+        self.smoothing.clear();
         {
             let mut findings = lock(&self.findings);
             findings.live = None;
@@ -307,9 +314,11 @@ impl Worker {
                 findings.latency.add(latency_ms);
                 findings.predictions += 1;
                 findings.absent = None;
+                let frame_time_ns = prediction.newest_frame_ns;
                 findings.live = Some(Live {
-                    p_stable: prediction.p_stable,
-                    frame_time_ns: prediction.newest_frame_ns,
+                    p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
+                    novelty: prediction.novelty,
+                    frame_time_ns,
                     latency_ms,
                     engine_ms: prediction.engine_ms,
                 });
@@ -333,6 +342,7 @@ impl Worker {
         let prediction = result?.ok()?;
         Some(Judgement {
             p_stable: prediction.p_stable,
+            novelty: prediction.novelty,
             engine_ms: prediction.engine_ms,
         })
     }

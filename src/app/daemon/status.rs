@@ -70,8 +70,10 @@ pub struct Preview {
 /// The newest prediction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PredictionStatus {
-    /// Probability that the grasp is stable.
+    /// Probability that the grasp is stable, steadied over the frames.
     pub p_stable: f64,
+    /// Distance of the tactile pictures from those of the training, over what counts as known.
+    pub novelty: Option<f64>,
     /// Decision threshold.
     pub threshold: f64,
     /// Model name.
@@ -84,6 +86,15 @@ pub struct PredictionStatus {
     pub engine_ms: f64,
     /// Whether the model is a heuristic and not trained.
     pub heuristic: bool,
+}
+
+impl PredictionStatus {
+    /// Whether the pictures are unlike all that the model was trained on, so that its probability
+    /// says nothing.
+    #[must_use]
+    pub fn is_unfamiliar(&self) -> bool {
+        self.novelty.is_some_and(|novelty| novelty > 1.0)
+    }
 }
 
 /// How a camera does.

@@ -287,10 +287,12 @@ impl Worker {
             .ok()?;
         let Judgement {
             p_stable,
+            novelty,
             engine_ms,
         } = answer.recv_timeout(JUDGE_PATIENCE).ok()??;
         Some(PredictionRecord {
             p_stable,
+            novelty,
             threshold: model.threshold,
             model_sha256: model.sha256,
             model: model.name,

@@ -12,6 +12,8 @@ use crate::app::daemon::{EngineStatus, PredictionStatus};
 
 /// A prediction from a frame older than this is shown dim and named old, ms.
 const STALE_MS: f64 = 500.0;
+/// The claim on pictures that are unlike those of the training.
+const UNSURE: &str = "UNSURE";
 /// Least columns between the number at the left and the verdict at the right.
 const GAP: u16 = 4;
 
@@ -33,10 +35,13 @@ pub(super) fn verdict(p_stable: f64, threshold: f64) -> &'static str {
     }
 }
 
-/// What may be claimed in one word: the verdict, or that it is too old to be one.
+/// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
+/// knows nothing of such pictures.
 pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
     if is_stale(prediction) || !prediction.p_stable.is_finite() {
         "OLD"
+    } else if prediction.is_unfamiliar() {
+        UNSURE
     } else {
         verdict(prediction.p_stable, prediction.threshold)
     }
@@ -50,6 +55,7 @@ pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
     match verdict {
         "STABLE" => palette.stable(),
         "SLIP" => palette.slip(),
+        UNSURE => palette.warning(),
         _ => palette.faint(),
     }
 }
@@ -88,8 +94,8 @@ pub(super) fn rows(width: u16, available: u16) -> u16 {
 fn size(width: u16, height: u16) -> Option<Size> {
     Size::DESCENDING.into_iter().find(|size| {
         let words = match size {
-            Size::Large => Size::Large.columns("STABLE"),
-            Size::Medium | Size::Small => Size::Small.columns("STABLE"),
+            Size::Large => Size::Large.columns(UNSURE),
+            Size::Medium | Size::Small => Size::Small.columns(UNSURE),
         };
         size.rows() <= height && size.columns("0.00") + GAP + words + 2 <= width
     })
@@ -256,6 +262,12 @@ fn write_title(
     if prediction.heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
+    if prediction.is_unfamiliar() {
+        left.push(Span::styled(
+            "unlike the training pictures ",
+            palette.warning(),
+        ));
+    }
     let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
     left.push(Span::styled(clipped(&name, room), palette.faint()));
     write(buffer, rest, &Line::from(left));
@@ -330,6 +342,7 @@ mod tests {
     fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
         PredictionStatus {
             p_stable,
+            novelty: None,
             threshold: 0.5,
             model: "m".to_owned(),
             frame_age_ms,
@@ -356,6 +369,19 @@ mod tests {
             assert_eq!(old.verdict, "OLD");
             assert_eq!(old.style, PALETTE.faint());
         }
+    }
+
+    #[test]
+    fn nothing_is_claimed_of_pictures_that_the_model_does_not_know() {
+        let mut odd = prediction(0.97, 18.0);
+        odd.novelty = Some(1.01);
+        let read = reading(Some(&odd), PALETTE);
+        assert_eq!((read.verdict, read.style), (UNSURE, PALETTE.warning()));
+        odd.novelty = Some(0.99);
+        assert_eq!(reading(Some(&odd), PALETTE).verdict, "STABLE");
+        odd = prediction(0.97, 900.0);
+        odd.novelty = Some(7.0);
+        assert_eq!(reading(Some(&odd), PALETTE).verdict, "OLD");
     }
 
     #[test]

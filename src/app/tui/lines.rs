@@ -119,7 +119,10 @@ impl LinePrinter {
     fn prediction(&mut self, status: &EngineStatus, now: Instant) -> Option<String> {
         if let Some(prediction) = &status.prediction {
             self.absence = None;
-            let verdict = verdict(prediction.p_stable, prediction.threshold);
+            let verdict = match prediction.is_unfamiliar() {
+                true => "UNSURE, unlike the training pictures",
+                false => verdict(prediction.p_stable, prediction.threshold),
+            };
             return self
                 .prediction
                 .is_news(verdict, now)

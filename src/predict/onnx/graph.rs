@@ -12,6 +12,11 @@ use tract_onnx::pb::{
 use super::{Attribute, IR_VERSION, OPSET};
 use crate::error::{Error, ErrorKind, Result};
 
+/// Side of an input's or output's shape that is left open: any number of pictures at once.
+pub const OPEN_BATCH: i64 = -1;
+/// Name of that side in the file.
+const BATCH_NAME: &str = "batch";
+
 /// A tensor of the graph: an input, a constant or the result of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Value(String);
@@ -219,7 +224,10 @@ fn value_info(name: &str, shape: &[i64]) -> ValueInfoProto {
     let dim = shape
         .iter()
         .map(|&size| Dimension {
-            value: Some(dimension::Value::DimValue(size)),
+            value: Some(match size {
+                OPEN_BATCH => dimension::Value::DimParam(BATCH_NAME.to_owned()),
+                size => dimension::Value::DimValue(size),
+            }),
             ..Dimension::default()
         })
         .collect();

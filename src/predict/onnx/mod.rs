@@ -9,7 +9,7 @@ mod graph;
 
 pub use attribute::Attribute;
 pub use file::{decode, read};
-pub use graph::{OnnxGraphBuilder, Value};
+pub use graph::{OPEN_BATCH, OnnxGraphBuilder, Value};
 pub use tract_onnx::pb;
 
 /// Version of the default operator set of written files.
