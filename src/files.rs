@@ -9,10 +9,24 @@ use std::hash::{BuildHasher as _, RandomState};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use sha2::{Digest as _, Sha256};
+
 use crate::error::{Error, Result};
 
 /// Most symbolic links that are followed, as Linux has it.
 const MOST_LINKS: usize = 40;
+
+/// Bytes as lower-case hex.
+pub fn hex(bytes: &[u8]) -> String {
+    let digit = |value: u8| char::from_digit(u32::from(value), 16).unwrap_or_default();
+    let digits = bytes.iter().flat_map(|b| [b >> 4, b & 15]);
+    digits.map(digit).collect()
+}
+
+/// SHA-256 as `sha256sum` prints it: 64 lower-case hex digits.
+pub fn sha256_hex(bytes: impl AsRef<[u8]>) -> String {
+    hex(&Sha256::digest(bytes))
+}
 
 /// Writes a file whole, in place of what had its name.
 ///

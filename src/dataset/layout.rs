@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use sha2::{Digest as _, Sha256};
 
 use super::grasp::{FileDigest, GraspId};
+use crate::files::sha256_hex;
 use crate::imaging::{PixelFormat, Role};
 
 /// Beginning of the name of a grasp's directory before the grasp is complete.
@@ -173,14 +174,6 @@ pub(super) fn new_id(at: Timestamp, process: u32, counter: u64) -> GraspId {
         hash[0],
         hash[1]
     ))
-}
-
-/// sha256 as lower-case hex.
-pub(super) fn sha256_hex(bytes: &[u8]) -> String {
-    Sha256::digest(bytes)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
 }
 
 /// First 12 hex digits of the sha256.

@@ -4,6 +4,7 @@
 //! through [`Esc`]; pictures are data URIs that [`picture`] has looked at.
 
 pub(crate) mod picture;
+pub(crate) mod polyline;
 mod text;
 
 use std::fmt::Write as _;
@@ -22,6 +23,36 @@ pub(crate) use put;
 
 /// Style of every page; a page's own rules come after it.
 pub(crate) const BASE_STYLE: &str = include_str!("base.css");
+
+/// Begins a page of a program's version, up to its body: no network, and no script but `script`, a
+/// source of the content security policy.
+pub(crate) fn begin(out: &mut String, software: &str, title: &str, style: &str, script: &str) {
+    put!(
+        out,
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
+         img-src data:; style-src 'unsafe-inline'; script-src {script}\">\n\
+         <meta name=\"generator\" content=\"{}\">\n<title>{}</title>\n\
+         <style>{BASE_STYLE}{style}</style>\n</head>\n<body>\n",
+        Esc(software),
+        Esc(title)
+    );
+}
+
+/// Writes the links to the sections of a page into its bar.
+pub(crate) fn section_links(out: &mut String, sections: &[(&str, &str)]) {
+    out.push_str("<header class=\"bar\"><nav aria-label=\"Sections\">");
+    for (id, name) in sections {
+        put!(out, "<a href=\"#{id}\">{name}</a>");
+    }
+    out.push_str("</nav>");
+}
+
+/// Opens a section with its heading.
+pub(crate) fn open_section(out: &mut String, id: &str, title: &str) {
+    put!(out, "<section id=\"{id}\">\n<h2>{title}</h2>\n");
+}
 
 /// Opens the frame in which a wide table scrolls; it can be reached by keyboard.
 pub(crate) fn open_wide(out: &mut String, label: &str) {

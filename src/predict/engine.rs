@@ -5,7 +5,6 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use sha2::{Digest as _, Sha256};
 use tract_onnx::pb::ModelProto;
 use tract_onnx::prelude::{
     Framework as _, InferenceModelExt as _, IntoRunnable as _, TVec, TractResult,
@@ -18,6 +17,7 @@ use super::novelty::{self, Novelty};
 use super::plan::Plan;
 use super::{baseline, onnx};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::sha256_hex;
 use crate::quiet_panic;
 
 /// A model that has been checked and is ready to run, on the thread that asks.
@@ -93,7 +93,7 @@ impl Model {
         };
         let mut model = Self {
             contract,
-            sha256: hex(&Sha256::digest(bytes)),
+            sha256: sha256_hex(bytes),
             load_ms: 0.0,
             novelty,
             engine,
@@ -120,6 +120,13 @@ impl Model {
             model: guarded("build the model's graph", || optimise(&proto))?,
         };
         Ok(model)
+    }
+
+    /// What our own engine answers zeros for a graph; none if it leaves the graph to the general one.
+    #[cfg(test)]
+    pub(crate) fn own_answer_to_zeros(proto: &ModelProto, contract: &ModelContract) -> Option<f32> {
+        let zeros = ModelInput::zeros(contract).ok()?;
+        Plan::of(proto)?.run(&zeros)
     }
 
     /// Whether our own engine runs it.
@@ -248,15 +255,6 @@ fn milliseconds_since(started: Instant) -> f64 {
     started.elapsed().as_secs_f64() * 1e3
 }
 
-fn hex(digest: &[u8]) -> String {
-    use std::fmt::Write as _;
-    digest.iter().fold(String::new(), |mut text, byte| {
-        // Writing to a String cannot fail.
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -325,6 +323,6 @@ mod tests {
     #[test]
     fn the_digest_is_that_of_the_file() {
         let expected = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad";
-        assert_eq!(hex(&Sha256::digest(b"abc")), expected);
+        assert_eq!(sha256_hex(b"abc"), expected);
     }
 }

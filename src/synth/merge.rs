@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::curate::{Curation, CurationSettings, Labelled, LeftOut, curate};
-use super::plan::{Plan, PlannedSimulation, hex};
+use super::plan::{Plan, PlannedSimulation};
 use super::store::{ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{save, sha256_hex};
 use crate::shard::{ShardRow, ShardWriter, shard_name};
 
 /// Facts of the dataset, beside `data/`.
@@ -325,7 +325,7 @@ impl<'a> Writing<'a> {
             writer.finish()?;
             let bytes = fs::read(&path)
                 .map_err(|e| Error::io("cannot read the shard again", e).at(path.display()))?;
-            self.files.insert(file, hex(&Sha256::digest(bytes)));
+            self.files.insert(file, sha256_hex(bytes));
         }
         Ok(())
     }

@@ -8,7 +8,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::plan::{Plan, PlannedSimulation};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{save, sha256_hex};
 use crate::shard::{ShardReader, ShardRow};
 
 /// Folder of the results in that of the plan.
@@ -170,7 +170,7 @@ impl ResultStore {
             result.samples = Some(SampleFile {
                 rows,
                 bytes: bytes.len() as u64,
-                sha256: super::plan::hex(&Sha256::digest(bytes)),
+                sha256: sha256_hex(bytes),
             });
         }
         let text = serde_json::to_vec(&result)
@@ -197,7 +197,7 @@ impl ResultStore {
         let expected = result.samples.as_ref().ok_or_else(wrong)?;
         let bytes = fs::read(&path)
             .map_err(|e| Error::io("cannot read the pictures", e).at(path.display()))?;
-        if super::plan::hex(&Sha256::digest(&bytes)) != expected.sha256 {
+        if sha256_hex(&bytes) != expected.sha256 {
             return Err(wrong());
         }
         let reader = ShardReader::from_bytes(path.display().to_string(), bytes)?;

@@ -1,9 +1,11 @@
+use tract_onnx::pb::{GraphProto, ModelProto};
+
 use super::*;
 use crate::nn::Batch;
 use crate::nn::{Architecture, Senses};
 use crate::predict::contract::InputSpec;
 use crate::predict::contract::{Origin, RgbNormalisation, Variant};
-use crate::predict::{Model, ModelInput};
+use crate::predict::{Model, ModelInput, onnx};
 use crate::render::visual::SeedStream;
 use crate::train::settings::senses;
 
@@ -120,7 +122,7 @@ fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
     let whole = Model::from_bytes(&bytes).unwrap();
     let (input, _) = pictures(&whole, &mut draw);
     let expected = whole.predict(&input).unwrap().p_stable;
-    let altered = |change: &dyn Fn(&mut tract_onnx::pb::GraphProto)| {
+    let altered = |change: &dyn Fn(&mut GraphProto)| {
         let mut proto = crate::predict::onnx::decode(&bytes).unwrap();
         change(proto.graph.as_mut().unwrap());
         let model = Model::from_bytes(&prost::Message::encode_to_vec(&proto)).unwrap();
@@ -158,4 +160,62 @@ fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
         // The rows and columns that are left out lie beyond the last window.
         pads.ints = vec![1, 1, 0, 0];
     });
+}
+
+/// Damages a graph in every way that comes to mind, once at every place.
+fn damage(proto: &ModelProto, mut look: impl FnMut(&ModelProto)) {
+    let graph = proto.graph.as_ref().unwrap();
+    let mut with = |change: &dyn Fn(&mut GraphProto)| {
+        let mut other = proto.clone();
+        change(other.graph.as_mut().unwrap());
+        look(&other);
+    };
+    for (at, node) in graph.node.iter().enumerate() {
+        with(&|graph| {
+            graph.node.remove(at);
+        });
+        with(&|graph| graph.node[at].input.clear());
+        with(&|graph| graph.node[at].output.clear());
+        with(&|graph| graph.node[at].input.reverse());
+        with(&|graph| graph.node.swap(at, 0));
+        with(&|graph| graph.node[at].attribute.clear());
+        for attribute in 0..node.attribute.len() {
+            for odd in [0, 2, 3, 7, 1 << 40, -1] {
+                with(&|graph| graph.node[at].attribute[attribute].ints.fill(odd));
+            }
+            with(&|graph| graph.node[at].attribute[attribute].ints.clear());
+            with(&|graph| graph.node[at].attribute[attribute].i = -9);
+        }
+    }
+    for at in 0..graph.initializer.len() {
+        with(&|graph| graph.initializer[at].raw_data.truncate(6));
+        with(&|graph| graph.initializer[at].dims.reverse());
+        with(&|graph| graph.initializer[at].dims.clear());
+        with(&|graph| graph.initializer[at].dims.fill(1 << 40));
+        with(&|graph| graph.initializer[at].dims.fill(-1));
+        with(&|graph| {
+            graph.initializer.remove(at);
+        });
+    }
+    with(&|graph| graph.input.clear());
+    with(&|graph| graph.output.clear());
+}
+
+#[test]
+fn no_damage_makes_our_engine_panic_or_answer_what_is_no_probability() {
+    let mut draw = SeedStream::named(5, "export");
+    let architecture = Architecture::gripcast();
+    let network = network(&architecture, senses(Variant::T), &mut draw);
+    let contract = contract(Variant::T, 1.0);
+    let proto = onnx::decode(&to_onnx(&network, &contract).unwrap()).unwrap();
+    assert!(Model::own_answer_to_zeros(&proto, &contract).is_some());
+    let (mut refused, mut all) = (0, 0);
+    damage(&proto, |damaged| {
+        all += 1;
+        match Model::own_answer_to_zeros(damaged, &contract) {
+            Some(p) => assert!((0.0..=1.0).contains(&p), "{all}: {p}"),
+            None => refused += 1,
+        }
+    });
+    assert!(2 * refused > all && all > 100, "{refused} of {all}");
 }

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use sha2::{Digest as _, Sha256};
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::hex;
 use crate::render::visual::SeedStream;
 use crate::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
 
@@ -321,8 +322,4 @@ fn file_sha256(path: &Path) -> io::Result<String> {
         let count = bytes.len();
         reader.consume(count);
     }
-}
-
-fn hex(digest: &[u8]) -> String {
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -29,7 +29,7 @@ use sha2::{Digest as _, Sha256};
 use self::text::Esc;
 use super::report::{REPORT_FORMAT, REPORT_VERSION, Reality, Report};
 use crate::error::{Error, ErrorKind, Result};
-use crate::html::{BASE_STYLE, open_wide, picture, put, theme_choice};
+use crate::html::{self, open_wide, picture, put, theme_choice};
 
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
@@ -119,18 +119,10 @@ impl Page<'_> {
     }
 
     fn open(&self, out: &mut String) {
-        let name = Esc(&self.report.dataset.name);
+        let title = format!("Replay of {}", self.report.dataset.name);
         let script = STANDARD.encode(Sha256::digest(SCRIPT.as_bytes()));
-        put!(
-            out,
-            "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-             <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
-             img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{script}'\">\n\
-             <meta name=\"generator\" content=\"{}\">\n<title>Replay of {name}</title>\n\
-             <style>{BASE_STYLE}{STYLE}</style>\n</head>\n<body>\n",
-            Esc(&self.report.software)
-        );
+        let script = format!("'sha256-{script}'");
+        html::begin(out, &self.report.software, &title, STYLE, &script);
         if self.simulated().is_some() {
             out.push_str("<div class=\"spine\" aria-hidden=\"true\">Reality is simulated</div>\n");
         }

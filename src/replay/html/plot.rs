@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 
 use super::put;
+use crate::html::polyline;
 use crate::sim::grasp::{tick_step, ticks};
 
 /// Deviation that a left-out point of a curve may have, tenths of a px.
@@ -192,9 +193,9 @@ impl Panel {
 
 /// Appends a run of points in whole tenths of a px, each relative to the one before.
 fn draw(data: &mut String, run: &mut Vec<[f64; 2]>) {
-    let points: Vec<[i64; 2]> = thinned(run)
+    let points: Vec<[i64; 2]> = polyline::thinned(run, TOLERANCE, usize::MAX)
         .into_iter()
-        .map(|p| p.map(|v| v.round() as i64))
+        .map(|at| run[at].map(|v| v.round() as i64))
         .collect();
     run.clear();
     let Some(&[mut x, mut y]) = points.first() else {
@@ -210,45 +211,6 @@ fn draw(data: &mut String, run: &mut Vec<[f64; 2]>) {
         put!(data, "{}{dx}{}{dy}", gap(dx, i == 1), gap(dy, false));
         (x, y) = (next_x, next_y);
     }
-}
-
-/// Leaves out the points that lie within [`TOLERANCE`] of the line through those that stay
-/// (Ramer, Douglas, Peucker).
-fn thinned(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    if points.len() < 3 {
-        return points.to_vec();
-    }
-    let mut stays = vec![false; points.len()];
-    stays[0] = true;
-    stays[points.len() - 1] = true;
-    let mut spans = vec![(0, points.len() - 1)];
-    while let Some((first, last)) = spans.pop() {
-        let farthest = (first + 1..last)
-            .map(|i| (i, distance(points[i], points[first], points[last])))
-            .max_by(|a, b| a.1.total_cmp(&b.1));
-        if let Some((i, d)) = farthest
-            && d > TOLERANCE
-        {
-            stays[i] = true;
-            spans.push((first, i));
-            spans.push((i, last));
-        }
-    }
-    let kept = points.iter().zip(stays).filter(|(_, stays)| *stays);
-    kept.map(|(point, _)| *point).collect()
-}
-
-/// Distance of `p` from the segment from `a` to `b`.
-fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
-    let along = [b[0] - a[0], b[1] - a[1]];
-    let to = [p[0] - a[0], p[1] - a[1]];
-    let square = along[0] * along[0] + along[1] * along[1];
-    let share = if square > 0.0 {
-        ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    (to[0] - share * along[0]).hypot(to[1] - share * along[1])
 }
 
 #[cfg(test)]

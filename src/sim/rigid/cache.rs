@@ -13,6 +13,7 @@ use super::decomposition::Decomposition;
 use super::settings::DecompositionSettings;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
+use crate::files::{hex, sha256_hex};
 use crate::geometry::TriangleMesh;
 
 /// What such a file says it is.
@@ -88,17 +89,13 @@ impl Key {
         Ok(Self {
             mesh: mesh.content_hash(),
             settings: *settings,
-            settings_hash: hex(&Sha256::digest(&json)),
+            settings_hash: sha256_hex(&json),
         })
     }
 
     fn file_name(&self) -> String {
         format!("{}-{}.json", &self.mesh[..32], &self.settings_hash[..16])
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }
 
 #[derive(Serialize, Deserialize)]

@@ -5,11 +5,10 @@ use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
 
 use super::{PlanHeader, PlannedObject, PlannedSimulation};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{save, sha256_hex};
 
 /// Name of the plan in its folder.
 pub const PLAN_FILE: &str = "plan.jsonl";
@@ -61,7 +60,7 @@ impl Plan {
             sha256: String::new(),
         };
         plan.check()?;
-        plan.sha256 = hex(&Sha256::digest(plan.text()?));
+        plan.sha256 = sha256_hex(plan.text()?);
         Ok(plan)
     }
 
@@ -188,7 +187,7 @@ fn check_hash(folder: &Path, plan: &[u8]) -> Result<()> {
     let text = fs::read_to_string(&path)
         .map_err(|e| Error::io("cannot read the hash of the plan", e).at(path.display()))?;
     let expected = text.split_whitespace().next().unwrap_or_default();
-    let found = hex(&Sha256::digest(plan));
+    let found = sha256_hex(plan);
     if expected == found {
         return Ok(());
     }
@@ -197,8 +196,4 @@ fn check_hash(folder: &Path, plan: &[u8]) -> Result<()> {
         format!("the plan was altered: expected the hash {expected}, found {found}"),
     )
     .remedy("restore it, or make a new plan in another folder; results belong to one plan"))
-}
-
-pub(in crate::synth) fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
 }

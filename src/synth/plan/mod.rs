@@ -17,7 +17,6 @@ use serde_json::Value;
 
 pub use acronym::acronym_drafts;
 pub use draft::{Drafts, LeftOutObject, ObjectDraft};
-pub(in crate::synth) use file::hex;
 pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
 pub use make::{LEAST_FRICTION_SHARE, MadePlan, PlanSettings, check_parameters, make_plan};
 pub use preset::{PlanPreset, family_drafts};

@@ -4,11 +4,10 @@ use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
 
 use super::draft::stored_path;
-use super::hex;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::sha256_hex;
 use crate::render::visual::{Bitmap, load_bitmap};
 
 /// Endings of files that are taken for pictures.
@@ -106,7 +105,7 @@ pub fn texture_folder(
 fn hash(file: &Path) -> Result<String> {
     let bytes =
         fs::read(file).map_err(|e| Error::io("cannot read the texture", e).at(file.display()))?;
-    Ok(hex(&Sha256::digest(bytes)))
+    Ok(sha256_hex(bytes))
 }
 
 #[cfg(test)]

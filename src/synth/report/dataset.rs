@@ -4,13 +4,12 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use sha2::{Digest as _, Sha256};
-
 use super::facts::{DatasetFacts, ProgressFacts};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::sha256_hex;
 use crate::shard::ShardReader;
 use crate::synth::MergeReport;
-use crate::synth::plan::{Plan, hex};
+use crate::synth::plan::Plan;
 
 /// A dataset whose files are those that were written.
 #[derive(Clone, Debug)]
@@ -62,7 +61,7 @@ impl FoundDataset {
 
 fn check(path: &Path, sha256: &str) -> Result<()> {
     let bytes = fs::read(path).map_err(|e| Error::io("cannot read a file of the dataset", e))?;
-    if hex(&Sha256::digest(bytes)) == sha256 {
+    if sha256_hex(bytes) == sha256 {
         return Ok(());
     }
     let what = "the file is not the one that was merged";

@@ -1,11 +1,9 @@
 //! ROC and precision–recall curves with few points, however many samples.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
-
 use serde::{Deserialize, Serialize};
 
 use super::ranking::Tie;
+use crate::html::polyline;
 
 /// Most points of a curve.
 pub(super) const MAX_POINTS: usize = 512;
@@ -55,7 +53,7 @@ pub(super) fn roc_points(ties: &[Tie]) -> Vec<RocPoint> {
             threshold: Some(tie.p_stable),
         });
     }
-    thinned(points, MAX_POINTS, |point| {
+    thinned(points, |point| {
         [point.false_stable_rate, point.true_stable_rate]
     })
 }
@@ -80,7 +78,14 @@ pub(super) fn precision_recall_points(ties: &[Tie]) -> Vec<PrecisionRecallPoint>
             });
         }
     }
-    thinned(points, MAX_POINTS, |point| [point.recall, point.precision])
+    thinned(points, |point| [point.recall, point.precision])
+}
+
+/// The points that matter most to the shape of a curve.
+fn thinned<T: Copy>(points: Vec<T>, place: impl Fn(&T) -> [f64; 2]) -> Vec<T> {
+    let places: Vec<[f64; 2]> = points.iter().map(place).collect();
+    let kept = polyline::thinned(&places, TOLERANCE, MAX_POINTS);
+    kept.into_iter().map(|at| points[at]).collect()
 }
 
 /// Stable and unstable samples of all groups.
@@ -88,85 +93,6 @@ fn totals(ties: &[Tie]) -> (u64, u64) {
     ties.iter().fold((0, 0), |(stable, unstable), tie| {
         (stable + tie.stable, unstable + tie.unstable)
     })
-}
-
-/// Part of a curve between two points that stay, and its point farthest from their line.
-struct Span {
-    first: usize,
-    last: usize,
-    farthest: usize,
-    deviation: f64,
-}
-
-impl Ord for Span {
-    fn cmp(&self, other: &Self) -> Ordering {
-        let by_deviation = self.deviation.total_cmp(&other.deviation);
-        by_deviation.then(other.first.cmp(&self.first))
-    }
-}
-
-impl PartialOrd for Span {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl PartialEq for Span {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for Span {}
-
-/// The points that matter most to the shape, at most `limit`: Douglas & Peucker (1973), always
-/// splitting where the deviation is greatest. Both ends stay.
-fn thinned<T: Copy>(points: Vec<T>, limit: usize, place: impl Fn(&T) -> [f64; 2]) -> Vec<T> {
-    if points.len() < 3 {
-        return points;
-    }
-    let places: Vec<[f64; 2]> = points.iter().map(place).collect();
-    let mut kept = vec![0, points.len() - 1];
-    let mut spans = BinaryHeap::from_iter(span(&places, 0, points.len() - 1));
-    while kept.len() < limit
-        && let Some(widest) = spans.pop()
-    {
-        kept.push(widest.farthest);
-        spans.extend(span(&places, widest.first, widest.farthest));
-        spans.extend(span(&places, widest.farthest, widest.last));
-    }
-    kept.sort_unstable();
-    kept.into_iter()
-        .filter_map(|index| points.get(index).copied())
-        .collect()
-}
-
-/// None where the straight line is good enough.
-fn span(places: &[[f64; 2]], first: usize, last: usize) -> Option<Span> {
-    let (&from, &to) = (places.get(first)?, places.get(last)?);
-    let inner = places.get(first + 1..last)?.iter().enumerate();
-    let (offset, deviation) = inner
-        .map(|(offset, &place)| (offset, distance(place, from, to)))
-        .max_by(|a, b| a.1.total_cmp(&b.1))?;
-    (deviation > TOLERANCE).then_some(Span {
-        first,
-        last,
-        farthest: first + 1 + offset,
-        deviation,
-    })
-}
-
-/// Distance of `p` from the segment from `a` to `b`.
-fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
-    let along = [b[0] - a[0], b[1] - a[1]];
-    let to = [p[0] - a[0], p[1] - a[1]];
-    let square = along[0] * along[0] + along[1] * along[1];
-    let share = if square > 0.0 {
-        ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0)
-    } else {
-        0.0
-    };
-    (to[0] - share * along[0]).hypot(to[1] - share * along[1])
 }
 
 #[cfg(test)]

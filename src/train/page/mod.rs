@@ -10,7 +10,7 @@ use super::metrics::Scored;
 use super::metrics::plot::{PrecisionRecallCurve, RocCurve, precision_recall, reliability, roc};
 use super::samples::Samples;
 use crate::error::Result;
-use crate::html::{BASE_STYLE, Esc, put, theme_choice};
+use crate::html::{self, Esc, open_section, put, section_links, theme_choice};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -48,28 +48,11 @@ pub fn page(report: &EvalReport, samples: &Samples) -> Result<String> {
 }
 
 fn open(report: &EvalReport, out: &mut String) {
-    put!(
-        out,
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
-         img-src data:; style-src 'unsafe-inline'\">\n\
-         <meta name=\"generator\" content=\"{}\">\n<title>Stability prediction on {}</title>\n\
-         <style>{BASE_STYLE}{STYLE}</style>\n</head>\n<body>\n\
-         <header class=\"bar\"><nav aria-label=\"Sections\">",
-        Esc(&report.software),
-        Esc(&report.dataset)
-    );
-    for (id, name) in SECTIONS {
-        put!(out, "<a href=\"#{id}\">{name}</a>");
-    }
-    out.push_str("</nav>");
+    let title = format!("Stability prediction on {}", report.dataset);
+    html::begin(out, &report.software, &title, STYLE, "'none'");
+    section_links(out, &SECTIONS);
     theme_choice(out);
     out.push_str("</header>\n<main>\n");
-}
-
-fn open_section(out: &mut String, id: &str, title: &str) {
-    put!(out, "<section id=\"{id}\">\n<h2>{title}</h2>\n");
 }
 
 fn summary(report: &EvalReport, out: &mut String) {

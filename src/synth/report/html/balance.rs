@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::{bar, key, open_section, percent, words};
-use crate::html::{Esc, put};
+use super::{bar, key, percent, words};
+use crate::html::{Esc, open_section, put};
 use crate::synth::report::facts::{BalanceTable, Labels, SynthReport};
 
 pub(super) fn section(report: &SynthReport, out: &mut String) {

@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::open_section;
 use crate::html::{
-    Esc, duration, engine_name, fixed, open_wide, optional, outcome_name, put, trimmed,
+    Esc, duration, engine_name, fixed, open_section, open_wide, optional, outcome_name, put,
+    trimmed,
 };
 use crate::synth::report::facts::{CostFacts, EstimateFacts, Quantiles, SettingCost, SynthReport};
 

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::{bar, key, open_section, percent};
-use crate::html::{Esc, open_wide, outcome_name, put};
+use super::{bar, key, percent};
+use crate::html::{Esc, open_section, open_wide, outcome_name, put};
 use crate::synth::curate::{Apart, LeftOut};
 use crate::synth::merge::PartFacts;
 use crate::synth::report::facts::{DatasetFacts, Labels, SynthReport};

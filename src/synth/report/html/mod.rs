@@ -14,7 +14,7 @@ use std::fmt::Write as _;
 
 use super::facts::{Labels, SYNTH_REPORT_FORMAT, SYNTH_REPORT_VERSION, SynthReport};
 use crate::error::{Error, ErrorKind, Result};
-use crate::html::{BASE_STYLE, Esc, MISSING, fixed, put, theme_choice};
+use crate::html::{self, Esc, MISSING, fixed, put, section_links, theme_choice};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -61,29 +61,13 @@ pub fn page(report: &SynthReport) -> Result<String> {
 }
 
 fn open(report: &SynthReport, out: &mut String) {
-    put!(
-        out,
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
-         img-src data:; style-src 'unsafe-inline'\">\n\
-         <meta name=\"generator\" content=\"{}\">\n<title>Simulated grasps of plan {}</title>\n\
-         <style>{BASE_STYLE}{STYLE}</style>\n</head>\n<body>\n\
-         <div class=\"spine\" aria-hidden=\"true\">Everything is simulated</div>\n\
-         <header class=\"bar\"><nav aria-label=\"Sections\">",
-        Esc(&report.software),
-        Esc(&short(&report.plan.sha256))
-    );
-    for (id, name) in SECTIONS {
-        put!(out, "<a href=\"#{id}\">{name}</a>");
-    }
-    out.push_str("</nav><span class=\"flag\">everything is simulated</span>");
+    let title = format!("Simulated grasps of plan {}", short(&report.plan.sha256));
+    html::begin(out, &report.software, &title, STYLE, "'none'");
+    out.push_str("<div class=\"spine\" aria-hidden=\"true\">Everything is simulated</div>\n");
+    section_links(out, &SECTIONS);
+    out.push_str("<span class=\"flag\">everything is simulated</span>");
     theme_choice(out);
     out.push_str("</header>\n<main>\n");
-}
-
-fn open_section(out: &mut String, id: &str, title: &str) {
-    put!(out, "<section id=\"{id}\">\n<h2>{title}</h2>\n");
 }
 
 /// The begin of a hash.

@@ -2,8 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::open_section;
-use crate::html::put;
+use crate::html::{open_section, put};
 use crate::synth::report::facts::SynthReport;
 
 pub(super) fn section(report: &SynthReport, out: &mut String) {

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::{open_section, percent};
-use crate::html::{MISSING, fixed, label_name, open_wide, optional, put, trimmed};
+use super::percent;
+use crate::html::{MISSING, fixed, label_name, open_section, open_wide, optional, put, trimmed};
 use crate::synth::report::facts::{ContactGroup, SynthReport};
 
 pub(super) fn section(report: &SynthReport, out: &mut String) {

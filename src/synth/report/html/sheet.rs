@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::{open_section, words};
+use super::words;
 use crate::html::picture::picture;
-use crate::html::{Esc, fixed, label_name, outcome_name, put, trimmed};
+use crate::html::{Esc, fixed, label_name, open_section, outcome_name, put, trimmed};
 use crate::synth::report::facts::{Example, SynthReport};
 
 pub(super) fn section(report: &SynthReport, out: &mut String) {
