@@ -18,6 +18,7 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::files;
 use crate::predict::Model;
 use crate::predict::contract::Variant;
+use crate::workers::one_per_core;
 
 /// Of the bootstrap.
 const SEED: u64 = 0;
@@ -157,30 +158,42 @@ pub struct ConditionDifference {
 pub enum ExperimentEvent {
     /// A condition and a seed are begun.
     Run(Condition, u64),
-    /// Training goes on.
-    Train(TrainEvent),
+    /// Their training goes on.
+    Train(Condition, u64, TrainEvent),
 }
 
-/// Trains, tests and compares all conditions. What is done is kept in `out` and not done again.
+/// Trains, tests and compares all conditions, `jobs` models at a time, which is quicker than all
+/// cores on one. What is done is kept in `out` and not done again.
 ///
 /// # Errors
 /// Those of [`train`] and [`evaluate`].
 pub fn experiment(
     settings: &ExperimentSettings,
     out: &Path,
+    jobs: usize,
     told: &(dyn Fn(ExperimentEvent) + Sync),
 ) -> Result<ExperimentReport> {
-    let mut found: BTreeMap<(String, Condition), Vec<ModelEvaluation>> = BTreeMap::new();
-    for condition in Condition::ALL {
-        for seed in 0..settings.seeds {
+    // An experiment that is stopped has all conditions of some seeds.
+    let runs: Vec<(u64, Condition)> = (0..settings.seeds)
+        .flat_map(|seed| Condition::ALL.map(|condition| (seed, condition)))
+        .collect();
+    let evaluations = one_per_core(
+        jobs,
+        &runs,
+        &|&(seed, condition)| {
             told(ExperimentEvent::Run(condition, seed));
             let folder = out.join(condition.folder()).join(format!("seed-{seed}"));
             let model = trained(settings, condition, seed, &folder, told)?;
-            for test in &settings.tests {
-                let evaluation = tested(&model, &folder, test)?;
-                let key = (test.name.clone(), condition);
-                found.entry(key).or_default().push(evaluation);
-            }
+            let tests = settings.tests.iter();
+            tests.map(|test| tested(&model, &folder, test)).collect()
+        },
+        &|_| {},
+    )?;
+    let mut found: BTreeMap<(String, Condition), Vec<ModelEvaluation>> = BTreeMap::new();
+    for ((_, condition), evaluations) in runs.iter().zip::<Vec<Vec<ModelEvaluation>>>(evaluations) {
+        for (test, evaluation) in settings.tests.iter().zip(evaluations) {
+            let key = (test.name.clone(), *condition);
+            found.entry(key).or_default().push(evaluation);
         }
     }
     let report = settings.report(&found)?;
@@ -211,7 +224,7 @@ fn trained(
         ..settings.training.clone()
     };
     train(data, folder, &training, &|event| {
-        told(ExperimentEvent::Train(event))
+        told(ExperimentEvent::Train(condition, seed, event));
     })?;
     let run = RunFolder::at(folder);
     if run.model().exists() {

@@ -43,11 +43,11 @@ fn all_conditions_are_trained_tested_and_compared_once() {
         let mut runs = runs.lock().unwrap();
         match event {
             ExperimentEvent::Run(..) => runs[0] += 1,
-            ExperimentEvent::Train(TrainEvent::Epoch(_)) => runs[1] += 1,
-            ExperimentEvent::Train(_) => {}
+            ExperimentEvent::Train(_, _, TrainEvent::Epoch(_)) => runs[1] += 1,
+            ExperimentEvent::Train(..) => {}
         }
     };
-    let report = experiment(&settings, &out, &told).unwrap();
+    let report = experiment(&settings, &out, 2, &told).unwrap();
     assert_eq!(*runs.lock().unwrap(), [8, 16]);
     assert_eq!(report.results.len(), 4);
     assert_eq!(report.differences.len(), 4);
@@ -65,7 +65,7 @@ fn all_conditions_are_trained_tested_and_compared_once() {
     }
     let written = fs::read(out.join("fig6.json")).unwrap();
     // Again: nothing is trained, and the figures are the same.
-    assert_eq!(experiment(&settings, &out, &told).unwrap(), report);
+    assert_eq!(experiment(&settings, &out, 2, &told).unwrap(), report);
     assert_eq!(*runs.lock().unwrap(), [16, 16]);
     assert_eq!(fs::read(out.join("fig6.json")).unwrap(), written);
     // Another test set is not mistaken for the old one.
@@ -74,6 +74,6 @@ fn all_conditions_are_trained_tested_and_compared_once() {
         "test",
         (0..6).map(|number| row("test", number)),
     );
-    let error = experiment(&settings, &out, &told).unwrap_err();
+    let error = experiment(&settings, &out, 2, &told).unwrap_err();
     assert!(error.to_string().contains("another dataset"), "{error}");
 }

@@ -3,7 +3,9 @@
 //! Exit codes: 0 done · 1 it could not be done · 2 usage · 75 stopped by SIGTERM, run it again · 130
 //! interrupted. What is done is kept and not done again.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
 
 use super::working::resumable;
 use super::{Context, print, print_json};
@@ -12,9 +14,10 @@ use crate::nn::Architecture;
 use crate::predict::contract::Variant;
 use crate::train::metrics::Interval;
 use crate::train::{
-    ExperimentEvent, ExperimentReport, ExperimentSettings, TestSet, TrainEvent, TrainSettings,
-    experiment,
+    Condition, ExperimentEvent, ExperimentReport, ExperimentSettings, TestSet, TrainEvent,
+    TrainSettings, experiment,
 };
+use crate::workers::cores;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -54,6 +57,9 @@ struct Fig6Args {
     /// Network
     #[arg(long, default_value = "gripcast", value_parser = Architecture::NAMES)]
     arch: String,
+    /// Models that are trained at a time, of which each takes up to 1.5 GB [default: all cores]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
+    jobs: Option<u16>,
     /// Print what came out as JSON
     #[arg(long)]
     json: bool,
@@ -89,17 +95,27 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         },
     };
     let out = args.out.clone();
+    let jobs = args.jobs.map_or_else(cores, usize::from);
+    let runs = Condition::ALL.len() as u64 * args.seeds;
+    let shares: Mutex<BTreeMap<(Condition, u64), f64>> = Mutex::default();
     let report = resumable(context, "experiment", move |progress| {
-        experiment(&settings, &out, &|event| match event {
+        experiment(&settings, &out, jobs, &|event| match event {
             ExperimentEvent::Run(condition, seed) => {
                 progress.line(format!("{}, seed {seed}", condition.title()));
             }
-            ExperimentEvent::Train(TrainEvent::Step {
-                at: [done, all], ..
-            }) => {
-                progress.at(done, all);
+            ExperimentEvent::Train(
+                condition,
+                seed,
+                TrainEvent::Step {
+                    at: [done, all], ..
+                },
+            ) => {
+                let mut shares = shares.lock().unwrap_or_else(PoisonError::into_inner);
+                shares.insert((condition, seed), done as f64 / all.max(1) as f64);
+                let sum: f64 = shares.values().sum();
+                progress.at((1000.0 * sum) as u64, 1000 * runs);
             }
-            ExperimentEvent::Train(TrainEvent::Epoch(_)) => {}
+            ExperimentEvent::Train(..) => {}
         })
     })??;
     if args.json {
