@@ -76,8 +76,11 @@ impl Plan {
                 .at(path.display())
                 .remedy("make one: gripcast synth plan --preset small --out DIR")
         })?;
-        check_hash(folder, &bytes).map_err(|e| e.at(path.display()))?;
-        Self::parse(&bytes).map_err(|e| e.at(path.display()))
+        let sha256 = checked_hash(folder, &bytes).map_err(|e| e.at(path.display()))?;
+        let plan = Self::parse(&bytes).map_err(|e| e.at(path.display()))?;
+        // Not that of its text: rotations are made unit again when they are read, which may change
+        // their last digit.
+        Ok(Self { sha256, ..plan })
     }
 
     /// Writes the plan and its hash into a folder that is made if need be.
@@ -182,14 +185,15 @@ impl Plan {
     }
 }
 
-fn check_hash(folder: &Path, plan: &[u8]) -> Result<()> {
+/// Hash of a plan's file, which is as it was written.
+fn checked_hash(folder: &Path, plan: &[u8]) -> Result<String> {
     let path = folder.join(HASH_FILE);
     let text = fs::read_to_string(&path)
         .map_err(|e| Error::io("cannot read the hash of the plan", e).at(path.display()))?;
     let expected = text.split_whitespace().next().unwrap_or_default();
     let found = sha256_hex(plan);
     if expected == found {
-        return Ok(());
+        return Ok(found);
     }
     Err(Error::new(
         ErrorKind::Input,
