@@ -23,6 +23,7 @@ pub struct CropWindow {
 /// | name | 3280×2464: columns, rows | 640×480: columns, rows |
 /// | --- | --- | --- |
 /// | `full-v1` | 0..3280, 0..2464 | 0..640, 0..480 |
+/// | `gelsight-2017-full-v1` | 0..3280, 0..2464 | 0..640, 0..480 |
 /// | `gsmini-seventh-v1` | 468..2812, 354..2112 | 91..549, 70..412 |
 /// | `gsmini-fifteen-v1` | 492..2788, 369..2095 | 96..544, 72..408 |
 /// | `gsmini-gs-sdk-v1` | 468..2812, 354..2112 | 91..549, 68..412 |
@@ -44,6 +45,13 @@ impl CropProfile {
     /// The whole picture.
     pub const FULL: Self = Self {
         name: "full-v1",
+        rule: Rule::Full,
+    };
+
+    /// The whole picture of another sensor: the GelSight of 2017 with markers, of the *Feeling of
+    /// Success*. A name of its own keeps models and data of the Mini apart from it.
+    pub const GELSIGHT_2017_FULL: Self = Self {
+        name: "gelsight-2017-full-v1",
         rule: Rule::Full,
     };
 
@@ -69,8 +77,9 @@ impl CropProfile {
     };
 
     /// All profiles.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 5] = [
         Self::FULL,
+        Self::GELSIGHT_2017_FULL,
         Self::GSMINI_SEVENTH,
         Self::GSMINI_FIFTEEN,
         Self::GSMINI_GS_SDK,
@@ -154,6 +163,11 @@ mod tests {
     fn windows_are_those_of_the_sources() {
         for (profile, mini, vga) in [
             (CropProfile::FULL, (0, 3280, 0, 2464), (0, 640, 0, 480)),
+            (
+                CropProfile::GELSIGHT_2017_FULL,
+                (0, 3280, 0, 2464),
+                (0, 640, 0, 480),
+            ),
             (
                 CropProfile::GSMINI_SEVENTH,
                 (468, 2812, 354, 2112),

@@ -106,21 +106,18 @@ impl<'a> Cells<'a> {
         T::try_from(value).map_err(|_| wrong(column, format!("is {value}; it is out of range")))
     }
 
-    pub(super) fn number(&mut self) -> Result<f64> {
-        self.next(number).map(|(_, number)| number)
-    }
-
     pub(super) fn optional_number(&mut self) -> Result<Option<f64>> {
         self.next(|cell| Some(number(cell)))
             .map(|(_, number)| number)
     }
 
-    pub(super) fn numbers(&mut self) -> Result<Vec<f64>> {
+    pub(super) fn optional_numbers(&mut self) -> Result<Option<Vec<f64>>> {
         let numbers = |cell| match cell {
             Cell::Numbers(numbers) => Some(numbers),
             _ => None,
         };
-        self.next(numbers).map(|(_, numbers)| numbers)
+        self.next(|cell| Some(numbers(cell)))
+            .map(|(_, numbers)| numbers)
     }
 
     pub(super) fn picture(&mut self) -> Result<Vec<u8>> {

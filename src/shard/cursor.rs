@@ -18,6 +18,8 @@ use crate::error::{Error, Result};
 
 /// Most bytes of rows that are in memory at once.
 const MAX_BYTES: usize = 1 << 30;
+/// Definition level of an element where list and element may be null, so that 0 is a null list.
+const LIST_LEVELS: i16 = 3;
 
 /// The next rows of a row group.
 pub(super) struct GroupCursor {
@@ -207,7 +209,7 @@ impl<D: DataType> Leaf<D> {
 }
 
 impl Leaf<DoubleType> {
-    /// One list of `length` values a row.
+    /// One list of `length` values a row, or null.
     fn read_lists(
         &mut self,
         rows: usize,
@@ -219,17 +221,31 @@ impl Leaf<DoubleType> {
             definition,
             repetition,
         } = self.read_levels(rows, column)?;
-        let starts = repetition.iter().filter(|&&level| level == 0).count();
-        let whole = definition.iter().all(|&level| level == self.defined)
-            && values.len() == rows * length
-            && starts == rows
-            && repetition.iter().step_by(length).all(|&level| level == 0);
-        if !whole {
+        let misshapen = || {
             let what = format!("has a row that is no list of {length} numbers");
-            return Err(wrong(column.name, what));
+            wrong(column.name, what)
+        };
+        let mut lists = Vec::with_capacity(rows);
+        let (mut values, mut at) = (values.chunks(length), 0);
+        while at < repetition.len() {
+            let next = repetition[at + 1..].iter().position(|&level| level == 0);
+            let end = next.map_or(repetition.len(), |next| at + 1 + next);
+            let levels = definition.get(at..end).ok_or_else(misshapen)?;
+            let is_whole =
+                levels.len() == length && levels.iter().all(|&level| level == self.defined);
+            lists.push(if levels == [0] && self.defined == LIST_LEVELS {
+                Cell::Null
+            } else if is_whole && let Some(list) = values.next() {
+                Cell::Numbers(list.to_vec())
+            } else {
+                return Err(misshapen());
+            });
+            at = end;
         }
-        let lists = values.chunks(length);
-        Ok(lists.map(|list| Cell::Numbers(list.to_vec())).collect())
+        if lists.len() != rows {
+            return Err(misshapen());
+        }
+        Ok(lists)
     }
 }
 

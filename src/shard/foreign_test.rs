@@ -91,7 +91,7 @@ fn a_wrong_value_is_named_with_its_place() {
             Cell::text("unlabelled"),
             "it must be slip or stable",
         ),
-        ("engine", Cell::text("mujoco"), "it must be fem or rigid"),
+        ("engine", Cell::text("mujoco"), "it must be fem or rigid or real"),
         ("id", Cell::text(""), "column id is empty"),
         ("rendering", Cell::Integer(-3), "column rendering is -3"),
         ("rendering", Cell::Integer(1 << 40), "out of range"),
@@ -116,6 +116,8 @@ fn a_wrong_value_is_named_with_its_place() {
             Cell::Numbers(vec![0.0; 4]),
             "unit quaternion",
         ),
+        ("pose_t_m", Cell::Null, "column pose_t_m is null, pose_q_wxyz"),
+        ("pose_q_wxyz", Cell::Null, "column pose_q_wxyz is null"),
         ("grasp_rgb", Cell::Null, "column grasp_rgb is null"),
     ] {
         let error = with(column, cell).to_string();
@@ -141,12 +143,12 @@ fn a_longer_and_a_shorter_list_do_not_make_up_for_each_other() {
 #[test]
 fn a_quaternion_of_another_writer_is_made_canonical() {
     let row = sample_row(3);
-    let q = row.facts.t_object_gripper.rotation;
+    let q = row.facts.t_object_gripper.unwrap().rotation;
     let mut cells = row.cells();
     let at = columns().position(|c| c.name == "pose_q_wxyz").unwrap();
     cells[at] = Cell::Numbers([q.w, q.x, q.y, q.z].map(|v| -1.0001 * v).to_vec());
     let read = read(foreign(&[vec![cells]])).unwrap();
-    let found = read[0].facts.t_object_gripper.rotation;
+    let found = read[0].facts.t_object_gripper.unwrap().rotation;
     assert!(
         found.w >= 0.0 && (found - q).length() < 1e-15,
         "{found} {q}"

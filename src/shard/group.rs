@@ -87,6 +87,8 @@ fn write_column<'a, W: Write + Send>(
             let mut leaf = Leaf::new();
             for cell in cells {
                 let Cell::Numbers(numbers) = cell else {
+                    leaf.push(None, 3);
+                    leaf.repetition.push(0);
                     continue;
                 };
                 for (at, number) in numbers.iter().enumerate() {

@@ -169,9 +169,9 @@ mod tests {
         assert_eq!(leaf(&other, "opening_m"), leaf(&ours, "opening_m"));
         let null = find("DOUBLE force_left_n;", "INT32 force_left_n (UNKNOWN);").unwrap();
         assert_eq!(leaf(&null, "force_left_n"), None);
-        let error = find("DOUBLE mass_kg;", "DOUBLE mass;").unwrap_err();
+        let error = find("INT64 seed;", "INT64 seeds;").unwrap_err();
         assert!(
-            error.to_string().contains("the column mass_kg is missing"),
+            error.to_string().contains("the column seed is missing"),
             "{error}"
         );
     }

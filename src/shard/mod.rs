@@ -1,7 +1,7 @@
 //! Parquet shards: samples with their pictures in a file that pandas and Hugging Face `datasets`
 //! read in one line.
 //!
-//! A [`ShardRow`] is one rendering of one simulated grasp. [`ShardWriter`] writes rows into one
+//! A [`ShardRow`] is one grasp, real or a rendering of a simulated one. [`ShardWriter`] writes rows into one
 //! file, [`ShardReader`] reads them again with bounded memory, [`ShardSet`] is a folder of such
 //! files by split. The columns that a real dataset has as well have the same names.
 //!

@@ -17,7 +17,7 @@ const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Begin of every JPEG file.
 const JPEG: &[u8] = b"\xff\xd8\xff";
 
-/// One rendering of one simulated grasp: what is known of it, and its pictures.
+/// One grasp, real or a rendering of a simulated one: what is known of it, and its pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShardRow {
     /// The scalars.
@@ -26,40 +26,41 @@ pub struct ShardRow {
     pub images: ShardImages,
 }
 
-/// A sample without its pictures. Columns have the names of the fields, except where said.
+/// A sample without its pictures. Columns have the names of the fields, except where said. What a
+/// real grasp leaves unknown is none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShardFacts {
     /// Key of the sample, not empty, unique in its dataset.
     pub id: String,
-    /// The simulation that is rendered; its renderings share it. Not empty.
+    /// The simulation that is rendered; its renderings share it. Of a real grasp its id. Not empty.
     pub simulation: String,
     /// What is grasped. Not empty.
     pub object: String,
     /// Its category.
     pub category: String,
-    /// Which simulator decided.
+    /// Which simulator decided, or reality.
     pub engine: ShardEngine,
     /// Outcome of the lift; also the column `label`: 0 slip, 1 stable.
     pub outcome: ShardOutcome,
-    /// What the simulator says more precisely: `success`, `slip`, `eject`, ….
+    /// What is said more precisely: `success`, `slip`, `eject`, ….
     pub outcome_detail: String,
     /// Mean normal force at which the fingers stop closing, N, > 0.
-    pub stop_force_n: f64,
+    pub stop_force_n: Option<f64>,
     /// Coefficient of friction between gel and object, ≥ 0.
-    pub friction: f64,
+    pub friction: Option<f64>,
     /// Mass of the object, kg, > 0.
-    pub mass_kg: f64,
+    pub mass_kg: Option<f64>,
     /// Rise of the object's centre of mass from the ground to the end of the lift, m.
-    pub lifted_m: f64,
+    pub lifted_m: Option<f64>,
     /// Normal force on the left finger in the grasp, N, ≥ 0.
     pub force_left_n: Option<f64>,
     /// Normal force on the right finger in the grasp, N, ≥ 0.
     pub force_right_n: Option<f64>,
     /// Distance of the gels' front faces in the grasp, m.
-    pub opening_m: f64,
+    pub opening_m: Option<f64>,
     /// Maps gripper coordinates into the object frame; columns `pose_t_m` (m) and `pose_q_wxyz`
     /// (unit quaternion, w ≥ 0).
-    pub t_object_gripper: Pose,
+    pub t_object_gripper: Option<Pose>,
     /// How the grasp departs from two opposite places: `none`, `off_centre`, `tilted`, …; none for a
     /// grasp that was given.
     pub fault: Option<String>,
@@ -92,16 +93,18 @@ pub struct ShardImages {
     pub grasp_depth: Option<Vec<u8>>,
 }
 
-/// Which simulator decided the outcome.
+/// What decided the outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ShardEngine {
     /// Finite-element gels.
     Fem,
     /// Rigid fingers.
     Rigid,
+    /// No simulator: a real lift.
+    Real,
 }
 
-/// Outcome of a simulated lift; the number is the label.
+/// Outcome of a lift; the number is the label.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ShardOutcome {
     /// It slipped, fell or was squeezed out.
@@ -111,8 +114,8 @@ pub enum ShardOutcome {
 }
 
 impl ShardEngine {
-    /// Both.
-    pub const ALL: [Self; 2] = [Self::Fem, Self::Rigid];
+    /// All.
+    pub const ALL: [Self; 3] = [Self::Fem, Self::Rigid, Self::Real];
 
     /// Name in files.
     #[must_use]
@@ -120,6 +123,7 @@ impl ShardEngine {
         match self {
             Self::Fem => "fem",
             Self::Rigid => "rigid",
+            Self::Real => "real",
         }
     }
 }
@@ -159,8 +163,13 @@ impl fmt::Display for ShardOutcome {
 impl ShardFacts {
     /// In the order of the columns.
     pub(super) fn cells(&self) -> Vec<Cell<'_>> {
-        let t = self.t_object_gripper.translation_m;
-        let q = self.t_object_gripper.rotation;
+        let [t_m, q_wxyz] = match &self.t_object_gripper {
+            None => [Cell::Null, Cell::Null],
+            Some(pose) => {
+                let (t_m, q_wxyz) = pose_numbers(pose);
+                [Cell::Numbers(t_m.to_vec()), Cell::Numbers(q_wxyz.to_vec())]
+            }
+        };
         vec![
             Cell::text(&self.id),
             Cell::text(&self.simulation),
@@ -170,15 +179,15 @@ impl ShardFacts {
             Cell::text(self.outcome.name()),
             Cell::text(&self.outcome_detail),
             Cell::Integer(self.outcome.label()),
-            Cell::Number(self.stop_force_n),
-            Cell::Number(self.friction),
-            Cell::Number(self.mass_kg),
-            Cell::Number(self.lifted_m),
+            Cell::optional_number(self.stop_force_n),
+            Cell::optional_number(self.friction),
+            Cell::optional_number(self.mass_kg),
+            Cell::optional_number(self.lifted_m),
             Cell::optional_number(self.force_left_n),
             Cell::optional_number(self.force_right_n),
-            Cell::Number(self.opening_m),
-            Cell::Numbers(t.to_array().to_vec()),
-            Cell::Numbers(vec![q.w, q.x, q.y, q.z]),
+            Cell::optional_number(self.opening_m),
+            t_m,
+            q_wxyz,
             Cell::optional_text(self.fault.as_deref()),
             Cell::text(&self.appearance),
             Cell::Integer(i64::from(self.rendering)),
@@ -208,14 +217,14 @@ impl ShardFacts {
             engine,
             outcome,
             outcome_detail,
-            stop_force_n: cells.number()?,
-            friction: cells.number()?,
-            mass_kg: cells.number()?,
-            lifted_m: cells.number()?,
+            stop_force_n: cells.optional_number()?,
+            friction: cells.optional_number()?,
+            mass_kg: cells.optional_number()?,
+            lifted_m: cells.optional_number()?,
             force_left_n: cells.optional_number()?,
             force_right_n: cells.optional_number()?,
-            opening_m: cells.number()?,
-            t_object_gripper: pose(&cells.numbers()?, &cells.numbers()?)?,
+            opening_m: cells.optional_number()?,
+            t_object_gripper: optional_pose(cells)?,
             fault: cells.optional_text()?,
             appearance: cells.text()?,
             rendering: cells.natural()?,
@@ -238,13 +247,13 @@ impl ShardFacts {
         }
         // The least that each may be.
         let bounds = [
-            ("stop_force_n", Some(self.stop_force_n), ABOVE_0),
-            ("friction", Some(self.friction), 0.0),
-            ("mass_kg", Some(self.mass_kg), ABOVE_0),
-            ("lifted_m", Some(self.lifted_m), f64::MIN),
+            ("stop_force_n", self.stop_force_n, ABOVE_0),
+            ("friction", self.friction, 0.0),
+            ("mass_kg", self.mass_kg, ABOVE_0),
+            ("lifted_m", self.lifted_m, f64::MIN),
             ("force_left_n", self.force_left_n, 0.0),
             ("force_right_n", self.force_right_n, 0.0),
-            ("opening_m", Some(self.opening_m), f64::MIN),
+            ("opening_m", self.opening_m, f64::MIN),
         ];
         for (name, value, least) in bounds {
             if let Some(value) = value.filter(|v| !(least..=f64::MAX).contains(v)) {
@@ -263,9 +272,11 @@ impl ShardFacts {
                 format!("is {}; it must be below 2^63", self.seed),
             ));
         }
-        let t = self.t_object_gripper.translation_m;
-        let q = self.t_object_gripper.rotation;
-        pose(&t.to_array(), &[q.w, q.x, q.y, q.z]).map(|_| ())
+        let Some(known) = &self.t_object_gripper else {
+            return Ok(());
+        };
+        let (t_m, q_wxyz) = pose_numbers(known);
+        pose(&t_m, &q_wxyz).map(|_| ())
     }
 }
 
@@ -312,6 +323,22 @@ pub(super) fn picture_extension(bytes: &[u8]) -> Option<&'static str> {
         _ if bytes.starts_with(PNG) => Some("png"),
         _ if bytes.starts_with(JPEG) => Some("jpg"),
         _ => None,
+    }
+}
+
+/// Translation, and rotation as w, x, y, z.
+fn pose_numbers(pose: &Pose) -> ([f64; 3], [f64; 4]) {
+    let q = pose.rotation;
+    (pose.translation_m.to_array(), [q.w, q.x, q.y, q.z])
+}
+
+/// None where both columns are null.
+fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
+    match (cells.optional_numbers()?, cells.optional_numbers()?) {
+        (None, None) => Ok(None),
+        (Some(t_m), Some(q_wxyz)) => pose(&t_m, &q_wxyz).map(Some),
+        (None, Some(_)) => Err(wrong("pose_t_m", "is null, pose_q_wxyz is not".to_owned())),
+        (Some(_), None) => Err(wrong("pose_q_wxyz", "is null, pose_t_m is not".to_owned())),
     }
 }
 

@@ -235,7 +235,7 @@ mod tests {
     use std::path::Path;
 
     use super::super::reader::ShardReader;
-    use super::super::row::ShardFacts;
+    use super::super::row::{ShardEngine, ShardFacts};
     use super::super::sample_rows::{picture, sample_row, sample_rows};
     use super::*;
 
@@ -266,6 +266,19 @@ mod tests {
             let rows = sample_rows(0, count);
             assert_eq!(read(to_bytes(rows.clone(), "{}").unwrap()), rows);
         }
+    }
+
+    #[test]
+    fn a_real_grasp_leaves_unknown_what_only_a_simulator_knows() {
+        let mut rows = sample_rows(0, 5);
+        for at in [0, 2, 3] {
+            let facts = &mut rows[at].facts;
+            facts.engine = ShardEngine::Real;
+            (facts.stop_force_n, facts.friction, facts.mass_kg) = (None, None, None);
+            (facts.lifted_m, facts.opening_m) = (None, None);
+            facts.t_object_gripper = None;
+        }
+        assert_eq!(read(to_bytes(rows.clone(), "{}").unwrap()), rows);
     }
 
     #[test]
@@ -354,9 +367,9 @@ mod tests {
         };
         let wrong = [
             (with(|r| r.facts.id.clear()), "column id is empty"),
-            (with(|r| r.facts.mass_kg = 0.0), "column mass_kg is 0"),
+            (with(|r| r.facts.mass_kg = Some(0.0)), "column mass_kg is 0"),
             (
-                with(|r| r.facts.friction = f64::NAN),
+                with(|r| r.facts.friction = Some(f64::NAN)),
                 "column friction is NaN",
             ),
             (
@@ -365,7 +378,11 @@ mod tests {
             ),
             (with(|r| r.facts.seed = u64::MAX), "below 2^63"),
             (
-                with(|r| r.facts.t_object_gripper.rotation *= 2.0),
+                with(|r| {
+                    if let Some(pose) = &mut r.facts.t_object_gripper {
+                        pose.rotation *= 2.0;
+                    }
+                }),
                 "column pose_q_wxyz",
             ),
             (

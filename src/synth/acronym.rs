@@ -7,7 +7,6 @@
 //! that `acronym_tools` draws has its fingers at x = ±41 mm and their tips at z = 112.2 mm. The
 //! origins differ by [`PANDA_GEL_MIDDLE_M`] along z.
 
-mod hdf5;
 mod object;
 mod transform;
 

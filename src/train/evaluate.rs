@@ -337,7 +337,10 @@ impl ModelEvaluation {
             reliability: ReliabilityTable::new(&scored),
             categories: by(&|at| facts[at].category.clone()),
             per_object: by(&|at| facts[at].object.clone()),
-            forces: by(&|at| format!("{:>4} N", facts[at].stop_force_n)),
+            forces: by(&|at| match facts[at].stop_force_n {
+                Some(force_n) => format!("{force_n:>4} N"),
+                None => "unknown".to_owned(),
+            }),
             mistakes: mistakes(&scored, samples, threshold),
             predictions: found
                 .iter()

@@ -24,8 +24,8 @@ pub struct SampleFacts {
     pub category: String,
     /// Whether the lift held.
     pub is_stable: bool,
-    /// Mean normal force at which the fingers stopped closing, N.
-    pub stop_force_n: f64,
+    /// Mean normal force at which the fingers stopped closing, N, where it is known.
+    pub stop_force_n: Option<f64>,
 }
 
 impl From<ShardFacts> for SampleFacts {

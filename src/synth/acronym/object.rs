@@ -4,10 +4,10 @@ use std::path::{Component, Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 
-use super::hdf5::{Hdf5, misshapen, missing, wrong};
 use super::transform::{AcronymGrasp, SkippedGrasp, gripper_pose};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, Prepared, load_object_mesh};
+use crate::hdf5::{Hdf5, misshapen, wrong};
 
 /// Scales that are believed: coordinates of ShapeNetSem times the scale are metres, and objects are
 /// centimetres to decimetres large. Those of ACRONYM are around 1e-4 to 1e-1.
@@ -67,7 +67,7 @@ pub struct AcronymSet {
 /// any grasp that can be used.
 pub fn read_acronym(path: &Path) -> Result<AcronymSet> {
     let read = || {
-        let file = Hdf5::open(path)?;
+        let file = Hdf5::open(path, "ACRONYM")?;
         check_gripper(&file)?;
         let (grasps, skipped) = read_grasps(&file)?;
         Ok(AcronymSet {
@@ -135,10 +135,10 @@ fn check_gripper(file: &Hdf5) -> Result<()> {
 fn read_object(file: &Hdf5) -> Result<AcronymObject> {
     let mesh_file = file
         .text("object/file")?
-        .ok_or_else(|| missing("object/file"))?;
+        .ok_or_else(|| file.missing("object/file"))?;
     let scale = file
         .number("object/scale")?
-        .ok_or_else(|| missing("object/scale"))?;
+        .ok_or_else(|| file.missing("object/scale"))?;
     let [low, high] = SCALES;
     if !(low..=high).contains(&scale) {
         return Err(wrong(format!(
@@ -170,12 +170,12 @@ fn read_object(file: &Hdf5) -> Result<AcronymObject> {
 fn read_grasps(file: &Hdf5) -> Result<(Vec<AcronymGrasp>, Vec<SkippedGrasp>)> {
     let (shape, matrices) = file
         .numbers(TRANSFORMS)?
-        .ok_or_else(|| missing(TRANSFORMS))?;
+        .ok_or_else(|| file.missing(TRANSFORMS))?;
     match shape.as_slice() {
         &[count, 4, 4] if (1..=MOST_GRASPS).contains(&count) => {}
         _ => return Err(misshapen(TRANSFORMS, "[N, 4, 4] with N above 0", &shape)),
     }
-    let (held_shape, held) = file.numbers(HELD)?.ok_or_else(|| missing(HELD))?;
+    let (held_shape, held) = file.numbers(HELD)?.ok_or_else(|| file.missing(HELD))?;
     if held_shape != shape[..1] || 16 * held.len() != matrices.len() {
         return Err(misshapen(
             HELD,

@@ -1,0 +1,134 @@
+//! What was imported, as it stands beside the shards.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::part::PartShare;
+use crate::error::{Error, ErrorKind, Result};
+use crate::files::save;
+
+/// The file, beside `data/`.
+const FILE: &str = "import.json";
+const FORMAT: &str = "gripcast-import";
+const VERSION: u32 = 1;
+
+/// What is in an imported dataset, and what is not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImportReport {
+    format: String,
+    version: u32,
+    /// Whose dataset it is.
+    pub from: String,
+    /// Whether all shards are there.
+    pub is_finished: bool,
+    /// The files that were read.
+    pub files: Vec<SourceFile>,
+    /// The parts that were asked for.
+    pub wanted: Vec<PartShare>,
+    /// What is in each part.
+    pub parts: BTreeMap<String, ImportedPart>,
+    /// Grasps that could not be read.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// A file that was read.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SourceFile {
+    /// Its name.
+    pub name: String,
+    /// Its size.
+    pub bytes: u64,
+}
+
+/// What is in a part.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ImportedPart {
+    /// Grasps that held.
+    pub stable: usize,
+    /// Grasps that were lost.
+    pub slip: usize,
+    /// Objects.
+    pub objects: usize,
+}
+
+/// A grasp that could not be read.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeftOut {
+    /// Its id, as it would have been.
+    pub id: String,
+    /// Why.
+    pub why: String,
+}
+
+impl ImportReport {
+    pub(super) fn new(from: &str, files: Vec<SourceFile>, wanted: &[PartShare]) -> Self {
+        Self {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            from: from.to_owned(),
+            is_finished: false,
+            files,
+            wanted: wanted.to_vec(),
+            parts: BTreeMap::new(),
+            left_out: Vec::new(),
+        }
+    }
+
+    /// Takes a folder for this import: one that is new or empty, or has the beginning of the same
+    /// import.
+    ///
+    /// # Errors
+    /// `Input`: the folder holds something else; those of the operating system.
+    pub(super) fn claim(&self, out: &Path) -> Result<()> {
+        fs::create_dir_all(out)
+            .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
+        let refused = |what: &str| {
+            let error = Error::new(ErrorKind::Input, what).at(out.display());
+            Err(error.remedy("give a new folder"))
+        };
+        let path = out.join(FILE);
+        if let Ok(bytes) = fs::read(&path) {
+            let Ok(there) = serde_json::from_slice::<Self>(&bytes) else {
+                return refused("the folder holds something else: its import.json is of another kind");
+            };
+            if there.is_finished {
+                return refused("the folder holds a finished import");
+            }
+            let begun = Self {
+                parts: BTreeMap::new(),
+                left_out: Vec::new(),
+                ..there
+            };
+            if begun != *self {
+                return refused("the folder holds the beginning of another import");
+            }
+            return Ok(());
+        }
+        let entries = fs::read_dir(out)
+            .map_err(|e| Error::io("cannot read the folder", e).at(out.display()))?;
+        for entry in entries {
+            let name = entry
+                .map_err(|e| Error::io("cannot read the folder", e).at(out.display()))?
+                .file_name();
+            let name = name.to_string_lossy();
+            // What a kill left of this file.
+            if !(name.starts_with(".gripcast-") && name.ends_with(".partial")) {
+                return refused(&format!("the folder holds something else: {name}"));
+            }
+        }
+        self.save(out)
+    }
+
+    pub(super) fn save(&self, out: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self)
+            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+        save(&out.join(FILE), format!("{text}\n").as_bytes())
+    }
+}
