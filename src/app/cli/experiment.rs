@@ -99,7 +99,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             }) => {
                 progress.at(done, all);
             }
-            ExperimentEvent::Train(TrainEvent::Epoch(_)) => {}
+            ExperimentEvent::Train(_) => {}
         })
     })??;
     if args.json {
