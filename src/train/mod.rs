@@ -34,6 +34,6 @@ pub use export::to_onnx;
 pub use finish::{Finished, finish};
 pub use look::{Logit, logits};
 pub use page::page;
-pub use run::{EpochFigures, RunFile, RunFolder, TrainEvent, Trained, train};
+pub use run::{EpochFigures, PartCounts, RunFile, RunFolder, RunStart, TrainEvent, Trained, train};
 pub use samples::{SampleFacts, Samples, dataset_sha256};
 pub use settings::TrainSettings;

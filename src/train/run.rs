@@ -75,16 +75,67 @@ pub struct EpochFigures {
     pub samples_per_s: f64,
 }
 
+impl EpochFigures {
+    /// Whether it is a better checkpoint than one of this accuracy and loss on the validation part.
+    pub fn beats(&self, [accuracy, loss]: [f64; 2]) -> bool {
+        self.validation_accuracy > accuracy
+            || (self.validation_accuracy == accuracy && self.validation_loss < loss)
+    }
+}
+
+/// How much there is of a part of a dataset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PartCounts {
+    /// Samples.
+    pub samples: usize,
+    /// Those whose lift held.
+    pub stable: usize,
+    /// Objects.
+    pub objects: usize,
+}
+
+impl PartCounts {
+    fn of(samples: &Samples) -> Self {
+        let [lost, stable] = samples.by_label();
+        Self {
+            samples: lost + stable,
+            stable,
+            objects: samples.objects().len(),
+        }
+    }
+}
+
+/// What a run begins with, or goes on from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunStart {
+    /// What is trained on.
+    pub train: PartCounts,
+    /// What epochs are compared on.
+    pub validation: PartCounts,
+    /// Steps of an epoch.
+    pub steps_per_epoch: u64,
+    /// Steps done earlier and all.
+    pub at: [u64; 2],
+    /// Epochs that were done earlier.
+    pub epochs: Vec<EpochFigures>,
+}
+
 /// What a run tells while it goes on.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TrainEvent {
+    /// The run begins or goes on.
+    Begun(RunStart),
     /// A step is done.
     Step {
         /// Steps done and all.
         at: [u64; 2],
         /// Loss of the step.
         loss: f64,
+        /// Learning rate of the step.
+        learning_rate: f64,
     },
+    /// The validation part is being looked at: samples done and all.
+    Look([usize; 2]),
     /// An epoch is done.
     Epoch(EpochFigures),
 }
@@ -391,6 +442,22 @@ impl<'a> Training<'a> {
         files::save(&path, kept.as_bytes())
     }
 
+    /// What there is before the first step.
+    fn start(&self) -> RunStart {
+        let text = fs::read_to_string(self.folder.metrics()).unwrap_or_default();
+        let figures = text.lines().map(serde_json::from_str);
+        let steps = self.steps_per_epoch();
+        let epochs = u64::from(self.settings.epochs);
+        let done = u64::from(self.position.epoch) * steps + self.position.step;
+        RunStart {
+            train: PartCounts::of(self.train),
+            validation: PartCounts::of(self.validation),
+            steps_per_epoch: steps,
+            at: [done, epochs * steps],
+            epochs: figures.filter_map(serde_json::Result::ok).collect(),
+        }
+    }
+
     fn note(&self, figures: &EpochFigures) -> Result<()> {
         let path = self.folder.metrics();
         let line = serde_json::to_string(figures)
@@ -408,13 +475,11 @@ impl<'a> Training<'a> {
     }
 
     fn go_on(mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
+        told(TrainEvent::Begun(self.start()));
         while self.position.epoch < self.settings.epochs && !self.is_out_of_patience() {
             let figures = self.epoch(told)?;
             let accuracy = [figures.validation_accuracy, figures.validation_loss];
-            let is_better = self.position.best.is_none_or(|[best, loss]| {
-                accuracy[0] > best || (accuracy[0] == best && accuracy[1] < loss)
-            });
-            if is_better {
+            if self.position.best.is_none_or(|best| figures.beats(best)) {
                 let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
                 state::save(&self.folder.best(), &figures, &arrays)?;
                 self.position.best = Some(accuracy);
@@ -478,12 +543,13 @@ impl<'a> Training<'a> {
             next = read?;
             self.check_loss(loss, &gradient, epoch, step)?;
             let share = linear_schedule(self.adam.steps, settings.warm_up, all);
+            let learning_rate = share * settings.learning_rate as f32;
             let layout = self.network.layout().clone();
             self.adam.step(
                 &layout,
                 &mut self.network.parameters,
                 &gradient,
-                share * settings.learning_rate as f32,
+                learning_rate,
                 settings.weight_decay as f32,
             );
             self.position.loss += loss;
@@ -491,6 +557,7 @@ impl<'a> Training<'a> {
             told(TrainEvent::Step {
                 at: [u64::from(epoch) * steps + step + 1, all],
                 loss,
+                learning_rate: f64::from(learning_rate),
             });
             if self.position.step.is_multiple_of(CHECKPOINT_STEPS) {
                 self.save()?;
@@ -498,7 +565,7 @@ impl<'a> Training<'a> {
         }
         let seconds = begun.elapsed().as_secs_f64();
         let done = (steps - first) * settings.batch as u64;
-        let scores = self.look()?;
+        let scores = self.look(told)?;
         Ok(EpochFigures {
             epoch: epoch + 1,
             train_loss: self.position.loss / steps.max(1) as f64,
@@ -543,13 +610,14 @@ impl<'a> Training<'a> {
     }
 
     /// How the network does on the validation part.
-    fn look(&self) -> Result<Scores> {
+    fn look(&self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
+        let all = self.validation.facts().len();
         let scored = logits(
             &self.network,
             self.validation,
             self.settings,
             self.normalisation,
-            &|_| {},
+            &|done| told(TrainEvent::Look([done, all])),
         )?;
         Ok(Scores::of(&scored))
     }

@@ -24,4 +24,5 @@ mod screen;
 mod shared_data;
 mod sim;
 mod synth;
+mod train;
 mod visual_scene;

@@ -140,6 +140,7 @@ fn tell(progress: &Progress, event: &TrainEvent) {
             at: [done, all], ..
         } => progress.at(*done, *all),
         TrainEvent::Epoch(figures) => progress.line(epoch_line(figures)),
+        TrainEvent::Begun(_) | TrainEvent::Look(_) => {}
     }
 }
 

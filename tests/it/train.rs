@@ -1,0 +1,211 @@
+//! The command `train`: killed, stopped and gone on with, and what it refuses.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use gripcast::geometry::Pose;
+use gripcast::imaging::{encode_jpeg, synthetic_gel};
+use gripcast::shard::{
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_name,
+};
+use gripcast::train::RunFolder;
+use image::{Rgb, RgbImage};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+use crate::program::{gripcast, json, stderr, succeed, wait_until};
+
+/// Epochs of a run, enough to be met in the middle of it.
+const EPOCHS: &str = "4";
+
+/// A sample that holds where both gels are in clear contact.
+fn row(part: &str, number: u64, is_stable: bool) -> ShardRow {
+    let outcome = if is_stable {
+        ShardOutcome::Stable
+    } else {
+        ShardOutcome::Slip
+    };
+    let facts = ShardFacts {
+        id: format!("{part}-{number}"),
+        simulation: format!("{part}-{number}"),
+        object: format!("{part}-object-{}", number % 2),
+        category: "mug".to_owned(),
+        engine: ShardEngine::Fem,
+        outcome,
+        outcome_detail: if is_stable { "success" } else { "slip" }.to_owned(),
+        stop_force_n: 10.0,
+        friction: 0.5,
+        mass_kg: 0.1,
+        lifted_m: 0.05,
+        force_left_n: Some(5.0),
+        force_right_n: Some(5.0),
+        opening_m: 0.02,
+        t_object_gripper: Pose::new(glam::DQuat::IDENTITY, glam::DVec3::ZERO),
+        fault: None,
+        appearance: "plain".to_owned(),
+        rendering: 0,
+        seed: number,
+        crop_profile: "full-v1".to_owned(),
+    };
+    let gel = |side: u64, contact: f32| {
+        let picture = synthetic_gel(
+            320,
+            240,
+            100 * part.len() as u64 + 2 * number + side,
+            contact,
+        );
+        encode_jpeg(&picture, 85).unwrap()
+    };
+    let contact = if is_stable { 0.9 } else { 0.05 };
+    let colour = RgbImage::from_fn(320, 240, |x, y| Rgb([(x / 2) as u8, y as u8, 90]));
+    let images = ShardImages {
+        initial_left: gel(0, 0.0),
+        initial_right: gel(1, 0.0),
+        grasp_left: gel(0, contact),
+        grasp_right: gel(1, contact),
+        grasp_rgb: encode_jpeg(&colour, 85).unwrap(),
+        initial_rgb: None,
+        grasp_depth: None,
+    };
+    ShardRow { facts, images }
+}
+
+fn write_part(data: &Path, part: &str, rows: impl IntoIterator<Item = ShardRow>) {
+    let path = data.join(shard_name(part, 0, 1).unwrap());
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let mut writer = ShardWriter::create(path, "{}").unwrap();
+    for row in rows {
+        writer.push(row).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// A dataset of a few samples with both labels.
+fn write_dataset(data: &Path) {
+    for (part, rows) in [("train", 8), ("validation", 4)] {
+        write_part(data, part, (0..rows).map(|n| row(part, n, n % 4 < 2)));
+    }
+}
+
+fn train(data: &Path, out: &Path) -> Command {
+    let mut command = gripcast();
+    command
+        .args(["train", "--json", "--modality", "t", "--batch", "4"])
+        .args(["--epochs", EPOCHS, "--data"])
+        .arg(data)
+        .arg("--out")
+        .arg(out);
+    command
+}
+
+/// Figures of the epochs, without how fast they were.
+fn metrics(out: &Path) -> Vec<Value> {
+    let text = fs::read_to_string(RunFolder::at(out).metrics()).unwrap_or_default();
+    // The last line may be half there while the run goes on.
+    let whole = &text[..text.rfind('\n').map_or(0, |at| at + 1)];
+    let lines = whole.lines().map(|line| {
+        let mut figures: Value = serde_json::from_str(line).unwrap();
+        figures.as_object_mut().unwrap().remove("samples_per_s");
+        figures
+    });
+    lines.collect()
+}
+
+/// Starts or goes on with a run, sends a signal once `epochs` are noted, and tells how it ended.
+fn signalled(data: &Path, out: &Path, epochs: usize, signal: Signal) -> Option<i32> {
+    let mut child = train(data, out)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait_until(&mut child, || metrics(out).len() >= epochs);
+    kill_process(Pid::from_child(&child), signal).unwrap();
+    let code = child.wait().unwrap().code();
+    assert!(!RunFolder::at(out).model().exists(), "it had ended already");
+    code
+}
+
+#[test]
+fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    write_dataset(&data);
+    let [whole, broken] = ["whole", "broken"].map(|name| dir.path().join(name));
+    let told = json(&succeed(&mut train(&data, &whole)));
+    assert_eq!(told["runs"][0]["epochs"], 4, "{told}");
+
+    assert_eq!(signalled(&data, &broken, 1, Signal::KILL), None);
+    assert_eq!(signalled(&data, &broken, 2, Signal::TERM), Some(75));
+    let again = json(&succeed(&mut train(&data, &broken)));
+    assert_eq!(
+        again["runs"][0]["validation"],
+        told["runs"][0]["validation"]
+    );
+    assert_eq!(metrics(&broken), metrics(&whole));
+    let [one, other] = [&whole, &broken].map(RunFolder::at);
+    let same = |a: &Path, b: &Path| fs::read(a).unwrap() == fs::read(b).unwrap();
+    assert!(same(&one.model(), &other.model()), "the models differ");
+    assert!(same(&one.state(), &other.state()), "the checkpoints differ");
+    assert!(same(&one.run(), &other.run()), "the descriptions differ");
+
+    let state = fs::read(one.state()).unwrap();
+    succeed(&mut train(&data, &whole));
+    assert!(
+        fs::read(one.state()).unwrap() == state,
+        "a run that has ended went on"
+    );
+
+    for (flag, value, words) in [
+        ("--dropout", "0.5", "dropout 0.2, not 0.5"),
+        ("--seed", "7", "seed 0, not 7"),
+        (
+            "--learning-rate",
+            "0.001",
+            "learning_rate 0.0003, not 0.001",
+        ),
+    ] {
+        let refused = train(&data, &whole).args([flag, value]).output().unwrap();
+        let text = stderr(&refused);
+        assert_eq!(refused.status.code(), Some(2), "{text}");
+        assert!(text.contains(words) && text.contains("run.json"), "{text}");
+    }
+    write_part(&data, "test", (0..2).map(|n| row("test", n, n == 0)));
+    let refused = train(&data, &whole).output().unwrap();
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(
+        stderr(&refused).contains("another dataset"),
+        "{}",
+        stderr(&refused)
+    );
+}
+
+#[test]
+fn datasets_that_teach_nothing_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let refused = |name: &str, rows: Vec<ShardRow>, words: [&str; 2]| {
+        let data = dir.path().join(name);
+        write_part(&data, "train", rows);
+        write_part(
+            &data,
+            "validation",
+            (0..4).map(|n| row("validation", n, n % 4 < 2)),
+        );
+        let out = dir.path().join(format!("{name}-run"));
+        let output = train(&data, &out).output().unwrap();
+        let text = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        for words in words {
+            assert!(text.contains(words), "{text}");
+        }
+        assert!(text.contains(name) && !out.exists(), "{text}");
+    };
+    refused("empty", Vec::new(), ["`train`", "no samples"]);
+    let stable = (0..4).map(|n| row("train", n, true)).collect();
+    refused("one-sided", stable, ["4 stable and 0 lost", "both labels"]);
+
+    let nothing = dir.path().join("nothing");
+    let output = train(&nothing, &dir.path().join("run")).output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    assert!(stderr(&output).contains("nothing"), "{}", stderr(&output));
+}
