@@ -25,4 +25,5 @@ mod shared_data;
 mod sim;
 mod synth;
 mod train;
+mod training_screen;
 mod visual_scene;

@@ -1,6 +1,7 @@
 //! The command `train`: killed, stopped and gone on with, and what it refuses.
 
 use std::fs;
+use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -177,6 +178,79 @@ fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
         stderr(&refused).contains("another dataset"),
         "{}",
         stderr(&refused)
+    );
+}
+
+/// The dashboard on a terminal of 80×24 that `script` makes; what it printed, and how it ended.
+fn on_terminal(
+    flags: &str,
+    data: &Path,
+    out: &Path,
+    q_after: Option<usize>,
+) -> (String, Option<i32>) {
+    let line = format!(
+        "stty rows 24 cols 80; exec {} train --modality t --batch 4 {flags} --data {} --out {}",
+        env!("CARGO_BIN_EXE_gripcast"),
+        data.display(),
+        out.display()
+    );
+    let mut terminal = Command::new("script")
+        .args(["-qec", &line, "/dev/null"])
+        .env("TERM", "xterm-256color")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("`script` of bsdutils is part of every Debian and Ubuntu");
+    let mut printed = terminal.stdout.take().unwrap();
+    let reading = std::thread::spawn(move || {
+        let mut bytes = Vec::new();
+        printed.read_to_end(&mut bytes).unwrap();
+        String::from_utf8_lossy(&bytes).into_owned()
+    });
+    let mut keys = terminal.stdin.take().unwrap();
+    if let Some(epochs) = q_after {
+        wait_until(&mut terminal, || metrics(out).len() >= epochs);
+        keys.write_all(b"q").unwrap();
+    }
+    let code = terminal.wait().unwrap().code();
+    (reading.join().unwrap(), code)
+}
+
+#[test]
+fn the_dashboard_stops_at_q_and_leaves_the_terminal_as_it_was() {
+    const ENTERED: &str = "\u{1b}[?1049h";
+    const LEFT: &str = "\u{1b}[?1049l";
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    write_dataset(&data);
+    let out = dir.path().join("run");
+    let (text, code) = on_terminal("--epochs 1000", &data, &out, Some(1));
+    assert_eq!(code, Some(130), "{text}");
+    let (before, after) = text.rsplit_once(LEFT).unwrap();
+    assert!(
+        before.contains(ENTERED) && before.contains("data"),
+        "{text}"
+    );
+    assert!(
+        after.contains("interrupted") && after.contains("goes on"),
+        "{text}"
+    );
+    assert!(!RunFolder::at(&out).model().exists());
+
+    let out = dir.path().join("short");
+    let (text, code) = on_terminal("--epochs 1", &data, &out, None);
+    assert_eq!(code, Some(0), "{text}");
+    let (_, after) = text.rsplit_once(LEFT).unwrap();
+    assert!(
+        after.contains("best epoch 1 of 1") && after.contains("model.onnx"),
+        "{text}"
+    );
+
+    let (text, code) = on_terminal("--epochs 1 --headless", &data, &out, None);
+    assert_eq!(code, Some(0), "{text}");
+    assert!(
+        !text.contains(ENTERED) && text.contains("best epoch 1 of 1"),
+        "{text}"
     );
 }
 

@@ -3,20 +3,26 @@
 //! Exit codes: 0 trained · 1 it could not be trained · 2 usage, or a run of other settings · 75
 //! stopped by SIGTERM, run it again · 130 interrupted. A run that was stopped in any way goes on
 //! where it was and ends with the same bytes.
+//!
+//! On a terminal it shows a dashboard; elsewhere, and with `--headless`, lines on stderr. What came
+//! out goes to stdout.
 
-use std::path::PathBuf;
+use std::io::{self, IsTerminal as _, Write as _};
+use std::path::{Path, PathBuf};
 
+use rustix::process::getpgrp;
+use rustix::termios::tcgetpgrp;
 use serde_json::{Value, json};
 
-use super::working::{Progress, resumable};
+use super::working::{Progress, resumable, resumable_under_screen};
 use super::{Context, print, print_json};
+use crate::app::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
 use crate::nn::Architecture;
 use crate::predict::contract::Variant;
 use crate::train::{
-    Augmentation, EpochFigures, Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish,
-    train,
+    Augmentation, Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish, train,
 };
 
 /// Arguments.
@@ -64,6 +70,9 @@ pub(crate) struct Args {
     /// Name of the model
     #[arg(long, default_value = "gripcast-vt")]
     name: String,
+    /// No dashboard, even on a terminal
+    #[arg(long)]
+    headless: bool,
     /// Print what came out as JSON
     #[arg(long)]
     json: bool,
@@ -92,16 +101,45 @@ impl From<Modality> for Variant {
 /// Runs the verb.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let is_json = args.json;
-    let found = resumable(context, "training", move |progress| {
-        all_seeds(&args, progress)
-    })??;
+    let found = if !args.headless && !context.quiet && has_screen() {
+        under_dashboard(args)?
+    } else {
+        resumable(context, "training", move |progress| {
+            all_seeds(&args, &|news| tell(progress, &news))
+        })??
+    };
     if is_json {
         return print_json(&found);
     }
     print(&text(&found))
 }
 
-fn all_seeds(args: &Args, progress: &Progress) -> Result<Value> {
+/// Whether a dashboard can be shown, and keys can be read, without stopping a job in the background.
+fn has_screen() -> bool {
+    let is_terminal =
+        io::stdin().is_terminal() && io::stdout().is_terminal() && io::stderr().is_terminal();
+    let can_draw = std::env::var("TERM").is_ok_and(|term| !term.is_empty() && term != "dumb");
+    is_terminal && can_draw && tcgetpgrp(io::stdin()).is_ok_and(|group| group == getpgrp())
+}
+
+fn under_dashboard(args: Args) -> Result<Value> {
+    let settings = args.settings(args.seed)?;
+    let name = |path: &Path| {
+        let name = path.file_name().unwrap_or(path.as_os_str());
+        name.to_string_lossy().into_owned()
+    };
+    let status = TrainingStatus::new(&name(&args.data), &name(&args.out), settings, args.seeds);
+    let (screen, asked) = TrainingScreen::start(status)?;
+    let tell = screen.teller();
+    let found = resumable_under_screen(asked, move || all_seeds(&args, &tell));
+    if let Err(error) = screen.end() {
+        // The training went on without it. A terminal that has gone takes no line either.
+        let _ = writeln!(io::stderr(), "gripcast: {error}");
+    }
+    found?
+}
+
+fn all_seeds(args: &Args, told: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value> {
     let mut runs = Vec::new();
     let mut best: Option<(f64, Finished)> = None;
     for seed in args.seed..args.seed.saturating_add(args.seeds) {
@@ -111,21 +149,22 @@ fn all_seeds(args: &Args, progress: &Progress) -> Result<Value> {
             args.out.join(format!("seed-{seed}"))
         };
         let settings = args.settings(seed)?;
+        told(TrainingNews::Seed(seed));
         let trained = train(&args.data, &folder, &settings, &|event| {
-            tell(progress, &event)
+            told(TrainingNews::Train(event));
         })?;
         let folder = RunFolder::at(folder);
         let file = folder.read()?.ok_or_else(|| {
             Error::new(ErrorKind::Internal, "the run has no description").at(folder.run().display())
         })?;
-        progress.stage("calibrating");
+        told(TrainingNews::Stage("calibrating"));
         let finished = finish(&folder, &file, &args.data, &args.name, &|_| {})?;
         runs.push(described(seed, &folder, &trained, &finished));
         let accuracy = trained.best.validation_accuracy;
         if best.as_ref().is_none_or(|(most, _)| accuracy > *most) {
             best = Some((accuracy, finished));
         }
-        progress.stage("training");
+        told(TrainingNews::Stage("training"));
     }
     let model = args.out.join("model.onnx");
     if let (true, Some((_, finished))) = (args.seeds > 1, &best) {
@@ -134,29 +173,16 @@ fn all_seeds(args: &Args, progress: &Progress) -> Result<Value> {
     Ok(json!({ "model": model.display().to_string(), "runs": runs }))
 }
 
-fn tell(progress: &Progress, event: &TrainEvent) {
-    match event {
-        TrainEvent::Step {
+fn tell(progress: &Progress, news: &TrainingNews) {
+    match news {
+        TrainingNews::Stage(label) => progress.stage(label),
+        TrainingNews::Train(TrainEvent::Step {
             at: [done, all], ..
-        } => progress.at(*done, *all),
-        TrainEvent::Epoch(figures) => progress.line(epoch_line(figures)),
-        TrainEvent::Begun(_) | TrainEvent::Look(_) => {}
+        }) => progress.at(*done, *all),
+        TrainingNews::Train(TrainEvent::Epoch(figures)) => progress.line(epoch_line(figures)),
+        TrainingNews::Train(TrainEvent::Begun(_) | TrainEvent::Look(_)) | TrainingNews::Seed(_) => {
+        }
     }
-}
-
-fn epoch_line(figures: &EpochFigures) -> String {
-    let auroc = figures
-        .validation_auroc
-        .map_or("–".to_owned(), |x| format!("{x:.3}"));
-    format!(
-        "epoch {:>3}  loss {:.4}  validation: loss {:.4}, accuracy {:.3}, AUROC {auroc}  \
-         {:.0} samples/s",
-        figures.epoch,
-        figures.train_loss,
-        figures.validation_loss,
-        figures.validation_accuracy,
-        figures.samples_per_s,
-    )
 }
 
 fn described(seed: u64, folder: &RunFolder, trained: &Trained, finished: &Finished) -> Value {

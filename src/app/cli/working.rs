@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::sync::oneshot;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::Context;
@@ -15,6 +16,8 @@ use crate::error::{Error, ErrorKind, Result};
 
 /// Between lines that say that it still works, where there is no terminal.
 const LINE_EVERY: Duration = Duration::from_secs(10);
+/// What helps after a stop.
+const AGAIN: &str = "run the same command again: it goes on where it was";
 
 /// How a computation tells people where it is.
 pub(super) struct Progress(UnboundedSender<Event>);
@@ -53,7 +56,7 @@ pub(super) fn interruptible<T: Send + 'static>(
     label: &'static str,
     work: impl FnOnce(&Progress) -> T + Send + 'static,
 ) -> Result<T> {
-    watched(context, label, false, work)
+    watched(context, label, false, std::future::pending(), work)
 }
 
 /// The same for work whose finished parts are on the disk: `SIGTERM` ends it with `Stopped`, and
@@ -66,13 +69,36 @@ pub(super) fn resumable<T: Send + 'static>(
     label: &'static str,
     work: impl FnOnce(&Progress) -> T + Send + 'static,
 ) -> Result<T> {
-    watched(context, label, true, work)
+    watched(context, label, true, std::future::pending(), work)
+}
+
+/// The same under a screen that shows the progress itself: nothing is printed, and what arrives at
+/// `asked` ends the work as Ctrl-C does.
+///
+/// # Errors
+/// As [`resumable`].
+pub(super) fn resumable_under_screen<T: Send + 'static>(
+    asked: oneshot::Receiver<()>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T> {
+    let silent = Context {
+        verbose: 0,
+        quiet: true,
+    };
+    let asked = async {
+        if asked.await.is_err() {
+            // The screen has gone and cannot ask any more.
+            std::future::pending().await
+        }
+    };
+    watched(&silent, "", true, asked, |_| work())
 }
 
 fn watched<T: Send + 'static>(
     context: &Context,
     label: &'static str,
     is_resumable: bool,
+    asked: impl Future<Output = ()>,
     work: impl FnOnce(&Progress) -> T + Send + 'static,
 ) -> Result<T> {
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -95,7 +121,7 @@ fn watched<T: Send + 'static>(
             }
         };
         let (events, listening) = unbounded_channel();
-        let (done, result) = tokio::sync::oneshot::channel();
+        let (done, result) = oneshot::channel();
         let worker = thread::Builder::new().name("work".into());
         worker
             .spawn(move || {
@@ -107,19 +133,29 @@ fn watched<T: Send + 'static>(
         let display = Display::new(context, label);
         let outcome = tokio::select! {
             result = watch(&display, listening, result) => result,
-            _ = interrupt.recv() => Err(Error::new(ErrorKind::Interrupted, "interrupted")),
+            _ = interrupt.recv() => Err(interrupted(is_resumable)),
+            () = asked => Err(interrupted(is_resumable)),
             _ = stopped => Err(Error::new(ErrorKind::Stopped, "stopped; what is finished is kept")
-                .remedy("run the same command again: it goes on where it was")),
+                .remedy(AGAIN)),
         };
         display.bar.finish_and_clear();
         outcome
     })
 }
 
+fn interrupted(is_resumable: bool) -> Error {
+    let error = Error::new(ErrorKind::Interrupted, "interrupted");
+    if is_resumable {
+        error.remedy(AGAIN)
+    } else {
+        error
+    }
+}
+
 async fn watch<T>(
     display: &Display,
     mut listening: UnboundedReceiver<Event>,
-    result: tokio::sync::oneshot::Receiver<T>,
+    result: oneshot::Receiver<T>,
 ) -> Result<T> {
     let mut still = interval(LINE_EVERY);
     still.set_missed_tick_behavior(MissedTickBehavior::Delay);

@@ -1,4 +1,5 @@
-//! The operator's screen, its sounds, and the plain lines where there is no terminal.
+//! The operator's screen, its sounds, and the plain lines where there is no terminal; the dashboard
+//! of a training.
 //!
 //! [`run()`] owns the terminal on its own thread: it draws the newest [`EngineStatus`] and turns keys
 //! into session commands. It knows nothing else of the engine, so a slow or stuck terminal never
@@ -29,6 +30,7 @@ mod steps;
 mod terminal;
 mod text;
 mod tone;
+mod training;
 
 pub use collect::draw;
 pub use input::{UiAction, UiChange, action};
@@ -40,3 +42,5 @@ pub use run::{Wiring, run};
 pub use state::{Overlay, Reaction, ScreenState};
 pub use terminal::restore;
 pub use tone::{Sound, Speaker};
+pub use training::{TrainingNews, TrainingStatus, draw as draw_training};
+pub(in crate::app) use training::{TrainingScreen, epoch_line};

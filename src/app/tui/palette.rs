@@ -83,6 +83,8 @@ const RED: [u8; 3] = [255, 85, 75];
 const AMBER: [u8; 3] = [255, 190, 50];
 const BLUE: [u8; 3] = [70, 150, 255];
 const CYAN: [u8; 3] = [60, 205, 215];
+const SKY: [u8; 3] = [40, 125, 225];
+const ORANGE: [u8; 3] = [205, 100, 20];
 const GREY: [u8; 3] = [135, 135, 145];
 const DARK: [u8; 3] = [60, 62, 72];
 const BLACK: [u8; 3] = [0, 0, 0];
@@ -142,6 +144,16 @@ impl Palette {
 
     pub(super) fn key(self) -> Style {
         self.text(CYAN).add_modifier(Modifier::BOLD)
+    }
+
+    /// First curve of a chart; its colour is legible on black and on white.
+    pub(super) fn first_curve(self) -> Style {
+        self.text(SKY)
+    }
+
+    /// Second curve of a chart; likewise.
+    pub(super) fn second_curve(self) -> Style {
+        self.text(ORANGE)
     }
 
     pub(super) fn initial_step(self) -> Style {
@@ -221,6 +233,16 @@ mod tests {
     }
 
     #[test]
+    fn curves_are_legible_on_black_and_on_white() {
+        let light = |v: u8| f64::from(v).powf(2.2) / 255_f64.powf(2.2);
+        for [r, g, b] in [SKY, ORANGE, GREY] {
+            let luminance = 0.2126 * light(r) + 0.7152 * light(g) + 0.0722 * light(b);
+            let (on_white, on_black) = (1.05 / (luminance + 0.05), (luminance + 0.05) / 0.05);
+            assert!(on_white > 3.0 && on_black > 3.0, "{on_white} {on_black}");
+        }
+    }
+
+    #[test]
     fn without_colours_no_style_has_one() {
         let palette = Palette {
             depth: ColourDepth::Mono,
@@ -232,6 +254,7 @@ mod tests {
             palette.label_step(),
             palette.panel(),
             palette.faint(),
+            palette.first_curve(),
         ] {
             assert_eq!((style.fg, style.bg), (None, None));
         }

@@ -1,0 +1,201 @@
+//! The dashboard of a training on fixed news, as text; and that no news and no size breaks it.
+
+use std::time::Duration;
+
+use gripcast::app::tui::{ColourDepth, Palette, TrainingNews, TrainingStatus, draw_training};
+use gripcast::nn::Architecture;
+use gripcast::predict::contract::Variant;
+use gripcast::train::{EpochFigures, PartCounts, RunStart, TrainEvent, TrainSettings};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::style::Color;
+
+const STEPS: u64 = 40;
+const EPOCHS: u64 = 30;
+/// Time of a step.
+const STEP: Duration = Duration::from_millis(1200);
+
+fn settings() -> TrainSettings {
+    TrainSettings::usual(Variant::Vt, Architecture::named("gripcast").unwrap(), 0)
+}
+
+fn fresh(seeds: u64) -> TrainingStatus {
+    TrainingStatus::new("kitchen-fem", "vt", settings(), seeds)
+}
+
+fn figures(epoch: u32) -> EpochFigures {
+    let since = f64::from(epoch);
+    EpochFigures {
+        epoch,
+        train_loss: 0.7 * (-since / 5.0).exp(),
+        validation_loss: 0.6 - 0.05 * since + 0.006 * since * since,
+        validation_accuracy: 0.9 - 0.01 * (since - 5.0).powi(2),
+        validation_auroc: Some(0.95 - 0.008 * (since - 6.0).powi(2)),
+        samples_per_s: 13.0,
+    }
+}
+
+fn start(epochs: u32) -> RunStart {
+    let part = |samples, stable, objects| PartCounts {
+        samples,
+        stable,
+        objects,
+    };
+    RunStart {
+        train: part(640, 322, 38),
+        validation: part(96, 48, 9),
+        steps_per_epoch: STEPS,
+        at: [u64::from(epochs) * STEPS, EPOCHS * STEPS],
+        epochs: (1..=epochs).map(figures).collect(),
+    }
+}
+
+/// Takes the news of some steps, one after the other.
+fn steps(status: &mut TrainingStatus, steps: std::ops::Range<u64>) {
+    let begun = steps.start;
+    for step in steps {
+        let event = TrainEvent::Step {
+            at: [step + 1, EPOCHS * STEPS],
+            loss: 0.69 / (1.0 + step as f64 / 60.0),
+            learning_rate: 3e-4 * (1.0 - step as f64 / (EPOCHS * STEPS) as f64),
+        };
+        let after = STEP * u32::try_from(step + 1 - begun).unwrap();
+        status.take(TrainingNews::Train(event), after);
+    }
+}
+
+/// In the first epoch of the first of five seeds.
+fn begun() -> TrainingStatus {
+    let mut status = fresh(5);
+    status.take(TrainingNews::Seed(0), Duration::ZERO);
+    status.take(
+        TrainingNews::Train(TrainEvent::Begun(start(0))),
+        Duration::ZERO,
+    );
+    steps(&mut status, 0..17);
+    status
+}
+
+/// Gone on with after six epochs.
+fn resumed() -> TrainingStatus {
+    let mut status = fresh(1);
+    status.take(
+        TrainingNews::Train(TrainEvent::Begun(start(6))),
+        Duration::ZERO,
+    );
+    steps(&mut status, 6 * STEPS..7 * STEPS);
+    let event = TrainEvent::Epoch(figures(7));
+    status.take(TrainingNews::Train(event), 41 * STEP);
+    steps(&mut status, 7 * STEPS..7 * STEPS + 12);
+    status.wait(Duration::from_secs(3725));
+    status
+}
+
+fn picture(width: u16, height: u16, status: &TrainingStatus) -> String {
+    drawn(width, height, status, ColourDepth::Mono).to_string()
+}
+
+fn drawn(width: u16, height: u16, status: &TrainingStatus, depth: ColourDepth) -> TestBackend {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    let palette = Palette { depth };
+    let draw = |frame: &mut ratatui::Frame<'_>| draw_training(frame, status, palette);
+    terminal.draw(draw).unwrap();
+    terminal.backend().clone()
+}
+
+#[test]
+fn the_dashboard_at_80_by_24() {
+    insta::assert_snapshot!("waiting", picture(80, 24, &fresh(1)));
+    insta::assert_snapshot!("first_epoch", picture(80, 24, &begun()));
+    insta::assert_snapshot!("resumed", picture(80, 24, &resumed()));
+}
+
+#[test]
+fn the_dashboard_at_other_sizes() {
+    insta::assert_snapshot!("wide", picture(120, 36, &resumed()));
+    insta::assert_snapshot!("narrow", picture(48, 20, &resumed()));
+    insta::assert_snapshot!("low", picture(80, 9, &resumed()));
+    insta::assert_snapshot!("tiny", picture(30, 3, &resumed()));
+}
+
+#[test]
+fn what_is_done_besides_steps_is_said() {
+    let mut status = resumed();
+    let now = Duration::from_secs(70);
+    let look = TrainEvent::Look([64, 96]);
+    status.take(TrainingNews::Train(look), now);
+    assert!(picture(80, 24, &status).contains("validation, 64 of 96 samples"));
+    status.take(TrainingNews::Stage("calibrating"), now);
+    assert!(picture(80, 24, &status).contains("calibrating"));
+}
+
+#[test]
+fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
+    let mut status = fresh(2);
+    let now = Duration::from_secs(9);
+    status.take(TrainingNews::Seed(0), now);
+    status.take(TrainingNews::Train(TrainEvent::Begun(start(7))), now);
+    status.take(TrainingNews::Seed(1), now);
+    let text = picture(100, 24, &status);
+    assert!(text.contains("seed 1, 2 of 2"), "{text}");
+    let line = "seed 0: best epoch 5 of 7, validation accuracy 0.900, AUROC 0.942";
+    assert!(text.contains(line), "{text}");
+    assert!(text.contains("reading the dataset"), "{text}");
+}
+
+#[test]
+fn colours_are_left_out_where_they_are_not_wanted() {
+    let has_colour = |depth| {
+        let screen = drawn(80, 24, &resumed(), depth);
+        let cells = screen.buffer().content().iter();
+        cells
+            .map(|cell| (cell.fg, cell.bg))
+            .any(|colours| colours != (Color::Reset, Color::Reset))
+    };
+    assert!(!has_colour(ColourDepth::Mono));
+    assert!(has_colour(ColourDepth::Indexed));
+    // The terminal's own background, light or dark, stays.
+    let screen = drawn(80, 24, &resumed(), ColourDepth::True);
+    assert!(
+        screen
+            .buffer()
+            .content()
+            .iter()
+            .all(|cell| cell.bg == Color::Reset)
+    );
+}
+
+#[test]
+fn no_size_and_no_figures_break_it() {
+    let mut odd = TrainingStatus::new("茶 ☕\n\u{7}", "", settings(), 100);
+    let broken = EpochFigures {
+        train_loss: f64::NAN,
+        validation_loss: f64::INFINITY,
+        validation_accuracy: -1e300,
+        validation_auroc: None,
+        ..figures(1)
+    };
+    let nothing = RunStart {
+        steps_per_epoch: 0,
+        at: [7, 0],
+        epochs: vec![broken; 40],
+        ..start(0)
+    };
+    odd.take(
+        TrainingNews::Train(TrainEvent::Begun(nothing)),
+        Duration::MAX,
+    );
+    let step = TrainEvent::Step {
+        at: [8, 0],
+        loss: f64::NAN,
+        learning_rate: f64::INFINITY,
+    };
+    odd.take(TrainingNews::Train(step), Duration::ZERO);
+    for status in [fresh(1), begun(), resumed(), odd] {
+        for width in 1..=100 {
+            for height in [1, 2, 5, 6, 7, 8, 9, 12, 14, 15, 16, 19, 24, 40, 60] {
+                drawn(width, height, &status, ColourDepth::Indexed);
+            }
+        }
+    }
+}
