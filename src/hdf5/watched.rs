@@ -106,7 +106,12 @@ fn value_at(bytes: &[u8], name: &str) -> Option<u8> {
         3 => 9,
         _ => return None,
     };
-    let size = |at: usize| Some(usize::from(u16::from_le_bytes([*bytes.get(at)?, *bytes.get(at + 1)?])));
+    let size = |at: usize| {
+        Some(usize::from(u16::from_le_bytes([
+            *bytes.get(at)?,
+            *bytes.get(at + 1)?,
+        ])))
+    };
     let [name_size, type_size, space_size] = [size(2)?, size(4)?, size(6)?];
     let is_named = name_size == name.len() + 1
         && bytes.get(begin..begin + name.len())? == name.as_bytes()

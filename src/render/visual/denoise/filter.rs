@@ -161,12 +161,12 @@ impl<'a> Guide<'a> {
             self.same_surface(&pair, trust, &mut scratch.same);
             let at = line * width + columns.start;
             let same = &scratch.same[..pair.len];
-            for half in 0..2 {
+            for (half, sums) in sums.iter_mut().enumerate() {
                 // The other half decides.
                 let distance = &scratch.distance[1 - half][at..][..pair.len];
                 let [r, g, b] = three(&self.halves[half], pair.q, pair.len);
                 let [r_sum, g_sum, b_sum, weights] =
-                    sums[half].each_mut().map(|sum| &mut sum[at..][..pair.len]);
+                    sums.each_mut().map(|sum| &mut sum[at..][..pair.len]);
                 for i in 0..pair.len {
                     let weight = same[i] * falloff(distance[i]);
                     r_sum[i] += weight * r[i];
