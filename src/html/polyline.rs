@@ -79,3 +79,34 @@ fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     };
     (to[0] - share * along[0]).hypot(to[1] - share * along[1])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_on_a_line_are_left_out_and_corners_stay() {
+        let corner: Vec<[f64; 2]> = (0..=10)
+            .map(|i| [f64::from(i), f64::from(i.min(5))])
+            .collect();
+        assert_eq!(thinned(&corner, 1e-9, 512), [0, 5, 10]);
+        for few in [&corner[..0], &corner[..1], &corner[..2]] {
+            assert_eq!(thinned(few, 1e-9, 512).len(), few.len());
+        }
+    }
+
+    #[test]
+    fn the_greatest_deviations_survive_a_small_limit() {
+        let points = [
+            [0.0, 0.0],
+            [1.0, 0.1],
+            [2.0, 0.0],
+            [3.0, 2.0],
+            [4.0, 0.0],
+            [5.0, 0.3],
+            [6.0, 0.0],
+        ];
+        assert_eq!(thinned(&points, 1e-9, 4), [0, 2, 3, 6]);
+        assert_eq!(thinned(&points, 0.5, usize::MAX), [0, 2, 3, 4, 6]);
+    }
+}

@@ -256,8 +256,8 @@ fn inverse_of_factor(covariance: &[[f64; FEATURES]; FEATURES]) -> Option<Vec<f64
         }
     }
     let mut inverse = [[0.0; FEATURES]; FEATURES];
-    for column in 0..FEATURES {
-        for row in column..FEATURES {
+    for row in 0..FEATURES {
+        for column in 0..=row {
             let one = f64::from(u8::from(row == column));
             let done: f64 = (column..row)
                 .map(|k| factor[row][k] * inverse[k][column])

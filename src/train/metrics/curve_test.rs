@@ -96,32 +96,6 @@ fn curves_of_many_samples_stay_small_and_true() {
 }
 
 #[test]
-fn points_on_a_line_are_left_out_and_corners_stay() {
-    let corner: Vec<[f64; 2]> = (0..=10)
-        .map(|i| [f64::from(i), f64::from(i.min(5))])
-        .collect();
-    let kept = thinned(corner, MAX_POINTS, |p| *p);
-    assert_eq!(kept, [[0.0, 0.0], [5.0, 5.0], [10.0, 5.0]]);
-}
-
-#[test]
-fn the_greatest_deviations_survive_a_small_limit() {
-    let points = vec![
-        [0.0, 0.0],
-        [1.0, 0.1],
-        [2.0, 0.0],
-        [3.0, 2.0],
-        [4.0, 0.0],
-        [5.0, 0.3],
-        [6.0, 0.0],
-    ];
-    assert_eq!(
-        thinned(points, 4, |p| *p),
-        [[0.0, 0.0], [2.0, 0.0], [3.0, 2.0], [6.0, 0.0]]
-    );
-}
-
-#[test]
 fn one_class_has_no_roc_curve() {
     assert!(Ranking::new(&[]).roc_curve().is_empty());
     assert!(Ranking::new(&[]).precision_recall_curve().is_empty());

@@ -14,7 +14,7 @@ use std::fmt::Write as _;
 
 use super::facts::{Labels, SYNTH_REPORT_FORMAT, SYNTH_REPORT_VERSION, SynthReport};
 use crate::error::{Error, ErrorKind, Result};
-use crate::html::{self, Esc, MISSING, fixed, put, section_links, theme_choice};
+use crate::html::{self, MISSING, fixed, put, section_links, theme_choice};
 
 const STYLE: &str = include_str!("style.css");
 
