@@ -255,21 +255,19 @@ fn inverse_of_factor(covariance: &[[f64; FEATURES]; FEATURES]) -> Option<Vec<f64
             };
         }
     }
-    let mut inverse = [[0.0; FEATURES]; FEATURES];
-    for row in 0..FEATURES {
-        for column in 0..=row {
-            let one = f64::from(u8::from(row == column));
-            let done: f64 = (column..row)
-                .map(|k| factor[row][k] * inverse[k][column])
-                .sum();
-            inverse[row][column] = (one - done) / factor[row][row];
+    // Column by column by forward substitution.
+    let column = |at: usize| {
+        let mut values = [0.0; FEATURES];
+        for (row, of_row) in factor.iter().enumerate().skip(at) {
+            let before = of_row[at..row].iter().zip(&values[at..row]);
+            let done: f64 = before.map(|(a, b)| a * b).sum();
+            values[row] = (f64::from(u8::from(row == at)) - done) / of_row[row];
         }
-    }
-    Some(
-        (0..FEATURES)
-            .flat_map(|i| inverse[i][..=i].to_vec())
-            .collect(),
-    )
+        values
+    };
+    let columns: Vec<Features> = (0..FEATURES).map(column).collect();
+    let row = |at: usize| columns[..=at].iter().map(move |column| column[at]);
+    Some((0..FEATURES).flat_map(row).collect())
 }
 
 #[cfg(test)]
