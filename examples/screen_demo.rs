@@ -86,6 +86,7 @@ fn status_at(time_s: f64, moment: Option<&str>) -> EngineStatus {
             .collect(),
         prediction: predicts.then(|| PredictionStatus {
             p_stable: (1.3 * squeeze - 0.35).clamp(0.0, 1.0),
+            novelty: None,
             threshold: 0.5,
             model: "baseline-contact".to_owned(),
             frame_age_ms: 18.0 + 6.0 * (3.0 * time_s).sin(),
