@@ -210,7 +210,7 @@ impl Hdf5 {
     /// An array of bytes of at most `most` elements, also one chunk of it; not read yet.
     ///
     /// # Errors
-    /// `Input` for another type, or too many.
+    /// `Input` for another type, too many, or unknown compression.
     pub(crate) fn bytes<'a>(&self, key: &'a str, most: u64) -> Result<Option<ByteArray<'a>>> {
         let Some(dataset) = self.find(key)? else {
             return Ok(None);
@@ -225,11 +225,14 @@ impl Hdf5 {
         if let Some(chunk) = dataset.chunk_shape().map_err(failed)? {
             check_count(key, &chunk, most)?;
         }
-        Ok(Some(ByteArray {
-            dataset,
-            key,
-            shape,
-        }))
+        match unknown_filter(key, &dataset) {
+            Some(error) => Err(error),
+            None => Ok(Some(ByteArray {
+                dataset,
+                key,
+                shape,
+            })),
+        }
     }
 
     /// One finite number of an attribute; a boolean is 0 or 1.
@@ -281,10 +284,14 @@ impl Hdf5 {
             None => Ok(None),
             Some(Datatype::BitField { size: 1, .. }) => match watched::bit_field(&seen, key) {
                 Some(value) => Ok(Some(AttrValue::U8(value))),
-                None => Err(wrong(format!("`{key}` is a bit field that is not one byte"))
-                    .remedy("write the label as an integer")),
+                None => Err(
+                    wrong(format!("`{key}` is a bit field that is not one byte"))
+                        .remedy("write the label as an integer"),
+                ),
             },
-            Some(other) => Err(wrong(format!("`{key}` has a type without a value: {other}"))),
+            Some(other) => Err(wrong(format!(
+                "`{key}` has a type without a value: {other}"
+            ))),
         }
     }
 }
@@ -326,15 +333,17 @@ fn check_count(key: &str, shape: &[u64], most: u64) -> Result<()> {
 
 /// What could not be read of a dataset that is there.
 fn unread(key: &str, dataset: &Dataset, error: Hdf5Error) -> Error {
+    unknown_filter(key, dataset).unwrap_or_else(|| unreadable(key, error))
+}
+
+/// `Input`: the compression, where it is not known.
+fn unknown_filter(key: &str, dataset: &Dataset) -> Option<Error> {
     let unknown = |id: &u16| !KNOWN_FILTERS.contains(id);
-    match dataset.filters().into_iter().find(unknown) {
-        None => unreadable(key, error),
-        Some(filter) => failed(
-            format!("`{key}` is compressed with the filter {filter}, which is not known here"),
-            error,
-        )
-        .remedy("write the file again with zlib: ptrepack --complib=zlib --complevel=1 OLD NEW"),
-    }
+    let filter = dataset.filters().into_iter().find(unknown)?;
+    let what = format!("`{key}` is compressed with the filter {filter}, which is not known here");
+    Some(wrong(what).remedy(
+        "write the file again with zlib: ptrepack --complib=zlib --complevel=1 OLD.h5 NEW.h5",
+    ))
 }
 
 fn unreadable(key: &str, error: Hdf5Error) -> Error {

@@ -32,7 +32,13 @@ const INITIAL_RIGHT: &str = "gelsightB_before";
 const GRASP_LEFT: &str = "gelsightA_during";
 const GRASP_RIGHT: &str = "gelsightB_during";
 const GRASP_RGB: &str = "kinectA_rgb_during";
-const PICTURES: [&str; 5] = [INITIAL_LEFT, INITIAL_RIGHT, GRASP_LEFT, GRASP_RIGHT, GRASP_RGB];
+const PICTURES: [&str; 5] = [
+    INITIAL_LEFT,
+    INITIAL_RIGHT,
+    GRASP_LEFT,
+    GRASP_RIGHT,
+    GRASP_RGB,
+];
 const LABEL: &str = "is_gripping";
 const OBJECT: &str = "object_name";
 /// Most bytes of a picture; the Kinect's have 6 MB.
@@ -86,7 +92,9 @@ impl GraspFile {
 
 /// `i12` after `i7`; other names last.
 fn number(name: &str) -> (u64, String) {
-    let digits = name.strip_prefix('i').and_then(|digits| digits.parse().ok());
+    let digits = name
+        .strip_prefix('i')
+        .and_then(|digits| digits.parse().ok());
     (digits.unwrap_or(u64::MAX), name.to_owned())
 }
 

@@ -66,7 +66,8 @@ pub(super) fn deal(
     objects: &BTreeMap<String, usize>,
     parts: &[PartShare],
 ) -> Result<BTreeMap<String, usize>> {
-    let mut order: Vec<(&String, usize)> = objects.iter().map(|(name, count)| (name, *count)).collect();
+    let mut order: Vec<(&String, usize)> =
+        objects.iter().map(|(name, count)| (name, *count)).collect();
     order.sort_by_cached_key(|(name, _)| Sha256::digest(name.as_bytes()));
     let all: usize = objects.values().sum();
     let mut dealt = BTreeMap::new();
@@ -88,7 +89,9 @@ pub(super) fn deal(
                 part.name,
                 objects.len()
             );
-            return Err(Error::new(ErrorKind::Input, what).remedy("give more files, or fewer parts"));
+            return Err(
+                Error::new(ErrorKind::Input, what).remedy("give more files, or fewer parts")
+            );
         }
     }
     Ok(dealt)
@@ -110,7 +113,11 @@ mod tests {
         assert_eq!((&*train.name, train.share), ("train", 0.7));
         assert_eq!(parsed("test").unwrap().share, 1.0);
         for wrong in ["", "a/b", "train=", "train=0", "train=2", "train=NaN", "=1"] {
-            assert_eq!(parsed(wrong).unwrap_err().kind(), ErrorKind::Usage, "{wrong}");
+            assert_eq!(
+                parsed(wrong).unwrap_err().kind(),
+                ErrorKind::Usage,
+                "{wrong}"
+            );
         }
         check(&[train.clone(), parsed("test=0.3").unwrap()]).unwrap();
         for wrong in [vec![], vec![train.clone()], vec![train.clone(), train]] {
@@ -120,8 +127,9 @@ mod tests {
 
     #[test]
     fn objects_are_dealt_by_their_shares() {
-        let objects: BTreeMap<String, usize> =
-            (0..100).map(|n| (format!("object {n}"), 1 + n % 7)).collect();
+        let objects: BTreeMap<String, usize> = (0..100)
+            .map(|n| (format!("object {n}"), 1 + n % 7))
+            .collect();
         let parts = ["train=0.6", "test=0.4"].map(|part| part.parse().unwrap());
         let dealt = deal(&objects, &parts).unwrap();
         let of = |part| -> usize {
@@ -129,7 +137,7 @@ mod tests {
             objects.map(|(_, count)| count).sum()
         };
         let all = of(0) + of(1);
-        assert_eq!(all, objects.values().sum());
+        assert_eq!(all, objects.values().sum::<usize>());
         assert!((of(0) as f64 / all as f64 - 0.6).abs() < 0.03, "{}", of(0));
         let one = BTreeMap::from([("duck".to_owned(), 9)]);
         let error = deal(&one, &parts).unwrap_err();

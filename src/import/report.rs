@@ -81,6 +81,36 @@ impl ImportReport {
         }
     }
 
+    /// What stands beside the shards.
+    ///
+    /// # Errors
+    /// `NotFound` for a folder without an import; `Input` for facts of another kind or version.
+    pub fn read(folder: &Path) -> Result<Self> {
+        let path = folder.join(FILE);
+        let read = || {
+            let bytes =
+                fs::read(&path).map_err(|e| Error::io("cannot read the facts of the import", e))?;
+            let found: Self = serde_json::from_slice(&bytes).map_err(|e| {
+                Error::new(
+                    ErrorKind::Input,
+                    format!("these are no facts of an import: {e}"),
+                )
+            })?;
+            if found.format == FORMAT && found.version == VERSION {
+                return Ok(found);
+            }
+            let what = format!(
+                "expected {FORMAT} version {VERSION}, found {:?} version {}",
+                found.format, found.version
+            );
+            Err(Error::new(ErrorKind::Input, what))
+        };
+        read().map_err(|e: Error| {
+            e.at(path.display())
+                .remedy("give the folder that `gripcast dataset import --out` wrote")
+        })
+    }
+
     /// Takes a folder for this import: one that is new or empty, or has the beginning of the same
     /// import.
     ///
@@ -93,11 +123,8 @@ impl ImportReport {
             let error = Error::new(ErrorKind::Input, what).at(out.display());
             Err(error.remedy("give a new folder"))
         };
-        let path = out.join(FILE);
-        if let Ok(bytes) = fs::read(&path) {
-            let Ok(there) = serde_json::from_slice::<Self>(&bytes) else {
-                return refused("the folder holds something else: its import.json is of another kind");
-            };
+        if out.join(FILE).exists() {
+            let there = Self::read(out)?;
             if there.is_finished {
                 return refused("the folder holds a finished import");
             }

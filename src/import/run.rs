@@ -55,7 +55,9 @@ pub fn import_feeling_of_success(
         .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
     let of_part = |number: usize| -> usize {
         let facts = found.iter().flat_map(Index::values);
-        facts.filter(|facts| part_of[&facts.object] == number).count()
+        facts
+            .filter(|facts| part_of[&facts.object] == number)
+            .count()
     };
     let mut writing: Vec<PartWriter<'_>> = parts
         .iter()
@@ -87,7 +89,7 @@ pub fn import_feeling_of_success(
         }
     }
     for part in writing {
-        let (name, facts) = part.finish()?;
+        let (name, facts) = part.finish(report.left_out.first())?;
         report.parts.insert(name, facts);
     }
     report.is_finished = true;
@@ -266,10 +268,13 @@ impl<'a> PartWriter<'a> {
         }
     }
 
-    fn finish(mut self) -> Result<(String, ImportedPart)> {
+    fn finish(mut self, left_out: Option<&LeftOut>) -> Result<(String, ImportedPart)> {
         self.close()?;
         if self.objects.is_empty() {
-            let what = format!("no grasp of the part `{}` could be read", self.name);
+            let mut what = format!("no grasp of the part `{}` could be read", self.name);
+            if let Some(LeftOut { id, why }) = left_out {
+                what.push_str(&format!("; {id}: {why}"));
+            }
             return Err(Error::new(ErrorKind::Input, what).at(self.out.display()));
         }
         self.facts.objects = self.objects.len();

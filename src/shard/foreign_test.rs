@@ -91,7 +91,11 @@ fn a_wrong_value_is_named_with_its_place() {
             Cell::text("unlabelled"),
             "it must be slip or stable",
         ),
-        ("engine", Cell::text("mujoco"), "it must be fem or rigid or real"),
+        (
+            "engine",
+            Cell::text("mujoco"),
+            "it must be fem or rigid or real",
+        ),
         ("id", Cell::text(""), "column id is empty"),
         ("rendering", Cell::Integer(-3), "column rendering is -3"),
         ("rendering", Cell::Integer(1 << 40), "out of range"),
@@ -116,7 +120,11 @@ fn a_wrong_value_is_named_with_its_place() {
             Cell::Numbers(vec![0.0; 4]),
             "unit quaternion",
         ),
-        ("pose_t_m", Cell::Null, "column pose_t_m is null, pose_q_wxyz"),
+        (
+            "pose_t_m",
+            Cell::Null,
+            "column pose_t_m is null, pose_q_wxyz",
+        ),
         ("pose_q_wxyz", Cell::Null, "column pose_q_wxyz is null"),
         ("grasp_rgb", Cell::Null, "column grasp_rgb is null"),
     ] {

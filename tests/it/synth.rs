@@ -162,8 +162,8 @@ fn finite_elements_end_in_rows_that_say_what_was_simulated() {
     for row in rows.rows() {
         let facts = row.unwrap().facts;
         assert_eq!(facts.engine, gripcast::shard::ShardEngine::Fem);
-        assert!(facts.force_left_n.unwrap() > 0.0 && facts.mass_kg <= 0.2);
-        assert!([10.0, 40.0].contains(&facts.stop_force_n));
+        assert!(facts.force_left_n.unwrap() > 0.0 && facts.mass_kg.unwrap() <= 0.2);
+        assert!([10.0, 40.0].contains(&facts.stop_force_n.unwrap()));
     }
 }
 

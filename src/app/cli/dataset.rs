@@ -1,4 +1,4 @@
-//! `gripcast dataset`: look at, verify, repair, index and split a dataset.
+//! `gripcast dataset`: look at, verify, repair, index and split a dataset, or import one of others.
 //!
 //! ```text
 //! gripcast dataset info DIR      what is in it: counts, balance, size, predictions against labels
@@ -6,6 +6,7 @@
 //! gripcast dataset recover DIR   rescue what is there; the rest moves to trash/, nothing is deleted
 //! gripcast dataset reindex DIR   write metadata.jsonl again from the records
 //! gripcast dataset split DIR     divide it into train, val and test without sharing an object
+//! gripcast dataset import FILE…  make Parquet shards of somebody else's files
 //! ```
 //!
 //! Every one takes `--json`. Exit codes: 0 all is well · 1 could not be done · 2 the command line
@@ -20,7 +21,7 @@ use clap::{Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
-use super::{Context, print, print_json};
+use super::{Context, dataset_import, print, print_json};
 use crate::dataset::{
     Dataset, Outcome, RecoverReport, SplitBy, SplitFile, SplitPlan, Summary, VerifyReport, recover,
     reindex, split, summary, verify,
@@ -46,6 +47,8 @@ enum Action {
     Reindex(Place),
     /// Divide the grasps into parts that share no object
     Split(SplitArgs),
+    /// Make Parquet shards, for train and eval, of somebody else's files
+    Import(dataset_import::Args),
 }
 
 #[derive(Debug, clap::Args)]
@@ -104,6 +107,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::Recover(args) => run_recover(context, &args),
         Action::Reindex(place) => run_reindex(context, &place),
         Action::Split(args) => run_split(&args),
+        Action::Import(args) => dataset_import::run(context, &args),
     }
 }
 
@@ -387,7 +391,7 @@ fn outcomes_text(outcomes: &BTreeMap<Outcome, usize>) -> String {
     parts.join(", ")
 }
 
-fn counted(count: usize, noun: &str) -> String {
+pub(super) fn counted(count: usize, noun: &str) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{count} {noun}{plural}")
 }
@@ -409,7 +413,7 @@ fn size_text(bytes: u64) -> String {
 }
 
 /// A bar on stderr; hidden where stderr is no terminal.
-fn progress_bar(context: &Context, what: &'static str) -> ProgressBar {
+pub(super) fn progress_bar(context: &Context, what: &'static str) -> ProgressBar {
     if context.quiet || !io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
@@ -421,7 +425,7 @@ fn progress_bar(context: &Context, what: &'static str) -> ProgressBar {
     bar
 }
 
-fn to_value(report: &impl serde::Serialize) -> Result<Value> {
+pub(super) fn to_value(report: &impl serde::Serialize) -> Result<Value> {
     serde_json::to_value(report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the report as JSON").because(e))
 }

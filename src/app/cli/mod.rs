@@ -32,6 +32,7 @@ mod collect;
 mod completions;
 mod config;
 mod dataset;
+mod dataset_import;
 mod eval;
 mod experiment;
 mod predict;
