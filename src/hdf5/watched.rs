@@ -141,3 +141,54 @@ fn value_at(bytes: &[u8], name: &str) -> Option<u8> {
     let value = bytes.get(space_at + padded(space_size))?;
     (is_byte && is_one).then_some(*value)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NAME: &str = "is_gripping";
+
+    /// Messages of version 1 and 3 as libhdf5 writes them.
+    fn message(version: u8, value: u8) -> Vec<u8> {
+        let datatype = [0x14, 0, 0, 0, 1, 0, 0, 0, 0, 0, 8, 0];
+        let mut bytes = vec![version, 0, 12, 0, 12, 0];
+        match version {
+            1 => {
+                bytes.extend([8, 0]);
+                bytes.extend(b"is_gripping\0\0\0\0\0");
+                bytes.extend(datatype);
+                bytes.extend([0; 4]);
+                bytes.extend([1, 0, 0, 0, 0, 0, 0, 0]);
+            }
+            _ => {
+                bytes.extend([4, 0, 0]);
+                bytes.extend(b"is_gripping\0");
+                bytes.extend(datatype);
+                bytes.extend([2, 0, 0, 0]);
+            }
+        }
+        bytes.push(value);
+        bytes
+    }
+
+    #[test]
+    fn the_value_is_found_in_both_forms_of_the_message() {
+        for version in [1, 3] {
+            for value in [0, 1] {
+                let mut read = vec![7; 5];
+                read.extend(message(version, value));
+                let whole = [read.clone()];
+                assert_eq!(bit_field(&whole, NAME), Some(value));
+                assert_eq!(bit_field(&whole, "is_grippin"), None);
+                read.pop();
+                assert_eq!(bit_field(&[read], NAME), None);
+            }
+        }
+        let both = |a, b| bit_field(&[message(1, a), message(3, b)], NAME);
+        assert_eq!(both(1, 1), Some(1));
+        assert_eq!(both(1, 0), None);
+        let mut wide = message(3, 1);
+        wide[9 + 12 + 4] = 2;
+        assert_eq!(bit_field(&[wide], NAME), None);
+    }
+}

@@ -315,29 +315,3 @@ fn damaged_files_end_in_errors_or_reports() {
         let _ = bench.import(&[bench.file("a.h5", &damaged)], &["test"]);
     }
 }
-
-#[test]
-fn tmp_scale() {
-    let Ok(path) = std::env::var("IMPORT_BIG") else {
-        return;
-    };
-    let bench = Bench::new();
-    let begun = std::time::Instant::now();
-    let report = bench.import(&[PathBuf::from(path)], &["test"]).unwrap();
-    let status = fs::read_to_string("/proc/self/status").unwrap();
-    let peak = status
-        .lines()
-        .find(|line| line.starts_with("VmHWM"))
-        .unwrap();
-    let rows = rows(&bench.out(), "test");
-    let bytes: usize = rows
-        .iter()
-        .map(|r| r.images.grasp_left.len() * 4 + r.images.grasp_rgb.len())
-        .sum();
-    println!(
-        "{:?} {peak} {:?} bytes/row {}",
-        begun.elapsed(),
-        report.parts,
-        bytes / rows.len()
-    );
-}
