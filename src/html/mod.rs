@@ -26,13 +26,20 @@ pub(crate) const BASE_STYLE: &str = include_str!("base.css");
 
 /// Begins a page of a program's version, up to its body: no network, and no script but `script`, a
 /// source of the content security policy.
-pub(crate) fn begin(out: &mut String, software: &str, title: &str, style: &str, script: &str) {
+pub(crate) fn begin(
+    out: &mut String,
+    software: &str,
+    title: &str,
+    style: &str,
+    script: Option<&str>,
+) {
+    let script = script.map_or(String::new(), |source| format!("; script-src {source}"));
     put!(
         out,
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; \
-         img-src data:; style-src 'unsafe-inline'; script-src {script}\">\n\
+         img-src data:; style-src 'unsafe-inline'{script}\">\n\
          <meta name=\"generator\" content=\"{}\">\n<title>{}</title>\n\
          <style>{BASE_STYLE}{style}</style>\n</head>\n<body>\n",
         Esc(software),

@@ -31,6 +31,8 @@ const LEVEL: f64 = 1.0 / 255.0;
 const TOUCHED_LEVELS: f64 = 10.0;
 /// Share of a feature's variance that is added to it, so that the covariance has an inverse.
 const SHRINKAGE: f64 = 1e-3;
+/// Least limit, deviations: pictures that are all alike say nothing about how far is far.
+const LEAST_LIMIT: f64 = 1.0;
 /// Least variance of a feature.
 const LEAST_VARIANCE: f64 = 1e-6;
 
@@ -154,7 +156,7 @@ pub struct Novelty {
 
 impl Novelty {
     /// Fits to the features of training differences; none for fewer than twice the number of
-    /// features.
+    /// features, and for pictures that are all alike.
     pub fn fit(known: &[Features]) -> Option<Self> {
         if known.len() < 2 * FEATURES {
             return None;
@@ -186,7 +188,7 @@ impl Novelty {
         distances.sort_unstable_by(f64::total_cmp);
         let at = (QUANTILE * (count - 1.0)).ceil() as usize;
         fitted.limit = *distances.get(at)?;
-        fitted.is_usable().then_some(fitted)
+        (fitted.is_usable() && fitted.limit >= LEAST_LIMIT).then_some(fitted)
     }
 
     /// Reads the metadata of a model.

@@ -122,7 +122,7 @@ impl Page<'_> {
         let title = format!("Replay of {}", self.report.dataset.name);
         let script = STANDARD.encode(Sha256::digest(SCRIPT.as_bytes()));
         let script = format!("'sha256-{script}'");
-        html::begin(out, &self.report.software, &title, STYLE, &script);
+        html::begin(out, &self.report.software, &title, STYLE, Some(&script));
         if self.simulated().is_some() {
             out.push_str("<div class=\"spine\" aria-hidden=\"true\">Reality is simulated</div>\n");
         }

@@ -49,7 +49,7 @@ pub fn page(report: &EvalReport, samples: &Samples) -> Result<String> {
 
 fn open(report: &EvalReport, out: &mut String) {
     let title = format!("Stability prediction on {}", report.dataset);
-    html::begin(out, &report.software, &title, STYLE, "'none'");
+    html::begin(out, &report.software, &title, STYLE, None);
     section_links(out, &SECTIONS);
     theme_choice(out);
     out.push_str("</header>\n<main>\n");

@@ -62,7 +62,7 @@ pub fn page(report: &SynthReport) -> Result<String> {
 
 fn open(report: &SynthReport, out: &mut String) {
     let title = format!("Simulated grasps of plan {}", short(&report.plan.sha256));
-    html::begin(out, &report.software, &title, STYLE, "'none'");
+    html::begin(out, &report.software, &title, STYLE, None);
     out.push_str("<div class=\"spine\" aria-hidden=\"true\">Everything is simulated</div>\n");
     section_links(out, &SECTIONS);
     out.push_str("<span class=\"flag\">everything is simulated</span>");
