@@ -1,6 +1,6 @@
 //! The dataset of a plan: closed Parquet shards of what was chosen.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -129,36 +129,18 @@ pub fn merge(
     told: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<MergeReport> {
     let store = ResultStore::beside(plan_folder);
-    let mut counts = Counts::default();
-    let mut usable = BTreeMap::new();
-    for simulation in &plan.simulations {
-        match store.find(plan, &simulation.id)? {
-            None => counts.open += 1,
-            Some(result) if result.is_failed() => counts.failed += 1,
-            Some(result) if result.stable.is_none() => {
-                *counts.without_sample.entry(result.outcome).or_default() += 1;
-            }
-            Some(result) => {
-                usable.insert(&simulation.id, (simulation, result));
-            }
-        }
-    }
-    if counts.open > 0 && !settings.is_partial_allowed {
-        return Err(unfinished(plan, counts.open));
-    }
+    let Chosen {
+        counts,
+        usable,
+        curation,
+    } = Chosen::of(plan, &store, settings)?;
     check_free(out, plan)?;
-    let labelled = usable.values().map(|(simulation, result)| {
-        Ok(Labelled {
-            id: simulation.id.clone(),
-            object: simulation.object.clone(),
-            category: plan.object(simulation)?.category.clone(),
-            stop_force_n: simulation.stop_force_n,
-            stable: result.stable == Some(true),
-        })
-    });
-    let labelled = labelled.collect::<Result<Vec<_>>>()?;
-    let curation = curate(&labelled, &settings.curation)?;
     let parts = parts(plan, &curation, usable);
+    let chosen = parts.values().flatten();
+    let lacking = chosen.filter(|(_, result)| result.lacks_pictures()).count();
+    if lacking > 0 {
+        return Err(without_pictures(lacking));
+    }
     let mut writing = Writing::new(plan, &store, out, told)?;
     let mut facts = BTreeMap::new();
     writing.all = parts.values().map(Vec::len).sum();
@@ -190,6 +172,76 @@ pub fn merge(
     // Last: with this file the dataset is whole.
     save(&out.join(DATASET_FILE), format!("{text}\n").as_bytes())?;
     Ok(report)
+}
+
+/// Simulations that a dataset of a plan takes, once all of them have a label.
+///
+/// # Errors
+/// As [`merge`], but for those of writing.
+pub fn chosen(
+    plan: &Plan,
+    plan_folder: &Path,
+    settings: &MergeSettings,
+) -> Result<BTreeSet<String>> {
+    let store = ResultStore::beside(plan_folder);
+    let Chosen { curation, .. } = Chosen::of(plan, &store, settings)?;
+    Ok(curation.part.into_keys().collect())
+}
+
+/// What is chosen of the results.
+struct Chosen<'a> {
+    counts: Counts,
+    /// Results with a label.
+    usable: BTreeMap<&'a String, (&'a PlannedSimulation, SimulationResult)>,
+    curation: Curation,
+}
+
+impl<'a> Chosen<'a> {
+    fn of(plan: &'a Plan, store: &ResultStore, settings: &MergeSettings) -> Result<Self> {
+        let mut counts = Counts::default();
+        let mut usable = BTreeMap::new();
+        for simulation in &plan.simulations {
+            match store.find(plan, &simulation.id)? {
+                None => counts.open += 1,
+                Some(result) if result.is_failed() => counts.failed += 1,
+                Some(result) if result.stable.is_none() => {
+                    *counts.without_sample.entry(result.outcome).or_default() += 1;
+                }
+                Some(result) => {
+                    usable.insert(&simulation.id, (simulation, result));
+                }
+            }
+        }
+        if counts.open > 0 && !settings.is_partial_allowed {
+            return Err(unfinished(plan, counts.open));
+        }
+        let labelled = usable.values().map(|(simulation, result)| {
+            Ok(Labelled {
+                id: simulation.id.clone(),
+                object: simulation.object.clone(),
+                category: plan.object(simulation)?.category.clone(),
+                stop_force_n: simulation.stop_force_n,
+                stable: result.stable == Some(true),
+            })
+        });
+        let labelled = labelled.collect::<Result<Vec<_>>>()?;
+        Ok(Self {
+            curation: curate(&labelled, &settings.curation)?,
+            counts,
+            usable,
+        })
+    }
+}
+
+fn without_pictures(lacking: usize) -> Error {
+    Error::new(
+        ErrorKind::Input,
+        format!("{lacking} of the chosen simulations have no pictures yet"),
+    )
+    .remedy(
+        "take them with `gripcast synth run --pictures chosen` and the same choice, or those of all \
+         with `gripcast synth run`",
+    )
 }
 
 /// What the results are, before any is chosen.

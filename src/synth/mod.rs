@@ -24,7 +24,7 @@ mod run;
 mod store;
 
 pub use engine::planned_engine;
-pub use merge::{MergeReport, MergeSettings, merge};
+pub use merge::{MergeReport, MergeSettings, chosen, merge};
 pub use object_mesh::planned_mesh;
-pub use run::{RunProgress, RunSettings, RunSummary, run, simulate_labels};
+pub use run::{Pictures, RunProgress, RunSettings, RunSummary, run, simulate_labels};
 pub use store::{CpuSeconds, FAILED, RESULTS, ResultStore, SampleFile, SimulationResult};

@@ -1,6 +1,6 @@
 //! Simulates a part of a plan and takes the pictures.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::panic::AssertUnwindSafe;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::quiet_panic;
 use crate::render::tactile::SimulatedGel;
 use crate::render::visual::{Model, SeedStream};
 use crate::shard::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes};
-use crate::sim::grasp::{GraspOutcome, GraspResult, StageName};
+use crate::sim::grasp::{GraspOutcome, GraspResult, Snapshot, StageName};
 use crate::sim::{Engine, EngineKind, GraspSetup};
 use crate::workers::{one_per_core, thread_cpu_s};
 
@@ -45,8 +45,29 @@ pub struct RunSummary {
     pub failed: Vec<(String, String)>,
 }
 
+/// Which simulations get pictures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Pictures {
+    /// Those with a label.
+    All,
+    /// None: labels are there sooner, and tell which pictures a dataset needs.
+    None,
+    /// Those with a label that are named.
+    Of(BTreeSet<String>),
+}
+
+impl Pictures {
+    fn are_taken(&self, id: &str) -> bool {
+        match self {
+            Self::All => true,
+            Self::None => false,
+            Self::Of(ids) => ids.contains(id),
+        }
+    }
+}
+
 /// Which simulations of a plan are run, and how.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunSettings {
     /// Part of the plan.
     pub shard: Shard,
@@ -55,6 +76,9 @@ pub struct RunSettings {
     /// Whether simulations that could not be done are tried again, as after a missing file came
     /// back.
     pub is_failed_retried: bool,
+    /// Which of them get pictures. Results do not depend on when they got them; a simulation that
+    /// was run without is run again with them.
+    pub pictures: Pictures,
 }
 
 /// Simulates what of a part has no result yet, each simulation in one thread. Every result is kept
@@ -82,6 +106,11 @@ pub fn run(
             Some(result) if settings.is_failed_retried && result.is_failed() => {
                 open.push(*simulation);
             }
+            Some(result)
+                if result.lacks_pictures() && settings.pictures.are_taken(&simulation.id) =>
+            {
+                open.push(*simulation);
+            }
             Some(result) => note_failure(&result, &mut failed),
         }
     }
@@ -96,7 +125,8 @@ pub fn run(
     tell(0);
     let workshop = Workshop::new(plan, folder, engine)?;
     let work = |simulation: &&PlannedSimulation| -> Result<SimulationResult> {
-        let (result, samples) = workshop.make(simulation)?;
+        let is_taken = settings.pictures.are_taken(&simulation.id);
+        let (result, samples) = workshop.make(simulation, is_taken)?;
         let samples = samples
             .as_ref()
             .map(|(rows, bytes)| (*rows, bytes.as_slice()));
@@ -183,10 +213,16 @@ impl<'a> Workshop<'a> {
 
     /// The result of a simulation. What goes wrong in it is in the result: one bad object does not
     /// end a night's work.
-    fn make(&self, simulation: &PlannedSimulation) -> Result<(SimulationResult, Samples)> {
+    fn make(
+        &self,
+        simulation: &PlannedSimulation,
+        is_taken: bool,
+    ) -> Result<(SimulationResult, Samples)> {
         let object = self.plan.object(simulation)?;
         let mut result = SimulationResult::of(self.plan, simulation);
-        let tried = quiet_panic::catch(AssertUnwindSafe(|| self.tried(simulation, object)));
+        let tried = quiet_panic::catch(AssertUnwindSafe(|| {
+            self.tried(simulation, object, is_taken)
+        }));
         let why = match tried {
             Ok(Ok((result, samples))) => return Ok((result, samples)),
             Ok(Err(error)) if error.kind() == ErrorKind::DiskFull => return Err(error),
@@ -201,6 +237,7 @@ impl<'a> Workshop<'a> {
         &self,
         simulation: &PlannedSimulation,
         object: &PlannedObject,
+        is_taken: bool,
     ) -> Result<(SimulationResult, Samples)> {
         let mut clock = Clock::new();
         let setup = setup(simulation, object, &self.folder)?;
@@ -212,12 +249,24 @@ impl<'a> Workshop<'a> {
         let grasp = self.engine.simulate(&setup, object.friction, force_n)?;
         cpu_s.simulate = clock.lap();
         let mut result = facts(SimulationResult::of(self.plan, simulation), &grasp);
-        let rows = self.rows(simulation, object, &setup, &grasp, &mut clock, &mut cpu_s)?;
         result.cpu_s = cpu_s;
-        if rows.is_empty() {
+        let Some(snapshot) = seen_before_lift(&grasp) else {
             result.stable = None;
             return Ok((result, None));
+        };
+        if !is_taken {
+            return Ok((result, None));
         }
+        let seen = seen_surface(&setup.mesh);
+        let grasped = Grasped {
+            setup: &setup,
+            seen: &seen,
+            snapshot,
+            gel: self.gel.as_ref(),
+            force_n: forces(&grasp).unwrap_or_default(),
+        };
+        let rows = self.rows(simulation, object, &grasped, &grasp, &mut clock, &mut cpu_s)?;
+        result.cpu_s = cpu_s;
         let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
         let count = rows.len();
         Ok((result, Some((count, to_bytes(rows, &info)?))))
@@ -228,35 +277,21 @@ impl<'a> Workshop<'a> {
         &self,
         simulation: &PlannedSimulation,
         object: &PlannedObject,
-        setup: &GraspSetup,
+        grasped: &Grasped<'_>,
         grasp: &GraspResult,
         clock: &mut Clock,
         cpu_s: &mut CpuSeconds,
     ) -> Result<Vec<ShardRow>> {
-        let snapshot = before_lift(&grasp.trace.snapshots);
-        let (Some(stable), Some(snapshot)) = (stable(grasp.outcome), snapshot) else {
-            return Ok(Vec::new());
-        };
-        let force_n = forces(grasp).unwrap_or_default();
-        if force_n.iter().any(|force| *force < LEAST_FORCE_N) {
-            return Ok(Vec::new());
-        }
-        let seen = seen_surface(&setup.mesh);
-        let grasped = Grasped {
-            setup,
-            seen: &seen,
-            snapshot,
-            gel: self.gel.as_ref(),
-            force_n,
-        };
+        let (setup, snapshot, force_n) = (grasped.setup, grasped.snapshot, grasped.force_n);
+        let stable = stable(grasp.outcome) == Some(true);
         let count = self.plan.header.rendering.renderings;
         let mut rows = Vec::with_capacity(count as usize);
         for rendering in 0..count {
             let seed = rendering_seed(simulation.seed, rendering);
-            let [initial, pressed] = self.photographer.tactile(&grasped, seed)?;
+            let [initial, pressed] = self.photographer.tactile(grasped, seed)?;
             cpu_s.tactile += clock.lap();
             let (words, model) = appearance(object, &self.folder, &setup.mesh, seed)?;
-            let rgb = self.photographer.rgb(&grasped, &model, seed)?;
+            let rgb = self.photographer.rgb(grasped, &model, seed)?;
             cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
             let [grasp_left, grasp_right] = pressed;
@@ -339,6 +374,15 @@ fn stable(outcome: GraspOutcome) -> Option<bool> {
         | GraspOutcome::PenetratingStart
         | GraspOutcome::NotConverged => None,
     }
+}
+
+/// The state before the lift of a grasp that has an outcome and held something by then.
+fn seen_before_lift(grasp: &GraspResult) -> Option<&Snapshot> {
+    stable(grasp.outcome)?;
+    let is_held = |force_n: [f64; 2]| force_n.iter().all(|force| *force >= LEAST_FORCE_N);
+    forces(grasp)
+        .filter(|force_n| is_held(*force_n))
+        .and_then(|_| before_lift(&grasp.trace.snapshots))
 }
 
 /// Normal force on each finger before the lift, N.

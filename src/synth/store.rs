@@ -45,7 +45,7 @@ pub struct SimulationResult {
     pub newton_iterations: u64,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
-    /// Rows of the file of pictures; none where there is no such file.
+    /// The file of pictures; none where there is nothing to see, or they are still to be taken.
     pub samples: Option<SampleFile>,
     /// CPU time, s.
     pub cpu_s: CpuSeconds,
@@ -101,6 +101,11 @@ impl SimulationResult {
     /// Whether nothing came of it.
     pub fn is_failed(&self) -> bool {
         self.outcome == FAILED
+    }
+
+    /// Whether it has a label but no pictures yet.
+    pub fn lacks_pictures(&self) -> bool {
+        self.stable.is_some() && self.samples.is_none()
     }
 }
 

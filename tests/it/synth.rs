@@ -285,3 +285,49 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
     assert_eq!(nothing.status.code(), Some(1));
     assert!(stderr(&nothing).contains("none.toml"));
 }
+
+#[test]
+fn pictures_can_wait_until_labels_tell_which_are_needed() {
+    let dir = tempfile::tempdir().unwrap();
+    let [whole, late] = ["whole", "late"].map(|name| dir.path().join(name));
+    let merge = |folder: &Path| {
+        let mut command = synth("merge", folder);
+        command.args(["--split", "train=1", "--json", "--out"]);
+        command.arg(folder.join("dataset"));
+        command
+    };
+    for folder in [&whole, &late] {
+        plan(folder, &FEW);
+    }
+    succeed(&mut synth("run", &whole));
+    succeed(synth("run", &late).args(["--pictures", "none"]));
+    let status = json(&succeed(synth("status", &late).arg("--json")));
+    let labelled = status["stable"].as_u64().unwrap() + status["slip"].as_u64().unwrap();
+    assert_eq!(status["without_pictures"], labelled);
+    assert_eq!(status["rows"], 0);
+    let early = merge(&late).output().unwrap();
+    assert_eq!(early.status.code(), Some(1));
+    assert!(
+        stderr(&early).contains("no pictures yet") && stderr(&early).contains("--pictures chosen"),
+        "{}",
+        stderr(&early)
+    );
+
+    let mut run = synth("run", &late);
+    run.args(["--pictures", "chosen", "--split", "train=1", "--json"]);
+    let told = json(&succeed(&mut run));
+    let taken = told["simulated_now"].as_u64().unwrap();
+    assert!(taken > 0 && taken < labelled, "{taken} of {labelled}");
+    assert_eq!(json(&succeed(&mut run))["simulated_now"], 0);
+    for folder in [&whole, &late] {
+        succeed(&mut merge(folder));
+    }
+    assert!(files(&whole.join("dataset")) == files(&late.join("dataset")));
+    let mut report = synth("report", &late);
+    report.arg("--dataset").arg(late.join("dataset"));
+    succeed(report.arg("--out").arg(late.join("report")));
+
+    succeed(&mut synth("run", &late));
+    let status = json(&succeed(synth("status", &late).arg("--json")));
+    assert_eq!(status["without_pictures"], 0);
+}

@@ -26,7 +26,9 @@ use crate::synth::plan::{
     LEAST_FRICTION_SHARE, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
 };
 use crate::synth::properties::MassMap;
-use crate::synth::{CpuSeconds, ResultStore, RunSettings, run as run_plan, simulate_labels};
+use crate::synth::{
+    CpuSeconds, Pictures, ResultStore, RunSettings, run as run_plan, simulate_labels,
+};
 use crate::workers::cores;
 
 /// Share of labels that have to agree.
@@ -144,6 +146,7 @@ fn figures(
         shard: Shard::WHOLE,
         jobs,
         is_failed_retried: false,
+        pictures: Pictures::All,
     };
     let summary = run_plan(plan, folder, &settings, engine, &told)?;
     let wall_h = began.elapsed().as_secs_f64() / 3600.0;

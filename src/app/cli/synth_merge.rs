@@ -22,6 +22,19 @@ pub(crate) struct Args {
     /// Folder of the dataset
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    #[command(flatten)]
+    choice: ChoiceArgs,
+    /// Merge what is there of a plan that is not finished
+    #[arg(long)]
+    partial: bool,
+    /// Print what is in the dataset as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Which simulations are chosen.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct ChoiceArgs {
     /// Parts and their shares
     #[arg(long, value_name = "PART=SHARE", value_delimiter = ',', value_parser = share,
         default_values = ["train=0.8", "validation=0.1", "test=0.1"])]
@@ -38,12 +51,6 @@ pub(crate) struct Args {
     /// Decides what is left out
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Merge what is there of a plan that is not finished
-    #[arg(long)]
-    partial: bool,
-    /// Print what is in the dataset as JSON
-    #[arg(long)]
-    json: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -66,7 +73,10 @@ fn share(text: &str) -> Result<(String, f64), String> {
 
 /// Runs the verb.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
-    let settings = args.settings()?;
+    let settings = MergeSettings {
+        curation: args.choice.curation()?,
+        is_partial_allowed: args.partial,
+    };
     let is_json = args.json;
     let report = interruptible(context, "merging", move |progress| {
         let plan = Plan::read(&args.plan)?;
@@ -91,8 +101,8 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     ))
 }
 
-impl Args {
-    fn settings(&self) -> Result<MergeSettings> {
+impl ChoiceArgs {
+    pub(super) fn curation(&self) -> Result<CurationSettings> {
         if !(self.category_cap >= 0.0 && self.category_cap.is_finite()) {
             return Err(Error::new(
                 ErrorKind::Usage,
@@ -109,18 +119,15 @@ impl Args {
                 "a part is named twice in `--split`",
             ));
         }
-        Ok(MergeSettings {
-            curation: CurationSettings {
-                apart: match self.apart {
-                    ApartName::Object => Apart::Object,
-                    ApartName::Category => Apart::Category,
-                },
-                parts,
-                category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
-                is_balanced: !self.unbalanced,
-                seed: self.seed,
+        Ok(CurationSettings {
+            apart: match self.apart {
+                ApartName::Object => Apart::Object,
+                ApartName::Category => Apart::Category,
             },
-            is_partial_allowed: self.partial,
+            parts,
+            category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
+            is_balanced: !self.unbalanced,
+            seed: self.seed,
         })
     }
 }

@@ -9,11 +9,12 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
+use super::synth_merge::ChoiceArgs;
 use super::working::resumable;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::synth::plan::{Plan, Shard};
-use crate::synth::{ResultStore, RunSettings, planned_engine};
+use crate::synth::{MergeSettings, Pictures, ResultStore, RunSettings, chosen, planned_engine};
 use crate::workers::cores;
 
 /// Reasons of failures that are shown.
@@ -32,12 +33,31 @@ pub(crate) struct Args {
     /// Simulations at a time; the results do not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
+    /// Which simulations get pictures; labels alone are there sooner, and a balanced dataset needs
+    /// the pictures of half of them
+    #[arg(long, value_enum, default_value_t = PicturesName::All)]
+    pictures: PicturesName,
+    #[command(
+        flatten,
+        next_help_heading = "With --pictures chosen, as given to synth merge"
+    )]
+    choice: ChoiceArgs,
     /// Try simulations again that could not be done, as after a missing mesh came back
     #[arg(long)]
     retry_failed: bool,
     /// Print what was done as JSON
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum PicturesName {
+    /// All with a label
+    All,
+    /// None of them
+    None,
+    /// Those that `synth merge` takes; all simulations have to have a label
+    Chosen,
 }
 
 /// Arguments of `status`.
@@ -58,13 +78,22 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         None => Shard::WHOLE,
     };
     let folder = args.plan.clone();
-    let settings = RunSettings {
-        shard,
-        jobs: args.jobs.map_or_else(cores, usize::from),
-        is_failed_retried: args.retry_failed,
+    let choice = MergeSettings {
+        curation: args.choice.curation()?,
+        is_partial_allowed: false,
     };
     let summary = resumable(context, "simulating", move |progress| {
         let plan = Plan::read(&folder)?;
+        let settings = RunSettings {
+            shard,
+            jobs: args.jobs.map_or_else(cores, usize::from),
+            is_failed_retried: args.retry_failed,
+            pictures: match args.pictures {
+                PicturesName::All => Pictures::All,
+                PicturesName::None => Pictures::None,
+                PicturesName::Chosen => Pictures::Of(chosen(&plan, &folder, &choice)?),
+            },
+        };
         let engine = planned_engine(&plan, &folder)?;
         crate::synth::run(&plan, &folder, &settings, engine.as_ref(), &|at| {
             progress.at(at.done as u64, at.all as u64);
@@ -104,7 +133,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
     let plan = Plan::read(&args.plan)?;
     let store = ResultStore::beside(&args.plan);
     let mut outcomes: BTreeMap<String, usize> = BTreeMap::new();
-    let [mut stable, mut slip, mut rows] = [0; 3];
+    let [mut stable, mut slip, mut rows, mut lacking] = [0; 4];
     let [mut open_s, mut cpu_s] = [0.0; 2];
     let mut done = 0;
     for simulation in &plan.simulations {
@@ -116,6 +145,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
         stable += usize::from(result.stable == Some(true));
         slip += usize::from(result.stable == Some(false));
         rows += result.samples.as_ref().map_or(0, |file| file.rows);
+        lacking += usize::from(result.lacks_pictures());
         let cpu = result.cpu_s;
         cpu_s += cpu.prepare + cpu.simulate + cpu.tactile + cpu.visual;
         *outcomes.entry(result.outcome).or_default() += 1;
@@ -129,6 +159,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
             "stable": stable,
             "slip": slip,
             "rows": rows,
+            "without_pictures": lacking,
             "outcomes": outcomes,
             "cpu_s": cpu_s,
             "estimated_open_cpu_s": open_s,
@@ -139,7 +170,8 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
         .map(|(name, count)| format!("{count} {name}"))
         .collect();
     print(&format!(
-        "{done} of {all} simulations done: {stable} held, {slip} lost, {rows} renderings\n\
+        "{done} of {all} simulations done: {stable} held, {slip} lost, {rows} renderings, \
+         {lacking} with a label and without pictures\n\
          outcomes: {}\n\
          {:.1} CPU hours used, about {:.1} to go",
         outcomes.join(", "),

@@ -85,7 +85,7 @@ pub fn report(
     })
 }
 
-/// Looks at every result with a label; those on the contact sheet keep their pictures.
+/// Looks at every result with a label and pictures; those on the contact sheet keep their pictures.
 fn seen<'a>(
     gathered: &'a Gathered<'_>,
     store: &ResultStore,
@@ -93,7 +93,8 @@ fn seen<'a>(
     settings: &SynthReportSettings,
     told: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Vec<Seen<'a>>> {
-    let labelled: Vec<(&Done<'_>, bool)> = gathered.labelled().collect();
+    let has_pictures = |(done, _): &(&Done<'_>, bool)| !done.result.lacks_pictures();
+    let labelled: Vec<(&Done<'_>, bool)> = gathered.labelled().filter(has_pictures).collect();
     let mut shown = BTreeSet::new();
     for label in [true, false] {
         let results = labelled.iter().filter(|(done, held)| {
