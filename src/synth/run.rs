@@ -8,7 +8,7 @@ use std::sync::Arc;
 use super::object_mesh::planned_mesh;
 use super::picture::{Grasped, Photographer, before_lift, rendering_seed, seen_surface};
 use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
-use super::store::{CpuSeconds, ResultStore, SimulationResult};
+use super::store::{ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::TriangleMesh;
 use crate::quiet_panic;
@@ -76,8 +76,7 @@ pub struct RunSettings {
     /// Whether simulations that could not be done are tried again, as after a missing file came
     /// back.
     pub is_failed_retried: bool,
-    /// Which of them get pictures. Results do not depend on when they got them; a simulation that
-    /// was run without is run again with them.
+    /// Which of them get pictures. Results do not depend on when they got them.
     pub pictures: Pictures,
 }
 
@@ -102,14 +101,14 @@ pub fn run(
     let mut failed = BTreeMap::new();
     for simulation in &part {
         match store.find(plan, &simulation.id)? {
-            None => open.push(*simulation),
+            None => open.push((*simulation, None)),
             Some(result) if settings.is_failed_retried && result.is_failed() => {
-                open.push(*simulation);
+                open.push((*simulation, None));
             }
             Some(result)
                 if result.lacks_pictures() && settings.pictures.are_taken(&simulation.id) =>
             {
-                open.push(*simulation);
+                open.push((*simulation, Some(result)));
             }
             Some(result) => note_failure(&result, &mut failed),
         }
@@ -124,13 +123,24 @@ pub fn run(
     };
     tell(0);
     let workshop = Workshop::new(plan, folder, engine)?;
-    let work = |simulation: &&PlannedSimulation| -> Result<SimulationResult> {
-        let is_taken = settings.pictures.are_taken(&simulation.id);
-        let (result, samples) = workshop.make(simulation, is_taken)?;
-        let samples = samples
-            .as_ref()
-            .map(|(rows, bytes)| (*rows, bytes.as_slice()));
-        store.keep(result.clone(), samples)?;
+    let work = |(simulation, earlier): &(&PlannedSimulation, Option<SimulationResult>)| {
+        let id = &simulation.id;
+        let labelled = earlier.clone();
+        let earlier = labelled.and_then(|result| Some((result, store.state(plan, id)?)));
+        let is_taken = settings.pictures.are_taken(id);
+        let (result, beside) = workshop.make(simulation, earlier, is_taken)?;
+        // A result that is there has what belongs to it.
+        match beside {
+            Beside::State(snapshot) => {
+                store.keep_state(plan, id, &snapshot)?;
+                store.keep(result.clone(), None)?;
+            }
+            Beside::Pictures(rows, bytes) => {
+                store.keep(result.clone(), Some((rows, &bytes)))?;
+                store.drop_state(id);
+            }
+            Beside::Nothing => store.keep(result.clone(), None)?,
+        }
         Ok(result)
     };
     let made = one_per_core(settings.jobs, &open, &work, &tell)?;
@@ -187,8 +197,18 @@ fn note_failure(result: &SimulationResult, failed: &mut BTreeMap<String, String>
     }
 }
 
-/// Rows and the file of them.
-type Samples = Option<(usize, Vec<u8>)>;
+/// What is kept beside a result.
+enum Beside {
+    /// Nothing is to be seen.
+    Nothing,
+    /// Rows and the file of them.
+    Pictures(usize, Vec<u8>),
+    /// What pictures can be taken of later.
+    State(Snapshot),
+}
+
+/// A label without pictures and what they are to be taken of.
+type Earlier = Option<(SimulationResult, Snapshot)>;
 
 /// Everything that all simulations share.
 struct Workshop<'a> {
@@ -216,60 +236,65 @@ impl<'a> Workshop<'a> {
     fn make(
         &self,
         simulation: &PlannedSimulation,
+        earlier: Earlier,
         is_taken: bool,
-    ) -> Result<(SimulationResult, Samples)> {
+    ) -> Result<(SimulationResult, Beside)> {
         let object = self.plan.object(simulation)?;
         let mut result = SimulationResult::of(self.plan, simulation);
         let tried = quiet_panic::catch(AssertUnwindSafe(|| {
-            self.tried(simulation, object, is_taken)
+            self.tried(simulation, object, earlier, is_taken)
         }));
         let why = match tried {
-            Ok(Ok((result, samples))) => return Ok((result, samples)),
+            Ok(Ok(made)) => return Ok(made),
             Ok(Err(error)) if error.kind() == ErrorKind::DiskFull => return Err(error),
             Ok(Err(error)) => error.to_string(),
             Err(message) => format!("a defect of gripcast ended it: {message}"),
         };
         result.detail = Some(why);
-        Ok((result, None))
+        Ok((result, Beside::Nothing))
     }
 
     fn tried(
         &self,
         simulation: &PlannedSimulation,
         object: &PlannedObject,
+        earlier: Earlier,
         is_taken: bool,
-    ) -> Result<(SimulationResult, Samples)> {
+    ) -> Result<(SimulationResult, Beside)> {
         let mut clock = Clock::new();
         let setup = setup(simulation, object, &self.folder)?;
-        let mut cpu_s = CpuSeconds {
-            prepare: clock.lap(),
-            ..CpuSeconds::default()
+        let prepare = clock.lap();
+        let (mut result, snapshot) = match earlier {
+            Some(earlier) => earlier,
+            None => {
+                let force_n = simulation.stop_force_n;
+                let grasp = self.engine.simulate(&setup, object.friction, force_n)?;
+                let mut result = facts(SimulationResult::of(self.plan, simulation), &grasp);
+                result.cpu_s.simulate = clock.lap();
+                let Some(snapshot) = seen_before_lift(&grasp) else {
+                    result.stable = None;
+                    result.cpu_s.prepare = prepare;
+                    return Ok((result, Beside::Nothing));
+                };
+                (result, snapshot.clone())
+            }
         };
-        let force_n = simulation.stop_force_n;
-        let grasp = self.engine.simulate(&setup, object.friction, force_n)?;
-        cpu_s.simulate = clock.lap();
-        let mut result = facts(SimulationResult::of(self.plan, simulation), &grasp);
-        result.cpu_s = cpu_s;
-        let Some(snapshot) = seen_before_lift(&grasp) else {
-            result.stable = None;
-            return Ok((result, None));
-        };
+        result.cpu_s.prepare += prepare;
         if !is_taken {
-            return Ok((result, None));
+            return Ok((result, Beside::State(snapshot)));
         }
         let seen = seen_surface(&setup.mesh);
         let grasped = Grasped {
             setup: &setup,
             seen: &seen,
-            snapshot,
+            snapshot: &snapshot,
             gel: self.gel.as_ref(),
-            force_n: forces(&grasp).unwrap_or_default(),
+            force_n: result.force_n.unwrap_or_default(),
         };
-        let rows = self.rows(simulation, object, &grasped, &grasp, &mut clock, &mut cpu_s)?;
-        result.cpu_s = cpu_s;
+        let rows = self.rows(simulation, object, &grasped, &mut result, &mut clock)?;
         let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
         let count = rows.len();
-        Ok((result, Some((count, to_bytes(rows, &info)?))))
+        Ok((result, Beside::Pictures(count, to_bytes(rows, &info)?)))
     }
 
     /// The renderings of a grasp that has an outcome and held something before the lift.
@@ -278,21 +303,20 @@ impl<'a> Workshop<'a> {
         simulation: &PlannedSimulation,
         object: &PlannedObject,
         grasped: &Grasped<'_>,
-        grasp: &GraspResult,
+        result: &mut SimulationResult,
         clock: &mut Clock,
-        cpu_s: &mut CpuSeconds,
     ) -> Result<Vec<ShardRow>> {
         let (setup, snapshot, force_n) = (grasped.setup, grasped.snapshot, grasped.force_n);
-        let stable = stable(grasp.outcome) == Some(true);
+        let stable = result.stable == Some(true);
         let count = self.plan.header.rendering.renderings;
         let mut rows = Vec::with_capacity(count as usize);
         for rendering in 0..count {
             let seed = rendering_seed(simulation.seed, rendering);
             let [initial, pressed] = self.photographer.tactile(grasped, seed)?;
-            cpu_s.tactile += clock.lap();
+            result.cpu_s.tactile += clock.lap();
             let (words, model) = appearance(object, &self.folder, &setup.mesh, seed)?;
             let rgb = self.photographer.rgb(grasped, &model, seed)?;
-            cpu_s.visual += clock.lap();
+            result.cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
             let [grasp_left, grasp_right] = pressed;
             rows.push(ShardRow {
@@ -310,11 +334,11 @@ impl<'a> Workshop<'a> {
                     } else {
                         ShardOutcome::Slip
                     },
-                    outcome_detail: grasp.outcome.name().to_owned(),
+                    outcome_detail: result.outcome.clone(),
                     stop_force_n: Some(simulation.stop_force_n),
                     friction: Some(object.friction),
                     mass_kg: Some(object.mass_kg),
-                    lifted_m: Some(grasp.lifted_m),
+                    lifted_m: Some(result.lifted_m),
                     force_left_n: Some(force_n[0]),
                     force_right_n: Some(force_n[1]),
                     opening_m: Some(snapshot.opening_m),

@@ -3,13 +3,16 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::plan::{Plan, PlannedSimulation};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::{save, sha256_hex};
+use crate::geometry::Pose;
 use crate::shard::{ShardReader, ShardRow};
+use crate::sim::grasp::{Snapshot, StageName};
 
 /// Folder of the results in that of the plan.
 pub const RESULTS: &str = "results";
@@ -183,6 +186,54 @@ impl ResultStore {
         save(&path, &text)
     }
 
+    /// Keeps what pictures of a labelled simulation are to be taken of later.
+    ///
+    /// # Errors
+    /// `DiskFull`, `Io`, ….
+    pub(super) fn keep_state(&self, plan: &Plan, id: &str, snapshot: &Snapshot) -> Result<()> {
+        let path = self.path(id, STATE);
+        let folder = path.parent().unwrap_or(&self.folder);
+        fs::create_dir_all(folder).map_err(|e| {
+            Error::io("cannot make the folder of the results", e).at(folder.display())
+        })?;
+        let state = State {
+            version: VERSION,
+            plan_sha256: plan.sha256.clone(),
+            id: id.to_owned(),
+            t_s: snapshot.t_s,
+            object: exact(&snapshot.t_world_object),
+            gripper: exact(&snapshot.t_world_gripper),
+            opening_m: snapshot.opening_m,
+            gels: snapshot.gels.clone(),
+        };
+        let text = serde_json::to_vec(&state)
+            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+        save(&path, &text)
+    }
+
+    /// The state before the lift that was kept; none where there is none, or a damaged one: then
+    /// the simulation is done again.
+    pub(super) fn state(&self, plan: &Plan, id: &str) -> Option<Snapshot> {
+        let bytes = fs::read(self.path(id, STATE)).ok()?;
+        let state: State = serde_json::from_slice(&bytes).ok()?;
+        let is_ours =
+            state.version == VERSION && state.plan_sha256 == plan.sha256 && state.id == id;
+        is_ours.then(|| Snapshot {
+            stage: StageName::Adjustment,
+            t_s: state.t_s,
+            t_world_object: pose(state.object),
+            t_world_gripper: pose(state.gripper),
+            opening_m: state.opening_m,
+            gels: state.gels,
+        })
+    }
+
+    /// Removes a state that is not needed any more.
+    pub(super) fn drop_state(&self, id: &str) {
+        // One that stays is only in the way.
+        let _ = fs::remove_file(self.path(id, STATE));
+    }
+
     /// Whether there is a file of a result, sound or not.
     pub fn is_begun(&self, id: &str) -> bool {
         self.path(id, "json").exists()
@@ -220,6 +271,35 @@ impl ResultStore {
         self.folder
             .join(format!("{:02x}", digest[0]))
             .join(format!("{id}.{suffix}"))
+    }
+}
+
+/// Suffix of the files of states.
+const STATE: &str = "state";
+
+/// A [`Snapshot`] with every digit: poses that are read as poses are made unit again.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct State {
+    version: u32,
+    plan_sha256: String,
+    id: String,
+    t_s: f64,
+    object: [f64; 7],
+    gripper: [f64; 7],
+    opening_m: f64,
+    gels: [Vec<[f64; 3]>; 2],
+}
+
+fn exact(pose: &Pose) -> [f64; 7] {
+    let (t, q) = (pose.translation_m, pose.rotation);
+    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+}
+
+fn pose([x, y, z, i, j, k, w]: [f64; 7]) -> Pose {
+    Pose {
+        translation_m: DVec3::new(x, y, z),
+        rotation: DQuat::from_xyzw(i, j, k, w),
     }
 }
 
