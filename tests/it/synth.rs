@@ -313,6 +313,27 @@ fn pictures_can_wait_until_labels_tell_which_are_needed() {
         stderr(&early)
     );
 
+    // A state that is lost or damaged is simulated again.
+    let states = |folder: &Path| -> Vec<PathBuf> {
+        let all = files(&folder.join("results"));
+        let is_state = |path: &PathBuf| path.extension().is_some_and(|end| end == "state");
+        all.into_keys().filter(is_state).collect()
+    };
+    let kept = states(&late);
+    assert_eq!(kept.len() as u64, labelled);
+    for (number, state) in kept.iter().enumerate() {
+        let path = late.join("results").join(state);
+        match number % 3 {
+            0 => fs::remove_file(path).unwrap(),
+            1 => fs::write(
+                path,
+                &fs::read(late.join("results").join(state)).unwrap()[..60],
+            )
+            .unwrap(),
+            _ => {}
+        }
+    }
+
     let mut run = synth("run", &late);
     run.args(["--pictures", "chosen", "--split", "train=1", "--json"]);
     let told = json(&succeed(&mut run));
@@ -330,4 +351,5 @@ fn pictures_can_wait_until_labels_tell_which_are_needed() {
     succeed(&mut synth("run", &late));
     let status = json(&succeed(synth("status", &late).arg("--json")));
     assert_eq!(status["without_pictures"], 0);
+    assert!(states(&late).is_empty());
 }
