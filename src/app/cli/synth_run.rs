@@ -37,17 +37,17 @@ pub(crate) struct Args {
     /// the pictures of half of them
     #[arg(long, value_enum, default_value_t = PicturesName::All)]
     pictures: PicturesName,
-    #[command(
-        flatten,
-        next_help_heading = "With --pictures chosen, as given to synth merge"
-    )]
-    choice: ChoiceArgs,
     /// Try simulations again that could not be done, as after a missing mesh came back
     #[arg(long)]
     retry_failed: bool,
     /// Print what was done as JSON
     #[arg(long)]
     json: bool,
+    #[command(
+        flatten,
+        next_help_heading = "With --pictures chosen, as given to synth merge"
+    )]
+    choice: ChoiceArgs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
