@@ -181,10 +181,14 @@ pub fn merge(
 pub fn chosen(
     plan: &Plan,
     plan_folder: &Path,
-    settings: &MergeSettings,
+    curation: &CurationSettings,
 ) -> Result<BTreeSet<String>> {
     let store = ResultStore::beside(plan_folder);
-    let Chosen { curation, .. } = Chosen::of(plan, &store, settings)?;
+    let settings = MergeSettings {
+        curation: curation.clone(),
+        is_partial_allowed: false,
+    };
+    let Chosen { curation, .. } = Chosen::of(plan, &store, &settings)?;
     Ok(curation.part.into_keys().collect())
 }
 

@@ -168,10 +168,7 @@ impl ResultStore {
         samples: Option<(usize, &[u8])>,
     ) -> Result<()> {
         let path = self.path(&result.id, "json");
-        let folder = path.parent().unwrap_or(&self.folder);
-        fs::create_dir_all(folder).map_err(|e| {
-            Error::io("cannot make the folder of the results", e).at(folder.display())
-        })?;
+        make_folder(&path)?;
         // The pictures first: a result that is there is whole.
         if let Some((rows, bytes)) = samples {
             save(&self.samples(&result.id), bytes)?;
@@ -192,10 +189,7 @@ impl ResultStore {
     /// `DiskFull`, `Io`, ….
     pub(super) fn keep_state(&self, plan: &Plan, id: &str, snapshot: &Snapshot) -> Result<()> {
         let path = self.path(id, STATE);
-        let folder = path.parent().unwrap_or(&self.folder);
-        fs::create_dir_all(folder).map_err(|e| {
-            Error::io("cannot make the folder of the results", e).at(folder.display())
-        })?;
+        make_folder(&path)?;
         let state = State {
             version: VERSION,
             plan_sha256: plan.sha256.clone(),
@@ -206,18 +200,21 @@ impl ResultStore {
             opening_m: snapshot.opening_m,
             gels: snapshot.gels.clone(),
         };
-        let text = serde_json::to_vec(&state)
+        let text = serde_json::to_string(&state)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-        save(&path, &text)
+        save(&path, format!("{}\n{text}", sha256_hex(&text)).as_bytes())
     }
 
     /// The state before the lift that was kept; none where there is none, or a damaged one: then
     /// the simulation is done again.
     pub(super) fn state(&self, plan: &Plan, id: &str) -> Option<Snapshot> {
-        let bytes = fs::read(self.path(id, STATE)).ok()?;
-        let state: State = serde_json::from_slice(&bytes).ok()?;
-        let is_ours =
-            state.version == VERSION && state.plan_sha256 == plan.sha256 && state.id == id;
+        let file = fs::read_to_string(self.path(id, STATE)).ok()?;
+        let (hash, text) = file.split_once('\n')?;
+        let state: State = serde_json::from_str(text).ok()?;
+        let is_ours = hash == sha256_hex(text)
+            && state.version == VERSION
+            && state.plan_sha256 == plan.sha256
+            && state.id == id;
         is_ours.then(|| Snapshot {
             stage: StageName::Adjustment,
             t_s: state.t_s,
@@ -277,7 +274,8 @@ impl ResultStore {
 /// Suffix of the files of states.
 const STATE: &str = "state";
 
-/// A [`Snapshot`] with every digit: poses that are read as poses are made unit again.
+/// A [`Snapshot`] with every digit: poses that are read as poses are made unit again. In its file it
+/// comes after a line with its SHA-256.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct State {
@@ -289,6 +287,14 @@ struct State {
     gripper: [f64; 7],
     opening_m: f64,
     gels: [Vec<[f64; 3]>; 2],
+}
+
+fn make_folder(path: &Path) -> Result<()> {
+    let Some(folder) = path.parent() else {
+        return Ok(());
+    };
+    fs::create_dir_all(folder)
+        .map_err(|e| Error::io("cannot make the folder of the results", e).at(folder.display()))
 }
 
 fn exact(pose: &Pose) -> [f64; 7] {

@@ -14,7 +14,7 @@ use super::working::resumable;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::synth::plan::{Plan, Shard};
-use crate::synth::{MergeSettings, Pictures, ResultStore, RunSettings, chosen, planned_engine};
+use crate::synth::{Pictures, ResultStore, RunSettings, chosen, planned_engine};
 use crate::workers::cores;
 
 /// Reasons of failures that are shown.
@@ -78,10 +78,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         None => Shard::WHOLE,
     };
     let folder = args.plan.clone();
-    let choice = MergeSettings {
-        curation: args.choice.curation()?,
-        is_partial_allowed: false,
-    };
+    let choice = args.choice.curation()?;
     let summary = resumable(context, "simulating", move |progress| {
         let plan = Plan::read(&folder)?;
         let settings = RunSettings {
@@ -169,9 +166,12 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
         .iter()
         .map(|(name, count)| format!("{count} {name}"))
         .collect();
+    let lacking = match lacking {
+        0 => String::new(),
+        count => format!(", {count} with a label and without pictures"),
+    };
     print(&format!(
-        "{done} of {all} simulations done: {stable} held, {slip} lost, {rows} renderings, \
-         {lacking} with a label and without pictures\n\
+        "{done} of {all} simulations done: {stable} held, {slip} lost, {rows} renderings{lacking}\n\
          outcomes: {}\n\
          {:.1} CPU hours used, about {:.1} to go",
         outcomes.join(", "),

@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use super::noise::{noise, trust, variance_of_paths};
-use super::{DenoiseSettings, Light};
+use super::{DenoiseSettings, Light, add};
 use crate::render::visual::renderer::Rendering;
 
 /// Least weight of a pixel for itself, so that one unlike all others keeps its light.
@@ -322,11 +322,4 @@ fn falloff(distance: f32) -> f32 {
     let base = positive(1.0 - 0.25 * positive(distance));
     let square = base * base;
     square * square
-}
-
-#[inline(always)]
-fn add(sums: &mut [f32], values: &[f32]) {
-    for (sum, value) in sums.iter_mut().zip(values) {
-        *sum += value;
-    }
 }

@@ -89,6 +89,13 @@ pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Picture {
     picture
 }
 
+#[inline(always)]
+fn add(sums: &mut [f32], values: &[f32]) {
+    for (sum, value) in sums.iter_mut().zip(values) {
+        *sum += value;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::noise::{trust, variance_of_paths};

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::Light;
+use super::{Light, add};
 use crate::render::visual::renderer::Rendering;
 
 /// Radius over which the noise is averaged, px.
@@ -126,10 +126,4 @@ fn box_mean(values: &[f32], width: usize, height: usize, radius: usize) -> Vec<f
         }
     }
     out
-}
-
-fn add(sums: &mut [f32], values: &[f32]) {
-    for (sum, value) in sums.iter_mut().zip(values) {
-        *sum += value;
-    }
 }
