@@ -342,7 +342,6 @@ fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
     }
 }
 
-/// A pose that keeps the bits of one that was written.
 fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
     let (&[x, y, z], &[qw, qx, qy, qz]) = (t_m, q_wxyz) else {
         return Err(wrong(
@@ -355,21 +354,13 @@ fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
         return Err(wrong("pose_t_m", format!("is {t_m:?}; it must be finite")));
     }
     let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
-    let off = (rotation.length() - 1.0).abs();
     // Written so that NaN is refused as well.
-    let is_unit = off <= UNIT_TOLERANCE;
+    let is_unit = (rotation.length() - 1.0).abs() <= UNIT_TOLERANCE;
     if !is_unit {
         return Err(wrong(
             "pose_q_wxyz",
             format!("is {q_wxyz:?}; it must be a unit quaternion"),
         ));
-    }
-    // Normalising again would change last bits.
-    if off <= 4.0 * f64::EPSILON && qw >= 0.0 {
-        return Ok(Pose {
-            rotation,
-            translation_m,
-        });
     }
     Ok(Pose::new(rotation, translation_m))
 }

@@ -3,23 +3,21 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::plan::{Plan, PlannedSimulation};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::{save, sha256_hex};
-use crate::geometry::Pose;
 use crate::shard::{ShardReader, ShardRow};
-use crate::sim::grasp::{Snapshot, StageName};
+use crate::sim::grasp::Snapshot;
 
 /// Folder of the results in that of the plan.
 pub const RESULTS: &str = "results";
 /// Name of the format in the file.
 const FORMAT: &str = "gripcast-synth-result";
 /// Raised whenever the same plan may give other results.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// What became of a simulation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -194,11 +192,7 @@ impl ResultStore {
             version: VERSION,
             plan_sha256: plan.sha256.clone(),
             id: id.to_owned(),
-            t_s: snapshot.t_s,
-            object: exact(&snapshot.t_world_object),
-            gripper: exact(&snapshot.t_world_gripper),
-            opening_m: snapshot.opening_m,
-            gels: snapshot.gels.clone(),
+            snapshot: snapshot.clone(),
         };
         let text = serde_json::to_string(&state)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
@@ -215,14 +209,7 @@ impl ResultStore {
             && state.version == VERSION
             && state.plan_sha256 == plan.sha256
             && state.id == id;
-        is_ours.then(|| Snapshot {
-            stage: StageName::Adjustment,
-            t_s: state.t_s,
-            t_world_object: pose(state.object),
-            t_world_gripper: pose(state.gripper),
-            opening_m: state.opening_m,
-            gels: state.gels,
-        })
+        is_ours.then_some(state.snapshot)
     }
 
     /// Removes a state that is not needed any more.
@@ -274,19 +261,15 @@ impl ResultStore {
 /// Suffix of the files of states.
 const STATE: &str = "state";
 
-/// A [`Snapshot`] with every digit: poses that are read as poses are made unit again. In its file it
-/// comes after a line with its SHA-256.
+/// What a simulation was kept in before its pictures. In its file it comes after a line with its
+/// SHA-256.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct State {
     version: u32,
     plan_sha256: String,
     id: String,
-    t_s: f64,
-    object: [f64; 7],
-    gripper: [f64; 7],
-    opening_m: f64,
-    gels: [Vec<[f64; 3]>; 2],
+    snapshot: Snapshot,
 }
 
 fn make_folder(path: &Path) -> Result<()> {
@@ -295,18 +278,6 @@ fn make_folder(path: &Path) -> Result<()> {
     };
     fs::create_dir_all(folder)
         .map_err(|e| Error::io("cannot make the folder of the results", e).at(folder.display()))
-}
-
-fn exact(pose: &Pose) -> [f64; 7] {
-    let (t, q) = (pose.translation_m, pose.rotation);
-    [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
-}
-
-fn pose([x, y, z, i, j, k, w]: [f64; 7]) -> Pose {
-    Pose {
-        translation_m: DVec3::new(x, y, z),
-        rotation: DQuat::from_xyzw(i, j, k, w),
-    }
 }
 
 fn read(path: &Path) -> Option<SimulationResult> {

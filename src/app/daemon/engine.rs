@@ -128,6 +128,8 @@ struct Engine {
     waiting: VecDeque<(Command, CommandSource)>,
     script: Option<ScriptRunner>,
     script_command: ScriptCommand,
+    /// How often the initial frame that is subtracted has changed.
+    initial_change: u64,
     /// Whether the command that is being carried out is a label.
     labelling: bool,
     /// The request that the store is carrying out.
@@ -192,8 +194,12 @@ impl Engine {
         let (answers, replies) = mpsc::unbounded_channel();
         let store = Store::start(writer, pending, context, infer_requests, answers)?;
         let session = Session::new(setup.guards.clone(), setup.labels, counts, resumed);
+        let initial_change = 0;
         if let Some(frame) = session.pending() {
-            store.send(StoreMessage::UseInitial(Some(frame.id.clone())))?;
+            store.send(StoreMessage::UseInitial {
+                id: Some(frame.id.clone()),
+                change: initial_change,
+            })?;
         }
         let capture = CaptureThreads::start(setup.openers, &hub, &setup.supervision)?;
         Ok(Self {
@@ -214,6 +220,7 @@ impl Engine {
             waiting: VecDeque::new(),
             script: setup.script.map(ScriptRunner::new),
             script_command: ScriptCommand::default(),
+            initial_change,
             labelling: false,
             request: None,
             capture_now: None,
@@ -337,11 +344,10 @@ impl Engine {
     /// `None` until every gel was held against it in a frame newer than the last capture.
     fn touched(&self) -> Option<bool> {
         let findings = self.inference.findings();
-        let pending = self.session.pending().map(|frame| &frame.id);
-        match (pending, &findings.contact_since) {
+        match (self.session.pending(), findings.change) {
             // Before the first initial frame nothing is known to touch.
             (None, None) => return Some(false),
-            (Some(pending), since) if Some(pending) != since.as_ref() => return None,
+            (Some(_), change) if change != Some(self.initial_change) => return None,
             _ => {}
         }
         let since_ns = self.session.captured_ns();
@@ -525,7 +531,11 @@ impl Engine {
                     // Without a screen nobody listens.
                     let _ = self.links.tones.send(tone);
                 }
-                Effect::UseInitial(id) => self.store.send(StoreMessage::UseInitial(id))?,
+                Effect::UseInitial(id) => {
+                    self.initial_change += 1;
+                    let change = self.initial_change;
+                    self.store.send(StoreMessage::UseInitial { id, change })?;
+                }
                 Effect::Quit => return Ok(Some(Ended::Quit)),
             }
         }
@@ -560,8 +570,7 @@ impl Engine {
 
     fn conditions(&self, paired: &Paired, now_ns: u64) -> Conditions {
         let findings = self.inference.findings();
-        let pending = self.session.pending().map(|frame| &frame.id);
-        let contact_known = pending == findings.contact_since.as_ref();
+        let contact_known = findings.change == Some(self.initial_change);
         let since_ns = self.session.captured_ns();
         let cameras = self
             .hub

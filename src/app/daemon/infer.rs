@@ -11,7 +11,6 @@ use super::capture::spawn;
 use super::histogram::Histogram;
 use super::hub::Hub;
 use super::status::Preview;
-use crate::dataset::GraspId;
 use crate::error::Result;
 use crate::imaging::{Role, TactileDifference};
 use crate::predict::{LivePredictor, Model, Smoothing};
@@ -31,8 +30,8 @@ pub(super) enum InferRequest {
     Fresh(Role),
     /// Subtract these from now on.
     SetInitial {
-        /// Key of the pending grasp.
-        id: GraspId,
+        /// Number of the change.
+        change: u64,
         /// Left gel, open gripper.
         left: Arc<RgbImage>,
         /// Right gel, open gripper.
@@ -108,10 +107,11 @@ pub(super) struct Findings {
     pub(super) live: Option<Live>,
     /// Why there is none.
     pub(super) absent: Option<String>,
-    /// Contact by gel, against the initial frame `contact_since`.
+    /// Contact by gel, against the initial frame that came with `change`.
     pub(super) contact: BTreeMap<Role, Contact>,
-    /// The newest initial frame.
-    pub(super) contact_since: Option<GraspId>,
+    /// The newest change of the initial frame that brought one. A number and no key: after an undo
+    /// the same frame comes back, and what was found against it before is stale.
+    pub(super) change: Option<u64>,
     /// Small pictures.
     pub(super) previews: BTreeMap<Role, Preview>,
     /// Predictions made.
@@ -213,7 +213,11 @@ impl Worker {
         while let Ok(request) = inbox.recv() {
             match request {
                 InferRequest::Fresh(role) => self.fresh(role),
-                InferRequest::SetInitial { id, left, right } => self.set_initial(id, left, right),
+                InferRequest::SetInitial {
+                    change,
+                    left,
+                    right,
+                } => self.set_initial(change, left, right),
                 InferRequest::ClearInitial => self.clear_initial(),
                 InferRequest::Judge { pictures, reply } => {
                     // The asker has given up when nobody receives.
@@ -224,7 +228,7 @@ impl Worker {
         }
     }
 
-    fn set_initial(&mut self, id: GraspId, left: Arc<RgbImage>, right: Arc<RgbImage>) {
+    fn set_initial(&mut self, change: u64, left: Arc<RgbImage>, right: Arc<RgbImage>) {
         if let Some(predictor) = &mut self.predictor {
             predictor.set_initial((*left).clone(), (*right).clone());
         }
@@ -235,7 +239,7 @@ impl Worker {
             let mut findings = lock(&self.findings);
             findings.live = None;
             findings.contact.clear();
-            findings.contact_since = Some(id);
+            findings.change = Some(change);
         }
     }
 

@@ -11,7 +11,6 @@ use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
-use crate::dataset::GraspId;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{
     CropProfile, Decoder, Frame, FrameBytes, FramePool, PixelFormat, Role, encode_jpeg,
@@ -112,7 +111,7 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
         })
     };
     let request = InferRequest::SetInitial {
-        id: GraspId("load".into()),
+        change: 1,
         left: initial(Role::Left)?,
         right: initial(Role::Right)?,
     };

@@ -41,8 +41,13 @@ pub(super) enum StoreMessage {
         /// Latency of the live prediction at the trigger, ms.
         latency_ms: f64,
     },
-    /// The pending frame with this key is subtracted from now on; `None` = there is none.
-    UseInitial(Option<GraspId>),
+    /// A pending frame is subtracted from now on.
+    UseInitial {
+        /// Its key; `None` = there is none.
+        id: Option<GraspId>,
+        /// Number of the change.
+        change: u64,
+    },
     /// A line for the log.
     Log(serde_json::Value),
     /// End.
@@ -147,7 +152,9 @@ impl Worker {
                         return self.writer.flush_index();
                     }
                 }
-                Ok(StoreMessage::UseInitial(id)) => self.use_initial(id.as_ref()),
+                Ok(StoreMessage::UseInitial { id, change }) => {
+                    self.use_initial(id.as_ref(), change)
+                }
                 // A log line that cannot be written must not stop the collection.
                 Ok(StoreMessage::Log(event)) => drop(self.writer.log_event(&event)),
                 Err(RecvTimeoutError::Timeout) => drop(self.writer.flush_index()),
@@ -244,18 +251,18 @@ impl Worker {
     }
 
     /// Hands the pictures of a pending initial frame to inference.
-    fn use_initial(&mut self, id: Option<&GraspId>) {
+    fn use_initial(&mut self, id: Option<&GraspId>, change: u64) {
         let pictures = id
             .and_then(|id| self.pending.get(id))
             .and_then(|pending| self.writer.pending_frames(pending).ok())
             .and_then(|frames| {
                 let left = self.picture(frames.get(&Role::Left)?, Role::Left)?;
                 let right = self.picture(frames.get(&Role::Right)?, Role::Right)?;
-                Some((id?.clone(), left, right))
+                Some((left, right))
             });
         let request = match pictures {
-            Some((id, left, right)) => InferRequest::SetInitial {
-                id,
+            Some((left, right)) => InferRequest::SetInitial {
+                change,
                 left: Arc::new(left),
                 right: Arc::new(right),
             },

@@ -325,14 +325,10 @@ impl<'a> Reader<'a> {
         Ok(values)
     }
 
-    /// Not [`Pose::new`], which would normalise what was written bit for bit.
     fn pose(&mut self) -> Result<Pose> {
         let translation_m = DVec3::from_array(self.floats()?);
         let [w, x, y, z] = self.floats()?;
-        Ok(Pose {
-            rotation: DQuat::from_xyzw(x, y, z, w),
-            translation_m,
-        })
+        Ok(Pose::new(DQuat::from_xyzw(x, y, z, w), translation_m))
     }
 
     fn force(&mut self) -> Result<GelForce> {

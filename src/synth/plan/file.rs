@@ -78,8 +78,7 @@ impl Plan {
         })?;
         let sha256 = checked_hash(folder, &bytes).map_err(|e| e.at(path.display()))?;
         let plan = Self::parse(&bytes).map_err(|e| e.at(path.display()))?;
-        // Not that of its text: rotations are made unit again when they are read, which may change
-        // their last digit.
+        // That of the file, whoever wrote its numbers.
         Ok(Self { sha256, ..plan })
     }
 
