@@ -10,7 +10,7 @@ use tempfile::TempDir;
 use super::*;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Decoder, encode_jpeg};
-use crate::shard::{ShardEngine, ShardRow, ShardSet};
+use crate::shard::{ShardEngine, ShardRow, ShardSet, Split};
 
 const DEEPDISH: &[u8] = include_bytes!("../../tests/data/import/deepdish.h5");
 const BLOSC: &[u8] = include_bytes!("../../tests/data/import/deepdish-blosc.h5");
@@ -33,15 +33,14 @@ impl Bench {
         self.0.path().join("dataset")
     }
 
-    fn import(&self, files: &[PathBuf], parts: &[&str]) -> Result<ImportReport> {
-        let parts: Vec<PartShare> = parts.iter().map(|part| part.parse().unwrap()).collect();
-        import_feeling_of_success(files, &self.out(), &parts, &|_, _| {})
+    fn import(&self, files: &[PathBuf], split: &str) -> Result<ImportReport> {
+        import_feeling_of_success(files, &self.out(), &split.parse()?, &|_, _| {})
     }
 
     #[track_caller]
     fn refused(&self, bytes: &[u8], told: &str) -> Error {
         let path = self.file("refused.h5", bytes);
-        let error = self.import(&[path], &["test"]).unwrap_err();
+        let error = self.import(&[path], "test").unwrap_err();
         let text = error.to_string();
         assert!(text.contains(told) && text.contains("refused.h5"), "{text}");
         assert!(!self.out().exists(), "{text}");
@@ -128,7 +127,7 @@ fn write(list: &str, sketches: &[Sketch]) -> Vec<u8> {
 fn what_deepdish_wrote_is_imported() {
     let bench = Bench::new();
     let path = bench.file("calandra_corl2017_000.h5", DEEPDISH);
-    let report = bench.import(&[path], &["test"]).unwrap();
+    let report = bench.import(&[path], "test").unwrap();
     assert!(report.is_finished && report.left_out.is_empty());
     let part = &report.parts["test"];
     assert_eq!((part.stable, part.slip, part.objects), (4, 8, 2));
@@ -155,8 +154,7 @@ fn what_deepdish_wrote_is_imported() {
 fn objects_are_kept_together() {
     let bench = Bench::new();
     let files = ["a.h5", "b.h5"].map(|name| bench.file(name, DEEPDISH));
-    let parts = ["train=0.5", "test=0.5"];
-    let report = bench.import(&files, &parts).unwrap();
+    let report = bench.import(&files, "train=0.5,test=0.5").unwrap();
     let objects = |part| -> Vec<String> {
         let rows = rows(&bench.out(), part);
         assert_eq!(rows.len(), 12);
@@ -165,7 +163,7 @@ fn objects_are_kept_together() {
     let (train, test) = (objects("train"), objects("test"));
     assert!(train.iter().all(|object| !test.contains(object)));
     assert_eq!(report.parts["train"].objects, 1);
-    let error = bench.import(&files[..1], &["train=0.9", "a=0.05", "b=0.05"]);
+    let error = bench.import(&files[..1], "train=0.9,a=0.05,b=0.05");
     assert!(error.unwrap_err().to_string().contains("only 2 objects"));
 }
 
@@ -181,7 +179,7 @@ fn labels_names_and_pictures_have_several_forms() {
         Sketch::with(|s| s.during = Some((jpeg, vec![length]))),
     ];
     let path = bench.file("forms.h5", &write("_top", &sketches));
-    let report = bench.import(&[path], &["test"]).unwrap();
+    let report = bench.import(&[path], "test").unwrap();
     let part = &report.parts["test"];
     assert_eq!((part.stable, part.slip), (3, 1), "{report:?}");
     let rows = rows(&bench.out(), "test");
@@ -223,9 +221,9 @@ fn files_of_another_kind_are_refused_before_anything_is_written() {
     let mut file = FileBuilder::new();
     file.create_dataset("data").with_u8_data(b"pickled");
     bench.refused(&file.finish().unwrap(), "`data` must be a group");
-    let gone = bench.import(&[bench.0.path().join("gone.h5")], &["test"]);
+    let gone = bench.import(&[bench.0.path().join("gone.h5")], "test");
     assert_eq!(gone.unwrap_err().kind(), ErrorKind::NotFound);
-    let folder = bench.import(&[bench.0.path().to_owned()], &["test"]);
+    let folder = bench.import(&[bench.0.path().to_owned()], "test");
     assert_eq!(folder.unwrap_err().kind(), ErrorKind::Input);
 }
 
@@ -234,7 +232,7 @@ fn damaged_grasps_are_left_out_and_told() {
     let hopeless = Bench::new();
     let sketch = Sketch::with(|s| s.during = Some((b"GIF89a".to_vec(), vec![6])));
     let path = hopeless.file("a.h5", &write("data", &[sketch]));
-    let error = hopeless.import(&[path], &["test"]).unwrap_err().to_string();
+    let error = hopeless.import(&[path], "test").unwrap_err().to_string();
     assert!(error.contains("no grasp of the part `test`"), "{error}");
     assert!(error.contains("gelsightA_during"), "{error}");
     let bench = Bench::new();
@@ -246,7 +244,7 @@ fn damaged_grasps_are_left_out_and_told() {
         Sketch::new(),
     ];
     let path = bench.file("a.h5", &write("data", &sketches));
-    let report = bench.import(&[path], &["test"]).unwrap();
+    let report = bench.import(&[path], "test").unwrap();
     let left_out: Vec<&str> = report.left_out.iter().map(|one| &*one.id).collect();
     assert_eq!(left_out, ["a-i1", "a-i2", "a-i3"], "{report:?}");
     assert!(report.left_out[1].why.contains("gelsightA_during"));
@@ -268,25 +266,25 @@ fn a_stopped_import_is_begun_again_and_no_other_folder_is_touched() {
     let bench = Bench::new();
     let files = [bench.file("a.h5", DEEPDISH)];
     let stopped = std::panic::catch_unwind(|| {
-        let parts = ["test".parse().unwrap()];
-        import_feeling_of_success(&files, &bench.out(), &parts, &|done, _| {
+        let split = Split::one("test").unwrap();
+        import_feeling_of_success(&files, &bench.out(), &split, &|done, _| {
             assert!(done < 7, "stopped");
         })
     });
     assert!(stopped.is_err());
     assert!(ShardSet::open(bench.out()).is_err());
-    let other = bench.import(&[bench.file("b.h5", DEEPDISH)], &["test"]);
+    let other = bench.import(&[bench.file("b.h5", DEEPDISH)], "test");
     let text = other.unwrap_err().to_string();
     assert!(text.contains("the beginning of another import"), "{text}");
-    let report = bench.import(&files, &["test"]).unwrap();
+    let report = bench.import(&files, "test").unwrap();
     assert_eq!(report.parts["test"].stable, 4);
     assert_eq!(ImportReport::read(&bench.out()).unwrap(), report);
-    let again = bench.import(&files, &["test"]).unwrap_err();
+    let again = bench.import(&files, "test").unwrap_err();
     assert!(again.to_string().contains("a finished import"), "{again}");
     fs::remove_file(bench.out().join("import.json")).unwrap();
-    let full = bench.import(&files, &["test"]).unwrap_err();
+    let full = bench.import(&files, "test").unwrap_err();
     assert!(full.to_string().contains("something else: data"), "{full}");
-    let twice = bench.import(&[files[0].clone(), files[0].clone()], &["test"]);
+    let twice = bench.import(&[files[0].clone(), files[0].clone()], "test");
     assert_eq!(twice.unwrap_err().kind(), ErrorKind::Usage);
 }
 
@@ -302,7 +300,7 @@ fn damaged_files_end_in_errors_or_reports() {
     for share in 1..8 {
         let bench = Bench::new();
         let path = bench.file("a.h5", &DEEPDISH[..DEEPDISH.len() * share / 8]);
-        let _ = bench.import(&[path], &["test"]);
+        let _ = bench.import(&[path], "test");
     }
     for _ in 0..60 {
         let bench = Bench::new();
@@ -312,6 +310,6 @@ fn damaged_files_end_in_errors_or_reports() {
             damaged[at] = random() as u8;
         }
         // Any result but a panic.
-        let _ = bench.import(&[bench.file("a.h5", &damaged)], &["test"]);
+        let _ = bench.import(&[bench.file("a.h5", &damaged)], "test");
     }
 }

@@ -5,13 +5,11 @@
 //! verified, and where.
 
 mod feeling_of_success;
-mod part;
 mod report;
 mod run;
 
 #[cfg(test)]
 mod import_test;
 
-pub use part::PartShare;
 pub use report::{ImportReport, ImportedPart, LeftOut, SourceFile};
 pub use run::import_feeling_of_success;

@@ -6,9 +6,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::part::PartShare;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
+use crate::shard::Split;
 
 /// The file, beside `data/`.
 const FILE: &str = "import.json";
@@ -28,7 +28,7 @@ pub struct ImportReport {
     /// The files that were read.
     pub files: Vec<SourceFile>,
     /// The parts that were asked for.
-    pub wanted: Vec<PartShare>,
+    pub split: Split,
     /// What is in each part.
     pub parts: BTreeMap<String, ImportedPart>,
     /// Grasps that could not be read.
@@ -68,14 +68,14 @@ pub struct LeftOut {
 }
 
 impl ImportReport {
-    pub(super) fn new(from: &str, files: Vec<SourceFile>, wanted: &[PartShare]) -> Self {
+    pub(super) fn new(from: &str, files: Vec<SourceFile>, split: &Split) -> Self {
         Self {
             format: FORMAT.to_owned(),
             version: VERSION,
             from: from.to_owned(),
             is_finished: false,
             files,
-            wanted: wanted.to_vec(),
+            split: split.clone(),
             parts: BTreeMap::new(),
             left_out: Vec::new(),
         }

@@ -5,12 +5,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::feeling_of_success::{CROP, GraspFacts, GraspFile, images};
-use super::part::{PartShare, check, deal};
 use super::report::{ImportReport, ImportedPart, LeftOut, SourceFile};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::Decoder;
 use crate::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_name,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, Split, SplitGroup,
+    shard_name,
 };
 
 /// Name of the dataset on the command line.
@@ -25,7 +25,7 @@ type Index = BTreeMap<String, GraspFacts>;
 
 /// Writes files of the *Feeling of Success* as a dataset into `out`.
 ///
-/// Objects are dealt to the parts by a hash of their names. A grasp that cannot be read is left out
+/// Objects are dealt to the parts by [`Split::deal`]. A grasp that cannot be read is left out
 /// and told. Memory holds one grasp's pictures, and a row group of each part. The same files make
 /// the same bytes; a stopped import is begun again by the same call.
 ///
@@ -36,33 +36,29 @@ type Index = BTreeMap<String, GraspFacts>;
 pub fn import_feeling_of_success(
     files: &[PathBuf],
     out: &Path,
-    parts: &[PartShare],
+    split: &Split,
     told: &dyn Fn(usize, usize),
 ) -> Result<ImportReport> {
-    check(parts)?;
     let stems = stems(files)?;
-    let mut report = ImportReport::new(FROM, sources(files)?, parts);
+    let mut report = ImportReport::new(FROM, sources(files)?, split);
     let mut found = Vec::with_capacity(files.len());
     for (path, stem) in files.iter().zip(&stems) {
         found.push(index(path, stem, &mut report.left_out)?);
     }
-    let part_of = deal(&objects(&found), parts)?;
+    let part_of = deal(&found, split)?;
     let left_out = std::mem::take(&mut report.left_out);
     report.claim(out)?;
     report.left_out = left_out;
     let folder = out.join(DATA);
     fs::create_dir_all(&folder)
         .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
-    let of_part = |number: usize| -> usize {
+    let of_part = |part: &str| -> usize {
         let facts = found.iter().flat_map(Index::values);
-        facts
-            .filter(|facts| part_of[&facts.object] == number)
-            .count()
+        facts.filter(|facts| part_of[&facts.object] == part).count()
     };
-    let mut writing: Vec<PartWriter<'_>> = parts
-        .iter()
-        .enumerate()
-        .map(|(number, part)| PartWriter::new(out, &part.name, of_part(number)))
+    let mut writing: BTreeMap<&String, PartWriter<'_>> = split
+        .names()
+        .map(|part| (part, PartWriter::new(out, part, of_part(part))))
         .collect();
     let all = found.iter().map(Index::len).sum();
     let mut done = 0;
@@ -74,7 +70,9 @@ pub fn import_feeling_of_success(
                 continue;
             };
             let id = format!("{stem}-{}", grasp.name());
-            let part = &mut writing[part_of[&facts.object]];
+            let Some(part) = writing.get_mut(&part_of[&facts.object]) else {
+                continue;
+            };
             match images(grasp, &mut decoder) {
                 Ok(images) => part.push(row(id, facts, images))?,
                 Err(error) if error.kind() == ErrorKind::Input => {
@@ -88,7 +86,7 @@ pub fn import_feeling_of_success(
             told(done, all);
         }
     }
-    for part in writing {
+    for part in writing.into_values() {
         let (name, facts) = part.finish(report.left_out.first())?;
         report.parts.insert(name, facts);
     }
@@ -157,13 +155,31 @@ fn index(path: &Path, stem: &str, left_out: &mut Vec<LeftOut>) -> Result<Index> 
     }
 }
 
-/// Grasps by object.
-fn objects(found: &[Index]) -> BTreeMap<String, usize> {
-    let mut objects = BTreeMap::new();
+/// The part of each object.
+///
+/// # Errors
+/// `Input`: a part would be empty.
+fn deal(found: &[Index], split: &Split) -> Result<BTreeMap<String, String>> {
+    let mut objects: BTreeMap<String, SplitGroup> = BTreeMap::new();
     for facts in found.iter().flat_map(Index::values) {
-        *objects.entry(facts.object.clone()).or_default() += 1;
+        let new = SplitGroup {
+            stratum: String::new(),
+            size: 0,
+        };
+        objects.entry(facts.object.clone()).or_insert(new).size += 1;
     }
-    objects
+    let dealt = split.deal(&objects, 0);
+    if let Some(empty) = split
+        .names()
+        .find(|name| dealt.values().all(|of| of != *name))
+    {
+        let what = format!(
+            "the part `{empty}` would be empty: there are only {} objects",
+            objects.len()
+        );
+        return Err(Error::new(ErrorKind::Input, what).remedy("give more files, or fewer parts"));
+    }
+    Ok(dealt)
 }
 
 fn row(id: String, facts: &GraspFacts, images: ShardImages) -> ShardRow {

@@ -21,6 +21,7 @@ mod reader;
 mod row;
 mod set;
 mod source;
+mod split;
 mod staged;
 mod writer;
 
@@ -34,4 +35,5 @@ mod sample_rows;
 pub use reader::ShardReader;
 pub use row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
 pub use set::{ShardSet, shard_name};
+pub use split::{Split, SplitGroup};
 pub use writer::{ShardWriter, to_bytes};

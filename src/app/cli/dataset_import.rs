@@ -3,7 +3,7 @@
 //! ```text
 //! gripcast dataset import --from feeling-of-success calandra_corl2017_*.h5 --out D
 //! gripcast dataset import --from feeling-of-success *.h5 --out D \
-//!     --part train=0.7 --part validation=0.15 --part test=0.15
+//!     --split train=0.7,validation=0.15,test=0.15
 //! ```
 //!
 //! `eval` and `train` read what it writes. Objects are not shared between parts. A grasp that cannot
@@ -20,7 +20,8 @@ use clap::ValueEnum;
 use super::dataset::{counted, progress_bar, to_value};
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
-use crate::import::{ImportReport, PartShare, import_feeling_of_success};
+use crate::import::{ImportReport, import_feeling_of_success};
+use crate::shard::Split;
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -34,9 +35,9 @@ pub(super) struct Args {
     /// New folder for the dataset
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Part that the grasps are for; several with their shares divide them by object
-    #[arg(long, value_name = "NAME[=SHARE]", default_values_t = ["test".to_owned()])]
-    part: Vec<String>,
+    /// Parts and their shares
+    #[arg(long, value_name = "PART=SHARE,…", default_value = "test")]
+    split: Split,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -50,8 +51,6 @@ enum Origin {
 
 /// Runs the verb.
 pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
-    let parts = args.part.iter().map(|part| part.parse());
-    let parts = parts.collect::<Result<Vec<PartShare>>>()?;
     let bar = progress_bar(context, "importing");
     let told = |done: usize, all: usize| {
         bar.set_length(all as u64);
@@ -59,7 +58,7 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
     };
     let report = match args.from {
         Origin::FeelingOfSuccess => {
-            import_feeling_of_success(&args.files, &args.out, &parts, &told)
+            import_feeling_of_success(&args.files, &args.out, &args.split, &told)
         }
     };
     bar.finish_and_clear();
@@ -111,12 +110,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("calandra_corl2017_000.h5");
         fs::write(&file, DEEPDISH).unwrap();
-        let import = |out: &Path, parts: &[&str]| {
-            let parts: Vec<PartShare> = parts.iter().map(|part| part.parse().unwrap()).collect();
-            import_feeling_of_success(std::slice::from_ref(&file), out, &parts, &|_, _| {})
+        let import = |out: &Path, split: &str| {
+            let split = split.parse().unwrap();
+            import_feeling_of_success(std::slice::from_ref(&file), out, &split, &|_, _| {})
         };
         let out = folder.path().join("all");
-        let report = import(&out, &["test"]).unwrap();
+        let report = import(&out, "test").unwrap();
         assert_eq!(text(&report), "test         4 held, 8 lost, 2 objects\n");
         let samples = Samples::open(&out, "test").unwrap();
         assert_eq!(samples.by_label(), [8, 4]);
@@ -129,7 +128,7 @@ mod tests {
                 .all(|facts| facts.stop_force_n.is_none())
         );
         let out = folder.path().join("divided");
-        import(&out, &["train=0.5", "validation=0.5"]).unwrap();
+        import(&out, "train=0.5,validation=0.5").unwrap();
         let train = Samples::open(&out, "train").unwrap();
         train
             .check_apart(&Samples::open(&out, "validation").unwrap())

@@ -3,12 +3,12 @@
 //! Exit codes: 0 the dataset is whole · 1 it could not be written · 2 usage · 3 it was written, but
 //! simulations of the plan are open or could not be done · 130 interrupted.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
+use crate::shard::Split;
 use crate::synth::curate::{Apart, CurationSettings};
 use crate::synth::plan::Plan;
 use crate::synth::{MergeReport, MergeSettings, merge};
@@ -36,9 +36,8 @@ pub(crate) struct Args {
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ChoiceArgs {
     /// Parts and their shares
-    #[arg(long, value_name = "PART=SHARE", value_delimiter = ',', value_parser = share,
-        default_values = ["train=0.8", "validation=0.1", "test=0.1"])]
-    split: Vec<(String, f64)>,
+    #[arg(long, value_name = "PART=SHARE,…", default_value_t = Split::usual())]
+    split: Split,
     /// What may not be in two parts
     #[arg(long, value_enum, default_value_t = ApartName::Object)]
     apart: ApartName,
@@ -59,16 +58,6 @@ enum ApartName {
     Object,
     /// Whole categories, which is harder
     Category,
-}
-
-fn share(text: &str) -> Result<(String, f64), String> {
-    let wrong = || "expected NAME=SHARE, such as train=0.8".to_owned();
-    let (name, share) = text.split_once('=').ok_or_else(wrong)?;
-    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
-    if name.is_empty() || !name.chars().all(plain) {
-        return Err("a part is named with a-z, 0-9 and _".to_owned());
-    }
-    Ok((name.to_owned(), share.parse().map_err(|_| wrong())?))
 }
 
 /// Runs the verb.
@@ -112,19 +101,12 @@ impl ChoiceArgs {
                 ),
             ));
         }
-        let parts: BTreeMap<String, f64> = self.split.iter().cloned().collect();
-        if parts.len() < self.split.len() {
-            return Err(Error::new(
-                ErrorKind::Usage,
-                "a part is named twice in `--split`",
-            ));
-        }
         Ok(CurationSettings {
             apart: match self.apart {
                 ApartName::Object => Apart::Object,
                 ApartName::Category => Apart::Category,
             },
-            parts,
+            parts: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
             is_balanced: !self.unbalanced,
             seed: self.seed,

@@ -11,6 +11,7 @@ use super::sim_grasp::{GelName, PresetName, above_zero};
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
+use crate::sim::fem::GelResolution;
 use crate::sim::grasp::GraspSettings;
 use crate::sim::rigid::{RigidEngine, RigidSettings};
 use crate::sim::{Engine, FemEngine};
@@ -53,9 +54,9 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [10.0, 40.0],
         value_parser = above_zero)]
     stop_force_n: Vec<f64>,
-    /// Mesh of the gels
-    #[arg(long, value_enum, default_value_t = GelName::Coarse)]
-    gel: GelName,
+    /// Mesh of the gels [default: coarse for the preset tiny, else default]
+    #[arg(long, value_enum)]
+    gel: Option<GelName>,
     /// Set of parameters of the finite elements
     #[arg(long, value_enum, default_value_t = PresetName::Paper)]
     gel_preset: PresetName,
@@ -307,7 +308,8 @@ impl Args {
         match self.engine {
             EngineName::Fem => {
                 let mut settings = GraspSettings::new(self.gel_preset.into());
-                settings.resolution = self.gel.into();
+                let usual = PlanPreset::from(self.preset).gel();
+                settings.resolution = self.gel.map_or(usual, GelResolution::from);
                 settings.solver.max_grasp_iterations = self.max_iterations;
                 Box::new(FemEngine { settings })
             }

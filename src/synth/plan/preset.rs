@@ -3,6 +3,7 @@
 use super::{MeshSource, ObjectDraft, RenderingPlan};
 use crate::error::{Result, unknown_name};
 use crate::render::visual::SeedStream;
+use crate::sim::fem::GelResolution;
 use crate::synth::family::{Category, family_shape};
 use crate::synth::properties::Material;
 use crate::workers::one_per_core;
@@ -55,6 +56,14 @@ impl PlanPreset {
             Self::Tiny => 2,
             Self::Small => 6,
             Self::Full => 24,
+        }
+    }
+
+    /// Mesh of the gels. Coarse ones hold some grasps that finer ones lose (docs/performance.md).
+    pub fn gel(self) -> GelResolution {
+        match self {
+            Self::Tiny => GelResolution::Coarse,
+            Self::Small | Self::Full => GelResolution::Default,
         }
     }
 

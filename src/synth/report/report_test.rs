@@ -4,7 +4,7 @@ use std::path::Path;
 use super::sample::Sample;
 use super::{SynthReport, SynthReportSettings, report};
 use crate::error::{ErrorKind, Result};
-use crate::shard::to_bytes;
+use crate::shard::{Split, to_bytes};
 use crate::synth::curate::CurationSettings;
 use crate::synth::plan::Plan;
 use crate::synth::store::{ResultStore, SimulationResult};
@@ -48,7 +48,7 @@ fn reported(plan: &Plan, folder: &Path, dataset: Option<&Path>) -> Result<SynthR
 fn merged(plan: &Plan, folder: &Path, out: &Path) {
     let settings = MergeSettings {
         curation: CurationSettings {
-            parts: [("train".to_owned(), 1.0)].into(),
+            parts: Split::one("train").unwrap(),
             category_cap: None,
             ..CurationSettings::default()
         },

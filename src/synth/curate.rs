@@ -3,14 +3,13 @@
 //! Objects (or whole categories) are dealt to the parts first, so that no part sees another's.
 //! Within each part, categories are capped and the two labels balanced, as the paper does (§3.2).
 
-mod deal;
-
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind, Result};
 use crate::render::visual::SeedStream;
+use crate::shard::{Split, SplitGroup};
 
 /// What may not be in two parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,8 +27,8 @@ pub enum Apart {
 pub struct CurationSettings {
     /// What may not be in two parts.
     pub apart: Apart,
-    /// Share of the simulations of each part, by its name; they sum to 1.
-    pub parts: BTreeMap<String, f64>,
+    /// Parts and their shares of the simulations.
+    pub parts: Split,
     /// Most simulations of a category, as a multiple of the mean; none for no cap.
     pub category_cap: Option<f64>,
     /// Whether each part gets as many stable simulations as lost ones at each force, so that the
@@ -43,10 +42,9 @@ impl Default for CurationSettings {
     /// 80 % to train, 10 % each to validate and test, no object in two; no category with more
     /// than twice the mean.
     fn default() -> Self {
-        let parts = [("train", 0.8), ("validation", 0.1), ("test", 0.1)];
         Self {
             apart: Apart::Object,
-            parts: parts.map(|(name, share)| (name.to_owned(), share)).into(),
+            parts: Split::usual(),
             category_cap: Some(2.0),
             is_balanced: true,
             seed: 0,
@@ -91,22 +89,22 @@ pub struct Curation {
 /// Chooses the dataset. The result does not depend on the order of the simulations.
 ///
 /// # Errors
-/// `Usage` for shares that are no shares; `Input` where no simulation is left.
+/// `Input` where no simulation is left.
 pub fn curate(labelled: &[Labelled], settings: &CurationSettings) -> Result<Curation> {
-    check_parts(&settings.parts)?;
     let group = |one: &Labelled| match settings.apart {
         Apart::Object => one.object.clone(),
         Apart::Category => one.category.clone(),
     };
-    let mut sizes: BTreeMap<String, (String, usize)> = BTreeMap::new();
+    let mut groups: BTreeMap<String, SplitGroup> = BTreeMap::new();
     for one in labelled {
         let stratum = match settings.apart {
             Apart::Object => one.category.clone(),
             Apart::Category => String::new(),
         };
-        sizes.entry(group(one)).or_insert((stratum, 0)).1 += 1;
+        let new = SplitGroup { stratum, size: 0 };
+        groups.entry(group(one)).or_insert(new).size += 1;
     }
-    let dealt = deal::deal(&sizes, &settings.parts, settings.seed);
+    let dealt = settings.parts.deal(&groups, settings.seed);
     let mut by_part: BTreeMap<&String, Vec<&Labelled>> = BTreeMap::new();
     for one in labelled {
         if let Some(part) = dealt.get(&group(one)) {
@@ -144,19 +142,6 @@ pub fn curate(labelled: &[Labelled], settings: &CurationSettings) -> Result<Cura
         .remedy("simulate more grasps, or merge with --unbalanced"));
     }
     Ok(curation)
-}
-
-fn check_parts(parts: &BTreeMap<String, f64>) -> Result<()> {
-    let sum: f64 = parts.values().sum();
-    let is_share = |share: &f64| *share > 0.0 && *share <= 1.0;
-    if parts.values().all(is_share) && (sum - 1.0).abs() < 1e-6 {
-        return Ok(());
-    }
-    Err(Error::new(
-        ErrorKind::Usage,
-        format!("the shares of the parts must be above 0 and sum to 1, found {parts:?}"),
-    )
-    .remedy("for instance train=0.8,validation=0.1,test=0.1"))
 }
 
 fn chance(seed: u64, id: &str) -> u64 {
@@ -291,7 +276,7 @@ mod tests {
         let all = labelled(600);
         let settings = CurationSettings {
             apart: Apart::Category,
-            parts: [("train".to_owned(), 0.6), ("test".to_owned(), 0.4)].into(),
+            parts: "train=0.6,test=0.4".parse().unwrap(),
             is_balanced: false,
             category_cap: None,
             ..CurationSettings::default()
@@ -323,16 +308,10 @@ mod tests {
     }
 
     #[test]
-    fn one_label_alone_leaves_nothing_and_wrong_shares_are_refused() {
+    fn one_label_alone_leaves_nothing() {
         let mut all = labelled(50);
         all.iter_mut().for_each(|one| one.stable = true);
         let error = curate(&all, &CurationSettings::default()).unwrap_err();
         assert!(error.to_string().contains("50 of them held"), "{error}");
-        let settings = CurationSettings {
-            parts: [("train".to_owned(), 0.8), ("test".to_owned(), 0.3)].into(),
-            ..CurationSettings::default()
-        };
-        let error = curate(&all, &settings).unwrap_err();
-        assert_eq!(error.kind(), ErrorKind::Usage);
     }
 }
