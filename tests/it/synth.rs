@@ -56,9 +56,9 @@ fn merge(plan: &Path, out: &Path) -> Command {
     command
 }
 
-/// All files below a folder, by their paths in it.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
+/// Paths of all files below a folder.
+fn paths(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
     let mut open = vec![folder.to_owned()];
     while let Some(next) = open.pop() {
         for entry in fs::read_dir(next).unwrap() {
@@ -66,20 +66,29 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
             if path.is_dir() {
                 open.push(path);
             } else {
-                let name = path.strip_prefix(folder).unwrap().to_owned();
-                found.insert(name, fs::read(&path).unwrap());
+                found.push(path);
             }
         }
     }
     found
 }
 
+/// All files below a folder, by their paths in it.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let file = |path: PathBuf| {
+        let name = path.strip_prefix(folder).unwrap().to_owned();
+        (name, fs::read(&path).unwrap())
+    };
+    paths(folder).into_iter().map(file).collect()
+}
+
+/// Results that are there; they may be of a run that is going on, whose other files come and go.
 fn results(plan: &Path) -> usize {
     if !plan.join("results").exists() {
         return 0;
     }
-    let all = files(&plan.join("results"));
-    all.keys()
+    let all = paths(&plan.join("results"));
+    all.iter()
         .filter(|path| path.extension().is_some_and(|end| end == "json"))
         .count()
 }
