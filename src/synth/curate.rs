@@ -1,7 +1,9 @@
 //! Which simulations become the dataset, and in which part of it.
 //!
-//! Objects (or whole categories) are dealt to the parts first, so that no part sees another's.
-//! Within each part, categories are capped and the two labels balanced, as the paper does (§3.2).
+//! Objects (or whole categories) are dealt to the parts first, so that no part sees another's: by
+//! what is planned of them, so that two engines' datasets of the same grasps have the same objects
+//! in each part, whatever their labels. Within each part, categories are capped and the two labels
+//! balanced, as the paper does (§3.2).
 
 use std::collections::BTreeMap;
 
@@ -52,6 +54,15 @@ impl Default for CurationSettings {
     }
 }
 
+/// An object of a plan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlannedObject {
+    /// Its category.
+    pub category: String,
+    /// Its simulations, with a label or without.
+    pub simulations: usize,
+}
+
 /// A simulation that could be in the dataset.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Labelled {
@@ -86,28 +97,33 @@ pub struct Curation {
     pub left_out: BTreeMap<String, LeftOut>,
 }
 
-/// Chooses the dataset. The result does not depend on the order of the simulations.
+/// Chooses the dataset from the labelled simulations of the `planned` objects, by their names. The
+/// result does not depend on the order of the simulations.
 ///
 /// # Errors
 /// `Input` where no simulation is left.
-pub fn curate(labelled: &[Labelled], settings: &CurationSettings) -> Result<Curation> {
-    let group = |one: &Labelled| match settings.apart {
-        Apart::Object => one.object.clone(),
-        Apart::Category => one.category.clone(),
-    };
+pub fn curate(
+    planned: &BTreeMap<String, PlannedObject>,
+    labelled: &[Labelled],
+    settings: &CurationSettings,
+) -> Result<Curation> {
     let mut groups: BTreeMap<String, SplitGroup> = BTreeMap::new();
-    for one in labelled {
-        let stratum = match settings.apart {
-            Apart::Object => one.category.clone(),
-            Apart::Category => String::new(),
+    for (name, object) in planned {
+        let (group, stratum) = match settings.apart {
+            Apart::Object => (name.clone(), object.category.clone()),
+            Apart::Category => (object.category.clone(), String::new()),
         };
         let new = SplitGroup { stratum, size: 0 };
-        groups.entry(group(one)).or_insert(new).size += 1;
+        groups.entry(group).or_insert(new).size += object.simulations;
     }
     let dealt = settings.parts.deal(&groups, settings.seed);
     let mut by_part: BTreeMap<&String, Vec<&Labelled>> = BTreeMap::new();
     for one in labelled {
-        if let Some(part) = dealt.get(&group(one)) {
+        let group = match settings.apart {
+            Apart::Object => &one.object,
+            Apart::Category => &one.category,
+        };
+        if let Some(part) = dealt.get(group) {
             by_part.entry(part).or_default().push(one);
         }
     }
@@ -219,10 +235,23 @@ mod tests {
             .collect()
     }
 
+    fn planned(all: &[Labelled]) -> BTreeMap<String, PlannedObject> {
+        let mut planned = BTreeMap::new();
+        for one in all {
+            let new = PlannedObject {
+                category: one.category.clone(),
+                simulations: 0,
+            };
+            let object = planned.entry(one.object.clone()).or_insert(new);
+            object.simulations += 1;
+        }
+        planned
+    }
+
     #[test]
     fn parts_share_no_object_have_their_size_and_as_many_of_both_labels() {
         let all = labelled(1200);
-        let curation = curate(&all, &CurationSettings::default()).unwrap();
+        let curation = curate(&planned(&all), &all, &CurationSettings::default()).unwrap();
         let mut part_of_object: BTreeMap<&str, &str> = BTreeMap::new();
         let mut counts: BTreeMap<(&str, bool), usize> = BTreeMap::new();
         let mut by_force: BTreeMap<(u32, bool), usize> = BTreeMap::new();
@@ -262,7 +291,7 @@ mod tests {
             category_cap: Some(1.2),
             ..CurationSettings::default()
         };
-        let curation = curate(&all, &settings).unwrap();
+        let curation = curate(&planned(&all), &all, &settings).unwrap();
         let capped: Vec<&Labelled> = all
             .iter()
             .filter(|one| curation.left_out.get(&one.id) == Some(&LeftOut::CategoryCap))
@@ -281,7 +310,7 @@ mod tests {
             category_cap: None,
             ..CurationSettings::default()
         };
-        let curation = curate(&all, &settings).unwrap();
+        let curation = curate(&planned(&all), &all, &settings).unwrap();
         let mut parts: BTreeMap<&str, &str> = BTreeMap::new();
         for one in &all {
             let part = &curation.part[&one.id];
@@ -297,21 +326,57 @@ mod tests {
     #[test]
     fn neither_order_nor_repetition_changes_the_choice() {
         let mut all = labelled(300);
-        let first = curate(&all, &CurationSettings::default()).unwrap();
+        let first = curate(&planned(&all), &all, &CurationSettings::default()).unwrap();
         all.reverse();
-        assert_eq!(curate(&all, &CurationSettings::default()).unwrap(), first);
+        assert_eq!(curate(&planned(&all), &all, &CurationSettings::default()).unwrap(), first);
         let other = CurationSettings {
             seed: 1,
             ..CurationSettings::default()
         };
-        assert_ne!(curate(&all, &other).unwrap(), first);
+        assert_ne!(curate(&planned(&all), &all, &other).unwrap(), first);
+    }
+
+    #[test]
+    fn labels_do_not_decide_the_part_of_an_object() {
+        let all = labelled(600);
+        let planned = planned(&all);
+        let parts = |labelled: &[Labelled]| {
+            let settings = CurationSettings {
+                is_balanced: false,
+                category_cap: None,
+                ..CurationSettings::default()
+            };
+            let curation = curate(&planned, labelled, &settings).unwrap();
+            labelled
+                .iter()
+                .map(|one| (one.object.clone(), curation.part[&one.id].clone()))
+                .collect::<BTreeMap<_, _>>()
+        };
+        let whole = parts(&all);
+        // Most of one object's have no label, and none of another's.
+        let mut seen = BTreeMap::new();
+        let fewer: Vec<Labelled> = all
+            .iter()
+            .filter(|one| {
+                let nth = seen.entry(&one.object).or_insert(0_usize);
+                *nth += 1;
+                one.object != "mug-3" && (!one.object.starts_with("mug") || *nth % 3 == 0)
+            })
+            .cloned()
+            .collect();
+        assert!(fewer.len() < all.len() / 2 + all.len() / 4);
+        let lesser = parts(&fewer);
+        assert!(!lesser.contains_key("mug-3"));
+        for (object, part) in &lesser {
+            assert_eq!(part, &whole[object], "{object}");
+        }
     }
 
     #[test]
     fn one_label_alone_leaves_nothing() {
         let mut all = labelled(50);
         all.iter_mut().for_each(|one| one.stable = true);
-        let error = curate(&all, &CurationSettings::default()).unwrap_err();
+        let error = curate(&planned(&all), &all, &CurationSettings::default()).unwrap_err();
         assert!(error.to_string().contains("50 of them held"), "{error}");
     }
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use super::curate::{Curation, CurationSettings, Labelled, LeftOut, curate};
+use super::curate::{Curation, CurationSettings, Labelled, LeftOut, PlannedObject, curate};
 use super::plan::{Plan, PlannedSimulation};
 use super::store::{ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
@@ -230,11 +230,25 @@ impl<'a> Chosen<'a> {
         });
         let labelled = labelled.collect::<Result<Vec<_>>>()?;
         Ok(Self {
-            curation: curate(&labelled, &settings.curation)?,
+            curation: curate(&planned_objects(plan)?, &labelled, &settings.curation)?,
             counts,
             usable,
         })
     }
+}
+
+/// Objects of a plan with the count of their simulations.
+fn planned_objects(plan: &Plan) -> Result<BTreeMap<String, PlannedObject>> {
+    let mut objects: BTreeMap<String, PlannedObject> = BTreeMap::new();
+    for simulation in &plan.simulations {
+        let new = PlannedObject {
+            category: plan.object(simulation)?.category.clone(),
+            simulations: 0,
+        };
+        let object = objects.entry(simulation.object.clone()).or_insert(new);
+        object.simulations += 1;
+    }
+    Ok(objects)
 }
 
 fn without_pictures(lacking: usize) -> Error {
