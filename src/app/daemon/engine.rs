@@ -344,19 +344,16 @@ impl Engine {
     /// `None` until every gel was held against it in a frame newer than the last capture.
     fn touched(&self) -> Option<bool> {
         let findings = self.inference.findings();
-        match (self.session.pending(), findings.change) {
+        let change = match (self.session.pending(), findings.change) {
             // Before the first initial frame nothing is known to touch.
             (None, None) => return Some(false),
-            (Some(_), change) if change != Some(self.initial_change) => return None,
-            _ => {}
-        }
+            (None, last) => last,
+            (Some(_), _) => Some(self.initial_change),
+        };
         let since_ns = self.session.captured_ns();
         let gels = self.hub.slots().filter(|slot| slot.role().is_tactile());
         let contacts = gels
-            .map(|slot| {
-                let contact = findings.contact.get(&slot.role())?;
-                (contact.frame_time_ns > since_ns).then_some(contact.changed_fraction)
-            })
+            .map(|slot| findings.changed_fraction(slot.role(), change, since_ns))
             .collect::<Option<Vec<f64>>>()?;
         let limit = self.guards.min_contact_fraction;
         Some(contacts.iter().any(|changed| *changed >= limit))
@@ -570,7 +567,7 @@ impl Engine {
 
     fn conditions(&self, paired: &Paired, now_ns: u64) -> Conditions {
         let findings = self.inference.findings();
-        let contact_known = findings.change == Some(self.initial_change);
+        let change = Some(self.initial_change);
         let since_ns = self.session.captured_ns();
         let cameras = self
             .hub
@@ -586,11 +583,7 @@ impl Engine {
                     frame_time_ns: frame.map_or(0, |frame| frame.driver_time_ns),
                     fault,
                     controls,
-                    contact_fraction: findings
-                        .contact
-                        .get(&role)
-                        .filter(|contact| contact_known && contact.frame_time_ns > since_ns)
-                        .map(|contact| contact.changed_fraction),
+                    contact_fraction: findings.changed_fraction(role, change, since_ns),
                 }
             })
             .collect();

@@ -122,6 +122,20 @@ pub(super) struct Findings {
     pub(super) latency: Histogram,
 }
 
+impl Findings {
+    /// Part of a gel that changed against the initial frame of a change, in a frame newer than
+    /// `since_ns`; none while that is not known.
+    pub(super) fn changed_fraction(
+        &self,
+        role: Role,
+        change: Option<u64>,
+        since_ns: u64,
+    ) -> Option<f64> {
+        let contact = self.contact.get(&role).filter(|_| self.change == change)?;
+        (contact.frame_time_ns > since_ns).then_some(contact.changed_fraction)
+    }
+}
+
 /// The inference thread.
 #[derive(Debug)]
 pub(super) struct Inference {
@@ -156,15 +170,8 @@ impl Inference {
             }),
             ..Findings::default()
         }));
-        let mut worker = Worker {
-            hub: hub.clone(),
-            predictor: model.map(LivePredictor::new).transpose()?,
-            initial: BTreeMap::new(),
-            predicting: false,
-            smoothing: Smoothing::default(),
-            seen: BTreeMap::new(),
-            findings: Arc::clone(&findings),
-        };
+        let predictor = model.map(LivePredictor::new).transpose()?;
+        let mut worker = Worker::new(hub, predictor, &findings);
         let thread = spawn("inference".into(), move || worker.run(&inbox))?;
         Ok(Self {
             findings,
@@ -209,6 +216,18 @@ struct Worker {
 }
 
 impl Worker {
+    fn new(hub: &Hub, predictor: Option<LivePredictor>, findings: &Arc<Mutex<Findings>>) -> Self {
+        Self {
+            hub: hub.clone(),
+            predictor,
+            initial: BTreeMap::new(),
+            predicting: false,
+            smoothing: Smoothing::default(),
+            seen: BTreeMap::new(),
+            findings: Arc::clone(findings),
+        }
+    }
+
     fn run(&mut self, inbox: &Receiver<InferRequest>) {
         while let Ok(request) = inbox.recv() {
             match request {
@@ -349,5 +368,57 @@ impl Worker {
             novelty: prediction.novelty,
             engine_ms: prediction.engine_ms,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::{Frame, PixelFormat};
+
+    const CHANGED: u64 = 100;
+
+    fn grey(level: u8) -> RgbImage {
+        RgbImage::from_pixel(32, 24, image::Rgb([level; 3]))
+    }
+
+    #[test]
+    fn contact_is_known_only_against_the_frame_of_the_last_change() {
+        let hub = Hub::new([Role::Left]);
+        let findings = Arc::default();
+        let mut worker = Worker::new(&hub, None, &findings);
+        let see = |worker: &mut Worker, level: u8, at_ns: u64| {
+            let frame = Frame {
+                format: PixelFormat::Grey,
+                width: 32,
+                height: 24,
+                data: vec![level; 32 * 24].into(),
+                sequence: 1,
+                driver_time_ns: at_ns,
+                received_ns: at_ns,
+            };
+            hub.slot(Role::Left).unwrap().decoded(&frame, grey(level));
+            worker.fresh(Role::Left);
+        };
+        let known = |change: u64, since_ns: u64| {
+            lock(&findings).changed_fraction(Role::Left, Some(change), since_ns)
+        };
+        let initial = Arc::new(grey(10));
+        let set = |worker: &mut Worker, change: u64| {
+            worker.set_initial(change, Arc::clone(&initial), Arc::clone(&initial));
+        };
+
+        set(&mut worker, 1);
+        assert_eq!(known(1, 0), None, "nothing was seen yet");
+        see(&mut worker, 90, CHANGED);
+        assert_eq!(known(1, 0), Some(1.0));
+        assert_eq!(known(1, CHANGED), None, "the frame is older than the capture");
+        assert_eq!(known(2, 0), None, "the next change has not come");
+        // An undo: the same picture is the initial frame again.
+        set(&mut worker, 2);
+        assert_eq!(known(2, 0), None, "found before the change");
+        assert_eq!(known(1, 0), None);
+        see(&mut worker, 10, CHANGED + 1);
+        assert_eq!(known(2, 0), Some(0.0));
     }
 }
