@@ -328,7 +328,10 @@ mod tests {
         let mut all = labelled(300);
         let first = curate(&planned(&all), &all, &CurationSettings::default()).unwrap();
         all.reverse();
-        assert_eq!(curate(&planned(&all), &all, &CurationSettings::default()).unwrap(), first);
+        assert_eq!(
+            curate(&planned(&all), &all, &CurationSettings::default()).unwrap(),
+            first
+        );
         let other = CurationSettings {
             seed: 1,
             ..CurationSettings::default()

@@ -412,7 +412,11 @@ mod tests {
         assert_eq!(known(1, 0), None, "nothing was seen yet");
         see(&mut worker, 90, CHANGED);
         assert_eq!(known(1, 0), Some(1.0));
-        assert_eq!(known(1, CHANGED), None, "the frame is older than the capture");
+        assert_eq!(
+            known(1, CHANGED),
+            None,
+            "the frame is older than the capture"
+        );
         assert_eq!(known(2, 0), None, "the next change has not come");
         // An undo: the same picture is the initial frame again.
         set(&mut worker, 2);
