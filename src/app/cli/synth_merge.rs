@@ -122,6 +122,12 @@ fn text(report: &MergeReport) -> String {
             part.rows, part.grasps, part.objects, part.stable, part.slip
         ));
     }
+    let parts = report.curation.parts.names();
+    for name in parts.filter(|name| !report.parts.contains_key(*name)) {
+        text.push_str(&format!(
+            "{name}: nothing; it has too few objects, or all of their simulations ended alike\n"
+        ));
+    }
     let left_out: usize = report.left_out.values().sum();
     let without: usize = report.without_sample.values().sum();
     text.push_str(&format!(
