@@ -40,7 +40,7 @@ pub struct CollectConfig {
     pub scene: String,
     /// Operator.
     pub operator: String,
-    /// ONNX model; empty = the built-in one, `none` = no prediction.
+    /// ONNX file or `baseline-contact`; empty = that one, `none` = no prediction.
     pub model: String,
     /// `auto`, `bell` or `off`.
     pub sound: String,

@@ -11,6 +11,7 @@
 //! The constants separate no contact from contact on real GelSight pictures; nothing was fitted to
 //! the outcome of a lift.
 
+use super::BASELINE;
 use super::contract::{
     INPUT_SHAPE, InputName, InputSpec, ModelContract, OUTPUT, OUTPUT_SHAPE, Origin, Variant,
 };
@@ -51,7 +52,7 @@ contact at the edge of an object scores as high as one at its centre.
 #[must_use]
 pub fn contract() -> ModelContract {
     ModelContract {
-        name: "baseline-contact".to_owned(),
+        name: BASELINE.to_owned(),
         origin: Origin::Heuristic,
         variant: Variant::T,
         inputs: [InputName::TactileLeft, InputName::TactileRight]
@@ -72,7 +73,7 @@ pub fn contract() -> ModelContract {
 /// # Errors
 /// A defect of gripcast.
 pub fn onnx_bytes() -> Result<Vec<u8>> {
-    let mut graph = OnnxGraphBuilder::new("baseline-contact");
+    let mut graph = OnnxGraphBuilder::new(BASELINE);
     graph.description("Contact-strength heuristic, not trained");
     contract().write(&mut graph)?;
     let constants = Constants::write(&mut graph)?;

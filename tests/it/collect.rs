@@ -95,7 +95,9 @@ fn the_prediction_is_that_of_the_saved_files() {
             .arg("--grasp-left")
             .arg(file("grasp", "left"))
             .arg("--grasp-right")
-            .arg(file("grasp", "right")),
+            .arg(file("grasp", "right"))
+            .arg("--rgb")
+            .arg(file("grasp", "rgb")),
     );
     let repeated = json(&output)["p_stable"].as_f64().unwrap();
     let stored = grasp["prediction"]["p_stable"].as_f64().unwrap();

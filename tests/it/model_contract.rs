@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use gripcast::imaging::{encode_png_rgb, synthetic_gel};
-use gripcast::predict::{Model, baseline, contract, onnx};
+use gripcast::predict::{BASELINE, Model, baseline, contract, onnx};
 use serde_json::Value;
 
 fn gripcast(arguments: &[&str]) -> Output {
@@ -167,6 +167,7 @@ fn one_grasp_is_predicted_from_picture_files() {
         let mut arguments = vec!["predict", "images", "--json"];
         arguments.extend(["--initial-left", &open_left, "--initial-right", &open_right]);
         arguments.extend(["--grasp-left", left, "--grasp-right", right]);
+        arguments.extend(["--model", BASELINE]);
         arguments.extend(more);
         gripcast(&arguments)
     };

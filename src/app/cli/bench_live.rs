@@ -9,7 +9,7 @@ use serde_json::{Map, json};
 use super::{Context, print, python_peer};
 use crate::app::daemon::live_load::{LoadParams, decode_ms, drive, gel_frame};
 use crate::error::Result;
-use crate::predict::Model;
+use crate::predict::{BASELINE, Model};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -20,9 +20,9 @@ pub(crate) struct Args {
     /// JPEG quality of the synthesised gel frames
     #[arg(long, default_value_t = 75, value_parser = clap::value_parser!(u8).range(1..=100))]
     quality: u8,
-    /// ONNX model [default: the built-in contact heuristic]
-    #[arg(long, value_name = "FILE")]
-    model: Option<std::path::PathBuf>,
+    /// ONNX file, or `baseline-contact`, the built-in heuristic
+    #[arg(long, value_name = "MODEL", default_value = BASELINE)]
+    model: String,
     /// Another decoder to measure beside ours, on one of the same frames
     #[arg(long, value_enum)]
     peer: Option<Peer>,
@@ -43,10 +43,7 @@ const PEER_RUNS: u64 = 30;
 
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
-    let model = match &args.model {
-        Some(path) => Model::load(path)?,
-        None => Model::baseline()?,
-    };
+    let model = Model::named(&args.model)?;
     let name = model.contract().name.clone();
     if !context.quiet {
         eprintln!(

@@ -4,13 +4,11 @@
 //! and median in ms. `--peer onnxruntime` runs the same file through PyPI's onnxruntime in
 //! `python3`, on one thread, in the same run.
 
-use std::path::PathBuf;
-
 use serde_json::{Map, Value, json};
 
 use super::{Context, print, python_peer};
 use crate::error::{Error, Result};
-use crate::predict::{Model, PredictFigures, baseline, measure, onnx};
+use crate::predict::{BASELINE, Model, PredictFigures, measure, model_bytes};
 
 /// Runs below this give no usable median.
 const LEAST_RUNS: u64 = 30;
@@ -19,9 +17,9 @@ const PEER_SCRIPT: &str = include_str!("../../../benches/peers/onnxruntime_predi
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// ONNX file [default: the built-in contact-strength heuristic]
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    /// ONNX file, or `baseline-contact`, the built-in heuristic
+    #[arg(long, value_name = "MODEL", default_value = BASELINE)]
+    model: String,
     /// Predictions to measure
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(LEAST_RUNS..))]
     runs: u64,
@@ -41,14 +39,8 @@ enum Peer {
 
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
-    let bytes = match &args.model {
-        Some(path) => onnx::read(path)?,
-        None => baseline::onnx_bytes()?,
-    };
-    let at_model = |error: Error| match &args.model {
-        Some(path) => error.at(path.display()),
-        None => error,
-    };
+    let bytes = model_bytes(&args.model)?;
+    let at_model = |error: Error| error.at(&args.model);
     let model = Model::from_bytes(&bytes).map_err(at_model)?;
     let figures = measure(&bytes, args.runs as usize).map_err(at_model)?;
     let mut peers = Map::new();

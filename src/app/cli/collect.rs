@@ -29,7 +29,7 @@ use crate::app::tui;
 use crate::dataset::NewDataset;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::Role;
-use crate::predict::Model;
+use crate::predict::{BASELINE, Model};
 use crate::rig::calibration::{PedalConfig, RigFile};
 use crate::rig::camera::{MonotonicClock, RigSources, SupervisionPolicy};
 use crate::rig::device::SystemRoot;
@@ -63,8 +63,8 @@ pub(crate) struct Args {
     /// Who holds the gripper
     #[arg(long)]
     operator: Option<String>,
-    /// ONNX model; `none` = no prediction [default: the built-in contact heuristic]
-    #[arg(long, value_name = "FILE")]
+    /// ONNX file, or `none` for no prediction [default: baseline-contact, the built-in heuristic]
+    #[arg(long, value_name = "MODEL")]
     model: Option<String>,
     /// Timed commands instead of an operator
     #[arg(long, value_name = "FILE")]
@@ -373,9 +373,9 @@ fn chosen_dataset(settings: &CollectConfig) -> Result<PathBuf> {
 
 fn chosen_model(name: &str) -> Result<Option<Model>> {
     match name {
-        "" => Model::baseline().map(Some),
+        "" => Model::named(BASELINE).map(Some),
         "none" => Ok(None),
-        path => Model::load(Path::new(path)).map(Some),
+        name => Model::named(name).map(Some),
     }
 }
 

@@ -23,7 +23,7 @@ use crate::imaging::{
     decode_png_rgb, jpeg,
 };
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
-use crate::predict::{Model, ModelInput, baseline};
+use crate::predict::{BASELINE, Model, ModelInput, baseline};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -45,8 +45,9 @@ enum Action {
 
 #[derive(Debug, clap::Args)]
 struct CheckArgs {
-    /// ONNX file
-    model: PathBuf,
+    /// ONNX file, or `baseline-contact`, the built-in heuristic
+    #[arg(value_name = "MODEL")]
+    model: String,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -75,9 +76,9 @@ struct ImagesArgs {
     /// The tactile pictures are already cropped with the model's profile: take them whole
     #[arg(long, conflicts_with = "crop")]
     already_cropped: bool,
-    /// ONNX file [default: the built-in contact-strength heuristic]
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    /// ONNX file, or `baseline-contact`, the built-in heuristic
+    #[arg(long, value_name = "MODEL", default_value = BASELINE)]
+    model: String,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -100,7 +101,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn check(context: &Context, args: &CheckArgs) -> Result<()> {
-    let model = Model::load(&args.model)?;
+    let model = Model::named(&args.model)?;
     let contract = model.contract();
     let (seed, manifest) = match &contract.origin {
         Origin::Trained {
@@ -115,7 +116,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
             json!({
                 "card": contract.card,
                 "crop_profile": contract.crop_profile_name(),
-                "file": args.model.display().to_string(),
+                "file": args.model,
                 "inputs": contract.inputs,
                 "kind": contract.origin.name(),
                 "load_ms": model.load_ms(),
@@ -158,10 +159,7 @@ fn check(context: &Context, args: &CheckArgs) -> Result<()> {
 }
 
 fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
-    let model = match &args.model {
-        Some(path) => Model::load(path)?,
-        None => Model::baseline()?,
-    };
+    let model = Model::named(&args.model)?;
     let contract = model.contract();
     let crop = match &args.crop {
         Some(name) => {
@@ -175,6 +173,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         None => contract.crop_profile.unwrap_or(CropProfile::FULL),
     };
     let mut input = ModelInput::zeros(contract)?;
+    let mut novelty: Option<f64> = None;
     for &name in contract.variant.inputs() {
         let (initial, grasp) = match name {
             InputName::TactileLeft => (
@@ -194,13 +193,23 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         let difference =
             TactileDifference::between(&picture(initial, &crop)?, &picture(grasp, &crop)?)?;
         input.set_tactile(name, &difference)?;
+        let score = model.novelty().and_then(|known| known.score(&difference));
+        novelty = novelty.into_iter().chain(score).reduce(f64::max);
     }
     let prediction = model.predict(&input)?;
-    let outcome = if prediction.p_stable >= contract.threshold {
-        "stable"
-    } else {
-        "slip"
+    let is_unsure = novelty.is_some_and(|novelty| novelty > 1.0);
+    let outcome = match prediction.p_stable >= contract.threshold {
+        _ if is_unsure => "unsure",
+        true => "stable",
+        false => "slip",
     };
+    if is_unsure && !context.quiet {
+        eprintln!(
+            "gripcast: `{}` has never seen such tactile pictures: another sensor or light, or an \
+             initial frame in contact?",
+            contract.name
+        );
+    }
     if contract.is_heuristic() && !context.quiet {
         eprintln!(
             "gripcast: `{}` is a contact-strength heuristic, not a trained model",
@@ -216,6 +225,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
                 "kind": contract.origin.name(),
                 "model": contract.name,
                 "model_sha256": model.sha256(),
+                "novelty": novelty,
                 "p_stable": prediction.p_stable,
                 "predicted": outcome,
                 "threshold": contract.threshold,
@@ -239,10 +249,14 @@ fn write_baseline(context: &Context, out: &Path) -> Result<()> {
 
 fn needed<'a>(file: Option<&'a Path>, flag: &str, input: InputName) -> Result<&'a Path> {
     file.ok_or_else(|| {
-        Error::new(
-            ErrorKind::Usage,
-            format!("the model uses `{input}`, so `{flag} FILE` is needed"),
-        )
+        let what = format!("the model uses `{input}`, so `{flag} FILE` is needed");
+        let error = Error::new(ErrorKind::Usage, what);
+        match input {
+            InputName::Rgb => error.remedy(format!(
+                "give it, or use a model of touch alone, such as --model {BASELINE}"
+            )),
+            InputName::TactileLeft | InputName::TactileRight => error,
+        }
     })
 }
 
