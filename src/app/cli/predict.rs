@@ -173,7 +173,6 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         None => contract.crop_profile.unwrap_or(CropProfile::FULL),
     };
     let mut input = ModelInput::zeros(contract)?;
-    let mut novelty: Option<f64> = None;
     for &name in contract.variant.inputs() {
         let (initial, grasp) = match name {
             InputName::TactileLeft => (
@@ -193,23 +192,13 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         let difference =
             TactileDifference::between(&picture(initial, &crop)?, &picture(grasp, &crop)?)?;
         input.set_tactile(name, &difference)?;
-        let score = model.novelty().and_then(|known| known.score(&difference));
-        novelty = novelty.into_iter().chain(score).reduce(f64::max);
     }
     let prediction = model.predict(&input)?;
-    let is_unsure = novelty.is_some_and(|novelty| novelty > 1.0);
-    let outcome = match prediction.p_stable >= contract.threshold {
-        _ if is_unsure => "unsure",
-        true => "stable",
-        false => "slip",
+    let outcome = if prediction.p_stable >= contract.threshold {
+        "stable"
+    } else {
+        "slip"
     };
-    if is_unsure && !context.quiet {
-        eprintln!(
-            "gripcast: `{}` has never seen such tactile pictures: another sensor or light, or an \
-             initial frame in contact?",
-            contract.name
-        );
-    }
     if contract.is_heuristic() && !context.quiet {
         eprintln!(
             "gripcast: `{}` is a contact-strength heuristic, not a trained model",
@@ -225,7 +214,6 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
                 "kind": contract.origin.name(),
                 "model": contract.name,
                 "model_sha256": model.sha256(),
-                "novelty": novelty,
                 "p_stable": prediction.p_stable,
                 "predicted": outcome,
                 "threshold": contract.threshold,
