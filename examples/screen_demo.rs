@@ -14,7 +14,7 @@ use gripcast::dataset::{GraspId, Outcome};
 use gripcast::error::Result;
 use gripcast::imaging::Role;
 use gripcast::session::{
-    Command, Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone,
+    Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
 };
 use image::{Rgb, RgbImage};
 use tokio::sync::{mpsc, watch};
@@ -124,7 +124,11 @@ fn session(step: Step, moment: &str, time_s: f64) -> SessionView {
                 Step::Label => Outcome::Unlabelled,
                 _ => Outcome::Stable,
             },
-            predicted: Some((0.74, 0.5)),
+            predicted: Some(Predicted {
+                p_stable: 0.74,
+                threshold: 0.5,
+                novelty: None,
+            }),
         }),
         undo: Some("label of 7f3a".to_owned()),
         redo: None,

@@ -40,8 +40,8 @@ struct Picture {
 pub struct LivePrediction {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
-    /// How far the tactile pictures are from those of the training, over what counts as known: above 1
-    /// the model cannot know. None where the model does not say, or has no touch.
+    /// How far the tactile pictures are from those of the training, over what counts as known (see
+    /// [`Verdict`](super::Verdict)). None where the model does not say, or has no touch.
     pub novelty: Option<f64>,
     /// Time of the model alone, ms.
     pub engine_ms: f64,
@@ -144,7 +144,7 @@ impl LivePredictor {
             newest_frame_ns = picture.driver_time_ns.max(newest_frame_ns);
             oldest_frame_ns = picture.driver_time_ns.min(oldest_frame_ns);
         };
-        let mut novelty: Option<f64> = None;
+        let mut differences = Vec::with_capacity(2);
         let uses = self.model.contract().variant.inputs();
         for (name, tactile) in [
             (InputName::TactileLeft, &self.left),
@@ -155,12 +155,12 @@ impl LivePredictor {
             {
                 let difference = TactileDifference::between(initial, &picture.image)?;
                 self.input.set_tactile(name, &difference)?;
-                let known = self.model.novelty();
-                let score = known.and_then(|known| known.score(&difference));
-                novelty = novelty.into_iter().chain(score).reduce(f64::max);
+                differences.push(difference);
                 used(picture);
             }
         }
+        let known = self.model.novelty();
+        let novelty = known.and_then(|known| known.of_touch(&differences));
         if let (true, Some(picture)) = (uses.contains(&InputName::Rgb), &self.rgb) {
             self.input.set_rgb(&picture.image)?;
             used(picture);

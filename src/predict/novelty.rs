@@ -235,6 +235,15 @@ impl Novelty {
         Some(self.distance(&features_of(difference)?) / self.limit)
     }
 
+    /// The highest [`score`](Self::score) of a grasp's tactile differences.
+    pub fn of_touch<'a>(
+        &self,
+        differences: impl IntoIterator<Item = &'a TactileDifference>,
+    ) -> Option<f64> {
+        let scores = differences.into_iter().filter_map(|seen| self.score(seen));
+        scores.reduce(f64::max)
+    }
+
     fn is_usable(&self) -> bool {
         let numbers = self.mean.iter().chain(&self.whitening);
         numbers.chain([&self.limit]).all(|x| x.is_finite())
@@ -302,10 +311,16 @@ mod tests {
         });
         let dark = RgbImage::new(IMAGE_WIDTH, IMAGE_HEIGHT);
         let gel = synthetic_gel(IMAGE_WIDTH, IMAGE_HEIGHT, 1, 0.0);
+        let usual = difference(203, 0.3);
         for other in [&stripes, &dark] {
             let odd = TactileDifference::between(&gel, other).unwrap();
             assert!(novelty.score(&odd).unwrap() > 2.0);
+            // One odd sensor is enough.
+            for pair in [[&odd, &usual], [&usual, &odd]] {
+                assert_eq!(novelty.of_touch(pair), novelty.score(&odd));
+            }
         }
+        assert_eq!(novelty.of_touch([]), None);
     }
 
     #[test]

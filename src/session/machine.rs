@@ -6,7 +6,9 @@ use serde::Serialize;
 
 use super::Command;
 use super::guard::{self, Conditions, Guard, GuardLimits, Objection};
-use super::view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
+use super::view::{
+    Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
+};
 use crate::dataset::{GraspId, Outcome, OverriddenGuard};
 use crate::imaging::Role;
 
@@ -115,8 +117,8 @@ pub enum StoreReply {
         object: String,
         /// Its outcome.
         outcome: Outcome,
-        /// Probability before the lift and threshold.
-        predicted: Option<(f64, f64)>,
+        /// What was predicted before the lift.
+        predicted: Option<Predicted>,
     },
     /// Done; nothing to tell.
     Done,

@@ -24,4 +24,6 @@ pub use guard::{CameraCondition, Conditions, Guard, GuardLimits, Objection};
 pub use machine::{
     Effect, Labels, OutcomeCounts, PendingFrame, Session, StoreReply, StoreRequest, Summary,
 };
-pub use view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
+pub use view::{
+    Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
+};

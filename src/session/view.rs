@@ -1,5 +1,7 @@
 //! What a screen shows of the session.
 
+use serde::Serialize;
+
 use crate::dataset::{GraspId, Outcome};
 
 /// Step of the cycle that comes next.
@@ -78,6 +80,18 @@ pub struct Counts {
     pub object_slip: usize,
 }
 
+/// What the model said of a grasp before the lift.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Predicted {
+    /// Probability that it holds.
+    pub p_stable: f64,
+    /// Decision threshold of the model.
+    pub threshold: f64,
+    /// Distance of the tactile pictures from those of the training, over what counts as known;
+    /// none where the model does not say.
+    pub novelty: Option<f64>,
+}
+
 /// The newest grasp.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LastGrasp {
@@ -87,8 +101,8 @@ pub struct LastGrasp {
     pub object: String,
     /// Label.
     pub outcome: Outcome,
-    /// Probability predicted before the lift, and the model's threshold.
-    pub predicted: Option<(f64, f64)>,
+    /// What was predicted before the lift.
+    pub predicted: Option<Predicted>,
 }
 
 /// State of the session, complete for a screen.

@@ -174,21 +174,18 @@ pub fn merge(
     Ok(report)
 }
 
-/// Simulations that a dataset of a plan takes, once all of them have a label.
+/// Simulations that a dataset of a plan takes, once all of them have a label, or of those that have
+/// one where that is allowed.
 ///
 /// # Errors
 /// As [`merge`], but for those of writing.
 pub fn chosen(
     plan: &Plan,
     plan_folder: &Path,
-    curation: &CurationSettings,
+    settings: &MergeSettings,
 ) -> Result<BTreeSet<String>> {
     let store = ResultStore::beside(plan_folder);
-    let settings = MergeSettings {
-        curation: curation.clone(),
-        is_partial_allowed: false,
-    };
-    let Chosen { curation, .. } = Chosen::of(plan, &store, &settings)?;
+    let Chosen { curation, .. } = Chosen::of(plan, &store, settings)?;
     Ok(curation.part.into_keys().collect())
 }
 

@@ -76,6 +76,8 @@ pub struct RunSettings {
     /// Whether simulations that could not be done are tried again, as after a missing file came
     /// back.
     pub is_failed_retried: bool,
+    /// Whether simulations without a result are done; else only pictures are taken.
+    pub is_open_simulated: bool,
     /// Which of them get pictures. Results do not depend on when they got them.
     pub pictures: Pictures,
 }
@@ -96,7 +98,15 @@ pub fn run(
 ) -> Result<RunSummary> {
     check_parameters(plan, engine)?;
     let store = ResultStore::beside(folder);
-    let part = settings.shard.of(plan);
+    let mut part = settings.shard.of(plan);
+    if !settings.is_open_simulated {
+        let found: Vec<bool> = part
+            .iter()
+            .map(|simulation| Ok(store.find(plan, &simulation.id)?.is_some()))
+            .collect::<Result<_>>()?;
+        let mut found = found.into_iter();
+        part.retain(|_| found.next() == Some(true));
+    }
     let mut open = Vec::new();
     let mut failed = BTreeMap::new();
     for simulation in &part {

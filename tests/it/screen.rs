@@ -10,12 +10,20 @@ use gripcast::app::tui::{ColourDepth, LinePrinter, Overlay, Palette, Reaction, S
 use gripcast::dataset::{GraspId, Outcome};
 use gripcast::imaging::Role;
 use gripcast::session::{
-    Command, Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step,
+    Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step,
 };
 use image::{Rgb, RgbImage};
 use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
+
+fn predicted(p_stable: f64, novelty: Option<f64>) -> Predicted {
+    Predicted {
+        p_stable,
+        threshold: 0.5,
+        novelty,
+    }
+}
 
 fn camera(role: Role, serial: &str, port: &str, nominal_fps: f64) -> CameraStatus {
     let product = if role.is_tactile() {
@@ -84,7 +92,7 @@ fn waiting_for_grasp() -> EngineStatus {
                 id: GraspId("2026-11-20T17-40-51Z-7f3a".to_owned()),
                 object: "mug-blue".to_owned(),
                 outcome: Outcome::Stable,
-                predicted: Some((0.74, 0.5)),
+                predicted: Some(predicted(0.74, None)),
             }),
             undo: Some("initial frame".to_owned()),
             redo: None,
@@ -149,7 +157,7 @@ fn labelling() -> EngineStatus {
     }
     if let Some(last) = &mut status.session.last {
         last.outcome = Outcome::Unlabelled;
-        last.predicted = Some((0.12, 0.5));
+        last.predicted = Some(predicted(0.12, Some(0.4)));
     }
     status.session.undo = Some("grasp 7f3a".to_owned());
     status
@@ -363,6 +371,15 @@ fn plain_lines_tell_each_change_once() {
             "saved 2026-11-20T17-42-10Z-52c1 mug-blue: predicted 0.12 SLIP"
         ]
     );
+    let mut odd = labelling();
+    let last = odd.session.last.as_mut().unwrap();
+    last.id = GraspId("2026-11-20T17-43-00Z-0b77".to_owned());
+    last.predicted = Some(predicted(0.97, Some(1.3)));
+    assert_eq!(
+        lines(&odd),
+        ["saved 2026-11-20T17-43-00Z-0b77 mug-blue: predicted 0.97 UNSURE"]
+    );
+    assert_eq!(lines(&saved).len(), 1);
     saved.session.last.as_mut().unwrap().outcome = Outcome::Slip;
     assert_eq!(lines(&saved), ["labelled 2026-11-20T17-42-10Z-52c1 slip"]);
 
@@ -458,7 +475,7 @@ prop_compose! {
         names in (any_text(), any_text(), any_text()),
         age in proptest::option::of(any_number()),
         counts in (any::<u32>(), any::<u32>(), any::<u32>()),
-        predicted in proptest::option::of((any_number(), any_number())),
+        said in proptest::option::of((any_number(), proptest::option::of(any_number()))),
         undo in proptest::option::of(any_text()),
         reasons in proptest::option::of(proptest::collection::vec(any_text(), 0..9)),
         saving in any::<bool>(),
@@ -473,7 +490,7 @@ prop_compose! {
                 id: GraspId(names.0.clone()),
                 object: names.1.clone(),
                 outcome: Outcome::Slip,
-                predicted,
+                predicted: said.map(|(p_stable, novelty)| predicted(p_stable, novelty)),
             }),
             redo: undo.clone(),
             message: Some(Message { level: MessageLevel::Error, text: names.2.clone() }),

@@ -296,6 +296,40 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
 }
 
 #[test]
+fn pictures_of_an_unfinished_plan_are_of_what_has_a_label() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("part");
+    plan(&folder, &FEW);
+    succeed(synth("run", &folder).args(["--shard", "0/2", "--pictures", "none"]));
+    let status = || json(&succeed(synth("status", &folder).arg("--json")));
+    let before = status();
+    let all = before["simulations"].as_u64().unwrap();
+    let done = before["done"].as_u64().unwrap();
+    let labelled = before["without_pictures"].as_u64().unwrap();
+    assert!(labelled > 0 && done < all, "{done} of {all}");
+
+    let alone = synth("run", &folder).arg("--partial").output().unwrap();
+    assert_eq!(alone.status.code(), Some(2));
+    assert!(stderr(&alone).contains("--pictures chosen"));
+    let mut run = synth("run", &folder);
+    run.args(["--pictures", "chosen", "--partial", "--json"]);
+    run.args(["--unbalanced", "--split", "train=1"]);
+    let told = json(&succeed(&mut run));
+    assert_eq!(told["simulated_now"], labelled);
+    assert_eq!(told["simulations"], done);
+    let after = status();
+    assert_eq!(after["done"], done, "nothing new is simulated");
+    assert_eq!(after["without_pictures"], 0);
+
+    let out = dir.path().join("dataset");
+    let merged = merge(&folder, &out).arg("--partial").output().unwrap();
+    assert_eq!(merged.status.code(), Some(3), "{}", stderr(&merged));
+    let part = &json(&merged)["parts"]["train"];
+    let simulations = part["stable"].as_u64().unwrap() + part["slip"].as_u64().unwrap();
+    assert_eq!(simulations, labelled);
+}
+
+#[test]
 fn pictures_can_wait_until_labels_tell_which_are_needed() {
     let dir = tempfile::tempdir().unwrap();
     let [whole, late] = ["whole", "late"].map(|name| dir.path().join(name));

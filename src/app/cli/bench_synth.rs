@@ -146,6 +146,7 @@ fn figures(
         shard: Shard::WHOLE,
         jobs,
         is_failed_retried: false,
+        is_open_simulated: true,
         pictures: Pictures::All,
     };
     let summary = run_plan(plan, folder, &settings, engine, &told)?;

@@ -17,9 +17,9 @@ use crate::train::{EvalReport, ModelEvaluation, Samples, dataset_sha256, evaluat
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Model file; several are compared with the first
-    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
-    model: Vec<PathBuf>,
+    /// Model file, or the name of a built-in model; several are compared with the first
+    #[arg(long, value_name = "MODEL", required = true, num_args = 1..)]
+    model: Vec<String>,
     /// Folder of the dataset, as `synth merge` makes it
     #[arg(long, value_name = "DIR")]
     data: PathBuf,
@@ -45,7 +45,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             let models = args
                 .model
                 .iter()
-                .map(|path| Ok((path.display().to_string(), Model::load(path)?)))
+                .map(|name| Ok((name.clone(), Model::named(name)?)))
                 .collect::<Result<Vec<_>>>()?;
             let samples = Samples::open(&args.data, &args.split)?;
             let training = Samples::open(&args.data, "train").ok();

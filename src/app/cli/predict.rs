@@ -23,7 +23,7 @@ use crate::imaging::{
     decode_png_rgb, jpeg,
 };
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
-use crate::predict::{BASELINE, Model, ModelInput, baseline};
+use crate::predict::{BASELINE, Model, ModelInput, Verdict, baseline};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -173,6 +173,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         None => contract.crop_profile.unwrap_or(CropProfile::FULL),
     };
     let mut input = ModelInput::zeros(contract)?;
+    let mut differences = Vec::new();
     for &name in contract.variant.inputs() {
         let (initial, grasp) = match name {
             InputName::TactileLeft => (
@@ -192,13 +193,13 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         let difference =
             TactileDifference::between(&picture(initial, &crop)?, &picture(grasp, &crop)?)?;
         input.set_tactile(name, &difference)?;
+        differences.push(difference);
     }
     let prediction = model.predict(&input)?;
-    let outcome = if prediction.p_stable >= contract.threshold {
-        "stable"
-    } else {
-        "slip"
-    };
+    let known = model.novelty();
+    let novelty = known.and_then(|known| known.of_touch(&differences));
+    let verdict = Verdict::of(prediction.p_stable, contract.threshold, novelty);
+    let outcome = verdict.name();
     if contract.is_heuristic() && !context.quiet {
         eprintln!(
             "gripcast: `{}` is a contact-strength heuristic, not a trained model",
@@ -214,14 +215,19 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
                 "kind": contract.origin.name(),
                 "model": contract.name,
                 "model_sha256": model.sha256(),
+                "novelty": novelty,
                 "p_stable": prediction.p_stable,
                 "predicted": outcome,
                 "threshold": contract.threshold,
             })
         ));
     }
+    let why = match verdict {
+        Verdict::Unsure => "; the tactile pictures are unlike those of the training",
+        Verdict::Stable | Verdict::Slip => "",
+    };
     print(&format!(
-        "{outcome}: p_stable {:.3}, threshold {}",
+        "{outcome}: p_stable {:.3}, threshold {}{why}",
         prediction.p_stable, contract.threshold
     ))
 }

@@ -14,7 +14,7 @@ use super::working::resumable;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::synth::plan::{Plan, Shard};
-use crate::synth::{Pictures, ResultStore, RunSettings, chosen, planned_engine};
+use crate::synth::{MergeSettings, Pictures, ResultStore, RunSettings, chosen, planned_engine};
 use crate::workers::cores;
 
 /// Reasons of failures that are shown.
@@ -37,6 +37,10 @@ pub(crate) struct Args {
     /// the pictures of half of them
     #[arg(long, value_enum, default_value_t = PicturesName::All)]
     pictures: PicturesName,
+    /// With --pictures chosen: those that `synth merge --partial` takes of what has a label by now;
+    /// nothing is simulated
+    #[arg(long)]
+    partial: bool,
     /// Try simulations again that could not be done, as after a missing mesh came back
     #[arg(long)]
     retry_failed: bool,
@@ -56,7 +60,7 @@ enum PicturesName {
     All,
     /// None of them
     None,
-    /// Those that `synth merge` takes; all simulations have to have a label
+    /// Those that `synth merge` takes; all simulations have to have a label, or see --partial
     Chosen,
 }
 
@@ -79,16 +83,30 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     };
     let folder = args.plan.clone();
     let choice = args.choice.curation()?;
+    if args.partial && args.pictures != PicturesName::Chosen {
+        return Err(Error::new(
+            ErrorKind::Usage,
+            "--partial is for the pictures that a dataset of an unfinished plan needs",
+        )
+        .remedy("give --pictures chosen with it, or leave it out"));
+    }
     let summary = resumable(context, "simulating", move |progress| {
         let plan = Plan::read(&folder)?;
         let settings = RunSettings {
             shard,
             jobs: args.jobs.map_or_else(cores, usize::from),
             is_failed_retried: args.retry_failed,
+            is_open_simulated: !args.partial,
             pictures: match args.pictures {
                 PicturesName::All => Pictures::All,
                 PicturesName::None => Pictures::None,
-                PicturesName::Chosen => Pictures::Of(chosen(&plan, &folder, &choice)?),
+                PicturesName::Chosen => {
+                    let settings = MergeSettings {
+                        curation: choice,
+                        is_partial_allowed: args.partial,
+                    };
+                    Pictures::Of(chosen(&plan, &folder, &settings)?)
+                }
             },
         };
         let engine = planned_engine(&plan, &folder)?;

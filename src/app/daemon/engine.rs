@@ -466,7 +466,7 @@ impl Engine {
                 id: id.0.clone(),
                 object: object.clone(),
                 outcome: *outcome,
-                p_stable: predicted.map(|(p, _)| p),
+                p_stable: predicted.map(|said| said.p_stable),
             });
         }
     }

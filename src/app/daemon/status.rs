@@ -6,6 +6,7 @@ use std::sync::Arc;
 use image::RgbImage;
 
 use crate::imaging::Role;
+use crate::predict::Verdict;
 use crate::session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 
 /// Snapshot of the engine.
@@ -89,11 +90,10 @@ pub struct PredictionStatus {
 }
 
 impl PredictionStatus {
-    /// Whether the pictures are unlike all that the model was trained on, so that its probability
-    /// says nothing.
+    /// What it claims, were it not too old.
     #[must_use]
-    pub fn is_unfamiliar(&self) -> bool {
-        self.novelty.is_some_and(|novelty| novelty > 1.0)
+    pub fn verdict(&self) -> Verdict {
+        Verdict::of(self.p_stable, self.threshold, self.novelty)
     }
 }
 

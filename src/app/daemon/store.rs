@@ -18,7 +18,7 @@ use crate::dataset::{
 };
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Decoder, Frame, Role};
-use crate::session::{PendingFrame, StoreReply, StoreRequest};
+use crate::session::{PendingFrame, Predicted, StoreReply, StoreRequest};
 
 /// Quiet time after which the index is brought up to date.
 const INDEX_PAUSE: Duration = Duration::from_millis(150);
@@ -336,7 +336,11 @@ pub(super) fn pending_frame(pending: &PendingInitial) -> PendingFrame {
 
 fn grasp_reply(record: GraspRecord) -> StoreReply {
     StoreReply::Grasp {
-        predicted: record.prediction.map(|p| (p.p_stable, p.threshold)),
+        predicted: record.prediction.map(|said| Predicted {
+            p_stable: said.p_stable,
+            threshold: said.threshold,
+            novelty: said.novelty,
+        }),
         id: record.id,
         object: record.object,
         outcome: record.outcome,

@@ -5,10 +5,11 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-use super::gauge::verdict;
+use super::gauge::claimed;
 use super::palette::Palette;
 use super::text::{clipped, row, write};
 use crate::dataset::Outcome;
+use crate::predict::Verdict;
 use crate::session::{LastGrasp, MessageLevel, SessionView, Step};
 
 /// Draws from the bottom up: keys, message, newest grasp; the upper ones go first when it is low.
@@ -65,20 +66,20 @@ fn outcome(outcome: Outcome, palette: Palette) -> Span<'static> {
     }
 }
 
-/// `predicted 0.74 ✓`: a tick when the label agrees, a cross when it does not.
+/// `predicted 0.74 ✓`: a tick when the label agrees, a cross when it does not, a question mark where
+/// the model did not know such pictures.
 fn predicted(last: &LastGrasp, palette: Palette) -> Vec<Span<'static>> {
-    let Some((p, threshold)) = last.predicted else {
+    let Some(said) = last.predicted else {
         return Vec::new();
     };
-    let agrees = match last.outcome {
-        Outcome::Stable => Some(verdict(p, threshold) == "STABLE"),
-        Outcome::Slip => Some(verdict(p, threshold) == "SLIP"),
-        Outcome::Unlabelled => None,
-    };
-    let (mark, style) = match agrees {
-        Some(true) => (" ✓", palette.stable()),
-        Some(false) => (" ✗", palette.warning()),
-        None => ("", Style::new()),
+    let p = said.p_stable;
+    let (mark, style) = match (claimed(&said), last.outcome) {
+        (Verdict::Unsure, _) => (" ?", palette.warning()),
+        (_, Outcome::Unlabelled) => ("", Style::new()),
+        (Verdict::Stable, Outcome::Stable) | (Verdict::Slip, Outcome::Slip) => {
+            (" ✓", palette.stable())
+        }
+        _ => (" ✗", palette.warning()),
     };
     vec![
         Span::styled(format!("  predicted {p:.2}"), palette.faint()),
@@ -148,24 +149,32 @@ mod tests {
     use super::*;
     use crate::app::tui::palette::ColourDepth;
     use crate::dataset::GraspId;
+    use crate::session::Predicted;
 
     #[test]
     fn agreement_of_label_and_prediction_is_marked() {
         let palette = Palette {
             depth: ColourDepth::Mono,
         };
-        let marked = |outcome, p| {
+        let marked_of = |outcome, p, novelty| {
             let last = LastGrasp {
                 id: GraspId("2026-11-20T10-15-03Z-7f3a".to_owned()),
                 object: "mug".to_owned(),
                 outcome,
-                predicted: Some((p, 0.5)),
+                predicted: Some(Predicted {
+                    p_stable: p,
+                    threshold: 0.5,
+                    novelty,
+                }),
             };
             Line::from(predicted(&last, palette)).to_string()
         };
+        let marked = |outcome, p| marked_of(outcome, p, Some(0.9));
         assert_eq!(marked(Outcome::Stable, 0.74), "  predicted 0.74 ✓");
         assert_eq!(marked(Outcome::Slip, 0.74), "  predicted 0.74 ✗");
         assert_eq!(marked(Outcome::Slip, 0.1), "  predicted 0.10 ✓");
         assert_eq!(marked(Outcome::Unlabelled, 0.1), "  predicted 0.10");
+        let unknown = marked_of(Outcome::Stable, 0.74, Some(1.1));
+        assert_eq!(unknown, "  predicted 0.74 ?");
     }
 }

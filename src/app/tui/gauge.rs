@@ -9,11 +9,11 @@ use super::big_digits::{self, Size};
 use super::palette::Palette;
 use super::text::{clipped, columns, duration_ms, row, write, write_right};
 use crate::app::daemon::{EngineStatus, PredictionStatus};
+use crate::predict::Verdict;
+use crate::session::Predicted;
 
 /// A prediction from a frame older than this is shown dim and named old, ms.
 const STALE_MS: f64 = 500.0;
-/// The claim on pictures that are unlike those of the training.
-const UNSURE: &str = "UNSURE";
 /// Least columns between the number at the left and the verdict at the right.
 const GAP: u16 = 4;
 
@@ -26,13 +26,18 @@ struct Reading {
     bar: Option<(f64, f64)>,
 }
 
-/// `STABLE` or `SLIP`.
-pub(super) fn verdict(p_stable: f64, threshold: f64) -> &'static str {
-    if p_stable >= threshold {
-        "STABLE"
-    } else {
-        "SLIP"
+/// What a verdict is called on the screen.
+pub(super) fn word(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Stable => "STABLE",
+        Verdict::Slip => "SLIP",
+        Verdict::Unsure => "UNSURE",
     }
+}
+
+/// What was claimed of a grasp.
+pub(super) fn claimed(said: &Predicted) -> Verdict {
+    Verdict::of(said.p_stable, said.threshold, said.novelty)
 }
 
 /// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
@@ -40,10 +45,8 @@ pub(super) fn verdict(p_stable: f64, threshold: f64) -> &'static str {
 pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
     if is_stale(prediction) || !prediction.p_stable.is_finite() {
         "OLD"
-    } else if prediction.is_unfamiliar() {
-        UNSURE
     } else {
-        verdict(prediction.p_stable, prediction.threshold)
+        word(prediction.verdict())
     }
 }
 
@@ -55,7 +58,7 @@ pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
     match verdict {
         "STABLE" => palette.stable(),
         "SLIP" => palette.slip(),
-        UNSURE => palette.warning(),
+        "UNSURE" => palette.warning(),
         _ => palette.faint(),
     }
 }
@@ -94,8 +97,8 @@ pub(super) fn rows(width: u16, available: u16) -> u16 {
 fn size(width: u16, height: u16) -> Option<Size> {
     Size::DESCENDING.into_iter().find(|size| {
         let words = match size {
-            Size::Large => Size::Large.columns(UNSURE),
-            Size::Medium | Size::Small => Size::Small.columns(UNSURE),
+            Size::Large => Size::Large.columns(word(Verdict::Unsure)),
+            Size::Medium | Size::Small => Size::Small.columns(word(Verdict::Unsure)),
         };
         size.rows() <= height && size.columns("0.00") + GAP + words + 2 <= width
     })
@@ -262,7 +265,7 @@ fn write_title(
     if prediction.heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
-    if prediction.is_unfamiliar() {
+    if prediction.verdict() == Verdict::Unsure {
         left.push(Span::styled(
             "unlike the training pictures ",
             palette.warning(),
@@ -376,7 +379,7 @@ mod tests {
         let mut odd = prediction(0.97, 18.0);
         odd.novelty = Some(1.01);
         let read = reading(Some(&odd), PALETTE);
-        assert_eq!((read.verdict, read.style), (UNSURE, PALETTE.warning()));
+        assert_eq!((read.verdict, read.style), ("UNSURE", PALETTE.warning()));
         odd.novelty = Some(0.99);
         assert_eq!(reading(Some(&odd), PALETTE).verdict, "STABLE");
         odd = prediction(0.97, 900.0);

@@ -8,10 +8,11 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use super::fault::{place, sentence};
-use super::gauge::verdict;
+use super::gauge::{claimed, word};
 use crate::app::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus};
 use crate::dataset::Outcome;
 use crate::imaging::Role;
+use crate::predict::Verdict;
 use crate::session::{LastGrasp, Message, MessageLevel};
 
 /// Shortest time between two lines on the same camera, or on the live prediction.
@@ -119,9 +120,9 @@ impl LinePrinter {
     fn prediction(&mut self, status: &EngineStatus, now: Instant) -> Option<String> {
         if let Some(prediction) = &status.prediction {
             self.absence = None;
-            let verdict = match prediction.is_unfamiliar() {
-                true => "UNSURE, unlike the training pictures",
-                false => verdict(prediction.p_stable, prediction.threshold),
+            let verdict = match prediction.verdict() {
+                Verdict::Unsure => "UNSURE, unlike the training pictures",
+                known => word(known),
             };
             return self
                 .prediction
@@ -147,7 +148,7 @@ impl LinePrinter {
         if known.is_none() {
             let predicted = last.predicted.map_or_else(
                 || "no prediction".to_owned(),
-                |(p, threshold)| format!("predicted {p:.2} {}", verdict(p, threshold)),
+                |said| format!("predicted {:.2} {}", said.p_stable, word(claimed(&said))),
             );
             lines.push(format!("saved {} {}: {predicted}", last.id, last.object));
         }
