@@ -88,8 +88,8 @@ pub struct TestSet {
 pub struct ExperimentSettings {
     /// Dataset of the finite elements.
     pub fem: PathBuf,
-    /// The same plan with the rigid-body simulator.
-    pub rigid: PathBuf,
+    /// The same plan with the rigid-body simulator; without it that condition is left out.
+    pub rigid: Option<PathBuf>,
     /// What is tested on.
     pub tests: Vec<TestSet>,
     /// Seeds of each condition, from 0.
@@ -175,7 +175,11 @@ pub fn experiment(
 ) -> Result<ExperimentReport> {
     // An experiment that is stopped has all conditions of some seeds.
     let runs: Vec<(u64, Condition)> = (0..settings.seeds)
-        .flat_map(|seed| Condition::ALL.map(|condition| (seed, condition)))
+        .flat_map(|seed| {
+            settings
+                .conditions()
+                .map(move |condition| (seed, condition))
+        })
         .collect();
     let evaluations = one_per_core(
         jobs,
@@ -200,7 +204,7 @@ pub fn experiment(
     let text = serde_json::to_vec_pretty(&report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the report").because(e))?;
     files::save(&out.join("fig6.json"), &text)?;
-    for (name, chart) in charts(&report, &settings.tests) {
+    for (name, chart) in charts(&report, settings) {
         files::save(&out.join(name), bars(&chart).as_bytes())?;
     }
     Ok(report)
@@ -214,10 +218,7 @@ fn trained(
     folder: &Path,
     told: &(dyn Fn(ExperimentEvent) + Sync),
 ) -> Result<PathBuf> {
-    let data = match condition {
-        Condition::BothRigid => &settings.rigid,
-        _ => &settings.fem,
-    };
+    let data = settings.data(condition)?;
     let training = TrainSettings {
         variant: condition.variant(),
         seed,
@@ -325,6 +326,25 @@ impl OverSeeds {
 }
 
 impl ExperimentSettings {
+    /// The conditions for which there are data, in the order of the figure.
+    fn conditions(&self) -> impl Iterator<Item = Condition> + '_ {
+        let has_data =
+            |condition: &Condition| *condition != Condition::BothRigid || self.rigid.is_some();
+        Condition::ALL.into_iter().filter(has_data)
+    }
+
+    /// What a condition is trained on.
+    fn data(&self, condition: Condition) -> Result<&Path> {
+        match (condition, &self.rigid) {
+            (Condition::BothRigid, None) => Err(Error::new(
+                ErrorKind::Internal,
+                "there is no dataset of rigid bodies",
+            )),
+            (Condition::BothRigid, Some(rigid)) => Ok(rigid),
+            _ => Ok(&self.fem),
+        }
+    }
+
     fn report(
         &self,
         found: &BTreeMap<(String, Condition), Vec<ModelEvaluation>>,
@@ -334,7 +354,7 @@ impl ExperimentSettings {
         let mut differences = Vec::new();
         for test in &self.tests {
             let mut of_test: BTreeMap<Condition, OverSeeds> = BTreeMap::new();
-            for condition in Condition::ALL {
+            for condition in self.conditions() {
                 let key = (test.name.clone(), condition);
                 let Some(evaluations) = found.get(&key) else {
                     continue;
@@ -383,8 +403,9 @@ impl ExperimentSettings {
             }
         }
         let mut datasets = BTreeMap::new();
-        for (name, data) in [("fem", &self.fem), ("rigid", &self.rigid)] {
-            datasets.insert(name.to_owned(), dataset_sha256(data)?);
+        datasets.insert("fem".to_owned(), dataset_sha256(&self.fem)?);
+        if let Some(rigid) = &self.rigid {
+            datasets.insert("rigid".to_owned(), dataset_sha256(rigid)?);
         }
         for test in &self.tests {
             datasets.insert(test.name.clone(), dataset_sha256(&test.data)?);
@@ -407,7 +428,10 @@ type OfSeed = fn(&Summary) -> Option<f64>;
 type OverAll = fn(&ConditionResult) -> Option<Interval>;
 
 /// The bar charts with their file names.
-fn charts(report: &ExperimentReport, tests: &[TestSet]) -> Vec<(&'static str, BarChart)> {
+fn charts(
+    report: &ExperimentReport,
+    settings: &ExperimentSettings,
+) -> Vec<(&'static str, BarChart)> {
     let kinds: [(&str, &str, OfSeed, OverAll); 2] = [
         (
             "fig6.svg",
@@ -417,6 +441,10 @@ fn charts(report: &ExperimentReport, tests: &[TestSet]) -> Vec<(&'static str, Ba
         ),
         ("fig6-auroc.svg", "AUROC", |s| s.auroc, |r| r.auroc),
     ];
+    let by = match settings.rigid {
+        Some(_) => "sense and simulator",
+        None => "sense",
+    };
     kinds
         .into_iter()
         .map(|(file, label, of_seed, over)| {
@@ -430,15 +458,18 @@ fn charts(report: &ExperimentReport, tests: &[TestSet]) -> Vec<(&'static str, Ba
                     seeds: found.seeds.iter().filter_map(of_seed).collect(),
                 })
             };
-            let groups = tests.iter().map(|test| BarGroup {
+            let groups = settings.tests.iter().map(|test| BarGroup {
                 name: test.title.clone(),
-                bars: Condition::ALL.iter().map(|c| bar(test, *c)).collect(),
+                bars: settings.conditions().map(|c| bar(test, c)).collect(),
             });
             let chart = BarChart {
-                title: format!("{label} by sense and simulator"),
+                title: format!("{label} by {by}"),
                 y_label: label.to_owned(),
                 y_range: [0.4, 1.0],
-                series: Condition::ALL.map(|c| c.title().to_owned()).to_vec(),
+                series: settings
+                    .conditions()
+                    .map(|c| c.title().to_owned())
+                    .collect(),
                 groups: groups.collect(),
                 interval_meaning: "95 % over objects; dots are seeds".to_owned(),
                 reference: Some(Reference {

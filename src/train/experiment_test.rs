@@ -30,7 +30,7 @@ fn all_conditions_are_trained_tested_and_compared_once() {
             split: "test".to_owned(),
         }],
         fem,
-        rigid,
+        rigid: Some(rigid),
         seeds: 2,
         training: TrainSettings {
             epochs: 2,
@@ -68,6 +68,17 @@ fn all_conditions_are_trained_tested_and_compared_once() {
     assert_eq!(experiment(&settings, &out, 2, &told).unwrap(), report);
     assert_eq!(*runs.lock().unwrap(), [16, 16]);
     assert_eq!(fs::read(out.join("fig6.json")).unwrap(), written);
+    // Without the rigid-body simulator the rest is the same.
+    let three = ExperimentSettings {
+        rigid: None,
+        ..settings.clone()
+    };
+    let found = experiment(&three, &out, 2, &told).unwrap();
+    assert_eq!(found.results[..], report.results[..3]);
+    assert_eq!(found.differences[..], report.differences[..3]);
+    assert!(!found.datasets.contains_key("rigid"));
+    let chart = fs::read_to_string(out.join("fig6.svg")).unwrap();
+    assert!(chart.contains("V+T") && !chart.contains("rigid"));
     // Another test set is not mistaken for the old one.
     write_part(
         &settings.fem,

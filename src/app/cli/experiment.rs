@@ -39,9 +39,9 @@ struct Fig6Args {
     /// Dataset simulated with finite elements
     #[arg(long, value_name = "DIR")]
     fem: PathBuf,
-    /// Dataset of the same plan with the rigid engine
+    /// Dataset of the same plan with the rigid engine [default: that bar is left out]
     #[arg(long, value_name = "DIR")]
-    rigid: PathBuf,
+    rigid: Option<PathBuf>,
     /// Dataset of other objects under other conditions, whose part `test` stands for reality
     #[arg(long, value_name = "DIR")]
     shifted: Option<PathBuf>,
@@ -96,7 +96,8 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     };
     let out = args.out.clone();
     let jobs = args.jobs.map_or_else(cores, usize::from);
-    let runs = Condition::ALL.len() as u64 * args.seeds;
+    let conditions = Condition::ALL.len() - usize::from(args.rigid.is_none());
+    let runs = conditions as u64 * args.seeds;
     let shares: Mutex<BTreeMap<(Condition, u64), f64>> = Mutex::default();
     let report = resumable(context, "experiment", move |progress| {
         experiment(&settings, &out, jobs, &|event| match event {
