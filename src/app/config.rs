@@ -40,7 +40,8 @@ pub struct CollectConfig {
     pub scene: String,
     /// Operator.
     pub operator: String,
-    /// ONNX file or `baseline-contact`; empty = that one, `none` = no prediction.
+    /// ONNX file, `gripcast-vt` or `baseline-contact`; empty = the first of these that suits the
+    /// rig, `none` = no prediction.
     pub model: String,
     /// `auto`, `bell` or `off`.
     pub sound: String,

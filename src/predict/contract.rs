@@ -32,7 +32,7 @@ use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
 
 use super::onnx::OnnxGraphBuilder;
 use crate::error::{Error, ErrorKind, Result};
-use crate::imaging::CropProfile;
+use crate::imaging::{CropProfile, Role};
 
 /// Version of the contract that this build reads and writes.
 pub const SCHEMA: u32 = 1;
@@ -76,6 +76,16 @@ impl InputName {
             Self::TactileLeft => "tactile_left",
             Self::TactileRight => "tactile_right",
             Self::Rgb => "rgb",
+        }
+    }
+
+    /// Camera whose pictures it is made from.
+    #[must_use]
+    pub fn role(self) -> Role {
+        match self {
+            Self::TactileLeft => Role::Left,
+            Self::TactileRight => Role::Right,
+            Self::Rgb => Role::Rgb,
         }
     }
 }

@@ -3,7 +3,7 @@
 //! A model is one ONNX file whose metadata is a [`contract::ModelContract`]. [`Model`] loads and
 //! checks it, [`ModelInput`] turns 320×240 pictures into its tensors, [`LivePredictor`] keeps the
 //! pictures of a running session; [`Smoothing`] calms its answers for a screen, [`Novelty`] tells
-//! pictures that are unlike those of the training, [`Verdict`] what may be claimed. [`baseline`] is a heuristic to use until a trained model exists;
+//! pictures that are unlike those of the training, [`Verdict`] what may be claimed. [`SHIPPED`] is a trained model, [`baseline`] a heuristic to hold it against;
 //! [`onnx`] writes such files.
 
 pub mod baseline;
@@ -23,7 +23,7 @@ pub use contract::ModelContract;
 pub use engine::{Model, Prediction};
 pub use input::ModelInput;
 pub use live::{LivePrediction, LivePredictor};
-pub use named::{BASELINE, model_bytes};
+pub use named::{BASELINE, SHIPPED, model_bytes};
 pub use novelty::Novelty;
 pub use smoothing::Smoothing;
 pub use timing::{PredictFigures, measure};

@@ -1,4 +1,4 @@
-//! Models by name: the one that gripcast has built in, and files.
+//! Models by name: those that gripcast has built in, and files.
 
 use std::path::Path;
 
@@ -7,13 +7,18 @@ use crate::error::Result;
 
 /// Name of the built-in contact-strength heuristic, `models/baseline-contact.onnx`.
 pub const BASELINE: &str = "baseline-contact";
+/// Name of the built-in classifier, `models/gripcast-vt.onnx`, trained on simulated grasps.
+pub const SHIPPED: &str = "gripcast-vt";
 
-/// The bytes of a model: [`BASELINE`], or a file.
+static SHIPPED_BYTES: &[u8] = include_bytes!("../../models/gripcast-vt.onnx");
+
+/// The bytes of a model: [`SHIPPED`], [`BASELINE`], or a file.
 ///
 /// # Errors
 /// As [`onnx::read`].
 pub fn model_bytes(name: &str) -> Result<Vec<u8>> {
     match name {
+        SHIPPED => Ok(SHIPPED_BYTES.to_vec()),
         BASELINE => baseline::onnx_bytes(),
         path => onnx::read(Path::new(path)),
     }
@@ -26,7 +31,8 @@ impl Model {
     /// As [`Model::load`].
     pub fn named(name: &str) -> Result<Self> {
         match name {
-            BASELINE => Self::from_bytes(&model_bytes(name)?),
+            SHIPPED => Self::from_bytes(SHIPPED_BYTES),
+            BASELINE => Self::baseline(),
             path => Self::load(Path::new(path)),
         }
     }
@@ -35,6 +41,7 @@ impl Model {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::predict::contract::{Origin, Variant};
 
     #[test]
     fn other_names_are_files() {
@@ -42,5 +49,26 @@ mod tests {
         assert_eq!(named.sha256(), Model::baseline().unwrap().sha256());
         let error = Model::named("no-such-model").unwrap_err();
         assert!(error.to_string().contains("no-such-model"), "{error}");
+    }
+
+    #[test]
+    fn the_shipped_classifier_is_what_its_card_says() {
+        let model = Model::named(SHIPPED).unwrap();
+        let contract = model.contract();
+        assert_eq!((&*contract.name, contract.variant), (SHIPPED, Variant::Vt));
+        assert!(matches!(contract.origin, Origin::Trained { .. }));
+        assert!(model.is_on_own_engine() && model.novelty().is_some());
+        assert!(SHIPPED_BYTES.len() <= 12 << 20);
+        let card: toml::Table = include_str!("../../models/gripcast-vt.toml")
+            .parse()
+            .unwrap();
+        assert_eq!(card["name"].as_str(), Some(SHIPPED));
+        assert_eq!(card["sha256"].as_str(), Some(model.sha256()));
+        assert_eq!(card["variant"].as_str(), Some(contract.variant.name()));
+        assert_eq!(card["threshold"].as_float(), Some(contract.threshold));
+        assert_eq!(
+            card["crop_profile"].as_str(),
+            Some(contract.crop_profile_name())
+        );
     }
 }

@@ -1,5 +1,6 @@
 //! `gripcast collect` on the virtual rig, end to end.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde_json::Value;
@@ -67,6 +68,39 @@ fn three_grasps_are_collected_predicted_and_verified() {
         }
         assert!(truth["opening_m"].as_f64().unwrap() < 0.07, "{truth}");
         assert!(truth["t_object_gripper"]["t_m"].is_array(), "{truth}");
+    }
+}
+
+#[test]
+fn the_usual_model_tells_good_grasps_of_the_virtual_rig_from_bad_ones() {
+    const ONE: &str = "wait no-contact\nwait fresh\ntrigger\nwait saved\nwait contact\nsleep 0.8\n\
+                       wait fresh\ntrigger\nwait saved\nstable\nwait saved\n";
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let steps = format!("stop-on-refusal\nwait live\n{}quit\n", ONE.repeat(8));
+    succeed(&mut collect(&script(dir.path(), &steps), &dataset));
+
+    let mut found = BTreeMap::new();
+    for grasp in grasps(&dataset).into_values() {
+        let (film, prediction) = (
+            grasp["truth"]["film"].as_str().unwrap(),
+            &grasp["prediction"],
+        );
+        assert_eq!(prediction["model"], "gripcast-vt");
+        let number = |key: &str| prediction[key].as_f64().unwrap();
+        assert!(number("novelty") <= 1.0, "{film}: {prediction}");
+        let is_stable = number("p_stable") >= number("threshold");
+        found.insert(
+            film.to_owned(),
+            (is_stable, grasp["truth"]["held"].as_bool().unwrap()),
+        );
+    }
+    assert_eq!(found.len(), 8);
+    // Two more are told wrongly: `bottle-low` is heavy and slippery, which no picture shows, and
+    // the flat `box` leaves little to see.
+    for film in ["mug", "ball", "bottle", "ball-aside", "wedge", "box-end"] {
+        let (is_stable, held) = found[film];
+        assert_eq!(is_stable, held, "{film}: {found:?}");
     }
 }
 

@@ -9,7 +9,7 @@ use serde_json::{Map, json};
 use super::{Context, print, python_peer};
 use crate::app::daemon::live_load::{LoadParams, decode_ms, drive, gel_frame};
 use crate::error::Result;
-use crate::predict::{BASELINE, Model};
+use crate::predict::{Model, SHIPPED};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -20,8 +20,8 @@ pub(crate) struct Args {
     /// JPEG quality of the synthesised gel frames
     #[arg(long, default_value_t = 75, value_parser = clap::value_parser!(u8).range(1..=100))]
     quality: u8,
-    /// ONNX file, or `baseline-contact`, the built-in heuristic
-    #[arg(long, value_name = "MODEL", default_value = BASELINE)]
+    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
     /// Another decoder to measure beside ours, on one of the same frames
     #[arg(long, value_enum)]

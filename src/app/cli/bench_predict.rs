@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::{Context, print, python_peer};
 use crate::error::{Error, Result};
-use crate::predict::{BASELINE, Model, PredictFigures, measure, model_bytes};
+use crate::predict::{Model, PredictFigures, SHIPPED, measure, model_bytes};
 
 /// Runs below this give no usable median.
 const LEAST_RUNS: u64 = 30;
@@ -17,8 +17,8 @@ const PEER_SCRIPT: &str = include_str!("../../../benches/peers/onnxruntime_predi
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// ONNX file, or `baseline-contact`, the built-in heuristic
-    #[arg(long, value_name = "MODEL", default_value = BASELINE)]
+    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
     /// Predictions to measure
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(LEAST_RUNS..))]

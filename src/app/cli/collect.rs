@@ -29,7 +29,7 @@ use crate::app::tui;
 use crate::dataset::NewDataset;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::Role;
-use crate::predict::{BASELINE, Model};
+use crate::predict::{BASELINE, Model, ModelContract, SHIPPED};
 use crate::rig::calibration::{PedalConfig, RigFile};
 use crate::rig::camera::{MonotonicClock, RigSources, SupervisionPolicy};
 use crate::rig::device::SystemRoot;
@@ -63,7 +63,9 @@ pub(crate) struct Args {
     /// Who holds the gripper
     #[arg(long)]
     operator: Option<String>,
-    /// ONNX file, or `none` for no prediction [default: baseline-contact, the built-in heuristic]
+    /// ONNX file, `gripcast-vt`, the built-in classifier, `baseline-contact`, a heuristic of touch
+    /// alone, or `none` for no prediction [default: gripcast-vt; baseline-contact where the rig's
+    /// cameras or crop profile are not those of the classifier]
     #[arg(long, value_name = "MODEL")]
     model: Option<String>,
     /// Timed commands instead of an operator
@@ -134,7 +136,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         .remedy("run it in a terminal, give --script FILE, or add a [[pedals]] entry to the rig"));
     }
     let sound = sound(&settings.sound)?;
-    let model = chosen_model(&settings.model)?;
+    let model = chosen_model(&settings.model, &rig, context.quiet)?;
     let root = SystemRoot::default();
     let sources = RigSources::of(&rig, &root, args.seed)?;
     sources.check_present()?;
@@ -371,12 +373,38 @@ fn chosen_dataset(settings: &CollectConfig) -> Result<PathBuf> {
     Ok(PathBuf::from(&settings.dataset))
 }
 
-fn chosen_model(name: &str) -> Result<Option<Model>> {
+fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<Option<Model>> {
     match name {
-        "" => Model::named(BASELINE).map(Some),
+        "" => {
+            let shipped = Model::named(SHIPPED)?;
+            let Some(why) = misfit(shipped.contract(), rig) else {
+                return Ok(Some(shipped));
+            };
+            if !is_quiet {
+                eprintln!(
+                    "{why}: predictions come from `{BASELINE}`, a heuristic, instead of `{SHIPPED}`"
+                );
+            }
+            Model::named(BASELINE).map(Some)
+        }
         "none" => Ok(None),
         name => Model::named(name).map(Some),
     }
+}
+
+/// Why a model cannot judge what the cameras of a rig see; none if it can.
+fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
+    for input in model.variant.inputs() {
+        let role = input.role();
+        let Some(camera) = rig.cameras.get(&role) else {
+            return Some(format!("the rig has no camera `{role}`"));
+        };
+        let crop = camera.crop_profile.as_deref().unwrap_or_default();
+        if role.is_tactile() && model.check_crop_profile(crop).is_err() {
+            return Some(format!("the camera `{role}` is cropped with `{crop}`"));
+        }
+    }
+    None
 }
 
 fn sound(name: &str) -> Result<tui::Sound> {
@@ -450,4 +478,31 @@ fn summary(report: &CollectReport) -> String {
         );
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_classifier_is_used_where_the_rig_has_what_it_was_trained_on() {
+        let usual = |rig: &RigFile| chosen_model("", rig, true).unwrap().unwrap();
+        let mut rig = RigFile::virtual_rig();
+        assert_eq!(usual(&rig).contract().name, SHIPPED);
+        rig.cameras.remove(&Role::Rgb);
+        assert_eq!(usual(&rig).contract().name, BASELINE);
+        let contract = Model::named(SHIPPED).unwrap().contract().clone();
+        let why = misfit(&contract, &rig).unwrap();
+        assert!(why.contains("no camera `rgb`"), "{why}");
+
+        let mut rig = RigFile::virtual_rig();
+        let left = rig.cameras.get_mut(&Role::Left).unwrap();
+        left.crop_profile = Some("full-v1".to_owned());
+        let why = misfit(&contract, &rig).unwrap();
+        assert!(why.contains("`left`") && why.contains("full-v1"), "{why}");
+
+        assert!(chosen_model("none", &rig, true).unwrap().is_none());
+        let named = chosen_model(BASELINE, &RigFile::virtual_rig(), true).unwrap();
+        assert_eq!(named.unwrap().contract().name, BASELINE);
+    }
 }

@@ -23,7 +23,7 @@ use crate::imaging::{
     decode_png_rgb, jpeg,
 };
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
-use crate::predict::{BASELINE, Model, ModelInput, Verdict, baseline};
+use crate::predict::{BASELINE, Model, ModelInput, SHIPPED, Verdict, baseline};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -45,7 +45,7 @@ enum Action {
 
 #[derive(Debug, clap::Args)]
 struct CheckArgs {
-    /// ONNX file, or `baseline-contact`, the built-in heuristic
+    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
     #[arg(value_name = "MODEL")]
     model: String,
     /// Print one JSON object
@@ -76,8 +76,8 @@ struct ImagesArgs {
     /// The tactile pictures are already cropped with the model's profile: take them whole
     #[arg(long, conflicts_with = "crop")]
     already_cropped: bool,
-    /// ONNX file, or `baseline-contact`, the built-in heuristic
-    #[arg(long, value_name = "MODEL", default_value = BASELINE)]
+    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
     /// Print one JSON object
     #[arg(long)]

@@ -67,9 +67,9 @@ pub(crate) struct Args {
     /// Leave pictures as they are
     #[arg(long)]
     no_augmentation: bool,
-    /// Name of the model
-    #[arg(long, default_value = "gripcast-vt")]
-    name: String,
+    /// Name of the model [default: trained- and its senses, as trained-vt]
+    #[arg(long)]
+    name: Option<String>,
     /// No dashboard, even on a terminal
     #[arg(long)]
     headless: bool,
@@ -158,7 +158,9 @@ fn all_seeds(args: &Args, told: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value>
             Error::new(ErrorKind::Internal, "the run has no description").at(folder.run().display())
         })?;
         told(TrainingNews::Stage("calibrating"));
-        let finished = finish(&folder, &file, &args.data, &args.name, &|_| {})?;
+        let senses = file.settings.variant.name().to_lowercase();
+        let name = args.name.clone().unwrap_or(format!("trained-{senses}"));
+        let finished = finish(&folder, &file, &args.data, &name, &|_| {})?;
         runs.push(described(seed, &folder, &trained, &finished));
         let accuracy = trained.best.validation_accuracy;
         if best.as_ref().is_none_or(|(most, _)| accuracy > *most) {
