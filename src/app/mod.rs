@@ -1,6 +1,9 @@
 //! The program: command line, engine, screens. The only area that knows tokio, clap and ratatui.
 
+mod camera_check;
 pub mod cli;
 pub mod config;
 pub mod daemon;
+mod doctor;
+mod model_choice;
 pub mod tui;

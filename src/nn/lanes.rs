@@ -53,6 +53,11 @@ pub(super) enum Isa {
     Portable,
 }
 
+/// Bits of the vectors that networks are run with on this processor; 0 where none suit.
+pub fn vector_bits() -> u32 {
+    Isa::best().bits()
+}
+
 impl Isa {
     /// The best one of this processor.
     #[inline]
@@ -70,6 +75,17 @@ impl Isa {
             }
         }
         Self::Portable
+    }
+
+    /// Bits of its vectors; 0 for the portable one.
+    fn bits(self) -> u32 {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512(_) => 512,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2(_) => 256,
+            Self::Portable => 0,
+        }
     }
 
     /// All that this processor has, the best one first.

@@ -18,4 +18,5 @@ pub use adam::{Adam, linear_schedule};
 pub use architecture::{Architecture, ConvSpec, Layout, PICTURE, Part, Senses};
 pub use conv::ConvShape;
 pub use inference::{Convolution, Dense, Padded};
+pub use lanes::vector_bits;
 pub use network::{Batch, FoldedConvolution, Network, Sense, Step};

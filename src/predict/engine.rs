@@ -110,7 +110,6 @@ impl Model {
     ///
     /// # Errors
     /// As [`Model::load`].
-    #[cfg(test)]
     pub(crate) fn on_tract(bytes: &[u8]) -> Result<Self> {
         let mut proto = onnx::decode(bytes)?;
         proto.graph.iter_mut().for_each(contract::close_batch);
@@ -130,7 +129,6 @@ impl Model {
     }
 
     /// Whether our own engine runs it.
-    #[cfg(test)]
     pub(crate) fn is_on_own_engine(&self) -> bool {
         matches!(self.engine, Engine::Own(_))
     }

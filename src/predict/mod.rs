@@ -26,5 +26,5 @@ pub use live::{LivePrediction, LivePredictor};
 pub use named::{BASELINE, SHIPPED, model_bytes};
 pub use novelty::Novelty;
 pub use smoothing::Smoothing;
-pub use timing::{PredictFigures, measure};
+pub use timing::{PredictFigures, SelfCheck, measure, self_check};
 pub use verdict::Verdict;

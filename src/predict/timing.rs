@@ -16,6 +16,9 @@ const LOADS: usize = 5;
 /// Predictions before the clock starts.
 const WARM_UP: usize = 3;
 
+/// Predictions of a self-check.
+const SELF_CHECKS: usize = 9;
+
 /// Figures of one model, ms of wall time on one thread.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PredictFigures {
@@ -47,15 +50,7 @@ pub fn measure(model: &[u8], runs: usize) -> Result<PredictFigures> {
     let mut preprocess = Vec::with_capacity(runs);
     for run in 0..WARM_UP + runs.max(1) {
         let started = Instant::now();
-        for &name in model.contract().variant.inputs() {
-            match name {
-                InputName::Rgb => input.set_rgb(&grasp)?,
-                tactile => {
-                    let difference = TactileDifference::between(&initial, &grasp)?;
-                    input.set_tactile(tactile, &difference)?;
-                }
-            }
-        }
+        fill(&mut input, &model, &initial, &grasp)?;
         if run >= WARM_UP {
             preprocess.push(started.elapsed().as_secs_f64() * 1e3);
         }
@@ -79,6 +74,64 @@ pub fn measure(model: &[u8], runs: usize) -> Result<PredictFigures> {
         preprocess_ms_median,
         preprocess_ms_min,
     })
+}
+
+/// What a model answers here, and what it should.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SelfCheck {
+    /// Answer to a made-up grasp.
+    pub p_stable: f64,
+    /// The general engine's answer to the same, where our own one runs the model.
+    pub other: Option<f64>,
+    /// Model alone, median, ms.
+    pub engine_ms: f64,
+    /// From the file's bytes to the first answer, ms.
+    pub load_ms: f64,
+}
+
+/// Predicts a made-up grasp, by both engines where both can.
+///
+/// # Errors
+/// When the model does not load or run.
+pub fn self_check(model: &[u8]) -> Result<SelfCheck> {
+    let bytes = model;
+    let model = Model::from_bytes(bytes)?;
+    let input = made_up(&model)?;
+    let other = if model.is_on_own_engine() {
+        Some(Model::on_tract(bytes)?.predict(&input)?.p_stable)
+    } else {
+        None
+    };
+    let runs = (0..SELF_CHECKS)
+        .map(|_| model.predict(&input))
+        .collect::<Result<Vec<_>>>()?;
+    let (_, engine_ms) = min_and_median(runs.iter().map(|run| run.engine_ms).collect());
+    Ok(SelfCheck {
+        p_stable: runs.first().map_or(f64::NAN, |run| run.p_stable),
+        other,
+        engine_ms,
+        load_ms: model.load_ms(),
+    })
+}
+
+fn made_up(model: &Model) -> Result<ModelInput> {
+    let mut input = ModelInput::zeros(model.contract())?;
+    fill(&mut input, model, &pattern(0), &pattern(40))?;
+    Ok(input)
+}
+
+/// Sets all inputs of a model.
+fn fill(input: &mut ModelInput, model: &Model, initial: &RgbImage, grasp: &RgbImage) -> Result<()> {
+    for &name in model.contract().variant.inputs() {
+        match name {
+            InputName::Rgb => input.set_rgb(grasp)?,
+            tactile => {
+                let difference = TactileDifference::between(initial, grasp)?;
+                input.set_tactile(tactile, &difference)?;
+            }
+        }
+    }
+    Ok(())
 }
 
 fn pattern(shift: u32) -> RgbImage {

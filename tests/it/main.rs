@@ -10,6 +10,7 @@ mod cluster;
 mod collect;
 mod crash;
 mod dataset;
+mod doctor;
 mod familiarity;
 mod hangup;
 mod imaging;

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 #[path = "../../src/rig/device/sysfs_tree.rs"]
-mod sysfs_tree;
+pub(crate) mod sysfs_tree;
 
 use sysfs_tree::{Tree, d435, mini};
 

@@ -25,11 +25,11 @@ use crate::app::config::{self, CollectConfig, FlagValue, Layered};
 use crate::app::daemon::{
     self, Boards, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus,
 };
+use crate::app::model_choice::chosen_model;
 use crate::app::tui;
 use crate::dataset::NewDataset;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::Role;
-use crate::predict::{BASELINE, Model, ModelContract, SHIPPED};
 use crate::rig::calibration::{PedalConfig, RigFile};
 use crate::rig::camera::{MonotonicClock, RigSources, SupervisionPolicy};
 use crate::rig::device::SystemRoot;
@@ -373,40 +373,6 @@ fn chosen_dataset(settings: &CollectConfig) -> Result<PathBuf> {
     Ok(PathBuf::from(&settings.dataset))
 }
 
-fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<Option<Model>> {
-    match name {
-        "" => {
-            let shipped = Model::named(SHIPPED)?;
-            let Some(why) = misfit(shipped.contract(), rig) else {
-                return Ok(Some(shipped));
-            };
-            if !is_quiet {
-                eprintln!(
-                    "{why}: predictions come from `{BASELINE}`, a heuristic, instead of `{SHIPPED}`"
-                );
-            }
-            Model::named(BASELINE).map(Some)
-        }
-        "none" => Ok(None),
-        name => Model::named(name).map(Some),
-    }
-}
-
-/// Why a model cannot judge what the cameras of a rig see; none if it can.
-fn misfit(model: &ModelContract, rig: &RigFile) -> Option<String> {
-    for input in model.variant.inputs() {
-        let role = input.role();
-        let Some(camera) = rig.cameras.get(&role) else {
-            return Some(format!("the rig has no camera `{role}`"));
-        };
-        let crop = camera.crop_profile.as_deref().unwrap_or_default();
-        if role.is_tactile() && model.check_crop_profile(crop).is_err() {
-            return Some(format!("the camera `{role}` is cropped with `{crop}`"));
-        }
-    }
-    None
-}
-
 fn sound(name: &str) -> Result<tui::Sound> {
     <tui::Sound as clap::ValueEnum>::from_str(name, true).map_err(|_| {
         Error::new(ErrorKind::Config, format!("unknown sound `{name}`"))
@@ -478,31 +444,4 @@ fn summary(report: &CollectReport) -> String {
         );
     }
     text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_classifier_is_used_where_the_rig_has_what_it_was_trained_on() {
-        let usual = |rig: &RigFile| chosen_model("", rig, true).unwrap().unwrap();
-        let mut rig = RigFile::virtual_rig();
-        assert_eq!(usual(&rig).contract().name, SHIPPED);
-        rig.cameras.remove(&Role::Rgb);
-        assert_eq!(usual(&rig).contract().name, BASELINE);
-        let contract = Model::named(SHIPPED).unwrap().contract().clone();
-        let why = misfit(&contract, &rig).unwrap();
-        assert!(why.contains("no camera `rgb`"), "{why}");
-
-        let mut rig = RigFile::virtual_rig();
-        let left = rig.cameras.get_mut(&Role::Left).unwrap();
-        left.crop_profile = Some("full-v1".to_owned());
-        let why = misfit(&contract, &rig).unwrap();
-        assert!(why.contains("`left`") && why.contains("full-v1"), "{why}");
-
-        assert!(chosen_model("none", &rig, true).unwrap().is_none());
-        let named = chosen_model(BASELINE, &RigFile::virtual_rig(), true).unwrap();
-        assert_eq!(named.unwrap().contract().name, BASELINE);
-    }
 }

@@ -33,6 +33,7 @@ mod completions;
 mod config;
 mod dataset;
 mod dataset_import;
+mod doctor;
 mod eval;
 mod experiment;
 mod predict;
@@ -126,6 +127,8 @@ enum Verb {
     Collect(collect::Args),
     /// List cameras, write a rig file, check a rig
     Rig(rig::Args),
+    /// Find out why collecting would not work here, and what helps
+    Doctor(doctor::Args),
     /// Print boards and tags of markers, look at board files
     Board(board::Args),
     /// Find out where the gripper was in collected grasps
@@ -176,6 +179,7 @@ fn run(cli: Cli) -> Result<()> {
     match cli.verb {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),
+        Verb::Doctor(args) => doctor::run(&context, args),
         Verb::Board(args) => board::run(&context, args),
         Verb::Annotate(args) => annotate::run(&context, args),
         Verb::Calibrate(args) => calibrate::run(&context, args),

@@ -9,7 +9,8 @@ mod script;
 
 pub use keyboard::{KEY_BINDINGS, Key, KeyBinding, command_for_key};
 pub use pedal::{
-    KeyEdgeDetector, KeyMap, PedalEvent, key_usage, pedal_udev_rule, run_pedal, usage_key,
+    KeyEdgeDetector, KeyMap, PedalEvent, find_pedal, key_usage, pedal_udev_rule, run_pedal,
+    usage_key,
 };
 pub use script::{Answer, Conditions, Script, ScriptAction, ScriptRunner};
 

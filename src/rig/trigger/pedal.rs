@@ -284,6 +284,15 @@ fn read_reports(
     Ok(())
 }
 
+/// Product name of the pedal, if it is there and can be opened.
+///
+/// # Errors
+/// `Config` when its keys are wrong, `Device` when it is absent, `Permission` with the udev rule.
+pub fn find_pedal(config: &PedalConfig) -> Result<String> {
+    KeyMap::from_config(config)?;
+    open_pedal(config).map(|(_, product)| product)
+}
+
 fn pedal_name(config: &PedalConfig) -> String {
     format!("pedal {:04x}:{:04x}", config.vendor, config.product)
 }

@@ -1,7 +1,7 @@
 use std::collections::VecDeque;
 
 use super::*;
-use crate::imaging::Frame;
+use crate::imaging::PixelFormat;
 use crate::rig::camera::CameraIdentity;
 
 /// A source with a clock of its own: each frame 40 ms after the one before.
@@ -73,7 +73,8 @@ impl CameraOpener for Opener {
 
 fn measured(mut source: Scripted) -> (Frames, Vec<String>) {
     let mut problems = Vec::new();
-    let frames = measure(&mut source, Duration::from_secs(1), None, &mut problems);
+    let (frames, last) = measure(&mut source, Duration::from_secs(1), None, &mut problems);
+    assert_eq!(last.is_some(), frames.received > 0);
     (frames, problems)
 }
 
@@ -141,7 +142,7 @@ fn a_missing_camera_outweighs_a_failing_one() {
             Box::new(Opener(Role::Left, left)),
             Box::new(Opener(Role::Right, right)),
         ];
-        let checks = check(
+        let checks = check_cameras(
             openers,
             &SystemRoot::default(),
             Duration::from_secs(1),

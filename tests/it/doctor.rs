@@ -1,0 +1,159 @@
+//! `gripcast doctor` on the virtual rig and over injected device trees.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+use crate::program::{gripcast, json, stderr, succeed};
+use crate::rig::sysfs_tree::{Tree, mini};
+
+fn doctor(tree: &Tree, arguments: &[&str]) -> Output {
+    gripcast()
+        .arg("doctor")
+        .args(arguments)
+        .args(["--json", "--seconds", "0.5", "--sysfs-root"])
+        .arg(tree.path("sys"))
+        .arg("--dev-root")
+        .arg(tree.path("dev"))
+        .arg("--proc-root")
+        .arg(tree.path("proc"))
+        .output()
+        .unwrap()
+}
+
+fn findings(output: &Output) -> Vec<Value> {
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    report["findings"].as_array().unwrap().clone()
+}
+
+fn of<'a>(findings: &'a [Value], area: &str, name: &str) -> &'a Value {
+    findings
+        .iter()
+        .find(|f| f["area"] == area && f["name"] == name)
+        .unwrap_or_else(|| panic!("no finding {area} {name} in {findings:#?}"))
+}
+
+#[test]
+fn the_virtual_rig_is_healthy_and_nothing_is_left_behind() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dir.path().join("d");
+    let mut command = gripcast();
+    command
+        .args([
+            "doctor",
+            "--rig",
+            "virtual-external",
+            "--seconds",
+            "1",
+            "--json",
+        ])
+        .arg("--dataset")
+        .arg(&dataset);
+    let report = json(&succeed(&mut command));
+    assert_eq!(report["rig"], "virtual-external");
+    let findings = report["findings"].as_array().unwrap().clone();
+    for role in ["left", "right", "rgb", "depth", "external"] {
+        let camera = of(&findings, "camera", role);
+        assert!(camera["figures"]["fps"].as_f64().unwrap() > 0.0, "{camera}");
+    }
+    assert_eq!(of(&findings, "model", "gripcast-vt")["verdict"], "ok");
+    for board in ["the gripper's tags", "the sheet"] {
+        let seen = of(&findings, "board", board)["figures"]["markers"].as_f64();
+        assert!(seen.unwrap() >= 2.0, "{findings:#?}");
+    }
+    assert!(of(&findings, "disk", "writes")["figures"]["durable_ms_median"].is_number());
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn cameras_that_cannot_be_used_fail_with_the_mend() {
+    let mut tree = Tree::new();
+    let first = tree.plug(
+        mini("3-1", "GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7"),
+        &[(0, 2)],
+    );
+    tree.plug(
+        mini("3-2", "GelSight Mini R0B 28F5-K4RR", "28F5K4RR"),
+        &[(0, 2)],
+    );
+    tree.hold(77, "guvcview", first);
+    let rig = tree.path("bench.toml");
+    let made = gripcast()
+        .args(["rig", "init", "--out"])
+        .arg(&rig)
+        .arg("--sysfs-root")
+        .arg(tree.path("sys"))
+        .arg("--dev-root")
+        .arg(tree.path("dev"))
+        .arg("--proc-root")
+        .arg(tree.path("proc"))
+        .output()
+        .unwrap();
+    assert!(rig.exists(), "{}", stderr(&made));
+
+    let output = doctor(
+        &tree,
+        &[
+            "--rig",
+            rig.to_str().unwrap(),
+            "--model",
+            "baseline-contact",
+        ],
+    );
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    let found = findings(&output);
+    // The nodes are plain files: they are there, and are no cameras.
+    for role in ["left", "right"] {
+        let camera = of(&found, "camera", role);
+        assert_eq!(camera["verdict"], "fail");
+        assert!(camera["mend"].is_string(), "{camera}");
+    }
+    assert_eq!(of(&found, "usb", "bandwidth")["verdict"], "warn");
+    assert_eq!(of(&found, "disk", "all")["verdict"], "skipped");
+    assert_eq!(of(&found, "model", "baseline-contact")["verdict"], "ok");
+    assert!(stderr(&output).contains("collecting will not work yet: "));
+}
+
+#[test]
+fn without_a_rig_the_rest_is_looked_at() {
+    let output = doctor(&Tree::new(), &[]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let found = findings(&output);
+    assert_eq!(of(&found, "camera", "all")["verdict"], "skipped");
+    assert_eq!(
+        of(&found, "usb", "cameras")["found"],
+        "no camera is plugged in"
+    );
+    assert_eq!(of(&found, "model", "gripcast-vt")["verdict"], "ok");
+}
+
+#[test]
+fn wrong_calls_and_unusable_places_are_explained() {
+    let tree = Tree::new();
+    let output = doctor(&tree, &["--rig", "virtuell"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        stderr(&output).contains("did you mean `virtual`?"),
+        "{}",
+        stderr(&output)
+    );
+
+    // A file stands where the dataset should be.
+    let file = tree.path("file");
+    fs::write(&file, "").unwrap();
+    let output = doctor(&tree, &["--dataset", file.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    assert_eq!(of(&findings(&output), "disk", "dataset")["verdict"], "fail");
+
+    let output = doctor(&tree, &["--model", "/nonexistent.onnx"]);
+    assert_eq!(output.status.code(), Some(4));
+    let text = Command::new(env!("CARGO_BIN_EXE_gripcast"))
+        .args(["doctor", "--model", "/nonexistent.onnx"])
+        .output()
+        .unwrap();
+    let text = String::from_utf8(text.stdout).unwrap();
+    assert!(text.contains("FAIL  model    /nonexistent.onnx"), "{text}");
+    assert!(!Path::new("/nonexistent.onnx").exists());
+}
