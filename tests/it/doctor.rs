@@ -9,11 +9,11 @@ use serde_json::Value;
 use crate::program::{gripcast, json, stderr, succeed};
 use crate::rig::sysfs_tree::{Tree, mini};
 
-fn doctor(tree: &Tree, arguments: &[&str]) -> Output {
+/// A command that sees the devices of a tree only.
+fn over(tree: &Tree, arguments: &[&str]) -> Output {
     gripcast()
-        .arg("doctor")
         .args(arguments)
-        .args(["--json", "--seconds", "0.5", "--sysfs-root"])
+        .arg("--sysfs-root")
         .arg(tree.path("sys"))
         .arg("--dev-root")
         .arg(tree.path("dev"))
@@ -21,6 +21,11 @@ fn doctor(tree: &Tree, arguments: &[&str]) -> Output {
         .arg(tree.path("proc"))
         .output()
         .unwrap()
+}
+
+fn doctor(tree: &Tree, arguments: &[&str]) -> Output {
+    let fixed = ["doctor", "--json", "--seconds", "0.5"];
+    over(tree, &[&fixed, arguments].concat())
 }
 
 fn findings(output: &Output) -> Vec<Value> {
@@ -80,17 +85,7 @@ fn cameras_that_cannot_be_used_fail_with_the_mend() {
     );
     tree.hold(77, "guvcview", first);
     let rig = tree.path("bench.toml");
-    let made = gripcast()
-        .args(["rig", "init", "--out"])
-        .arg(&rig)
-        .arg("--sysfs-root")
-        .arg(tree.path("sys"))
-        .arg("--dev-root")
-        .arg(tree.path("dev"))
-        .arg("--proc-root")
-        .arg(tree.path("proc"))
-        .output()
-        .unwrap();
+    let made = over(&tree, &["rig", "init", "--out", rig.to_str().unwrap()]);
     assert!(rig.exists(), "{}", stderr(&made));
 
     let output = doctor(
