@@ -4,6 +4,8 @@
 //! is the window of a convolution at one pixel, a few runs of neighbouring floats. Nothing is
 //! copied into a matrix first.
 
+use std::hint;
+
 use super::lanes::{Isa, Lanes};
 
 /// Where the rows of A lie in a slice.
@@ -261,13 +263,14 @@ fn block<S: Lanes, const M: usize, const V: usize>(
 ) {
     let mut sums = [[lanes.splat(0.0); V]; M];
     let mut panel = panel;
+    // Rows that are known to lie at equal distances are reached by additions, one after the other.
+    let begins: [usize; M] = hint::black_box(std::array::from_fn(|row| row * rows.step));
     for run in 0..rows.runs {
         let a: [&[f32]; M] =
-            std::array::from_fn(|row| &a[run * rows.run_step + row * rows.step..][..rows.run]);
+            std::array::from_fn(|row| &a[run * rows.run_step + begins[row]..][..rows.run]);
         let (of_run, rest) = panel.split_at(rows.run * V * S::COUNT);
         panel = rest;
-        for k in 0..rows.run {
-            let b = &of_run[k * V * S::COUNT..][..V * S::COUNT];
+        for (k, b) in of_run.chunks_exact(V * S::COUNT).enumerate().take(rows.run) {
             let b: [S::Vector; V] = std::array::from_fn(|v| lanes.load(&b[v * S::COUNT..]));
             for row in 0..M {
                 let factor = lanes.splat(a[row][k]);
