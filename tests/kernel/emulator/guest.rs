@@ -147,7 +147,8 @@ fn rig_file() -> RigFile {
 fn collect(run: &Run<'_>, arguments: &[&str], script: &Path, dataset: &Path) -> Process {
     let mut command = Process::new(run.gripcast);
     command
-        .args(["collect", "--headless"])
+        // Cameras are on trial, on one emulated processor: the classifier would take most of it.
+        .args(["collect", "--headless", "--model", "baseline-contact"])
         .args(arguments)
         .arg("--script")
         .arg(script)
