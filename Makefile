@@ -1,6 +1,8 @@
 # make run    build and open the collect screen on the built-in virtual rig
 # make test   everything: format, lints, unit, integration, crash, real-kernel and Slurm tests
-# Both install what they need first (apt through sudo when not root, pinned Rust toolchain).
+# make deb    a Debian package, target/debian/*.deb
+# make tarball  an archive for other Linux machines, target/tarball/*.tar.gz
+# All install what they need first (apt through sudo when not root, pinned Rust toolchain).
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -9,7 +11,7 @@ SHELL := /bin/bash
 CARGO := . tools/env.sh; cargo
 DATASET ?= demo-dataset
 
-.PHONY: help run test test-fast lint bench kernel setup setup-test
+.PHONY: help run test test-fast lint bench kernel setup setup-test setup-package package-files deb try-deb tarball
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' $(MAKEFILE_LIST)
@@ -20,6 +22,9 @@ setup:
 
 setup-test:
 	@tools/setup.sh test
+
+setup-package:
+	@tools/setup.sh package
 
 # Without a terminal this is often a busy machine, which paints the virtual cameras late: the
 # scripted run has wider guards.
@@ -57,3 +62,22 @@ bench: setup
 	@target/release/gripcast bench live --json
 	@target/release/gripcast bench predict --json
 	@$(CARGO) bench
+
+# The time of everything in a package is that of the commit: the same bytes on every run.
+package-files deb tarball: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct || echo 0)
+
+package-files: setup-package
+	@$(CARGO) build --release --locked --bin gripcast
+	@. tools/env.sh; packaging/stage.sh target/release/gripcast target/package
+
+CARGO_DEB := 3.8.0
+deb: package-files
+	@. tools/env.sh; cargo deb --version 2>/dev/null | grep -qF "$(CARGO_DEB)" || \
+	    cargo install --quiet --locked cargo-deb@$(CARGO_DEB)
+	@$(CARGO) deb --no-build --strip --locked --output target/debian/
+
+try-deb: deb
+	@packaging/try-in-chroot.sh "$$(ls -t target/debian/*.deb | head -1)"
+
+tarball: package-files
+	@packaging/tarball.sh target/release/gripcast target/package target/tarball

@@ -8,7 +8,9 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gripcast::app::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
+use gripcast::app::daemon::{
+    Asked, CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview,
+};
 use gripcast::app::tui::{Sound, Wiring, run};
 use gripcast::dataset::{GraspId, Outcome};
 use gripcast::error::Result;
@@ -26,13 +28,13 @@ fn main() -> Result<()> {
     let moment = std::env::args().nth(1);
     let start = Instant::now();
     let (sender, status) = watch::channel(Arc::new(status_at(0.0, moment.as_deref())));
-    let (commands, mut received) = mpsc::channel(16);
+    let (commands, mut received) = mpsc::channel::<Asked>(16);
     let (tone_sender, tones) = mpsc::unbounded_channel();
     std::thread::spawn(move || {
         while !sender.is_closed() {
             std::thread::sleep(Duration::from_millis(100));
-            while let Ok((command, _)) = received.try_recv() {
-                let tone = match command {
+            while let Ok(asked) = received.try_recv() {
+                let tone = match asked.command {
                     Command::Trigger | Command::Grasp => Tone::GraspSaved,
                     Command::Initial => Tone::InitialSaved,
                     Command::Label(Outcome::Stable) => Tone::Stable,
@@ -99,6 +101,7 @@ fn status_at(time_s: f64, moment: Option<&str>) -> EngineStatus {
             _ => "take the initial frame first".to_owned(),
         }),
         previews: previews(squeeze, step, time_s),
+        black_box: None,
     }
 }
 

@@ -137,6 +137,12 @@ impl Error {
         &self.0.what
     }
 
+    /// Where it failed, if that is known.
+    #[must_use]
+    pub fn place(&self) -> Option<&str> {
+        self.0.place.as_deref()
+    }
+
     /// How to mend it, where known.
     #[must_use]
     pub fn remedy_text(&self) -> Option<&str> {

@@ -4,6 +4,8 @@
 //! program that is killed, or a disk that is full, leaves the old file or the new one, never a
 //! part; a kill may leave a hidden `.gripcast-….partial` beside it, which nothing reads.
 
+mod owner_lock;
+
 use std::fs::{self, OpenOptions};
 use std::hash::{BuildHasher as _, RandomState};
 use std::io::{self, Write as _};
@@ -12,6 +14,8 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest as _, Sha256};
 
 use crate::error::{Error, Result};
+
+pub use owner_lock::{NotLocked, OwnerLock};
 
 /// Most symbolic links that are followed, as Linux has it.
 const MOST_LINKS: usize = 40;

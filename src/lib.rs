@@ -12,7 +12,7 @@
 //! | --- | --- | --- |
 //! | 0 | [`error`], [`files`], [`geometry`], [`imaging`], [`workers`] | errors; files written whole; meshes and poses; frames, decoding, crops, differences; one item a core |
 //! | 1 | [`dataset`], [`pose`], [`shard`], [`sim`] | the crash-safe dataset on disk; poses from markers; Parquet shards; the grasp simulator |
-//! | 2 | [`render`], [`predict`], [`annotate`], [`import`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine; poses of a dataset's grasps; datasets of others |
+//! | 2 | [`render`], [`predict`], [`annotate`], [`import`], [`export`] | tactile and path-traced pictures of grasps; model contract, preprocessing, ONNX engine; poses of a dataset's grasps; datasets of others; a dataset in formats of others |
 //! | 3 | [`rig`], [`session`] | cameras, pedals; the collection state machine |
 //! | 4 | [`synth`] | synthetic datasets: objects, plans, simulation, pictures, curation, report |
 //! | 5 | [`replay`] | annotated grasps in the simulators, scores and report |
@@ -24,6 +24,7 @@ pub mod annotate;
 pub mod app;
 pub mod dataset;
 pub mod error;
+pub mod export;
 pub mod files;
 pub mod geometry;
 pub(crate) mod hdf5;

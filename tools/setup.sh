@@ -3,6 +3,7 @@
 #   tools/setup.sh build   compiler, cmake, nasm, libclang, Rust toolchain
 #   tools/setup.sh test    the same, and what the kernel tests build and boot and, for root, the
 #                          Slurm of the cluster test
+#   tools/setup.sh package the same as build, and what makes packages
 # Idempotent; asks apt only for what is missing; uses sudo when it is not root.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -12,10 +13,13 @@ want=${1:-build}
 packages=(ca-certificates curl gcc g++ make pkg-config cmake nasm libclang-dev linux-libc-dev git)
 case "$want" in
     build) ;;
-    # The kernel of the kernel tests is built from the distribution's source.
-    test) packages+=(flex bison bc libelf-dev xz-utils bzip2) ;;
+    # The kernel of the kernel tests is built from the distribution's source; mandoc reads the
+    # manual pages.
+    test) packages+=(flex bison bc libelf-dev xz-utils bzip2 mandoc) ;;
+    # dpkg-dev finds the libraries that a package depends on.
+    package) packages+=(dpkg-dev python3) ;;
     *)
-        echo "usage: tools/setup.sh build|test" >&2
+        echo "usage: tools/setup.sh build|test|package" >&2
         exit 2
         ;;
 esac

@@ -2,8 +2,12 @@
 
 mod camera_check;
 pub mod cli;
+mod collection;
 pub mod config;
 pub mod daemon;
 mod doctor;
 mod model_choice;
+mod rig_lock;
+mod service;
 pub mod tui;
+mod web;

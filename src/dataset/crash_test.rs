@@ -279,6 +279,8 @@ enum Step {
     Label(Outcome),
     Undo,
     Redo,
+    Trash,
+    BackFromTrash,
     Index,
 }
 
@@ -300,6 +302,10 @@ const SESSION: &[Step] = &[
     Step::Grasp(5, "bottle"),
     Step::Label(Outcome::Stable),
     Step::Initial(6),
+    Step::Trash,
+    Step::Index,
+    Step::BackFromTrash,
+    Step::Trash,
 ];
 
 /// The operator's side: what was done last, to be undone and redone.
@@ -361,6 +367,16 @@ impl Operator {
                 self.pending = None;
                 self.known.undone.remove(&id);
                 self.known.grasps.insert(id, record.outcome);
+            }
+            Step::Trash => {
+                let record = writer.trash_grasp(self.last.as_ref().unwrap())?;
+                self.known.grasps.remove(&record.id);
+                self.known.undone.insert(record.id);
+            }
+            Step::BackFromTrash => {
+                let record = writer.redo_grasp(self.last.as_ref().unwrap(), None)?;
+                self.known.undone.remove(&record.id);
+                self.known.grasps.insert(record.id, record.outcome);
             }
             Step::Index => writer.flush_index()?,
         }

@@ -345,6 +345,7 @@ fn what_is_not_there_is_an_error_not_a_panic() {
     for error in [
         writer.set_outcome(&nobody, Outcome::Slip, at).unwrap_err(),
         writer.undo_grasp(&nobody).unwrap_err(),
+        writer.trash_grasp(&nobody).unwrap_err(),
         writer.redo_grasp(&nobody, None).unwrap_err(),
         writer.restore_initial(&nobody).unwrap_err(),
     ] {
@@ -360,6 +361,7 @@ fn what_is_not_there_is_an_error_not_a_panic() {
             .set_outcome(&ids[0], Outcome::Stable, at)
             .unwrap_err(),
         writer.undo_grasp(&ids[0]).unwrap_err(),
+        writer.trash_grasp(&ids[0]).unwrap_err(),
         writer.discard_initial(&pending).unwrap_err(),
         writer.put_calibration("a = 1").unwrap_err(),
         writer.log_event(&serde_json::json!({})).unwrap_err(),

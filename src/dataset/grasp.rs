@@ -6,6 +6,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::layout::Stage;
+use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::Pose;
 use crate::imaging::{PixelFormat, Role};
 
@@ -30,7 +31,27 @@ impl GraspId {
         let cut = self.0.len().saturating_sub(4);
         self.0.get(cut..).unwrap_or(&self.0)
     }
+
+    /// An id as a person or a program writes it.
+    ///
+    /// # Errors
+    /// `Input` for a text that no grasp can be called: an id names a directory, so it has no `/`
+    /// and does not begin with a dot.
+    pub fn parse(text: &str) -> Result<Self> {
+        let sound = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        if text.is_empty() || text.len() > LONGEST_ID || !text.chars().all(sound) {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("`{text:.80}` is no id of a grasp"),
+            )
+            .remedy("ids look like 2026-11-20T10-15-03Z-7f3a"));
+        }
+        Ok(Self(text.to_owned()))
+    }
 }
+
+/// Longest id that is taken from outside, characters.
+const LONGEST_ID: usize = 80;
 
 /// Whether the object stayed in the gripper during the lift.
 #[derive(
@@ -45,6 +66,19 @@ pub enum Outcome {
     /// Not said yet.
     #[default]
     Unlabelled,
+}
+
+impl Outcome {
+    /// The outcome of this name, if there is one.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        match name {
+            "stable" => Some(Self::Stable),
+            "slip" => Some(Self::Slip),
+            "unlabelled" => Some(Self::Unlabelled),
+            _ => None,
+        }
+    }
 }
 
 impl fmt::Display for Outcome {
@@ -107,6 +141,14 @@ pub struct GraspRecord {
 }
 
 impl GraspRecord {
+    /// Reads the bytes of a `grasp.json`.
+    ///
+    /// # Errors
+    /// `Input` when they are no record of this version.
+    pub fn from_json(bytes: &[u8]) -> Result<Self> {
+        super::record_file::from_json(bytes)
+    }
+
     /// Both stages, in the order of the cycle.
     pub fn stages(&self) -> [(Stage, &StageRecord); 2] {
         [(Stage::Initial, &self.initial), (Stage::Grasp, &self.grasp)]

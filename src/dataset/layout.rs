@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
-use sha2::{Digest as _, Sha256};
 
 use super::grasp::{FileDigest, GraspId};
 use crate::files::sha256_hex;
@@ -161,18 +160,18 @@ fn extension(format: PixelFormat) -> &'static str {
     }
 }
 
-/// A new id: time of the trigger and 4 hex digits that tell grasps of the same second apart.
-pub(super) fn new_id(at: Timestamp, process: u32, counter: u64) -> GraspId {
-    let mut hasher = Sha256::new();
-    hasher.update(at.as_nanosecond().to_le_bytes());
-    hasher.update(process.to_le_bytes());
-    hasher.update(counter.to_le_bytes());
-    let hash = hasher.finalize();
+/// The id of a trigger at this time: seconds, then 1/65536 s as 4 hex digits, so that ids sort as
+/// the triggers came. `later` steps are added where an id is taken.
+pub(super) fn id_at(at: Timestamp, later: u64) -> GraspId {
+    const STEPS: i128 = 1 << 16;
+    const SECOND_NS: i128 = 1_000_000_000;
+    let steps = at.as_nanosecond() * STEPS / SECOND_NS + i128::from(later);
+    // Stays within what a `Timestamp` holds but for the last second of the year 9999.
+    let second = Timestamp::from_nanosecond(steps.div_euclid(STEPS) * SECOND_NS).unwrap_or(at);
     GraspId(format!(
-        "{}-{:02x}{:02x}",
-        at.strftime("%Y-%m-%dT%H-%M-%SZ"),
-        hash[0],
-        hash[1]
+        "{}-{:04x}",
+        second.strftime("%Y-%m-%dT%H-%M-%SZ"),
+        steps.rem_euclid(STEPS)
     ))
 }
 
@@ -196,14 +195,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_carry_the_time_and_differ_within_a_second() {
-        let at: Timestamp = "2026-11-20T10:15:03.25Z".parse().unwrap();
-        let a = new_id(at, 7, 0);
-        assert!(a.0.starts_with("2026-11-20T10-15-03Z-"), "{a}");
-        assert_eq!(a.0.len(), "2026-11-20T10-15-03Z-7f3a".len());
-        assert_ne!(a, new_id(at, 7, 1));
-        assert_ne!(a, new_id(at, 8, 0));
-        assert_eq!(a, new_id(at, 7, 0));
+    fn ids_sort_as_the_triggers_came() {
+        let id = |at: &str, later| id_at(at.parse().unwrap(), later).0;
+        assert_eq!(id("2026-11-20T10:15:03.25Z", 0), "2026-11-20T10-15-03Z-4000");
+        assert_eq!(id("2026-11-20T10:15:03Z", 0), "2026-11-20T10-15-03Z-0000");
+        assert_eq!(id("2026-11-20T10:15:03Z", 1), "2026-11-20T10-15-03Z-0001");
+        // The step after the last of a second belongs to the next.
+        assert_eq!(id("2026-11-20T10:15:03.999999999Z", 1), "2026-11-20T10-15-04Z-0000");
+        assert!(id("2026-11-20T10:15:03.25Z", 0) < id("2026-11-20T10:15:03.26Z", 0));
     }
 
     #[test]

@@ -1,15 +1,15 @@
 //! One writer at a time.
 
-use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{self, Read as _, Seek as _, Write as _};
+use std::io;
 
 use super::layout::Layout;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{NotLocked, OwnerLock};
 
 /// The dataset's lock; released when dropped or when the process ends, however it ends.
 #[derive(Debug)]
 pub(super) struct DatasetLock {
-    _file: File,
+    _lock: OwnerLock,
 }
 
 impl DatasetLock {
@@ -18,54 +18,24 @@ impl DatasetLock {
     /// # Errors
     /// `Busy` naming the process that has it; `Permission` where the dataset cannot be written.
     pub(super) fn acquire(layout: &Layout) -> Result<Self> {
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(layout.lock())
-            .map_err(|e| not_writable(layout, e))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                let owner = owner(&mut file);
-                return Err(Error::new(
-                    ErrorKind::Busy,
-                    format!("the dataset is being written by {owner}"),
-                )
-                .at(layout.root().display())
-                .remedy("end that program first, or use another dataset"));
+        let lock = OwnerLock::acquire(&layout.lock()).map_err(|why| match why {
+            NotLocked::Held(owner) => Error::new(
+                ErrorKind::Busy,
+                format!("the dataset is being written by {owner}"),
+            )
+            .at(layout.root().display())
+            .remedy("end that program first, or use another dataset"),
+            NotLocked::Open(e) => not_writable(layout, e),
+            NotLocked::Lock(e) => {
+                Error::io("cannot lock the dataset", e).at(layout.lock().display())
             }
-            Err(TryLockError::Error(e)) => {
-                return Err(Error::io("cannot lock the dataset", e).at(layout.lock().display()));
-            }
-        }
-        // The owner's name only helps the message above; the lock itself holds without it.
-        let _ = file.set_len(0).and_then(|()| file.rewind()).and_then(|()| {
-            let command: Vec<String> = std::env::args_os()
-                .map(|arg| arg.to_string_lossy().into_owned())
-                .collect();
-            writeln!(file, "{} {}", std::process::id(), command.join(" "))
-        });
-        Ok(Self { _file: file })
+        })?;
+        Ok(Self { _lock: lock })
     }
 
     /// Who writes the dataset now, if anyone.
     pub(super) fn holder(layout: &Layout) -> Option<String> {
-        let mut file = File::open(layout.lock()).ok()?;
-        match file.try_lock_shared() {
-            Err(TryLockError::WouldBlock) => Some(owner(&mut file)),
-            Ok(()) | Err(TryLockError::Error(_)) => None,
-        }
-    }
-}
-
-fn owner(file: &mut File) -> String {
-    let mut text = String::new();
-    let read = file.take(4096).read_to_string(&mut text);
-    match text.trim().split_once(' ') {
-        Some((pid, command)) if read.is_ok() => format!("process {pid} (`{command}`)"),
-        _ => "another process".to_owned(),
+        OwnerLock::holder(&layout.lock())
     }
 }
 

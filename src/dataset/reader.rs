@@ -5,8 +5,10 @@ use std::path::{Path, PathBuf};
 
 use super::descriptor::Descriptor;
 use super::grasp::{CameraRecord, GraspId, GraspRecord};
-use super::layout::{Layout, Stage};
-use super::record_file::read_grasp;
+use super::layout::{GRASP_JSON, Layout, Stage, digest};
+use super::picture;
+use super::record_file::{check_id, read_grasp};
+use super::split::{self, SplitFile};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Frame, PixelFormat, Role};
 
@@ -60,6 +62,12 @@ impl Dataset {
         read_grasp(&self.layout.grasp(id))
     }
 
+    /// Whether a whole grasp of this id lies in `trash/`.
+    #[must_use]
+    pub fn is_in_trash(&self, id: &GraspId) -> bool {
+        self.layout.trashed(id).join(GRASP_JSON).is_file()
+    }
+
     /// All complete grasps, sorted by id. A grasp that cannot be read is an error of its own.
     ///
     /// # Errors
@@ -73,6 +81,13 @@ impl Dataset {
     pub fn path_of(&self, record: &GraspRecord, stage: Stage, role: Role) -> Option<PathBuf> {
         let camera = record.stage(stage).cameras.get(&role)?;
         Some(self.layout.grasp(&record.id).join(&camera.file))
+    }
+
+    /// Where a file of a grasp is, by its name in the record; `None` for other names.
+    #[must_use]
+    pub fn file(&self, record: &GraspRecord, name: &str) -> Option<PathBuf> {
+        let (name, _) = record.files.get_key_value(name)?;
+        Some(self.layout.grasp(&record.id).join(name))
     }
 
     /// Pictures of the external camera from before the fingers closed, by time: the approach and
@@ -101,6 +116,69 @@ impl Dataset {
         let path = self.layout.calibration().join(format!("{key}.toml"));
         fs::read_to_string(&path)
             .map_err(|e| Error::io("cannot read the calibration", e).at(path.display()))
+    }
+
+    /// One grasp with the bytes of its `grasp.json`.
+    ///
+    /// # Errors
+    /// As of [`grasp`](Self::grasp), and `Input` when the record is that of another grasp.
+    pub fn grasp_with_json(&self, id: &GraspId) -> Result<(GraspRecord, Vec<u8>)> {
+        let dir = self.layout.grasp(id);
+        let path = dir.join(GRASP_JSON);
+        let record = read_grasp(&dir)?;
+        check_id(&record.id, id).map_err(|e| e.at(path.display()))?;
+        let json = fs::read(&path)
+            .map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
+        Ok((record, json))
+    }
+
+    /// The bytes of a stored picture, exactly as they were stored: size and sha256 are those of
+    /// the record, and the picture has the recorded size. The entropy-coded data of a JPEG is not
+    /// decoded.
+    ///
+    /// # Errors
+    /// `NotFound`, `Io`: the file. `Input`: it is not what was stored, or damaged.
+    pub fn stored_picture(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
+        let path = self.layout.grasp(&record.id).join(&camera.file);
+        let refused = |what: String| Error::new(ErrorKind::Input, what).at(path.display());
+        let bytes = fs::read(&path)
+            .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
+        let Some(expected) = record.files.get(&camera.file) else {
+            return Err(refused("the record has no digest of the file".to_owned()));
+        };
+        if digest(&bytes) != *expected {
+            return Err(refused("the file is not what was stored".to_owned()));
+        }
+        match picture::fault(&bytes, camera) {
+            Some(fault) => Err(refused(fault)),
+            None => Ok(bytes),
+        }
+    }
+
+    /// Names of the splits, sorted.
+    ///
+    /// # Errors
+    /// When `splits/` cannot be read.
+    pub fn split_names(&self) -> Result<Vec<String>> {
+        let dir = self.layout.splits();
+        if !dir.is_dir() {
+            return Ok(Vec::new());
+        }
+        let names = entries(&dir)?.into_iter();
+        let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        Ok(names
+            .filter(|name| !name.starts_with('.'))
+            .filter_map(|name| name.strip_suffix(".json").map(str::to_owned))
+            .collect())
+    }
+
+    /// A split, by its name.
+    ///
+    /// # Errors
+    /// `Usage`: no split can be called so. As of [`SplitFile::read`].
+    pub fn split(&self, name: &str) -> Result<SplitFile> {
+        split::check_name(name)?;
+        SplitFile::read(&self.layout.splits().join(format!("{name}.json")))
     }
 
     /// A stored frame, as the camera sent it.

@@ -67,7 +67,7 @@ impl Pending {
     }
 }
 
-fn check_id(found: &GraspId, expected: &GraspId) -> Result<()> {
+pub(super) fn check_id(found: &GraspId, expected: &GraspId) -> Result<()> {
     if found == expected {
         Ok(())
     } else {
@@ -92,20 +92,25 @@ pub(super) fn read_initial(dir: &Path) -> Result<PendingInitial> {
 }
 
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    let bytes =
+        fs::read(path).map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
+    from_json(&bytes).map_err(|e| e.at(path.display()))
+}
+
+/// Reads the bytes of a record.
+///
+/// # Errors
+/// `Input` when they are no record of this version.
+pub(super) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
     #[derive(Deserialize)]
     struct Schema {
         schema: i64,
     }
-    let unreadable = |e: serde_json::Error| {
-        Error::new(ErrorKind::Input, "cannot read the record")
-            .because(e)
-            .at(path.display())
-    };
-    let bytes =
-        fs::read(path).map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
-    let Schema { schema } = serde_json::from_slice(&bytes).map_err(unreadable)?;
-    check_schema(schema).map_err(|e| e.at(path.display()))?;
-    serde_json::from_slice(&bytes).map_err(unreadable)
+    let unreadable =
+        |e: serde_json::Error| Error::new(ErrorKind::Input, "cannot read the record").because(e);
+    let Schema { schema } = serde_json::from_slice(bytes).map_err(unreadable)?;
+    check_schema(schema)?;
+    serde_json::from_slice(bytes).map_err(unreadable)
 }
 
 /// Pretty JSON with sorted keys and a final newline; certain to read back.

@@ -22,7 +22,7 @@ use super::grasp::{
 };
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{
-    APPROACH_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, new_id, sha12,
+    APPROACH_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, id_at, sha12,
 };
 use super::lock::DatasetLock;
 use super::reader::load_frame;
@@ -38,8 +38,6 @@ pub struct DatasetWriter {
     pub(super) descriptor: Descriptor,
     pub(super) rows: BTreeMap<GraspId, IndexRow>,
     pub(super) index_is_stale: bool,
-    ids_made: u64,
-    ids_are_reproducible: bool,
     log: Option<File>,
     _lock: DatasetLock,
 }
@@ -55,12 +53,6 @@ impl DatasetWriter {
     #[must_use]
     pub fn path(&self) -> &Path {
         self.layout.root()
-    }
-
-    /// From now on a new id follows from the time of the trigger alone where it is free: for data
-    /// that is computed and has to come out the same again.
-    pub fn use_reproducible_ids(&mut self) {
-        self.ids_are_reproducible = true;
     }
 
     /// Stores an initial frame; durable when this returns.
@@ -280,6 +272,19 @@ impl DatasetWriter {
         Ok(record)
     }
 
+    /// Moves a grasp to `trash/`; [`DatasetWriter::redo_grasp`] brings it back.
+    ///
+    /// # Errors
+    /// `NotFound` without that grasp; `Io`, … with the grasp as before.
+    pub fn trash_grasp(&mut self, id: &GraspId) -> Result<GraspRecord> {
+        let record = self.read(id)?;
+        self.vacate_trash(id)
+            .and_then(|()| self.move_dir(&self.layout.grasp(id), &self.layout.trashed(id)))
+            .map_err(|e| self.failed(&format!("cannot move {id} to the trash"), e))?;
+        self.remove(id);
+        Ok(record)
+    }
+
     /// Stores a calibration; returns the key by which grasps refer to it.
     ///
     /// # Errors
@@ -305,6 +310,13 @@ impl DatasetWriter {
             counts.add(&row.object, row.outcome);
         }
         counts
+    }
+
+    /// Object and outcome of a grasp that is there.
+    #[must_use]
+    pub fn outcome(&self, id: &GraspId) -> Option<(&str, Outcome)> {
+        let row = self.rows.get(id)?;
+        Some((&row.object, row.outcome))
     }
 
     /// Space left for this user on the dataset's disk, bytes.
@@ -365,8 +377,6 @@ impl DatasetWriter {
             descriptor,
             rows: BTreeMap::new(),
             index_is_stale: false,
-            ids_made: 0,
-            ids_are_reproducible: false,
             log: None,
             _lock: lock,
         }
@@ -419,27 +429,23 @@ impl DatasetWriter {
         Ok(record)
     }
 
-    fn free_id(&mut self, at: Timestamp) -> GraspId {
-        if self.ids_are_reproducible {
-            self.ids_made = 0;
-        }
-        let process = match self.ids_are_reproducible {
-            true => 0,
-            false => std::process::id(),
-        };
-        loop {
-            let id = new_id(at, process, self.ids_made);
-            self.ids_made += 1;
-            let taken = [
-                self.layout.grasp(&id),
-                self.layout.pending(&id),
-                self.layout.trashed(&id),
+    fn free_id(&self, at: Timestamp) -> GraspId {
+        let is_free = |id: &GraspId| {
+            [
+                self.layout.grasp(id),
+                self.layout.pending(id),
+                self.layout.trashed(id),
             ]
             .iter()
-            .any(|place| place.symlink_metadata().is_ok());
-            if !taken {
+            .all(|place| place.symlink_metadata().is_err())
+        };
+        let mut later = 0;
+        loop {
+            let id = id_at(at, later);
+            if is_free(&id) {
                 return id;
             }
+            later += 1;
         }
     }
 

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::dataset::Outcome;
+use crate::dataset::{GraspId, Outcome};
 
 /// A session command; keyboard, pedal, script and API all end here.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,6 +16,12 @@ pub enum Command {
     Grasp,
     /// Label the last grasp.
     Label(Outcome),
+    /// Label any grasp of the dataset.
+    Relabel(GraspId, Outcome),
+    /// Move any grasp of the dataset to the trash.
+    Trash(GraspId),
+    /// Take a grasp back from the trash.
+    Restore(GraspId),
     /// Take back the last step.
     Undo,
     /// Do again what was taken back.
@@ -70,7 +76,8 @@ impl fmt::Display for ParseCommandError {
         write!(
             f,
             "`{}` is no command; expected one of trigger, initial, grasp, stable, slip, unlabel, \
-             undo, redo, override, object NAME, scene NAME, operator NAME, quit",
+             undo, redo, override, object NAME, scene NAME, operator NAME, relabel ID OUTCOME, \
+             trash ID, restore ID, quit",
             self.text
         )
     }
@@ -95,7 +102,15 @@ impl FromStr for Command {
                 Ok(make(rest.to_owned()))
             }
         };
+        let id = |text: &str| GraspId::parse(text).map_err(|_| error());
         let plain = match word {
+            "trash" => return Ok(Self::Trash(id(rest)?)),
+            "restore" => return Ok(Self::Restore(id(rest)?)),
+            "relabel" => {
+                let (which, outcome) = rest.split_once(char::is_whitespace).ok_or_else(error)?;
+                let outcome = Outcome::by_name(outcome.trim()).ok_or_else(error)?;
+                return Ok(Self::Relabel(id(which)?, outcome));
+            }
             "object" => return named(Self::Object),
             "scene" => return named(Self::Scene),
             "operator" => return named(Self::Operator),
@@ -128,6 +143,9 @@ impl fmt::Display for Command {
             Self::Label(Outcome::Stable) => f.write_str("stable"),
             Self::Label(Outcome::Slip) => f.write_str("slip"),
             Self::Label(Outcome::Unlabelled) => f.write_str("unlabel"),
+            Self::Relabel(id, outcome) => write!(f, "relabel {id} {outcome}"),
+            Self::Trash(id) => write!(f, "trash {id}"),
+            Self::Restore(id) => write!(f, "restore {id}"),
             Self::Undo => f.write_str("undo"),
             Self::Redo => f.write_str("redo"),
             Self::Override => f.write_str("override"),
@@ -158,6 +176,9 @@ mod tests {
             "object mug blue",
             "scene lab",
             "operator Ada",
+            "relabel 2026-11-20T10-15-03Z-7f3a unlabelled",
+            "trash 2026-11-20T10-15-03Z-7f3a",
+            "restore 2026-11-20T10-15-03Z-7f3a",
             "quit",
         ] {
             assert_eq!(text.parse::<Command>().unwrap().to_string(), text);
@@ -166,7 +187,16 @@ mod tests {
 
     #[test]
     fn nonsense_is_refused() {
-        for text in ["", "object", "grasp now", "jump"] {
+        for text in [
+            "",
+            "object",
+            "grasp now",
+            "jump",
+            "trash",
+            "trash ../7f3a",
+            "relabel 7f3a",
+            "relabel 7f3a good",
+        ] {
             assert!(text.parse::<Command>().is_err(), "{text:?}");
         }
     }

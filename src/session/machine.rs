@@ -79,6 +79,16 @@ pub enum StoreRequest {
         /// To what.
         outcome: Outcome,
     },
+    /// Move a grasp to the trash.
+    TrashGrasp {
+        /// Which.
+        id: GraspId,
+    },
+    /// Take a grasp back from the trash.
+    RestoreGrasp {
+        /// Which.
+        id: GraspId,
+    },
     /// Move a pending initial frame to the trash.
     DiscardInitial {
         /// Which.
@@ -120,6 +130,20 @@ pub enum StoreReply {
         /// What was predicted before the lift.
         predicted: Option<Predicted>,
     },
+    /// An outcome is durable.
+    Labelled {
+        /// The grasp's object.
+        object: String,
+        /// Its outcome before.
+        before: Outcome,
+    },
+    /// A grasp is in the trash.
+    Trashed {
+        /// Its object.
+        object: String,
+        /// Its outcome.
+        outcome: Outcome,
+    },
     /// Done; nothing to tell.
     Done,
     /// Nothing changed on disk.
@@ -148,6 +172,18 @@ enum Done {
         before: Outcome,
         after: Outcome,
     },
+    Trash {
+        id: GraspId,
+        object: String,
+        outcome: Outcome,
+        /// The newest grasp of the session, if it is this one.
+        was_last: Option<LastGrasp>,
+    },
+    Restore {
+        id: GraspId,
+        object: String,
+        outcome: Outcome,
+    },
 }
 
 /// What the request under way is for.
@@ -160,6 +196,10 @@ enum InFlight {
         id: GraspId,
         outcome: Outcome,
     },
+    Trash {
+        id: GraspId,
+    },
+    Restore,
     Undo(Done),
     Redo(Done),
     /// Second half of undoing a re-taken initial: the earlier one comes back.
@@ -239,6 +279,11 @@ impl Session {
         }
     }
 
+    /// Takes other limits of the guards from now on.
+    pub fn set_limits(&mut self, limits: GuardLimits) {
+        self.limits = limits;
+    }
+
     /// Whether a request is under way; commands have to wait until it is answered.
     #[must_use]
     pub fn is_storing(&self) -> bool {
@@ -316,6 +361,20 @@ impl Session {
             },
             Command::Initial | Command::Grasp => self.capture(command, now, false),
             Command::Label(outcome) => self.label(outcome),
+            Command::Relabel(id, outcome) => self.store(
+                InFlight::Label {
+                    id: id.clone(),
+                    outcome,
+                },
+                StoreRequest::SetOutcome { id, outcome },
+            ),
+            Command::Trash(id) => self.store(
+                InFlight::Trash { id: id.clone() },
+                StoreRequest::TrashGrasp { id },
+            ),
+            Command::Restore(id) => {
+                self.store(InFlight::Restore, StoreRequest::RestoreGrasp { id })
+            }
             Command::Undo => self.undo(),
             Command::Redo => self.redo(),
             Command::Object(name) => self.rename(name, |labels| &mut labels.object, "object"),
@@ -349,7 +408,21 @@ impl Session {
                 outcome,
                 predicted,
             }),
-            (InFlight::Label { id, outcome }, _) => self.labelled(id, outcome),
+            (InFlight::Label { id, outcome }, StoreReply::Labelled { object, before }) => {
+                self.labelled(id, object, before, outcome)
+            }
+            (InFlight::Trash { id }, StoreReply::Trashed { object, outcome }) => {
+                self.trashed(id, object, outcome)
+            }
+            (
+                InFlight::Restore,
+                StoreReply::Grasp {
+                    id,
+                    object,
+                    outcome,
+                    ..
+                },
+            ) => self.restored(id, object, outcome),
             (InFlight::Undo(done), reply) => self.undone(done, reply),
             (InFlight::Redo(done), reply) => self.redone(done, reply),
             (InFlight::UndoRestore, StoreReply::Initial(frame)) => {
@@ -557,10 +630,14 @@ impl Session {
         )
     }
 
-    fn labelled(&mut self, id: GraspId, outcome: Outcome) -> Vec<Effect> {
-        let Some((before, object)) = self.relabel(&id, outcome) else {
-            return Vec::new();
-        };
+    fn labelled(
+        &mut self,
+        id: GraspId,
+        object: String,
+        before: Outcome,
+        outcome: Outcome,
+    ) -> Vec<Effect> {
+        self.relabel(&id, &object, before, outcome);
         self.summary.labelled += 1;
         self.say(
             MessageLevel::Info,
@@ -580,14 +657,50 @@ impl Session {
         })]
     }
 
-    /// Changes the label of the newest grasp in memory; returns its outcome before and its object.
-    fn relabel(&mut self, id: &GraspId, outcome: Outcome) -> Option<(Outcome, String)> {
-        let last = self.last.as_mut().filter(|last| last.id == *id)?;
-        let before = std::mem::replace(&mut last.outcome, outcome);
-        let object = last.object.clone();
-        self.count(&object, before, -1);
+    /// Brings memory in line with a label that was written.
+    fn relabel(&mut self, id: &GraspId, object: &str, from: Outcome, to: Outcome) {
+        if let Some(last) = self.last.as_mut().filter(|last| last.id == *id) {
+            last.outcome = to;
+        }
+        self.count(object, from, -1);
+        self.count(object, to, 1);
+    }
+
+    fn trashed(&mut self, id: GraspId, object: String, outcome: Outcome) -> Vec<Effect> {
+        let was_last = self.leave_out(&id, &object, outcome);
+        self.say(
+            MessageLevel::Info,
+            format!("grasp {} is in the trash; undo brings it back", id.short()),
+        );
+        self.undo.push(Done::Trash {
+            id,
+            object,
+            outcome,
+            was_last,
+        });
+        self.redo.clear();
+        vec![Effect::Tone(Tone::Undone)]
+    }
+
+    fn restored(&mut self, id: GraspId, object: String, outcome: Outcome) -> Vec<Effect> {
         self.count(&object, outcome, 1);
-        Some((before, object))
+        self.say(
+            MessageLevel::Info,
+            format!("grasp {} is back from the trash", id.short()),
+        );
+        self.undo.push(Done::Restore {
+            id,
+            object,
+            outcome,
+        });
+        self.redo.clear();
+        vec![Effect::Tone(Tone::Undone)]
+    }
+
+    /// A grasp has gone to the trash; returns it if it was the newest of the session.
+    fn leave_out(&mut self, id: &GraspId, object: &str, outcome: Outcome) -> Option<LastGrasp> {
+        self.count(object, outcome, -1);
+        self.last.take_if(|last| last.id == *id)
     }
 
     fn count(&mut self, object: &str, outcome: Outcome, by: isize) {
@@ -609,6 +722,8 @@ impl Session {
                 id: id.clone(),
                 outcome: *before,
             },
+            Done::Trash { id, .. } => StoreRequest::RestoreGrasp { id: id.clone() },
+            Done::Restore { id, .. } => StoreRequest::TrashGrasp { id: id.clone() },
         };
         self.store(InFlight::Undo(done), request)
     }
@@ -648,7 +763,7 @@ impl Session {
                 before,
                 after,
             } => {
-                self.relabel(&id, before);
+                self.relabel(&id, &object, after, before);
                 let text = format!("grasp {} is {before} again", id.short());
                 self.redo.push(Done::Label {
                     id,
@@ -656,6 +771,28 @@ impl Session {
                     before,
                     after,
                 });
+                self.finish_undo(&text)
+            }
+            Done::Trash {
+                ref id,
+                ref object,
+                outcome,
+                ref was_last,
+            } => {
+                self.count(object, outcome, 1);
+                self.last = was_last.clone().or_else(|| self.last.take());
+                let text = format!("grasp {} is back from the trash", id.short());
+                self.redo.push(done);
+                self.finish_undo(&text)
+            }
+            Done::Restore {
+                ref id,
+                ref object,
+                outcome,
+            } => {
+                self.leave_out(id, object, outcome);
+                let text = format!("grasp {} is in the trash again", id.short());
+                self.redo.push(done);
                 self.finish_undo(&text)
             }
         }
@@ -713,6 +850,14 @@ impl Session {
                 };
                 self.store(InFlight::Redo(done), request)
             }
+            Done::Trash { id, .. } => {
+                let request = StoreRequest::TrashGrasp { id: id.clone() };
+                self.store(InFlight::Redo(done), request)
+            }
+            Done::Restore { id, .. } => {
+                let request = StoreRequest::RestoreGrasp { id: id.clone() };
+                self.store(InFlight::Redo(done), request)
+            }
         }
     }
 
@@ -727,10 +872,32 @@ impl Session {
                 self.last = Some(last.clone());
                 self.pending = None;
             }
-            (Done::Label { id, after, .. }, _) => {
-                let (id, after) = (id.clone(), *after);
-                self.relabel(&id, after);
+            (
+                Done::Label {
+                    id,
+                    object,
+                    before,
+                    after,
+                },
+                _,
+            ) => self.relabel(id, object, *before, *after),
+            (
+                Done::Trash {
+                    id,
+                    object,
+                    outcome,
+                    ..
+                },
+                _,
+            ) => {
+                self.leave_out(id, object, *outcome);
             }
+            (
+                Done::Restore {
+                    object, outcome, ..
+                },
+                _,
+            ) => self.count(object, *outcome, 1),
             (Done::Initial { .. }, _) => return Vec::new(),
         }
         self.summary.redone += 1;
@@ -751,6 +918,8 @@ impl Session {
             InFlight::Initial => "the initial frame was NOT saved",
             InFlight::Grasp => "the grasp was NOT saved; its initial frame still is",
             InFlight::Label { .. } => "the label was NOT saved",
+            InFlight::Trash { .. } => "the grasp was NOT moved to the trash",
+            InFlight::Restore => "the grasp was NOT taken back from the trash",
             InFlight::DiscardReplaced => "the initial frame before could not be moved to the trash",
             InFlight::Undo(done) => {
                 self.undo.push(done);
@@ -775,5 +944,7 @@ fn describe(done: &Done) -> String {
         Done::Initial { .. } => "initial frame".into(),
         Done::Grasp { last, .. } => format!("grasp {}", last.id.short()),
         Done::Label { id, after, .. } => format!("label {after} of {}", id.short()),
+        Done::Trash { id, .. } => format!("trash of {}", id.short()),
+        Done::Restore { id, .. } => format!("return of {}", id.short()),
     }
 }

@@ -17,6 +17,8 @@ struct Store {
     grasps: BTreeMap<String, (String, Outcome)>,
     trashed_pending: BTreeMap<String, ()>,
     trashed_grasps: BTreeMap<String, (String, Outcome)>,
+    /// Undone grasp → the pending frame that the undo made.
+    reopened: BTreeMap<String, String>,
 }
 
 impl Store {
@@ -61,8 +63,33 @@ impl Store {
                 self.grasp(initial)
             }
             StoreRequest::SetOutcome { id, outcome } => {
-                self.grasps.get_mut(&id.0).expect("grasp to label").1 = outcome;
-                StoreReply::Done
+                let Some(grasp) = self.grasps.get_mut(&id.0) else {
+                    return Self::missing(&id);
+                };
+                let before = std::mem::replace(&mut grasp.1, outcome);
+                StoreReply::Labelled {
+                    object: grasp.0.clone(),
+                    before,
+                }
+            }
+            StoreRequest::TrashGrasp { id } => {
+                let Some((object, outcome)) = self.grasps.remove(&id.0) else {
+                    return Self::missing(&id);
+                };
+                self.trashed_grasps.insert(id.0, (object.clone(), outcome));
+                StoreReply::Trashed { object, outcome }
+            }
+            StoreRequest::RestoreGrasp { id } => {
+                let reopened = self.reopened.get(&id.0);
+                if reopened.is_some_and(|pending| self.pending.contains_key(pending)) {
+                    let message = "its initial frame is pending again".into();
+                    return StoreReply::Failed { message };
+                }
+                let Some(grasp) = self.trashed_grasps.remove(&id.0) else {
+                    return Self::missing(&id);
+                };
+                self.grasps.insert(id.0.clone(), grasp);
+                self.grasp(id)
             }
             StoreRequest::DiscardInitial { id } => {
                 self.pending.remove(&id.0).expect("initial to discard");
@@ -78,8 +105,10 @@ impl Store {
             }
             StoreRequest::UndoGrasp { id } => {
                 let grasp = self.grasps.remove(&id.0).expect("grasp to undo");
-                self.trashed_grasps.insert(id.0, grasp);
+                self.trashed_grasps.insert(id.0.clone(), grasp);
+                let undone = id.0;
                 let id = self.new_id();
+                self.reopened.insert(undone, id.0.clone());
                 self.pending.insert(id.0.clone(), ());
                 StoreReply::Initial(Self::frame(id))
             }
@@ -93,6 +122,23 @@ impl Store {
                 self.grasp(id)
             }
         }
+    }
+
+    fn missing(id: &GraspId) -> StoreReply {
+        StoreReply::Failed {
+            message: format!("there is no grasp {id}"),
+        }
+    }
+
+    /// The id of a grasp or of one in the trash, by a number.
+    fn any_id(&self, number: usize) -> GraspId {
+        let all: Vec<&String> = self
+            .grasps
+            .keys()
+            .chain(self.trashed_grasps.keys())
+            .collect();
+        let id = all.get(number % all.len().max(1));
+        GraspId(id.map_or_else(|| "nobody".into(), |id| (*id).clone()))
     }
 
     fn count(&self, outcome: Outcome) -> usize {
@@ -311,8 +357,10 @@ fn an_initial_from_before_is_resumed() {
     assert!(session.view(0).message.unwrap().text.contains("going on"));
 }
 
-fn any_command() -> impl Strategy<Value = Command> {
-    prop_oneof![
+/// A command; those that name a grasp come with its number among those that are there.
+fn any_command() -> impl Strategy<Value = (Command, usize)> {
+    let nobody = || GraspId(String::new());
+    let command = prop_oneof![
         4 => Just(Command::Trigger),
         2 => Just(Command::Initial),
         2 => Just(Command::Grasp),
@@ -323,7 +371,45 @@ fn any_command() -> impl Strategy<Value = Command> {
         4 => Just(Command::Redo),
         1 => Just(Command::Override),
         1 => Just(Command::Object("cup".into())),
-    ]
+        2 => Just(Command::Relabel(nobody(), Outcome::Slip)),
+        3 => Just(Command::Trash(nobody())),
+        3 => Just(Command::Restore(nobody())),
+    ];
+    (command, 0..6_usize)
+}
+
+/// The command with the id that its number stands for.
+fn aimed((command, number): (Command, usize), store: &Store) -> Command {
+    match command {
+        Command::Relabel(_, outcome) => Command::Relabel(store.any_id(number), outcome),
+        Command::Trash(_) => Command::Trash(store.any_id(number)),
+        Command::Restore(_) => Command::Restore(store.any_id(number)),
+        other => other,
+    }
+}
+
+#[test]
+fn a_grasp_in_the_trash_is_not_the_last_one_until_it_is_back() {
+    let (mut session, mut store) = (session(), Store::default());
+    for command in [Command::Trigger, Command::Trigger] {
+        play(&mut session, &mut store, command, &good());
+    }
+    let id = session.view(0).last.unwrap().id;
+    play(
+        &mut session,
+        &mut store,
+        Command::Trash(id.clone()),
+        &good(),
+    );
+    assert_eq!(session.step(), Step::Initial);
+    assert_eq!(session.view(0).counts.unlabelled, 0);
+    play(&mut session, &mut store, Command::Undo, &good());
+    assert_eq!(session.view(0).last.unwrap().id, id);
+    assert_eq!(session.step(), Step::Label);
+    play(&mut session, &mut store, Command::Undo, &good());
+    let tones = play(&mut session, &mut store, Command::Restore(id), &good());
+    assert_eq!(tones, [Tone::Fault], "its initial frame is pending again");
+    assert_eq!(session.step(), Step::Grasp);
 }
 
 proptest! {
@@ -341,6 +427,7 @@ proptest! {
                     camera.contact_fraction = Some(0.0);
                 }
             }
+            let command = aimed(command, &store);
             play(&mut session, &mut store, command, &now);
             let view = session.view(0);
             prop_assert_eq!(view.counts.stable, store.count(Outcome::Stable));

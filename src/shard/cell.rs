@@ -6,12 +6,13 @@ use crate::error::{Error, ErrorKind, Result};
 
 /// One value on its way between a row and a column.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Cell<'a> {
+pub(crate) enum Cell<'a> {
     Null,
     Text(Cow<'a, str>),
     Integer(i64),
     Number(f64),
     Numbers(Vec<f64>),
+    /// An encoded picture.
     Picture(Cow<'a, [u8]>),
 }
 

@@ -1,8 +1,9 @@
 //! The columns: names, kinds, order; the Parquet schema and the features of Hugging Face.
 
 use parquet::errors::ParquetError;
-use parquet::schema::parser::parse_message_type;
 use parquet::schema::types::TypePtr;
+
+use super::table_column::{self, TableKind};
 
 /// What a column holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,60 +82,36 @@ pub(super) const IMAGES: [Column; 7] = [
     nullable("grasp_depth", Kind::Picture),
 ];
 
-/// Names of the labels 0 and 1.
-const LABELS: [&str; 2] = ["slip", "stable"];
-
 /// All columns in the order of the file.
 pub(super) fn columns() -> impl Iterator<Item = &'static Column> {
     FACTS.iter().chain(&IMAGES)
 }
 
+/// The same as columns of any table.
+pub(super) fn table_columns() -> impl Iterator<Item = (&'static str, TableKind)> {
+    columns().map(|column| (column.name, column.kind.into()))
+}
+
 /// The schema of the file. Every column is optional, as Arrow writes them; those that a row always
 /// has are never null.
 pub(super) fn schema() -> Result<TypePtr, ParquetError> {
-    let mut text = String::from("message schema {");
-    for Column { name, kind, .. } in columns() {
-        text += &match kind {
-            Kind::Text => format!("optional binary {name} (STRING);"),
-            Kind::Integer => format!("optional int64 {name};"),
-            Kind::Number => format!("optional double {name};"),
-            Kind::Numbers(_) => format!(
-                "optional group {name} (LIST) {{ repeated group list {{ optional double element; }} }}"
-            ),
-            Kind::Picture => format!(
-                "optional group {name} {{ optional binary bytes; optional binary path (STRING); }}"
-            ),
-        };
-    }
-    text.push('}');
-    Ok(TypePtr::new(parse_message_type(&text)?))
+    table_column::schema(table_columns())
 }
 
 /// The value of the `huggingface` key.
-///
-/// Lists are called `Sequence`, which releases of `datasets` before 4 and after it know.
 pub(super) fn features() -> String {
-    // Written by hand: a map of another build of serde_json might have another order.
-    let features: Vec<String> = columns()
-        .map(|column| format!(r#""{}":{}"#, column.name, feature(column)))
-        .collect();
-    format!(r#"{{"info":{{"features":{{{}}}}}}}"#, features.join(","))
+    table_column::features(table_columns())
 }
 
-fn feature(column: &Column) -> String {
-    let value = |dtype: &str| format!(r#"{{"dtype":"{dtype}","_type":"Value"}}"#);
-    match column.kind {
-        _ if column.name == "label" => {
-            let [slip, stable] = LABELS;
-            format!(r#"{{"names":["{slip}","{stable}"],"_type":"ClassLabel"}}"#)
+impl From<Kind> for TableKind {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Text => Self::Text,
+            Kind::Integer => Self::Integer,
+            Kind::Number => Self::Number,
+            Kind::Numbers(_) => Self::Numbers,
+            Kind::Picture => Self::Picture,
         }
-        Kind::Text => value("string"),
-        Kind::Integer => value("int64"),
-        Kind::Number => value("float64"),
-        Kind::Numbers(_) => {
-            format!(r#"{{"feature":{},"_type":"Sequence"}}"#, value("float64"))
-        }
-        Kind::Picture => r#"{"_type":"Image"}"#.to_owned(),
     }
 }
 

@@ -2,15 +2,18 @@
 
 use std::io::Write;
 
-use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::data_type::{
+    BoolType, ByteArray, ByteArrayType, DataType, DoubleType, FloatType, Int64Type,
+};
 use parquet::errors::{ParquetError, Result};
 use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 
 use super::cell::Cell;
-use super::columns::{Column, FACTS, Kind, columns};
+use super::columns::{FACTS, table_columns};
 use super::digest::ContentHash;
 use super::metadata::GroupHash;
 use super::row::picture_extension;
+use super::table_column::TableKind;
 
 /// Values of one leaf with their levels, as Parquet has them.
 struct Leaf<T> {
@@ -49,66 +52,103 @@ impl<T> Leaf<T> {
     }
 }
 
-/// Writes one row group and tells its hashes. `cells`: of each row those of all columns.
+/// Writes one row group of a shard and tells its hashes. `cells`: of each row those of all columns.
 pub(super) fn write_group<W: Write + Send>(
     writer: &mut SerializedFileWriter<W>,
     cells: &[Vec<Cell<'_>>],
 ) -> Result<GroupHash> {
+    write_columns(writer, table_columns(), cells)?;
+    Ok(hash(cells))
+}
+
+/// Writes one row group of any table.
+pub(super) fn write_columns<'a, W: Write + Send>(
+    writer: &mut SerializedFileWriter<W>,
+    columns: impl Iterator<Item = (&'a str, TableKind)>,
+    cells: &[Vec<Cell<'_>>],
+) -> Result<()> {
     let mut group = writer.next_row_group()?;
-    for (number, column) in columns().enumerate() {
-        write_column(&mut group, column, cells.iter().map(|row| &row[number]))?;
+    for (number, (name, kind)) in columns.enumerate() {
+        write_column(&mut group, name, kind, cells.iter().map(|row| &row[number]))?;
     }
     group.close()?;
-    Ok(hash(cells))
+    Ok(())
 }
 
 fn write_column<'a, W: Write + Send>(
     group: &mut SerializedRowGroupWriter<'_, W>,
-    column: &Column,
-    cells: impl Iterator<Item = &'a Cell<'a>> + Clone,
+    name: &str,
+    kind: TableKind,
+    cells: impl Iterator<Item = &'a Cell<'a>>,
 ) -> Result<()> {
-    match column.kind {
-        Kind::Text => {
-            let mut leaf = Leaf::new();
-            cells.for_each(|cell| leaf.push(text(cell), 1));
-            leaf.write::<ByteArrayType, W>(group)
+    match kind {
+        TableKind::Text => write_values::<ByteArrayType, W>(group, cells.map(text)),
+        TableKind::Integer => write_values::<Int64Type, W>(group, cells.map(integer)),
+        TableKind::Flag => {
+            let flag = |cell| integer(cell).map(|value| value != 0);
+            write_values::<BoolType, W>(group, cells.map(flag))
         }
-        Kind::Integer => {
-            let mut leaf = Leaf::new();
-            cells.for_each(|cell| leaf.push(integer(cell), 1));
-            leaf.write::<Int64Type, W>(group)
+        TableKind::Number => write_values::<DoubleType, W>(group, cells.map(number)),
+        TableKind::Single => {
+            let single = |cell| number(cell).map(|value| value as f32);
+            write_values::<FloatType, W>(group, cells.map(single))
         }
-        Kind::Number => {
-            let mut leaf = Leaf::new();
-            cells.for_each(|cell| leaf.push(number(cell), 1));
-            leaf.write::<DoubleType, W>(group)
+        TableKind::OneText => {
+            let list = |cell| text(cell).map(|text| vec![text]);
+            write_lists::<ByteArrayType, W>(group, cells.map(list))
         }
-        Kind::Numbers(_) => {
-            let mut leaf = Leaf::new();
-            for cell in cells {
-                let Cell::Numbers(numbers) = cell else {
-                    leaf.push(None, 3);
-                    leaf.repetition.push(0);
-                    continue;
-                };
-                for (at, number) in numbers.iter().enumerate() {
-                    leaf.push(Some(*number), 3);
-                    leaf.repetition.push(i16::from(at > 0));
-                }
-            }
-            leaf.write::<DoubleType, W>(group)
+        TableKind::Numbers => write_lists::<DoubleType, W>(group, cells.map(numbers)),
+        TableKind::Singles(_) => {
+            let singles = |cell| {
+                let numbers = numbers(cell)?;
+                Some(numbers.into_iter().map(|value| value as f32).collect())
+            };
+            write_lists::<FloatType, W>(group, cells.map(singles))
         }
-        Kind::Picture => {
+        TableKind::Picture => {
             let mut bytes = Leaf::new();
             let mut paths = Leaf::new();
             for cell in cells {
                 bytes.push(picture(cell), 2);
-                paths.push(picture_name(column, cell), 2);
+                paths.push(picture_name(name, cell), 2);
             }
             bytes.write::<ByteArrayType, W>(group)?;
             paths.write::<ByteArrayType, W>(group)
         }
     }
+}
+
+fn write_values<D: DataType, W: Write + Send>(
+    group: &mut SerializedRowGroupWriter<'_, W>,
+    values: impl Iterator<Item = Option<D::T>>,
+) -> Result<()> {
+    let mut leaf = Leaf::new();
+    values.for_each(|value| leaf.push(value, 1));
+    leaf.write::<D, W>(group)
+}
+
+fn write_lists<D: DataType, W: Write + Send>(
+    group: &mut SerializedRowGroupWriter<'_, W>,
+    lists: impl Iterator<Item = Option<Vec<D::T>>>,
+) -> Result<()> {
+    let mut leaf = Leaf::new();
+    for list in lists {
+        let Some(list) = list else {
+            leaf.push(None, 3);
+            leaf.repetition.push(0);
+            continue;
+        };
+        if list.is_empty() {
+            // The list is there, an element is not.
+            leaf.definition.push(1);
+            leaf.repetition.push(0);
+        }
+        for (at, value) in list.into_iter().enumerate() {
+            leaf.push(Some(value), 3);
+            leaf.repetition.push(i16::from(at > 0));
+        }
+    }
+    leaf.write::<D, W>(group)
 }
 
 fn text(cell: &Cell<'_>) -> Option<ByteArray> {
@@ -132,6 +172,13 @@ fn number(cell: &Cell<'_>) -> Option<f64> {
     }
 }
 
+fn numbers(cell: &Cell<'_>) -> Option<Vec<f64>> {
+    match cell {
+        Cell::Numbers(numbers) => Some(numbers.clone()),
+        _ => None,
+    }
+}
+
 fn picture(cell: &Cell<'_>) -> Option<ByteArray> {
     match cell {
         Cell::Picture(bytes) => Some(ByteArray::from(bytes.to_vec())),
@@ -140,12 +187,12 @@ fn picture(cell: &Cell<'_>) -> Option<ByteArray> {
 }
 
 /// The name of the picture's file in a dataset of single files: `<stage>.<role>.<ending>`.
-fn picture_name(column: &Column, cell: &Cell<'_>) -> Option<ByteArray> {
+fn picture_name(column: &str, cell: &Cell<'_>) -> Option<ByteArray> {
     let Cell::Picture(bytes) = cell else {
         return None;
     };
     let ending = picture_extension(bytes).unwrap_or("bin");
-    let name = format!("{}.{ending}", column.name.replace('_', "."));
+    let name = format!("{}.{ending}", column.replace('_', "."));
     Some(ByteArray::from(name.into_bytes()))
 }
 

@@ -3,7 +3,8 @@
 //!
 //! A [`ShardRow`] is one grasp, real or a rendering of a simulated one. [`ShardWriter`] writes rows into one
 //! file, [`ShardReader`] reads them again with bounded memory, [`ShardSet`] is a folder of such
-//! files by split. The columns that a real dataset has as well have the same names.
+//! files by split. The columns that a real dataset has as well have the same names. A [`TableWriter`]
+//! writes rows of other columns in the same way.
 //!
 //! Row groups are small, pages are not compressed (pictures are already), and nothing in a file
 //! depends on the time, the machine or the number of threads. Each row group has a hash of its
@@ -23,6 +24,8 @@ mod set;
 mod source;
 mod split;
 mod staged;
+mod table;
+mod table_column;
 mod writer;
 
 #[cfg(test)]
@@ -32,8 +35,11 @@ mod foreign_test;
 #[cfg(test)]
 mod sample_rows;
 
+pub(crate) use cell::Cell as TableCell;
 pub use reader::ShardReader;
 pub use row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
 pub use set::{ShardSet, shard_name};
 pub use split::{Split, SplitGroup};
+pub(crate) use table::TableWriter;
+pub(crate) use table_column::TableKind;
 pub use writer::{ShardWriter, to_bytes};

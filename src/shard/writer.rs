@@ -23,7 +23,7 @@ use crate::error::{Error, ErrorKind, Result};
 /// Bytes of cells after which a row group is closed; only a single row may be larger.
 pub(super) const GROUP_BYTES: usize = 12 << 20;
 /// Largest row, bytes: a limit of the page size of Parquet is not far above.
-const MAX_ROW_BYTES: usize = 256 << 20;
+pub(super) const MAX_ROW_BYTES: usize = 256 << 20;
 /// Values between two looks at the size of a page, so that pages of pictures stay small.
 const BATCH: usize = 16;
 
@@ -197,7 +197,20 @@ fn check(row: &ShardRow) -> Result<usize> {
 }
 
 pub(super) fn properties(created_by: &str) -> WriterProperties {
-    let features = KeyValue::new(HUGGINGFACE_KEY.to_owned(), features());
+    table_properties(
+        created_by,
+        features(),
+        IMAGES.iter().map(|image| image.name),
+    )
+}
+
+/// How any table is written. `pictures`: the columns that hold them.
+pub(super) fn table_properties<'a>(
+    created_by: &str,
+    features: String,
+    pictures: impl Iterator<Item = &'a str>,
+) -> WriterProperties {
+    let features = KeyValue::new(HUGGINGFACE_KEY.to_owned(), features);
     let mut properties = WriterProperties::builder()
         .set_created_by(created_by.to_owned())
         .set_compression(Compression::UNCOMPRESSED)
@@ -206,8 +219,8 @@ pub(super) fn properties(created_by: &str) -> WriterProperties {
         .set_write_batch_size(BATCH)
         .set_max_row_group_row_count(None)
         .set_key_value_metadata(Some(vec![features]));
-    for image in IMAGES {
-        let bytes = ColumnPath::new(vec![image.name.to_owned(), "bytes".to_owned()]);
+    for picture in pictures {
+        let bytes = ColumnPath::new(vec![picture.to_owned(), "bytes".to_owned()]);
         properties = properties
             .set_column_dictionary_enabled(bytes.clone(), false)
             .set_column_statistics_enabled(bytes, EnabledStatistics::None);
@@ -216,7 +229,7 @@ pub(super) fn properties(created_by: &str) -> WriterProperties {
 }
 
 /// The operating system's error where there is one, so that a full disk is seen as such.
-fn write_error(error: ParquetError) -> Error {
+pub(super) fn write_error(error: ParquetError) -> Error {
     match error {
         ParquetError::External(cause) => match cause.downcast::<io::Error>() {
             Ok(cause) => Error::io("cannot write the shard", *cause),

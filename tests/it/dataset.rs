@@ -100,7 +100,7 @@ fn prediction() -> PredictionRecord {
 }
 
 /// Grasps of `objects`, alternately stable and slip; the last one is not labelled and lacks depth.
-fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
+pub(super) fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
     let (mut writer, _) = DatasetWriter::open_or_create(root, &new_dataset()).unwrap();
     let mut ids = Vec::new();
     for (index, object) in objects.iter().enumerate() {
@@ -133,7 +133,7 @@ fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
     ids
 }
 
-fn gripcast(args: &[&str], dataset: &Path) -> Output {
+pub(super) fn gripcast(args: &[&str], dataset: &Path) -> Output {
     Command::new(env!("CARGO_BIN_EXE_gripcast"))
         .arg("dataset")
         .args(&args[..1])
@@ -143,15 +143,15 @@ fn gripcast(args: &[&str], dataset: &Path) -> Output {
         .unwrap()
 }
 
-fn stdout(output: &Output) -> String {
+pub(super) fn stdout(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-fn stderr(output: &Output) -> String {
+pub(super) fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-fn json(output: &Output) -> Value {
+pub(super) fn json(output: &Output) -> Value {
     serde_json::from_slice(&output.stdout)
         .unwrap_or_else(|e| panic!("{e}: {}{}", stdout(output), stderr(output)))
 }
@@ -164,7 +164,7 @@ fn redacted(text: &str, ids: &[GraspId]) -> String {
     })
 }
 
-fn tree(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+pub(super) fn tree(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
     for entry in fs::read_dir(root).unwrap() {
         let path = entry.unwrap().path();

@@ -3,20 +3,25 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod annotate;
+mod black_box;
 mod board;
 mod calibrate;
 mod calibrate_intrinsics;
 mod cluster;
 mod collect;
 mod crash;
+mod daemon;
 mod dataset;
 mod doctor;
+mod export;
 mod familiarity;
+mod fuzz_corpus;
 mod hangup;
 mod imaging;
 mod kernel;
 mod layers;
 mod model_contract;
+mod packaging;
 mod program;
 mod render;
 mod render_tactile;

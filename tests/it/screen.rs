@@ -74,6 +74,7 @@ fn waiting_for_grasp() -> EngineStatus {
         rig: "bench-a".to_owned(),
         clock: "17:42:10".to_owned(),
         disk_free_bytes: Some(212_000_000_000),
+        black_box: None,
         session: SessionView {
             step: Step::Grasp,
             object: "mug-blue".to_owned(),
@@ -519,6 +520,7 @@ prop_compose! {
             is_difference: picture.2,
         };
         EngineStatus {
+            black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
             session, cameras, prediction,

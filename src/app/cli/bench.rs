@@ -3,8 +3,8 @@
 //! Each bench prints a table, or with `--json` one object `{"figures", "name", "params", "peers"}`.
 
 use super::{
-    Context, bench_contact, bench_grasp, bench_live, bench_pose, bench_predict, bench_render,
-    bench_rigid, bench_synth, bench_train,
+    Context, bench_contact, bench_daemon, bench_grasp, bench_live, bench_pose, bench_predict,
+    bench_render, bench_rigid, bench_synth, bench_train,
 };
 use crate::error::Result;
 
@@ -19,6 +19,8 @@ pub(crate) struct Args {
 enum Bench {
     /// The complete live path: frames lost, latency, cores, memory
     Live(bench_live::Args),
+    /// A daemon that collects: calls of the API, saves, viewers, memory
+    Daemon(bench_daemon::Args),
     /// The contact phases of one Newton iteration
     Contact(bench_contact::Args),
     /// Simulated grasps, easy and hard: time, steps, Newton iterations, outcomes
@@ -41,6 +43,7 @@ enum Bench {
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     match args.bench {
         Bench::Live(args) => bench_live::run(context, &args),
+        Bench::Daemon(args) => bench_daemon::run(context, &args),
         Bench::Contact(args) => bench_contact::run(context, &args),
         Bench::Grasp(args) => bench_grasp::run(context, args),
         Bench::Pose(args) => bench_pose::run(context, &args),

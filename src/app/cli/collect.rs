@@ -17,57 +17,47 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 
+use super::collection_flags::CollectionFlags;
 use super::{ConfigFlag, Context, print, print_json};
-use crate::app::config::{self, CollectConfig, FlagValue, Layered};
-use crate::app::daemon::{
-    self, Boards, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus,
+use crate::app::collection::{
+    COMMAND_QUEUE, Start, chosen_dataset, chosen_rig, prepare, start_pedals, stop_signals,
 };
-use crate::app::model_choice::chosen_model;
+use crate::app::config::{self, FlagValue, Layered};
+use crate::app::daemon::{
+    self, Asked, BlackBoxReport, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus,
+    Tasks,
+};
+use crate::app::rig_lock::RigLock;
 use crate::app::tui;
-use crate::dataset::NewDataset;
+use crate::app::web::{self, Attached, Target, Token};
 use crate::error::{Error, ErrorKind, Result};
-use crate::imaging::Role;
-use crate::rig::calibration::{PedalConfig, RigFile};
-use crate::rig::camera::{MonotonicClock, RigSources, SupervisionPolicy};
-use crate::rig::device::SystemRoot;
-use crate::rig::trigger::{PedalEvent, Script, run_pedal};
-use crate::session::{Command, CommandSource, Labels, StoreReply};
+use crate::rig::calibration::PedalConfig;
+use crate::rig::trigger::Script;
+use crate::session::{Command, CommandSource, StoreReply};
 
-/// Commands that wait for the engine; an operator cannot press faster than they are taken.
-const COMMAND_QUEUE: usize = 64;
 /// How long the screen may take to come to its end after the engine.
 const SCREEN_PATIENCE: Duration = Duration::from_secs(2);
-
-/// What "stable" means in a new dataset.
-const LABEL_DEFINITION: &str = "stable: the object stayed in the gripper while it was lifted; \
-                                slip: it moved in the gripper or fell";
 
 /// Arguments of `collect`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Rig: `virtual`, the name of a rig file, or its path
-    #[arg(long)]
-    rig: Option<String>,
-    /// Dataset directory; created when absent
-    #[arg(short = 'C', long, value_name = "DIR")]
-    dataset: Option<PathBuf>,
-    /// Object at the start
-    #[arg(long)]
-    object: Option<String>,
-    /// Scene at the start
-    #[arg(long)]
-    scene: Option<String>,
-    /// Who holds the gripper
-    #[arg(long)]
-    operator: Option<String>,
-    /// ONNX file, `gripcast-vt`, the built-in classifier, `baseline-contact`, a heuristic of touch
-    /// alone, or `none` for no prediction [default: gripcast-vt; baseline-contact where the rig's
-    /// cameras or crop profile are not those of the classifier]
-    #[arg(long, value_name = "MODEL")]
-    model: Option<String>,
+    #[command(flatten)]
+    collection: CollectionFlags,
+    /// Be a screen for a running daemon: its address, or its socket [default: the usual socket]
+    #[arg(
+        long,
+        value_name = "http://HOST:PORT|SOCKET",
+        num_args = 0..=1,
+        default_missing_value = "",
+        conflicts_with_all = ["rig", "dataset", "object", "scene", "operator", "model", "script",
+            "headless", "json", "events", "black_box"]
+    )]
+    attach: Option<String>,
+    /// Token of the daemon, for --attach
+    #[arg(long, value_name = "FILE", requires = "attach")]
+    token_file: Option<PathBuf>,
     /// Timed commands instead of an operator
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
@@ -92,23 +82,9 @@ pub(crate) struct Args {
 
 impl Args {
     fn flags(&self) -> Vec<FlagValue> {
-        let path = |path: &PathBuf| path.display().to_string();
-        [
-            ("--rig", "collect.rig", self.rig.clone()),
-            (
-                "--dataset",
-                "collect.dataset",
-                self.dataset.as_ref().map(path),
-            ),
-            ("--object", "collect.object", self.object.clone()),
-            ("--scene", "collect.scene", self.scene.clone()),
-            ("--operator", "collect.operator", self.operator.clone()),
-            ("--model", "collect.model", self.model.clone()),
-            ("--sound", "collect.sound", self.sound.clone()),
-        ]
-        .into_iter()
-        .filter_map(|(flag, key, value)| Some((flag, key, value?)))
-        .collect()
+        let sound = self.sound.clone();
+        let own = sound.map(|sound| ("--sound", "collect.sound", sound));
+        self.collection.given().into_iter().chain(own).collect()
     }
 }
 
@@ -119,9 +95,12 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         std::env::vars(),
         &args.flags(),
     )?;
-    let settings = config.collect;
-    let rig = chosen_rig(&settings)?;
-    let dataset = chosen_dataset(&settings)?;
+    if let Some(place) = &args.attach {
+        let token = args.token_file.as_deref().map(Token::read).transpose()?;
+        return attach(place, token.as_ref(), sound(&config.collect.sound)?);
+    }
+    let rig = chosen_rig(&config.collect)?;
+    chosen_dataset(&config.collect)?;
     let script = args.script.as_deref().map(read_script).transpose()?;
     let screen = !args.headless
         && !args.events
@@ -135,56 +114,15 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         )
         .remedy("run it in a terminal, give --script FILE, or add a [[pedals]] entry to the rig"));
     }
-    let sound = sound(&settings.sound)?;
-    let model = chosen_model(&settings.model, &rig, context.quiet)?;
-    let root = SystemRoot::default();
-    let sources = RigSources::of(&rig, &root, args.seed)?;
-    sources.check_present()?;
-    let (intrinsics, notes) = sources.intrinsics(&rig, &root)?;
-    if !context.quiet {
-        for note in notes {
-            eprintln!("{note}");
-        }
-    }
-
-    let boards = match (&rig.boards, &sources.hand) {
-        (Some(boards), _) => Some(Boards::read(boards)?),
-        (None, Some(hand)) => Some(Boards::of_virtual_rig(Arc::clone(hand))?),
-        (None, None) => None,
-    };
-    let is_bound = rig.cameras.contains_key(&Role::External);
-    let is_calibrated = intrinsics.contains_key(&Role::External);
-    if is_bound && boards.is_some() && !is_calibrated && !context.quiet {
-        eprintln!(
-            "external: no intrinsics, so that grasps get no pose; measure them with `gripcast \
-             calibrate intrinsics` and name the file in [cameras.external]"
-        );
-    }
-
+    let sound = sound(&config.collect.sound)?;
+    let _lock = RigLock::acquire(&rig)?;
     let pedals = rig.pedals.clone();
-    let setup = EngineSetup {
-        new_dataset: NewDataset {
-            name: dataset_name(&dataset),
-            rig: rig.id.clone(),
-            licence: settings.licence,
-            label_definition: LABEL_DEFINITION.into(),
-        },
-        rig,
-        intrinsics,
-        openers: sources.openers,
-        supervision: SupervisionPolicy::default(),
-        dataset,
-        labels: Labels {
-            object: settings.object,
-            scene: settings.scene,
-            operator: settings.operator,
-        },
-        guards: config.guards,
-        model,
-        script,
-        boards,
-        hand: sources.hand,
+    let start = Start {
+        seed: args.seed,
+        all_present: true,
+        quiet: context.quiet,
     };
+    let setup = prepare(config, rig, script, start)?;
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
@@ -210,15 +148,20 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
             ErrorKind::Stopped,
             "asked to end; everything that was acknowledged is on disk",
         )),
-        Ended::Quit | Ended::ScriptDone if report.session.failed > 0 => Err(Error::new(
-            ErrorKind::Partial,
-            format!(
-                "{} save(s) failed; see the messages above",
-                report.session.failed
-            ),
-        )),
+        Ended::Quit | Ended::ScriptDone if report.session.failed > 0 => Err(saves_failed(&report)),
         Ended::Quit | Ended::ScriptDone => Ok(()),
     }
+}
+
+/// Some saves failed.
+pub(super) fn saves_failed(report: &CollectReport) -> Error {
+    Error::new(
+        ErrorKind::Partial,
+        format!(
+            "{} save(s) failed; see the messages above",
+            report.session.failed
+        ),
+    )
 }
 
 /// Runs the engine with its screen or lines and its pedals until it ends.
@@ -229,7 +172,7 @@ async fn collect(
     events: bool,
     quiet: bool,
 ) -> Result<CollectReport> {
-    let stop = stop_signals()?;
+    let stop = stop_signals(true)?;
     let (command_sender, commands) = mpsc::channel(COMMAND_QUEUE);
     let (tone_sender, tones) = mpsc::unbounded_channel();
     let (status, newest) = watch::channel(Arc::new(EngineStatus::starting(
@@ -237,13 +180,7 @@ async fn collect(
         &setup.rig.id,
     )));
     let ended = Arc::new(AtomicBool::new(false));
-    let pedals: Vec<_> = pedals
-        .into_iter()
-        .map(|pedal| {
-            let (commands, ended) = (command_sender.clone(), Arc::clone(&ended));
-            std::thread::spawn(move || listen_to_pedal(&pedal, &commands, &ended))
-        })
-        .collect();
+    let pedals = start_pedals(pedals, &command_sender, &ended);
     let screen = screen.map(|sound| {
         Screen::start(tui::Wiring {
             status: newest.clone(),
@@ -260,8 +197,12 @@ async fn collect(
     drop(command_sender);
 
     let told = screen.is_none();
+    // Nothing changes the guards of a collection at a terminal.
+    let (_, limits) = mpsc::channel(1);
     let links = EngineLinks {
         commands,
+        limits,
+        tasks: Tasks::default(),
         status,
         tones: tone_sender,
         stored: Box::new(move |stored| {
@@ -286,6 +227,54 @@ async fn collect(
     screen.map(|()| report)
 }
 
+/// Is a screen for a running daemon, which goes on when the operator leaves.
+fn attach(place: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
+    if !(std::io::stdin().is_terminal() && std::io::stdout().is_terminal()) {
+        return Err(Error::new(
+            ErrorKind::Usage,
+            "a screen needs a terminal, and there is none",
+        )
+        .remedy("run it in a terminal; programs use the API (docs/api.md)"));
+    }
+    let target = match (place, super::daemon::usual_socket()) {
+        ("", Some(socket)) => Target::parse(&socket.display().to_string())?,
+        ("", None) => {
+            return Err(Error::new(
+                ErrorKind::Usage,
+                "where is the daemon? There is no $XDG_RUNTIME_DIR and no /run/gripcast",
+            )
+            .remedy("--attach http://127.0.0.1:7471, or --attach SOCKET"));
+        }
+        (place, _) => Target::parse(place)?,
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(|e| Error::io("cannot start the event loop", e))?;
+    let (command_sender, commands) = mpsc::channel(COMMAND_QUEUE);
+    let (tone_sender, tones) = mpsc::unbounded_channel();
+    let (status, newest) = watch::channel(Arc::new(EngineStatus::starting("", "")));
+    let screen = Screen::start(tui::Wiring {
+        status: newest,
+        commands: command_sender,
+        tones,
+        sound,
+    });
+    let wiring = web::Screen {
+        status,
+        tones: tone_sender,
+        commands,
+    };
+    let attached = runtime.block_on(web::attach(&target, token, wiring));
+    screen.end()?;
+    match attached? {
+        Attached::Left => Ok(()),
+        Attached::Ended => Err(Error::new(ErrorKind::Stopped, "the daemon has ended")
+            .at(target)
+            .remedy("everything that was acknowledged is on disk")),
+    }
+}
+
 /// The screen's thread, and whether it is at its end.
 struct Screen {
     ended: std::sync::mpsc::Receiver<Result<()>>,
@@ -299,7 +288,7 @@ impl Screen {
             let commands = wiring.commands.clone();
             let result = tui::run(wiring);
             // Without a screen nobody can operate; the engine may have ended before.
-            let _ = commands.blocking_send((Command::Quit, CommandSource::Keyboard));
+            let _ = commands.blocking_send(Asked::new(Command::Quit, CommandSource::Keyboard));
             // Nobody asks any more where the process ends without the screen.
             let _ = sender.send(result);
         });
@@ -317,60 +306,6 @@ impl Screen {
             }
         }
     }
-}
-
-fn listen_to_pedal(
-    pedal: &PedalConfig,
-    commands: &mpsc::Sender<(Command, CommandSource)>,
-    ended: &AtomicBool,
-) {
-    let result = run_pedal(pedal, &MonotonicClock, ended, &mut |event| match event {
-        PedalEvent::Trigger(trigger) => {
-            if let Ok(command) = trigger.text.parse() {
-                // When the queue is full the operator presses faster than anything can be saved.
-                let _ = commands.try_send((command, CommandSource::Pedal));
-            }
-        }
-        PedalEvent::Ready { product } => eprintln!("pedal ready: {product}"),
-        PedalEvent::Unmapped { key } => eprintln!("pedal key `{key}` has no command in the rig"),
-        PedalEvent::Lost { reason } => eprintln!("pedal: {reason}"),
-    });
-    if let Err(error) = result {
-        eprintln!("pedal: {error}");
-    }
-}
-
-/// Resolves when the process is asked to end.
-fn stop_signals() -> Result<impl Future<Output = Ended>> {
-    let listen = |kind| signal(kind).map_err(|e| Error::io("cannot listen for signals", e));
-    let mut interrupt = listen(SignalKind::interrupt())?;
-    let mut terminate = listen(SignalKind::terminate())?;
-    let mut hangup = listen(SignalKind::hangup())?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => Ended::Interrupted,
-            _ = terminate.recv() => Ended::Terminated,
-            _ = hangup.recv() => Ended::Terminated,
-        }
-    })
-}
-
-fn chosen_rig(settings: &CollectConfig) -> Result<RigFile> {
-    if settings.rig.is_empty() {
-        return Err(Error::new(ErrorKind::Usage, "which rig?").remedy(
-            "--rig virtual tries everything without cameras; `gripcast rig init` writes a rig \
-             file for the cameras that are plugged in",
-        ));
-    }
-    RigFile::find(&settings.rig)
-}
-
-fn chosen_dataset(settings: &CollectConfig) -> Result<PathBuf> {
-    if settings.dataset.is_empty() {
-        return Err(Error::new(ErrorKind::Usage, "which dataset?")
-            .remedy("--dataset DIR; the directory is created when it is absent"));
-    }
-    Ok(PathBuf::from(&settings.dataset))
 }
 
 fn sound(name: &str) -> Result<tui::Sound> {
@@ -391,14 +326,8 @@ fn read_script(path: &Path) -> Result<Script> {
     })
 }
 
-fn dataset_name(path: &Path) -> String {
-    path.file_name().map_or_else(
-        || "dataset".into(),
-        |name| name.to_string_lossy().into_owned(),
-    )
-}
-
-fn summary(report: &CollectReport) -> String {
+/// The closing lines.
+pub(super) fn summary(report: &CollectReport) -> String {
     let mut text = String::new();
     for grasp in &report.grasps {
         let predicted = grasp
@@ -442,6 +371,33 @@ fn summary(report: &CollectReport) -> String {
             "{} prediction(s) by {model}, frame to prediction {p50:.0} ms (median), {p99:.0} ms (p99)",
             prediction.predictions
         );
+    }
+    if let Some(black_box) = &report.black_box {
+        text.push_str(&black_box_summary(black_box));
+    }
+    text
+}
+
+fn black_box_summary(report: &BlackBoxReport) -> String {
+    let mut text = format!(
+        "black box: {} file(s), {:.1} MB in {}",
+        report.files,
+        report.bytes as f64 * 1e-6,
+        report.directory
+    );
+    if report.removed_files > 0 {
+        let _ = write!(text, ", {} old file(s) removed", report.removed_files);
+    }
+    text.push('\n');
+    for (role, frames) in &report.frames {
+        let _ = writeln!(
+            text,
+            "          {role:<9} {} frames, {} left out",
+            frames.written, frames.dropped
+        );
+    }
+    if let Some(reason) = &report.stopped {
+        let _ = writeln!(text, "          ended early: {reason}");
     }
     text
 }

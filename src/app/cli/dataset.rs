@@ -1,4 +1,5 @@
-//! `gripcast dataset`: look at, verify, repair, index and split a dataset, or import one of others.
+//! `gripcast dataset`: look at, verify, repair, index and split a dataset, export it for others, or
+//! import one of theirs.
 //!
 //! ```text
 //! gripcast dataset info DIR      what is in it: counts, balance, size, predictions against labels
@@ -6,6 +7,7 @@
 //! gripcast dataset recover DIR   rescue what is there; the rest moves to trash/, nothing is deleted
 //! gripcast dataset reindex DIR   write metadata.jsonl again from the records
 //! gripcast dataset split DIR     divide it into train, val and test without sharing an object
+//! gripcast dataset export DIR    write it as Parquet, WebDataset, LeRobot or Zarr
 //! gripcast dataset import FILE…  make Parquet shards of somebody else's files
 //! ```
 //!
@@ -21,7 +23,7 @@ use clap::{Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
-use super::{Context, dataset_import, print, print_json};
+use super::{Context, dataset_export, dataset_import, print, print_json};
 use crate::dataset::{
     Dataset, Outcome, RecoverReport, SplitBy, SplitFile, SplitPlan, Summary, VerifyReport, recover,
     reindex, split, summary, verify,
@@ -47,6 +49,8 @@ enum Action {
     Reindex(Place),
     /// Divide the grasps into parts that share no object
     Split(SplitArgs),
+    /// Write the dataset in a format of others
+    Export(dataset_export::Args),
     /// Make Parquet shards, for train and eval, of somebody else's files
     Import(dataset_import::Args),
 }
@@ -107,6 +111,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         Action::Recover(args) => run_recover(context, &args),
         Action::Reindex(place) => run_reindex(context, &place),
         Action::Split(args) => run_split(&args),
+        Action::Export(args) => dataset_export::run(context, args),
         Action::Import(args) => dataset_import::run(context, &args),
     }
 }
@@ -397,7 +402,7 @@ pub(super) fn counted(count: usize, noun: &str) -> String {
 }
 
 /// Decimal units, as disks are sold.
-fn size_text(bytes: u64) -> String {
+pub(super) fn size_text(bytes: u64) -> String {
     let mut size = bytes as f64;
     for unit in ["B", "kB", "MB", "GB"] {
         if size < 1000.0 {

@@ -12,6 +12,7 @@ use crate::error::{Error, ErrorKind, Result};
 mod annotate;
 mod bench;
 mod bench_contact;
+mod bench_daemon;
 mod bench_grasp;
 mod bench_live;
 mod bench_pose;
@@ -29,13 +30,17 @@ mod calibrate_gripper;
 mod calibrate_intrinsics;
 mod calibrate_live;
 mod collect;
+mod collection_flags;
 mod completions;
 mod config;
+mod daemon;
 mod dataset;
+mod dataset_export;
 mod dataset_import;
 mod doctor;
 mod eval;
 mod experiment;
+mod man;
 mod predict;
 mod python_peer;
 mod render;
@@ -125,6 +130,8 @@ pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
 enum Verb {
     /// Collect grasps: live cameras, triggers, prediction, crash-safe saving
     Collect(collect::Args),
+    /// Collect as a service with a page and an API for browsers, pedals and programs
+    Daemon(daemon::Args),
     /// List cameras, write a rig file, check a rig
     Rig(rig::Args),
     /// Find out why collecting would not work here, and what helps
@@ -137,7 +144,7 @@ enum Verb {
     Calibrate(calibrate::Args),
     /// Predict the stability of recorded grasps, or check a model
     Predict(predict::Args),
-    /// Look at, verify, repair, index and split a dataset
+    /// Look at, verify, repair, index, split and export a dataset
     Dataset(dataset::Args),
     /// Simulate grasps
     Sim(sim::Args),
@@ -159,6 +166,8 @@ enum Verb {
     Config(config::Args),
     /// Print a completion script for a shell
     Completions(completions::Args),
+    /// Write the manual pages
+    Man(man::Args),
 }
 
 /// Runs the command line of this process.
@@ -179,6 +188,7 @@ fn run(cli: Cli) -> Result<()> {
     match cli.verb {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),
+        Verb::Daemon(args) => daemon::run(&context, args),
         Verb::Doctor(args) => doctor::run(&context, args),
         Verb::Board(args) => board::run(&context, args),
         Verb::Annotate(args) => annotate::run(&context, args),
@@ -195,5 +205,6 @@ fn run(cli: Cli) -> Result<()> {
         Verb::Bench(args) => bench::run(&context, args),
         Verb::Config(args) => config::run(&context, args),
         Verb::Completions(args) => completions::run(&context, &args),
+        Verb::Man(args) => man::run(&context, &args),
     }
 }

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 
 use super::hub::{CameraSlot, Hub};
+use super::tasks::{Beat, Tasks};
 use crate::error::{Error, ErrorKind, Result};
 use crate::rig::camera::{
     CameraEvent, CameraOpener, Health, MonotonicClock, SupervisionPolicy, run_camera,
@@ -27,6 +28,7 @@ impl CaptureThreads {
         openers: Vec<Box<dyn CameraOpener>>,
         hub: &Hub,
         policy: &SupervisionPolicy,
+        tasks: &Tasks,
     ) -> Result<Self> {
         let mut capture = Self {
             stop: Arc::new(AtomicBool::new(false)),
@@ -38,18 +40,22 @@ impl CaptureThreads {
                 continue;
             };
             let (stop, policy) = (Arc::clone(&capture.stop), policy.clone());
-            let body = move || {
+            let body = move |beat: &Beat| {
+                beat.busy();
                 run_camera(
                     opener.as_mut(),
                     &policy,
                     &MonotonicClock,
                     &stop,
-                    &mut |event| take_in(&slot, event),
+                    &mut |event| {
+                        take_in(&slot, event);
+                        // It tells something every second at least, unless the driver holds it.
+                        beat.busy();
+                    },
                 );
             };
-            capture
-                .threads
-                .push(spawn(format!("capture-{role}"), body)?);
+            let thread = tasks.spawn(&format!("capture-{role}"), body)?;
+            capture.threads.push(thread);
         }
         Ok(capture)
     }

@@ -5,9 +5,9 @@ use std::sync::mpsc::Sender;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use super::capture::spawn;
 use super::hub::{CameraSlot, Hub};
 use super::infer::InferRequest;
+use super::tasks::{Beat, Tasks};
 use crate::error::Result;
 use crate::imaging::{CropProfile, Decoder, Frame, PixelFormat, Role};
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
@@ -36,14 +36,16 @@ pub(super) fn start(
     hub: &Hub,
     crop_of: impl Fn(Role) -> Option<CropProfile>,
     infer: &Sender<InferRequest>,
+    tasks: &Tasks,
 ) -> Result<Vec<JoinHandle<()>>> {
     hub.slots()
         .map(|slot| {
             let (slot, infer) = (Arc::clone(slot), infer.clone());
             let crop = crop_of(slot.role());
-            let decoder = Decoder::new()?;
-            spawn(format!("decode-{}", slot.role()), move || {
-                run(&slot, crop.as_ref(), decoder, &infer);
+            let mut decoder = Decoder::new()?;
+            let name = format!("decode-{}", slot.role());
+            tasks.spawn(&name, move |beat| {
+                run(&slot, crop.as_ref(), &mut decoder, &infer, beat);
             })
         })
         .collect()
@@ -52,15 +54,17 @@ pub(super) fn start(
 fn run(
     slot: &CameraSlot,
     crop: Option<&CropProfile>,
-    mut decoder: Decoder,
+    decoder: &mut Decoder,
     infer: &Sender<InferRequest>,
+    beat: &Beat,
 ) {
     while !slot.is_closed() {
         let Some(frame) = slot.take_newest(PATIENCE) else {
             continue;
         };
         let started = Instant::now();
-        match model_picture(&mut decoder, &frame, crop) {
+        beat.busy();
+        match model_picture(decoder, &frame, crop) {
             Ok(image) => {
                 slot.decoded(&frame, image);
                 if infer.send(InferRequest::Fresh(slot.role())).is_err() {
@@ -69,6 +73,7 @@ fn run(
             }
             Err(_) => slot.damaged(&frame),
         }
+        beat.idle();
         // A compressed frame must be decoded to be known as sound; of raw ones a few a second
         // are enough for the screen.
         if frame.format != PixelFormat::Mjpg {

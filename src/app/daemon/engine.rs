@@ -9,9 +9,11 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 use serde::Serialize;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
 
 use super::approach::{Approach, ApproachWatch};
+use super::asked::{Answered, Asked};
+use super::black_box::{BlackBox, BlackBoxSettings, Tap, Topic};
 use super::calibration::store_calibration;
 use super::capture::CaptureThreads;
 use super::decode;
@@ -19,11 +21,13 @@ use super::hub::{Hub, Soundness};
 use super::infer::{Inference, Live};
 use super::pairing::{Paired, pair};
 use super::report::{
-    CollectReport, Ended, GraspReport, PredictionReport, camera_report, camera_status, fault_text,
+    CollectReport, Ended, GraspReport, PredictionReport, camera_report, camera_status,
+    cameras_note, fault_text,
 };
 use super::sheets::Boards;
 use super::status::{CameraStatus, EngineStatus, PredictionStatus};
 use super::store::{Store, StoreContext, StoreMessage, pending_frame};
+use super::tasks::{TaskState, Tasks};
 use crate::dataset::{CapturedCamera, DatasetWriter, NewDataset, StageCapture};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Frame, Intrinsics, Role};
@@ -70,12 +74,18 @@ pub struct EngineSetup {
     pub boards: Option<Boards>,
     /// The hand of the virtual rig, which follows the session's steps like an operator.
     pub hand: Option<Arc<VirtualHand>>,
+    /// The continuous log, where one is wanted.
+    pub black_box: Option<BlackBoxSettings>,
 }
 
 /// The engine's ends of the channels to screens and triggers.
 pub struct EngineLinks {
     /// What operators ask for.
-    pub commands: mpsc::Receiver<(Command, CommandSource)>,
+    pub commands: mpsc::Receiver<Asked>,
+    /// Limits of the guards from then on.
+    pub limits: mpsc::Receiver<GuardLimits>,
+    /// The board of its threads.
+    pub tasks: Tasks,
     /// The newest status.
     pub status: watch::Sender<Arc<EngineStatus>>,
     /// Sounds to give.
@@ -121,11 +131,14 @@ struct Engine {
     decoders: Vec<std::thread::JoinHandle<()>>,
     inference: Inference,
     approach: Option<ApproachWatch>,
+    black_box: Option<BlackBox>,
     store: Store,
     replies: mpsc::UnboundedReceiver<StoreReply>,
     links: EngineLinks,
     session: Session,
-    waiting: VecDeque<(Command, CommandSource)>,
+    waiting: VecDeque<Asked>,
+    /// Who waits for the answer to the command that is being carried out.
+    asker: Option<oneshot::Sender<Answered>>,
     script: Option<ScriptRunner>,
     script_command: ScriptCommand,
     /// How often the initial frame that is subtracted has changed.
@@ -139,8 +152,12 @@ struct Engine {
     /// Board files that belong to them.
     boards_now: Option<[String; 2]>,
     grasps: Vec<GraspReport>,
+    /// Those of this session that are in the trash.
+    taken_back: BTreeMap<String, GraspReport>,
     disk_free_bytes: Option<u64>,
     was_live: BTreeMap<Role, bool>,
+    /// Whether each thread was stuck, and how often it was started again.
+    tasks_were: BTreeMap<String, (bool, u64)>,
     ticks: u64,
 }
 
@@ -148,8 +165,23 @@ struct Engine {
 #[derive(Debug, Default)]
 struct ScriptCommand {
     /// Given and not answered yet.
-    open: bool,
+    open: Option<oneshot::Receiver<Answered>>,
     answer: Option<Answer>,
+}
+
+impl ScriptCommand {
+    /// The answer, once it has come.
+    fn answer(&mut self) -> Option<Answer> {
+        let answered = self.open.as_mut().and_then(|open| open.try_recv().ok());
+        if let Some(answered) = answered {
+            self.open = None;
+            self.answer = Some(match answered.complaint() {
+                Some(complaint) => Answer::Refused(complaint),
+                None => Answer::Saved,
+            });
+        }
+        self.answer.clone()
+    }
 }
 
 impl Engine {
@@ -179,10 +211,24 @@ impl Engine {
         let dataset_name = writer.descriptor().name.clone();
         let counts = writer.counts().by_object.clone();
 
-        let hub = Hub::new(setup.rig.cameras.keys().copied());
+        let black_box = setup
+            .black_box
+            .map(|settings| {
+                let origin = origin(&dataset_name, &setup.rig, setup.model.as_ref());
+                BlackBox::start(settings, setup.dataset.clone(), origin)
+            })
+            .transpose()?;
+        let tap = black_box.as_ref().map_or_else(Tap::default, BlackBox::tap);
+        let hub = Hub::tapped(setup.rig.cameras.keys().copied(), tap);
         let (infer_requests, infer_inbox) = channel();
-        let decoders = decode::start(&hub, |role| crops.get(&role).copied(), &infer_requests)?;
-        let inference = Inference::start(&hub, setup.model, (infer_requests.clone(), infer_inbox))?;
+        let decoders = decode::start(
+            &hub,
+            |role| crops.get(&role).copied(),
+            &infer_requests,
+            &links.tasks,
+        )?;
+        let infer_channel = (infer_requests.clone(), infer_inbox);
+        let inference = Inference::start(&hub, setup.model, infer_channel, &links.tasks)?;
         let external = setup.intrinsics.get(&Role::External).copied();
         let approach = ApproachWatch::start(&hub, setup.boards, external)?;
         let context = StoreContext {
@@ -192,7 +238,14 @@ impl Engine {
             crops,
         };
         let (answers, replies) = mpsc::unbounded_channel();
-        let store = Store::start(writer, pending, context, infer_requests, answers)?;
+        let store = Store::start(
+            writer,
+            pending,
+            context,
+            infer_requests,
+            answers,
+            &links.tasks,
+        )?;
         let session = Session::new(setup.guards.clone(), setup.labels, counts, resumed);
         let initial_change = 0;
         if let Some(frame) = session.pending() {
@@ -201,7 +254,7 @@ impl Engine {
                 change: initial_change,
             })?;
         }
-        let capture = CaptureThreads::start(setup.openers, &hub, &setup.supervision)?;
+        let capture = CaptureThreads::start(setup.openers, &hub, &setup.supervision, &links.tasks)?;
         Ok(Self {
             rig: setup.rig,
             dataset: setup.dataset,
@@ -213,11 +266,13 @@ impl Engine {
             decoders,
             inference,
             approach,
+            black_box,
             store,
             replies,
             links,
             session,
             waiting: VecDeque::new(),
+            asker: None,
             script: setup.script.map(ScriptRunner::new),
             script_command: ScriptCommand::default(),
             initial_change,
@@ -226,8 +281,10 @@ impl Engine {
             capture_now: None,
             boards_now: None,
             grasps: Vec::new(),
+            taken_back: BTreeMap::new(),
             disk_free_bytes: None,
             was_live: BTreeMap::new(),
+            tasks_were: BTreeMap::new(),
             ticks: 0,
         })
     }
@@ -236,7 +293,7 @@ impl Engine {
         tokio::pin!(stop);
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        let mut commands_open = true;
+        let (mut commands_open, mut limits_open) = (true, true);
         loop {
             tokio::select! {
                 biased;
@@ -254,6 +311,10 @@ impl Engine {
                     Some(command) => self.waiting.push_back(command),
                     None => commands_open = false,
                 },
+                limits = self.links.limits.recv(), if limits_open => match limits {
+                    Some(limits) => self.take_limits(limits),
+                    None => limits_open = false,
+                },
                 _ = ticks.tick() => {
                     if let Some(ended) = self.tick()? {
                         return Ok(ended);
@@ -261,21 +322,32 @@ impl Engine {
                 }
             }
             while !self.session.is_storing()
-                && let Some((command, source)) = self.waiting.pop_front()
+                && let Some(asked) = self.waiting.pop_front()
             {
-                if let Some(ended) = self.handle(command, source)? {
+                self.asker = asked.answer;
+                if let Some(ended) = self.handle(asked.command, asked.source)? {
                     return Ok(ended);
                 }
             }
         }
     }
 
+    fn take_limits(&mut self, limits: GuardLimits) {
+        self.log("guards", &limits);
+        self.guards = limits.clone();
+        self.session.set_limits(limits);
+    }
+
     fn tick(&mut self) -> Result<Option<Ended>> {
         if self.ticks.is_multiple_of(DISK_TICKS) {
             self.disk_free_bytes = disk_free_bytes(&self.dataset);
+            self.hub.tap().note(Topic::Cameras, || {
+                cameras_note(&self.hub, &self.rig, monotonic_ns())
+            });
         }
         self.ticks += 1;
         self.watch_cameras();
+        self.watch_tasks();
         if let Some(hand) = &self.hand {
             hand.go(match self.session.step() {
                 Step::Initial => HandGoal::Open,
@@ -286,8 +358,7 @@ impl Engine {
         if let Some(approach) = &self.approach {
             approach.set_object(&self.session.view(monotonic_ns()).object);
         }
-        // Nobody looks when the screen has left; the report tells the rest.
-        let _ = self.links.status.send(Arc::new(self.status()));
+        self.send_status();
         self.advance_script()
     }
 
@@ -297,7 +368,7 @@ impl Engine {
             contact: self.touched(),
             fresh: self.fresh(),
             saving: self.session.is_storing(),
-            last_answer: self.script_command.answer.clone(),
+            last_answer: self.script_command.answer(),
         };
         let Some(script) = &mut self.script else {
             return Ok(None);
@@ -310,11 +381,12 @@ impl Engine {
                 let command: Command = text.parse().map_err(|e| {
                     Error::new(ErrorKind::Internal, "the script was not checked").because(e)
                 })?;
+                let (asked, answer) = Asked::with_answer(command, CommandSource::Script);
                 self.script_command = ScriptCommand {
-                    open: true,
+                    open: Some(answer),
                     answer: None,
                 };
-                self.waiting.push_back((command, CommandSource::Script));
+                self.waiting.push_back(asked);
                 Ok(None)
             }
         }
@@ -357,6 +429,19 @@ impl Engine {
             .collect::<Option<Vec<f64>>>()?;
         let limit = self.guards.min_contact_fraction;
         Some(contacts.iter().any(|changed| *changed >= limit))
+    }
+
+    /// A fault tone and a line of the log for every thread that had to be started again or is stuck.
+    fn watch_tasks(&mut self) {
+        for task in self.links.tasks.report() {
+            let now = (task.state == TaskState::Stuck, task.restarts);
+            let before = self.tasks_were.insert(task.name.clone(), now);
+            if before.unwrap_or_default() != now {
+                // Without a screen nobody hears it; the log has it.
+                let _ = self.links.tones.send(Tone::Fault);
+                self.log("task", &task);
+            }
+        }
     }
 
     /// A fault tone for every camera that falls out.
@@ -406,18 +491,17 @@ impl Engine {
         self.labelling = matches!(command, Command::Label(_));
         let effects = self.session.handle(command, &conditions);
         if !self.session.is_storing() {
-            self.answer_script(&effects);
+            self.answer(&effects);
         }
         self.carry_out(effects)
     }
 
     fn take_reply(&mut self, reply: StoreReply) -> Vec<Effect> {
         self.tell_stored(&reply);
-        self.note_grasp(&reply);
         let labelled_before = self.session.step() == Step::Label;
         let effects = self.session.completed(reply);
         if !self.session.is_storing() {
-            self.answer_script(&effects);
+            self.answer(&effects);
         }
         // Undo and redo of a label stay with the object that is on the virtual table.
         if self.labelling
@@ -427,7 +511,6 @@ impl Engine {
         {
             hand.next_object();
         }
-        self.refresh_grasps();
         effects
     }
 
@@ -435,12 +518,14 @@ impl Engine {
         let Some(request) = self.request.take() else {
             return;
         };
+        self.note_grasp(&request, reply);
         let stored = Stored {
             at: Timestamp::now().to_string(),
             request,
             reply: reply.clone(),
         };
         (self.links.stored)(&stored);
+        self.hub.tap().note(Topic::Stored, || &stored);
         self.log("stored", &stored);
     }
 
@@ -451,60 +536,64 @@ impl Engine {
             "event": event,
             "what": what,
         });
+        self.hub.tap().note(Topic::Events, || &line);
         let _ = self.store.send(StoreMessage::Log(line));
     }
 
-    fn note_grasp(&mut self, reply: &StoreReply) {
-        if let StoreReply::Grasp {
-            id,
-            object,
-            outcome,
-            predicted,
-        } = reply
-        {
-            self.grasps.push(GraspReport {
+    /// Keeps the list of this session's grasps in line with the dataset.
+    fn note_grasp(&mut self, request: &StoreRequest, reply: &StoreReply) {
+        match (request, reply) {
+            (_, StoreReply::Failed { .. }) => {}
+            (
+                StoreRequest::SaveGrasp { .. },
+                StoreReply::Grasp {
+                    id,
+                    object,
+                    outcome,
+                    predicted,
+                },
+            ) => self.grasps.push(GraspReport {
                 id: id.0.clone(),
                 object: object.clone(),
                 outcome: *outcome,
                 p_stable: predicted.map(|said| said.p_stable),
-            });
-        }
-    }
-
-    /// Brings the list of this session's grasps in line with the session: the newest one may have
-    /// been labelled or taken back.
-    fn refresh_grasps(&mut self) {
-        let view = self.session.view(monotonic_ns());
-        match &view.last {
-            Some(last) => {
-                let position = self.grasps.iter().position(|g| g.id == last.id.0);
-                if let Some(position) = position {
-                    self.grasps.truncate(position + 1);
-                    self.grasps[position].outcome = last.outcome;
+            }),
+            (StoreRequest::SetOutcome { id, outcome }, _) => {
+                if let Some(grasp) = self.grasps.iter_mut().find(|g| g.id == id.0) {
+                    grasp.outcome = *outcome;
                 }
             }
-            None => self.grasps.clear(),
+            (StoreRequest::UndoGrasp { id } | StoreRequest::TrashGrasp { id }, _) => {
+                if let Some(place) = self.grasps.iter().position(|g| g.id == id.0) {
+                    self.taken_back
+                        .insert(id.0.clone(), self.grasps.remove(place));
+                }
+            }
+            (StoreRequest::RedoGrasp { id, .. } | StoreRequest::RestoreGrasp { id }, _) => {
+                if let Some(grasp) = self.taken_back.remove(&id.0) {
+                    let place = self.grasps.partition_point(|g| g.id < grasp.id);
+                    self.grasps.insert(place, grasp);
+                }
+            }
+            _ => {}
         }
     }
 
-    fn answer_script(&mut self, effects: &[Effect]) {
-        if !self.script_command.open {
+    /// Answers the command that is done.
+    fn answer(&mut self, effects: &[Effect]) {
+        let Some(asker) = self.asker.take() else {
             return;
-        }
-        let view = self.session.view(monotonic_ns());
-        let bad = effects
-            .iter()
-            .any(|e| matches!(e, Effect::Tone(Tone::Refused | Tone::Fault)));
-        self.script_command = ScriptCommand {
-            open: false,
-            answer: Some(if bad {
-                let reasons = view.refusal.map(|r| r.reasons.join("; "));
-                let message = view.message.map(|m| m.text);
-                Answer::Refused(reasons.or(message).unwrap_or_default())
-            } else {
-                Answer::Saved
-            }),
         };
+        // The status that follows from the command is there before its answer.
+        self.send_status();
+        let answered = Answered::of(effects, &self.session.view(monotonic_ns()));
+        // Who asked may have gone.
+        let _ = asker.send(answered);
+    }
+
+    fn send_status(&self) {
+        // Nobody looks when the screen has left; the report tells the rest.
+        let _ = self.links.status.send(Arc::new(self.status()));
     }
 
     fn carry_out(&mut self, effects: Vec<Effect>) -> Result<Option<Ended>> {
@@ -674,6 +763,7 @@ impl Engine {
             rig: self.rig.id.clone(),
             clock: jiff::Zoned::now().strftime("%H:%M:%S").to_string(),
             disk_free_bytes: self.disk_free_bytes,
+            black_box: self.black_box.as_ref().map(BlackBox::status),
             session: self.session.view(now_ns),
             cameras: self
                 .hub
@@ -716,6 +806,7 @@ impl Engine {
             &serde_json::json!({"session": session, "cameras": cameras}),
         );
         let stored = self.store.stop();
+        self.links.tasks.close();
         self.hub.close();
         self.capture.stop();
         for decoder in self.decoders {
@@ -727,6 +818,8 @@ impl Engine {
         }
         let model = self.inference.model.clone().map(|model| model.name);
         let findings = self.inference.stop();
+        // Last: the grasps are durable, and nobody puts anything in any more.
+        let black_box = self.black_box.map(BlackBox::stop);
         let findings = findings
             .lock()
             .unwrap_or_else(std::sync::PoisonError::into_inner);
@@ -746,6 +839,7 @@ impl Engine {
                 latency_p50_ms: findings.latency.quantile_ms(0.5),
                 latency_p99_ms: findings.latency.quantile_ms(0.99),
             },
+            black_box,
         })
     }
 
@@ -793,6 +887,22 @@ fn model_card(model: &Model) -> Result<String> {
     });
     serde_json::to_string_pretty(&card)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the model card").because(e))
+}
+
+/// What the files of the black box say about themselves.
+fn origin(dataset: &str, rig: &RigFile, model: Option<&Model>) -> BTreeMap<String, String> {
+    let model = model.map(|model| {
+        [
+            ("model", model.contract().name.clone()),
+            ("model_sha256", model.sha256().to_owned()),
+            ("threshold", model.contract().threshold.to_string()),
+        ]
+    });
+    [("dataset", dataset.to_owned()), ("rig", rig.id.clone())]
+        .into_iter()
+        .chain(model.into_iter().flatten())
+        .map(|(key, value)| (key.to_owned(), value))
+        .collect()
 }
 
 fn disk_free_bytes(path: &std::path::Path) -> Option<u64> {

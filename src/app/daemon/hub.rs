@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use image::RgbImage;
 
+use super::black_box::Tap;
 use crate::imaging::{Frame, PixelFormat, Role};
 use crate::rig::camera::{CameraCounters, ControlValues, Health, StreamInfo};
 
@@ -75,14 +76,16 @@ struct SlotState {
 #[derive(Debug)]
 pub(super) struct CameraSlot {
     role: Role,
+    tap: Tap,
     state: Mutex<SlotState>,
     arrived: Condvar,
 }
 
 impl CameraSlot {
-    fn new(role: Role) -> Self {
+    fn new(role: Role, tap: Tap) -> Self {
         Self {
             role,
+            tap,
             state: Mutex::new(SlotState {
                 ring: VecDeque::with_capacity(RING),
                 facts: CameraFacts {
@@ -138,6 +141,7 @@ impl CameraSlot {
 
     /// Takes in a frame.
     pub(super) fn push(&self, frame: Frame) {
+        self.tap.frame(self.role, &frame);
         let mut state = self.lock();
         if state.ring.len() == RING {
             state.ring.pop_front();
@@ -267,19 +271,33 @@ fn mark_sound(state: &mut SlotState, frame: &Frame) {
 #[derive(Clone, Debug)]
 pub(super) struct Hub {
     slots: Arc<BTreeMap<Role, Arc<CameraSlot>>>,
+    tap: Tap,
 }
 
 impl Hub {
     /// A hub for these cameras.
     #[must_use]
     pub(super) fn new(roles: impl IntoIterator<Item = Role>) -> Self {
+        Self::tapped(roles, Tap::default())
+    }
+
+    /// A hub for these cameras; their frames go to the black box as well.
+    #[must_use]
+    pub(super) fn tapped(roles: impl IntoIterator<Item = Role>, tap: Tap) -> Self {
         let slots = roles
             .into_iter()
-            .map(|role| (role, Arc::new(CameraSlot::new(role))))
+            .map(|role| (role, Arc::new(CameraSlot::new(role, tap.clone()))))
             .collect();
         Self {
             slots: Arc::new(slots),
+            tap,
         }
+    }
+
+    /// Where the black box takes notes.
+    #[must_use]
+    pub(super) fn tap(&self) -> &Tap {
+        &self.tap
     }
 
     /// One camera.

@@ -1,16 +1,18 @@
 //! Inference at every new tactile picture, on a thread of its own.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::ControlFlow;
 use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use image::RgbImage;
 
-use super::capture::spawn;
+use super::black_box::Topic;
 use super::histogram::Histogram;
 use super::hub::Hub;
 use super::status::Preview;
+use super::tasks::{Beat, Tasks};
 use crate::error::Result;
 use crate::imaging::{Role, TactileDifference};
 use crate::predict::{LivePredictor, Model, Smoothing};
@@ -155,6 +157,7 @@ impl Inference {
         hub: &Hub,
         model: Option<Model>,
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
+        tasks: &Tasks,
     ) -> Result<Self> {
         let facts = model.as_ref().map(|model| ModelFacts {
             name: model.contract().name.clone(),
@@ -172,7 +175,7 @@ impl Inference {
         }));
         let predictor = model.map(LivePredictor::new).transpose()?;
         let mut worker = Worker::new(hub, predictor, &findings);
-        let thread = spawn("inference".into(), move || worker.run(&inbox))?;
+        let thread = tasks.spawn("inference", move |beat| worker.run(&inbox, beat))?;
         Ok(Self {
             findings,
             requests,
@@ -228,23 +231,48 @@ impl Worker {
         }
     }
 
-    fn run(&mut self, inbox: &Receiver<InferRequest>) {
-        while let Ok(request) = inbox.recv() {
-            match request {
-                InferRequest::Fresh(role) => self.fresh(role),
-                InferRequest::SetInitial {
-                    change,
-                    left,
-                    right,
-                } => self.set_initial(change, left, right),
-                InferRequest::ClearInitial => self.clear_initial(),
-                InferRequest::Judge { pictures, reply } => {
-                    // The asker has given up when nobody receives.
-                    let _ = reply.send(self.judge(pictures));
+    /// What waits for an answer comes first; of each camera only the newest picture is looked at.
+    fn run(&mut self, inbox: &Receiver<InferRequest>, beat: &Beat) {
+        let mut fresh = VecDeque::new();
+        loop {
+            if fresh.is_empty() {
+                beat.idle();
+                let Ok(request) = inbox.recv() else { return };
+                beat.busy();
+                if self.take(request, &mut fresh).is_break() {
+                    return;
                 }
-                InferRequest::Stop => return,
+            }
+            for request in inbox.try_iter() {
+                if self.take(request, &mut fresh).is_break() {
+                    return;
+                }
+            }
+            beat.busy();
+            if let Some(role) = fresh.pop_front() {
+                self.fresh(role);
             }
         }
+    }
+
+    /// Carries out a request, or notes that a camera has a new picture.
+    fn take(&mut self, request: InferRequest, fresh: &mut VecDeque<Role>) -> ControlFlow<()> {
+        match request {
+            InferRequest::Fresh(role) if fresh.contains(&role) => {}
+            InferRequest::Fresh(role) => fresh.push_back(role),
+            InferRequest::SetInitial {
+                change,
+                left,
+                right,
+            } => self.set_initial(change, left, right),
+            InferRequest::ClearInitial => self.clear_initial(),
+            InferRequest::Judge { pictures, reply } => {
+                // The asker has given up when nobody receives.
+                let _ = reply.send(self.judge(pictures));
+            }
+            InferRequest::Stop => return ControlFlow::Break(()),
+        }
+        ControlFlow::Continue(())
     }
 
     fn set_initial(&mut self, change: u64, left: Arc<RgbImage>, right: Arc<RgbImage>) {
@@ -338,12 +366,24 @@ impl Worker {
                 findings.predictions += 1;
                 findings.absent = None;
                 let frame_time_ns = prediction.newest_frame_ns;
-                findings.live = Some(Live {
+                let live = Live {
                     p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
                     novelty: prediction.novelty,
                     frame_time_ns,
                     latency_ms,
                     engine_ms: prediction.engine_ms,
+                };
+                findings.live = Some(live);
+                drop(findings);
+                self.hub.tap().note(Topic::Prediction, || {
+                    serde_json::json!({
+                        "p_stable": live.p_stable,
+                        "p_stable_frame": prediction.p_stable,
+                        "novelty": live.novelty,
+                        "frame_time_ns": live.frame_time_ns,
+                        "latency_ms": live.latency_ms,
+                        "engine_ms": live.engine_ms,
+                    })
                 });
             }
         }
@@ -380,6 +420,27 @@ mod tests {
 
     fn grey(level: u8) -> RgbImage {
         RgbImage::from_pixel(32, 24, image::Rgb([level; 3]))
+    }
+
+    #[test]
+    fn of_many_pictures_that_wait_one_a_camera_is_looked_at_after_all_that_is_asked() {
+        let hub = Hub::new([Role::Left]);
+        let findings = Arc::default();
+        let mut worker = Worker::new(&hub, None, &findings);
+        let mut fresh = VecDeque::new();
+        let (reply, answer) = std::sync::mpsc::channel();
+        let pictures = BTreeMap::new();
+        for request in [
+            InferRequest::Fresh(Role::Left),
+            InferRequest::Fresh(Role::Right),
+            InferRequest::Fresh(Role::Left),
+            InferRequest::Judge { pictures, reply },
+        ] {
+            assert!(worker.take(request, &mut fresh).is_continue());
+        }
+        assert_eq!(answer.try_recv(), Ok(None), "answered before the pictures");
+        assert_eq!(fresh, [Role::Left, Role::Right]);
+        assert!(worker.take(InferRequest::Stop, &mut fresh).is_break());
     }
 
     #[test]

@@ -11,6 +11,7 @@ use super::capture::CaptureThreads;
 use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
+use super::tasks::Tasks;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{
     CropProfile, Decoder, Frame, FrameBytes, FramePool, PixelFormat, Role, encode_jpeg,
@@ -91,14 +92,15 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
     let hub = Hub::new([Role::Left, Role::Right, Role::Rgb, Role::Depth]);
     let (requests, inbox) = channel();
     let crop = |role: Role| role.is_tactile().then_some(CropProfile::GSMINI_SEVENTH);
-    let decoders = decode::start(&hub, crop, &requests)?;
-    let inference = Inference::start(&hub, Some(model), (requests, inbox))?;
+    let tasks = Tasks::default();
+    let decoders = decode::start(&hub, crop, &requests, &tasks)?;
+    let inference = Inference::start(&hub, Some(model), (requests, inbox), &tasks)?;
     // Repeated frames are the nature of this source and no fault.
     let policy = SupervisionPolicy {
         freeze_after_ns: None,
         ..SupervisionPolicy::default()
     };
-    let capture = CaptureThreads::start(openers, &hub, &policy)?;
+    let capture = CaptureThreads::start(openers, &hub, &policy, &tasks)?;
 
     std::thread::sleep(WARM_UP / 2);
     let initial = |role| {

@@ -5,9 +5,12 @@
 //!                               │                                        │ findings
 //!  key, pedal, script ─► engine ┴─ session ─► store thread ─► dataset    ▼
 //!                               └──────────── status ───────────────► screen
+//!  frames, events, predictions ─► black box (optional, nothing waits for it)
 //! ```
 
 mod approach;
+mod asked;
+mod black_box;
 mod calibration;
 mod capture;
 mod decode;
@@ -21,9 +24,13 @@ mod report;
 mod sheets;
 mod status;
 mod store;
+mod tasks;
 
+pub use asked::{Answered, Asked, Fate};
+pub use black_box::{BlackBoxReport, BlackBoxSettings, BlackBoxStatus, FrameCounts};
 pub use calibration::stored_intrinsics;
 pub use engine::{EngineLinks, EngineSetup, Stored, run};
 pub use report::{CameraReport, CollectReport, Ended, GraspReport, PredictionReport};
 pub use sheets::{Boards, read_sheets};
 pub use status::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
+pub use tasks::{Beat, TaskReport, TaskState, Tasks};

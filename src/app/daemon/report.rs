@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use super::hub::CameraSlot;
+use super::black_box::BlackBoxReport;
+use super::hub::{CameraSlot, Hub};
 use super::status::{CameraState, CameraStatus};
 use crate::dataset::Outcome;
 use crate::imaging::Role;
@@ -98,6 +99,9 @@ pub struct CollectReport {
     pub cameras: BTreeMap<Role, CameraReport>,
     /// Inference.
     pub prediction: PredictionReport,
+    /// The black box, where there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub black_box: Option<BlackBoxReport>,
 }
 
 /// Why a camera's frames cannot be used, for the operator; `None` when they can.
@@ -157,6 +161,24 @@ pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> Ca
         reconnects: report.reconnects,
         markers: None,
     })
+}
+
+/// Health and counters of all cameras by role, for the black box.
+pub(super) fn cameras_note(hub: &Hub, rig: &RigFile, now_ns: u64) -> serde_json::Value {
+    let note = |slot: &CameraSlot| {
+        let fault = slot.facts(|facts| fault_text(&facts.health, now_ns));
+        let newest_ns = slot.newest_time_ns();
+        serde_json::json!({
+            "state": if fault.is_none() { "live" } else { "fault" },
+            "fault": fault,
+            "frame_age_ms": newest_ns.map(|t| now_ns.saturating_sub(t) as f64 * 1e-6),
+            "report": camera_report(slot, rig),
+        })
+    };
+    hub.slots()
+        .map(|slot| (slot.role().name().to_owned(), note(slot)))
+        .collect::<serde_json::Map<_, _>>()
+        .into()
 }
 
 pub(super) fn camera_report(slot: &CameraSlot, rig: &RigFile) -> CameraReport {

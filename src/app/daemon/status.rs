@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use image::RgbImage;
 
+use super::black_box::BlackBoxStatus;
 use crate::imaging::Role;
 use crate::predict::Verdict;
 use crate::session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
@@ -20,6 +21,8 @@ pub struct EngineStatus {
     pub clock: String,
     /// Free space on the dataset's disk, bytes.
     pub disk_free_bytes: Option<u64>,
+    /// The black box, where there is one.
+    pub black_box: Option<BlackBoxStatus>,
     /// Session.
     pub session: SessionView,
     /// Cameras, in the order of [`Role::ALL`].
@@ -48,6 +51,7 @@ impl EngineStatus {
             rig: rig.to_owned(),
             clock: String::new(),
             disk_free_bytes: None,
+            black_box: None,
             session: session.view(0),
             cameras: Vec::new(),
             prediction: None,

@@ -1,6 +1,7 @@
 //! The writing thread: carries out store requests one after the other and answers each.
 
 use std::collections::BTreeMap;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
@@ -12,13 +13,18 @@ use tokio::sync::mpsc::UnboundedSender;
 use super::capture::spawn;
 use super::decode::model_picture;
 use super::infer::{InferRequest, Judgement, ModelFacts};
+use super::tasks::{Beat, TaskState, Tasks};
 use crate::dataset::{
     BoardKeys, DatasetWriter, GraspId, GraspMeta, GraspRecord, PendingInitial, PredictionRecord,
     StageCapture,
 };
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{CropProfile, Decoder, Frame, Role};
+use crate::quiet_panic;
 use crate::session::{PendingFrame, Predicted, StoreReply, StoreRequest};
+
+/// Name of the thread.
+const TASK: &str = "store";
 
 /// Quiet time after which the index is brought up to date.
 const INDEX_PAUSE: Duration = Duration::from_millis(150);
@@ -85,9 +91,13 @@ impl Store {
         context: StoreContext,
         infer: Sender<InferRequest>,
         replies: UnboundedSender<StoreReply>,
+        tasks: &Tasks,
     ) -> Result<Self> {
         let (messages, inbox) = channel();
+        let beat = tasks.enter(TASK);
+        let tasks = tasks.clone();
         let mut worker = Worker {
+            beat,
             writer,
             context,
             decoder: Decoder::new()?,
@@ -95,7 +105,11 @@ impl Store {
             infer,
             replies,
         };
-        let thread = spawn("store".into(), move || worker.run(&inbox))?;
+        let thread = spawn(TASK.into(), move || {
+            let result = worker.run(&inbox);
+            tasks.set(TASK, TaskState::Ended, None);
+            result
+        })?;
         Ok(Self { messages, thread })
     }
 
@@ -124,6 +138,7 @@ impl Store {
 }
 
 struct Worker {
+    beat: Beat,
     writer: DatasetWriter,
     context: StoreContext,
     decoder: Decoder,
@@ -142,11 +157,18 @@ impl Worker {
                     boards,
                     latency_ms,
                 }) => {
-                    let reply = self
-                        .carry_out(request, capture.as_deref(), boards, latency_ms)
+                    self.beat.busy();
+                    let work = AssertUnwindSafe(|| {
+                        self.carry_out(request, capture.as_deref(), boards, latency_ms)
+                    });
+                    // A panic must not leave the session waiting for its answer for ever; the
+                    // order of the writer's steps keeps what is on disk whole.
+                    let reply = quiet_panic::catch(work)
+                        .unwrap_or_else(|panic| Err(panicked(&panic)))
                         .unwrap_or_else(|error| StoreReply::Failed {
                             message: error.to_string().replace("\n  → ", " → "),
                         });
+                    self.beat.idle();
                     // The engine has gone: everything asked for before is on disk.
                     if self.replies.send(reply).is_err() {
                         return self.writer.flush_index();
@@ -200,8 +222,34 @@ impl Worker {
                 Ok(grasp_reply(record))
             }
             StoreRequest::SetOutcome { id, outcome } => {
-                self.writer.set_outcome(&id, outcome, Timestamp::now())?;
-                Ok(StoreReply::Done)
+                let before = self.writer.outcome(&id).map(|(_, outcome)| outcome);
+                let record = self.writer.set_outcome(&id, outcome, Timestamp::now())?;
+                Ok(StoreReply::Labelled {
+                    object: record.object,
+                    before: before.unwrap_or_default(),
+                })
+            }
+            StoreRequest::TrashGrasp { id } => {
+                let record = self.writer.trash_grasp(&id)?;
+                Ok(StoreReply::Trashed {
+                    object: record.object,
+                    outcome: record.outcome,
+                })
+            }
+            StoreRequest::RestoreGrasp { id } => {
+                let reopened = Some(&id);
+                if self
+                    .pending
+                    .values()
+                    .any(|p| p.reopened_from.as_ref() == reopened)
+                {
+                    return Err(Error::new(
+                        ErrorKind::Busy,
+                        format!("{id} was undone and its initial frame waits for a grasp again"),
+                    )
+                    .remedy("redo brings it back"));
+                }
+                Ok(grasp_reply(self.writer.redo_grasp(&id, None)?))
             }
             StoreRequest::DiscardInitial { id } => {
                 let pending = self.pending(&id)?;
@@ -307,6 +355,14 @@ impl Worker {
             engine_ms,
         })
     }
+}
+
+fn panicked(panic: &str) -> Error {
+    Error::new(
+        ErrorKind::Internal,
+        format!("the writing thread panicked: {panic}"),
+    )
+    .remedy("what was acknowledged is on disk; restart gripcast if it happens again")
 }
 
 fn needed(capture: Option<&StageCapture>) -> Result<&StageCapture> {

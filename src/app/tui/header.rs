@@ -1,4 +1,4 @@
-//! The first line: dataset, rig, scene, operator, clock, disk.
+//! The first line: dataset, rig, scene, operator, black box, clock, disk.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
 use super::text::{clipped, write, write_right};
-use crate::app::daemon::EngineStatus;
+use crate::app::daemon::{BlackBoxStatus, EngineStatus};
 
 const LOW_DISK_BYTES: u64 = 5_000_000_000;
 const FULL_DISK_BYTES: u64 = 1_000_000_000;
@@ -46,7 +46,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
 }
 
 fn right(status: &EngineStatus, palette: Palette) -> Line<'_> {
-    let mut spans = vec![Span::raw(clipped(&status.clock, 12))];
+    let mut spans = Vec::new();
+    if let Some(black_box) = &status.black_box {
+        let (text, style) = recording(black_box, palette);
+        spans.push(Span::styled(text, style));
+    }
+    spans.push(Span::raw(clipped(&status.clock, 12)));
     if let Some(free) = status.disk_free_bytes {
         let style = match free {
             _ if free < FULL_DISK_BYTES => palette.slip(),
@@ -56,6 +61,19 @@ fn right(status: &EngineStatus, palette: Palette) -> Line<'_> {
         spans.push(Span::styled(format!("   disk {} ", bytes(free)), style));
     }
     Line::from(spans)
+}
+
+/// `REC 1.2 GB` while the black box logs everything.
+fn recording(black_box: &BlackBoxStatus, palette: Palette) -> (String, Style) {
+    if black_box.stopped.is_some() {
+        return ("REC off   ".into(), palette.warning());
+    }
+    let size = bytes(black_box.bytes);
+    if black_box.dropped > 0 {
+        let text = format!("REC {size}, {} left out   ", black_box.dropped);
+        return (text, palette.warning());
+    }
+    (format!("REC {size}   "), palette.faint())
 }
 
 /// Decimal units, as disks are sold.

@@ -9,7 +9,9 @@ use tokio::sync::watch;
 
 use super::fault::{place, sentence};
 use super::gauge::{claimed, word};
-use crate::app::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus};
+use crate::app::daemon::{
+    BlackBoxStatus, CameraState, CameraStatus, EngineStatus, PredictionStatus,
+};
 use crate::dataset::Outcome;
 use crate::imaging::Role;
 use crate::predict::Verdict;
@@ -25,9 +27,18 @@ pub struct LinePrinter {
     markers: Said<&'static str>,
     prediction: Said<&'static str>,
     absence: Option<String>,
+    black_box: Said<BlackBoxNews>,
+    black_box_ended: bool,
     last: Option<LastGrasp>,
     message: Option<Message>,
     started: bool,
+}
+
+/// What can be said of the black box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum BlackBoxNews {
+    Logging,
+    LeftOut(u64),
 }
 
 /// What was said on a subject, and when.
@@ -78,6 +89,7 @@ impl LinePrinter {
             lines.extend(self.markers(camera, now));
         }
         lines.extend(self.prediction(status, now));
+        lines.extend(self.black_box(status.black_box.as_ref(), now));
         lines.extend(self.grasp(status.session.last.as_ref()));
         lines.extend(self.message(status.session.message.as_ref()));
         lines
@@ -114,6 +126,29 @@ impl LinePrinter {
             Err(reason) => ("not seen", format!("{}: no pose: {reason}", camera.role)),
         };
         self.markers.is_news(state, now).then_some(words)
+    }
+
+    /// That everything is logged, that some of it is not, or why nothing is any more.
+    fn black_box(&mut self, status: Option<&BlackBoxStatus>, now: Instant) -> Option<String> {
+        let status = status?;
+        if let Some(reason) = &status.stopped {
+            // Comes once and must not wait: the collection may end before.
+            let told = std::mem::replace(&mut self.black_box_ended, true);
+            return (!told).then(|| {
+                format!("warning: the black box has ended, the collection goes on: {reason}")
+            });
+        }
+        let (news, words) = match status.dropped {
+            0 => (
+                BlackBoxNews::Logging,
+                format!("black box: logging to {}", status.directory.display()),
+            ),
+            dropped => (
+                BlackBoxNews::LeftOut(dropped),
+                format!("warning: the disk is slow: {dropped} frame(s) are not in the black box"),
+            ),
+        };
+        self.black_box.is_news(news, now).then_some(words)
     }
 
     /// The live prediction when it appears or changes sides.

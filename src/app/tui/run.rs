@@ -12,7 +12,7 @@ use super::palette::{ColourDepth, Palette};
 use super::state::{Reaction, ScreenState};
 use super::terminal::ScreenTerminal;
 use super::tone::{Sound, Speaker};
-use crate::app::daemon::EngineStatus;
+use crate::app::daemon::{Asked, EngineStatus};
 use crate::error::{Error, Result};
 use crate::session::{Command, CommandSource, Tone};
 
@@ -26,7 +26,7 @@ pub struct Wiring {
     /// The newest status. When its sender is dropped the engine has ended and the screen leaves.
     pub status: watch::Receiver<Arc<EngineStatus>>,
     /// What the operator asks for. When full, the key is dropped and the screen says so.
-    pub commands: mpsc::Sender<(Command, CommandSource)>,
+    pub commands: mpsc::Sender<Asked>,
     /// Sounds to give, in order. A dropped sender means that there are no more.
     pub tones: mpsc::UnboundedReceiver<Tone>,
     /// How sounds are given.
@@ -131,7 +131,7 @@ impl Screen {
         let sent = self
             .wiring
             .commands
-            .try_send((command, CommandSource::Keyboard));
+            .try_send(Asked::new(command, CommandSource::Keyboard));
         if sent.is_err() {
             self.state.notice = Some(format!("`{name}` was not taken: the engine is busy"));
         }

@@ -13,6 +13,7 @@ pub use damage::JpegDamage;
 pub use decoder::{JpegDecoder, JpegPixels, JpegScale};
 pub use encoder::encode_jpeg;
 pub use markers::{JpegHeader, Subsampling, inspect};
+pub use standard_tables::complete;
 
 /// Marker codes (the byte after 0xFF) of ITU T.81 table B.1.
 mod code {

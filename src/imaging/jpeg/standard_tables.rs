@@ -1,6 +1,9 @@
 //! The Huffman tables that a motion-JPEG stream may leave out.
 
+use std::borrow::Cow;
+
 use super::code;
+use super::markers::JpegHeader;
 
 /// Code counts by length 1–16 bits, then the symbols (ITU T.81 tables K.3 to K.6).
 struct HuffmanTable {
@@ -78,10 +81,63 @@ pub(super) fn with_standard_tables(jpeg: &[u8], out: &mut Vec<u8>) {
     out.extend_from_slice(segments);
 }
 
+/// A frame as a file that any viewer opens: without the padding after its end, and with the
+/// standard Huffman tables where it lacks tables. The pixels are the same.
+#[must_use]
+pub fn complete<'a>(bytes: &'a [u8], header: &JpegHeader) -> Cow<'a, [u8]> {
+    let picture = &bytes[..header.length.min(bytes.len())];
+    if header.has_huffman_tables {
+        return Cow::Borrowed(picture);
+    }
+    let mut completed = Vec::new();
+    with_standard_tables(picture, &mut completed);
+    Cow::Owned(completed)
+}
+
 #[cfg(test)]
 mod tests {
+    use super::super::{JpegDecoder, JpegScale, inspect};
     use super::*;
     use crate::imaging::{encode_jpeg, synthetic_gel};
+
+    /// Without its DHT segments.
+    fn without_tables(jpeg: &[u8]) -> Vec<u8> {
+        let mut out = jpeg[..2].to_vec();
+        let mut at = 2;
+        while jpeg[at + 1] != code::SOS {
+            let length = 2 + usize::from(u16::from_be_bytes([jpeg[at + 2], jpeg[at + 3]]));
+            if jpeg[at + 1] != code::DHT {
+                out.extend_from_slice(&jpeg[at..at + length]);
+            }
+            at += length;
+        }
+        out.extend_from_slice(&jpeg[at..]);
+        out
+    }
+
+    #[test]
+    fn a_complete_file_has_tables_and_no_padding() {
+        let jpeg = encode_jpeg(&synthetic_gel(16, 16, 1, 0.0), 90).unwrap();
+        assert_eq!(complete(&jpeg, &inspect(&jpeg).unwrap()), jpeg);
+        let mut sent = without_tables(&jpeg);
+        sent.extend([0; 32]);
+        let header = inspect(&sent).unwrap();
+        assert!(!header.has_huffman_tables);
+        let completed = complete(&sent, &header).into_owned();
+        let now = inspect(&completed).unwrap();
+        assert!(now.has_huffman_tables);
+        assert_eq!(now.length, completed.len());
+        let mut decoder = JpegDecoder::new().unwrap();
+        let pixels = decoder
+            .decode(&jpeg, JpegScale::Whole)
+            .unwrap()
+            .rgb
+            .to_vec();
+        assert_eq!(
+            decoder.decode(&completed, JpegScale::Whole).unwrap().rgb,
+            pixels
+        );
+    }
 
     #[test]
     fn tables_are_those_of_libjpeg() {

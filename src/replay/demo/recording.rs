@@ -88,7 +88,6 @@ impl Recorder {
                 .to_owned(),
         };
         let (mut writer, report) = DatasetWriter::open_or_create(folder, &new)?;
-        writer.use_reproducible_ids();
         let mut recorded = BTreeMap::new();
         for record in Dataset::open(folder)?.grasps()? {
             let record = record?;

@@ -102,9 +102,11 @@ impl RigSources {
             if !is_d435_colour || found.contains_key(&role) {
                 continue;
             }
-            let (device, _) = opener.find()?;
             let (width, height) = (camera.width, camera.height);
-            match colour_intrinsics(root, &KernelNodes, &device.port, width, height) {
+            let read = opener.find().and_then(|(device, _)| {
+                colour_intrinsics(root, &KernelNodes, &device.port, width, height)
+            });
+            match read {
                 Ok(intrinsics) => {
                     found.insert(role, intrinsics);
                 }
@@ -128,11 +130,18 @@ impl RigSources {
     }
 }
 
+/// Names the file with the roles of virtual cameras that are unplugged.
+const UNPLUGGED_VARIABLE: &str = "GRIPCAST_VIRTUAL_UNPLUGGED";
+
 /// The rig that plays the films of a virtual camera.
 fn virtual_rig(camera: &CameraConfig, seed: u64) -> Result<VirtualRig> {
     let films = match &camera.path {
         Some(folder) => FilmLibrary::read(folder)?,
         None => FilmLibrary::built_in()?,
     };
-    Ok(VirtualRig::new(films, seed, Arc::new(MonotonicClock)))
+    let rig = VirtualRig::new(films, seed, Arc::new(MonotonicClock));
+    Ok(match std::env::var_os(UNPLUGGED_VARIABLE) {
+        Some(file) => rig.with_unplugged(file.into()),
+        None => rig,
+    })
 }

@@ -63,7 +63,10 @@ pub fn run_camera(
             Ok(mut source) => {
                 let received = monitor.report(clock.now_ns()).counters.received;
                 match read_frames(source.as_mut(), policy, &mut monitor, clock, stop, sink) {
-                    Stop::Requested => return,
+                    Stop::Requested => {
+                        sink(CameraEvent::Report(monitor.report(clock.now_ns())));
+                        return;
+                    }
                     Stop::Ended => {
                         monitor.ended();
                         sink(CameraEvent::Report(monitor.report(clock.now_ns())));

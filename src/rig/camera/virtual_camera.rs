@@ -2,6 +2,8 @@
 //! reader is late.
 
 use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -37,6 +39,7 @@ pub struct VirtualRig {
     hand: Arc<VirtualHand>,
     clock: Arc<dyn Clock>,
     seed: u64,
+    unplugged: Option<PathBuf>,
 }
 
 impl VirtualRig {
@@ -46,7 +49,22 @@ impl VirtualRig {
             hand: Arc::new(VirtualHand::new(films, seed, clock.clone())),
             clock,
             seed,
+            unplugged: None,
         }
+    }
+
+    /// Cameras whose roles stand in `file` are unplugged for as long as they stand there.
+    #[must_use]
+    pub fn with_unplugged(self, file: PathBuf) -> Self {
+        Self {
+            unplugged: Some(file),
+            ..self
+        }
+    }
+
+    fn is_unplugged(&self, role: Role) -> bool {
+        let text = self.unplugged.as_ref().map(fs::read_to_string);
+        text.is_some_and(|text| text.is_ok_and(|t| t.split_whitespace().any(|w| w == role.name())))
     }
 
     /// The hand, to close it, lift and open it.
@@ -160,6 +178,10 @@ impl CameraOpener for VirtualOpener {
     }
 
     fn open(&mut self) -> Result<Box<dyn FrameSource>> {
+        if self.rig.is_unplugged(self.role) {
+            let what = format!("{} is not plugged in", self.info.identity);
+            return Err(Error::new(ErrorKind::Device, what));
+        }
         let painter = Painter::new(&self.rig, self.role, &self.info)?;
         Ok(Box::new(VirtualCamera {
             schedule: Schedule {
@@ -167,8 +189,8 @@ impl CameraOpener for VirtualOpener {
                 interval_ns: 1e9 / self.info.nominal_fps,
                 next: 0,
             },
-            hand: self.rig.hand.clone(),
-            clock: self.rig.clock.clone(),
+            rig: self.rig.clone(),
+            role: self.role,
             info: self.info.clone(),
             controls: self.controls.clone(),
             painter,
@@ -198,8 +220,8 @@ impl Schedule {
 
 struct VirtualCamera {
     schedule: Schedule,
-    hand: Arc<VirtualHand>,
-    clock: Arc<dyn Clock>,
+    rig: VirtualRig,
+    role: Role,
     info: StreamInfo,
     controls: ControlValues,
     painter: Painter,
@@ -211,18 +233,21 @@ impl FrameSource for VirtualCamera {
     }
 
     fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError> {
-        let now_ns = self.clock.now_ns();
+        if self.rig.is_unplugged(self.role) {
+            return Err(CaptureError::Gone);
+        }
+        let now_ns = self.rig.clock.now_ns();
         let number = self.schedule.upcoming(now_ns);
         let due_ns = self.schedule.time_ns(number);
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
         let patience_ns = now_ns.saturating_add(timeout_ns);
         if due_ns > patience_ns {
-            self.clock.sleep_until(patience_ns);
+            self.rig.clock.sleep_until(patience_ns);
             return Err(CaptureError::Timeout);
         }
-        self.clock.sleep_until(due_ns);
+        self.rig.clock.sleep_until(due_ns);
         self.schedule.next = number + 1;
-        let moment = self.hand.moment(due_ns);
+        let moment = self.rig.hand.moment(due_ns);
         let data = self
             .painter
             .paint(&moment, number)
@@ -234,7 +259,7 @@ impl FrameSource for VirtualCamera {
             data: data.into(),
             sequence: number as u32,
             driver_time_ns: due_ns,
-            received_ns: self.clock.now_ns(),
+            received_ns: self.rig.clock.now_ns(),
         })
     }
 
@@ -462,6 +487,24 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_camera_is_gone_while_its_role_stands_in_the_file() {
+        let (rig, _) = rig();
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let rig = rig.with_unplugged(file.path().to_owned());
+        let config = config(PixelFormat::Mjpg, 160, 120, 25.0);
+        let mut left = rig.camera(Role::Left, &config).unwrap();
+        let mut right = rig.camera(Role::Right, &config).unwrap();
+        let (mut seen, mut other) = (left.open().unwrap(), right.open().unwrap());
+        assert!(seen.next_frame(TIMEOUT).is_ok());
+        fs::write(file.path(), "depth left\n").unwrap();
+        assert!(matches!(seen.next_frame(TIMEOUT), Err(CaptureError::Gone)));
+        assert!(other.next_frame(TIMEOUT).is_ok());
+        assert_eq!(left.open().err().unwrap().kind(), ErrorKind::Device);
+        fs::write(file.path(), "").unwrap();
+        assert!(left.open().unwrap().next_frame(TIMEOUT).is_ok());
     }
 
     #[test]

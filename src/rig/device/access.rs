@@ -50,6 +50,10 @@ impl fmt::Display for NodeOwner {
     }
 }
 
+/// Where udev rules of one's own belong. Not `70-gripcast.rules`: that would replace the packaged
+/// file of this name.
+pub const LOCAL_UDEV_RULES: &str = "/etc/udev/rules.d/70-gripcast-local.rules";
+
 /// The udev rule that opens a camera to the group `video` and to the person at the screen.
 #[must_use]
 pub fn udev_rule(vendor_id: u16, product_id: u16) -> String {
@@ -65,7 +69,7 @@ pub fn permission_error(device: &VideoDevice, step: &str) -> Error {
     let group = "add yourself to its group: `sudo usermod -aG video $USER`, then log in again";
     let remedy = match (device.vendor_id, device.product_id) {
         (Some(vendor), Some(product)) => format!(
-            "{group}; or write this line into /etc/udev/rules.d/70-gripcast.rules:\n    {}\n    \
+            "{group}; or write this line into {LOCAL_UDEV_RULES}:\n    {}\n    \
              and run `sudo udevadm control --reload && sudo udevadm trigger`",
             udev_rule(vendor, product)
         ),

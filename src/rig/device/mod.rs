@@ -12,7 +12,7 @@ pub(crate) mod sysfs_tree;
 #[cfg(test)]
 mod tests;
 
-pub use access::{NodeOwner, open_error, permission_error, udev_rule};
+pub use access::{LOCAL_UDEV_RULES, NodeOwner, open_error, permission_error, udev_rule};
 pub use bandwidth::{crowded_buses, no_bandwidth_error};
 pub use binding::{bind, is_candidate};
 pub(crate) use discovery::modes;

@@ -17,6 +17,7 @@ use super::{TriggerEvent, TriggerSource};
 use crate::error::{Error, ErrorKind, Result};
 use crate::rig::calibration::PedalConfig;
 use crate::rig::camera::Clock;
+use crate::rig::device::LOCAL_UDEV_RULES;
 
 const FIRST_BACKOFF_NS: u64 = 500_000_000;
 const LONGEST_BACKOFF_NS: u64 = 5_000_000_000;
@@ -355,7 +356,7 @@ fn access_error(config: &PedalConfig, path: &str, error: io::Error) -> Error {
         return error;
     }
     error.remedy(format!(
-        "put this line into /etc/udev/rules.d/70-gripcast.rules:\n    {}\n    \
+        "put this line into {LOCAL_UDEV_RULES}:\n    {}\n    \
          then run: sudo udevadm control --reload && sudo udevadm trigger",
         pedal_udev_rule(config.vendor, config.product)
     ))

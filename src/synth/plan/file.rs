@@ -77,7 +77,7 @@ impl Plan {
                 .remedy("make one: gripcast synth plan --preset small --out DIR")
         })?;
         let sha256 = checked_hash(folder, &bytes).map_err(|e| e.at(path.display()))?;
-        let plan = Self::parse(&bytes).map_err(|e| e.at(path.display()))?;
+        let plan = Self::from_bytes(&bytes).map_err(|e| e.at(path.display()))?;
         // That of the file, whoever wrote its numbers.
         Ok(Self { sha256, ..plan })
     }
@@ -136,7 +136,11 @@ impl Plan {
         Ok(text)
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self> {
+    /// Reads the bytes of a plan's file, without its hash.
+    ///
+    /// # Errors
+    /// `Input` with the line that is none of a plan, and for what [`Plan::new`] refuses.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let wrong = |number: usize, what: String| {
             Error::new(ErrorKind::Input, format!("line {number}: {what}"))
                 .remedy("make the plan again with the same flags: it comes out the same")

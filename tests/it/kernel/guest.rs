@@ -17,6 +17,8 @@ use super::pictures::Pictures;
 
 /// A guest that is not done by then hangs. Wall clock of the host.
 const WATCHDOG: Duration = Duration::from_secs(420);
+/// Memory of the guest besides its disk.
+const MEMORY_MIB: u64 = 1024;
 
 /// The kernel built by `tests/kernel/build-kernel.sh`, or the reason why there is none.
 fn find_kernel() -> Result<PathBuf, String> {
@@ -84,6 +86,15 @@ fn emulator() -> &'static Path {
             .arg("--target-dir")
             .arg(program_dir.parent().unwrap())
             .current_dir(env!("CARGO_MANIFEST_DIR"));
+        // What cargo tells a test of its package is, to the next cargo, a changed input of build
+        // scripts: it would build half of the libraries again, and so would the one after it.
+        for (name, _) in std::env::vars_os() {
+            let name = name.to_string_lossy();
+            let of_package = ["CARGO_PKG_", "CARGO_MANIFEST_", "OUT_DIR"];
+            if of_package.iter().any(|start| name.starts_with(start)) {
+                cargo.env_remove(&*name);
+            }
+        }
         if program_dir.ends_with("release") {
             cargo.arg("--release");
         }
@@ -114,6 +125,17 @@ fn memory_dir() -> PathBuf {
 /// Boots the guest with a command for its shell; returns the result directory once the guest
 /// has ended. `$OUT` and `$DISK` are known to the command.
 fn boot(kernel: &Path, name: &str, disk: &str, command: &str) -> PathBuf {
+    boot_with(kernel, name, disk, command, MEMORY_MIB, WATCHDOG)
+}
+
+fn boot_with(
+    kernel: &Path,
+    name: &str,
+    disk: &str,
+    command: &str,
+    memory_mib: u64,
+    watchdog: Duration,
+) -> PathBuf {
     let out = Path::new(env!("CARGO_TARGET_TMPDIR"))
         .join("kernel")
         .join(name);
@@ -124,13 +146,8 @@ fn boot(kernel: &Path, name: &str, disk: &str, command: &str) -> PathBuf {
     fs::write(out.join("command.sh"), command).unwrap();
     let init = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/kernel/guest-init.sh");
     let mut guest = Command::new(kernel)
-        .args([
-            "mem=1024M",
-            "root=/dev/root",
-            "rootfstype=hostfs",
-            "rootflags=/",
-            "ro",
-        ])
+        .arg(format!("mem={memory_mib}M"))
+        .args(["root=/dev/root", "rootfstype=hostfs", "rootflags=/", "ro"])
         .args([
             "con=null",
             "con0=null",
@@ -159,7 +176,7 @@ fn boot(kernel: &Path, name: &str, disk: &str, command: &str) -> PathBuf {
         let _ = ended.send(());
         status
     });
-    let in_time = end.recv_timeout(WATCHDOG).is_ok();
+    let in_time = end.recv_timeout(watchdog).is_ok();
     // Processes of the guest are processes of the host; none may outlive it.
     let _ = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
     waiter.join().unwrap().unwrap();
@@ -207,6 +224,8 @@ pub(super) struct Outcome {
     pub(super) sent: BTreeMap<String, BTreeMap<String, u64>>,
     /// Exit code and messages of a second start on the dataset, with the virtual rig.
     pub(super) second_start: Value,
+    /// From plugging a camera in again to its next picture, s.
+    pub(super) came_back_s: BTreeMap<String, Vec<f64>>,
     /// Grasps in the dataset, in the order of their keys.
     pub(super) grasps: Vec<SavedGrasp>,
 }
@@ -224,6 +243,18 @@ impl Outcome {
         self.report["session"][name]
             .as_u64()
             .unwrap_or_else(|| panic!("no session.{name} in the report: {self}"))
+    }
+}
+
+impl Outcome {
+    /// Memory of the program, KiB, by the guest's second.
+    pub(super) fn memory_kib(&self) -> Vec<(f64, f64)> {
+        let text = fs::read_to_string(self.out.join("memory.csv")).unwrap();
+        let line = |line: &str| {
+            let (second, kib) = line.split_once(',').unwrap();
+            (second.parse().unwrap(), kib.parse().unwrap())
+        };
+        text.lines().skip(1).map(line).collect()
     }
 }
 
@@ -269,10 +300,47 @@ pub(super) fn run(kernel: &Path, name: &str, run: &str, pictures: &Pictures) -> 
         quoted(emulator),
         quoted(&pictures.left),
         quoted(&pictures.right),
-        quoted(Path::new(env!("CARGO_BIN_EXE_gripcast")))
+        quoted(&program())
     );
     let disk = String::from_utf8(disk.stdout).unwrap();
-    let out = boot(kernel, run, disk.trim(), &command);
+    outcome(boot(kernel, run, disk.trim(), &command))
+}
+
+/// A collection of `seconds` on the guest's clock, during which things go wrong at random.
+pub(super) fn soak(kernel: &Path, seconds: u64, seed: u64, pictures: &Pictures) -> Outcome {
+    let emulator = emulator();
+    let disk = Command::new(emulator)
+        .args(["soak-disk-size", &seconds.to_string()])
+        .output()
+        .unwrap();
+    let disk = String::from_utf8(disk.stdout).unwrap();
+    let disk_mib: u64 = disk.trim().trim_end_matches('m').parse().unwrap();
+    let command = format!(
+        "{} soak {seconds} {seed} {} {} \"$OUT\" \"$DISK\" {}\n",
+        quoted(emulator),
+        quoted(&pictures.left),
+        quoted(&pictures.right),
+        quoted(&program())
+    );
+    let watchdog = WATCHDOG + Duration::from_secs(4 * seconds);
+    let memory = MEMORY_MIB + disk_mib;
+    outcome(boot_with(
+        kernel,
+        "soak",
+        disk.trim(),
+        &command,
+        memory,
+        watchdog,
+    ))
+}
+
+/// The program under test; another than that of this build where `GRIPCAST_PROGRAM` names one.
+fn program() -> PathBuf {
+    std::env::var_os("GRIPCAST_PROGRAM")
+        .map_or_else(|| env!("CARGO_BIN_EXE_gripcast").into(), PathBuf::from)
+}
+
+fn outcome(out: PathBuf) -> Outcome {
     let result = read_json(&out.join("result.json"));
     let report = fs::read_to_string(out.join("stdout.json")).unwrap();
     Outcome {
@@ -280,6 +348,7 @@ pub(super) fn run(kernel: &Path, name: &str, run: &str, pictures: &Pictures) -> 
         report: serde_json::from_str(&report).unwrap_or(Value::Null),
         sent: serde_json::from_value(result["sent"].clone()).unwrap(),
         second_start: result["second_start"].clone(),
+        came_back_s: serde_json::from_value(result["came_back_s"].clone()).unwrap(),
         grasps: saved_grasps(&out.join("dataset")),
         out,
     }

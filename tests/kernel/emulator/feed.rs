@@ -172,6 +172,10 @@ struct State {
     sent: u64,
     faults: BTreeMap<&'static str, u64>,
     first_sent: Option<Instant>,
+    /// Plugged in again, and nothing sent since.
+    back_at: Option<Instant>,
+    /// From each plugging in again to the next picture, s.
+    came_back_s: Vec<f64>,
 }
 
 /// See the module.
@@ -232,7 +236,11 @@ impl Feed {
             Some(Fault::Corrupt) => bytes = Arc::new(corrupted(&bytes, state.number)),
             _ => {}
         }
-        state.first_sent.get_or_insert_with(Instant::now);
+        let now = Instant::now();
+        state.first_sent.get_or_insert(now);
+        if let Some(back_at) = state.back_at.take() {
+            state.came_back_s.push((now - back_at).as_secs_f64());
+        }
         self.changed.notify_all();
         Some(Transmission {
             bytes,
@@ -248,6 +256,19 @@ impl Feed {
             .wait_timeout_while(self.lock(), timeout, |s| s.first_sent.is_none())
             .unwrap_or_else(PoisonError::into_inner);
         state.first_sent
+    }
+
+    /// The camera was plugged in; from now to its next picture is the time of its coming back.
+    pub(crate) fn plugged(&self) {
+        let mut state = self.lock();
+        if state.first_sent.is_some() {
+            state.back_at = Some(Instant::now());
+        }
+    }
+
+    /// From each plugging in again to the next picture, s.
+    pub(crate) fn came_back_s(&self) -> Vec<f64> {
+        self.lock().came_back_s.clone()
     }
 
     /// Pictures sent intact, and hits by each fault.

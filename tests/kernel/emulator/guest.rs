@@ -2,10 +2,11 @@
 //! the scenario happen, and writes down what came of it.
 //!
 //! Below the result directory it leaves `rig.toml`, `script.txt`, `stdout.json`, `stderr.txt`,
-//! a copy of the dataset in `dataset/`, and `result.json`.
+//! a copy of the dataset in `dataset/`, `memory.csv` (the program's memory over the guest's time)
+//! and `result.json`.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command as Process, ExitStatus, Stdio};
 use std::str::FromStr;
@@ -18,7 +19,6 @@ use gripcast::rig::calibration::{CameraConfig, PedalConfig, RigFile, SourceKind}
 use crate::command::Command;
 use crate::probe;
 use crate::rig::Rig;
-use crate::scenario::Scenario;
 
 /// A step of a scenario: a command to the rig, or something done to the guest.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,7 +51,13 @@ impl FromStr for Action {
 
 /// What to run.
 pub(crate) struct Run<'a> {
-    pub(crate) scenario: &'a Scenario,
+    pub(crate) name: &'a str,
+    /// Commands before the program starts.
+    pub(crate) setup: &'a [&'a str],
+    /// As those of a [`Scenario`](crate::scenario::Scenario), in the order of their times.
+    pub(crate) steps: &'a [(f64, &'a str)],
+    /// What the program follows.
+    pub(crate) script: &'a str,
     /// The program under test.
     pub(crate) gripcast: &'a Path,
     /// Directory for the results, on the host's disk.
@@ -67,6 +73,8 @@ const ROLES: [&str; 4] = ["left", "right", "rgb", "depth"];
 /// The program has this long after the last step, on the guest's clock.
 const PATIENCE: Duration = Duration::from_secs(90);
 const POLL: Duration = Duration::from_millis(20);
+/// Between two looks at the program's memory.
+const MEMORY_EVERY: Duration = Duration::from_secs(30);
 
 fn camera(
     (product, serial, interface): (&str, &str, Option<u8>),
@@ -165,7 +173,7 @@ fn start(run: &Run<'_>, dataset: &Path) -> io::Result<Child> {
     let text = toml::to_string_pretty(&rig_file()).map_err(io::Error::other)?;
     fs::write(&rig, text)?;
     let script = run.out.join("script.txt");
-    fs::write(&script, run.scenario.script)?;
+    fs::write(&script, run.script)?;
     collect(run, &["--json"], &script, dataset)
         .arg("--rig")
         .arg(&rig)
@@ -203,6 +211,40 @@ fn finish(child: &mut Child) -> io::Result<Option<ExitStatus>> {
     child.kill()?;
     child.wait()?;
     Ok(None)
+}
+
+/// What the program holds in memory, over the guest's time.
+struct Memory {
+    status: PathBuf,
+    file: File,
+    next: Instant,
+}
+
+impl Memory {
+    fn of(child: &Child, csv: &Path) -> io::Result<Self> {
+        let mut file = File::create(csv)?;
+        writeln!(file, "second,resident_kib")?;
+        Ok(Self {
+            status: format!("/proc/{}/status", child.id()).into(),
+            file,
+            next: Instant::now(),
+        })
+    }
+
+    /// A line where one is due; times are those since `start`.
+    fn look(&mut self, start: Instant) -> io::Result<()> {
+        let now = Instant::now();
+        if now < self.next {
+            return Ok(());
+        }
+        self.next = now + MEMORY_EVERY;
+        let status = fs::read_to_string(&self.status).unwrap_or_default();
+        let resident = status.lines().find_map(|l| l.strip_prefix("VmRSS:"));
+        let Some(kib) = resident.and_then(|text| text.split_whitespace().next()) else {
+            return Ok(());
+        };
+        writeln!(self.file, "{:.0},{kib}", (now - start).as_secs_f64())
+    }
 }
 
 /// Writes a file of zeroes until only `leave_kib` are left.
@@ -261,7 +303,7 @@ fn copy_tree(from: &Path, to: &Path) -> io::Result<()> {
 pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
     let invalid = |what: String| io::Error::new(io::ErrorKind::InvalidInput, what);
     let mut rig = Rig::new(run.left, run.right)?;
-    for line in run.scenario.setup {
+    for line in run.setup {
         rig.obey(&line.parse().map_err(invalid)?)?;
     }
     probe::wait_for_nodes()?;
@@ -270,10 +312,17 @@ pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
     let started = Instant::now();
     let mut child = start(run, &dataset)?;
     let first = first_pictures(&rig, &mut child)?;
+    let mut memory = Memory::of(&child, &run.out.join("memory.csv"))?;
     if let Some(first) = first {
-        for (at_s, line) in run.scenario.steps {
+        for (at_s, line) in run.steps {
             let due = first + Duration::from_secs_f64(*at_s);
-            thread::sleep(due.saturating_duration_since(Instant::now()));
+            while let Some(pause) = due.checked_duration_since(Instant::now()) {
+                memory.look(first)?;
+                thread::sleep(pause.min(MEMORY_EVERY));
+            }
+            if child.try_wait()?.is_some() {
+                break;
+            }
             match line.parse().map_err(invalid)? {
                 Action::Rig(command) => rig.obey(&command)?,
                 Action::FillDisk { leave_kib } => fill_disk(run.disk, leave_kib)?,
@@ -284,12 +333,13 @@ pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
     let status = finish(&mut child)?;
     let second_start = second_start(run, &dataset)?;
     let result = serde_json::json!({
-        "scenario": run.scenario.name,
+        "scenario": run.name,
         "exit_code": status.and_then(|s| s.code()),
         "timed_out": status.is_none(),
         "streams_started": first.is_some(),
         "guest_s": started.elapsed().as_secs_f64(),
         "sent": rig.counters(),
+        "came_back_s": rig.came_back_s(),
         "second_start": second_start,
     });
     if dataset.is_dir() {

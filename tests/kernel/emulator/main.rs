@@ -6,6 +6,7 @@
 //! usbip-cameras serve LEFT RIGHT                 plugs all in, then obeys commands on stdin
 //! usbip-cameras probe LEFT RIGHT OUT             streams all cameras and compares
 //! usbip-cameras run SCENARIO LEFT RIGHT OUT DISK GRIPCAST
+//! usbip-cameras soak SECONDS SEED LEFT RIGHT OUT DISK GRIPCAST
 //! ```
 //!
 //! LEFT and RIGHT are directories of JPEG files (`free/` and `pressed/`, or one for both).
@@ -14,9 +15,11 @@
 use std::io::{self, BufRead as _};
 use std::path::Path;
 use std::process::ExitCode;
+use std::str::FromStr;
 
 use crate::command::Command;
 use crate::rig::Rig;
+use crate::soak::Soak;
 
 mod camera;
 mod command;
@@ -32,6 +35,7 @@ mod probe;
 mod profile;
 mod rig;
 mod scenario;
+mod soak;
 mod sysfs;
 mod usbip;
 
@@ -73,6 +77,13 @@ fn poweroff() -> io::Result<()> {
     }
 }
 
+fn number<T: FromStr>(text: &str) -> io::Result<T> {
+    text.parse().map_err(|_| {
+        let what = format!("`{text}` is no number");
+        io::Error::new(io::ErrorKind::InvalidInput, what)
+    })
+}
+
 fn run(arguments: &[&str]) -> io::Result<()> {
     match *arguments {
         ["scenarios"] => {
@@ -93,13 +104,34 @@ fn run(arguments: &[&str]) -> io::Result<()> {
                 return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
             };
             guest::run(&guest::Run {
-                scenario,
+                name: scenario.name,
+                setup: scenario.setup,
+                steps: scenario.steps,
+                script: scenario.script,
                 gripcast: gripcast.as_ref(),
                 out: out.as_ref(),
                 disk: disk.as_ref(),
                 left: left.as_ref(),
                 right: right.as_ref(),
             })
+        }
+        ["soak", seconds, seed, left, right, out, disk, gripcast] => {
+            let soak = Soak::new(number(seconds)?, number(seed)?);
+            guest::run(&guest::Run {
+                name: "soak",
+                setup: soak.setup(),
+                steps: &soak.steps(),
+                script: soak.script(),
+                gripcast: gripcast.as_ref(),
+                out: out.as_ref(),
+                disk: disk.as_ref(),
+                left: left.as_ref(),
+                right: right.as_ref(),
+            })
+        }
+        ["soak-disk-size", seconds] => {
+            println!("{}m", soak::disk_mib(number(seconds)?));
+            Ok(())
         }
         ["disk-size", name] => {
             let mib = scenario::find(name).map_or(0, |scenario| scenario.disk_mib);
@@ -111,7 +143,8 @@ fn run(arguments: &[&str]) -> io::Result<()> {
         _ => Err(io::Error::new(
             io::ErrorKind::InvalidInput,
             "usage: usbip-cameras scenarios | serve LEFT RIGHT | probe LEFT RIGHT OUT | \
-             run SCENARIO LEFT RIGHT OUT DISK GRIPCAST",
+             run SCENARIO LEFT RIGHT OUT DISK GRIPCAST | \
+             soak SECONDS SEED LEFT RIGHT OUT DISK GRIPCAST",
         )),
     }
 }

@@ -1,16 +1,20 @@
 //! Moving test pictures of the raw cameras. A picture follows from its number alone, so that a
-//! test can draw again what was sent.
+//! test can draw again what was sent, and holds that number: no two have the same bytes.
 
-/// Pictures repeat after this many.
+/// Ramps repeat after this many.
 const DEPTH_PERIOD: usize = 256;
 const LUMA_PERIOD: usize = 160;
 
-/// Depth of the first pixel of picture 0, counts (mm).
-pub(crate) const DEPTH_OFFSET: u16 = 400;
-/// Luma of the first pixel of picture 0.
-pub(crate) const LUMA_OFFSET: u8 = 40;
+/// Depth where a ramp begins, counts (mm).
+const DEPTH_OFFSET: u16 = 400;
+/// Luma where a ramp begins.
+const LUMA_OFFSET: u8 = 40;
+/// The picture's number stands in this many pixels, lowest first, as digits to the base of the
+/// ramp's period. Above the last it repeats: years at 30 fps.
+const DIGITS: usize = 4;
 
-/// `height` rows of `row_bytes`, row y being the ramp from `(y + number) % period` on.
+/// `height` rows of `row_bytes`, row y being the ramp from `(y + number) % period` on; the first
+/// row begins with the number's digits, each drawn as the ramp draws it.
 fn sloping(
     ramp: &[u8],
     step_bytes: usize,
@@ -24,11 +28,40 @@ fn sloping(
         let start = ((y + number) % period as u64) as usize * step_bytes;
         picture.extend_from_slice(&ramp[start..start + row_bytes]);
     }
+    let mut rest = number;
+    for pixel in picture.chunks_exact_mut(step_bytes).take(DIGITS) {
+        let start = (rest % period as u64) as usize * step_bytes;
+        pixel.copy_from_slice(&ramp[start..start + step_bytes]);
+        rest /= period as u64;
+    }
     picture
 }
 
+/// The number that the first pixels of a picture hold; any number for other pixels.
+fn number_in(levels_above_offset: impl Iterator<Item = u16>, period: usize) -> u64 {
+    let digits: Vec<u64> = levels_above_offset.take(DIGITS).map(u64::from).collect();
+    let with_lower = |number: u64, digit: &u64| number * period as u64 + digit;
+    digits.iter().rev().fold(0, with_lower)
+}
+
+/// The number of a picture of [`depth`].
+pub(crate) fn depth_number(picture: &[u8]) -> u64 {
+    let pixels = picture.as_chunks().0.iter();
+    let levels = pixels.map(|pixel| u16::from_le_bytes(*pixel).wrapping_sub(DEPTH_OFFSET));
+    number_in(levels, DEPTH_PERIOD)
+}
+
+/// The number of a picture of [`colour`].
+pub(crate) fn colour_number(picture: &[u8]) -> u64 {
+    let lumas = picture.iter().step_by(4);
+    number_in(
+        lumas.map(|luma| u16::from(luma.wrapping_sub(LUMA_OFFSET))),
+        LUMA_PERIOD,
+    )
+}
+
 /// Picture `number` in Z16, tightly packed little-endian: pixel (x, y) holds
-/// `DEPTH_OFFSET + (x + y + number) % DEPTH_PERIOD`.
+/// `DEPTH_OFFSET + (x + y + number) % DEPTH_PERIOD`, the first ones the number's digits.
 pub(crate) fn depth(number: u64, width: u32, height: u32) -> Vec<u8> {
     let ramp: Vec<u8> = (0..width as usize + DEPTH_PERIOD)
         .flat_map(|k| (DEPTH_OFFSET + (k % DEPTH_PERIOD) as u16).to_le_bytes())
@@ -37,7 +70,7 @@ pub(crate) fn depth(number: u64, width: u32, height: u32) -> Vec<u8> {
 }
 
 /// Picture `number` in YUYV: pixel pair (i, y) has luma `40 + (i + y + number) % 160` and one
-/// colour.
+/// colour; the first pairs hold the number's digits.
 pub(crate) fn colour(number: u64, width: u32, height: u32) -> Vec<u8> {
     let ramp: Vec<u8> = (0..width as usize / 2 + LUMA_PERIOD)
         .flat_map(|k| {
@@ -48,7 +81,8 @@ pub(crate) fn colour(number: u64, width: u32, height: u32) -> Vec<u8> {
     sloping(&ramp, 4, LUMA_PERIOD, width as usize * 2, height, number)
 }
 
-/// Picture `number` in 8-bit grey: pixel (x, y) holds `40 + (x + y + number) % 160`.
+/// Picture `number` in 8-bit grey: pixel (x, y) holds `40 + (x + y + number) % 160`, the first
+/// ones the number's digits.
 pub(crate) fn grey(number: u64, width: u32, height: u32) -> Vec<u8> {
     let ramp: Vec<u8> = (0..width as usize + LUMA_PERIOD)
         .map(|k| LUMA_OFFSET + (k % LUMA_PERIOD) as u8)
@@ -73,7 +107,17 @@ mod tests {
 
         let picture = colour(159, 64, 8);
         assert_eq!(picture[..8], [199, 118, 199, 140, 40, 118, 40, 140]);
+        assert_eq!(picture[16..20], [43, 118, 43, 140]);
         assert_eq!(grey(2, 16, 2)[16], 43);
+    }
+
+    #[test]
+    fn pictures_hold_their_numbers() {
+        for number in [0, 1, 159, 160, 256, 25_600, 65_536, 108_123] {
+            assert_eq!(depth_number(&depth(number, 32, 4)), number);
+            assert_eq!(colour_number(&colour(number, 32, 4)), number);
+        }
+        assert_ne!(grey(7, 32, 4), grey(167, 32, 4));
     }
 
     #[test]

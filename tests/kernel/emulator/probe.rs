@@ -109,15 +109,8 @@ fn is_as_sent(wanted: &Wanted, picture: &[u8], fed: &[Vec<u8>]) -> bool {
                     .any(|file| feed::numbered(file, number) == picture)
             })
         }
-        b"Z16 " => {
-            let first = u16::from_le_bytes([picture[0], picture[1]]);
-            let number = u64::from(first.wrapping_sub(pattern::DEPTH_OFFSET));
-            picture == pattern::depth(number, width, height)
-        }
-        _ => {
-            let number = u64::from(picture[0].wrapping_sub(pattern::LUMA_OFFSET));
-            picture == pattern::colour(number, width, height)
-        }
+        b"Z16 " => picture == pattern::depth(pattern::depth_number(picture), width, height),
+        _ => picture == pattern::colour(pattern::colour_number(picture), width, height),
     }
 }
 

@@ -70,6 +70,7 @@ impl Rig {
                 let feeds: Vec<_> = self.feeds[*device].iter().map(|(_, f)| f.clone()).collect();
                 let plugged = Plugged::new(&self.profiles[*device], *port, &feeds)?;
                 self.plugged[*device] = Some(plugged);
+                feeds.iter().for_each(|feed| feed.plugged());
             }
             Command::Detach { device } => self.plugged[*device] = None,
             Command::Fault {
@@ -90,6 +91,13 @@ impl Rig {
             Command::Quit => self.plugged = [const { None }; DEVICES],
         }
         Ok(())
+    }
+
+    /// How long each camera that was plugged in again took to its next picture, s.
+    pub(crate) fn came_back_s(&self) -> BTreeMap<&'static str, Vec<f64>> {
+        self.all_feeds()
+            .map(|(role, feed)| (*role, feed.came_back_s()))
+            .collect()
     }
 
     /// What each camera has sent so far.

@@ -17,7 +17,8 @@ pub(crate) struct Scenario {
     pub(crate) disk_mib: u32,
 }
 
-const PLUG_ALL: &[&str] = &["attach left", "attach right", "attach d435", "attach pedal"];
+pub(crate) const PLUG_ALL: &[&str] =
+    &["attach left", "attach right", "attach d435", "attach pedal"];
 const ROOMY_MIB: u32 = 2048;
 
 /// One grasp: the gels are pressed at 2 s.

@@ -1,0 +1,33 @@
+//! The daemon's API and page: the running engine for browsers and programs, over HTTP.
+//!
+//! ```text
+//!  engine ── status, 20 a second ──► State ──► GET /api/state, /api/events
+//!         ◄── Asked ── answer ────── POST /api/commands, labels, names, trash
+//!  previews ──► encoder, one a camera, while somebody looks ──► MJPEG
+//!  dataset ──► list of grasps, files, small pictures
+//! ```
+//!
+//! Handlers never wait for the engine longer than a save takes, and the engine never waits for
+//! them. `docs/api.md` is the contract; `/api/openapi.json` is made from these functions.
+
+mod access;
+mod attach;
+mod backend;
+mod cameras;
+mod commands;
+mod events;
+mod failure;
+mod grasp_list;
+mod grasps;
+mod health;
+mod page;
+mod router;
+mod serve;
+mod state;
+
+pub(crate) use access::{Access, Token};
+pub(crate) use attach::{Attached, Screen, Target, attach};
+pub(crate) use backend::{Backend, ModelInfo, News};
+pub(crate) use health::is_healthy;
+pub(crate) use router::router;
+pub(crate) use serve::{Listeners, serve};

@@ -1,0 +1,90 @@
+/**
+ * The command buttons. They show the server's state and nothing that is guessed here.
+ *
+ * @import {Session} from "./types.js"
+ */
+import { ApiError, change, whyNot } from "./api.js";
+import { attribute, byId, say, style, toast } from "./dom.js";
+import { STEPS } from "./words.js";
+
+/** Whether a command waits for its answer. */
+let waiting = false;
+let linked = false;
+/** @type {Session|null} */
+let session = null;
+
+/** @param {Session|null} now @param {boolean} up whether the server can be reached */
+export function drawActions(now, up) {
+  session = now;
+  linked = up;
+  if (!now) return;
+  const step = STEPS[now.step];
+  const trigger = byId("trigger");
+  style(trigger, `action ${now.step}`);
+  say(trigger.querySelector("b"), now.saving ? "Saving …" : step.trigger);
+  say(trigger.querySelector("small"), now.saving ? "hold still" : step.hint);
+  byId("actions").classList.toggle("labelling", now.step === "label");
+  say(byId("undo").querySelector("small"), now.undo ?? "nothing to undo");
+  say(byId("redo").querySelector("small"), now.redo ?? "");
+  byId("override").hidden = !now.refusal?.can_override;
+  for (const name of ["trigger", "stable", "slip", "undo", "redo", "initial", "override"]) {
+    // `disabled` would take the focus away from who works by keyboard.
+    attribute(byId(name), "aria-disabled", possible(name) ? null : "true");
+  }
+}
+
+/** Whether a button can lead to anything; the server decides. @param {string} name */
+function possible(name) {
+  if (!session || !linked || waiting || session.saving) return false;
+  switch (name) {
+    case "trigger":
+      return session.step !== "label";
+    case "stable":
+    case "slip":
+      return session.last !== null && session.last.outcome !== name;
+    case "undo":
+      return session.undo !== null;
+    case "redo":
+      return session.redo !== null;
+    case "initial":
+      return session.step !== "initial";
+    default:
+      return true;
+  }
+}
+
+/**
+ * Sends a command; one at a time, so that a double tap is not two steps.
+ * @param {string} text
+ */
+export async function command(text) {
+  if (!linked) {
+    toast("not sent: the connection to gripcast is lost", "error");
+    return;
+  }
+  if (waiting || session?.saving) return;
+  waiting = true;
+  drawActions(session, linked);
+  try {
+    const answer = await change("POST", "api/commands", { command: text });
+    const shown = answer.state?.session;
+    // What the state says is on the page already, on every page.
+    if (!answer.carried_out && !shown?.refusal && !shown?.message) toast(whyNot(answer), "error");
+  } catch (error) {
+    const lost = error instanceof ApiError && error.status === 0;
+    toast(lost ? `no answer to “${text}”: look at the step before you press again` : `${text}: ${/** @type {Error} */ (error).message}`, "error");
+  } finally {
+    waiting = false;
+    drawActions(session, linked);
+  }
+}
+
+export function startActions() {
+  const bar = byId("actions");
+  // A click leaves the focus where it was, or the next space would press this button again.
+  bar.addEventListener("mousedown", (/** @type {MouseEvent} */ event) => event.preventDefault());
+  bar.addEventListener("click", (/** @type {MouseEvent} */ event) => {
+    const button = /** @type {HTMLElement} */ (event.target).closest("button");
+    if (button && button.getAttribute("aria-disabled") !== "true") command(button.dataset.command ?? "");
+  });
+}

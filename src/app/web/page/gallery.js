@@ -1,0 +1,185 @@
+/**
+ * The grasps of the dataset, newest first.
+ *
+ * @import {GraspSummary, Outcome} from "./types.js"
+ */
+import { address, change, get, whyNot } from "./api.js";
+import { openDetail, refreshDetail } from "./detail.js";
+import { button, byId, make, refill, say, toast } from "./dom.js";
+import { markNode, outcomeNode } from "./labels.js";
+import { moment, OUTCOMES, short } from "./words.js";
+
+const PAGE = 24;
+/** Changes of the dataset come in bursts; one look at the list serves them all, ms. */
+const BURST_MS = 250;
+/** @type {[string, string, string][]} */
+const FILTERS = [
+  ["all", "All", ""],
+  ["disagree", "Disagreement", "&disagree=true"],
+  ["unlabelled", "Unlabelled", "&outcome=unlabelled"],
+  ["stable", "Stable", "&outcome=stable"],
+  ["slip", "Slip", "&outcome=slip"],
+];
+
+let filter = FILTERS[0];
+/** @type {GraspSummary[]} */
+let grasps = [];
+/** @type {string|null} */
+let next = null;
+let wanted = PAGE;
+let shown = false;
+let timer = 0;
+/** Counts loads; an answer that was overtaken is dropped. */
+let round = 0;
+/** What was moved to the trash from here. @type {Map<string, string>} */
+const trashed = new Map();
+
+/** Loads what is shown anew. */
+async function load() {
+  const mine = (round += 1);
+  try {
+    /** @type {GraspSummary[]} */
+    const found = [];
+    let before = null;
+    do {
+      const page = await get(`api/grasps?limit=${PAGE}${filter[2]}${before ? `&before=${encodeURIComponent(before)}` : ""}`);
+      if (mine !== round) return;
+      found.push(...page.grasps);
+      before = page.next;
+    } while (before && found.length < wanted);
+    grasps = found;
+    next = before;
+    draw();
+  } catch (error) {
+    if (mine === round) say(byId("gallery-note"), `the list could not be loaded: ${/** @type {Error} */ (error).message}`);
+  }
+}
+
+function draw() {
+  for (const { id } of grasps) trashed.delete(id);
+  drawTrashed();
+  const none = filter[0] === "all" ? "no grasp yet" : "no grasp of this kind";
+  say(byId("gallery-note"), grasps.length ? "" : none);
+  byId("more").hidden = !next;
+  const list = byId("gallery");
+  /** @type {Map<string, any>} */
+  const cards = new Map([...list.children].map((card) => [card.dataset.id, card]));
+  const wantedCards = grasps.map((grasp) => {
+    const card = cards.get(grasp.id) ?? make("li");
+    card.dataset.id = grasp.id;
+    refill(card, grasp, () => [cardButton(grasp)]);
+    return card;
+  });
+  // Only what differs moves: pictures stay loaded and the focus stays where it is.
+  const kept = new Set(wantedCards);
+  for (const card of [...list.children]) if (!kept.has(card)) card.remove();
+  wantedCards.forEach((card, index) => {
+    if (list.children[index] !== card) list.insertBefore(card, list.children[index] ?? null);
+  });
+}
+
+/** @param {GraspSummary} grasp */
+function cardButton(grasp) {
+  const mark = { true: "✓", false: "✗", null: "" }[String(grasp.agrees)] ?? "";
+  const node = button("", () => openDetail(grasp.id), "card");
+  const p = grasp.predicted_p_stable;
+  const said = p === null ? "no prediction" : `predicted ${p.toFixed(2)}`;
+  node.setAttribute("aria-label", `grasp ${short(grasp.id)}, ${grasp.object || "no object"}, ${OUTCOMES[grasp.outcome]}, ${said}${mark === "✗" ? ", disagree" : ""}`);
+  const pictures = make("span", "thumbs", ...thumbs(grasp));
+  const line = make("span", "line", outcomeNode(grasp.outcome), make("span", "faint", ` ${said} `));
+  if (mark) line.append(markNode(mark));
+  node.append(
+    pictures,
+    make("span", "line object", grasp.object || "no object"),
+    line,
+    make("span", "line faint", `${short(grasp.id)} · ${moment(grasp.captured_at)}`),
+  );
+  return node;
+}
+
+/** Both gels as they changed, and the colour picture. @param {GraspSummary} grasp */
+function thumbs({ id, roles }) {
+  const wantedThumbs = [
+    ["left", "difference"],
+    ["right", "difference"],
+    ["rgb", "grasp"],
+  ];
+  return wantedThumbs
+    .filter(([role]) => roles.includes(/** @type {any} */ (role)))
+    .map(([role, stage]) => {
+      const image = make("img");
+      image.loading = "lazy";
+      image.alt = "";
+      image.src = address(`api/grasps/${encodeURIComponent(id)}/preview/${stage}/${role}.jpg`);
+      return image;
+    });
+}
+
+function drawTrashed() {
+  refill(byId("trashed"), [...trashed], () =>
+    [...trashed].map(([id, object]) =>
+      make("li", "", `grasp ${short(id)} ${object} is in the trash `, button("Take it back", () => restore(id))),
+    ),
+  );
+}
+
+/** @param {string} id @param {string} object */
+export function noteTrashed(id, object) {
+  trashed.set(id, object);
+  drawTrashed();
+  galleryChanged();
+}
+
+/** @param {string} id */
+export async function restore(id) {
+  try {
+    const answer = await change("POST", `api/grasps/${encodeURIComponent(id)}/restore`);
+    if (!answer.carried_out) return toast(whyNot(answer), "error");
+    trashed.delete(id);
+    drawTrashed();
+    toast(`grasp ${short(id)} is back`);
+    galleryChanged();
+  } catch (error) {
+    toast(`grasp ${short(id)} not taken back: ${/** @type {Error} */ (error).message}`, "error");
+  }
+}
+
+/** The dataset has changed, or may have. */
+export function galleryChanged() {
+  clearTimeout(timer);
+  timer = setTimeout(() => {
+    refreshDetail();
+    if (shown) load();
+  }, BURST_MS);
+}
+
+/** @param {boolean} visible */
+export function showGallery(visible) {
+  if (visible && !shown) load();
+  shown = visible;
+}
+
+export function startGallery() {
+  const buttons = FILTERS.map((each) => {
+    const node = button(each[1], () => {
+      filter = each;
+      wanted = PAGE;
+      for (const other of buttons) other.setAttribute("aria-pressed", String(other === node));
+      load();
+    });
+    node.dataset.filter = each[0];
+    node.setAttribute("aria-pressed", String(each === filter));
+    return node;
+  });
+  byId("filters").append(...buttons);
+  byId("more").addEventListener("click", () => {
+    wanted = grasps.length + PAGE;
+    load();
+  });
+}
+
+/** The grasps beside one in the list. @param {string} id */
+export function neighbours(id) {
+  const at = grasps.findIndex((grasp) => grasp.id === id);
+  return { newer: at > 0 ? grasps[at - 1].id : null, older: at >= 0 ? (grasps[at + 1]?.id ?? null) : null };
+}

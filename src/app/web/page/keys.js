@@ -1,0 +1,82 @@
+/** Keys: the letters of the terminal. */
+import { command } from "./actions.js";
+import { openSensors, shrinkFaults } from "./cameras.js";
+import { byId, make, toggle } from "./dom.js";
+import { ask } from "./labels.js";
+
+/** @type {[string, string][]} */
+const HELP = [
+  ["space, pedal", "next step: initial frame, then grasp frame"],
+  ["i", "take the initial frame (again)"],
+  ["g", "take the grasp frame"],
+  ["s", "it held: label the last grasp stable"],
+  ["f", "it slipped or fell: label it slip"],
+  ["u", "undo the last step (again for more)"],
+  ["r", "redo what was undone"],
+  ["!", "take it anyway after a refusal; recorded"],
+  ["o", "name of the object"],
+  ["n", "name of the scene"],
+  ["p", "name of the operator"],
+  ["h", "sensors in detail"],
+  ["l", "list of grasps, and back"],
+  ["Esc", "close a panel, shrink the fault"],
+  ["Tab, Enter", "go from button to button, press it"],
+];
+
+/** @type {Record<string, string>} */
+const COMMANDS = { " ": "trigger", i: "initial", g: "grasp", s: "stable", f: "slip", u: "undo", r: "redo", "!": "override" };
+
+/** @type {Record<string, () => void>} */
+const PANELS = {
+  o: () => ask("object"),
+  n: () => ask("scene"),
+  p: () => ask("operator"),
+  h: openSensors,
+  l: () => {
+    location.hash = location.hash === "#grasps" ? "#collect" : "#grasps";
+  },
+  "?": () => toggle(byId("help-dialog")),
+  escape: shrinkFaults,
+};
+
+/** @param {KeyboardEvent} event */
+function press(event) {
+  if (event.ctrlKey || event.altKey || event.metaKey || event.isComposing || event.defaultPrevented) return;
+  const target = /** @type {HTMLElement} */ (event.target);
+  if (target.matches("input, select, textarea")) return;
+  const key = event.key.toLowerCase();
+  // Space and Enter belong to the button that was reached with Tab.
+  if ((key === " " || key === "enter") && target.closest("button, a, summary")) return;
+  const dialog = document.querySelector("dialog[open]");
+  if (dialog && !permitted(dialog, key, event)) return;
+  const text = COMMANDS[key];
+  const panel = PANELS[key];
+  if (!text && !panel) return;
+  if (key !== "escape") event.preventDefault();
+  // A key that is held down is one command.
+  if (event.repeat) return;
+  if (text) command(text);
+  else panel();
+}
+
+/** Over an open panel only its own key counts; over the keys, every command does.
+ * @param {Element} dialog @param {string} key @param {Event} event */
+function permitted(dialog, key, event) {
+  if (dialog.id === "sensors-dialog" && key === "h") {
+    event.preventDefault();
+    byId("sensors-dialog").close();
+    return false;
+  }
+  return dialog.id === "help-dialog" && (key in COMMANDS || key === "?");
+}
+
+export function startKeys() {
+  byId("keys").append(...HELP.flatMap(([key, meaning]) => [make("dt", "", make("kbd", "", key)), make("dd", "", meaning)]));
+  addEventListener("keydown", press);
+  byId("show-keys").addEventListener("click", () => byId("help-dialog").showModal());
+  for (const dialog of document.querySelectorAll("dialog")) {
+    for (const close of dialog.querySelectorAll("button.close")) close.addEventListener("click", () => dialog.close());
+    // A tap beside a panel closes it.
+    dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
+  }
+}

@@ -1,0 +1,181 @@
+/**
+ * Live pictures, each with the health of its camera. A browser keeps six connections to a server, over all its windows: five endless
+ * streams in each of two windows would leave none for the commands. So one window streams, every
+ * other fetches still after still over at most two connections.
+ *
+ * @import {Camera, Role, State} from "./types.js"
+ */
+import { address } from "./api.js";
+import { openSensors } from "./cameras.js";
+import { button, byId, make, refill, say, style } from "./dom.js";
+import { isFault, rates, stateWords, trouble } from "./words.js";
+
+const STILL_FETCHERS = 2;
+/** Shortest time between two stills of a camera, ms; the server makes ten a second. */
+const STILL_INTERVAL_MS = 100;
+const RETRY_MS = 2000;
+const LOCK = "gripcast-streams";
+
+/**
+ * @typedef {object} Tile
+ * @property {Role} role
+ * @property {any} figure
+ * @property {HTMLImageElement} image
+ * @property {HTMLElement} health
+ * @property {HTMLElement} cover
+ * @property {string} state
+ * @property {number} due when the next still may be asked for, ms
+ * @property {boolean} busy
+ */
+
+export class Pictures {
+  constructor() {
+    /** @type {Map<Role, Tile>} */
+    this.tiles = new Map();
+    this.running = false;
+    this.streaming = false;
+    /** Counts starts, so that what was begun before a stop ends by itself. */
+    this.round = 0;
+    /** @type {(() => void)|null} */
+    this.release = null;
+  }
+
+  /** @param {State} state */
+  draw(state) {
+    const roles = state.cameras.map(({ role }) => role);
+    if (roles.join() !== [...this.tiles.keys()].join()) this.lay(roles);
+    for (const camera of state.cameras) this.caption(camera, state.contact);
+  }
+
+  /** @param {Role[]} roles */
+  lay(roles) {
+    const box = byId("pictures");
+    this.tiles = new Map(roles.map((role) => [role, tile(role)]));
+    box.replaceChildren(...[...this.tiles.values()].map(({ figure }) => figure));
+    box.style.setProperty("--count", String(roles.length));
+    if (this.running) this.start();
+  }
+
+  /** @param {Camera} camera @param {State["contact"]} contact */
+  caption(camera, contact) {
+    const tile = this.tiles.get(camera.role);
+    if (!tile) return;
+    const touch = camera.role === "left" || camera.role === "right" ? contact?.[camera.role] : null;
+    const words = typeof touch === "number" ? `contact ${touch.toFixed(1)}` : "";
+    refill(tile.health, [camera, words], () => health(camera, words));
+    style(tile.figure, isFault(camera) ? "failed" : camera.state === "live" ? "" : "waiting");
+    say(tile.cover, camera.state === "live" ? "" : stateWords(camera));
+    const back = camera.state === "live" && tile.state !== "live" && tile.state !== "";
+    tile.state = camera.state;
+    if (back && this.streaming) this.stream(tile);
+  }
+
+  /** Begins anew; also after the server was away. */
+  start() {
+    this.stop();
+    this.running = true;
+    const round = this.round;
+    for (let i = 0; i < STILL_FETCHERS; i += 1) this.fetchStills(round);
+    // Without a secure context there are no locks, and the line is long: stills never lag behind.
+    navigator.locks?.request(LOCK, () => this.holdStreams(round));
+  }
+
+  stop() {
+    this.round += 1;
+    this.running = false;
+    this.release?.();
+    for (const tile of this.tiles.values()) {
+      tile.busy = false;
+      if (this.streaming) tile.image.removeAttribute("src");
+    }
+    this.streaming = false;
+  }
+
+  /** Streams until this round ends. @param {number} round @returns {Promise<void>|undefined} */
+  holdStreams(round) {
+    if (round !== this.round) return undefined;
+    this.streaming = true;
+    for (const tile of this.tiles.values()) this.stream(tile);
+    return new Promise((resolve) => {
+      this.release = resolve;
+    });
+  }
+
+  /** @param {Tile} tile */
+  stream(tile) {
+    const round = this.round;
+    tile.image.onerror = () => {
+      setTimeout(() => {
+        if (round === this.round && tile.state === "live") this.stream(tile);
+      }, RETRY_MS);
+    };
+    tile.image.src = address(`api/cameras/${tile.role}/preview.mjpg?start=${Date.now()}`);
+  }
+
+  /** @param {number} round */
+  async fetchStills(round) {
+    while (round === this.round && !this.streaming) {
+      const now = performance.now();
+      const waiting = [...this.tiles.values()].filter((tile) => !tile.busy);
+      const tile = waiting.sort((a, b) => a.due - b.due)[0];
+      if (!tile || tile.due > now) {
+        const pause = tile ? tile.due - now : STILL_INTERVAL_MS;
+        await new Promise((resolve) => setTimeout(resolve, pause));
+        continue;
+      }
+      tile.busy = true;
+      tile.due = now + ((await this.still(tile, round)) ? STILL_INTERVAL_MS : RETRY_MS);
+      if (round === this.round) tile.busy = false;
+    }
+  }
+
+  /** One still; false where there was none. @param {Tile} tile @param {number} round */
+  async still(tile, round) {
+    try {
+      const response = await fetch(address(`api/cameras/${tile.role}/preview.jpg`), {
+        cache: "no-store",
+        signal: AbortSignal.timeout(5000),
+      });
+      if (!response.ok) return false;
+      const url = URL.createObjectURL(await response.blob());
+      tile.image.onload = tile.image.onerror = () => URL.revokeObjectURL(url);
+      if (round === this.round && !this.streaming) tile.image.src = url;
+      else URL.revokeObjectURL(url);
+      return true;
+    } catch {
+      return false;
+    }
+  }
+}
+
+/** @param {Role} role @returns {Tile} */
+function tile(role) {
+  const image = make("img");
+  image.alt = role === "left" || role === "right" ? `${role} gel, difference to the initial frame` : `${role} camera`;
+  image.dataset.role = role;
+  const name = button(role, openSensors, "role");
+  name.title = "sensors in detail (h)";
+  const words = make("span", "health");
+  const caption = make("figcaption", "", name, words);
+  const cover = make("span", "cover");
+  const figure = make("figure", "", caption, make("div", "frame", image, cover));
+  figure.dataset.role = role;
+  return { role, figure, image, health: words, cover, state: "", due: 0, busy: false };
+}
+
+/** Rate and age, contact, and what went wrong. @param {Camera} camera @param {string} contact */
+function health(camera, contact) {
+  const nodes = [];
+  if (camera.state === "live") {
+    const { rate, slow, age, old } = rates(camera);
+    nodes.push(make("span", slow ? "warning" : "", rate), make("span", old ? "warning" : "faint", age));
+  } else {
+    nodes.push(make("span", isFault(camera) ? "slip" : "faint", stateWords(camera)));
+  }
+  if (contact) nodes.push(make("span", "faint", contact));
+  const wrong = trouble(camera);
+  if (wrong) nodes.push(make("span", "warning", wrong));
+  else if (camera.markers) nodes.push(make("span", "stable", camera.markers.text));
+  if (camera.reason) nodes.push(make("span", "slip", camera.reason));
+  return nodes;
+}

@@ -1,0 +1,111 @@
+/**
+ * Messages of the server; names and units as in the API. This file holds types alone.
+ *
+ * @typedef {"left"|"right"|"rgb"|"depth"|"external"} Role
+ * @typedef {"stable"|"slip"|"unlabelled"} Outcome
+ * @typedef {"initial"|"grasp"|"label"} Step
+ * @typedef {"initial_saved"|"grasp_saved"|"stable"|"slip"|"undone"|"refused"|"fault"} Tone
+ *
+ * @typedef {object} Predicted what the model said of a grasp before the lift
+ * @property {number} p_stable
+ * @property {number} threshold
+ * @property {number|null} [novelty] above 1: unlike the training pictures
+ *
+ * @typedef {object} LastGrasp
+ * @property {string} id
+ * @property {string} object
+ * @property {Outcome} outcome
+ * @property {Predicted|null} predicted
+ *
+ * @typedef {object} Counts
+ * @property {number} stable
+ * @property {number} slip
+ * @property {number} unlabelled
+ * @property {number} object_stable
+ * @property {number} object_slip
+ *
+ * @typedef {object} Refusal
+ * @property {string} stage
+ * @property {string[]} reasons
+ * @property {boolean} can_override
+ *
+ * @typedef {object} Session
+ * @property {Step} step
+ * @property {string} object
+ * @property {string} scene
+ * @property {string} operator
+ * @property {string|null} initial_at
+ * @property {number|null} initial_age_s
+ * @property {Counts} counts
+ * @property {LastGrasp|null} last
+ * @property {string|null} undo
+ * @property {string|null} redo
+ * @property {{level: "info"|"warning"|"error", text: string}|null} message
+ * @property {Refusal|null} refusal
+ * @property {boolean} saving
+ *
+ * @typedef {object} Camera
+ * @property {Role} role
+ * @property {string} product
+ * @property {string} serial
+ * @property {string} port
+ * @property {"opening"|"live"|"silent"|"frozen"|"lost"|"ended"} state
+ * @property {number|null} for_s
+ * @property {string|null} reason
+ * @property {number} measured_fps
+ * @property {number} nominal_fps
+ * @property {number|null} frame_age_ms
+ * @property {number} received
+ * @property {number} sequence_gaps
+ * @property {number} damaged
+ * @property {number} late
+ * @property {number} reconnects
+ * @property {{ok: boolean, text: string}|null} markers
+ *
+ * @typedef {object} Prediction
+ * @property {number} p_stable
+ * @property {"stable"|"slip"|"unsure"} verdict
+ * @property {number|null} novelty
+ * @property {number} threshold
+ * @property {string} model
+ * @property {boolean} heuristic
+ * @property {number} frame_age_ms
+ * @property {number} latency_ms
+ * @property {number} engine_ms
+ *
+ * @typedef {object} State
+ * @property {string} dataset
+ * @property {string} rig
+ * @property {string} clock
+ * @property {number|null} disk_free_bytes
+ * @property {Session} session
+ * @property {Camera[]} cameras
+ * @property {Prediction|null} prediction
+ * @property {string|null} prediction_absent
+ * @property {{left?: number|null, right?: number|null}} contact
+ *
+ * @typedef {object} CommandAnswer
+ * @property {boolean} carried_out
+ * @property {string|null} message
+ * @property {string[]} reasons
+ * @property {boolean} can_override
+ * @property {State} state
+ *
+ * @typedef {object} GraspSummary
+ * @property {string} id
+ * @property {string} object
+ * @property {string} scene
+ * @property {string} operator
+ * @property {Outcome} outcome
+ * @property {string|null} labelled_at
+ * @property {string} captured_at
+ * @property {number|null} predicted_p_stable
+ * @property {number|null} predicted_threshold
+ * @property {string|null} predicted_model
+ * @property {boolean|null} agrees
+ * @property {Role[]} roles
+ *
+ * @typedef {{type: "state", state: State} | {type: "tone", tone: Tone}
+ *   | {type: "stored", stored: object} | {type: "bye"}} Event
+ */
+export {};

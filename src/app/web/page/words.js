@@ -1,0 +1,190 @@
+/**
+ * What the page says, in the words of the terminal's screen. Nothing here touches the page.
+ *
+ * @import {Camera, Counts, Outcome, Predicted, Prediction, Session} from "./types.js"
+ */
+
+/** A prediction from a frame older than this is named old, ms. */
+const STALE_MS = 500;
+/** Difference between the labels from which a hint is given: a tenth of all, at least this. */
+const HINT_AT_LEAST = 5;
+/** Share of the nominal rate below which the rate is a warning. */
+const SLOW_SHARE = 0.9;
+/** Age of the newest frame from which it is a warning, in nominal intervals. */
+const OLD_INTERVALS = 3;
+
+/** The steps in their order. */
+export const STEPS = {
+  initial: {
+    number: 1,
+    verb: "OPEN",
+    instruction: "OPEN THE GRIPPER, then trigger",
+    trigger: "Initial",
+    hint: "take the initial frame",
+  },
+  grasp: {
+    number: 2,
+    verb: "CLOSE",
+    instruction: "CLOSE THE GRIPPER, then trigger",
+    trigger: "Grasp",
+    hint: "take the grasp frame",
+  },
+  label: {
+    number: 3,
+    verb: "LIFT",
+    instruction: "LIFT IT — held: STABLE · lost: SLIP",
+    trigger: "Label",
+    hint: "stable or slip?",
+  },
+};
+
+export const OUTCOMES = { stable: "STABLE", slip: "SLIP", unlabelled: "not labelled" };
+
+const PARTS = {
+  left: "LEFT GELSIGHT",
+  right: "RIGHT GELSIGHT",
+  rgb: "COLOUR CAMERA",
+  depth: "DEPTH CAMERA",
+  external: "EXTERNAL CAMERA",
+};
+
+/** A time in the unit that reads best: `18 ms`, `1.4 s`, `6 min`, `3 h`. @param {number} ms */
+export function duration(ms) {
+  if (!Number.isFinite(ms)) return "? ms";
+  if (ms < 999.5) return `${ms.toFixed(0)} ms`;
+  if (ms < 9950) return `${(ms / 1e3).toFixed(1)} s`;
+  if (ms < 89500) return `${(ms / 1e3).toFixed(0)} s`;
+  if (ms < 5.4e6) return `${(ms / 60e3).toFixed(0)} min`;
+  return `${(ms / 3.6e6).toFixed(0)} h`;
+}
+
+/** Decimal units, as disks are sold. @param {number} count */
+export function bytes(count) {
+  const gb = count / 1e9;
+  if (gb >= 9950) return `${(gb / 1e3).toFixed(0)} TB`;
+  if (gb >= 9.95) return `${gb.toFixed(0)} GB`;
+  if (gb >= 1) return `${gb.toFixed(1)} GB`;
+  return `${(gb * 1e3).toFixed(0)} MB`;
+}
+
+/** The last part of a key: `7f3a`. @param {string} id */
+export function short(id) {
+  return id.slice(id.lastIndexOf("-") + 1);
+}
+
+/** Date and time of day here. @param {string} rfc3339 */
+export function moment(rfc3339) {
+  const time = new Date(rfc3339);
+  if (Number.isNaN(time.getTime())) return rfc3339;
+  const two = (/** @type {number} */ n) => String(n).padStart(2, "0");
+  const day = `${time.getFullYear()}-${two(time.getMonth() + 1)}-${two(time.getDate())}`;
+  return `${day} ${two(time.getHours())}:${two(time.getMinutes())}`;
+}
+
+/** What is to be done now, and the kind of banner it is. @param {Session} session */
+export function banner(session) {
+  const step = STEPS[session.step];
+  if (session.saving) return { ...step, kind: "saving", verb: "SAVING", instruction: "hold still" };
+  if (session.refusal) {
+    return { ...step, kind: "refused", verb: "REFUSED", instruction: `${session.refusal.stage.toUpperCase()} NOT TAKEN — mend it and trigger again` };
+  }
+  return { ...step, kind: session.step };
+}
+
+/** A message with its weight. @param {NonNullable<Session["message"]>} message */
+export function levelled({ level, text }) {
+  return { info: "", warning: "warning: ", error: "ERROR: " }[level] + text;
+}
+
+/**
+ * What may be claimed: the verdict, that it is too old to be one, or that the model knows nothing
+ * of such pictures.
+ * @param {Prediction} prediction
+ */
+export function claim(prediction) {
+  const fresh = prediction.frame_age_ms <= STALE_MS;
+  return fresh && Number.isFinite(prediction.p_stable) ? prediction.verdict : "old";
+}
+
+/** `✓` where label and prediction agree, `✗` where not, `?` where the model did not know such
+ * pictures. @param {Predicted|null} said @param {Outcome} outcome */
+export function agreement(said, outcome) {
+  if (!said) return "";
+  if ((said.novelty ?? 0) > 1) return "?";
+  if (outcome === "unlabelled") return "";
+  return said.p_stable >= said.threshold === (outcome === "stable") ? "✓" : "✗";
+}
+
+/** What a mark of agreement says. @param {string} mark */
+export function agreementWords(mark) {
+  return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "unlike the training pictures" }[mark] ?? "";
+}
+
+/** Which label is short. @param {Counts} counts */
+export function balance({ stable, slip, unlabelled }) {
+  const difference = Math.abs(stable - slip);
+  const short = difference >= Math.max(HINT_AT_LEAST, Math.floor((stable + slip) / 10));
+  const hint = short ? `${difference} ${stable > slip ? "slip" : "stable"} short` : "balanced";
+  return { short, text: unlabelled ? `${hint} · ${unlabelled} unlabelled` : hint };
+}
+
+/** Whether the camera has failed; opening or a recording's end is no fault. @param {Camera} camera */
+export function isFault({ state }) {
+  return state === "silent" || state === "frozen" || state === "lost";
+}
+
+/** A camera's state in a word or two. @param {Camera} camera */
+export function stateWords({ state, for_s }) {
+  if (state === "opening") return "opening …";
+  if (state === "ended") return "recording ended";
+  if (state === "live") return "live";
+  return for_s === null ? state.toUpperCase() : `${state.toUpperCase()} ${duration(for_s * 1e3)}`;
+}
+
+/** Which part has failed, and what helps. @param {Camera} camera */
+export function fault(camera) {
+  const remedies = {
+    frozen: "REPLUG IT: the picture does not change",
+    lost: "PLUG IT IN: it is opened again by itself",
+    silent: "REPLUG IT: no frames arrive",
+  };
+  return {
+    part: PARTS[camera.role] ?? String(camera.role).toUpperCase(),
+    words: stateWords(camera),
+    remedy: remedies[/** @type {"frozen"} */ (camera.state)] ?? "",
+  };
+}
+
+/** What and where a camera is. @param {Camera} camera */
+export function place({ product, serial, port }) {
+  const parts = [product, serial && `serial ${serial}`, port ? `usb ${port}` : "port unknown"];
+  return parts.filter(Boolean).join(" · ");
+}
+
+/** @param {Camera[]} cameras */
+export function alive(cameras) {
+  const live = cameras.filter((camera) => camera.state === "live").length;
+  return `${live}/${cameras.length} cameras alive`;
+}
+
+/** Rate and age of a live camera, each with whether it deserves a look. @param {Camera} camera */
+export function rates({ measured_fps, nominal_fps, frame_age_ms }) {
+  return {
+    rate: `${measured_fps.toFixed(1)}/${nominal_fps.toFixed(0)} fps`,
+    slow: measured_fps < SLOW_SHARE * nominal_fps,
+    age: frame_age_ms === null ? "–" : duration(frame_age_ms),
+    old: frame_age_ms === null || frame_age_ms * nominal_fps > OLD_INTERVALS * 1e3,
+  };
+}
+
+/** Counters that are not zero, and why there would be no pose. @param {Camera} camera */
+export function trouble(camera) {
+  const counters = [
+    [camera.sequence_gaps, "lost"],
+    [camera.damaged, "damaged"],
+    [camera.reconnects, "reopened"],
+  ];
+  const words = counters.filter(([count]) => count).map(([count, word]) => `${count} ${word}`);
+  if (camera.markers && !camera.markers.ok) words.push(`no pose: ${camera.markers.text}`);
+  return words.join(" ");
+}

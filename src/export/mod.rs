@@ -1,0 +1,24 @@
+//! A finished dataset in the formats of others: Hugging Face Parquet, WebDataset, LeRobot, Zarr.
+//!
+//! An export is derived: the same dataset makes the same bytes, and nothing reads it back. It is
+//! written under a hidden name and gets its own when it is whole. Of a damaged grasp nothing is
+//! exported; the report names it. Memory holds the ids, one grasp's pictures and one row group.
+//! `docs/exports.md` says what each format holds.
+
+mod choice;
+mod lerobot;
+mod parquet;
+mod plan;
+mod report;
+mod run;
+mod source;
+mod staged;
+mod webdataset;
+mod zarr;
+
+#[cfg(test)]
+mod export_test;
+
+pub use plan::{ExportFormat, ExportPlan};
+pub use report::{ExportReport, LeftOut};
+pub use run::export;

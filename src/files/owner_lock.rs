@@ -1,0 +1,111 @@
+//! A lock that names who holds it.
+
+use std::fs::{File, OpenOptions, TryLockError};
+use std::io::{self, Read as _, Seek as _, Write as _};
+use std::path::Path;
+
+/// Longest owner line that is read, bytes.
+const LONGEST_OWNER: u64 = 4096;
+
+/// A locked file; released when dropped or when the process ends, however it ends.
+#[derive(Debug)]
+pub struct OwnerLock {
+    _file: File,
+}
+
+/// Why a lock was not had.
+#[derive(Debug)]
+pub enum NotLocked {
+    /// Another process has it: which, as far as it said.
+    Held(String),
+    /// The file cannot be opened.
+    Open(io::Error),
+    /// The file cannot be locked.
+    Lock(io::Error),
+}
+
+impl OwnerLock {
+    /// Takes the lock and writes down who has it.
+    ///
+    /// # Errors
+    /// [`NotLocked`] says why not.
+    pub fn acquire(path: &Path) -> Result<Self, NotLocked> {
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .open(path)
+            .map_err(NotLocked::Open)?;
+        lock(&mut file)?;
+        // The owner's name only helps a message; the lock itself holds without it.
+        let _ = file.set_len(0).and_then(|()| file.rewind()).and_then(|()| {
+            let command: Vec<String> = std::env::args_os()
+                .map(|arg| arg.to_string_lossy().into_owned())
+                .collect();
+            writeln!(file, "{} {}", std::process::id(), command.join(" "))
+        });
+        Ok(Self { _file: file })
+    }
+
+    /// Takes the lock of a file that another user made, without the right to write to it.
+    ///
+    /// # Errors
+    /// [`NotLocked`] says why not.
+    pub fn acquire_foreign(path: &Path) -> Result<Self, NotLocked> {
+        let mut file = File::open(path).map_err(NotLocked::Open)?;
+        lock(&mut file)?;
+        Ok(Self { _file: file })
+    }
+
+    /// Who has the lock now, if anyone.
+    #[must_use]
+    pub fn holder(path: &Path) -> Option<String> {
+        let mut file = File::open(path).ok()?;
+        match file.try_lock_shared() {
+            Err(TryLockError::WouldBlock) => Some(owner(&mut file)),
+            Ok(()) | Err(TryLockError::Error(_)) => None,
+        }
+    }
+}
+
+fn lock(file: &mut File) -> Result<(), NotLocked> {
+    match file.try_lock() {
+        Ok(()) => Ok(()),
+        Err(TryLockError::WouldBlock) => Err(NotLocked::Held(owner(file))),
+        Err(TryLockError::Error(e)) => Err(NotLocked::Lock(e)),
+    }
+}
+
+fn owner(file: &mut File) -> String {
+    let mut text = String::new();
+    let read = file.take(LONGEST_OWNER).read_to_string(&mut text);
+    match text.trim().split_once(' ') {
+        Some((pid, command)) if read.is_ok() => format!("process {pid} (`{command}`)"),
+        _ => "another process".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_second_learns_who_the_first_is() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("lock");
+        assert_eq!(OwnerLock::holder(&path), None);
+        let first = OwnerLock::acquire(&path).unwrap();
+        let pid = std::process::id().to_string();
+        for again in [OwnerLock::acquire(&path), OwnerLock::acquire_foreign(&path)] {
+            let Err(NotLocked::Held(owner)) = again else {
+                panic!("locked twice: {again:?}");
+            };
+            assert!(owner.contains(&pid), "{owner}");
+        }
+        assert!(OwnerLock::holder(&path).unwrap().contains(&pid));
+        drop(first);
+        assert_eq!(OwnerLock::holder(&path), None);
+        OwnerLock::acquire_foreign(&path).unwrap();
+    }
+}

@@ -1,0 +1,702 @@
+//! `gripcast daemon` on the virtual rig: its API, its access rules and its end.
+
+use std::fs;
+use std::io::{BufRead as _, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::os::unix::fs::PermissionsExt as _;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
+
+use crate::program::{grasps, gripcast, stderr, verify};
+
+/// A running daemon; it is killed when dropped.
+struct Daemon {
+    child: Child,
+    address: String,
+    said: Receiver<String>,
+}
+
+/// A folder with a place for a dataset and a socket.
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn dataset(&self) -> PathBuf {
+        self.0.path().join("d")
+    }
+
+    fn socket(&self) -> PathBuf {
+        self.0.path().join("s")
+    }
+
+    fn command(&self) -> Command {
+        let mut command = gripcast();
+        command
+            .args(["daemon", "--rig", "virtual"])
+            .env("GRIPCAST__DAEMON__LISTEN", "127.0.0.1:0")
+            .env("GRIPCAST__DAEMON__SOCKET", self.socket())
+            .env("GRIPCAST__COLLECT__DATASET", self.dataset())
+            .env("GRIPCAST__GUARDS__MAX_FRAME_AGE_MS", "60000")
+            .env("GRIPCAST__GUARDS__MAX_SKEW_MS", "60000")
+            .env("GRIPCAST__GUARDS__MIN_FREE_BYTES", "0");
+        command
+    }
+
+    fn daemon(&self) -> Daemon {
+        Daemon::start(&mut self.command())
+    }
+}
+
+impl Daemon {
+    fn start(command: &mut Command) -> Self {
+        let mut child = command
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let (sender, said) = channel();
+        std::thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    return;
+                }
+            }
+        });
+        let mut before = Vec::new();
+        let address = loop {
+            let line = said
+                .recv()
+                .unwrap_or_else(|_| panic!("it ended early: {before:#?}"));
+            if let Some(address) = line.strip_prefix("page and API: http://") {
+                break address.trim_end_matches('/').to_owned();
+            }
+            before.push(line);
+        };
+        Self {
+            child,
+            address,
+            said,
+        }
+    }
+
+    fn connect(&self) -> TcpStream {
+        TcpStream::connect(&self.address).unwrap()
+    }
+
+    /// Status and body.
+    fn ask(&self, method: &str, path: &str, body: Option<&Value>) -> (u16, Vec<u8>) {
+        let body = body.map(Value::to_string);
+        let headers = body
+            .as_ref()
+            .map_or("", |_| "Content-Type: application/json\r\n");
+        let (status, _, answer) = exchange(
+            self.connect(),
+            method,
+            path,
+            &format!("Host: {}\r\n{headers}", self.address),
+            body.unwrap_or_default().as_bytes(),
+        );
+        (status, answer)
+    }
+
+    fn get(&self, path: &str) -> Value {
+        let (status, body) = self.ask("GET", path, None);
+        assert_eq!(status, 200, "{path}: {}", String::from_utf8_lossy(&body));
+        serde_json::from_slice(&body).unwrap()
+    }
+
+    fn post(&self, path: &str, body: &Value) -> (u16, Value) {
+        let (status, answer) = self.ask("POST", path, Some(body));
+        (
+            status,
+            serde_json::from_slice(&answer).unwrap_or(Value::Null),
+        )
+    }
+
+    fn command(&self, command: &str) -> (u16, Value) {
+        self.post("/api/commands", &json!({"command": command}))
+    }
+
+    /// Triggers until no guard refuses: the gripper may not have closed yet.
+    fn trigger(&self) -> Value {
+        loop {
+            let (status, answer) = self.command("trigger");
+            match status {
+                200 => return answer,
+                409 => assert_ne!(answer["reasons"], json!([]), "{answer}"),
+                _ => panic!("{status}: {answer}"),
+            }
+        }
+    }
+
+    /// One whole grasp; returns its id.
+    fn grasp(&self, outcome: &str) -> String {
+        assert_eq!(self.trigger()["state"]["session"]["step"], "grasp");
+        let answer = self.trigger();
+        let id = answer["state"]["session"]["last"]["id"]
+            .as_str()
+            .unwrap()
+            .to_owned();
+        let (status, answer) = self.command(outcome);
+        assert_eq!(
+            (status, &answer["carried_out"]),
+            (200, &json!(true)),
+            "{answer}"
+        );
+        id
+    }
+
+    fn signal(&self, signal: Signal) {
+        let pid = Pid::from_raw(i32::try_from(self.child.id()).unwrap()).unwrap();
+        kill_process(pid, signal).unwrap();
+    }
+
+    /// Waits for a line.
+    fn hear(&self, text: &str) {
+        loop {
+            let line = self.said.recv().expect("the daemon ended");
+            if line.contains(text) {
+                return;
+            }
+        }
+    }
+
+    fn stop(mut self) -> Option<i32> {
+        self.signal(Signal::TERM);
+        self.child.wait().unwrap().code()
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Sends a request as it stands; returns status, head and body.
+fn exchange(
+    mut stream: impl Read + Write,
+    method: &str,
+    path: &str,
+    headers: &str,
+    body: &[u8],
+) -> (u16, String, Vec<u8>) {
+    let head = format!(
+        "{method} {path} HTTP/1.1\r\n{headers}Content-Length: {}\r\nConnection: close\r\n\r\n",
+        body.len()
+    );
+    // A server that refuses may close before it has read all.
+    let _ = stream.write_all(&[head.as_bytes(), body].concat());
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    let end = answer
+        .windows(4)
+        .position(|four| four == b"\r\n\r\n")
+        .unwrap_or_else(|| panic!("no answer to {method} {path}"));
+    let head = String::from_utf8_lossy(&answer[..end]).into_owned();
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, head, answer.split_off(end + 4))
+}
+
+fn sha256(bytes: &[u8]) -> String {
+    gripcast::files::sha256_hex(bytes)
+}
+
+#[test]
+fn grasps_are_collected_looked_at_and_changed_over_the_api() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let (status, named) = {
+        let (status, body) = daemon.ask("PUT", "/api/object", Some(&json!({"name": "blue mug"})));
+        (status, serde_json::from_slice::<Value>(&body).unwrap())
+    };
+    assert_eq!(
+        (status, &named["state"]["session"]["object"]),
+        (200, &json!("blue mug"))
+    );
+    let (first, second) = (daemon.grasp("slip"), daemon.grasp("stable"));
+
+    let page = daemon.get("/api/grasps?limit=1");
+    assert_eq!(page["grasps"][0]["id"], second);
+    let rest = daemon.get(&format!(
+        "/api/grasps?before={}",
+        page["next"].as_str().unwrap()
+    ));
+    assert_eq!(rest["grasps"][0]["id"], first);
+    assert_eq!(rest["next"], Value::Null);
+    let record = daemon.get(&format!("/api/grasps/{first}"));
+    assert_eq!(
+        (&record["object"], &record["outcome"]),
+        (&json!("blue mug"), &json!("slip"))
+    );
+    assert_eq!(record["grasp"]["trigger"], "remote");
+    for (name, digest) in record["files"].as_object().unwrap() {
+        let (status, bytes) = daemon.ask("GET", &format!("/api/grasps/{first}/files/{name}"), None);
+        assert_eq!(
+            (status, json!(sha256(&bytes))),
+            (200, digest["sha256"].clone()),
+            "{name}"
+        );
+    }
+    for (kind, file) in [
+        ("initial", "left.jpg"),
+        ("difference", "right.jpg"),
+        ("grasp", "depth.jpg"),
+    ] {
+        let path = format!("/api/grasps/{first}/preview/{kind}/{file}");
+        let (status, bytes) = daemon.ask("GET", &path, None);
+        assert_eq!((status, &bytes[..2]), (200, &[0xff, 0xd8][..]), "{path}");
+    }
+
+    let label = json!({"outcome": "stable"});
+    let (status, answer) = daemon.post(&format!("/api/grasps/{first}/label"), &label);
+    assert_eq!(
+        (status, &answer["state"]["session"]["counts"]["stable"]),
+        (200, &json!(2))
+    );
+    let stable = daemon.get("/api/grasps?outcome=stable");
+    assert_eq!(stable["grasps"].as_array().unwrap().len(), 2);
+    let (status, answer) = daemon.post(&format!("/api/grasps/{second}/trash"), &json!({}));
+    assert_eq!(
+        (status, &answer["state"]["session"]["counts"]["stable"]),
+        (200, &json!(1))
+    );
+    assert_eq!(
+        daemon.ask("GET", &format!("/api/grasps/{second}"), None).0,
+        404
+    );
+    let (status, _) = daemon.post(&format!("/api/grasps/{second}/restore"), &json!({}));
+    assert_eq!(status, 200);
+    let (status, answer) = daemon.command("undo");
+    assert_eq!(
+        (status, &answer["state"]["session"]["counts"]["stable"]),
+        (200, &json!(1))
+    );
+    let (status, answer) = daemon.command("undo");
+    assert_eq!(
+        (status, &answer["state"]["session"]["counts"]["stable"]),
+        (200, &json!(2))
+    );
+
+    let (status, text) = daemon.ask("GET", "/metrics", None);
+    let text = String::from_utf8(text).unwrap();
+    assert_eq!(status, 200);
+    assert!(
+        text.contains("gripcast_grasps{outcome=\"stable\"} 2"),
+        "{text}"
+    );
+    assert!(text.contains("gripcast_healthy 1"), "{text}");
+    let health = daemon.get("/api/health");
+    let names: Vec<&str> = health["tasks"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|t| t["name"].as_str().unwrap())
+        .collect();
+    for task in [
+        "capture-left",
+        "decode-right",
+        "inference",
+        "store",
+        "serve-tcp",
+        "serve-unix",
+    ] {
+        assert!(names.contains(&task), "{names:?}");
+    }
+    assert_eq!(daemon.get("/api/model")["name"], "gripcast-vt");
+
+    assert_eq!(daemon.stop(), Some(0));
+    assert_eq!(verify(&place.dataset())["problems"], json!([]));
+    assert_eq!(grasps(&place.dataset()).len(), 2);
+    assert!(!place.socket().exists());
+}
+
+#[test]
+fn what_must_not_come_in_does_not() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let own = format!("Host: {}\r\n", daemon.address);
+    let status = |method: &str, path: &str, headers: &str, body: &[u8]| {
+        let (status, head, body) = exchange(daemon.connect(), method, path, headers, body);
+        if status >= 400 {
+            let complaint: Value =
+                serde_json::from_slice(&body).unwrap_or_else(|_| panic!("{method} {path}: {head}"));
+            assert!(complaint["error"]["what"].is_string(), "{complaint}");
+        }
+        assert!(
+            head.to_lowercase().contains("content-security-policy"),
+            "{head}"
+        );
+        status
+    };
+    let typed = format!("{own}Content-Type: application/json\r\n");
+    let trigger = br#"{"command": "trigger"}"#;
+    for origin in ["http://evil.example", "null"] {
+        let foreign = format!("{typed}Origin: {origin}\r\n");
+        assert_eq!(status("POST", "/api/commands", &foreign, trigger), 403);
+    }
+    assert_eq!(
+        status("GET", "/api/state", "Host: rebound.example\r\n", b""),
+        403
+    );
+    for path in [
+        "/api/grasps/../../../etc/passwd",
+        "/api/grasps/%2e%2e%2f%2e%2e%2fetc",
+        "/../Cargo.toml",
+        "/api/grasps/2026-11-20T10-15-03Z-7f3a/files/%2e%2e%2fgrasp.json",
+        "/api/cameras/left/preview.exe",
+    ] {
+        let found = status("GET", path, &own, b"");
+        assert!(found == 404 || found == 422, "{path}: {found}");
+    }
+    assert_eq!(
+        status("GET", "/api/cameras/tail/preview.jpg", &own, b""),
+        400
+    );
+    let large = format!("{{\"command\": \"object {}\"}}", "x".repeat(20_000));
+    assert_eq!(
+        status("POST", "/api/commands", &typed, large.as_bytes()),
+        413
+    );
+    assert_eq!(status("POST", "/api/commands", &own, trigger), 415);
+    assert_eq!(status("POST", "/api/commands", &typed, b"{"), 400);
+    assert_eq!(
+        status("POST", "/api/commands", &typed, br#"{"comand": "trigger"}"#),
+        422
+    );
+    assert_eq!(
+        status("POST", "/api/commands", &typed, br#"{"command": "jump"}"#),
+        422
+    );
+    assert_eq!(
+        status("POST", "/api/commands", &typed, br#"{"command": "quit"}"#),
+        403
+    );
+    assert_eq!(
+        status("PUT", "/api/object", &typed, br#"{"name": "a\nb"}"#),
+        422
+    );
+    assert_eq!(status("GET", "/api/grasps?limit=many", &own, b""), 400);
+    assert_eq!(status("DELETE", "/api/state", &own, b""), 405);
+    assert_eq!(status("GET", "/nothing", &own, b""), 404);
+    assert_eq!(status("GET", "/", &own, b""), 200);
+    assert_eq!(daemon.get("/api/state")["session"]["step"], "initial");
+}
+
+#[test]
+fn a_token_is_needed_where_there_is_one_but_not_on_the_socket() {
+    const SECRET: &str = "correct-horse-battery";
+    let place = Place::new();
+    let file = place.0.path().join("token");
+    fs::write(&file, SECRET).unwrap();
+    fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).unwrap();
+    let daemon = Daemon::start(place.command().arg("--token-file").arg(&file));
+    let status = |headers: &str| exchange(daemon.connect(), "GET", "/api/state", headers, b"").0;
+    assert_eq!(status("Host: lab.example\r\n"), 401);
+    assert_eq!(
+        status("Host: lab.example\r\nAuthorization: Bearer no\r\n"),
+        401
+    );
+    let bearer = format!("Host: lab.example\r\nAuthorization: Bearer {SECRET}\r\n");
+    assert_eq!(status(&bearer), 200);
+    let login = format!("{{\"token\": \"{SECRET}\"}}");
+    let typed = "Host: lab.example\r\nContent-Type: application/json\r\n";
+    let (code, head, _) = exchange(
+        daemon.connect(),
+        "POST",
+        "/api/login",
+        typed,
+        login.as_bytes(),
+    );
+    assert_eq!(code, 204, "{head}");
+    let cookie = head
+        .lines()
+        .find_map(|line| line.strip_prefix("set-cookie: "))
+        .and_then(|cookie| cookie.split(';').next())
+        .unwrap();
+    assert_eq!(
+        status(&format!("Host: lab.example\r\nCookie: {cookie}\r\n")),
+        200
+    );
+    let local = UnixStream::connect(place.socket()).unwrap();
+    assert_eq!(
+        exchange(local, "GET", "/api/state", "Host: localhost\r\n", b"").0,
+        200
+    );
+
+    let open = place
+        .command()
+        .args(["--listen", "0.0.0.0:0"])
+        .output()
+        .unwrap();
+    assert_eq!(open.status.code(), Some(2));
+    assert!(stderr(&open).contains("no token"), "{}", stderr(&open));
+}
+
+#[test]
+fn the_second_daemon_is_told_what_is_taken() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let refused = |command: &mut Command| {
+        let output = command.output().unwrap();
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        stderr(&output)
+    };
+    let other = Place::new();
+    let text = refused(other.command().arg("--listen").arg(&daemon.address));
+    assert!(text.contains("another program"), "{text}");
+    let text = refused(other.command().arg("--socket").arg(place.socket()));
+    assert!(text.contains("another daemon"), "{text}");
+    let text = refused(other.command().arg("--dataset").arg(place.dataset()));
+    assert!(text.contains(&daemon.child.id().to_string()), "{text}");
+    drop(daemon);
+    // Killed, it left its socket behind, which the next one replaces.
+    assert!(place.socket().exists());
+    place.daemon().get("/api/health");
+}
+
+/// A WebSocket on the daemon's events.
+fn listen(daemon: &Daemon) -> tungstenite::WebSocket<TcpStream> {
+    let url = format!("ws://{}/api/events", daemon.address);
+    tungstenite::client(url, daemon.connect()).unwrap().0
+}
+
+/// Listens until each of these was heard, in whatever order; they are returned in that of `wanted`.
+fn hear_all<const N: usize>(
+    socket: &mut tungstenite::WebSocket<TcpStream>,
+    wanted: [&dyn Fn(&Value) -> bool; N],
+) -> [Value; N] {
+    // Pictures come all the time.
+    const PATIENCE: usize = 20_000;
+    let mut heard = [const { Value::Null }; N];
+    let mut others = Vec::new();
+    for _ in 0..PATIENCE {
+        if let tungstenite::Message::Text(text) = socket.read().unwrap() {
+            let event: Value = serde_json::from_str(&text).unwrap();
+            let mut slots = heard.iter_mut().zip(&wanted);
+            match slots.find(|(slot, is)| slot.is_null() && is(&event)) {
+                Some((slot, _)) => *slot = event,
+                None => others.push(event["type"].to_string() + &event["tone"].to_string()),
+            }
+        }
+        if heard.iter().all(|slot| !slot.is_null()) {
+            return heard;
+        }
+    }
+    panic!("heard {heard:#?} besides {others:?}");
+}
+
+fn tone(event: &Value, name: &str) -> bool {
+    event["type"] == "tone" && event["tone"] == name
+}
+
+fn step(event: &Value, name: &str) -> bool {
+    event["type"] == "state" && event["state"]["session"]["step"] == name
+}
+
+#[test]
+fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let (mut one, mut two) = (listen(&daemon), listen(&daemon));
+    hear_all(&mut one, [&|event| step(event, "initial")]);
+    let mut deaf = Vec::new();
+    for role in ["left", "right", "rgb", "depth"] {
+        let mut stream = daemon.connect();
+        write!(
+            stream,
+            "GET /api/cameras/{role}/preview.mjpg HTTP/1.1\r\nHost: {}\r\n\r\n",
+            daemon.address
+        )
+        .unwrap();
+        deaf.push(stream);
+    }
+    let mut first = [0; 4096];
+    deaf[0].read_exact(&mut first).unwrap();
+    let text = String::from_utf8_lossy(&first);
+    assert!(text.starts_with("HTTP/1.1 200") && text.contains("multipart/x-mixed-replace"));
+    assert!(text.contains("--gripcast-frame"), "{text}");
+
+    daemon.trigger();
+    for socket in [&mut one, &mut two] {
+        let is_stored = |event: &Value| event["type"] == "stored";
+        let [_, stored] = hear_all(socket, [&|event| tone(event, "initial_saved"), &is_stored]);
+        assert!(
+            stored["stored"]["request"]["save_initial"].is_object(),
+            "{stored}"
+        );
+    }
+    let message = json!({"command": "undo", "id": 7}).to_string();
+    one.send(tungstenite::Message::text(message)).unwrap();
+    let [answer] = hear_all(&mut one, [&|event| event["type"] == "answer"]);
+    assert_eq!(
+        (&answer["id"], &answer["answer"]["carried_out"]),
+        (&json!(7), &json!(true))
+    );
+    hear_all(
+        &mut two,
+        [&|event| tone(event, "undone"), &|event| {
+            step(event, "initial")
+        }],
+    );
+    daemon.signal(Signal::TERM);
+    hear_all(&mut two, [&|event| event["type"] == "bye"]);
+    assert_eq!(daemon.stop(), Some(0));
+}
+
+#[test]
+fn a_dataset_that_goes_away_is_told_and_nothing_is_lost() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let id = daemon.grasp("stable");
+    let away = place.0.path().join("away");
+    fs::rename(place.dataset(), &away).unwrap();
+    let (status, answer) = loop {
+        let (status, answer) = daemon.command("trigger");
+        if status != 409 {
+            break (status, answer);
+        }
+    };
+    assert_eq!(
+        (status, &answer["carried_out"]),
+        (500, &json!(false)),
+        "{answer}"
+    );
+    let message = answer["message"].as_str().unwrap();
+    assert!(message.contains("NOT saved"), "{message}");
+    assert_eq!(daemon.ask("GET", "/api/grasps", None).0, 404);
+    fs::rename(&away, place.dataset()).unwrap();
+    daemon.grasp("slip");
+    daemon.stop();
+    let found = grasps(&place.dataset());
+    assert_eq!((found.len(), found.contains_key(&id)), (2, true));
+    assert_eq!(verify(&place.dataset())["problems"], json!([]));
+}
+
+#[test]
+fn a_killed_daemon_goes_on_with_the_initial_frame() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let id = daemon.grasp("stable");
+    daemon.trigger();
+    drop(daemon);
+    let daemon = place.daemon();
+    let answer = daemon.trigger();
+    assert_eq!(answer["state"]["session"]["step"], "label", "{answer}");
+    assert_eq!(daemon.stop(), Some(0));
+    let found = grasps(&place.dataset());
+    assert!(found.len() == 2 && found.contains_key(&id));
+}
+
+#[test]
+fn guards_are_reloaded_and_the_rest_is_named() {
+    let place = Place::new();
+    let config = place.0.path().join("c.toml");
+    fs::write(&config, "").unwrap();
+    let daemon = Daemon::start(place.command().arg("--config").arg(&config));
+    daemon.trigger();
+    fs::write(
+        &config,
+        "[guards]\nmin_contact_fraction = 1.1\n[collect]\nlicence = \"x\"\n",
+    )
+    .unwrap();
+    daemon.signal(Signal::HUP);
+    daemon.hear("settings reloaded");
+    daemon.hear("need a restart: collect.licence");
+    let reasons = loop {
+        let (status, answer) = daemon.command("trigger");
+        assert_eq!(status, 409, "{answer}");
+        let reasons = answer["reasons"].to_string();
+        if reasons.contains("touch") || reasons.contains("contact") {
+            break reasons;
+        }
+    };
+    assert!(!reasons.is_empty());
+    fs::write(&config, "[guards]\nmin_contact = 1\n").unwrap();
+    daemon.signal(Signal::HUP);
+    daemon.hear("settings NOT reloaded");
+    assert_eq!(daemon.get("/api/state")["session"]["step"], "grasp");
+}
+
+#[test]
+fn attaching_needs_a_terminal_and_a_daemon() {
+    let output = gripcast()
+        .args(["collect", "--attach", "/nonexistent/socket"])
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(stderr(&output).contains("terminal"), "{}", stderr(&output));
+    let both = gripcast()
+        .args(["collect", "--attach", "--rig", "virtual"])
+        .output()
+        .unwrap();
+    assert_eq!(both.status.code(), Some(2));
+}
+
+/// A screen for a daemon in a terminal that `script` makes.
+#[test]
+fn a_screen_is_attached_to_a_daemon_and_leaves_it_running() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let line = format!(
+        "{} collect --attach {}",
+        env!("CARGO_BIN_EXE_gripcast"),
+        place.socket().display()
+    );
+    let mut screen = Command::new("script")
+        .args(["-qec", &line, "/dev/null"])
+        .env("TERM", "xterm-256color")
+        .env("XDG_CONFIG_HOME", "/nonexistent")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("`script` of bsdutils is part of every Debian and Ubuntu");
+    let mut keys = screen.stdin.take().unwrap();
+    let mut shown = screen.stdout.take().unwrap();
+    // The screen is drawn when its first bytes come; the initial frame is asked for until taken.
+    let mut bytes = [0; 1024];
+    assert!(shown.read(&mut bytes).unwrap() > 0);
+    let drain = std::thread::spawn(move || std::io::copy(&mut shown, &mut std::io::sink()));
+    while daemon.get("/api/state")["session"]["step"] == "initial" {
+        keys.write_all(b"i").unwrap();
+    }
+    while screen.try_wait().unwrap().is_none() {
+        // The first asks whether to leave where a step is unfinished; the end closes the terminal.
+        let _ = keys.write_all(b"q");
+    }
+    drain.join().unwrap().unwrap();
+    assert_eq!(daemon.get("/api/state")["session"]["step"], "grasp");
+    assert_eq!(daemon.stop(), Some(0));
+}
+
+#[test]
+fn nothing_of_a_token_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("token");
+    fs::write(&file, "a-very-secret-word").unwrap();
+    fs::set_permissions(&file, fs::Permissions::from_mode(0o644)).unwrap();
+    let output = gripcast()
+        .args(["daemon", "--rig", "virtual", "--dataset"])
+        .arg(Path::new("/nonexistent"))
+        .arg("--token-file")
+        .arg(&file)
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let text = stderr(&output);
+    assert!(
+        text.contains("chmod 600") && !text.contains("secret"),
+        "{text}"
+    );
+}

@@ -1,0 +1,165 @@
+//! The verb `dataset export`, killed exports, and exports as the libraries of others read them.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use rustix::fs::{CWD, FileType, Mode, mknodat};
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::dataset::{gripcast, json, stderr, stdout, tree, write_dataset};
+
+const FORMATS: [&str; 4] = ["parquet", "webdataset", "lerobot", "zarr"];
+
+/// Arguments of an export.
+fn arguments<'a>(format: &'a str, out: &'a Path) -> [&'a str; 5] {
+    ["export", "--to", format, "--out", out.to_str().unwrap()]
+}
+
+#[test]
+fn the_program_exports_and_replaces_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("d");
+    write_dataset(&root, &["mug", "bottle", "sponge"]);
+    for format in FORMATS {
+        let out = dir.path().join(format);
+        let arguments = arguments(format, &out);
+        let output = gripcast(&[&arguments[..], &["--json"]].concat(), &root);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        let report = json(&output);
+        let grasps = if format == "lerobot" { 2 } else { 3 };
+        assert_eq!(report["format"], format);
+        assert_eq!(report["grasps"], grasps);
+        let before = tree(&out);
+        assert_eq!(report["files"], before.len());
+        let again = gripcast(&arguments, &root);
+        assert_eq!(again.status.code(), Some(1), "{format}");
+        assert!(
+            stderr(&again).contains("something already"),
+            "{}",
+            stderr(&again)
+        );
+        assert_eq!(tree(&out), before);
+    }
+    let text = gripcast(&arguments("zarr", &dir.path().join("z.zip")), &root);
+    assert!(stdout(&text).contains("3 grasps: 1 stable, 1 slip, 1 unlabelled"));
+    for wrong in [
+        &["export", "--to", "hdf5", "--out", "x"][..],
+        &["export", "--to", "parquet", "--out", "x", "--size", "8x8"],
+        &["export", "--to", "zarr", "--out", "x", "--size", "8"],
+        &["export", "--to", "parquet", "--out", "x", "--split", "no"],
+    ] {
+        let output = gripcast(wrong, &root);
+        assert_eq!(
+            output.status.code(),
+            Some(2),
+            "{wrong:?} {}",
+            stderr(&output)
+        );
+    }
+}
+
+#[test]
+fn a_damaged_grasp_is_named_and_told_by_the_exit_code() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("d");
+    let ids = write_dataset(&root, &["mug", "bottle"]);
+    fs::write(
+        root.join(format!("grasps/{}/grasp.left.jpg", ids[0])),
+        b"torn",
+    )
+    .unwrap();
+    let out = dir.path().join("out");
+    let output = gripcast(&arguments("parquet", &out), &root);
+    assert_eq!(output.status.code(), Some(3));
+    assert!(stdout(&output).contains(&ids[0].0), "{}", stdout(&output));
+    assert!(
+        stderr(&output).contains("1 grasp left out"),
+        "{}",
+        stderr(&output)
+    );
+    assert!(out.join("data/train-00000-of-00001.parquet").exists());
+}
+
+/// A pipe in place of a picture stops the export where the kill is to come.
+#[test]
+fn a_killed_export_leaves_nothing_that_passes_for_whole() {
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("d");
+    let ids = write_dataset(&root, &["mug", "bottle"]);
+    let picture = root.join(format!("grasps/{}/grasp.rgb.png", ids[1]));
+    let bytes = fs::read(&picture).unwrap();
+    for format in FORMATS {
+        let out = dir.path().join(format);
+        // The last grasp of every format: LeRobot leaves the unlabelled one out.
+        let kept = if format == "lerobot" {
+            &ids[0]
+        } else {
+            &ids[1]
+        };
+        let picture = root.join(format!("grasps/{kept}/grasp.rgb.png"));
+        let stored = fs::read(&picture).unwrap();
+        fs::remove_file(&picture).unwrap();
+        mknodat(CWD, &picture, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        let mut child = Command::new(env!("CARGO_BIN_EXE_gripcast"))
+            .args(["dataset", "export", "--quiet"])
+            .arg(&root)
+            .args(&arguments(format, &out)[1..])
+            .spawn()
+            .unwrap();
+        // Opens when the export reads the other end.
+        let pipe = fs::OpenOptions::new().write(true).open(&picture).unwrap();
+        kill_process(Pid::from_child(&child), Signal::KILL).unwrap();
+        child.wait().unwrap();
+        drop(pipe);
+        assert!(!out.exists(), "{format}");
+        let hidden = dir.path().join(format!(".{format}.gripcast-partial"));
+        assert!(hidden.is_dir(), "{format}");
+        fs::remove_file(&picture).unwrap();
+        fs::write(&picture, &stored).unwrap();
+        for place in [&out, &dir.path().join(format!("{format}-unhurt"))] {
+            let output = gripcast(&arguments(format, place), &root);
+            assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        }
+        assert!(!hidden.exists(), "{format}");
+        let unhurt = dir.path().join(format!("{format}-unhurt"));
+        let relative = |place: &Path| -> Vec<_> {
+            let files = tree(place).into_iter();
+            files
+                .map(|(path, bytes)| (path.strip_prefix(place).unwrap().to_owned(), bytes))
+                .collect()
+        };
+        assert_eq!(relative(&out), relative(&unhurt), "{format}");
+    }
+    assert_eq!(fs::read(&picture).unwrap(), bytes);
+}
+
+/// `GRIPCAST_PYTHON` names a Python with datasets, pandas, pillow, webdataset and zarr; with lerobot
+/// its own reader is used as well.
+#[test]
+fn python_opens_every_export() {
+    let Some(python) = std::env::var_os("GRIPCAST_PYTHON") else {
+        eprintln!("SKIPPED: set GRIPCAST_PYTHON to a Python with datasets, webdataset and zarr");
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join("d");
+    write_dataset(&root, &["mug", "bottle", "sponge"]);
+    let mut command = Command::new(python);
+    command
+        .arg(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/tests/peers/load_exports.py"
+        ))
+        .arg(&root);
+    for format in FORMATS {
+        let out = dir.path().join(format);
+        let output = gripcast(&arguments(format, &out), &root);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        command.arg(format!("--{format}")).arg(out);
+    }
+    let output = command.env("HF_HUB_OFFLINE", "1").output().unwrap();
+    let text = stdout(&output) + &stderr(&output);
+    assert!(output.status.success(), "{text}");
+    println!("{text}");
+}

@@ -1,0 +1,314 @@
+"""Opens exports of a gripcast dataset with the libraries they are for, and holds them against it.
+
+    python -m venv venv && venv/bin/pip install datasets pandas pillow numpy webdataset zarr lerobot
+    gripcast dataset export DATASET --to parquet --out P        # and so on, any of them
+    venv/bin/python tests/peers/load_exports.py DATASET [--parquet P] [--webdataset W]
+        [--lerobot L] [--zarr Z]
+
+DATASET must be without splits and faults. Z is a folder or a .zip. Compared are ids, outcomes,
+predictions, poses, and all pictures: equal pixels where bytes are kept, sizes and near colours in
+Zarr, whose pictures are resized. Without the package `lerobot` its files are read as its
+documentation describes them, and a line says so. Exits 1 when something differs.
+"""
+
+import argparse
+import io
+import json
+import math
+import pathlib
+import sys
+import tempfile
+
+import numpy
+from PIL import Image
+
+parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+parser.add_argument("dataset", type=pathlib.Path)
+for name in ("parquet", "webdataset", "lerobot", "zarr"):
+    parser.add_argument(f"--{name}", type=pathlib.Path)
+args = parser.parse_args()
+faults = []
+compared = 0
+
+
+def expect(holds, what):
+    global compared
+    compared += 1
+    if not holds:
+        faults.append(what)
+
+
+def load_records():
+    """By id; only what has a name that a grasp can have."""
+    paths = sorted(args.dataset.glob("grasps/2*/grasp.json"))
+    return {path.parent.name: json.loads(path.read_text()) for path in paths}
+
+
+records = load_records()
+assert records, "the dataset has no grasps"
+
+
+def stored(record, stage, role):
+    """The picture in the dataset, or None."""
+    camera = record[stage]["cameras"].get(role)
+    if camera is None:
+        return None
+    return Image.open(args.dataset / "grasps" / record["id"] / camera["file"])
+
+
+def same_pixels(picture, record, stage, role, where, mode=None):
+    original = stored(record, stage, role)
+    if original is None or picture is None:
+        expect(original is None and picture is None, f"{where}: {picture}, stored {original}")
+        return
+    if mode:
+        original, picture = original.convert(mode), picture.convert(mode)
+    expect(picture.mode == original.mode, f"{where}: mode {picture.mode}, stored {original.mode}")
+    a, b = numpy.asarray(picture), numpy.asarray(original)
+    expect(a.shape == b.shape and (a == b).all(), f"{where}: pixels differ")
+
+
+def kinds():
+    """Stage and role of every kind of picture that any grasp has."""
+    return sorted(
+        {
+            (stage, role)
+            for record in records.values()
+            for stage in ("initial", "grasp")
+            for role in record[stage]["cameras"]
+        }
+    )
+
+
+def number(value):
+    return math.nan if value is None else value
+
+
+def same_number(a, b, where, tolerance=0.0):
+    a, b = float(number(a)), float(number(b))
+    expect((math.isnan(a) and math.isnan(b)) or abs(a - b) <= tolerance, f"{where}: {a}, {b}")
+
+
+def p_stable(record):
+    return record["prediction"] and record["prediction"]["p_stable"]
+
+
+def pose(record):
+    found = record["pose"]
+    return [math.nan] * 7 if found is None else found["t_m"] + found["q_wxyz"]
+
+
+def check_parquet(root):
+    import datasets
+    import pandas
+
+    print(f"datasets {datasets.__version__}, pandas {pandas.__version__}")
+    datasets.disable_progress_bars()
+    with tempfile.TemporaryDirectory() as cache:
+        loaded = datasets.load_dataset(str(root), cache_dir=cache)["train"]
+        expect(loaded["id"][:] == sorted(records), f"parquet: ids {loaded['id'][:]}")
+        for row in loaded:
+            record, where = records[row["id"]], f"parquet {row['id']}"
+            for column in ("object", "scene", "operator", "outcome", "labelled_at", "rig", "note"):
+                expect(row[column] == record[column], f"{where}: {column} {row[column]}")
+            label = {"slip": 0, "stable": 1}.get(record["outcome"])
+            expect(row["label"] == label, f"{where}: label {row['label']}")
+            same_number(row["predicted_p_stable"], p_stable(record), where)
+            found = row["pose_t_m"] and row["pose_t_m"] + row["pose_q_wxyz"]
+            expect(found == (record["pose"] and pose(record)), f"{where}: pose {found}")
+            expect(json.loads(row["record"]) == record, f"{where}: record")
+            for stage, role in kinds():
+                column = f"{stage}_{role}"
+                same_pixels(row[column], record, stage, role, f"{where} {column}")
+    tables = [pandas.read_parquet(path) for path in sorted(root.glob("data/*.parquet"))]
+    table = pandas.concat(tables)
+    expect(list(table["id"]) == sorted(records), "parquet: ids by pandas")
+    for cell in table["grasp_left"].dropna():
+        expect(Image.open(io.BytesIO(cell["bytes"])).size[0] > 0, "parquet: grasp_left by pandas")
+
+
+def check_webdataset(root):
+    import webdataset
+
+    print(f"webdataset {webdataset.__version__}")
+    shards = [str(path) for path in sorted(root.glob("*.tar"))]
+    seen = []
+    for sample in webdataset.WebDataset(shards, shardshuffle=False):
+        key = sample["__key__"]
+        seen.append(key)
+        record, where = records[key], f"webdataset {key}"
+        expect(json.loads(sample["json"]) == record, f"{where}: json")
+        there = {name.rsplit(".", 1)[0]: data for name, data in sample.items() if "_" in name[1:]}
+        for stage, role in kinds():
+            data = there.get(f"{stage}_{role}")
+            picture = None if data is None else Image.open(io.BytesIO(data))
+            same_pixels(picture, record, stage, role, f"{where} {stage}_{role}")
+    expect(seen == sorted(records), f"webdataset: keys {seen}")
+    # What its users do: keys and pictures are decoded by their endings.
+    decoded = next(iter(webdataset.WebDataset(shards, shardshuffle=False).decode("pil")))
+    expect(isinstance(decoded["json"], dict), "webdataset: json is not decoded")
+    expect(isinstance(decoded["grasp_left.jpg"], Image.Image), "webdataset: no picture")
+
+
+def check_lerobot(root):
+    labelled = [id for id in sorted(records) if records[id]["outcome"] != "unlabelled"]
+    info = json.loads((root / "meta/info.json").read_text())
+    expect(info["codebase_version"] == "v3.0", f"lerobot: {info['codebase_version']}")
+    expect(info["total_episodes"] == len(labelled), f"lerobot: {info['total_episodes']} episodes")
+    try:
+        import lerobot
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    except ImportError as error:
+        print(f"SKIPPED: the package lerobot ({error}); its files are read by datasets alone")
+        frames, episodes = read_lerobot_files(root)
+    else:
+        print(f"lerobot {lerobot.__version__}")
+        frames = LeRobotDataset("gripcast/export", root=root)
+        episodes = frames.meta.episodes
+        check_lerobot_statistics(frames)
+    expect(len(frames) == 2 * len(labelled), f"lerobot: {len(frames)} frames")
+    for index, id in enumerate(labelled):
+        record, episode = records[id], episodes[index]
+        expect(episode["gripcast/id"] == id, f"lerobot {id}: {episode['gripcast/id']}")
+        for at, stage in enumerate(("initial", "grasp")):
+            check_frame(frames[2 * index + at], record, stage, info, f"lerobot {id} {stage}")
+
+
+def check_frame(frame, record, stage, info, where):
+    is_last = stage == "grasp"
+    succeeds = is_last and record["outcome"] == "stable"
+    expect(bool(frame["next.done"]) == is_last, f"{where}: done")
+    expect(bool(frame["next.success"]) == succeeds, f"{where}: success")
+    same_number(frame["next.reward"], float(succeeds), f"{where}: reward")
+    expect(frame["task"] == f"grasp the {record['object']}", f"{where}: {frame['task']}")
+    if "prediction.p_stable" in info["features"]:
+        same_number(frame["prediction.p_stable"], p_stable(record), f"{where}: p", 1e-7)
+    if "observation.pose" in info["features"]:
+        for a, b in zip(frame["observation.pose"], pose(record)):
+            same_number(a, b, f"{where}: pose", 1e-6)
+    for name, feature in info["features"].items():
+        if feature["dtype"] != "image":
+            continue
+        role = name.split(".")[-1]
+        found = frame[name]
+        if not isinstance(found, Image.Image):
+            array = found.numpy()
+            if array.dtype != numpy.int16:
+                array = numpy.rint(array * 255).astype(numpy.uint8)
+            found = array.transpose(1, 2, 0).squeeze()
+        found = numpy.asarray(found)
+        shape = [n for n in feature["shape"] if n != 1]
+        expect(list(found.shape) == shape, f"{where} {name}: {found.shape}")
+        original = stored(record, stage, role)
+        if role == "depth":
+            expected = numpy.zeros(shape) if original is None else numpy.asarray(original)
+            found = found.astype(numpy.uint16)
+        else:
+            expected = numpy.asarray(original.convert("RGB"))
+        expect((found == expected).all(), f"{where} {name}: pixels differ")
+
+
+def check_lerobot_statistics(frames):
+    """Against sums over the frames as LeRobot loads them."""
+    for name in [key for key in frames.meta.stats if key.startswith("observation.images.")]:
+        pictures = numpy.stack([frames[i][name].numpy() for i in range(len(frames))])
+        found = frames.meta.stats[name]
+        for figure, expected in (
+            ("mean", pictures.mean((0, 2, 3))),
+            ("std", pictures.std((0, 2, 3))),
+            ("min", pictures.min((0, 2, 3))),
+            ("max", pictures.max((0, 2, 3))),
+        ):
+            near = numpy.allclose(found[figure].reshape(-1), expected, atol=1e-4)
+            expect(near, f"lerobot: {name} {figure} {found[figure].reshape(-1)}, {expected}")
+
+
+def read_lerobot_files(root):
+    import datasets
+    import pandas
+
+    datasets.disable_progress_bars()
+    cache = tempfile.mkdtemp()
+
+    def read(folder):
+        files = [str(path) for path in sorted((root / folder).glob("*/*.parquet"))]
+        return datasets.load_dataset("parquet", data_files=files, split="train", cache_dir=cache)
+
+    tasks = pandas.read_parquet(root / "meta/tasks.parquet")
+    data = read("data")
+    frames = [{**row, "task": tasks.iloc[row["task_index"]].name} for row in data]
+    return frames, read("meta/episodes")
+
+
+def check_zarr(path):
+    import zarr
+
+    print(f"zarr {zarr.__version__}")
+    is_zip = path.suffix == ".zip"
+    group = zarr.open_group(zarr.storage.ZipStore(path, mode="r") if is_zip else str(path), mode="r")
+    ends = group["meta/episode_ends"][:]
+    ids = [str(id) for id in group["meta/id"][:]]
+    expect(ids == sorted(records), f"zarr: ids {ids}")
+    expect(list(ends) == [2 * (i + 1) for i in range(len(ids))], f"zarr: ends {ends}")
+    for name in group["data"].array_keys():
+        expect(group["data"][name].shape[0] == ends[-1], f"zarr: {name} has another length")
+    codes = {"unlabelled": -1, "slip": 0, "stable": 1}
+    for index, id in enumerate(ids):
+        record, where = records[id], f"zarr {id}"
+        expect(group["meta/object"][index] == record["object"], f"{where}: object")
+        expect(group["meta/outcome"][index] == codes[record["outcome"]], f"{where}: outcome")
+        same_number(group["meta/p_stable"][index], p_stable(record), where)
+        found = [*group["meta/pose_t_m"][index], *group["meta/pose_q_wxyz"][index]]
+        for a, b in zip(found, pose(record)):
+            same_number(a, b, f"{where}: pose")
+        for at, stage in enumerate(("initial", "grasp")):
+            expect(group["data/stage"][2 * index + at] == at, f"{where}: stage")
+            for role in ("left", "right", "rgb"):
+                check_zarr_picture(group, 2 * index + at, record, stage, role, where)
+
+
+def check_zarr_picture(group, row, record, stage, role, where):
+    if role not in group["data"]:
+        return
+    found = group[f"data/{role}"][row]
+    original = stored(record, stage, role)
+    expect(group[f"data/{role}_is_there"][row] == (original is not None), f"{where}: {role}")
+    if original is None:
+        expect(not found.any(), f"{where}: {role} is not black")
+        return
+    height, width, _ = found.shape
+    box = crop(original.size, record[stage]["cameras"][role]["crop_profile"])
+    resized = original.convert("RGB").resize((width, height), Image.Resampling.BILINEAR, box=box)
+    difference = numpy.abs(found.astype(float) - numpy.asarray(resized)).mean()
+    expect(difference < 1.0, f"{where}: {stage} {role} differs by {difference:.2f} grey levels")
+
+
+def crop(size, profile):
+    """Left, top, right, bottom of the crop profiles that rigs use."""
+    width, height = size
+    if profile == "gsmini-seventh-v1":
+        return (width // 7, height // 7 + 2, width - width // 7, height - height // 7)
+    assert profile in (None, "full-v1"), f"this script does not know the crop {profile}"
+    return (0, 0, width, height)
+
+
+asked = 0
+for name, check in (
+    ("parquet", check_parquet),
+    ("webdataset", check_webdataset),
+    ("lerobot", check_lerobot),
+    ("zarr", check_zarr),
+):
+    place = getattr(args, name)
+    if place is None:
+        continue
+    asked += 1
+    before = len(faults)
+    check(place)
+    print(f"{name}: {'as the dataset' if len(faults) == before else 'FAULTS'}")
+if asked == 0:
+    sys.exit("name an export, as --parquet P")
+for fault in faults:
+    print(f"FAULT {fault}", file=sys.stderr)
+print(f"{compared} comparisons, {len(faults)} faults, {len(records)} grasps")
+sys.exit(1 if faults else 0)

@@ -1,0 +1,746 @@
+"""Drives the web page in a headless Chromium as a person would, and takes pictures of it.
+
+    apt-get install chromium; python3 -m venv venv
+    venv/bin/pip install playwright aiohttp numpy pillow
+    venv/bin/python tests/web/e2e.py [--shots DIR]                  # against tests/peers/web_mock.py
+    venv/bin/python tests/web/e2e.py --url http://127.0.0.1:8765 [--token T] [--shots DIR]
+    venv/bin/python tests/web/e2e.py --serve 'gripcast daemon … --listen 127.0.0.1:{port}' [--token T]
+
+With --url a server that runs is used and changed: take a dataset that may be thrown away. With
+--serve the command is started here, stopped and started again. Checks that need faults to order run
+against the mock alone; what is skipped is said. Prints one line a check; ends with 1 if one failed.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import pathlib
+import shlex
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+import urllib.error
+import urllib.request
+
+from playwright.async_api import async_playwright
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+HOSTILE = "<img src=x onerror=alert(1)> “mug” & co"
+PHONE, TABLET, DESKTOP = (360, 640), (1280, 800), (1920, 1080)
+SPY = """
+window.seen = { policy: [], tones: [], alerts: 0 };
+document.addEventListener("securitypolicyviolation", (e) => window.seen.policy.push(`${e.violatedDirective} ${e.blockedURI}`));
+window.alert = () => { window.seen.alerts += 1; };
+const start = OscillatorNode.prototype.start;
+OscillatorNode.prototype.start = function (at) { window.seen.tones.push(this.frequency.value); return start.call(this, at); };
+"""
+# Pairs of colours of all texts that are on the page, with the least ratio of WCAG AA.
+CONTRAST = """() => {
+  const channels = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
+  const linear = (v) => { v /= 255; return v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4; };
+  const light = ([r, g, b]) => 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+  const ground = (node) => {
+    for (let at = node; at; at = at.parentElement) {
+      const colour = channels(getComputedStyle(at).backgroundColor);
+      if (colour.length === 3 || colour[3] === 1) return colour;
+    }
+    return [255, 255, 255];
+  };
+  const low = [];
+  let count = 0;
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let text = walker.nextNode(); text; text = walker.nextNode()) {
+    const node = text.parentElement;
+    if (!text.data.trim() || !node.checkVisibility({ visibilityProperty: true })) continue;
+    if (node.closest(".cover, .unseen, script")) continue;
+    count += 1;
+    const style = getComputedStyle(node);
+    const [a, b] = [light(channels(style.color)), light(ground(node))];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    const size = parseFloat(style.fontSize);
+    const large = size >= 24 || (size >= 18.66 && Number(style.fontWeight) >= 700);
+    if (ratio < (large ? 3 : 4.5)) low.push(`${ratio.toFixed(2)} ${text.data.trim().slice(0, 30)}`);
+  }
+  return { count, low };
+}"""
+
+
+class Server:
+    """What is tested: the mock, a command of the user, or a server that runs already."""
+
+    def __init__(self, options, token=None):
+        self.token = token or options.token
+        self.process = None
+        self.mock = not options.url and not options.serve
+        self.url = options.url
+        self.environment, self.unplugged = None, None
+        if options.serve:
+            self.unplugged = pathlib.Path(tempfile.mkdtemp()) / "unplugged"
+            self.environment = os.environ | {"GRIPCAST_VIRTUAL_UNPLUGGED": str(self.unplugged)}
+        if not self.url:
+            self.port = free_port()
+            self.url = f"http://127.0.0.1:{self.port}"
+            mock = [sys.executable, str(ROOT / "tests/peers/web_mock.py"), "--port", str(self.port)]
+            if self.token:
+                mock += ["--token", self.token]
+            self.command = shlex.split(options.serve.format(port=self.port)) if options.serve else mock
+
+    @property
+    def restartable(self):
+        return self.process is not None
+
+    async def start(self):
+        if hasattr(self, "command"):
+            self.process = subprocess.Popen(self.command, env=self.environment)
+        for _ in range(600):
+            with contextlib.suppress(OSError):
+                with urllib.request.urlopen(f"{self.url}/", timeout=2):
+                    return
+            await asyncio.sleep(0.1)
+        sys.exit(f"nothing answers at {self.url}")
+
+    def stop(self, how=signal.SIGTERM):
+        if self.process:
+            self.process.send_signal(how)
+            self.process.wait(30)
+
+    def call(self, path, method="GET", body=None):
+        headers = {"Content-Type": "application/json"}
+        if self.token:
+            headers["Authorization"] = f"Bearer {self.token}"
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(f"{self.url}{path}", data, headers, method=method)
+        try:
+            with urllib.request.urlopen(request, timeout=30) as answer:
+                return json.load(answer)
+        except urllib.error.HTTPError as error:
+            return json.load(error)
+
+    def state(self):
+        return self.call("/api/state")
+
+    def unplug(self, *roles):
+        self.unplugged.write_text("\n".join(roles))
+
+    def order(self, **control):
+        self.call("/mock", "POST", control)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+class Driver:
+    def __init__(self, browser, server, shots):
+        self.browser, self.server, self.shots = browser, server, shots
+        self.failed = []
+        self.passed = 0
+        self.noise = []
+        self.quiet = True
+
+    def check(self, what, good, found=""):
+        if good:
+            self.passed += 1
+        else:
+            self.failed.append(what)
+        print(f"{'ok  ' if good else 'FAIL'} {what}{'' if good or found == '' else f': {found}'}", flush=True)
+
+    async def context(self, size=TABLET, scheme="dark", **more):
+        context = await self.browser.new_context(
+            viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, **more
+        )
+        await context.add_init_script(SPY)
+        return context
+
+    async def page(self, context, path="/"):
+        page = await context.new_page()
+        page.on("pageerror", lambda error: self.noise.append(f"error: {error}"))
+        page.on("console", self.listen)
+        if self.server.token and path == "/":
+            path = f"/#token={self.server.token}"
+        await page.goto(f"{self.server.url}{path}", wait_until="domcontentloaded")
+        if self.server.token is None or "token=" in path:
+            await page.locator("#steps .here").wait_for(state="attached")
+            await page.locator("body:not(.cut)").wait_for()
+        return page
+
+    def listen(self, message):
+        # The browser itself reports every answer of 400 and above, and a server that is away.
+        own = "Failed to load resource" in message.text or "WebSocket connection" in message.text
+        if message.type in ("error", "warning") and not own:
+            self.noise.append(f"{message.type}: {message.text}")
+
+    async def shot(self, page, name):
+        if self.shots:
+            await page.screenshot(path=self.shots / f"{name}.png")
+
+    async def until(self, what, test, seconds=20):
+        """Waits until test() is true: the server tells, no time is assumed."""
+        for _ in range(int(seconds * 20)):
+            value = test()
+            if asyncio.iscoroutine(value):
+                value = await value
+            if value:
+                self.check(what, True)
+                return True
+            await asyncio.sleep(0.05)
+        self.check(what, False, "did not come")
+        return False
+
+    def step(self):
+        session = self.server.state()["session"]
+        return None if session["saving"] else session["step"]
+
+    async def advance(self, page, wanted, act):
+        """Presses until the wanted step is there; a live rig may refuse a moment, as for a person."""
+        for _ in range(30):
+            await act()
+            for _ in range(60):
+                await asyncio.sleep(0.1)
+                session = self.server.state()["session"]
+                if session["saving"]:
+                    continue
+                if session["step"] == wanted:
+                    break
+                if session["refusal"]:
+                    if session["refusal"]["can_override"]:
+                        self.server.call("/api/commands", "POST", {"command": "override"})
+                    break
+            if self.step() == wanted:
+                break
+        here = page.locator(f"#trigger.{wanted}")
+        await here.wait_for(timeout=10000)
+        self.check(f"step {wanted} is shown", await page.locator("#steps .here .digit").inner_text() == {"initial": "1", "grasp": "2", "label": "3"}[wanted])
+
+    async def go_to(self, page, wanted):
+        """From wherever the session is to the first step."""
+        for _ in range(6):
+            step = self.step()
+            if step == wanted:
+                return
+            command = {"initial": "trigger", "grasp": "trigger", "label": "slip"}.get(step)
+            if command:
+                answer = self.server.call("/api/commands", "POST", {"command": command})
+                if answer.get("can_override"):
+                    self.server.call("/api/commands", "POST", {"command": "override"})
+            await asyncio.sleep(0.7)
+        self.check(f"the session comes to {wanted}", self.step() == wanted)
+
+    async def quality(self, page, what):
+        await self.legible(page, what)
+        wide = await page.evaluate("document.documentElement.scrollWidth > innerWidth || [...document.querySelectorAll('main')].some((m) => m.scrollWidth > m.clientWidth + 1)")
+        self.check(f"{what}: nothing is wider than the screen", not wide)
+
+    async def legible(self, page, what):
+        found = await page.evaluate(CONTRAST)
+        self.check(f"{what}: contrast AA of {found['count']} texts", found["count"] > 3 and not found["low"], found["low"])
+
+
+async def cycle(d, context):
+    """Initial, grasp, label, undo and redo by buttons, watched from a second page."""
+    page = await d.page(context)
+    other = await d.page(await d.context(PHONE, "light"))
+    await d.go_to(page, "initial")
+    before = d.server.state()["session"]["counts"]
+    await d.advance(page, "grasp", page.locator("#trigger").click)
+    await d.shot(page, "desktop-initial" if page.viewport_size["width"] > 1300 else "tablet-grasp")
+    await d.advance(page, "label", page.locator("#trigger").click)
+    state = d.server.state()["session"]
+    d.check("the grasp is not labelled yet", state["last"]["outcome"] == "unlabelled")
+    d.check("the trigger rests while a label is wanted", await page.locator("#trigger").get_attribute("aria-disabled") == "true")
+    await d.shot(page, "tablet-label")
+    await page.locator("#stable").click()
+    await d.until("stable is counted", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"] + 1)
+    await other.locator("#trigger.initial").wait_for()
+    for each in (page, other):
+        await each.locator("#last >> text=STABLE").wait_for()
+    d.check("both pages show the same counts", await agree(page, other, "#counts"))
+    await page.locator("#undo").click()
+    await d.until("undo takes the label back", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"])
+    await other.locator("#trigger.label").wait_for()
+    d.check("the other page follows", await agree(page, other, "#last"))
+    await other.locator("#redo:not([aria-disabled])").click()
+    await d.until("redo from the other page", lambda: d.server.state()["session"]["counts"]["stable"] == before["stable"] + 1)
+    await page.locator("#slip:not([aria-disabled])").click()
+    await d.until("a label can be changed", lambda: d.server.state()["session"]["last"]["outcome"] == "slip")
+    await page.locator("#last >> text=SLIP").wait_for()
+    d.check("nothing was laid on top by names", (await page.evaluate("window.seen.alerts")) == 0)
+    await other.context.close()
+    return page
+
+
+async def true(page, script, seconds=20):
+    """Waits for a script; Playwright's own wait would need `unsafe-eval`."""
+    for _ in range(seconds * 20):
+        if await page.evaluate(script):
+            return
+        await asyncio.sleep(0.05)
+    raise TimeoutError(script)
+
+
+async def agree(page, other, selector):
+    for _ in range(40):
+        texts = [await each.locator(selector).inner_text() for each in (page, other)]
+        if texts[0] == texts[1]:
+            return True
+        await asyncio.sleep(0.1)
+    return False
+
+
+async def keyboard(d, context):
+    """A whole grasp without a pointer."""
+    page = await d.page(context)
+    await d.go_to(page, "initial")
+    await d.advance(page, "grasp", lambda: page.keyboard.press("Space"))
+    await page.keyboard.press("i")
+    await d.until("i takes the initial frame again", lambda: d.step() == "grasp" and d.server.state()["session"]["undo"] == "initial frame")
+    await d.advance(page, "label", lambda: page.keyboard.press("Space"))
+    await page.keyboard.press("f")
+    await d.until("f labels slip", lambda: d.server.state()["session"]["last"]["outcome"] == "slip")
+    await page.locator("#undo:not([aria-disabled])").wait_for()
+    await page.keyboard.press("u")
+    await d.until("u undoes", lambda: d.step() == "label")
+    await page.locator("#redo:not([aria-disabled])").wait_for()
+    await page.keyboard.press("r")
+    await d.until("r does it again", lambda: d.step() == "initial")
+    await page.keyboard.press("o")
+    await page.locator("#name-dialog[open]").wait_for()
+    await d.shot(page, "names")
+    await page.keyboard.type(HOSTILE)
+    await page.keyboard.press("Enter")
+    await d.until("o names the object, whatever the name", lambda: d.server.state()["session"]["object"] == HOSTILE)
+    await page.locator(f"#names >> text={HOSTILE}").wait_for()
+    d.check("a hostile name is text", await page.locator("#names img").count() == 0)
+    await page.keyboard.press("o")
+    await page.keyboard.type("never")
+    await page.keyboard.press("Escape")
+    await page.locator("#name-dialog").wait_for(state="hidden")
+    d.check("Esc keeps the name", d.server.state()["session"]["object"] == HOSTILE)
+    d.server.call("/api/object", "PUT", {"name": "mug"})
+    await page.keyboard.press("?")
+    await page.locator("#help-dialog[open]").wait_for()
+    await d.legible(page, "keys")
+    await d.shot(page, "keys")
+    await page.keyboard.press("?")
+    await page.locator("#help-dialog").wait_for(state="hidden")
+    await page.keyboard.press("h")
+    await page.locator("#sensors-dialog[open]").wait_for()
+    await d.shot(page, "sensors")
+    await page.keyboard.press("h")
+    await page.locator("#sensors-dialog").wait_for(state="hidden")
+    await page.keyboard.press("l")
+    await page.locator("#gallery .card").first.wait_for()
+    reached = []
+    for _ in range(40):
+        await page.keyboard.press("Tab")
+        at = await page.evaluate("[document.activeElement.id || document.activeElement.className, getComputedStyle(document.activeElement).outlineStyle]")
+        reached.append(at[0])
+        if at[0] == "card":
+            break
+    d.check("Tab comes to a card, with a visible focus", at == ["card", "solid"], reached)
+    await page.keyboard.press("Enter")
+    await page.locator("#detail-dialog[open] .detail-pictures img").first.wait_for()
+    title = await page.locator("#detail-title").inner_text()
+    await page.keyboard.press("ArrowRight")
+    await page.locator(f"#detail-title:not(:text-is({json.dumps(title)}))").wait_for()
+    d.check("→ goes to the older grasp", True)
+    await page.keyboard.press("s")
+    await page.keyboard.press("Escape")
+    d.check("letters do not label behind a panel", d.server.state()["session"]["last"]["outcome"] == "slip")
+    await page.close()
+
+
+async def gallery(d, context):
+    """List, filters, paging, detail, relabel, trash and back, seen from two pages."""
+    page = await d.page(context)
+    other = await d.page(context, "/#grasps")
+    await page.goto(f"{d.server.url}/#grasps")
+    await page.locator("#gallery .card").first.wait_for()
+    await true(page, "[...document.querySelectorAll('.thumbs img')].slice(0, 6).every((i) => i.complete && i.naturalWidth > 0)")
+    await d.shot(page, "gallery")
+    await d.quality(page, "gallery")
+    for name, query in (("disagree", "&disagree=true"), ("unlabelled", "&outcome=unlabelled"), ("slip", "&outcome=slip"), ("stable", "&outcome=stable")):
+        await page.locator(f"[data-filter={name}]").click()
+        wanted = [g["id"] for g in d.server.call(f"/api/grasps?limit=24{query}")["grasps"]]
+        ids = "[...document.querySelectorAll('#gallery > li')].map((c) => c.dataset.id)"
+        await d.until(f"filter {name} shows {len(wanted)}", lambda ids=ids, wanted=wanted: equal(page, ids, wanted))
+    await page.locator("[data-filter=all]").click()
+    total = sum(d.server.state()["session"]["counts"][n] for n in ("stable", "slip", "unlabelled"))
+    await d.until("all again", lambda: counted(page, min(total, 24)))
+    if total > 24:
+        await page.locator("#more").click()
+        await d.until("more shows more", lambda: counted(page, min(total, 48)))
+    newest = d.server.call("/api/grasps?limit=2")["grasps"][-1]
+    card = page.locator(f"#gallery > li[data-id='{newest['id']}'] .card")
+    await card.click()
+    await true(page, "[...document.querySelectorAll('.detail-pictures img')].length > 5 && [...document.querySelectorAll('.detail-pictures img')].every((i) => i.complete && i.naturalWidth > 0)")
+    await d.shot(page, "detail")
+    await d.legible(page, "detail")
+    turned = "stable" if newest["outcome"] == "slip" else "slip"
+    await page.locator(f".detail-buttons .{turned}").click()
+    await page.locator(f".detail-buttons .{turned}[aria-pressed=true]").wait_for()
+    d.check("relabelled", d.server.call(f"/api/grasps/{newest['id']}")["outcome"] == turned)
+    await other.locator(f"#gallery > li[data-id='{newest['id']}'] >> text={turned.upper()}").wait_for()
+    d.check("the other page shows the new label", True)
+    await page.locator(".detail-buttons .danger").click()
+    await other.locator(f"#gallery > li[data-id='{newest['id']}']").wait_for(state="detached")
+    d.check("trashed, on both pages", True)
+    await page.locator("#detail >> text=Take it back").wait_for()
+    await d.shot(page, "trashed")
+    await page.keyboard.press("Escape")
+    await page.locator("#detail-dialog").wait_for(state="hidden")
+    await page.locator("#trashed button").click()
+    await page.locator(f"#gallery > li[data-id='{newest['id']}']").wait_for()
+    await other.locator(f"#gallery > li[data-id='{newest['id']}']").wait_for()
+    d.check("restored, on both pages", d.server.call(f"/api/grasps/{newest['id']}")["outcome"] == turned)
+    d.check("the note of the trash is gone", await page.locator("#trashed li").count() == 0)
+    small = await d.page(await d.context(PHONE, "light"), "/")
+    await small.goto(f"{d.server.url}/#grasps")
+    await small.locator("#gallery .card").first.wait_for()
+    await d.quality(small, "gallery on a phone")
+    await small.wait_for_timeout(800)
+    await d.shot(small, "phone-gallery")
+    await small.locator("#gallery .card").first.click()
+    await true(small, "[...document.querySelectorAll('.detail-pictures img')].slice(0, 3).every((i) => i.complete && i.naturalWidth > 0)")
+    await d.shot(small, "phone-detail")
+    await small.context.close()
+    await page.close()
+    await other.close()
+
+
+async def equal(page, script, wanted):
+    return await page.evaluate(script) == wanted
+
+
+async def counted(page, wanted):
+    return await page.locator("#gallery > li").count() == wanted
+
+
+async def pictures(d, context):
+    """Two windows of one browser: one streams, the other fetches stills, and commands get through."""
+    page = await d.page(context)
+    other = await d.page(context)
+    roles = [camera["role"] for camera in d.server.state()["cameras"]]
+    ready = f"[...document.querySelectorAll('#pictures img')].filter((i) => i.naturalWidth > 0).length === {len(roles)}"
+    for name, each in (("first", page), ("second", other)):
+        await true(each, ready)
+        d.check(f"{name} window shows all {len(roles)} cameras", True)
+    sources = []
+    for _ in range(100):
+        sources = [await each.evaluate("document.querySelector('#pictures img').src.split(':')[0]") for each in (page, other)]
+        if "http" in sources:
+            break
+        await asyncio.sleep(0.1)
+    d.check("one window streams, the other fetches stills", sorted(sources) == ["blob", "http"], sources)
+    before = await other.evaluate("document.querySelector('#pictures img').src")
+    await true(other, f"document.querySelector('#pictures img').src !== {json.dumps(before)}")
+    answer = await other.evaluate("fetch('api/state').then((r) => r.status)")
+    d.check("six connections are enough", answer == 200)
+    streaming = page if sources[0] == "http" else other
+    waiting = other if sources[0] == "http" else page
+    await streaming.close()
+    await true(waiting, "document.querySelector('#pictures img').src.startsWith('http')")
+    d.check("the stream moves to the window that is left", True)
+    await waiting.close()
+
+
+async def sound(d):
+    context = await d.context()
+    page = await d.page(context)
+    await d.go_to(page, "initial")
+    await page.locator("#sound").click()
+    await page.locator("#sound >> text=♪ on").wait_for()
+    await page.evaluate("window.seen.tones = []")
+    await page.locator("#trigger").click()
+    if await d.until("the tone of a saved initial frame", lambda: tones(page, [660])):
+        await page.evaluate("window.seen.tones = []")
+        await page.locator("#undo:not([aria-disabled])").click()
+        await d.until("the tone of an undo", lambda: tones(page, [784, 784, 587]))
+    again = await d.page(context)
+    d.check("sound is remembered", await again.locator("#sound").get_attribute("aria-pressed") == "true")
+    await context.close()
+
+
+async def tones(page, wanted):
+    return await page.evaluate("window.seen.tones") == wanted
+
+
+async def themes(d):
+    """Sizes and colours on every screen."""
+    for name, size, scheme in (("phone-light", PHONE, "light"), ("phone-dark", PHONE, "dark"), ("phone-side", (740, 360), "dark"), ("tablet-light", (1024, 768), "light"), ("tablet-dark", TABLET, "dark"), ("desktop", DESKTOP, "dark")):
+        page = await d.page(await d.context(size, scheme))
+        await d.go_to(page, "grasp")
+        await true(page, "document.querySelectorAll('#pictures img').length > 0 && [...document.querySelectorAll('#pictures img')].every((i) => i.naturalWidth > 0)")
+        await page.wait_for_timeout(400)
+        await d.shot(page, name)
+        await d.quality(page, name)
+        high = await page.evaluate("[...document.querySelectorAll('.action')].map((b) => b.getBoundingClientRect().height)")
+        d.check(f"{name}: buttons are 96 px high", min(high) >= 96, high)
+        if size[0] >= 1024:
+            sizes = await page.evaluate("['#number', '#verdict', '#steps .verb', '#steps .here .digit'].map((s) => parseFloat(getComputedStyle(document.querySelector(s)).fontSize))")
+            if await page.locator("#gauge.none").count() == 0:
+                d.check(f"{name}: digits are {sizes[0]:.0f} px, the word {sizes[1]:.0f} px", sizes[0] >= 120 and sizes[1] >= 100, sizes)
+            d.check(f"{name}: the step is {sizes[2]:.0f} px", min(sizes[2:]) >= 80, sizes)
+            fits = await page.evaluate("(() => { const m = document.querySelector('#collect'); return m.scrollHeight <= m.clientHeight + 1; })()")
+            d.check(f"{name}: all of it without scrolling", fits)
+        await page.context.close()
+    page = await d.page(await d.context(TABLET, "dark"))
+    await page.locator("#theme").click()
+    d.check("the switch makes it light", await page.evaluate("document.documentElement.dataset.theme") == "light")
+    await page.reload()
+    d.check("and it stays so", await page.evaluate("document.documentElement.dataset.theme") == "light")
+    await page.context.close()
+
+
+async def troubles(d):
+    """What only the mock can be told to do."""
+    page = await d.page(await d.context(TABLET, "dark"))
+    small = await d.page(await d.context(PHONE, "light"))
+    d.server.order(fault={"role": "left", "state": "silent"})
+    await page.locator("#fault.large").wait_for()
+    text = await page.locator("#fault").inner_text()
+    wanted = ["LEFT GELSIGHT", "SILENT", "GelSight Mini", "2BNN4ZE7", "3-2.1", "REPLUG"]
+    d.check("a fault names part, product, serial, port and what to do", all(w in text for w in wanted), text)
+    await d.quality(page, "fault")
+    await d.shot(page, "fault")
+    await d.shot(small, "phone-fault")
+    await d.quality(small, "fault on a phone")
+    await page.keyboard.press("Escape")
+    await page.locator("#fault:not(.large)").wait_for()
+    await d.shot(page, "fault-small")
+    await d.legible(page, "small fault")
+    d.check("Esc makes it small here only", await small.locator("#fault.large").count() == 1)
+    d.server.order(fault={"role": "rgb", "state": "lost"})
+    await page.locator("#fault.large >> text=PLUG IT IN").wait_for()
+    d.check("another fault is large again", True)
+    d.server.order(fault=None)
+    await page.locator("#fault").wait_for(state="hidden")
+    d.check("the banner closes by itself", True)
+
+    await d.go_to(page, "grasp")
+    d.server.order(refuse="overridable", p=0.83)
+    await page.locator("#trigger").click()
+    await page.locator("#refusal >> text=no contact").wait_for()
+    await small.locator("#refusal >> text=no contact").wait_for()
+    d.check("both pages say why", True)
+    await d.shot(page, "refusal")
+    await d.shot(small, "phone-refusal")
+    await d.quality(page, "refusal")
+    d.check("the refusal is read out", "no contact" in await page.locator("#assertive").inner_text())
+    await page.locator("#override").click()
+    await page.locator("#trigger.label").wait_for()
+    d.check("take it anyway", True)
+    d.server.order(refuse=None)
+    await page.locator("#slip:not([aria-disabled])").click()
+    await page.locator("#trigger.initial").wait_for()
+
+    d.server.order(saving_s=1.5)
+    await page.locator("#trigger:not([aria-disabled])").dblclick()
+    await small.locator("#steps .saving").wait_for()
+    d.check("saving disables the other page too", await small.locator("#trigger").get_attribute("aria-disabled") == "true")
+    await d.shot(page, "saving")
+    await page.locator("#trigger.grasp:not([aria-disabled])").wait_for()
+    await asyncio.sleep(0.3)
+    d.check("a double tap is one step", d.server.state()["session"]["step"] == "grasp" and not d.server.state()["session"]["saving"])
+    d.server.order(saving_s=0.1, fail=True)
+    await page.locator("#trigger").click()
+    await page.locator("#message.error").wait_for()
+    d.check("a save that fails is said", "NOT saved" in await page.locator("#message").inner_text())
+    await d.shot(page, "failed-save")
+    d.server.order(fail=False, stale=True)
+    await page.locator("#gauge.old #verdict:text-is('OLD')").wait_for()
+    d.check("a stale prediction is OLD", True)
+    await d.shot(page, "stale")
+    d.server.order(stale=False, novelty=1.7)
+    await page.locator("#gauge.unsure #verdict:text-is('UNSURE')").wait_for()
+    await d.shot(page, "unsure")
+    await small.locator("#gauge.unsure").wait_for()
+    await d.shot(small, "phone-unsure")
+    await d.quality(page, "unsure")
+    await d.quality(small, "unsure on a phone")
+    d.server.order(novelty=0.4, heuristic=True, p=0.2)
+    await page.locator("#heuristic:visible").wait_for()
+    await page.locator("#gauge.slip #verdict:text-is('SLIP')").wait_for()
+    d.check("a heuristic is named as one", True)
+    await d.shot(page, "slip-heuristic")
+    d.server.order(heuristic=False, absent="the model needs a colour camera, and the rig has none")
+    await page.locator("#verdict >> text=no prediction: the model needs").wait_for()
+    d.check("an absent prediction says why", True)
+    await d.shot(page, "absent")
+    await d.shot(small, "phone-absent")
+    d.server.order(absent=None, mute=True)
+    await page.locator("#verdict >> text=no news").wait_for()
+    d.check("silence of the server is not a prediction", True)
+    await page.locator("#link:visible").wait_for(timeout=15000)
+    d.check("a dead line is noticed", "saved grasps are safe" in await page.locator("#link").inner_text())
+    d.server.order(mute=False, p=None)
+    await page.locator("body:not(.cut)").wait_for(timeout=20000)
+    await page.context.close()
+    await small.context.close()
+
+
+async def cable(d, context):
+    """A camera of the virtual rig is pulled out and put back, seen on two pages."""
+    page = await d.page(context)
+    other = await d.page(await d.context(PHONE, "light"))
+    await d.go_to(page, "initial")
+    d.server.unplug("left")
+    for each in (page, other):
+        await each.locator("#fault.large").wait_for(timeout=20000)
+    text = await page.locator("#fault").inner_text()
+    d.check("a pulled cable is told by part and serial", "LEFT GELSIGHT" in text and "VIRT-LEFT" in text, text)
+    await d.shot(page, "cable")
+    answer = d.server.call("/api/commands", "POST", {"command": "trigger"})
+    reasons = json.dumps(answer.get("reasons"))
+    d.check("nothing is taken without the camera", not answer["carried_out"] and "left" in reasons, answer)
+    back = time.monotonic()
+    d.server.unplug()
+    for each in (page, other):
+        await each.locator("#fault").wait_for(state="hidden", timeout=20000)
+    d.check(f"the page shows it back ({time.monotonic() - back:.2f} s)", True)
+    await true(page, "[...document.querySelectorAll('#pictures img')].every((i) => i.naturalWidth > 0)")
+    await d.advance(page, "grasp", page.locator("#trigger").click)
+    await other.context.close()
+
+
+async def grasps(d, context):
+    """Three grasps by buttons, nothing else."""
+    page = await d.page(context)
+    await d.go_to(page, "initial")
+    before = d.server.state()["session"]["counts"]
+    for outcome in ("stable", "slip", "stable"):
+        await d.advance(page, "grasp", page.locator("#trigger").click)
+        await d.advance(page, "label", page.locator("#trigger").click)
+        await page.locator(f"#{outcome}:not([aria-disabled])").click()
+        await page.locator("#trigger.initial").wait_for()
+    after = d.server.state()["session"]["counts"]
+    found = {name: after[name] - before[name] for name in ("stable", "slip")}
+    d.check("three grasps are counted", found == {"stable": 2, "slip": 1}, found)
+    await d.shot(page, "three-grasps")
+
+
+async def restart(d, context):
+    """The server goes, with and without a goodbye, and comes back."""
+    page = await d.page(context)
+    for how, words in ((signal.SIGTERM, "was stopped"), (signal.SIGKILL, "saved grasps are safe")):
+        d.server.stop(how)
+        await page.locator("#link:visible").wait_for(timeout=20000)
+        text = await page.locator("#link").inner_text()
+        d.check(f"{how.name}: “{words}”", words in text, text)
+        d.check(f"{how.name}: no buttons, no prediction", await page.locator("#trigger").get_attribute("aria-disabled") == "true" and await page.locator("#gauge.none").count() == 1)
+        if how == signal.SIGTERM:
+            await d.shot(page, "lost")
+            await d.legible(page, "lost")
+        await d.server.start()
+        await page.locator("#link").wait_for(state="hidden", timeout=30000)
+        await true(page, "[...document.querySelectorAll('#pictures img')].every((i) => i.naturalWidth > 0)")
+        d.check(f"{how.name}: back with pictures", await page.locator("#trigger[aria-disabled]").count() == 0)
+    await page.close()
+
+
+async def login(d, options):
+    """The form, a wrong token, the right one, and one in the address."""
+    server = d.server
+    if d.server.mock:
+        server = Server(options, token="open-sesame")
+        await server.start()
+    context = await d.context(PHONE, "light")
+    page = await context.new_page()
+    page.on("console", d.listen)
+    await page.goto(server.url)
+    await page.locator("#login:visible").wait_for()
+    d.check("a token is asked for, and nothing else is shown", await page.locator("#actions:visible, #collect:visible").count() == 0)
+    await d.shot(page, "login")
+    await d.quality(page, "login")
+    await page.locator("#token").fill("wrong")
+    await page.keyboard.press("Enter")
+    await page.locator("#login-fault:not(:empty)").wait_for()
+    await d.shot(page, "login-wrong")
+    await page.locator("#token").fill(server.token)
+    await page.keyboard.press("Enter")
+    await page.locator("#steps .here").wait_for()
+    d.check("the token opens the page", await page.locator("#login:visible").count() == 0)
+    await context.close()
+    context = await d.context()
+    page = await context.new_page()
+    await page.goto(f"{server.url}/#token={server.token}")
+    await page.locator("#steps .here").wait_for()
+    d.check("a token in the address opens it and is taken out", "token" not in page.url)
+    await context.close()
+    if server is not d.server:
+        server.stop()
+
+
+async def run(options):
+    shots = pathlib.Path(options.shots) if options.shots else None
+    if shots:
+        shots.mkdir(parents=True, exist_ok=True)
+    server = Server(options)
+    await server.start()
+    async with async_playwright() as playwright:
+        chromium = options.chromium or next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
+        browser = await playwright.chromium.launch(
+            executable_path=chromium, args=["--no-sandbox", "--autoplay-policy=user-gesture-required"]
+        )
+        d = Driver(browser, server, shots)
+        context = await d.context()
+        parts = {
+            "cycle": lambda: cycle(d, context),
+            "keyboard": lambda: keyboard(d, context),
+            "gallery": lambda: gallery(d, context),
+            "pictures": lambda: pictures(d, context),
+            "sound": lambda: sound(d),
+            "themes": lambda: themes(d),
+            "grasps": lambda: grasps(d, context),
+            "cable": (lambda: cable(d, context)) if server.unplugged else None,
+            "troubles": (lambda: troubles(d)) if server.mock else None,
+            "restart": (lambda: restart(d, context)) if server.restartable else None,
+            "login": (lambda: login(d, options)) if server.mock or server.token else None,
+        }
+        for name, part in parts.items():
+            if options.only and name not in options.only.split(","):
+                continue
+            if part is None:
+                print(f"SKIPPED {name}: not possible with this server", flush=True)
+                continue
+            try:
+                await part()
+            except Exception:
+                traceback.print_exc()
+                d.check(f"{name} runs to its end", False)
+                for index, each in enumerate(page for c in browser.contexts for page in c.pages):
+                    await d.shot(each, f"failed-{name}-{index}")
+            for each in [page for c in browser.contexts for page in c.pages]:
+                violations = await each.evaluate("window.seen?.policy ?? []")
+                d.check(f"{name}: no breach of the content security policy", not violations, violations)
+                await each.close()
+        d.check("no errors on the console", not d.noise, d.noise[:5])
+        await browser.close()
+    server.stop()
+    print(f"{d.passed} checks passed, {len(d.failed)} failed")
+    return 1 if d.failed else 0
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--url", help="of a server that runs")
+    parser.add_argument("--serve", help="command that serves at {port}")
+    parser.add_argument("--token")
+    parser.add_argument("--shots", help="directory for pictures of the page")
+    parser.add_argument("--only", help="parts, separated by commas")
+    parser.add_argument("--chromium", help="the browser's program")
+    options = parser.parse_args()
+    sys.exit(asyncio.run(run(options)))
+
+
+if __name__ == "__main__":
+    main()
