@@ -197,11 +197,17 @@ mod tests {
     #[test]
     fn ids_sort_as_the_triggers_came() {
         let id = |at: &str, later| id_at(at.parse().unwrap(), later).0;
-        assert_eq!(id("2026-11-20T10:15:03.25Z", 0), "2026-11-20T10-15-03Z-4000");
+        assert_eq!(
+            id("2026-11-20T10:15:03.25Z", 0),
+            "2026-11-20T10-15-03Z-4000"
+        );
         assert_eq!(id("2026-11-20T10:15:03Z", 0), "2026-11-20T10-15-03Z-0000");
         assert_eq!(id("2026-11-20T10:15:03Z", 1), "2026-11-20T10-15-03Z-0001");
         // The step after the last of a second belongs to the next.
-        assert_eq!(id("2026-11-20T10:15:03.999999999Z", 1), "2026-11-20T10-15-04Z-0000");
+        assert_eq!(
+            id("2026-11-20T10:15:03.999999999Z", 1),
+            "2026-11-20T10-15-04Z-0000"
+        );
         assert!(id("2026-11-20T10:15:03.25Z", 0) < id("2026-11-20T10:15:03.26Z", 0));
     }
 

@@ -109,7 +109,12 @@ fn every_frame_is_logged_and_the_saved_ones_are_the_same() {
                     && camera["driver_time_ns"].as_u64().map(i128::from)
                         == Some(frame.driver_time_ns)
             });
-            let found = found.unwrap_or_else(|| panic!("{id} {stage} {role} is not in the log"));
+            let dropped = told["frames"][role]["dropped"].as_u64().unwrap();
+            let Some(found) = found else {
+                // What the disk could not take in time is left out, counted and told.
+                assert!(dropped > 0, "{id} {stage} {role} is not in the log");
+                continue;
+            };
             let picture = Compressed::decode(&*found.data).unwrap();
             let digest = hex(&Sha256::digest(&picture.data));
             let file = camera["file"].as_str().unwrap();
@@ -126,7 +131,8 @@ fn every_frame_is_logged_and_the_saved_ones_are_the_same() {
     };
     assert_eq!((said("save_initial"), said("save_grasp")), (3, 3));
     let events = &log.notes["/session/events"];
-    assert_eq!(events.last().unwrap()["event"], "end");
+    let ends = events.iter().filter(|event| event["event"] == "end");
+    assert_eq!(ends.count(), 1);
     assert!(!log.notes["/prediction"].is_empty());
     assert_eq!(log.notes["/cameras"][0]["left"]["report"]["reconnects"], 0);
     let verified = verify(&dataset);

@@ -796,6 +796,10 @@ impl Engine {
     async fn finish(mut self, ended: Result<Ended>) -> Result<CollectReport> {
         self.drain_replies().await;
         let session = self.session.summary();
+        self.links.tasks.close();
+        self.hub.close();
+        self.capture.stop();
+        // The capture threads have told their last counts.
         let cameras = self
             .hub
             .slots()
@@ -806,9 +810,6 @@ impl Engine {
             &serde_json::json!({"session": session, "cameras": cameras}),
         );
         let stored = self.store.stop();
-        self.links.tasks.close();
-        self.hub.close();
-        self.capture.stop();
         for decoder in self.decoders {
             // A decoder that panicked has nothing left to give back.
             let _ = decoder.join();

@@ -136,6 +136,7 @@ impl CameraSlot {
     pub(super) fn forget_frames(&self) {
         let mut state = self.lock();
         state.ring.clear();
+        state.taken = None;
         state.decoded = None;
     }
 
@@ -143,21 +144,12 @@ impl CameraSlot {
     pub(super) fn push(&self, frame: Frame) {
         self.tap.frame(self.role, &frame);
         let mut state = self.lock();
-        if state.ring.len() == RING {
-            state.ring.pop_front();
-        }
+        make_room(&mut state.ring);
         let soundness = match frame.format {
             PixelFormat::Mjpg => Soundness::Unknown,
             PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => Soundness::Sound,
         };
-        // A driver may deliver a frame after one that was captured later.
-        let later = |held: &Held| held.frame.driver_time_ns > frame.driver_time_ns;
-        let place = state
-            .ring
-            .iter()
-            .rposition(|held| !later(held))
-            .map_or(0, |i| i + 1);
-        state.ring.insert(place, Held { frame, soundness });
+        insert(&mut state.ring, Held { frame, soundness });
         drop(state);
         self.arrived.notify_all();
     }
@@ -167,9 +159,8 @@ impl CameraSlot {
     #[must_use]
     pub(super) fn take_newest(&self, timeout: Duration) -> Option<Frame> {
         let fresh = |state: &SlotState| {
-            let newest = &state.ring.back()?.frame;
-            let key = (newest.driver_time_ns, newest.sequence);
-            (state.taken != Some(key)).then_some(key)
+            let newest = key(&state.ring.back()?.frame);
+            (state.taken != Some(newest)).then_some(newest)
         };
         let (mut state, _) = self
             .arrived
@@ -180,7 +171,7 @@ impl CameraSlot {
         if state.closed {
             return None;
         }
-        let key = fresh(&state)?;
+        let newest = fresh(&state)?;
         if let Some((before, _)) = state.taken {
             let between = state
                 .ring
@@ -189,7 +180,7 @@ impl CameraSlot {
                 .count();
             state.facts.not_decoded += between.saturating_sub(1) as u64;
         }
-        state.taken = Some(key);
+        state.taken = Some(newest);
         state.ring.back().map(|held| held.frame.clone())
     }
 
@@ -261,9 +252,39 @@ fn same(a: &Frame, b: &Frame) -> bool {
     a.sequence == b.sequence && a.driver_time_ns == b.driver_time_ns
 }
 
+fn key(frame: &Frame) -> (u64, u32) {
+    (frame.driver_time_ns, frame.sequence)
+}
+
+/// Puts a frame where its driver time belongs: a driver may deliver one after a later one.
+fn insert(ring: &mut VecDeque<Held>, new: Held) {
+    let place = ring
+        .iter()
+        .rposition(|held| held.frame.driver_time_ns <= new.frame.driver_time_ns)
+        .map_or(0, |i| i + 1);
+    ring.insert(place, new);
+}
+
+/// Drops the oldest frame of a full ring, but never the newest sound one: a decoder that is slow
+/// for a moment must not leave a live camera without a frame that can be saved.
+fn make_room(ring: &mut VecDeque<Held>) {
+    if ring.len() < RING {
+        return;
+    }
+    let keep = ring
+        .iter()
+        .rposition(|held| held.soundness == Soundness::Sound);
+    ring.remove(usize::from(keep == Some(0)));
+}
+
 fn mark_sound(state: &mut SlotState, frame: &Frame) {
     if let Some(held) = state.ring.iter_mut().find(|held| same(&held.frame, frame)) {
         held.soundness = Soundness::Sound;
+    } else if state.taken == Some(key(frame)) {
+        // Newer frames pushed it out while it was decoded; the stream is still the same one.
+        make_room(&mut state.ring);
+        let (frame, soundness) = (frame.clone(), Soundness::Sound);
+        insert(&mut state.ring, Held { frame, soundness });
     }
 }
 
@@ -388,11 +409,48 @@ mod tests {
         assert_eq!(slot.take_newest(Duration::ZERO).unwrap().sequence, 7);
     }
 
+    fn sound(slot: &CameraSlot) -> Vec<u32> {
+        let frames = slot.frames();
+        let sound = frames.iter().filter(|(_, s)| *s == Soundness::Sound);
+        sound.map(|(frame, _)| frame.sequence).collect()
+    }
+
+    #[test]
+    fn a_slow_decoder_leaves_the_newest_sound_frame() {
+        let slot = slot();
+        for round in 0..5 {
+            let first = round * 20;
+            slot.push(frame(first, PixelFormat::Mjpg));
+            let taken = slot.take_newest(Duration::ZERO).unwrap();
+            // All of the ring is newer when the decoder has finished.
+            for sequence in first + 1..first + 20 {
+                slot.push(frame(sequence, PixelFormat::Mjpg));
+                assert_eq!(
+                    sound(&slot),
+                    if round > 0 { vec![first - 20] } else { vec![] }
+                );
+            }
+            slot.decoded(&taken, RgbImage::new(1, 1));
+            assert_eq!(sound(&slot).last(), Some(&first));
+            assert_eq!(slot.frames().len(), RING);
+        }
+    }
+
     #[test]
     fn reopening_forgets_the_frames_of_the_stream_before() {
         let slot = slot();
         slot.push(frame(1, PixelFormat::Yuyv));
         slot.forget_frames();
         assert!(slot.frames().is_empty() && slot.latest().is_none());
+    }
+
+    #[test]
+    fn what_was_being_decoded_when_the_camera_went_does_not_come_back() {
+        let slot = slot();
+        slot.push(frame(1, PixelFormat::Mjpg));
+        let taken = slot.take_newest(Duration::ZERO).unwrap();
+        slot.forget_frames();
+        slot.decoded(&taken, RgbImage::new(1, 1));
+        assert!(slot.frames().is_empty());
     }
 }
