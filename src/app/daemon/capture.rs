@@ -61,9 +61,9 @@ impl CaptureThreads {
     }
 
     /// Stops all threads and waits for them.
-    pub(super) fn stop(self) {
+    pub(super) fn stop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        for thread in self.threads {
+        for thread in self.threads.drain(..) {
             // A panicked capture thread has nothing left to give back.
             let _ = thread.join();
         }

@@ -100,7 +100,7 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
         freeze_after_ns: None,
         ..SupervisionPolicy::default()
     };
-    let capture = CaptureThreads::start(openers, &hub, &policy, &tasks)?;
+    let mut capture = CaptureThreads::start(openers, &hub, &policy, &tasks)?;
 
     std::thread::sleep(WARM_UP / 2);
     let initial = |role| {
