@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 use super::augment::SamplePictures;
 use super::finish::OBJECTS;
 use super::metrics::{
-    Bootstrap, GroupSummary, Interval, Ranking, ReliabilityTable, Scored, SeedSummary, Summary,
-    resampled_mean, summarise_groups,
+    Bootstrap, ChanceCalibration, GroupSummary, Interval, Ranking, ReliabilityTable, Scored,
+    SeedSummary, Summary, resampled_mean, summarise_groups,
 };
-use super::samples::{SampleReader, Samples};
+use super::samples::{SampleFacts, SampleReader, Samples};
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Decoder, TactileDifference};
 use crate::predict::contract::{InputName, Origin, Variant};
@@ -78,6 +78,8 @@ pub struct ModelEvaluation {
     pub in_contact: Summary,
     /// Calibration, 15 bins.
     pub reliability: ReliabilityTable,
+    /// The calibration error that so few lifts show by chance alone.
+    pub ece_by_chance: Option<ChanceCalibration>,
     /// By category.
     pub categories: Vec<GroupSummary>,
     /// By object.
@@ -321,7 +323,8 @@ impl ModelEvaluation {
                 .collect();
             summarise_groups(&scored, &groups, &names, threshold)
         };
-        let objects = numbered(samples);
+        let objects = numbered(facts, |facts| &facts.object);
+        let lifts = numbered(facts, |facts| &facts.lift);
         let figures = Figures::new(&scored, threshold);
         let bootstrap = Bootstrap::new(SEED);
         Self {
@@ -335,6 +338,7 @@ impl ModelEvaluation {
                 .interval(&objects, |times| figures.balanced_accuracy(times)),
             in_contact: Summary::new(&touched, threshold),
             reliability: ReliabilityTable::new(&scored),
+            ece_by_chance: ChanceCalibration::new(&scored, &lifts, SEED),
             categories: by(&|at| facts[at].category.clone()),
             per_object: by(&|at| facts[at].object.clone()),
             forces: by(&|at| match facts[at].stop_force_n {
@@ -432,15 +436,13 @@ impl Figures {
     }
 }
 
-/// Number of each sample's object.
-fn numbered(samples: &Samples) -> Vec<usize> {
-    let names: Vec<&str> = samples.objects().into_iter().collect();
-    let number = |name: &str| names.binary_search(&name).unwrap_or(0);
-    samples
-        .facts()
-        .iter()
-        .map(|facts| number(&facts.object))
-        .collect()
+/// A name of each sample as a number.
+fn numbered(facts: &[SampleFacts], name: impl Fn(&SampleFacts) -> &str) -> Vec<usize> {
+    let mut names: Vec<&str> = facts.iter().map(&name).collect();
+    names.sort_unstable();
+    names.dedup();
+    let number = |facts| names.binary_search(&name(facts)).unwrap_or(0);
+    facts.iter().map(number).collect()
 }
 
 /// The most confident mistakes of each label, the worst first; one of each object at most.

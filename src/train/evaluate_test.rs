@@ -31,6 +31,8 @@ fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
     assert_eq!(model.summary.auroc, Some(1.0));
     assert_eq!(model.in_contact.n, 6, "stable grasps alone show a contact");
     assert_eq!(model.per_object.len(), 4);
+    let chance = model.ece_by_chance.unwrap();
+    assert!(chance.mean <= chance.high, "{chance:?}");
     assert_eq!(model.forces.len(), 1);
     let difference = report.differences[0].auroc.unwrap();
     assert_eq!(
@@ -43,6 +45,7 @@ fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
         "Stability prediction",
         "AUROC 1.000",
         "test-object-3",
+        "by chance &lt; 0.",
         "data:",
     ] {
         assert!(text == "data:" || html.contains(text), "{text}");

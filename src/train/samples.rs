@@ -18,6 +18,8 @@ use crate::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
 pub struct SampleFacts {
     /// Its id.
     pub id: String,
+    /// The simulation or real grasp that it shows; several renderings share it.
+    pub lift: String,
     /// What is grasped.
     pub object: String,
     /// Its category.
@@ -33,6 +35,7 @@ impl From<ShardFacts> for SampleFacts {
         Self {
             is_stable: facts.outcome.label() == 1,
             id: facts.id,
+            lift: facts.simulation,
             object: facts.object,
             category: facts.category,
             stop_force_n: facts.stop_force_n,

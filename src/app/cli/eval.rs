@@ -97,6 +97,7 @@ fn first(report: &EvalReport) -> serde_json::Value {
             "balanced_accuracy_interval".into(),
             json!(model.balanced_accuracy),
         );
+        fields.insert("ece_by_chance".into(), json!(model.ece_by_chance));
         fields.insert("in_contact".into(), json!(model.in_contact));
         fields.insert("over_models".into(), json!(report.over_models));
         fields.insert("differences".into(), json!(report.differences));
@@ -108,8 +109,8 @@ fn first(report: &EvalReport) -> serde_json::Value {
 
 fn text(report: &EvalReport) -> String {
     let mut lines = vec![format!(
-        "{:<28} {:>6} {:>8} {:>8} {:>20} {:>7} {:>7}",
-        "model", "n", "accuracy", "balanced", "AUROC", "ECE", "Brier"
+        "{:<28} {:>6} {:>8} {:>8} {:>20} {:>7} {:>9} {:>7}",
+        "model", "n", "accuracy", "balanced", "AUROC", "ECE", "by chance", "Brier"
     )];
     lines.extend(report.models.iter().map(row));
     if let Some(over) = &report.over_models {
@@ -141,13 +142,16 @@ fn row(model: &ModelEvaluation) -> String {
     let figure = |x: Option<f64>| x.map_or("–".to_owned(), |x| format!("{x:.3}"));
     let s = &model.summary;
     format!(
-        "{:<28} {:>6} {:>8} {:>8} {:>20} {:>7} {:>7}",
+        "{:<28} {:>6} {:>8} {:>8} {:>20} {:>7} {:>9} {:>7}",
         model.file,
         s.n,
         figure(s.accuracy),
         figure(s.balanced_accuracy),
         interval(model.auroc.as_ref()),
         figure(s.ece),
+        model
+            .ece_by_chance
+            .map_or("–".to_owned(), |chance| format!("< {:.3}", chance.high)),
         figure(s.brier),
     )
 }

@@ -128,7 +128,7 @@ fn numbered(objects: &[usize]) -> (Vec<usize>, usize) {
 }
 
 /// Quantile of sorted numbers, straight between neighbours (Hyndman & Fan 1996, type 7).
-fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
+pub(super) fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
     let place = share * (sorted.len().checked_sub(1)?) as f64;
     let (&below, &above) = (
         sorted.get(place.floor() as usize)?,
@@ -147,8 +147,7 @@ fn bits(seed: u64, counter: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// Uniform in 0..1, for the samples of tests.
-#[cfg(test)]
+/// Number `counter` of a seed, uniform in 0..1.
 pub(super) fn unit(seed: u64, counter: u64) -> f64 {
     (bits(seed, counter) >> 11) as f64 / (1_u64 << 53) as f64
 }

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::bootstrap::{quantile, unit};
 use super::{Scored, mean_of, present};
 
 /// Probabilities are kept this far from 0 and 1 in the log loss, so that one wrong sample cannot
@@ -10,6 +11,9 @@ const LOG_LOSS_CLAMP: f64 = 1e-7;
 
 /// Bins of a reliability table, as in Guo et al. (2017).
 const BINS: usize = 15;
+
+/// Draws of outcomes for [`ChanceCalibration`].
+const DRAWS: u64 = 1000;
 
 /// Mean squared difference of probability and outcome, 0..1 (Brier 1950). None without samples.
 pub fn brier_score(samples: &[Scored]) -> Option<f64> {
@@ -36,6 +40,41 @@ pub fn log_loss(samples: &[Scored]) -> Option<f64> {
 /// grasps. 0..1; none without samples.
 pub fn expected_calibration_error(samples: &[Scored]) -> Option<f64> {
     ReliabilityTable::new(samples).expected_calibration_error()
+}
+
+/// The expected calibration error that the same probabilities would show if they were exactly right:
+/// bins of few grasps are never even, so the error is above zero for any number of samples (Bröcker &
+/// Smith 2007, *Increasing the reliability of reliability diagrams*).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChanceCalibration {
+    /// Mean over the draws.
+    pub mean: f64,
+    /// 95 % quantile: an error above it is not chance.
+    pub high: f64,
+    /// Times that outcomes were drawn.
+    pub draws: u64,
+}
+
+impl ChanceCalibration {
+    /// Draws outcomes with the probabilities that were predicted. `lifts` names the lift of each
+    /// sample: several pictures of one lift share its outcome. None without samples.
+    pub fn new(samples: &[Scored], lifts: &[usize], seed: u64) -> Option<Self> {
+        let count = lifts.iter().max().map_or(0, |last| last + 1) as u64;
+        let mut drawn = samples.to_vec();
+        let mut errors = Vec::new();
+        for draw in 0..DRAWS {
+            for (sample, &lift) in drawn.iter_mut().zip(lifts) {
+                sample.stable = unit(seed, draw * count + lift as u64) < sample.p_stable;
+            }
+            errors.extend(expected_calibration_error(&drawn));
+        }
+        errors.sort_by(f64::total_cmp);
+        Some(Self {
+            mean: mean_of(errors.iter().sum(), errors.len())?,
+            high: quantile(&errors, 0.95)?,
+            draws: DRAWS,
+        })
+    }
 }
 
 fn mean_over(samples: &[Scored], value: impl Fn(&Scored) -> f64) -> Option<f64> {
@@ -179,6 +218,40 @@ mod tests {
     }
 
     #[test]
+    fn few_right_predictions_show_an_error_and_many_hardly_any() {
+        let own = |n: usize| (0..n).collect::<Vec<_>>();
+        let few = ChanceCalibration::new(&smooth_samples(100, 9), &own(100), 1).unwrap();
+        let many = ChanceCalibration::new(&smooth_samples(20_000, 9), &own(20_000), 1).unwrap();
+        assert!(few.mean > 0.08 && few.high > few.mean, "{few:?}");
+        assert!(many.mean < 0.012, "{many:?}");
+        // What is right stays below it, what is wrong does not.
+        let right = smooth_samples(2000, 9);
+        let chance = ChanceCalibration::new(&right, &own(2000), 1).unwrap();
+        assert!(expected_calibration_error(&right).unwrap() < chance.high);
+        let wrong = right.iter().map(|s| Scored {
+            p_stable: s.p_stable.powi(2),
+            ..*s
+        });
+        let wrong: Vec<Scored> = wrong.collect();
+        let chance = ChanceCalibration::new(&wrong, &own(2000), 1).unwrap();
+        assert!(expected_calibration_error(&wrong).unwrap() > chance.high);
+    }
+
+    #[test]
+    fn pictures_of_one_lift_are_one_chance() {
+        let once = smooth_samples(200, 4);
+        let thrice: Vec<Scored> = once.iter().flat_map(|s| [*s; 3]).collect();
+        let lifts: Vec<usize> = (0..600).map(|i| i / 3).collect();
+        let own: Vec<usize> = (0..200).collect();
+        let one = ChanceCalibration::new(&once, &own, 1).unwrap();
+        let three = ChanceCalibration::new(&thrice, &lifts, 1).unwrap();
+        assert!((one.mean - three.mean).abs() < 1e-12);
+        let apart: Vec<usize> = (0..600).collect();
+        let apart = ChanceCalibration::new(&thrice, &apart, 1).unwrap();
+        assert!(apart.mean < 0.8 * one.mean);
+    }
+
+    #[test]
     fn nothing_has_no_calibration() {
         let absent = scored(&[(f64::NAN, true)]);
         for samples in [&[][..], &absent] {
@@ -186,6 +259,8 @@ mod tests {
             assert_eq!(log_loss(samples), None);
             assert_eq!(expected_calibration_error(samples), None);
             assert_eq!(ReliabilityTable::new(samples).n(), 0);
+            let lifts = vec![0; samples.len()];
+            assert_eq!(ChanceCalibration::new(samples, &lifts, 0), None);
         }
     }
 

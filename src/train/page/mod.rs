@@ -141,7 +141,8 @@ fn notes(report: &EvalReport, out: &mut String) {
          <dt>In contact</dt><dd>Samples in which at least 0.4 % of both tactile pictures changed by \
          more than 25 grey levels. Grasps without visible contact are easy: they are lost.</dd>\n\
          <dt>ECE</dt><dd>Mean distance of predicted probability and share of stable grasps over 15 \
-         bins of equal width.</dd>\n</dl>\n",
+         bins of equal width. Small bins are never even: by chance alone, were every probability \
+         right, it would be below the figure named there in 95 % of such tests.</dd>\n</dl>\n",
     );
     out.push_str("<dl class=\"facts\">\n");
     put!(

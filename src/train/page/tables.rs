@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::called;
 use crate::html::{Esc, MISSING, fixed, open_wide, optional, put};
 use crate::train::evaluate::{EvalReport, ModelEvaluation};
-use crate::train::metrics::{GroupSummary, Interval, Spread, Summary};
+use crate::train::metrics::{ChanceCalibration, GroupSummary, Interval, Spread, Summary};
 
 /// Objects that a page names.
 const MOST_OBJECTS: usize = 60;
@@ -23,8 +23,9 @@ pub(super) fn summary(report: &EvalReport, out: &mut String) {
             &called(model),
             &model.summary,
             [model.balanced_accuracy, model.auroc],
+            model.ece_by_chance,
         );
-        row(out, "in contact", &model.in_contact, [None, None]);
+        row(out, "in contact", &model.in_contact, [None, None], None);
     }
     if let Some(over) = &report.over_models {
         put!(
@@ -65,7 +66,13 @@ pub(super) fn summary(report: &EvalReport, out: &mut String) {
     }
 }
 
-fn row(out: &mut String, name: &str, summary: &Summary, [balanced, auroc]: [Option<Interval>; 2]) {
+fn row(
+    out: &mut String,
+    name: &str,
+    summary: &Summary,
+    [balanced, auroc]: [Option<Interval>; 2],
+    chance: Option<ChanceCalibration>,
+) {
     let small = |interval: Option<Interval>| {
         interval.map_or_else(String::new, |i| {
             format!("<small>{} – {}</small>", fixed(i.low, 3), fixed(i.high, 3))
@@ -74,7 +81,7 @@ fn row(out: &mut String, name: &str, summary: &Summary, [balanced, auroc]: [Opti
     put!(
         out,
         "<tr><th>{}<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}{}<td class=\"n\">{}{}\
-         <td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}</tr>\n",
+         <td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}{}<td class=\"n\">{}</tr>\n",
         Esc(name),
         summary.n,
         optional(summary.accuracy, 3),
@@ -85,6 +92,10 @@ fn row(out: &mut String, name: &str, summary: &Summary, [balanced, auroc]: [Opti
         optional(summary.average_precision, 3),
         optional(summary.brier, 3),
         optional(summary.ece, 3),
+        chance.map_or_else(String::new, |chance| format!(
+            "<small>by chance &lt; {}</small>",
+            fixed(chance.high, 3)
+        )),
         fixed(summary.threshold, 2)
     );
 }
