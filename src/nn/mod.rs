@@ -19,4 +19,4 @@ pub use architecture::{Architecture, ConvSpec, Layout, PICTURE, Part, Senses};
 pub use conv::ConvShape;
 pub use inference::{Convolution, Dense, Padded};
 pub use lanes::vector_bits;
-pub use network::{Batch, FoldedConvolution, Network, Sense, Step};
+pub use network::{Batch, FoldedConvolution, Losses, Network, Sense, Step};

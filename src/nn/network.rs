@@ -24,6 +24,9 @@ pub struct Batch {
     pub targets: Vec<f32>,
     /// What each sample's loss counts.
     pub weights: Vec<f32>,
+    /// Quantities of each sample that the network guesses beside the label, one after the other,
+    /// NaN where one is not known; empty for none.
+    pub quantities: Vec<f32>,
 }
 
 /// What a step of training needs beside the data.
@@ -33,6 +36,17 @@ pub struct Step {
     pub number: u64,
     /// What the hidden floats of each sample are multiplied with; empty for nothing.
     pub dropout: Vec<f32>,
+    /// What the error of the quantities counts beside that of the label.
+    pub quantity_weight: f32,
+}
+
+/// Losses of a batch.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Losses {
+    /// Mean binary cross entropy of the label, nats.
+    pub label: f64,
+    /// Half of the mean squared error of the known quantities.
+    pub quantities: f64,
 }
 
 /// One of the encoders.
@@ -98,12 +112,15 @@ struct EncoderPass {
 impl Network {
     /// A network whose parameters are drawn by `uniform` from [0, 1): weights uniform within
     /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, the rest 0.
+    ///
+    /// Its training guesses so many `quantities` beside the label.
     pub fn new(
         architecture: &Architecture,
         senses: Senses,
+        quantities: usize,
         mut uniform: impl FnMut() -> f64,
     ) -> Self {
-        let layout = Layout::of(architecture, senses);
+        let layout = Layout::of(architecture, senses, quantities);
         let mut parameters = vec![0.0; layout.len()];
         for part in layout.parts() {
             let values = &mut parameters[part.range()];
@@ -202,9 +219,10 @@ impl Network {
         self.decide(&passes, None).logits
     }
 
-    /// Mean loss of a batch, binary cross entropy (nats); adds the gradient of all parameters to
-    /// `gradient` and updates the running moments.
-    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
+    /// Losses of a batch; adds the gradient of all parameters to `gradient` and updates the running
+    /// moments. The gradient is that of the label's loss and [`Step::quantity_weight`] times that of
+    /// the quantities (Caruana, "Multitask learning", 1997).
+    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> Losses {
         let mut workspace = std::mem::take(&mut self.workspace);
         let Workspace { passes, gradients } = &mut workspace;
         self.encode(batch, true, passes);
@@ -221,7 +239,10 @@ impl Network {
                 (weight * (1.0 / (1.0 + (-x).exp()) - y)) as f32
             })
             .collect();
-        let dembeddings = self.backward_head(passes, &head, step, &dlogits, gradient);
+        let mut djoined = self.backward_head(&head, step, &dlogits, gradient);
+        let quantities =
+            self.backward_quantities(&head.joined, batch, step, &mut djoined, gradient);
+        let dembeddings = self.split(passes, &djoined);
         let mut first = 0;
         let encoders = self.encoder_parts().into_iter().zip(&*passes);
         for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
@@ -238,7 +259,10 @@ impl Network {
         }
         self.update_moments(passes, step.number);
         self.workspace = workspace;
-        loss
+        Losses {
+            label: loss,
+            quantities,
+        }
     }
 
     /// Gives the batch's moments their share in the running ones.
@@ -434,10 +458,9 @@ impl Network {
         floats / (self.embedding() * self.senses.embeddings())
     }
 
-    /// Gradients of the encoders' embeddings, in the order of the passes.
+    /// Gradient of the joined embeddings.
     fn backward_head(
         &self,
-        passes: &[EncoderPass],
         head: &HeadPass,
         step: &Step,
         dlogits: &[f32],
@@ -453,7 +476,41 @@ impl Network {
         for (d, factor) in dhidden.iter_mut().zip(&step.dropout) {
             *d *= factor;
         }
-        let djoined = backward_linear(&head.joined, &dhidden, self, weight, bias, gradient);
+        backward_linear(&head.joined, &dhidden, self, weight, bias, gradient)
+    }
+
+    /// Loss of the quantities; adds its gradient to that of the joined embeddings.
+    fn backward_quantities(
+        &self,
+        joined: &[f32],
+        batch: &Batch,
+        step: &Step,
+        djoined: &mut [f32],
+        gradient: &mut [f32],
+    ) -> f64 {
+        let known = batch.quantities.iter().filter(|q| !q.is_nan()).count();
+        let Some([weight, bias]) = self.layout.quantities.as_ref().filter(|_| known > 0) else {
+            return 0.0;
+        };
+        let share = step.quantity_weight / known as f32;
+        let mut errors = linear(joined, self.part(weight), self.part(bias), false);
+        let mut squares = 0.0;
+        for (error, quantity) in errors.iter_mut().zip(&batch.quantities) {
+            let off = if quantity.is_nan() {
+                0.0
+            } else {
+                *error - quantity
+            };
+            squares += f64::from(off).powi(2);
+            *error = share * off;
+        }
+        let more = backward_linear(joined, &errors, self, weight, bias, gradient);
+        add(djoined, &more);
+        0.5 * squares / known as f64
+    }
+
+    /// Gradients of the encoders' embeddings, in the order of the passes.
+    fn split(&self, passes: &[EncoderPass], djoined: &[f32]) -> Vec<f32> {
         let width = self.embedding();
         let count = self.count(passes);
         let row = self.senses.embeddings() * width;

@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::augment::{FLOATS, InputWriter, SamplePictures};
+use super::quantities::QuantityScale;
 use super::samples::{SampleReader, Samples};
 use crate::error::Result;
 use crate::imaging::Decoder;
@@ -21,6 +22,8 @@ pub(super) struct Batches<'a> {
     writer: InputWriter,
     /// What a lost and a stable sample count.
     weights: [f32; 2],
+    /// Scale of the quantities beside the label, where they are wanted.
+    scale: Option<QuantityScale>,
 }
 
 impl<'a> Batches<'a> {
@@ -37,7 +40,15 @@ impl<'a> Batches<'a> {
             senses,
             writer,
             weights: [1.0; 2],
+            scale: None,
         }
+    }
+
+    /// With the quantities beside the label, where a scale is given.
+    #[must_use]
+    pub(super) fn with_quantities(mut self, scale: Option<QuantityScale>) -> Self {
+        self.scale = scale;
+        self
     }
 
     /// Lets both labels count the same in sum.
@@ -74,7 +85,7 @@ impl<'a> Batches<'a> {
             ]);
         }
         let senses = [self.senses.touch, self.senses.vision];
-        slots
+        let seen = slots
             .into_par_iter()
             .zip(rows)
             .enumerate()
@@ -89,16 +100,21 @@ impl<'a> Batches<'a> {
                     let pictures = SamplePictures::decode(decoder, &row.images, senses)
                         .map_err(|e| e.at(&row.facts.id))?;
                     let seed = seeds.and_then(|seeds| seeds.get(at)).copied();
-                    self.writer.write(&pictures, seed, [left, right], rgb);
-                    Ok(())
+                    Ok(self.writer.write(&pictures, seed, [left, right], rgb))
                 },
             )
-            .collect::<Result<()>>()?;
+            .collect::<Result<Vec<_>>>()?;
         let facts: Vec<_> = samples
             .iter()
             .map(|at| &self.samples.facts()[*at])
             .collect();
         let of = |is_stable: bool| self.weights[usize::from(is_stable)];
+        let quantities = self.scale.iter().flat_map(|scale| {
+            let samples = facts.iter().zip(&seen);
+            samples.flat_map(|(facts, seen)| {
+                scale.seen(&facts.quantities, seen.is_swapped, seen.is_turned)
+            })
+        });
         Ok(Batch {
             touch,
             vision,
@@ -107,6 +123,7 @@ impl<'a> Batches<'a> {
                 .map(|f| f32::from(u8::from(f.is_stable)))
                 .collect(),
             weights: facts.iter().map(|f| of(f.is_stable)).collect(),
+            quantities: quantities.collect(),
         })
     }
 }

@@ -39,7 +39,7 @@ fn contract(variant: Variant, temperature: f64) -> ModelContract {
 
 /// A network whose running moments and scales are no longer those of the beginning.
 fn network(architecture: &Architecture, senses: Senses, draw: &mut SeedStream) -> Network {
-    let mut network = Network::new(architecture, senses, || draw.uniform());
+    let mut network = Network::new(architecture, senses, 0, || draw.uniform());
     for part in network.layout().clone().parts() {
         if !part.is_weight() {
             for value in &mut network.parameters[part.range()] {

@@ -14,6 +14,7 @@ mod known;
 mod look;
 pub mod metrics;
 mod page;
+mod quantities;
 mod run;
 #[cfg(test)]
 mod sample_dataset;

@@ -10,13 +10,14 @@ use serde::{Deserialize, Serialize};
 use super::augment::InputWriter;
 use super::batches::{Batches, colour_normalisation};
 use super::look::{Scores, logits};
+use super::quantities::QuantityScale;
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::{self, Position};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
 use crate::imaging::CropProfile;
-use crate::nn::{Adam, Network, Step, linear_schedule};
+use crate::nn::{Adam, Losses, Network, Step, linear_schedule};
 use crate::predict::contract::RgbNormalisation;
 use crate::render::visual::SeedStream;
 
@@ -212,7 +213,7 @@ impl RunFolder {
     pub fn best_network(&self, settings: &TrainSettings) -> Result<(Network, EpochFigures)> {
         let path = self.best();
         let (figures, arrays): (EpochFigures, _) = state::load(&path)?;
-        let mut network = Network::new(&settings.architecture, settings.senses(), || 0.5);
+        let mut network = untrained(settings, || 0.5);
         match <[Vec<f32>; 2]>::try_from(arrays) {
             Ok([parameters, moments])
                 if parameters.len() == network.parameters.len()
@@ -225,6 +226,11 @@ impl RunFolder {
             _ => Err(foreign_checkpoint(&path)),
         }
     }
+}
+
+fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) -> Network {
+    let (architecture, senses) = (&settings.architecture, settings.senses());
+    Network::new(architecture, senses, settings.quantities(), uniform)
 }
 
 fn foreign_checkpoint(path: &Path) -> Error {
@@ -356,8 +362,11 @@ struct Training<'a> {
     train: &'a Samples,
     validation: &'a Samples,
     network: Network,
+    /// Running mean of the network, where there is one.
+    averaged: Option<Network>,
     adam: Adam,
     position: Position,
+    scale: Option<QuantityScale>,
 }
 
 impl<'a> Training<'a> {
@@ -369,15 +378,17 @@ impl<'a> Training<'a> {
     ) -> Result<Self> {
         let settings = &file.settings;
         let mut draw = SeedStream::named(settings.seed, "parameters");
-        let network = Network::new(&settings.architecture, settings.senses(), || draw.uniform());
+        let network = untrained(settings, || draw.uniform());
         let mut training = Self {
             folder,
             settings,
             normalisation: file.normalisation(),
             train,
             validation,
+            averaged: (settings.average > 0.0).then(|| network.clone()),
             adam: Adam::new(network.parameters.len()),
             network,
+            scale: (settings.quantities() > 0).then(|| QuantityScale::of(train)),
             position: Position {
                 epoch: 0,
                 step: 0,
@@ -396,18 +407,25 @@ impl<'a> Training<'a> {
     }
 
     fn restore(&mut self, path: &Path) -> Result<()> {
-        let (position, arrays) = state::load(path)?;
-        let [parameters, moments, first, second] =
-            <[Vec<f32>; 4]>::try_from(arrays).map_err(|_| foreign_checkpoint(path))?;
-        let lengths = [parameters.len(), moments.len(), first.len(), second.len()];
-        let network = &mut self.network;
-        let count = network.parameters.len();
-        if lengths != [count, network.moments.len(), count, count] {
+        let (position, mut arrays): (Position, Vec<Vec<f32>>) = state::load(path)?;
+        let network = &self.network;
+        let [parameters, moments] = [network.parameters.len(), network.moments.len()];
+        let mut expected = vec![parameters, moments, parameters, parameters];
+        if self.averaged.is_some() {
+            expected.extend([parameters, moments]);
+        }
+        if !arrays.iter().map(Vec::len).eq(expected) {
             return Err(foreign_checkpoint(path));
         }
+        let mut next = || arrays.remove(0);
+        self.network.parameters = next();
+        self.network.moments = next();
+        let (first, second) = (next(), next());
+        if let Some(averaged) = &mut self.averaged {
+            averaged.parameters = next();
+            averaged.moments = next();
+        }
         self.position = position;
-        network.parameters = parameters;
-        network.moments = moments;
         self.adam = Adam {
             first,
             second,
@@ -418,12 +436,15 @@ impl<'a> Training<'a> {
 
     fn save(&mut self) -> Result<()> {
         self.position.steps = self.adam.steps;
-        let arrays: [&[f32]; 4] = [
+        let mut arrays: Vec<&[f32]> = vec![
             &self.network.parameters,
             &self.network.moments,
             &self.adam.first,
             &self.adam.second,
         ];
+        if let Some(averaged) = &self.averaged {
+            arrays.extend([&averaged.parameters[..], &averaged.moments]);
+        }
         state::save(&self.folder.state(), &self.position, &arrays)
     }
 
@@ -480,7 +501,8 @@ impl<'a> Training<'a> {
             let figures = self.epoch(told)?;
             let accuracy = [figures.validation_accuracy, figures.validation_loss];
             if self.position.best.is_none_or(|best| figures.beats(best)) {
-                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
+                let network = self.measured();
+                let arrays: [&[f32]; 2] = [&network.parameters, &network.moments];
                 state::save(&self.folder.best(), &figures, &arrays)?;
                 self.position.best = Some(accuracy);
                 self.position.best_epoch = Some(figures.epoch);
@@ -513,7 +535,9 @@ impl<'a> Training<'a> {
         let of_epoch = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(of_epoch, settings.memory);
         let writer = InputWriter::new(settings.augmentation, self.normalisation);
-        let mut batches = Batches::new(train, senses, writer, settings.memory).balanced();
+        let mut batches = Batches::new(train, senses, writer, settings.memory)
+            .balanced()
+            .with_quantities(self.scale);
         let mut read = |step: u64| {
             let first = step as usize * settings.batch;
             let samples = &order[first..first + settings.batch];
@@ -536,12 +560,12 @@ impl<'a> Training<'a> {
             let drop = self.dropped(of_epoch, step);
             gradient.fill(0.0);
             let network = &mut self.network;
-            let (loss, read) = rayon::join(
+            let (losses, read) = rayon::join(
                 || network.learn(&batch, &drop, &mut gradient),
                 || (step + 1 < steps).then(|| read(step + 1)).transpose(),
             );
             next = read?;
-            self.check_loss(loss, &gradient, epoch, step)?;
+            self.check_loss(losses, &gradient, epoch, step)?;
             let share = linear_schedule(self.adam.steps, settings.warm_up, all);
             let learning_rate = share * settings.learning_rate as f32;
             let layout = self.network.layout().clone();
@@ -552,11 +576,12 @@ impl<'a> Training<'a> {
                 learning_rate,
                 settings.weight_decay as f32,
             );
-            self.position.loss += loss;
+            self.average();
+            self.position.loss += losses.label;
             self.position.step += 1;
             told(TrainEvent::Step {
                 at: [u64::from(epoch) * steps + step + 1, all],
-                loss,
+                loss: losses.label,
                 learning_rate: f64::from(learning_rate),
             });
             if self.position.step.is_multiple_of(CHECKPOINT_STEPS) {
@@ -587,10 +612,39 @@ impl<'a> Training<'a> {
         Step {
             number: self.adam.steps,
             dropout: hidden.collect(),
+            quantity_weight: self.settings.quantity_weight as f32,
         }
     }
 
-    fn check_loss(&self, loss: f64, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
+    /// What is measured and kept.
+    fn measured(&self) -> &Network {
+        self.averaged.as_ref().unwrap_or(&self.network)
+    }
+
+    /// Gives the network of this step its share in the running mean.
+    fn average(&mut self) {
+        let Some(averaged) = &mut self.averaged else {
+            return;
+        };
+        // At the beginning the mean of few steps: the parameters of the start stand for nothing.
+        let steps = self.adam.steps as f64;
+        let kept = self.settings.average.min(steps / (10.0 + steps));
+        let share = (1.0 - kept) as f32;
+        let means = averaged.parameters.iter_mut().chain(&mut averaged.moments);
+        let now = self.network.parameters.iter().chain(&self.network.moments);
+        for (mean, now) in means.zip(now) {
+            *mean += share * (now - *mean);
+        }
+    }
+
+    fn check_loss(
+        &self,
+        losses: Losses,
+        gradient: &[f32],
+        epoch: u32,
+        step: u64,
+    ) -> Result<()> {
+        let loss = losses.label + losses.quantities;
         // A ReLU hides what is no number from the loss, but not from the gradient.
         if loss.is_finite() && gradient.iter().all(|slope| slope.is_finite()) {
             return Ok(());
@@ -613,7 +667,7 @@ impl<'a> Training<'a> {
     fn look(&self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
         let all = self.validation.facts().len();
         let scored = logits(
-            &self.network,
+            self.measured(),
             self.validation,
             self.settings,
             self.normalisation,

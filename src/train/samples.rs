@@ -8,13 +8,14 @@ use std::sync::Arc;
 
 use sha2::{Digest as _, Sha256};
 
+use super::quantities::{Quantities, quantities};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::hex;
 use crate::render::visual::SeedStream;
 use crate::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
 
 /// What is known of a sample besides its pictures.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct SampleFacts {
     /// Its id.
     pub id: String,
@@ -28,12 +29,15 @@ pub struct SampleFacts {
     pub is_stable: bool,
     /// Mean normal force at which the fingers stopped closing, N, where it is known.
     pub stop_force_n: Option<f64>,
+    /// What else is known.
+    pub(super) quantities: Quantities,
 }
 
 impl From<ShardFacts> for SampleFacts {
     fn from(facts: ShardFacts) -> Self {
         Self {
             is_stable: facts.outcome.label() == 1,
+            quantities: quantities(&facts),
             id: facts.id,
             lift: facts.simulation,
             object: facts.object,
