@@ -254,7 +254,10 @@ impl Layout {
         // Last, so that the others are drawn alike with and without it.
         let quantities = (quantities > 0).then(|| {
             [
-                part("quantities.projection.weight".to_owned(), [joined, quantities]),
+                part(
+                    "quantities.projection.weight".to_owned(),
+                    [joined, quantities],
+                ),
                 part("quantities.projection.bias".to_owned(), [1, quantities]),
             ]
         });

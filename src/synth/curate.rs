@@ -36,9 +36,16 @@ pub struct CurationSettings {
     /// Whether each part gets as many stable simulations as lost ones at each force, so that the
     /// force says nothing about the label.
     pub is_balanced: bool,
+    /// Whether the part `train` keeps all of both labels nevertheless: training can weigh them,
+    /// figures of the other parts are of balanced ones.
+    #[serde(default)]
+    pub is_training_whole: bool,
     /// Decides what is left out.
     pub seed: u64,
 }
+
+/// Part that [`CurationSettings::is_training_whole`] is about.
+const TRAIN: &str = "train";
 
 impl Default for CurationSettings {
     /// 80 % to train, 10 % each to validate and test, no object in two; no category with more
@@ -49,6 +56,7 @@ impl Default for CurationSettings {
             parts: Split::usual(),
             category_cap: Some(2.0),
             is_balanced: true,
+            is_training_whole: false,
             seed: 0,
         }
     }
@@ -132,7 +140,7 @@ pub fn curate(
         // By chance, but the same for any order and for any other simulations beside them.
         all.sort_by_key(|one| (chance(settings.seed, &one.id), &one.id));
         cap(&mut all, settings.category_cap, &mut curation.left_out);
-        if settings.is_balanced {
+        if settings.is_balanced && !(settings.is_training_whole && part == TRAIN) {
             let mut forces: Vec<f64> = all.iter().map(|one| one.stop_force_n).collect();
             forces.sort_by(f64::total_cmp);
             forces.dedup();
@@ -281,6 +289,30 @@ mod tests {
         let train = 2 * counts[&("train", true)];
         let share = train as f64 / total as f64;
         assert!((0.72..0.88).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn training_keeps_all_where_that_is_wanted_and_the_other_parts_stay_as_they_are() {
+        let all = labelled(1200);
+        let balanced = CurationSettings {
+            category_cap: None,
+            ..CurationSettings::default()
+        };
+        let whole = CurationSettings {
+            is_training_whole: true,
+            ..balanced.clone()
+        };
+        let [balanced, whole] =
+            [balanced, whole].map(|settings| curate(&planned(&all), &all, &settings).unwrap());
+        let of = |curation: &Curation, is_train: bool| -> Vec<String> {
+            let parts = curation.part.iter();
+            let of = parts.filter(|(_, part)| (*part == TRAIN) == is_train);
+            of.map(|(id, _)| id.clone()).collect()
+        };
+        assert_eq!(of(&balanced, false), of(&whole, false));
+        assert!(of(&whole, true).len() > of(&balanced, true).len() + 100);
+        let left_out = whole.left_out.len() + whole.part.len();
+        assert_eq!(left_out, all.len());
     }
 
     #[test]

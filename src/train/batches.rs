@@ -1,10 +1,12 @@
 //! Batches of samples, decoded and changed on all cores.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use super::augment::{FLOATS, InputWriter, SamplePictures};
 use super::quantities::QuantityScale;
-use super::samples::{SampleReader, Samples};
+use super::samples::{SampleFacts, SampleReader, Samples};
 use crate::error::Result;
 use crate::imaging::Decoder;
 use crate::nn::{Batch, Senses};
@@ -20,8 +22,8 @@ pub(super) struct Batches<'a> {
     reader: SampleReader<'a>,
     senses: Senses,
     writer: InputWriter,
-    /// What a lost and a stable sample count.
-    weights: [f32; 2],
+    /// What each sample counts.
+    weights: Vec<f32>,
     /// Scale of the quantities beside the label, where they are wanted.
     scale: Option<QuantityScale>,
 }
@@ -39,7 +41,7 @@ impl<'a> Batches<'a> {
             reader: SampleReader::new(samples, memory),
             senses,
             writer,
-            weights: [1.0; 2],
+            weights: vec![1.0; samples.facts().len()],
             scale: None,
         }
     }
@@ -51,12 +53,30 @@ impl<'a> Batches<'a> {
         self
     }
 
-    /// Lets both labels count the same in sum.
+    /// Lets both labels count the same in sum, at each stopping force if all have both: weak grasps
+    /// are lost more often, and the force can be read from the tactile pictures.
     #[must_use]
     pub(super) fn balanced(mut self) -> Self {
-        let counts = self.samples.by_label();
-        let all = counts[0] + counts[1];
-        self.weights = counts.map(|count| all as f32 / (2 * count.max(1)) as f32);
+        let facts = self.samples.facts();
+        let by_force = |facts: &SampleFacts| facts.stop_force_n.map(f64::to_bits);
+        let counted = |of: &dyn Fn(&SampleFacts) -> Option<u64>| {
+            let mut counts: BTreeMap<Option<u64>, [usize; 2]> = BTreeMap::new();
+            for facts in facts {
+                counts.entry(of(facts)).or_default()[usize::from(facts.is_stable)] += 1;
+            }
+            let weight = |facts: &SampleFacts| {
+                let counts = counts.get(&of(facts)).copied().unwrap_or_default();
+                let of_label = counts[usize::from(facts.is_stable)];
+                (counts[0] + counts[1]) as f32 / (2 * of_label.max(1)) as f32
+            };
+            let has_both = counts
+                .values()
+                .all(|[lost, stable]| *lost > 0 && *stable > 0);
+            has_both.then(|| facts.iter().map(weight).collect())
+        };
+        if let Some(weights) = counted(&by_force).or_else(|| counted(&|_| None)) {
+            self.weights = weights;
+        }
         self
     }
 
@@ -108,7 +128,6 @@ impl<'a> Batches<'a> {
             .iter()
             .map(|at| &self.samples.facts()[*at])
             .collect();
-        let of = |is_stable: bool| self.weights[usize::from(is_stable)];
         let quantities = self.scale.iter().flat_map(|scale| {
             let samples = facts.iter().zip(&seen);
             samples.flat_map(|(facts, seen)| {
@@ -122,9 +141,57 @@ impl<'a> Batches<'a> {
                 .iter()
                 .map(|f| f32::from(u8::from(f.is_stable)))
                 .collect(),
-            weights: facts.iter().map(|f| of(f.is_stable)).collect(),
+            weights: samples.iter().map(|at| self.weights[*at]).collect(),
             quantities: quantities.collect(),
         })
+    }
+}
+
+/// Mixes each sample of a batch with the next one, which gets the share given for it (Zhang et al.,
+/// "mixup", 2018).
+pub(super) fn mix(batch: &mut Batch, shares: &[f32]) {
+    let count = shares.len();
+    if count < 2 {
+        return;
+    }
+    let weights = batch.weights.clone();
+    let of_next = |at: usize| (at + 1) % count;
+    for at in 0..count {
+        let (next, share) = (of_next(at), shares[at]);
+        let [own, other] = [(1.0 - share) * weights[at], share * weights[next]];
+        batch.weights[at] = own + other;
+    }
+    let targets = batch.targets.clone();
+    for at in 0..count {
+        let (next, share) = (of_next(at), shares[at]);
+        let sum = (1.0 - share) * weights[at] * targets[at] + share * weights[next] * targets[next];
+        batch.targets[at] = sum / batch.weights[at];
+    }
+    for (floats, pictures) in [(&mut batch.touch, 2), (&mut batch.vision, 1)] {
+        let (is_seen, size) = (!floats.is_empty(), floats.len() / (pictures * count));
+        if is_seen {
+            let of_picture = floats.par_chunks_exact_mut(count * size);
+            of_picture.for_each(|floats| mix_rows(floats, size, shares));
+        }
+    }
+    if !batch.quantities.is_empty() {
+        let size = batch.quantities.len() / count;
+        mix_rows(&mut batch.quantities, size, shares);
+    }
+}
+
+fn mix_rows(floats: &mut [f32], size: usize, shares: &[f32]) {
+    let first = floats[..size].to_vec();
+    for (at, share) in shares.iter().enumerate() {
+        let (row, rest) = floats[at * size..].split_at_mut(size);
+        let next = if rest.is_empty() {
+            &first[..]
+        } else {
+            &rest[..size]
+        };
+        for (own, other) in row.iter_mut().zip(next) {
+            *own += share * (other - *own);
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 
 use super::augment::InputWriter;
-use super::batches::{Batches, colour_normalisation};
+use super::batches::{Batches, colour_normalisation, mix};
 use super::look::{Scores, logits};
 use super::quantities::QuantityScale;
 use super::samples::{Samples, dataset_sha256};
@@ -17,7 +17,7 @@ use super::state::{self, Position};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
 use crate::imaging::CropProfile;
-use crate::nn::{Adam, Losses, Network, Step, linear_schedule};
+use crate::nn::{Adam, Batch, Losses, Network, Step, linear_schedule};
 use crate::predict::contract::RgbNormalisation;
 use crate::render::visual::SeedStream;
 
@@ -538,12 +538,20 @@ impl<'a> Training<'a> {
         let mut batches = Batches::new(train, senses, writer, settings.memory)
             .balanced()
             .with_quantities(self.scale);
-        let mut read = |step: u64| {
+        let mut read = |step: u64| -> Result<Batch> {
             let first = step as usize * settings.batch;
             let samples = &order[first..first + settings.batch];
             let seed = |at: &usize| SeedStream::named(of_epoch, &train.facts()[*at].id).bits();
             let seeds: Vec<u64> = samples.iter().map(seed).collect();
-            batches.batch(samples, Some(&seeds))
+            let mut batch = batches.batch(samples, Some(&seeds))?;
+            if settings.mix > 0.0 {
+                let mut draw = SeedStream::named(of_epoch, &format!("mix {step}"));
+                let shares = samples
+                    .iter()
+                    .map(|_| draw.between(0.0, settings.mix) as f32);
+                mix(&mut batch, &shares.collect::<Vec<_>>());
+            }
+            Ok(batch)
         };
         let steps = self.steps_per_epoch();
         let all = steps * u64::from(settings.epochs);
@@ -637,13 +645,7 @@ impl<'a> Training<'a> {
         }
     }
 
-    fn check_loss(
-        &self,
-        losses: Losses,
-        gradient: &[f32],
-        epoch: u32,
-        step: u64,
-    ) -> Result<()> {
+    fn check_loss(&self, losses: Losses, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
         let loss = losses.label + losses.quantities;
         // A ReLU hides what is no number from the loss, but not from the gradient.
         if loss.is_finite() && gradient.iter().all(|slope| slope.is_finite()) {

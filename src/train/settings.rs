@@ -30,6 +30,9 @@ pub struct TrainSettings {
     pub weight_decay: f64,
     /// Share of the hidden floats that are left out at random.
     pub dropout: f64,
+    /// Largest share of another sample that a sample is mixed with (Zhang et al., "mixup", 2018).
+    #[serde(default)]
+    pub mix: f64,
     /// What the error of the quantities beside the label (where the object lies in the gripper,
     /// opening, mass, friction, force) counts in training; 0 leaves them out.
     #[serde(default)]
@@ -59,6 +62,7 @@ impl TrainSettings {
             warm_up: 100,
             weight_decay: 0.01,
             dropout: 0.2,
+            mix: 0.0,
             quantity_weight: 0.0,
             average: 0.0,
             patience: 0,
@@ -74,7 +78,11 @@ impl TrainSettings {
 
     /// Quantities that the network guesses beside the label.
     pub(super) fn quantities(&self) -> usize {
-        if self.quantity_weight > 0.0 { QUANTITIES } else { 0 }
+        if self.quantity_weight > 0.0 {
+            QUANTITIES
+        } else {
+            0
+        }
     }
 
     /// Refuses settings that cannot train anything.
@@ -98,6 +106,7 @@ impl TrainSettings {
         within("learning-rate", self.learning_rate, 1e-9, 1.0)?;
         within("weight-decay", self.weight_decay, 0.0, 1.0)?;
         within("dropout", self.dropout, 0.0, 0.95)?;
+        within("mix", self.mix, 0.0, 0.5)?;
         within("average", self.average, 0.0, 0.9999)?;
         within("quantity-weight", self.quantity_weight, 0.0, 100.0)
     }

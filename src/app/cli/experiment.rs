@@ -7,15 +7,15 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
+use super::training_flags::TrainingFlags;
 use super::working::resumable;
 use super::{Context, print, print_json};
-use crate::error::{Error, ErrorKind, Result};
-use crate::nn::Architecture;
+use crate::error::Result;
 use crate::predict::contract::Variant;
 use crate::train::metrics::Interval;
 use crate::train::{
     Condition, ExperimentEvent, ExperimentReport, ExperimentSettings, TestSet, TrainEvent,
-    TrainSettings, experiment,
+    experiment,
 };
 use crate::workers::cores;
 
@@ -51,12 +51,8 @@ struct Fig6Args {
     /// Seeds of each bar
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=100))]
     seeds: u64,
-    /// Times that every sample is seen
-    #[arg(long, default_value_t = 30)]
-    epochs: u32,
-    /// Network
-    #[arg(long, default_value = "gripcast", value_parser = Architecture::NAMES)]
-    arch: String,
+    #[command(flatten)]
+    training: TrainingFlags,
     /// Models that are trained at a time, of which each takes up to 1.5 GB [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
@@ -68,12 +64,6 @@ struct Fig6Args {
 /// Runs the verb.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let Experiment::Fig6(args) = args.experiment;
-    let architecture = Architecture::named(&args.arch).ok_or_else(|| {
-        Error::new(
-            ErrorKind::Usage,
-            format!("there is no network `{}`", args.arch),
-        )
-    })?;
     let test = |title: &str, name: &str, data: &PathBuf| TestSet {
         title: title.to_owned(),
         name: name.to_owned(),
@@ -89,10 +79,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         rigid: args.rigid.clone(),
         tests,
         seeds: args.seeds,
-        training: TrainSettings {
-            epochs: args.epochs,
-            ..TrainSettings::usual(Variant::Vt, architecture, 0)
-        },
+        training: args.training.settings(Variant::Vt, 0)?,
     };
     let out = args.out.clone();
     let jobs = args.jobs.map_or_else(cores, usize::from);

@@ -65,6 +65,7 @@ mod synth_plan;
 mod synth_report;
 mod synth_run;
 mod train;
+mod training_flags;
 mod working;
 
 /// Collect grasps with touch; predict before the lift whether they hold.

@@ -47,6 +47,10 @@ pub(super) struct ChoiceArgs {
     /// Keep all of both labels instead of as many of one as of the other
     #[arg(long)]
     unbalanced: bool,
+    /// Keep all of both labels in the part `train`; training weighs them, the other parts are
+    /// balanced
+    #[arg(long, conflicts_with = "unbalanced")]
+    whole_train: bool,
     /// Decides what is left out
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -109,6 +113,7 @@ impl ChoiceArgs {
             parts: self.split.clone(),
             category_cap: (self.category_cap > 0.0).then_some(self.category_cap),
             is_balanced: !self.unbalanced,
+            is_training_whole: self.whole_train,
             seed: self.seed,
         })
     }

@@ -14,16 +14,14 @@ use rustix::process::getpgrp;
 use rustix::termios::tcgetpgrp;
 use serde_json::{Value, json};
 
+use super::training_flags::TrainingFlags;
 use super::working::{Progress, resumable, resumable_under_screen};
 use super::{Context, print, print_json};
 use crate::app::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
-use crate::nn::Architecture;
 use crate::predict::contract::Variant;
-use crate::train::{
-    Augmentation, Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish, train,
-};
+use crate::train::{Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish, train};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -37,43 +35,14 @@ pub(crate) struct Args {
     /// What the classifier sees
     #[arg(long, value_enum, default_value_t = Modality::Vt)]
     modality: Modality,
-    /// Network
-    #[arg(long, default_value = "gripcast", value_parser = Architecture::NAMES)]
-    arch: String,
+    #[command(flatten)]
+    training: TrainingFlags,
     /// First seed
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Runs with seeds one after the other; the model is that of the best on the validation part
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100))]
     seeds: u64,
-    /// Times that every sample is seen
-    #[arg(long, default_value_t = 30)]
-    epochs: u32,
-    /// Samples of a step
-    #[arg(long, default_value_t = 16)]
-    batch: usize,
-    /// Learning rate at its highest; it falls linearly to zero
-    #[arg(long, default_value_t = 3e-4)]
-    learning_rate: f64,
-    /// Share of themselves that weights lose in a step at a rate of 1
-    #[arg(long, default_value_t = 0.01)]
-    weight_decay: f64,
-    /// Share of the hidden floats that are left out at random
-    #[arg(long, default_value_t = 0.2)]
-    dropout: f64,
-    /// What the error of the quantities that a simulation knows beside the label counts (place of
-    /// the object in the gripper, opening, mass, friction, force); 0 leaves them out
-    #[arg(long, default_value_t = 0.0)]
-    quantity_weight: f64,
-    /// Share of itself that the running mean of the parameters keeps in a step; 0 for no mean
-    #[arg(long, default_value_t = 0.0)]
-    average: f64,
-    /// Epochs without a better validation accuracy after which training ends; 0 for never
-    #[arg(long, default_value_t = 0)]
-    patience: u32,
-    /// Leave pictures as they are
-    #[arg(long)]
-    no_augmentation: bool,
     /// Name of the model [default: trained- and its senses, as trained-vt]
     #[arg(long)]
     name: Option<String>,
@@ -230,29 +199,6 @@ fn text(found: &Value) -> String {
 
 impl Args {
     fn settings(&self, seed: u64) -> Result<TrainSettings> {
-        let architecture = Architecture::named(&self.arch).ok_or_else(|| {
-            Error::new(
-                ErrorKind::Usage,
-                format!("there is no network `{}`", self.arch),
-            )
-        })?;
-        let settings = TrainSettings {
-            epochs: self.epochs,
-            batch: self.batch,
-            learning_rate: self.learning_rate,
-            weight_decay: self.weight_decay,
-            dropout: self.dropout,
-            quantity_weight: self.quantity_weight,
-            average: self.average,
-            patience: self.patience,
-            augmentation: if self.no_augmentation {
-                Augmentation::NONE
-            } else {
-                Augmentation::USUAL
-            },
-            ..TrainSettings::usual(self.modality.into(), architecture, seed)
-        };
-        settings.check()?;
-        Ok(settings)
+        self.training.settings(self.modality.into(), seed)
     }
 }
