@@ -105,7 +105,7 @@ impl Photographer {
     pub(super) fn new(plan: RenderingPlan) -> Result<Self> {
         Ok(Self {
             sensor: SensorProfile::gelsight_mini()?,
-            visual: VisualRandomisation::default(),
+            visual: VisualRandomisation::spread(plan.visual_spread),
             plan,
         })
     }

@@ -232,3 +232,80 @@ pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
         std: std.map(|x| x as f32),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::augment::Augmentation;
+    use crate::train::sample_dataset::{row, write_part};
+
+    #[test]
+    fn each_sample_is_mixed_with_the_next_as_it_was() {
+        let mut batch = Batch {
+            touch: [[0.0; 2], [4.0; 2], [8.0; 2], [1.0; 2], [1.0; 2], [5.0; 2]].concat(),
+            vision: vec![0.0, 10.0, 20.0],
+            targets: vec![1.0, 0.0, 1.0],
+            weights: vec![1.0, 3.0, 1.0],
+            quantities: vec![2.0, f32::NAN, 4.0],
+        };
+        mix(&mut batch, &[0.25, 0.5, 0.5]);
+        let touch = [[1.0; 2], [6.0; 2], [4.0; 2], [1.0; 2], [3.0; 2], [3.0; 2]];
+        assert_eq!(batch.touch, touch.concat());
+        assert_eq!(batch.vision, [2.5, 15.0, 10.0]);
+        assert_eq!(batch.weights, [1.5, 2.0, 1.0]);
+        assert_eq!(batch.targets, [0.5, 0.25, 1.0]);
+        assert!(batch.quantities[0].is_nan() && batch.quantities[1].is_nan());
+        assert_eq!(batch.quantities[2], 3.0);
+    }
+
+    #[test]
+    fn labels_count_the_same_at_each_force_that_has_both() {
+        let folder = tempfile::tempdir().unwrap();
+        let weights = |lost_force_n: f64| -> Vec<[f64; 3]> {
+            let rows = (0..12).map(|number| {
+                let mut row = row("train", number);
+                let is_lost = number % 2 == 0;
+                let force_n = if number < 3 || (is_lost && number < 6) {
+                    lost_force_n
+                } else {
+                    40.0
+                };
+                row.facts.stop_force_n = Some(force_n);
+                row
+            });
+            write_part(folder.path(), "train", rows);
+            let samples = Samples::open(folder.path(), "train").unwrap();
+            let writer = InputWriter::new(
+                Augmentation::NONE,
+                RgbNormalisation {
+                    mean: [0.0; 3],
+                    std: [1.0; 3],
+                },
+            );
+            let senses = Senses {
+                touch: true,
+                vision: false,
+            };
+            let batches = Batches::new(&samples, senses, writer, 0).balanced();
+            let facts = samples.facts().iter().zip(&batches.weights);
+            facts
+                .map(|(facts, weight)| {
+                    let label = f64::from(u8::from(facts.is_stable));
+                    [facts.stop_force_n.unwrap(), label, f64::from(*weight)]
+                })
+                .collect()
+        };
+        let sum = |of: &[[f64; 3]], force_n: f64, label: f64| -> f64 {
+            let of = of.iter().filter(|x| x[0] == force_n && x[1] == label);
+            of.map(|x| x[2]).sum()
+        };
+        let found = weights(10.0);
+        for force_n in [10.0, 40.0] {
+            let [lost, stable] = [0.0, 1.0].map(|label| sum(&found, force_n, label));
+            assert!(lost > 0.0 && (lost - stable).abs() < 1e-5, "{force_n} N");
+        }
+        // One force alone: by label.
+        let found = weights(40.0);
+        assert!((sum(&found, 40.0, 0.0) - sum(&found, 40.0, 1.0)).abs() < 1e-5);
+    }
+}

@@ -84,3 +84,47 @@ impl QuantityScale {
         seen
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{DQuat, DVec3};
+
+    use super::*;
+    use crate::geometry::Pose;
+    use crate::train::sample_dataset::{row, write_part};
+
+    #[test]
+    fn quantities_are_those_of_the_grasp_and_turn_with_the_gripper() {
+        let folder = tempfile::tempdir().unwrap();
+        let rows = [-1.0, 1.0].map(|way| {
+            let mut row = row("train", 1);
+            row.facts.id = format!("{way}");
+            // The gripper looks down; the object lies 10 mm along its x and 5 mm along its y.
+            let down = DQuat::from_rotation_x(std::f64::consts::PI);
+            let place = DVec3::new(0.01, 0.005, 0.02 + 0.01 * way);
+            row.facts.t_object_gripper = Some(Pose::new(down, -(down * place)));
+            row.facts.opening_m = Some(0.03 + 0.01 * way);
+            row.facts.mass_kg = None;
+            row
+        });
+        write_part(folder.path(), "train", rows);
+        let samples = Samples::open(folder.path(), "train").unwrap();
+        let known = samples.facts()[1].quantities;
+        let expected = [0.01, 0.005, 0.03, 0.04, f32::NAN, 0.5, 5_f32.ln()];
+        for (at, (found, expected)) in known.iter().zip(expected).enumerate() {
+            let alike = (found - expected).abs() < 1e-6 || (found.is_nan() && expected.is_nan());
+            assert!(alike, "{at}: {found} {expected}");
+        }
+        let scale = QuantityScale::of(&samples);
+        for (swapped, turned) in [(false, false), (true, false), (true, true)] {
+            let seen = scale.seen(&known, swapped, turned);
+            let sign = |flips: bool| if flips { -1.0 } else { 1.0 };
+            let expected = [sign(swapped), sign(turned), 1.0, 1.0, f32::NAN, 0.0, 0.0];
+            for (at, (found, expected)) in seen.iter().zip(expected).enumerate() {
+                let alike =
+                    (found - expected).abs() < 1e-4 || (found.is_nan() && expected.is_nan());
+                assert!(alike, "{at}: {found} {expected}");
+            }
+        }
+    }
+}

@@ -33,6 +33,16 @@ fn settings(variant: Variant) -> TrainSettings {
     }
 }
 
+/// Everything that training can do with few labels.
+fn thrifty(variant: Variant) -> TrainSettings {
+    TrainSettings {
+        mix: 0.4,
+        quantity_weight: 0.3,
+        average: 0.8,
+        ..settings(variant)
+    }
+}
+
 fn without_times(folder: &RunFolder) -> Vec<EpochFigures> {
     let text = fs::read_to_string(folder.metrics()).unwrap();
     let lines = text.lines().map(|line| serde_json::from_str(line).unwrap());
@@ -107,25 +117,30 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
 
 #[test]
 fn a_run_that_was_killed_ends_with_the_same_bytes() {
+    for settings in [settings(Variant::T), thrifty(Variant::T)] {
+        killed_and_gone_on_with(&settings);
+    }
+}
+
+fn killed_and_gone_on_with(settings: &TrainSettings) {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
-    let settings = settings(Variant::T);
     let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
-    train(&data, &whole, &settings, &|_| {}).unwrap();
+    train(&data, &whole, settings, &|_| {}).unwrap();
     for last in [1_u64, 8, 14] {
         let killed = quiet_panic::catch(AssertUnwindSafe(|| {
-            train(&data, &broken, &settings, &|event| {
+            train(&data, &broken, settings, &|event| {
                 let is_last = matches!(event, TrainEvent::Step { at, .. } if at[0] == last);
                 assert!(!is_last, "killed");
             })
         }));
         assert!(killed.is_err(), "step {last}");
     }
-    train(&data, &broken, &settings, &|_| {}).unwrap();
+    train(&data, &broken, settings, &|_| {}).unwrap();
     let [whole, broken] = [whole, broken].map(RunFolder::at);
     assert_eq!(without_times(&whole), without_times(&broken));
-    let network = |folder: &RunFolder| folder.best_network(&settings).unwrap().0.parameters;
+    let network = |folder: &RunFolder| folder.best_network(settings).unwrap().0.parameters;
     assert!(network(&whole) == network(&broken));
     let state = |folder: &RunFolder| state::load::<Position>(&folder.state()).unwrap();
     assert!(state(&whole) == state(&broken));
@@ -136,7 +151,7 @@ fn checkpoints_within_an_epoch_are_gone_on_with() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_dataset(&data, 24);
-    let settings = settings(Variant::T);
+    let settings = thrifty(Variant::T);
     let file = {
         let train = Samples::open(&data, TRAIN).unwrap();
         let out = folder.path().join("run");
@@ -161,6 +176,8 @@ fn checkpoints_within_an_epoch_are_gone_on_with() {
     assert_eq!(again.position.step, 3);
     again.epoch(&|_| {}).unwrap();
     assert!(again.network.parameters == whole.network.parameters);
+    assert!(again.measured().parameters == whole.measured().parameters);
+    assert!(whole.measured().parameters != whole.network.parameters);
     assert_eq!(again.position.loss, whole.position.loss);
 }
 
@@ -275,4 +292,49 @@ fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
     assert!(text.contains("no number in epoch 2"), "{text}");
     assert!(text.contains("of epoch 1, is kept"), "{text}");
     assert_eq!(fs::read(run.best()).unwrap(), best);
+}
+
+#[test]
+fn quantities_beside_the_label_are_learned_and_left_out_of_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    // Openings that the tactile pictures show: contacts are of wide grasps.
+    let opened = |part: &str, number: u64| {
+        let mut row = row(part, number);
+        row.facts.opening_m = Some(if number % 2 == 1 { 0.05 } else { 0.01 });
+        row.facts.t_object_gripper = None;
+        row
+    };
+    for (part, rows) in [("train", 24), ("validation", 8)] {
+        write_part(&data, part, (0..rows).map(|number| opened(part, number)));
+    }
+    let settings = TrainSettings {
+        quantity_weight: 1.0,
+        epochs: 6,
+        ..settings(Variant::T)
+    };
+    let out = folder.path().join("run");
+    train(&data, &out, &settings, &|_| {}).unwrap();
+    let run = RunFolder::at(&out);
+    let file = run.read().unwrap().unwrap();
+    let [train, validation] = [TRAIN, VALIDATION].map(|part| Samples::open(&data, part).unwrap());
+    let training = Training::new(&run, &file, &train, &validation).unwrap();
+    let scale = QuantityScale::of(&train);
+    let losses = |network: &Network| {
+        let writer = InputWriter::new(Augmentation::NONE, training.normalisation);
+        let mut batches = Batches::new(&validation, settings.senses(), writer, 1 << 20)
+            .with_quantities(Some(scale));
+        let batch = batches.batch(&[0, 1, 2, 3, 4, 5, 6, 7], None).unwrap();
+        let mut gradient = vec![0.0; network.parameters.len()];
+        network
+            .clone()
+            .learn(&batch, &Step::default(), &mut gradient)
+    };
+    // Half of the variance of one quantity that varies, over the five that are known or constant.
+    let untold = 0.5 / 4.0;
+    let told = losses(&training.network).quantities;
+    assert!(told < 0.4 * untold, "{told}");
+    let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
+    let text = String::from_utf8_lossy(&finished.onnx);
+    assert!(text.contains("head.logit") && !text.contains("quantities"));
 }

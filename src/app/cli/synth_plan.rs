@@ -73,6 +73,10 @@ pub(crate) struct Args {
     /// Spread of the tactile sensors: 0 the shipped profile, 1 as real ones differ
     #[arg(long, value_name = "S", default_value_t = 1.0)]
     sensor_spread: f64,
+    /// Spread of the colour camera's place and lens and of the light: 0 the nominal ones, 1 as
+    /// usual
+    #[arg(long, value_name = "S", default_value_t = 1.0)]
+    visual_spread: f64,
     /// How estimated masses become masses of 10 to 200 g; given ones stay
     #[arg(long, value_enum, default_value_t = MassMapName::Log)]
     mass_map: MassMapName,
@@ -225,14 +229,16 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 impl Args {
     fn make(&self, progress: &Progress) -> Result<MadePlan> {
         let preset = PlanPreset::from(self.preset);
-        if !(0.0..=3.0).contains(&self.sensor_spread) {
-            return Err(Error::new(
-                ErrorKind::Usage,
-                format!(
-                    "`--sensor-spread` must be from 0 to 3, found {}",
-                    self.sensor_spread
-                ),
-            ));
+        for (flag, spread) in [
+            ("--sensor-spread", self.sensor_spread),
+            ("--visual-spread", self.visual_spread),
+        ] {
+            if !(0.0..=3.0).contains(&spread) {
+                return Err(Error::new(
+                    ErrorKind::Usage,
+                    format!("`{flag}` must be from 0 to 3, found {spread}"),
+                ));
+            }
         }
         if !(self.least_friction_share > 0.0 && self.least_friction_share <= 1.0) {
             return Err(Error::new(
@@ -259,6 +265,7 @@ impl Args {
                 renderings: self.renderings.unwrap_or(of_preset.renderings),
                 samples: self.samples.unwrap_or(of_preset.samples),
                 sensor_spread: self.sensor_spread,
+                visual_spread: self.visual_spread,
             },
             textures,
             mass_map: self.mass_map.into(),

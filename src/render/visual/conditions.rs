@@ -110,6 +110,18 @@ const FILAMENTS: [[f32; 3]; 6] = [
 ];
 
 impl VisualRandomisation {
+    /// The usual ranges, `spread` times as wide: 0 for the nominal camera and brightness.
+    pub fn spread(spread: f64) -> Self {
+        let usual = Self::default();
+        Self {
+            intensity: usual.intensity.map(|factor| factor.powf(spread)),
+            camera_shift_m: spread * usual.camera_shift_m,
+            camera_turn_rad: spread * usual.camera_turn_rad,
+            focal_factor: usual.focal_factor.map(|factor| factor.powf(spread)),
+            ..usual
+        }
+    }
+
     /// The conditions of a seed.
     pub fn sample(&self, seed: u64) -> VisualConditions {
         let mut light = SeedStream::named(seed, "light");
@@ -197,6 +209,22 @@ mod tests {
         skies.sort_unstable();
         skies.dedup();
         assert_eq!(skies.len(), 4);
+    }
+
+    #[test]
+    fn ranges_are_widened_and_narrowed() {
+        let usual = format!("{:?}", VisualRandomisation::default());
+        assert_eq!(format!("{:?}", VisualRandomisation::spread(1.0)), usual);
+        let nominal = VisualRandomisation::spread(0.0).sample(3);
+        assert_eq!((nominal.intensity, nominal.focal_factor), (1.0, 1.0));
+        assert_eq!(nominal.camera_move.translation_m, DVec3::ZERO);
+        let wide = VisualRandomisation::spread(2.0);
+        let beyond = (0..40).filter(|seed| {
+            let drawn = wide.sample(*seed);
+            assert!((0.09..=9.0).contains(&drawn.intensity));
+            drawn.camera_move.translation_m.abs().max_element() > 0.006
+        });
+        assert!(beyond.count() > 10);
     }
 
     #[test]

@@ -14,6 +14,7 @@ fn settings(jobs: usize) -> PlanSettings {
             renderings: 1,
             samples: 1,
             sensor_spread: 1.0,
+            visual_spread: 1.0,
         },
         textures: Vec::new(),
         mass_map: MassMap::None,

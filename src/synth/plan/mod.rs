@@ -61,6 +61,18 @@ pub struct RenderingPlan {
     pub samples: u32,
     /// Spread of the sensors: 0 for the shipped profile, 1 for what is found between real ones.
     pub sensor_spread: f64,
+    /// Spread of the colour camera's place and lens and of the light's brightness: 0 for the nominal
+    /// ones, 1 for the usual one.
+    #[serde(default = "usual_spread", skip_serializing_if = "is_usual_spread")]
+    pub visual_spread: f64,
+}
+
+fn usual_spread() -> f64 {
+    1.0
+}
+
+fn is_usual_spread(spread: &f64) -> bool {
+    *spread == usual_spread()
 }
 
 /// Where an object's mesh comes from.
@@ -203,6 +215,7 @@ mod tests {
                 renderings: 3,
                 samples: 8,
                 sensor_spread: 1.0,
+                visual_spread: 1.0,
             },
         };
         let objects = ["box-0000", "box-0001"].map(object).to_vec();
@@ -219,6 +232,23 @@ mod tests {
         assert_eq!(other.kind(), ErrorKind::Input);
         assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
         assert_ne!(plan(5).sha256, plan(6).sha256);
+    }
+
+    #[test]
+    fn the_usual_spread_of_the_colour_pictures_is_not_in_the_file() {
+        let mut rendering = plan(0).header.rendering;
+        let text = serde_json::to_string(&rendering).unwrap();
+        assert!(!text.contains("visual_spread"), "{text}");
+        assert_eq!(
+            serde_json::from_str::<RenderingPlan>(&text).unwrap(),
+            rendering
+        );
+        rendering.visual_spread = 2.0;
+        let text = serde_json::to_string(&rendering).unwrap();
+        assert_eq!(
+            serde_json::from_str::<RenderingPlan>(&text).unwrap(),
+            rendering
+        );
     }
 
     #[test]

@@ -73,6 +73,7 @@ impl PlanPreset {
             renderings: if self == Self::Tiny { 1 } else { 3 },
             samples: 4,
             sensor_spread: 1.0,
+            visual_spread: 1.0,
         }
     }
 }
