@@ -74,6 +74,8 @@ pub struct PlanFacts {
     pub samples: u32,
     /// Spread of the tactile sensors.
     pub sensor_spread: f64,
+    /// Spread of the colour camera and the light.
+    pub visual_spread: f64,
 }
 
 /// How far a plan is.

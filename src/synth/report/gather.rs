@@ -121,6 +121,7 @@ pub(super) fn plan_facts(plan: &Plan) -> PlanFacts {
         renderings: header.rendering.renderings,
         samples: header.rendering.samples,
         sensor_spread: header.rendering.sensor_spread,
+        visual_spread: header.rendering.visual_spread,
     }
 }
 

@@ -112,10 +112,11 @@ fn facts(report: &SynthReport, out: &mut String) {
     fact(
         "Renderings",
         format!(
-            "{} of each simulation, {} paths a pixel, sensor spread {}",
+            "{} of each simulation, {} paths a pixel, sensor spread {}, visual spread {}",
             plan.renderings,
             plan.samples,
-            trimmed(plan.sensor_spread, 2)
+            trimmed(plan.sensor_spread, 2),
+            trimmed(plan.visual_spread, 2)
         ),
     );
     let outcomes: Vec<String> = progress
