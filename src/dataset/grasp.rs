@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::layout::Stage;
@@ -12,6 +13,11 @@ use crate::imaging::{PixelFormat, Role};
 
 /// Version of the dataset format that this build writes.
 pub const SCHEMA_VERSION: u32 = 1;
+
+/// A unit quaternion's length may be off by this.
+const UNIT_TOLERANCE: f64 = 1e-3;
+/// The only frame that a pose is in.
+const POSE_FRAME: &str = "t_object_gripper";
 
 /// Key of a grasp: `<utc>-<4 hex>`, for instance `2026-11-20T10-15-03Z-7f3a`. Never a position.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -240,6 +246,33 @@ pub struct PoseRecord {
     /// How it was found; none for one that a person gave.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quality: Option<PoseQuality>,
+}
+
+impl PoseRecord {
+    /// The pose as a transform, its quaternion brought to length 1.
+    ///
+    /// # Errors
+    /// `Input`: it is in another frame, or its numbers are no pose.
+    pub fn t_object_gripper(&self) -> Result<Pose> {
+        let wrong = |what: String| Error::new(ErrorKind::Input, what);
+        if self.frame != POSE_FRAME {
+            return Err(wrong(format!(
+                "its pose is `{}`, expected `{POSE_FRAME}`",
+                self.frame
+            )));
+        }
+        let [w, x, y, z] = self.q_wxyz;
+        let rotation = DQuat::from_xyzw(x, y, z, w);
+        let is_finite = self.t_m.iter().chain(&self.q_wxyz).all(|n| n.is_finite());
+        if !is_finite || (rotation.length() - 1.0).abs() > UNIT_TOLERANCE {
+            return Err(wrong(format!(
+                "its pose must be finite numbers with a unit quaternion, found t_m {:?}, q_wxyz {:?}",
+                self.t_m, self.q_wxyz
+            )));
+        }
+        let translation_m = DVec3::from_array(self.t_m);
+        Ok(Pose::new(rotation.normalize(), translation_m))
+    }
 }
 
 /// How a pose was found, and what speaks for and against it.

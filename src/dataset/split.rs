@@ -41,7 +41,7 @@ impl fmt::Display for SplitBy {
 
 impl SplitBy {
     /// The item of a grasp; spellings that differ in case or blanks are the same item.
-    fn item(self, record: &GraspRecord) -> String {
+    pub(crate) fn item(self, record: &GraspRecord) -> String {
         let name = match self {
             Self::Object => &record.object,
             Self::Scene => &record.scene,

@@ -2,14 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::plan::ExportPlan;
+use super::plan::{ExportFormat, ExportPlan};
 use super::report::LeftOut;
 use crate::dataset::{Dataset, GraspId, GraspRecord, Outcome, SplitFile, Stage};
 use crate::error::{Error, ErrorKind, Result, unknown_name};
 use crate::imaging::Role;
-
-/// Name of the part that all grasps are in without a split: what Hugging Face calls it.
-const WHOLE: &str = "train";
 
 /// The grasps of an export.
 #[derive(Debug, Default)]
@@ -76,7 +73,7 @@ pub(super) fn choose(dataset: &Dataset, plan: &ExportPlan) -> Result<Choice> {
     let all = dataset.ids()?;
     let mut choice = Choice::default();
     let parts = match split_of(dataset, plan)? {
-        None => vec![(WHOLE.to_owned(), all.clone())],
+        None => vec![(plan.format.whole().to_owned(), all.clone())],
         Some(split) => {
             let named: BTreeSet<&GraspId> = split.grasps().collect();
             choice.not_in_split = all.iter().filter(|id| !named.contains(id)).count();
@@ -155,6 +152,8 @@ fn parts_of(split: SplitFile, plan: &ExportPlan) -> Result<Vec<(String, Vec<Gras
         let known: Vec<&str> = split.parts.keys().map(String::as_str).collect();
         return Err(unknown_name("part", wanted, &known));
     }
+    let is_renamed =
+        plan.format == ExportFormat::Training && !split.parts.contains_key("validation");
     let wanted = |name: &String| plan.part.as_ref().is_none_or(|part| part == name);
     let parts = split.parts.into_iter().filter(|(name, _)| wanted(name));
     let checked = parts.map(|(name, part)| {
@@ -165,6 +164,11 @@ fn parts_of(split: SplitFile, plan: &ExportPlan) -> Result<Vec<(String, Vec<Gras
             return Err(Error::new(ErrorKind::Input, what)
                 .remedy("call it by letters, digits and _ in splits/*.json"));
         }
+        // `dataset split` says `val`, `train` wants `validation`.
+        let name = match &*name {
+            "val" if is_renamed => "validation".to_owned(),
+            _ => name,
+        };
         Ok((name, part.grasps.into_iter().collect()))
     });
     checked.collect()
@@ -184,7 +188,7 @@ fn nothing_left(choice: &Choice, all: usize, plan: &ExportPlan) -> Error {
         let remedy = if plan.only_labelled {
             "label some, or leave out `--only-labelled`"
         } else {
-            "label some: an episode of LeRobot says whether it succeeded"
+            "label some: this format says of every grasp whether it held"
         };
         (what, remedy)
     } else if choice.left_out.is_empty() {

@@ -13,16 +13,19 @@ use serde_json::Value;
 use super::{ExportFormat, ExportPlan, ExportReport, export};
 use crate::dataset::sample::{capture, meta, new_dataset};
 use crate::dataset::{
-    Dataset, DatasetWriter, GraspId, Outcome, PoseRecord, SplitBy, SplitPlan, split,
+    Dataset, DatasetWriter, GraspId, Outcome, PoseRecord, SplitBy, SplitPlan, Stage, StageCapture,
+    split,
 };
 use crate::error::{ErrorKind, Result};
 use crate::imaging::{CropProfile, Decoder, Role, jpeg::inspect};
+use crate::shard::{ShardEngine, ShardOutcome, ShardRow, ShardSet};
 
-const FORMATS: [ExportFormat; 4] = [
+const FORMATS: [ExportFormat; 5] = [
     ExportFormat::Parquet,
     ExportFormat::WebDataset,
     ExportFormat::LeRobot,
     ExportFormat::Zarr,
+    ExportFormat::Training,
 ];
 
 /// A mug that held, with a pose and padded pictures without Huffman tables; a bottle that slipped;
@@ -349,6 +352,88 @@ fn a_chunk_of_zarr_is_the_cropped_and_resized_picture() {
 }
 
 #[test]
+fn a_sample_for_training_has_the_pixels_of_the_live_path() {
+    let (dir, ids) = dataset();
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Training)).unwrap();
+    assert_eq!((report.grasps, report.unlabelled), (2, 1));
+    assert!(report.left_out.is_empty() && report.notes.is_empty());
+    let set = ShardSet::open(&out).unwrap();
+    let rows: Vec<ShardRow> = set.rows("test").unwrap().map(Result::unwrap).collect();
+    let [mug, bottle] = &rows[..] else {
+        panic!("{} rows", rows.len());
+    };
+    let facts = |row: &ShardRow| {
+        let f = &row.facts;
+        (f.id.clone(), f.object.clone(), f.outcome, f.engine)
+    };
+    let real = ShardEngine::Real;
+    let held = (ids[0].0.clone(), "mug".into(), ShardOutcome::Stable, real);
+    let lost = (ids[1].0.clone(), "bottle".into(), ShardOutcome::Slip, real);
+    assert_eq!((facts(mug), facts(bottle)), (held, lost));
+    let pose = mug.facts.t_object_gripper.unwrap();
+    assert_eq!(pose.translation_m.to_array(), [0.5, -0.25, 0.125]);
+    assert!(bottle.facts.t_object_gripper.is_none() && bottle.facts.mass_kg.is_none());
+    assert_eq!(mug.facts.crop_profile, "gsmini-seventh-v1");
+    let dataset = Dataset::open(dir.path().join("d")).unwrap();
+    let record = dataset.grasp(&ids[1]).unwrap();
+    let mut decoder = Decoder::new().unwrap();
+    for (role, stored) in [
+        (Role::Left, &bottle.images.grasp_left),
+        (Role::Right, &bottle.images.grasp_right),
+    ] {
+        let frame = dataset.load_frame(&record, Stage::Grasp, role).unwrap();
+        let live = decoder.decode(&frame, Some(&CropProfile::GSMINI_SEVENTH), 320, 240);
+        assert_eq!(decoder.stored_picture(stored).unwrap(), live.unwrap());
+    }
+    assert_ne!(bottle.images.initial_left, bottle.images.grasp_left);
+    let colour = decoder.stored_picture(&bottle.images.grasp_rgb).unwrap();
+    assert_eq!(colour.dimensions(), (320, 240));
+}
+
+#[test]
+fn grasps_that_no_sample_can_be_made_of_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut writer, _) =
+        DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
+    let at = "2026-11-20T11:00:00Z".parse().unwrap();
+    let mut save = |number: u32, spoil: &dyn Fn(&mut StageCapture)| {
+        let mut stages = [capture(2 * number + 1), capture(2 * number + 2)];
+        stages.iter_mut().for_each(spoil);
+        let pending = writer.save_initial(&stages[0], Vec::new()).unwrap();
+        let saved = writer.save_grasp(&pending, &stages[1], meta(" Blue  MUG"));
+        let id = saved.unwrap().id;
+        writer.set_outcome(&id, Outcome::Slip, at).unwrap();
+        id.0
+    };
+    let whole = save(0, &|_| {});
+    let blind = save(1, &|stage| drop(stage.cameras.remove(&Role::Rgb)));
+    let numb = save(2, &|stage| drop(stage.cameras.remove(&Role::Right)));
+    let otherwise = save(3, &|stage| {
+        let left = stage.cameras.get_mut(&Role::Left).unwrap();
+        left.crop_profile = Some("gsmini-fifteen-v1".into());
+    });
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Training)).unwrap();
+    let named: Vec<(&str, &str)> = report
+        .left_out
+        .iter()
+        .map(|one| (&*one.id, &*one.why))
+        .collect();
+    let [(a, no_colour), (b, no_touch), (c, other_crop)] = named[..] else {
+        panic!("{named:?}");
+    };
+    assert_eq!([a, b, c], [&blind, &numb, &otherwise]);
+    assert!(no_colour.contains("grasp rgb"), "{no_colour}");
+    assert!(no_touch.contains("initial right"), "{no_touch}");
+    assert!(other_crop.contains("gsmini-fifteen-v1") && other_crop.contains(&*whole));
+    let set = ShardSet::open(&out).unwrap();
+    let facts: Vec<_> = set.facts("test").unwrap().map(Result::unwrap).collect();
+    assert_eq!(facts.len(), 1);
+    assert_eq!(facts[0].object, "blue mug");
+}
+
+#[test]
 fn damaged_grasps_are_left_out_and_named() {
     let (dir, ids) = dataset();
     let picture = dir
@@ -425,6 +510,26 @@ fn parts_of_a_split_stay_apart() {
     assert_eq!(
         (report.grasps, report.not_in_split, report.parts.len()),
         (3, 0, 2)
+    );
+    let plan = SplitPlan {
+        name: "thirds".into(),
+        fractions: BTreeMap::from([("train".into(), 0.5), ("val".into(), 0.5)]),
+        ..plan
+    };
+    split(&Dataset::open(&root).unwrap(), &plan).unwrap();
+    let training = ExportPlan {
+        split: Some("thirds".into()),
+        ..ExportPlan::new(ExportFormat::Training)
+    };
+    let report = run(dir.path(), &dir.path().join("thirds"), &training).unwrap();
+    let parts: Vec<&str> = report.parts.keys().map(String::as_str).collect();
+    assert!(!parts.contains(&"val"), "{parts:?}");
+    assert_eq!(report.grasps, 2);
+    let known = ShardSet::open(dir.path().join("thirds")).unwrap();
+    assert!(
+        known
+            .splits()
+            .all(|part| ["train", "validation"].contains(&part))
     );
     for (split, part) in [("halve", None), ("../d", None), ("halves", Some("trian"))] {
         let wrong = ExportPlan {

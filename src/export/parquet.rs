@@ -1,18 +1,16 @@
 //! Parquet shards, a grasp a row: the columns of `metadata.jsonl`, and the pictures themselves.
 
 use std::borrow::Cow;
-use std::fs;
-use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use super::run::{Setting, Writer};
+use super::shard_files::ShardFiles;
 use super::source::Grasp;
-use super::staged::write_failed;
 use crate::dataset::{GraspRecord, Outcome, Stage};
 use crate::error::{Error, Result};
 use crate::imaging::Role;
-use crate::shard::{TableCell, TableKind, TableWriter, shard_name};
+use crate::shard::{EXPORT, TableCell, TableKind, TableWriter};
 
 /// Version of the columns.
 const VERSION: u32 = 1;
@@ -45,9 +43,7 @@ pub(super) struct ParquetShards<'a> {
     setting: Setting<'a>,
     pictures: Vec<(Stage, Role)>,
     metadata: String,
-    part: String,
-    /// Shards of the part that are written, under names for the meantime.
-    shards: Vec<PathBuf>,
+    files: ShardFiles<'a>,
     open: Option<TableWriter>,
 }
 
@@ -55,7 +51,7 @@ impl<'a> ParquetShards<'a> {
     pub(super) fn new(setting: Setting<'a>) -> Self {
         let descriptor = setting.descriptor;
         let metadata = json!({
-            "format": "gripcast-export",
+            "format": EXPORT,
             "version": VERSION,
             "dataset": descriptor.name,
             "licence": descriptor.licence,
@@ -65,8 +61,7 @@ impl<'a> ParquetShards<'a> {
             setting,
             pictures: setting.survey.cameras.keys().copied().collect(),
             metadata: metadata.to_string(),
-            part: String::new(),
-            shards: Vec::new(),
+            files: ShardFiles::new(setting.folder),
             open: None,
         }
     }
@@ -86,10 +81,7 @@ impl<'a> ParquetShards<'a> {
     }
 
     fn create(&mut self) -> Result<TableWriter> {
-        let data = self.setting.folder.root().join("data");
-        fs::create_dir_all(&data).map_err(write_failed)?;
-        let path = data.join(format!("{}-{:05}", self.part, self.shards.len()));
-        self.shards.push(path.clone());
+        let path = self.files.next()?;
         let facts = FACTS.iter().map(|(name, kind)| ((*name).to_owned(), *kind));
         let pictures = self.pictures.iter().map(|(stage, role)| {
             let name = format!("{}_{role}", stage.name());
@@ -99,28 +91,18 @@ impl<'a> ParquetShards<'a> {
         TableWriter::create(path, facts.chain(pictures).collect(), &metadata)
     }
 
-    /// The names say how many shards there are, which is known only now.
     fn end_part(&mut self) -> Result<()> {
         if let Some(open) = self.open.take() {
             open.finish()?;
         }
-        let shards = std::mem::take(&mut self.shards);
-        for (index, path) in shards.iter().enumerate() {
-            let name = shard_name(&self.part, index, shards.len())?;
-            fs::rename(path, self.root().join(name)).map_err(write_failed)?;
-        }
-        Ok(())
-    }
-
-    fn root(&self) -> &Path {
-        self.setting.folder.root()
+        self.files.end_part()
     }
 }
 
 impl Writer for ParquetShards<'_> {
     fn begin_part(&mut self, part: &str) -> Result<()> {
         self.end_part()?;
-        part.clone_into(&mut self.part);
+        self.files.begin_part(part);
         Ok(())
     }
 

@@ -5,9 +5,9 @@ use std::fmt;
 /// Size of a shard unless another is asked for, bytes: what Hugging Face and WebDataset users
 /// stream at a time.
 const SHARD_BYTES: usize = 256 << 20;
-/// Size of pictures in Zarr unless another is asked for, width and height in pixels: what the
-/// models of this program see.
-const SIZE: (u32, u32) = (320, 240);
+/// What the models of this program see, width and height in pixels: the size of pictures in shards
+/// for them, and in Zarr unless another is asked for.
+pub(super) const SIZE: (u32, u32) = (320, 240);
 
 /// Formats that others read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +20,8 @@ pub enum ExportFormat {
     LeRobot,
     /// Zarr arrays, version 2, laid out as the replay buffer of UMI and Diffusion Policy.
     Zarr,
+    /// Shards of labelled samples at the models' size, for `train` and `eval`.
+    Training,
 }
 
 impl ExportFormat {
@@ -31,6 +33,16 @@ impl ExportFormat {
             Self::WebDataset => "webdataset",
             Self::LeRobot => "lerobot",
             Self::Zarr => "zarr",
+            Self::Training => "training",
+        }
+    }
+
+    /// Name of the part that all grasps are in without a split: what Hugging Face calls it, and
+    /// what `eval` measures.
+    pub(super) fn whole(self) -> &'static str {
+        match self {
+            Self::Training => "test",
+            _ => "train",
         }
     }
 }
@@ -50,11 +62,11 @@ pub struct ExportPlan {
     pub split: Option<String>,
     /// Only this part, of the split or of the only one there is.
     pub part: Option<String>,
-    /// Leave out what is not labelled; LeRobot always does.
+    /// Leave out what is not labelled; LeRobot and Training always do.
     pub only_labelled: bool,
     /// Width and height of pictures in Zarr, pixels.
     pub size: (u32, u32),
-    /// Most bytes of a shard (Parquet, WebDataset); only a single grasp may be larger.
+    /// Most bytes of a shard (Parquet, WebDataset, Training); only a single grasp may be larger.
     pub shard_bytes: usize,
 }
 
@@ -74,6 +86,7 @@ impl ExportPlan {
 
     /// Whether grasps without a label are left out.
     pub(super) fn wants_labels(&self) -> bool {
-        self.only_labelled || self.format == ExportFormat::LeRobot
+        let always = [ExportFormat::LeRobot, ExportFormat::Training];
+        self.only_labelled || always.contains(&self.format)
     }
 }

@@ -10,6 +10,7 @@ use super::plan::{ExportFormat, ExportPlan};
 use super::report::{ExportReport, LeftOut};
 use super::source::{Grasp, Source};
 use super::staged::StagedFolder;
+use super::training::TrainingShards;
 use super::webdataset::TarShards;
 use super::zarr::{self, ReplayBuffer};
 use crate::dataset::{Dataset, Descriptor};
@@ -95,6 +96,7 @@ fn write(
         ExportFormat::WebDataset => Box::new(TarShards::new(setting)),
         ExportFormat::LeRobot => Box::new(LeRobot::new(setting)?),
         ExportFormat::Zarr => Box::new(ReplayBuffer::new(setting)?),
+        ExportFormat::Training => Box::new(TrainingShards::new(setting)?),
     };
     let mut report = ExportReport::new(plan.format, &choice);
     let mut source = Source::new(dataset)?;

@@ -8,7 +8,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::object_file::ReplayObject;
 use super::report::LeftOut;
-use crate::dataset::{Dataset, GraspRecord, Outcome, PoseRecord};
+use crate::dataset::{Dataset, GraspRecord, Outcome};
 use crate::error::{Error, ErrorKind, Result, nearest_name};
 use crate::geometry::{MeshQuery, Pose};
 use crate::pose::{BoardFile, PrintedSheet};
@@ -21,8 +21,6 @@ const MAX_OPENING_M: f64 = 0.09;
 /// The gripper's origin lies at most this far from the object's surface, m: further away nothing
 /// could be grasped, and millimetres were taken for metres.
 const MAX_DISTANCE_M: f64 = 0.1;
-/// A unit quaternion's length may be off by this.
-const UNIT_TOLERANCE: f64 = 1e-3;
 /// Digits of the hash of all records.
 const HASH_DIGITS: usize = 12;
 
@@ -129,7 +127,7 @@ fn recorded(
             wrong("it has no pose".to_owned()).remedy("run `gripcast annotate` on the dataset")
         );
     };
-    let t_object_gripper = pose_of(pose)?;
+    let t_object_gripper = pose.t_object_gripper()?;
     let object = match objects.get(&record.object) {
         Some(Ok(object)) => object,
         Some(Err(error)) => {
@@ -192,26 +190,6 @@ fn unknown(name: &str, objects: &BTreeMap<String, Result<ReplayObject>>) -> Erro
         format!("there is no object file for {name:?}{hint}"),
     )
     .remedy(format!("write {name}.toml into the folder of the objects"))
-}
-
-fn pose_of(pose: &PoseRecord) -> Result<Pose> {
-    let wrong = |what: String| Error::new(ErrorKind::Input, what);
-    if pose.frame != "t_object_gripper" {
-        return Err(wrong(format!(
-            "its pose is `{}`, expected `t_object_gripper`",
-            pose.frame
-        )));
-    }
-    let [w, x, y, z] = pose.q_wxyz;
-    let rotation = DQuat::from_xyzw(x, y, z, w);
-    let numbers = pose.t_m.iter().chain(&pose.q_wxyz);
-    if numbers.clone().any(|n| !n.is_finite()) || (rotation.length() - 1.0).abs() > UNIT_TOLERANCE {
-        return Err(wrong(format!(
-            "its pose must be finite numbers with a unit quaternion, found t_m {:?}, q_wxyz {:?}",
-            pose.t_m, pose.q_wxyz
-        )));
-    }
-    Ok(Pose::new(rotation.normalize(), DVec3::from_array(pose.t_m)))
 }
 
 /// Refuses poses from which nothing could be grasped; they are mostly a matter of units.

@@ -13,6 +13,8 @@ pub(super) const HUGGINGFACE_KEY: &str = "huggingface";
 pub(super) const CREATED_BY: &str = "gripcast-shard version 1.0.0";
 /// Name of the format.
 const FORMAT: &str = "gripcast-shard";
+/// Name of the format of `dataset export --to parquet`.
+pub(crate) const EXPORT: &str = "gripcast-export";
 /// Version of the format.
 const VERSION: u32 = 1;
 
@@ -67,7 +69,14 @@ impl ShardMetadata {
         let Header { format, version } = serde_json::from_str(text).map_err(wrong)?;
         if format != FORMAT {
             let what = format!("this is a file of the format {format:?}, not {FORMAT:?}");
-            return Err(Error::new(ErrorKind::Input, what));
+            let error = Error::new(ErrorKind::Input, what);
+            return Err(match &*format {
+                EXPORT => error.remedy(
+                    "this export is for other programs; make one for `train` and `eval` with \
+                     `gripcast dataset export DATASET --to training`",
+                ),
+                _ => error,
+            });
         }
         if version != VERSION {
             let what = format!("the shard has version {version}; known is {VERSION}");

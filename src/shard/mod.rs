@@ -36,6 +36,7 @@ mod foreign_test;
 mod sample_rows;
 
 pub(crate) use cell::Cell as TableCell;
+pub(crate) use metadata::EXPORT;
 pub use reader::ShardReader;
 pub use row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
 pub use set::{ShardSet, shard_name};

@@ -309,6 +309,12 @@ impl ShardImages {
 }
 
 impl ShardRow {
+    /// Bytes that it has in a shard, nearly.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.cells().iter().map(Cell::size).sum()
+    }
+
     /// In the order of the columns.
     pub(super) fn cells(&self) -> Vec<Cell<'_>> {
         let mut cells = self.facts.cells();

@@ -16,6 +16,11 @@ const ENDING: &str = ".parquet";
 const DIGITS: usize = 5;
 /// Most shards of a split, so that a misspelt name does not stand for a million missing ones.
 const MAX_SHARDS: usize = 99_999;
+/// File by which a dataset of grasps, as they were collected, is known.
+const COLLECTED: &str = "dataset.toml";
+/// What makes sets of shards.
+const MAKERS: &str =
+    "give a folder that `synth merge`, `dataset import` or `dataset export --to training` wrote";
 
 /// Name of a shard in its dataset, as Hugging Face `datasets` finds splits:
 /// `data/train-00000-of-00003.parquet`. `index` counts from 0.
@@ -166,7 +171,20 @@ where
 
 fn list(root: &Path) -> Result<BTreeMap<String, Vec<PathBuf>>> {
     let folder = root.join(DATA);
-    let unreadable = |e| Error::io(format!("cannot list the folder {DATA}"), e);
+    if !folder.is_dir() && root.join(COLLECTED).is_file() {
+        let what = "these are grasps as they were collected, not shards of samples";
+        let remedy = "make shards of them with `gripcast dataset export FOLDER --to training --out SHARDS`, and give SHARDS";
+        return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
+    }
+    let unreadable = |e: std::io::Error| {
+        let is_absent = e.kind() == std::io::ErrorKind::NotFound;
+        let error = Error::io(format!("cannot list the folder {DATA}"), e);
+        if is_absent {
+            error.remedy(MAKERS)
+        } else {
+            error
+        }
+    };
     let mut found: BTreeMap<String, BTreeSet<(usize, usize)>> = BTreeMap::new();
     for entry in fs::read_dir(&folder).map_err(unreadable)? {
         let name = entry.map_err(unreadable)?.file_name();
@@ -185,7 +203,7 @@ fn list(root: &Path) -> Result<BTreeMap<String, Vec<PathBuf>>> {
     }
     if found.is_empty() {
         let what = format!("there is no shard in the folder {DATA}");
-        return Err(Error::new(ErrorKind::NotFound, what));
+        return Err(Error::new(ErrorKind::NotFound, what).remedy(MAKERS));
     }
     let complete = |(split, shards): (String, BTreeSet<(usize, usize)>)| {
         let files = files(root, &split, &shards)?;
@@ -302,6 +320,12 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let root = root.path();
         let refused = || ShardSet::open(root).unwrap_err();
+        assert_eq!(refused().kind(), ErrorKind::NotFound);
+        assert!(refused().to_string().contains("synth merge"));
+        fs::write(root.join("dataset.toml"), "").unwrap();
+        assert_eq!(refused().kind(), ErrorKind::Input);
+        assert!(refused().to_string().contains("--to training"));
+        fs::create_dir(root.join(DATA)).unwrap();
         assert_eq!(refused().kind(), ErrorKind::NotFound);
         write(root, "data/train-00000-of-00003.parquet", 0, 0);
         let error = refused().to_string();

@@ -69,6 +69,33 @@ fn three_grasps_are_collected_predicted_and_verified() {
         assert!(truth["opening_m"].as_f64().unwrap() < 0.07, "{truth}");
         assert!(truth["t_object_gripper"]["t_m"].is_array(), "{truth}");
     }
+    what_was_collected_is_evaluated(&dataset, dir.path());
+}
+
+/// By way of shards, which `eval` asks for.
+fn what_was_collected_is_evaluated(dataset: &Path, dir: &Path) {
+    let evaluate = |data: &Path| {
+        let mut eval = gripcast();
+        eval.args(["eval", "--json", "--model", "gripcast-vt", "--data"]);
+        eval.arg(data);
+        eval
+    };
+    let refused = evaluate(dataset).output().unwrap();
+    assert_eq!(refused.status.code(), Some(1));
+    let told = stderr(&refused);
+    assert!(
+        told.contains("dataset export") && told.contains("--to training"),
+        "{told}"
+    );
+    let shards = dir.join("shards");
+    let mut export = gripcast();
+    export
+        .args(["dataset", "export", "--to", "training"])
+        .arg(dataset);
+    succeed(export.arg("--out").arg(&shards));
+    let found = json(&succeed(&mut evaluate(&shards)));
+    assert_eq!(found["n"], 3, "{found}");
+    assert_eq!(found["objects"], 3, "{found}");
 }
 
 #[test]

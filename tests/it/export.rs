@@ -9,7 +9,12 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::dataset::{gripcast, json, stderr, stdout, tree, write_dataset};
 
-const FORMATS: [&str; 4] = ["parquet", "webdataset", "lerobot", "zarr"];
+const FORMATS: [&str; 5] = ["parquet", "webdataset", "lerobot", "zarr", "training"];
+
+/// Whether the format leaves grasps without a label out.
+fn wants_labels(format: &str) -> bool {
+    ["lerobot", "training"].contains(&format)
+}
 
 /// Arguments of an export.
 fn arguments<'a>(format: &'a str, out: &'a Path) -> [&'a str; 5] {
@@ -27,7 +32,7 @@ fn the_program_exports_and_replaces_nothing() {
         let output = gripcast(&[&arguments[..], &["--json"]].concat(), &root);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
         let report = json(&output);
-        let grasps = if format == "lerobot" { 2 } else { 3 };
+        let grasps = if wants_labels(format) { 2 } else { 3 };
         assert_eq!(report["format"], format);
         assert_eq!(report["grasps"], grasps);
         let before = tree(&out);
@@ -91,8 +96,8 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
     let bytes = fs::read(&picture).unwrap();
     for format in FORMATS {
         let out = dir.path().join(format);
-        // The last grasp of every format: LeRobot leaves the unlabelled one out.
-        let kept = if format == "lerobot" {
+        // The last grasp of every format: some leave the unlabelled one out.
+        let kept = if wants_labels(format) {
             &ids[0]
         } else {
             &ids[1]

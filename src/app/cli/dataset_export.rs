@@ -5,9 +5,10 @@
 //! gripcast dataset export D --to webdataset --out D-tar --split object-0
 //! gripcast dataset export D --to lerobot --out D-lerobot
 //! gripcast dataset export D --to zarr --out D.zarr.zip --size 320x240
+//! gripcast dataset export D --to training --out D-training --split object-0
 //! ```
 //!
-//! `docs/exports.md` says what each holds and how it is loaded. The export has its name when it is
+//! `train` and `eval` read the last. `docs/exports.md` says what each holds and how it is loaded. The export has its name when it is
 //! whole. A damaged grasp is left out and told.
 //!
 //! Exit codes: 0 all is exported · 1 could not be done · 2 the command line is wrong · 3 finished, but
@@ -43,7 +44,7 @@ pub(super) struct Args {
     /// Only this part, of --split or of the only split there is
     #[arg(long)]
     part: Option<String>,
-    /// Leave out grasps without a label; lerobot always does
+    /// Leave out grasps without a label; lerobot and training always do
     #[arg(long)]
     only_labelled: bool,
     /// Size of the pictures in zarr, pixels [default: 320x240]
@@ -66,6 +67,8 @@ enum Format {
     LeRobot,
     /// Zarr version 2 in the layout of UMI's replay buffer
     Zarr,
+    /// Shards of the labelled grasps for `train` and `eval`
+    Training,
 }
 
 impl From<Format> for ExportFormat {
@@ -75,6 +78,7 @@ impl From<Format> for ExportFormat {
             Format::WebDataset => Self::WebDataset,
             Format::LeRobot => Self::LeRobot,
             Format::Zarr => Self::Zarr,
+            Format::Training => Self::Training,
         }
     }
 }
@@ -112,7 +116,10 @@ fn plan(args: &Args) -> Result<ExportPlan> {
     plan.only_labelled = args.only_labelled;
     if let Some([width, height]) = args.size {
         if args.to != Format::Zarr {
-            let what = format!("`--size` is for zarr; {} keeps the pictures", plan.format);
+            let what = match args.to {
+                Format::Training => "`--size` is for zarr; models know one size".to_owned(),
+                _ => format!("`--size` is for zarr; {} keeps the pictures", plan.format),
+            };
             return Err(Error::new(ErrorKind::Usage, what).remedy("leave `--size` out"));
         }
         plan.size = (width as u32, height as u32);
