@@ -24,6 +24,8 @@ pub(super) struct Choice {
 pub(super) struct Survey {
     pub(super) grasps: usize,
     pub(super) cameras: BTreeMap<(Stage, Role), Seen>,
+    /// Tactile pictures of the grasp by their crop profile.
+    crops: BTreeMap<String, usize>,
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
     /// Longest id, in characters.
@@ -48,6 +50,10 @@ impl Survey {
         self.has_prediction |= record.prediction.is_some();
         self.longest_id = self.longest_id.max(record.id.0.chars().count());
         self.longest_object = self.longest_object.max(record.object.chars().count());
+        let crops = record.grasp.cameras.values();
+        for crop in crops.filter_map(|camera| camera.crop_profile.as_ref()) {
+            *self.crops.entry(crop.clone()).or_default() += 1;
+        }
         for (stage, frames) in record.stages() {
             for (role, camera) in &frames.cameras {
                 let seen = self.cameras.entry((stage, *role)).or_default();
@@ -55,6 +61,12 @@ impl Survey {
                 seen.sizes.insert((camera.width, camera.height));
             }
         }
+    }
+
+    /// Name of the crop profile that most tactile pictures have.
+    pub(super) fn usual_crop(&self) -> Option<&str> {
+        let most = self.crops.iter().max_by_key(|(_, count)| **count);
+        most.map(|(name, _)| name.as_str())
     }
 }
 

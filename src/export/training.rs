@@ -24,14 +24,19 @@ pub(super) struct TrainingShards<'a> {
     files: ShardFiles<'a>,
     /// The open shard and the bytes of its rows.
     open: Option<(ShardWriter, usize)>,
-    /// The first grasp, and how its tactile pictures are cropped: all others must be as well.
-    crop: Option<(String, CropProfile)>,
+    /// How the tactile pictures are cropped.
+    crop: &'a str,
 }
 
 impl<'a> TrainingShards<'a> {
     /// # Errors
-    /// `Internal`: no decoder can be had.
+    /// `Input`: no grasp has tactile pictures. `Internal`: no decoder can be had.
     pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
+        let Some(crop) = setting.survey.usual_crop() else {
+            let what = "no grasp has tactile pictures that say how they are cropped";
+            return Err(cannot(what.to_owned())
+                .remedy("give `crop_profile` to the tactile cameras in the rig file"));
+        };
         let descriptor = setting.descriptor;
         let info = json!({
             "exported_from": descriptor.name,
@@ -44,7 +49,7 @@ impl<'a> TrainingShards<'a> {
             info: info.to_string(),
             files: ShardFiles::new(setting.folder),
             open: None,
-            crop: None,
+            crop,
         })
     }
 
@@ -92,12 +97,8 @@ impl<'a> TrainingShards<'a> {
             },
             grasp_depth: None,
         };
-        let (_, crop) = self
-            .crop
-            .as_ref()
-            .ok_or_else(|| Error::new(ErrorKind::Internal, "tactile pictures without a crop"))?;
         Ok(ShardRow {
-            facts: facts(record, outcome, crop)?,
+            facts: facts(record, outcome, self.crop)?,
             images,
         })
     }
@@ -108,9 +109,7 @@ impl<'a> TrainingShards<'a> {
             return Err(cannot(format!("it has no picture {}", what())));
         };
         let crop = match role.is_tactile() {
-            true => self
-                .crop(&grasp.record.id.0, picture)
-                .map_err(|e| e.at(what()))?,
+            true => self.crop(picture).map_err(|e| e.at(what()))?,
             false => CropProfile::FULL,
         };
         let (width, height) = SIZE;
@@ -122,21 +121,14 @@ impl<'a> TrainingShards<'a> {
     }
 
     /// The crop of a tactile picture, that of all.
-    fn crop(&mut self, id: &str, picture: &Picture) -> Result<CropProfile> {
-        let Some(name) = &picture.crop_profile else {
-            return Err(cannot("the camera has no crop profile".to_owned()));
-        };
-        let crop = CropProfile::by_name(name)?;
-        match &self.crop {
-            Some((first, all)) if *all != crop => Err(cannot(format!(
-                "it is cropped by {name}, and {first} by {}: a model knows one crop",
-                all.name()
+    fn crop(&self, picture: &Picture) -> Result<CropProfile> {
+        match picture.crop_profile.as_deref() {
+            None => Err(cannot("the camera has no crop profile".to_owned())),
+            Some(name) if name == self.crop => CropProfile::by_name(name),
+            Some(name) => Err(cannot(format!(
+                "it is cropped by {name}, most others by {}: a model knows one crop",
+                self.crop
             ))),
-            Some(_) => Ok(crop),
-            None => {
-                self.crop = Some((id.to_owned(), crop));
-                Ok(crop)
-            }
         }
     }
 }
@@ -166,7 +158,7 @@ impl Writer for TrainingShards<'_> {
     }
 }
 
-fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &CropProfile) -> Result<ShardFacts> {
+fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<ShardFacts> {
     let truth = record.truth.as_ref();
     let annotated = record.pose.as_ref();
     let t_object_gripper = match (truth, annotated) {
@@ -202,7 +194,7 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &CropProfile) -> Res
         appearance: appearance.to_owned(),
         rendering: 0,
         seed: 0,
-        crop_profile: crop.name().to_owned(),
+        crop_profile: crop.to_owned(),
     })
 }
 

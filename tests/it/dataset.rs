@@ -67,7 +67,7 @@ fn camera(number: u32, role: Role) -> CapturedCamera {
         port: "3-2".into(),
         controls: BTreeMap::new(),
         age_ms: 12.5,
-        crop_profile: None,
+        crop_profile: role.is_tactile().then(|| "gsmini-seventh-v1".into()),
         depth_unit_m: (role == Role::Depth).then_some(0.001),
     }
 }
