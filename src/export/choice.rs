@@ -25,7 +25,7 @@ pub(super) struct Survey {
     pub(super) grasps: usize,
     pub(super) cameras: BTreeMap<(Stage, Role), Seen>,
     /// Tactile pictures of the grasp by their crop profile.
-    crops: BTreeMap<String, usize>,
+    pub(super) crops: BTreeMap<String, usize>,
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
     /// Longest id, in characters.

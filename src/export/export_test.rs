@@ -406,7 +406,7 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
         writer.set_outcome(&id, Outcome::Slip, at).unwrap();
         id.0
     };
-    save(0, &|_| {});
+    let whole = save(0, &|_| {});
     let blind = save(1, &|stage| drop(stage.cameras.remove(&Role::Rgb)));
     let numb = save(2, &|stage| drop(stage.cameras.remove(&Role::Right)));
     let otherwise = save(3, &|stage| {
@@ -431,6 +431,14 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
     let facts: Vec<_> = set.facts("test").unwrap().map(Result::unwrap).collect();
     assert_eq!(facts.len(), 1);
     assert_eq!(facts[0].object, "blue mug");
+    fs::remove_dir_all(dir.path().join("d/grasps").join(whole)).unwrap();
+    let nothing = dir.path().join("nothing");
+    let plan = ExportPlan::new(ExportFormat::Training);
+    let error = run(dir.path(), &nothing, &plan).unwrap_err();
+    assert!(
+        error.remedy_text().unwrap().contains("the format needs"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -101,7 +101,7 @@ fn write(
     let mut report = ExportReport::new(plan.format, &choice);
     let mut source = Source::new(dataset)?;
     let all = choice.grasps();
-    let mut done = 0;
+    let (mut done, mut is_damaged) = (0, !choice.left_out.is_empty());
     for (part, ids) in &choice.parts {
         writer.begin_part(part)?;
         for id in ids {
@@ -110,7 +110,10 @@ fn write(
                     let outcome = grasp.record.outcome;
                     writer.push(grasp)?.map_or(Ok(outcome), Err)
                 }
-                Err(error) => Err(error),
+                Err(error) => {
+                    is_damaged = true;
+                    Err(error)
+                }
             };
             match outcome {
                 Ok(outcome) => {
@@ -130,8 +133,10 @@ fn write(
     if let (0, Some(first)) = (report.grasps, report.left_out.first()) {
         let what = format!("none of the {all} grasps can be exported, the first because of");
         let what = format!("{what} {}", first.why);
-        return Err(Error::new(ErrorKind::Input, what)
-            .remedy("run `gripcast dataset verify` and `recover`"));
+        return Err(Error::new(ErrorKind::Input, what).remedy(match is_damaged {
+            true => "run `gripcast dataset verify` and `recover`",
+            false => "the format needs more than these grasps have: docs/exports.md says what",
+        }));
     }
     report.notes.extend(writer.finish()?);
     report.left_out.sort_by(|a, b| a.id.cmp(&b.id));
