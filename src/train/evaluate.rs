@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::augment::SamplePictures;
 use super::finish::OBJECTS;
 use super::metrics::{
-    Bootstrap, ChanceCalibration, GroupSummary, Interval, Ranking, ReliabilityTable, Scored,
-    SeedSummary, Summary, resampled_mean, summarise_groups,
+    BaseRateCalibration, Bootstrap, ChanceCalibration, GroupSummary, Interval, Ranking,
+    ReliabilityTable, Scored, SeedSummary, Summary, resampled_mean, summarise_groups,
 };
 use super::samples::{SampleFacts, SampleReader, Samples};
 use crate::error::{Error, ErrorKind, Result};
@@ -80,6 +80,9 @@ pub struct ModelEvaluation {
     pub reliability: ReliabilityTable,
     /// The calibration error that so few lifts show by chance alone.
     pub ece_by_chance: Option<ChanceCalibration>,
+    /// Calibration for the share of these grasps that held.
+    #[serde(default)]
+    pub at_base_rate: Option<BaseRateCalibration>,
     /// By category.
     pub categories: Vec<GroupSummary>,
     /// By object.
@@ -339,6 +342,7 @@ impl ModelEvaluation {
             in_contact: Summary::new(&touched, threshold),
             reliability: ReliabilityTable::new(&scored),
             ece_by_chance: ChanceCalibration::new(&scored, &lifts, SEED),
+            at_base_rate: BaseRateCalibration::new(&scored),
             categories: by(&|at| facts[at].category.clone()),
             per_object: by(&|at| facts[at].object.clone()),
             forces: by(&|at| match facts[at].stop_force_n {

@@ -33,6 +33,9 @@ fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
     assert_eq!(model.per_object.len(), 4);
     let chance = model.ece_by_chance.unwrap();
     assert!(chance.mean <= chance.high, "{chance:?}");
+    let base = model.at_base_rate.unwrap();
+    assert_eq!(base.base_rate, 0.5);
+    assert!((base.ece - model.summary.ece.unwrap()).abs() < 1e-12);
     assert_eq!(model.forces.len(), 1);
     let difference = report.differences[0].auroc.unwrap();
     assert_eq!(

@@ -14,6 +14,9 @@ use crate::predict::Model;
 use crate::train::metrics::Interval;
 use crate::train::{EvalReport, ModelEvaluation, Samples, dataset_sha256, evaluate, page};
 
+/// Distance from one half at which a base rate is worth a line.
+const UNEVEN: f64 = 0.02;
+
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
@@ -98,6 +101,7 @@ fn first(report: &EvalReport) -> serde_json::Value {
             json!(model.balanced_accuracy),
         );
         fields.insert("ece_by_chance".into(), json!(model.ece_by_chance));
+        fields.insert("at_base_rate".into(), json!(model.at_base_rate));
         fields.insert("in_contact".into(), json!(model.in_contact));
         fields.insert("over_models".into(), json!(report.over_models));
         fields.insert("differences".into(), json!(report.differences));
@@ -113,6 +117,7 @@ fn text(report: &EvalReport) -> String {
         "model", "n", "accuracy", "balanced", "AUROC", "ECE", "by chance", "Brier"
     )];
     lines.extend(report.models.iter().map(row));
+    lines.extend(report.models.iter().filter_map(at_base_rate));
     if let Some(over) = &report.over_models {
         let spread = |s: &Option<crate::train::metrics::Spread>| {
             s.as_ref().map_or("–".to_owned(), |s| {
@@ -154,6 +159,21 @@ fn row(model: &ModelEvaluation) -> String {
             .map_or("–".to_owned(), |chance| format!("< {:.3}", chance.high)),
         figure(s.brier),
     )
+}
+
+/// What would come of a model that knew how often these grasps hold, where it is not every other one.
+fn at_base_rate(model: &ModelEvaluation) -> Option<String> {
+    let found = model.at_base_rate?;
+    let is_even = (found.base_rate - 0.5).abs() < UNEVEN;
+    (!is_even).then(|| {
+        format!(
+            "{}: {:.0} % of these hold; with that as base rate ECE {:.3}, Brier {:.3}",
+            model.file,
+            100.0 * found.base_rate,
+            found.ece,
+            found.brier
+        )
+    })
 }
 
 fn interval(found: Option<&Interval>) -> String {

@@ -77,6 +77,50 @@ impl ChanceCalibration {
     }
 }
 
+/// Calibration for the share of grasps that held among the samples. A model that was fitted to as many
+/// stable as lost grasps cannot know how often grasps hold elsewhere; its odds are multiplied by the
+/// samples' own (Saerens, Latinne & Decaestecker 2002, *Adjusting the outputs of a classifier to new a
+/// priori probabilities*). The share is one number taken from the outcomes themselves, so this is what
+/// a user who knows how often their grasps hold could reach, not what the model says by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BaseRateCalibration {
+    /// Share of the samples that is stable, in (0, 1).
+    pub base_rate: f64,
+    /// Expected calibration error of the adjusted probabilities, 15 bins.
+    pub ece: f64,
+    /// Brier score of the adjusted probabilities.
+    pub brier: f64,
+}
+
+impl BaseRateCalibration {
+    /// Adjusts probabilities that are for a base rate of one half. None without both outcomes.
+    pub fn new(samples: &[Scored]) -> Option<Self> {
+        let base_rate = mean_over(samples, Scored::outcome)?;
+        if base_rate == 0.0 || base_rate == 1.0 {
+            return None;
+        }
+        let adjusted: Vec<Scored> = samples
+            .iter()
+            .map(|sample| Scored {
+                p_stable: at_base_rate(sample.p_stable, base_rate),
+                ..*sample
+            })
+            .collect();
+        Some(Self {
+            base_rate,
+            ece: expected_calibration_error(&adjusted)?,
+            brier: brier_score(&adjusted)?,
+        })
+    }
+}
+
+/// The probability whose odds are those of `p`, for even odds beforehand, times those of the base
+/// rate.
+fn at_base_rate(p: f64, base_rate: f64) -> f64 {
+    let stable = p * base_rate;
+    stable / (stable + (1.0 - p) * (1.0 - base_rate))
+}
+
 fn mean_over(samples: &[Scored], value: impl Fn(&Scored) -> f64) -> Option<f64> {
     let (n, sum) = present(samples).fold((0, 0.0), |(n, sum), sample| (n + 1, sum + value(sample)));
     mean_of(sum, n)
@@ -252,6 +296,40 @@ mod tests {
     }
 
     #[test]
+    fn odds_are_multiplied_by_those_of_the_base_rate() {
+        assert_eq!(
+            [0.0, 0.5, 1.0].map(|p| at_base_rate(p, 0.75)),
+            [0.0, 0.75, 1.0]
+        );
+        // Odds of 1/4 times 3 are odds of 3/4.
+        assert!((at_base_rate(0.2, 0.75) - 3.0 / 7.0).abs() < 1e-15);
+        for p in [0.01, 0.3, 0.9] {
+            assert!((at_base_rate(p, 0.5) - p).abs() < 1e-15);
+            assert!((at_base_rate(at_base_rate(p, 0.8), 0.2) - p).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn what_is_right_for_even_odds_is_right_again_at_the_base_rate() {
+        // Right for as many of both; then two of three lost grasps are left out.
+        let even = smooth_samples(60_000, 9);
+        let mut lost = 0;
+        let uneven: Vec<Scored> = even
+            .iter()
+            .filter(|sample| {
+                lost += usize::from(!sample.stable);
+                sample.stable || lost % 3 == 0
+            })
+            .copied()
+            .collect();
+        let raw = expected_calibration_error(&uneven).unwrap();
+        let adjusted = BaseRateCalibration::new(&uneven).unwrap();
+        assert!((adjusted.base_rate - 0.75).abs() < 0.01, "{adjusted:?}");
+        assert!(raw > 0.1 && adjusted.ece < 0.02, "{raw} {adjusted:?}");
+        assert!(adjusted.brier < brier_score(&uneven).unwrap() - 0.01);
+    }
+
+    #[test]
     fn nothing_has_no_calibration() {
         let absent = scored(&[(f64::NAN, true)]);
         for samples in [&[][..], &absent] {
@@ -261,7 +339,9 @@ mod tests {
             assert_eq!(ReliabilityTable::new(samples).n(), 0);
             let lifts = vec![0; samples.len()];
             assert_eq!(ChanceCalibration::new(samples, &lifts, 0), None);
+            assert_eq!(BaseRateCalibration::new(samples), None);
         }
+        assert_eq!(BaseRateCalibration::new(&scored(&[(0.4, true)])), None);
     }
 
     #[test]

@@ -9,7 +9,7 @@
 //! | --- | --- |
 //! | [`Ranking`] | AUROC, average precision and their curves, also of resampled samples |
 //! | [`ConfusionMatrix`], [`youden_threshold`], [`threshold_at_false_stable_rate`] | decisions at a threshold and its choice |
-//! | [`brier_score`], [`log_loss`], [`ReliabilityTable`], [`ChanceCalibration`], [`fit_temperature`] | calibration |
+//! | [`brier_score`], [`log_loss`], [`ReliabilityTable`], [`ChanceCalibration`], [`BaseRateCalibration`], [`fit_temperature`] | calibration |
 //! | [`Summary`], [`summarise_groups`], [`SeedSummary`] | all figures of a model, by object or category, over seeds |
 //! | [`Bootstrap`] | 95 % intervals over objects |
 //! | [`plot`] | figures as SVG |
@@ -29,8 +29,8 @@ mod threshold;
 
 pub use bootstrap::{Bootstrap, Interval, resampled_mean};
 pub use calibration::{
-    ChanceCalibration, ReliabilityBin, ReliabilityTable, brier_score, expected_calibration_error,
-    log_loss,
+    BaseRateCalibration, ChanceCalibration, ReliabilityBin, ReliabilityTable, brier_score,
+    expected_calibration_error, log_loss,
 };
 pub use confusion::{ClassFigures, ConfusionMatrix};
 pub use curve::{PrecisionRecallPoint, RocPoint};

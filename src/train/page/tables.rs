@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::called;
 use crate::html::{Esc, MISSING, fixed, open_wide, optional, put};
 use crate::train::evaluate::{EvalReport, ModelEvaluation};
-use crate::train::metrics::{ChanceCalibration, GroupSummary, Interval, Spread, Summary};
+use crate::train::metrics::{GroupSummary, Interval, Spread, Summary};
 
 /// Objects that a page names.
 const MOST_OBJECTS: usize = 60;
@@ -23,9 +23,9 @@ pub(super) fn summary(report: &EvalReport, out: &mut String) {
             &called(model),
             &model.summary,
             [model.balanced_accuracy, model.auroc],
-            model.ece_by_chance,
+            &calibration(model),
         );
-        row(out, "in contact", &model.in_contact, [None, None], None);
+        row(out, "in contact", &model.in_contact, [None, None], "");
     }
     if let Some(over) = &report.over_models {
         put!(
@@ -71,7 +71,7 @@ fn row(
     name: &str,
     summary: &Summary,
     [balanced, auroc]: [Option<Interval>; 2],
-    chance: Option<ChanceCalibration>,
+    calibration: &str,
 ) {
     let small = |interval: Option<Interval>| {
         interval.map_or_else(String::new, |i| {
@@ -92,12 +92,30 @@ fn row(
         optional(summary.average_precision, 3),
         optional(summary.brier, 3),
         optional(summary.ece, 3),
-        chance.map_or_else(String::new, |chance| format!(
-            "<small>by chance &lt; {}</small>",
-            fixed(chance.high, 3)
-        )),
+        calibration,
         fixed(summary.threshold, 2)
     );
+}
+
+/// What the calibration error is to be compared with.
+fn calibration(model: &ModelEvaluation) -> String {
+    let mut out = String::new();
+    if let Some(chance) = model.ece_by_chance {
+        put!(
+            out,
+            "<small>by chance &lt; {}</small>",
+            fixed(chance.high, 3)
+        );
+    }
+    if let Some(found) = model.at_base_rate {
+        put!(
+            out,
+            "<small>at base rate {}: {}</small>",
+            fixed(found.base_rate, 2),
+            fixed(found.ece, 3)
+        );
+    }
+    out
 }
 
 fn confusion(model: &ModelEvaluation, out: &mut String) {
