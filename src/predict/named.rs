@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::{Model, baseline, onnx};
-use crate::error::Result;
+use crate::error::{Error, ErrorKind, Result};
 
 /// Name of the built-in contact-strength heuristic, `models/baseline-contact.onnx`.
 pub const BASELINE: &str = "baseline-contact";
@@ -20,8 +20,18 @@ pub fn model_bytes(name: &str) -> Result<Vec<u8>> {
     match name {
         SHIPPED => Ok(SHIPPED_BYTES.to_vec()),
         BASELINE => baseline::onnx_bytes(),
-        path => onnx::read(Path::new(path)),
+        path => onnx::read(Path::new(path)).map_err(with_built_in_names),
     }
+}
+
+/// Who names a file that is not there may have meant a built-in model.
+fn with_built_in_names(error: Error) -> Error {
+    if error.kind() != ErrorKind::NotFound {
+        return error;
+    }
+    error.remedy(format!(
+        "name a .onnx file, or {SHIPPED} or {BASELINE}, which are built in"
+    ))
 }
 
 impl Model {
@@ -33,7 +43,7 @@ impl Model {
         match name {
             SHIPPED => Self::from_bytes(SHIPPED_BYTES),
             BASELINE => Self::baseline(),
-            path => Self::load(Path::new(path)),
+            path => Self::load(Path::new(path)).map_err(with_built_in_names),
         }
     }
 }
@@ -49,6 +59,11 @@ mod tests {
         assert_eq!(named.sha256(), Model::baseline().unwrap().sha256());
         let error = Model::named("no-such-model").unwrap_err();
         assert!(error.to_string().contains("no-such-model"), "{error}");
+        let unread = model_bytes("no-such-model").unwrap_err();
+        for error in [error, unread] {
+            let remedy = error.remedy_text().unwrap();
+            assert!(remedy.contains(SHIPPED) && remedy.contains(BASELINE));
+        }
     }
 
     #[test]

@@ -173,6 +173,10 @@ pub fn experiment(
     jobs: usize,
     told: &(dyn Fn(ExperimentEvent) + Sync),
 ) -> Result<ExperimentReport> {
+    // Before hours of training, not after them.
+    for (data, split) in settings.parts() {
+        Samples::open(data, split)?;
+    }
     // An experiment that is stopped has all conditions of some seeds.
     let runs: Vec<(u64, Condition)> = (0..settings.seeds)
         .flat_map(|seed| {
@@ -331,6 +335,15 @@ impl ExperimentSettings {
         let has_data =
             |condition: &Condition| *condition != Condition::BothRigid || self.rigid.is_some();
         Condition::ALL.into_iter().filter(has_data)
+    }
+
+    /// All parts of datasets that are read, with their folders.
+    fn parts(&self) -> impl Iterator<Item = (&Path, &str)> {
+        let trained_on = [Some(&self.fem), self.rigid.as_ref()].into_iter().flatten();
+        let tests = self.tests.iter();
+        trained_on
+            .flat_map(|data| ["train", "validation"].map(|split| (data.as_path(), split)))
+            .chain(tests.map(|test| (test.data.as_path(), test.split.as_str())))
     }
 
     /// What a condition is trained on.

@@ -87,4 +87,10 @@ fn all_conditions_are_trained_tested_and_compared_once() {
     );
     let error = experiment(&settings, &out, 2, &told).unwrap_err();
     assert!(error.to_string().contains("another dataset"), "{error}");
+    // A test set that cannot be read is found before anything is trained.
+    let begun = *runs.lock().unwrap();
+    let mut absent = settings.clone();
+    absent.tests[0].data = out.clone();
+    assert!(experiment(&absent, &folder.path().join("other"), 2, &told).is_err());
+    assert_eq!(*runs.lock().unwrap(), begun);
 }

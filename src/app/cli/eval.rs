@@ -11,11 +11,8 @@ use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
 use crate::predict::Model;
-use crate::train::metrics::Interval;
+use crate::train::metrics::{BaseRateCalibration, Interval};
 use crate::train::{EvalReport, ModelEvaluation, Samples, dataset_sha256, evaluate, page};
-
-/// Distance from one half at which a base rate is worth a line.
-const UNEVEN: f64 = 0.02;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -163,17 +160,14 @@ fn row(model: &ModelEvaluation) -> String {
 
 /// What would come of a model that knew how often these grasps hold, where it is not every other one.
 fn at_base_rate(model: &ModelEvaluation) -> Option<String> {
-    let found = model.at_base_rate?;
-    let is_even = (found.base_rate - 0.5).abs() < UNEVEN;
-    (!is_even).then(|| {
-        format!(
-            "{}: {:.0} % of these hold; with that as base rate ECE {:.3}, Brier {:.3}",
-            model.file,
-            100.0 * found.base_rate,
-            found.ece,
-            found.brier
-        )
-    })
+    let found = model.at_base_rate.filter(BaseRateCalibration::is_uneven)?;
+    Some(format!(
+        "{}: {:.0} % of these hold; with that as base rate ECE {:.3}, Brier {:.3}",
+        model.file,
+        100.0 * found.base_rate,
+        found.ece,
+        found.brier
+    ))
 }
 
 fn interval(found: Option<&Interval>) -> String {

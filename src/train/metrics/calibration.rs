@@ -15,6 +15,9 @@ const BINS: usize = 15;
 /// Draws of outcomes for [`ChanceCalibration`].
 const DRAWS: u64 = 1000;
 
+/// Distance from one half at which a base rate is worth telling.
+const UNEVEN: f64 = 0.02;
+
 /// Mean squared difference of probability and outcome, 0..1 (Brier 1950). None without samples.
 pub fn brier_score(samples: &[Scored]) -> Option<f64> {
     mean_over(samples, |sample| {
@@ -111,6 +114,11 @@ impl BaseRateCalibration {
             ece: expected_calibration_error(&adjusted)?,
             brier: brier_score(&adjusted)?,
         })
+    }
+
+    /// Whether the base rate differs from one half so much that it is worth telling.
+    pub fn is_uneven(&self) -> bool {
+        (self.base_rate - 0.5).abs() >= UNEVEN
     }
 }
 
@@ -327,6 +335,8 @@ mod tests {
         assert!((adjusted.base_rate - 0.75).abs() < 0.01, "{adjusted:?}");
         assert!(raw > 0.1 && adjusted.ece < 0.02, "{raw} {adjusted:?}");
         assert!(adjusted.brier < brier_score(&uneven).unwrap() - 0.01);
+        assert!(adjusted.is_uneven());
+        assert!(!BaseRateCalibration::new(&even).unwrap().is_uneven());
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::called;
 use crate::html::{Esc, MISSING, fixed, open_wide, optional, put};
 use crate::train::evaluate::{EvalReport, ModelEvaluation};
-use crate::train::metrics::{GroupSummary, Interval, Spread, Summary};
+use crate::train::metrics::{BaseRateCalibration, GroupSummary, Interval, Spread, Summary};
 
 /// Objects that a page names.
 const MOST_OBJECTS: usize = 60;
@@ -107,7 +107,7 @@ fn calibration(model: &ModelEvaluation) -> String {
             fixed(chance.high, 3)
         );
     }
-    if let Some(found) = model.at_base_rate {
+    if let Some(found) = model.at_base_rate.filter(BaseRateCalibration::is_uneven) {
         put!(
             out,
             "<small>at base rate {}: {}</small>",
