@@ -53,9 +53,16 @@ fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
     ] {
         assert!(text == "data:" || html.contains(text), "{text}");
     }
-    assert!(!html.contains("<script"));
+    assert!(!html.contains("<script") && !html.contains("at base rate"));
     let json = serde_json::to_string(&report).unwrap();
     assert_eq!(serde_json::from_str::<EvalReport>(&json).unwrap(), report);
+    let mut uneven = report;
+    uneven.models[0].at_base_rate = Some(BaseRateCalibration {
+        base_rate: 0.75,
+        ..base
+    });
+    let html = page(&uneven, &samples).unwrap();
+    assert!(html.contains("at base rate 0.75: "));
 }
 
 #[test]

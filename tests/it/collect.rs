@@ -76,7 +76,7 @@ fn three_grasps_are_collected_predicted_and_verified() {
 fn what_was_collected_is_evaluated(dataset: &Path, dir: &Path) {
     let evaluate = |data: &Path| {
         let mut eval = gripcast();
-        eval.args(["eval", "--json", "--model", "gripcast-vt", "--data"]);
+        eval.args(["eval", "--model", "gripcast-vt", "--data"]);
         eval.arg(data);
         eval
     };
@@ -93,9 +93,14 @@ fn what_was_collected_is_evaluated(dataset: &Path, dir: &Path) {
         .args(["dataset", "export", "--to", "training"])
         .arg(dataset);
     succeed(export.arg("--out").arg(&shards));
-    let found = json(&succeed(&mut evaluate(&shards)));
+    let found = json(&succeed(evaluate(&shards).arg("--json")));
     assert_eq!(found["n"], 3, "{found}");
     assert_eq!(found["objects"], 3, "{found}");
+    let base_rate = found["at_base_rate"]["base_rate"].as_f64().unwrap();
+    assert!((base_rate - 2.0 / 3.0).abs() < 1e-12, "{found}");
+    let output = succeed(&mut evaluate(&shards));
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("67 % of these hold"), "{text}");
 }
 
 #[test]
