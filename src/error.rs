@@ -5,6 +5,10 @@
 
 use std::fmt;
 
+mod refused;
+
+pub use refused::Refused;
+
 /// Result with the crate's [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
@@ -91,6 +95,12 @@ impl Error {
     /// Wraps an IO error; the kind follows from the operating system's code.
     pub fn io(what: impl Into<String>, source: std::io::Error) -> Self {
         use std::io::ErrorKind as Io;
+        let refused = source.get_ref().and_then(|e| e.downcast_ref::<Refused>());
+        if let Some(remedy) = refused.map(Refused::remedy) {
+            return Self::new(ErrorKind::Input, what)
+                .because(source)
+                .remedy(remedy);
+        }
         let kind = match source.kind() {
             Io::NotFound => ErrorKind::NotFound,
             Io::PermissionDenied | Io::ReadOnlyFilesystem => ErrorKind::Permission,

@@ -4,6 +4,8 @@
 //! program that is killed, or a disk that is full, leaves the old file or the new one, never a
 //! part; a kill may leave a hidden `.gripcast-….partial` beside it, which nothing reads.
 
+mod beneath;
+mod name;
 mod owner_lock;
 
 use std::fs::{self, OpenOptions};
@@ -15,6 +17,13 @@ use sha2::{Digest as _, Sha256};
 
 use crate::error::{Error, Result};
 
+pub use beneath::{
+    BeneathPath, Component, FileKind, Metadata, Root, allow_links_into, open_regular,
+    read_regular,
+};
+pub use name::{
+    ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId, is_unsafe_char,
+};
 pub use owner_lock::{NotLocked, OwnerLock};
 
 /// Most symbolic links that are followed, as Linux has it.
@@ -141,6 +150,13 @@ fn replaceable(path: &Path) -> io::Result<Option<PathBuf>> {
         }
     }
     Err(io::Error::other("too many symbolic links"))
+}
+
+/// How a file reads what it names by a path relative to itself (material library, buffer, texture):
+/// below its folder only, see [`Root`].
+pub fn companions(path: &Path) -> impl Fn(&str) -> io::Result<Vec<u8>> + use<> {
+    let root = Root::new(folder(path));
+    move |name: &str| root.resolve(name)?.read(FileKind::Mesh)
 }
 
 /// The folder of a path; of a bare name the present one.

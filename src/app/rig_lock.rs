@@ -49,6 +49,9 @@ impl RigLock {
             )
             .at(path.display())
             .remedy("end that program first; `gripcast collect --attach` shows a running daemon")),
+            Err(NotLocked::Refused(e)) => {
+                Err(Error::io("cannot lock the rig", e).at(path.display()))
+            }
             Err(NotLocked::Open(_) | NotLocked::Lock(_)) => Ok(None),
         }
     }

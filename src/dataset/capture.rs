@@ -11,6 +11,7 @@ use super::grasp::{
 };
 use super::layout::{Stage, approach_name, digest, image_name};
 use crate::error::Result;
+use crate::files::{ContentKey, FileName, Label, ObjectName};
 use crate::imaging::{Frame, Role};
 
 /// One camera's frame with all that is stored about it.
@@ -60,11 +61,11 @@ pub struct StageCapture {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GraspMeta {
     /// What is grasped.
-    pub object: String,
+    pub object: ObjectName,
     /// Where.
-    pub scene: String,
+    pub scene: Label,
     /// Who holds the gripper.
-    pub operator: String,
+    pub operator: Label,
     /// Rig file's id.
     pub rig: String,
     /// The printed markers that the external camera saw.
@@ -74,7 +75,7 @@ pub struct GraspMeta {
     /// Guards overridden at the grasp trigger; those of the initial frame are added.
     pub overridden_guards: Vec<OverriddenGuard>,
     /// Calibration by role, as returned by `DatasetWriter::put_calibration`.
-    pub calibration: BTreeMap<Role, String>,
+    pub calibration: BTreeMap<Role, ContentKey>,
     /// Free text.
     pub note: String,
 }
@@ -85,9 +86,9 @@ pub(super) struct EncodedStage {
     /// The approach, with the grasp.
     pub(super) approach: Vec<CameraRecord>,
     /// Contents by file name.
-    pub(super) contents: BTreeMap<String, Vec<u8>>,
+    pub(super) contents: BTreeMap<FileName, Vec<u8>>,
     /// Digests by file name.
-    pub(super) files: BTreeMap<String, FileDigest>,
+    pub(super) files: BTreeMap<FileName, FileDigest>,
 }
 
 impl StageCapture {
@@ -136,7 +137,7 @@ impl StageCapture {
 }
 
 impl CapturedCamera {
-    fn record(&self, file: String) -> CameraRecord {
+    fn record(&self, file: FileName) -> CameraRecord {
         CameraRecord {
             file,
             product: self.product.clone(),

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::grasp::SCHEMA_VERSION;
 use super::layout::Layout;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::FileKind;
 
 /// What a new dataset is to say about itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -67,7 +68,9 @@ impl Descriptor {
     /// `NotFound` without a dataset there, `Input` when it is unreadable or of a newer version.
     pub(super) fn read(layout: &Layout) -> Result<Self> {
         let path = layout.dataset_toml();
-        let text = std::fs::read_to_string(&path).map_err(|e| not_readable(layout, e))?;
+        let text = path
+            .read_to_string(FileKind::Record)
+            .map_err(|e| not_readable(layout, e))?;
         Self::parse(&text).map_err(|e| e.at(path.display()))
     }
 

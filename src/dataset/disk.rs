@@ -1,37 +1,35 @@
 //! The few file operations that the writer is made of, so that tests can fail any one of them.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write as _};
-use std::path::Path;
+use std::io;
 
-use rustix::fs::{CWD, RenameFlags, renameat_with};
+use crate::files::{BeneathPath, Component};
 
-/// Operations on the disk that change it. Reading goes through `std::fs`.
+/// Operations on the disk that change it, all below the dataset's root.
 pub(super) trait Disk: Send {
     /// Makes a directory whose parent exists.
-    fn create_dir(&self, path: &Path) -> io::Result<()>;
+    fn create_dir(&self, path: &BeneathPath) -> io::Result<()>;
 
     /// Writes a file whole, replacing what was there, and forces its contents to the disk.
     /// The name is durable only after [`Disk::sync_dir`] of the directory.
-    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+    fn write(&self, path: &BeneathPath, bytes: &[u8]) -> io::Result<()>;
 
     /// Gives a file a second name; its contents are shared.
-    fn link(&self, from: &Path, to: &Path) -> io::Result<()>;
+    fn link(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()>;
 
     /// Renames, replacing a file that has the new name.
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+    fn rename(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()>;
 
     /// Renames; fails with `AlreadyExists` where the new name is taken.
-    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()>;
+    fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()>;
 
     /// Removes a file.
-    fn remove_file(&self, path: &Path) -> io::Result<()>;
+    fn remove_file(&self, path: &BeneathPath) -> io::Result<()>;
 
     /// Removes an empty directory.
-    fn remove_dir(&self, path: &Path) -> io::Result<()>;
+    fn remove_dir(&self, path: &BeneathPath) -> io::Result<()>;
 
     /// Forces the names inside a directory to the disk.
-    fn sync_dir(&self, path: &Path) -> io::Result<()>;
+    fn sync_dir(&self, path: &BeneathPath) -> io::Result<()>;
 }
 
 /// The operating system's disk.
@@ -39,69 +37,62 @@ pub(super) trait Disk: Send {
 pub(super) struct SystemDisk;
 
 impl Disk for SystemDisk {
-    fn create_dir(&self, path: &Path) -> io::Result<()> {
-        fs::create_dir(path)
+    fn create_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        path.create_dir()
     }
 
-    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
-        let mut file = OpenOptions::new()
-            .write(true)
-            .create(true)
-            .truncate(true)
-            .open(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
+    fn write(&self, path: &BeneathPath, bytes: &[u8]) -> io::Result<()> {
+        path.write(bytes)
     }
 
-    fn link(&self, from: &Path, to: &Path) -> io::Result<()> {
-        fs::hard_link(from, to)
+    fn link(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        from.hard_link(to)
     }
 
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        fs::rename(from, to)
+    fn rename(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        from.rename(to)
     }
 
-    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
-        match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-            Ok(()) => Ok(()),
-            // Some network and FAT file systems lack the flag. The dataset's lock keeps other
-            // writers out, so looking first is as good there.
-            Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS) => {
-                if to.symlink_metadata().is_ok() {
-                    return Err(io::ErrorKind::AlreadyExists.into());
-                }
-                fs::rename(from, to)
-            }
-            Err(error) => Err(error.into()),
-        }
+    fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        from.rename_new(to)
     }
 
-    fn remove_file(&self, path: &Path) -> io::Result<()> {
-        fs::remove_file(path)
+    fn remove_file(&self, path: &BeneathPath) -> io::Result<()> {
+        path.remove_file()
     }
 
-    fn remove_dir(&self, path: &Path) -> io::Result<()> {
-        fs::remove_dir(path)
+    fn remove_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        path.remove_dir()
     }
 
-    fn sync_dir(&self, path: &Path) -> io::Result<()> {
-        File::open(path)?.sync_all()
+    fn sync_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        path.sync_dir()
     }
 }
 
 /// Replaces `dir/name` as a whole: temporary file, flush, rename, flush of the directory.
 /// Readers see the old contents or the new, never a part.
-pub(super) fn replace(disk: &dyn Disk, dir: &Path, name: &str, bytes: &[u8]) -> io::Result<()> {
-    let partial = dir.join(partial_name(name));
+pub(super) fn replace(
+    disk: &dyn Disk,
+    dir: &BeneathPath,
+    name: impl Component,
+    bytes: &[u8],
+) -> io::Result<()> {
+    let partial = partial_of(dir, &name);
     let written = disk
         .write(&partial, bytes)
-        .and_then(|()| disk.rename(&partial, &dir.join(name)));
+        .and_then(|()| disk.rename(&partial, &dir.join(&name)));
     if let Err(error) = written {
         // The cause is what the caller reports; what stays here is recognised by its name.
         let _ = disk.remove_file(&partial);
         return Err(error);
     }
     disk.sync_dir(dir)
+}
+
+/// Where a file is written before it gets its name.
+pub(super) fn partial_of(dir: &BeneathPath, name: &impl Component) -> BeneathPath {
+    dir.join_affixed(".", name, ".partial")
 }
 
 /// Name under which a file is written before it gets its own.

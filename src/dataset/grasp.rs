@@ -7,7 +7,9 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::layout::Stage;
+pub use crate::files::GraspId;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{ContentKey, FileName, Label, ObjectName};
 use crate::geometry::Pose;
 use crate::imaging::{PixelFormat, Role};
 
@@ -18,46 +20,6 @@ pub const SCHEMA_VERSION: u32 = 1;
 const UNIT_TOLERANCE: f64 = 1e-3;
 /// The only frame that a pose is in.
 const POSE_FRAME: &str = "t_object_gripper";
-
-/// Key of a grasp: `<utc>-<4 hex>`, for instance `2026-11-20T10-15-03Z-7f3a`. Never a position.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(transparent)]
-pub struct GraspId(pub String);
-
-impl fmt::Display for GraspId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(&self.0)
-    }
-}
-
-impl GraspId {
-    /// The last four characters: what people call the grasp.
-    #[must_use]
-    pub fn short(&self) -> &str {
-        let cut = self.0.len().saturating_sub(4);
-        self.0.get(cut..).unwrap_or(&self.0)
-    }
-
-    /// An id as a person or a program writes it.
-    ///
-    /// # Errors
-    /// `Input` for a text that no grasp can be called: an id names a directory, so it has no `/`
-    /// and does not begin with a dot.
-    pub fn parse(text: &str) -> Result<Self> {
-        let sound = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
-        if text.is_empty() || text.len() > LONGEST_ID || !text.chars().all(sound) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("`{text:.80}` is no id of a grasp"),
-            )
-            .remedy("ids look like 2026-11-20T10-15-03Z-7f3a"));
-        }
-        Ok(Self(text.to_owned()))
-    }
-}
-
-/// Longest id that is taken from outside, characters.
-const LONGEST_ID: usize = 80;
 
 /// Whether the object stayed in the gripper during the lift.
 #[derive(
@@ -106,11 +68,11 @@ pub struct GraspRecord {
     /// Key of the grasp; equals the directory's name.
     pub id: GraspId,
     /// What is grasped.
-    pub object: String,
+    pub object: ObjectName,
     /// Where.
-    pub scene: String,
+    pub scene: Label,
     /// Who holds the gripper.
-    pub operator: String,
+    pub operator: Label,
     /// Rig file's id.
     pub rig: String,
     /// `gripcast <version>` that wrote the record.
@@ -133,12 +95,12 @@ pub struct GraspRecord {
     /// Guards that refused and were overridden.
     pub overridden_guards: Vec<OverriddenGuard>,
     /// First 12 hex digits of the calibration's sha256, by role; file `calibration/<sha12>.toml`.
-    pub calibration: BTreeMap<Role, String>,
+    pub calibration: BTreeMap<Role, ContentKey>,
     /// The printed markers that the external camera saw, where they are known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boards: Option<BoardKeys>,
     /// Digest of each image file of the grasp, by file name.
-    pub files: BTreeMap<String, FileDigest>,
+    pub files: BTreeMap<FileName, FileDigest>,
     /// Free text.
     pub note: String,
     /// What the simulator knows, where the frames are those of a virtual rig.
@@ -161,7 +123,7 @@ impl GraspRecord {
     }
 
     /// Keys of the files in `calibration/` that the grasp refers to.
-    pub fn calibration_keys(&self) -> impl Iterator<Item = &String> {
+    pub fn calibration_keys(&self) -> impl Iterator<Item = &ContentKey> {
         let boards = self.boards.iter().flat_map(|b| [&b.sheet, &b.tags]);
         self.calibration.values().chain(boards)
     }
@@ -197,7 +159,7 @@ pub struct StageRecord {
 #[serde(deny_unknown_fields)]
 pub struct CameraRecord {
     /// File name inside the grasp's directory.
-    pub file: String,
+    pub file: FileName,
     /// USB product string.
     pub product: String,
     /// USB serial.
@@ -309,9 +271,9 @@ pub struct PoseQuality {
 #[serde(deny_unknown_fields)]
 pub struct BoardKeys {
     /// The sheet that the object stands on.
-    pub sheet: String,
+    pub sheet: ContentKey,
     /// The gripper's tags.
-    pub tags: String,
+    pub tags: ContentKey,
 }
 
 /// What is true of a grasp on the virtual rig: it was simulated, and the frames are those of the

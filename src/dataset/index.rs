@@ -1,7 +1,6 @@
 //! `metadata.jsonl`: one line a grasp, derived from the records.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::Path;
 
 use serde::Serialize;
@@ -15,21 +14,22 @@ use super::reader::{Dataset, grasp_ids};
 use super::record_file::read_grasp;
 use super::writer::failed;
 use crate::error::Result;
+use crate::files::{FileKind, FileName, Label, ObjectName};
 use crate::imaging::Role;
 
 /// What the index keeps of a grasp.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct IndexRow {
-    pub(super) object: String,
-    pub(super) scene: String,
-    pub(super) operator: String,
+    pub(super) object: ObjectName,
+    pub(super) scene: Label,
+    pub(super) operator: Label,
     pub(super) outcome: Outcome,
     pub(super) labelled_at: Option<String>,
     pub(super) captured_at: String,
     pub(super) rig: String,
     pub(super) prediction: Option<PredictionRecord>,
     pub(super) pose: Option<PoseRecord>,
-    pub(super) files: BTreeMap<(Stage, Role), String>,
+    pub(super) files: BTreeMap<(Stage, Role), FileName>,
 }
 
 impl IndexRow {
@@ -133,7 +133,7 @@ pub(super) fn rewrite(disk: &dyn Disk, layout: &Layout) -> Result<ReindexReport>
     let text = to_jsonl(&rows);
     let changed = !is_stored(layout, &text);
     if changed {
-        replace(disk, layout.root(), METADATA_JSONL, text.as_bytes())
+        replace(disk, &layout.top(), METADATA_JSONL, text.as_bytes())
             .map_err(|e| failed(layout, "cannot write the index", e))?;
     }
     Ok(ReindexReport {
@@ -145,17 +145,19 @@ pub(super) fn rewrite(disk: &dyn Disk, layout: &Layout) -> Result<ReindexReport>
 
 /// Whether the index is this text.
 pub(super) fn is_stored(layout: &Layout, text: &str) -> bool {
-    fs::read(layout.index()).is_ok_and(|found| found == text.as_bytes())
+    let found = layout.index().read(FileKind::List);
+    found.is_ok_and(|found| found == text.as_bytes())
 }
 
 /// The lines of the index as they are, by grasp; those that cannot be read are left out.
 pub(super) fn rows_by_id(layout: &Layout) -> BTreeMap<GraspId, Value> {
-    let text = fs::read_to_string(layout.index()).unwrap_or_default();
+    let text = layout.index().read_to_string(FileKind::List);
+    let text = text.unwrap_or_default();
     text.lines()
         .filter_map(|line| {
             let row: Value = serde_json::from_str(line).ok()?;
-            let id = row.get("id")?.as_str()?.to_owned();
-            Some((GraspId(id), row))
+            let id = GraspId::parse(row.get("id")?.as_str()?).ok()?;
+            Some((id, row))
         })
         .collect()
 }
@@ -168,7 +170,7 @@ fn read_rows(layout: &Layout) -> Result<(BTreeMap<GraspId, IndexRow>, Vec<String
             Ok(record) => {
                 rows.insert(id, IndexRow::of(&record));
             }
-            Err(_) => skipped.push(id.0),
+            Err(_) => skipped.push(id.into()),
         }
     }
     Ok((rows, skipped))

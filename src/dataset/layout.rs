@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use jiff::Timestamp;
 
 use super::grasp::{FileDigest, GraspId};
-use crate::files::sha256_hex;
+use crate::files::{BeneathPath, FileName, Root, sha256_hex};
 use crate::imaging::{PixelFormat, Role};
 
 /// Beginning of the name of a grasp's directory before the grasp is complete.
@@ -54,71 +54,78 @@ impl Stage {
 /// Places of a dataset.
 #[derive(Clone, Debug)]
 pub(super) struct Layout {
-    root: PathBuf,
+    root: Root,
 }
 
 impl Layout {
     pub(super) fn new(root: impl Into<PathBuf>) -> Self {
-        Self { root: root.into() }
+        Self {
+            root: Root::new(root),
+        }
     }
 
     pub(super) fn root(&self) -> &Path {
-        &self.root
+        self.root.path()
     }
 
-    pub(super) fn dataset_toml(&self) -> PathBuf {
-        self.root.join(DATASET_TOML)
+    pub(super) fn top(&self) -> BeneathPath {
+        self.root.top()
     }
 
+    pub(super) fn dataset_toml(&self) -> BeneathPath {
+        self.top().join(DATASET_TOML)
+    }
+
+    /// The lock lies in the root itself: it is opened without following links.
     pub(super) fn lock(&self) -> PathBuf {
-        self.root.join(LOCK)
+        self.root().join(LOCK)
     }
 
-    pub(super) fn index(&self) -> PathBuf {
-        self.root.join(METADATA_JSONL)
+    pub(super) fn index(&self) -> BeneathPath {
+        self.top().join(METADATA_JSONL)
     }
 
-    pub(super) fn grasps(&self) -> PathBuf {
-        self.root.join("grasps")
+    pub(super) fn grasps(&self) -> BeneathPath {
+        self.top().join("grasps")
     }
 
-    pub(super) fn trash(&self) -> PathBuf {
-        self.root.join("trash")
+    pub(super) fn trash(&self) -> BeneathPath {
+        self.top().join("trash")
     }
 
-    pub(super) fn logs(&self) -> PathBuf {
-        self.root.join("logs")
+    pub(super) fn logs(&self) -> BeneathPath {
+        self.top().join("logs")
     }
 
-    pub(super) fn calibration(&self) -> PathBuf {
-        self.root.join("calibration")
+    pub(super) fn calibration(&self) -> BeneathPath {
+        self.top().join("calibration")
     }
 
-    pub(super) fn models(&self) -> PathBuf {
-        self.root.join("models")
+    pub(super) fn models(&self) -> BeneathPath {
+        self.top().join("models")
     }
 
-    pub(super) fn splits(&self) -> PathBuf {
-        self.root.join("splits")
+    pub(super) fn splits(&self) -> BeneathPath {
+        self.top().join("splits")
     }
 
     /// Directory of a complete grasp.
-    pub(super) fn grasp(&self, id: &GraspId) -> PathBuf {
-        self.grasps().join(&id.0)
+    pub(super) fn grasp(&self, id: &GraspId) -> BeneathPath {
+        self.grasps().join(id)
     }
 
     /// Directory of a grasp of which the initial frame alone is there.
-    pub(super) fn pending(&self, id: &GraspId) -> PathBuf {
-        self.grasps().join(format!("{PENDING_PREFIX}{id}"))
+    pub(super) fn pending(&self, id: &GraspId) -> BeneathPath {
+        self.grasps().join_affixed(PENDING_PREFIX, id, "")
     }
 
     /// Place of a discarded initial frame or an undone grasp.
-    pub(super) fn trashed(&self, id: &GraspId) -> PathBuf {
-        self.trash().join(&id.0)
+    pub(super) fn trashed(&self, id: &GraspId) -> BeneathPath {
+        self.trash().join(id)
     }
 
     /// Directories that a dataset has from the beginning.
-    pub(super) fn directories(&self) -> [PathBuf; 5] {
+    pub(super) fn directories(&self) -> [BeneathPath; 5] {
         [
             self.grasps(),
             self.trash(),
@@ -131,14 +138,13 @@ impl Layout {
 
 /// The id in the name of a pending directory.
 pub(super) fn pending_id(name: &str) -> Option<GraspId> {
-    name.strip_prefix(PENDING_PREFIX)
-        .map(|id| GraspId(id.to_owned()))
+    GraspId::parse(name.strip_prefix(PENDING_PREFIX)?).ok()
 }
 
 /// Name of an image file of a grasp.
 #[must_use]
-pub fn image_name(stage: Stage, role: Role, format: PixelFormat) -> String {
-    format!("{}.{role}.{}", stage.name(), extension(format))
+pub fn image_name(stage: Stage, role: Role, format: PixelFormat) -> FileName {
+    FileName::of_words(&[stage.name(), role.name(), extension(format)])
 }
 
 /// Begin of the names of further frames from before the fingers closed.
@@ -146,11 +152,13 @@ pub(super) const APPROACH_PREFIX: &str = "approach.";
 
 /// Name of the file of a further frame from before the fingers closed.
 #[must_use]
-pub fn approach_name(number: usize, format: PixelFormat) -> String {
-    format!(
-        "{APPROACH_PREFIX}{number:02}.external.{}",
-        extension(format)
-    )
+pub fn approach_name(number: usize, format: PixelFormat) -> FileName {
+    FileName::of_words(&[
+        "approach",
+        &format!("{number:02}"),
+        "external",
+        extension(format),
+    ])
 }
 
 fn extension(format: PixelFormat) -> &'static str {
@@ -168,18 +176,10 @@ pub(super) fn id_at(at: Timestamp, later: u64) -> GraspId {
     let steps = at.as_nanosecond() * STEPS / SECOND_NS + i128::from(later);
     // Stays within what a `Timestamp` holds but for the last second of the year 9999.
     let second = Timestamp::from_nanosecond(steps.div_euclid(STEPS) * SECOND_NS).unwrap_or(at);
-    GraspId(format!(
-        "{}-{:04x}",
-        second.strftime("%Y-%m-%dT%H-%M-%SZ"),
-        steps.rem_euclid(STEPS)
-    ))
-}
-
-/// First 12 hex digits of the sha256.
-pub(super) fn sha12(bytes: &[u8]) -> String {
-    let mut hex = sha256_hex(bytes);
-    hex.truncate(12);
-    hex
+    GraspId::of_words(&[
+        &second.strftime("%Y-%m-%dT%H-%M-%SZ").to_string(),
+        &format!("{:04x}", steps.rem_euclid(STEPS)),
+    ])
 }
 
 /// Digest of a file's contents.
@@ -193,10 +193,11 @@ pub(super) fn digest(bytes: &[u8]) -> FileDigest {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::files::ContentKey;
 
     #[test]
     fn ids_sort_as_the_triggers_came() {
-        let id = |at: &str, later| id_at(at.parse().unwrap(), later).0;
+        let id = |at: &str, later| id_at(at.parse().unwrap(), later).to_string();
         assert_eq!(
             id("2026-11-20T10:15:03.25Z", 0),
             "2026-11-20T10-15-03Z-4000"
@@ -220,16 +221,16 @@ mod tests {
                 sha256: "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad".into(),
             }
         );
-        assert_eq!(sha12(b"abc"), "ba7816bf8f01");
+        assert_eq!(ContentKey::of(b"abc"), "ba7816bf8f01");
     }
 
     #[test]
     fn pending_directories_are_told_by_their_name() {
         let layout = Layout::new("/d");
-        let id = GraspId("2026-11-20T10-15-03Z-7f3a".into());
-        let name = layout.pending(&id);
-        let name = name.file_name().unwrap().to_str().unwrap();
-        assert_eq!(pending_id(name), Some(id.clone()));
-        assert_eq!(pending_id(&id.0), None);
+        let id = GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap();
+        let name = layout.pending(&id).name();
+        assert_eq!(pending_id(&name), Some(id.clone()));
+        assert_eq!(pending_id(&id), None);
+        assert_eq!(pending_id(".tmp-../../x"), None);
     }
 }

@@ -25,6 +25,9 @@ impl DatasetLock {
             )
             .at(layout.root().display())
             .remedy("end that program first, or use another dataset"),
+            NotLocked::Refused(e) => {
+                Error::io("cannot lock the dataset", e).at(layout.lock().display())
+            }
             NotLocked::Open(e) => not_writable(layout, e),
             NotLocked::Lock(e) => {
                 Error::io("cannot lock the dataset", e).at(layout.lock().display())

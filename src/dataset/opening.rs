@@ -6,7 +6,7 @@ use std::path::Path;
 
 use super::counts::GraspCounts;
 use super::descriptor::{Descriptor, NewDataset};
-use super::disk::{Disk, SystemDisk, partial_name, replace};
+use super::disk::{Disk, SystemDisk, partial_name, partial_of, replace};
 use super::index::{IndexRow, is_stored, to_jsonl};
 use super::layout::{DATASET_TOML, GRASP_JSON, INITIAL_JSON, LOCK, Layout};
 use super::lock::DatasetLock;
@@ -16,6 +16,7 @@ use super::trash::set_aside;
 use super::unfinished::{Unfinished, unfinished};
 use super::writer::{DatasetWriter, failed};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::Root;
 
 /// What was found when a dataset was opened for writing.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -51,10 +52,10 @@ impl DatasetWriter {
         let layout = Layout::new(root);
         create_root(disk.as_ref(), &layout)?;
         let lock = DatasetLock::acquire(&layout)?;
-        let created = !layout.dataset_toml().exists();
+        let created = !layout.dataset_toml().is_taken();
         if created {
             let text = Descriptor::new(new).to_toml()?;
-            replace(disk.as_ref(), root, DATASET_TOML, text.as_bytes())
+            replace(disk.as_ref(), &layout.top(), DATASET_TOML, text.as_bytes())
                 .map_err(|e| failed(&layout, "cannot begin the dataset", e))?;
         }
         let descriptor = Descriptor::read(&layout)?;
@@ -124,11 +125,10 @@ impl DatasetWriter {
                     continue;
                 }
             }
-            for leftover in [INITIAL_JSON.to_owned(), partial_name(GRASP_JSON)] {
-                let path = dir.join(leftover);
-                if path.exists() {
+            for leftover in [dir.join(INITIAL_JSON), partial_of(&dir, &GRASP_JSON)] {
+                if leftover.is_taken() {
                     // Verification and the next opening see it again where this fails.
-                    let _ = self.disk.remove_file(&path);
+                    let _ = self.disk.remove_file(&leftover);
                 }
             }
         }
@@ -149,7 +149,7 @@ fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
         .at(root.display())
         .remedy("give a directory that does not exist yet, is empty, or holds a dataset")),
         Err(e) => Err(failed(layout, "cannot read the directory", e)),
-        Ok(_) if layout.dataset_toml().exists() => Ok(()),
+        Ok(_) if layout.dataset_toml().is_taken() => Ok(()),
         Ok(entries) => {
             // A crash may have come between the lock and the description.
             let foreign = entries.flatten().find(|entry| {
@@ -189,8 +189,10 @@ fn create_all(disk: &dyn Disk, path: &Path) -> io::Result<()> {
     if !parent.exists() {
         create_all(disk, parent)?;
     }
-    disk.create_dir(path)?;
-    disk.sync_dir(parent)
+    // The folder is named by the user, not by the data.
+    let place = Root::new(parent).entry(path);
+    disk.create_dir(&place)?;
+    disk.sync_dir(&place.parent())
 }
 
 pub(super) fn create_directories(disk: &dyn Disk, layout: &Layout) -> io::Result<()> {
@@ -202,7 +204,7 @@ pub(super) fn create_directories(disk: &dyn Disk, layout: &Layout) -> io::Result
         }
     }
     if made {
-        disk.sync_dir(layout.root())?;
+        disk.sync_dir(&layout.top())?;
     }
     Ok(())
 }

@@ -1,7 +1,6 @@
 //! Reading a dataset.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::descriptor::Descriptor;
 use super::grasp::{CameraRecord, GraspId, GraspRecord};
@@ -10,6 +9,7 @@ use super::picture;
 use super::record_file::{check_id, read_grasp};
 use super::split::{self, SplitFile};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, ContentKey, FileKind, FileName};
 use crate::imaging::{Frame, PixelFormat, Role};
 
 /// A dataset that is read; any number of readers beside one writer.
@@ -78,14 +78,19 @@ impl Dataset {
 
     /// Where an image of a grasp is; `None` when there is none of that role at that stage.
     #[must_use]
-    pub fn path_of(&self, record: &GraspRecord, stage: Stage, role: Role) -> Option<PathBuf> {
+    pub fn path_of(
+        &self,
+        record: &GraspRecord,
+        stage: Stage,
+        role: Role,
+    ) -> Option<BeneathPath> {
         let camera = record.stage(stage).cameras.get(&role)?;
         Some(self.layout.grasp(&record.id).join(&camera.file))
     }
 
     /// Where a file of a grasp is, by its name in the record; `None` for other names.
     #[must_use]
-    pub fn file(&self, record: &GraspRecord, name: &str) -> Option<PathBuf> {
+    pub fn file(&self, record: &GraspRecord, name: &str) -> Option<BeneathPath> {
         let (name, _) = record.files.get_key_value(name)?;
         Some(self.layout.grasp(&record.id).join(name))
     }
@@ -112,9 +117,9 @@ impl Dataset {
     ///
     /// # Errors
     /// `NotFound` without it, `Io`, ….
-    pub fn calibration(&self, key: &str) -> Result<String> {
-        let path = self.layout.calibration().join(format!("{key}.toml"));
-        fs::read_to_string(&path)
+    pub fn calibration(&self, key: &ContentKey) -> Result<String> {
+        let path = self.layout.calibration().join_affixed("", key, ".toml");
+        path.read_to_string(FileKind::Record)
             .map_err(|e| Error::io("cannot read the calibration", e).at(path.display()))
     }
 
@@ -127,7 +132,8 @@ impl Dataset {
         let path = dir.join(GRASP_JSON);
         let record = read_grasp(&dir)?;
         check_id(&record.id, id).map_err(|e| e.at(path.display()))?;
-        let json = fs::read(&path)
+        let json = path
+            .read(FileKind::Record)
             .map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
         Ok((record, json))
     }
@@ -141,7 +147,8 @@ impl Dataset {
     pub fn stored_picture(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
         let path = self.layout.grasp(&record.id).join(&camera.file);
         let refused = |what: String| Error::new(ErrorKind::Input, what).at(path.display());
-        let bytes = fs::read(&path)
+        let bytes = path
+            .read(FileKind::Image)
             .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
         let Some(expected) = record.files.get(&camera.file) else {
             return Err(refused("the record has no digest of the file".to_owned()));
@@ -164,8 +171,7 @@ impl Dataset {
         if !dir.is_dir() {
             return Ok(Vec::new());
         }
-        let names = entries(&dir)?.into_iter();
-        let names = names.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        let names = entries(&dir)?.into_iter().map(|entry| entry.name());
         Ok(names
             .filter(|name| !name.starts_with('.'))
             .filter_map(|name| name.strip_suffix(".json").map(str::to_owned))
@@ -177,8 +183,8 @@ impl Dataset {
     /// # Errors
     /// `Usage`: no split can be called so. As of [`SplitFile::read`].
     pub fn split(&self, name: &str) -> Result<SplitFile> {
-        split::check_name(name)?;
-        SplitFile::read(&self.layout.splits().join(format!("{name}.json")))
+        let file = split::file_name(name)?;
+        SplitFile::read_beneath(&self.layout.splits().join(file))
     }
 
     /// A stored frame, as the camera sent it.
@@ -201,39 +207,28 @@ impl Dataset {
 pub(super) fn grasp_ids(layout: &Layout) -> Result<Vec<GraspId>> {
     Ok(subdirectories(&layout.grasps())?
         .into_iter()
-        .filter(|name| !name.starts_with('.'))
-        .map(GraspId)
+        .filter_map(|name| GraspId::parse(&name).ok())
         .collect())
 }
 
 /// Names of the directories inside a directory, sorted.
-pub(super) fn subdirectories(path: &Path) -> Result<Vec<String>> {
-    let mut names = Vec::new();
-    for entry in entries(path)? {
-        if entry.path().is_dir() {
-            names.push(entry.file_name().to_string_lossy().into_owned());
-        }
-    }
-    names.sort();
-    Ok(names)
+pub(super) fn subdirectories(path: &BeneathPath) -> Result<Vec<String>> {
+    let folders = entries(path)?.into_iter().filter(BeneathPath::is_dir);
+    Ok(folders.map(|folder| folder.name()).collect())
 }
 
 /// Entries of a directory, sorted by name.
-pub(super) fn entries(path: &Path) -> Result<Vec<fs::DirEntry>> {
-    let unreadable = |e| Error::io("cannot read the directory", e).at(path.display());
-    let mut entries = fs::read_dir(path)
-        .map_err(unreadable)?
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(unreadable)?;
-    entries.sort_by_key(fs::DirEntry::file_name);
-    Ok(entries)
+pub(super) fn entries(path: &BeneathPath) -> Result<Vec<BeneathPath>> {
+    path.entries()
+        .map_err(|e| Error::io("cannot read the directory", e).at(path.display()))
 }
 
 /// Reads a stored file back as the frame that it was made from.
-pub(super) fn load_frame(dir: &Path, camera: &CameraRecord) -> Result<Frame> {
+pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Frame> {
     let path = dir.join(&camera.file);
-    let bytes =
-        fs::read(&path).map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
+    let bytes = path
+        .read(FileKind::Image)
+        .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
     let data = match camera.format {
         PixelFormat::Mjpg => bytes,
         PixelFormat::Z16 => match decode(&path, &bytes)? {
@@ -268,7 +263,7 @@ pub(super) fn load_frame(dir: &Path, camera: &CameraRecord) -> Result<Frame> {
     })
 }
 
-fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
+fn decode(path: &BeneathPath, bytes: &[u8]) -> Result<image::DynamicImage> {
     image::load_from_memory_with_format(bytes, image::ImageFormat::Png).map_err(|e| {
         Error::new(ErrorKind::Input, "cannot decode the picture")
             .because(e)
@@ -276,6 +271,6 @@ fn decode(path: &Path, bytes: &[u8]) -> Result<image::DynamicImage> {
     })
 }
 
-fn other_picture(path: &Path, expected: &str) -> Error {
+fn other_picture(path: &BeneathPath, expected: &str) -> Error {
     Error::new(ErrorKind::Input, format!("the file is not {expected}")).at(path.display())
 }

@@ -1,8 +1,6 @@
 //! Makes a lost `grasp.json` again from the images, the index and what is left of the old record.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::Path;
 
 use jiff::Timestamp;
 use jiff::civil::DateTime;
@@ -15,10 +13,11 @@ use super::grasp::{CameraRecord, FileDigest, GraspId, GraspRecord, SCHEMA_VERSIO
 use super::layout::{APPROACH_PREFIX, GRASP_JSON, Stage, digest};
 use super::picture;
 use super::reader::entries;
+use crate::files::{BeneathPath, FileKind, FileName, Label, ObjectName};
 use crate::imaging::Role;
 
 /// Whether the record is of a version that this build does not know.
-pub(super) fn is_newer(dir: &Path) -> bool {
+pub(super) fn is_newer(dir: &BeneathPath) -> bool {
     old_record(dir)
         .get("schema")
         .and_then(Value::as_u64)
@@ -29,7 +28,7 @@ pub(super) fn is_newer(dir: &Path) -> bool {
 ///
 /// Needs whole pictures of both gels at both stages; otherwise says what is missing.
 pub(super) fn rebuild(
-    dir: &Path,
+    dir: &BeneathPath,
     id: &GraspId,
     row: Option<&Value>,
 ) -> Result<GraspRecord, String> {
@@ -58,7 +57,10 @@ pub(super) fn rebuild(
     };
     let initial = stage(Stage::Initial)?;
     let grasp = stage(Stage::Grasp)?;
-    let text = |name: &str| sources.field(name).unwrap_or_else(|| "unknown".to_owned());
+    let text = |name: &str| {
+        let found: Option<String> = sources.field(name);
+        found.unwrap_or_else(|| "unknown".to_owned())
+    };
     let from = match (old.is_object(), row.is_some()) {
         (true, _) => "the images and what was left of it",
         (false, true) => "the images and the index",
@@ -67,9 +69,10 @@ pub(super) fn rebuild(
     Ok(GraspRecord {
         schema: SCHEMA_VERSION,
         id: id.clone(),
-        object: text("object"),
-        scene: text("scene"),
-        operator: text("operator"),
+        // Names from before they were checked are brought into a valid form.
+        object: ObjectName::nearest(&text("object")),
+        scene: Label::nearest(&text("scene")),
+        operator: Label::nearest(&text("operator")),
         rig: text("rig"),
         software: SOFTWARE.to_owned(),
         outcome: sources.field("outcome").unwrap_or_default(),
@@ -109,8 +112,9 @@ impl Sources<'_> {
 }
 
 /// The old record as far as it is JSON; null otherwise.
-fn old_record(dir: &Path) -> Value {
-    fs::read(dir.join(GRASP_JSON))
+fn old_record(dir: &BeneathPath) -> Value {
+    dir.join(GRASP_JSON)
+        .read(FileKind::Record)
         .ok()
         .and_then(|bytes| serde_json::from_slice(&bytes).ok())
         .unwrap_or_default()
@@ -118,15 +122,15 @@ fn old_record(dir: &Path) -> Value {
 
 /// Cameras whose pictures of a stage are there and whole; notes the digests of those files.
 fn cameras(
-    dir: &Path,
+    dir: &BeneathPath,
     stage: Stage,
     known: &BTreeMap<Role, CameraRecord>,
-    files: &mut BTreeMap<String, FileDigest>,
+    files: &mut BTreeMap<FileName, FileDigest>,
 ) -> BTreeMap<Role, CameraRecord> {
     let mut cameras = BTreeMap::new();
     for role in Role::ALL {
         let found = ["jpg", "png"].iter().find_map(|extension| {
-            let file = format!("{}.{role}.{extension}", stage.name());
+            let file = FileName::of_words(&[stage.name(), role.name(), extension]);
             whole_picture(dir, file, known.get(&role), files)
         });
         cameras.extend(found.map(|camera| (role, camera)));
@@ -136,17 +140,15 @@ fn cameras(
 
 /// Whole frames from before the fingers closed.
 fn approach(
-    dir: &Path,
+    dir: &BeneathPath,
     known: Vec<CameraRecord>,
-    files: &mut BTreeMap<String, FileDigest>,
+    files: &mut BTreeMap<FileName, FileDigest>,
 ) -> Vec<CameraRecord> {
-    let mut names: Vec<String> = entries(dir)
+    let names = entries(dir)
         .into_iter()
         .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .filter(|name| name.starts_with(APPROACH_PREFIX))
-        .collect();
-    names.sort();
+        .filter_map(|entry| FileName::parse(&entry.name()).ok())
+        .filter(|name| name.starts_with(APPROACH_PREFIX));
     let found = names.into_iter().filter_map(|name| {
         let known = known.iter().find(|camera| camera.file == name);
         whole_picture(dir, name, known, files)
@@ -157,12 +159,12 @@ fn approach(
 /// A picture's record, as it was where that still fits; notes its digest. None where the file is
 /// no whole picture.
 fn whole_picture(
-    dir: &Path,
-    file: String,
+    dir: &BeneathPath,
+    file: FileName,
     known: Option<&CameraRecord>,
-    files: &mut BTreeMap<String, FileDigest>,
+    files: &mut BTreeMap<FileName, FileDigest>,
 ) -> Option<CameraRecord> {
-    let bytes = fs::read(dir.join(&file)).ok()?;
+    let bytes = dir.join(&file).read(FileKind::Image).ok()?;
     let (format, width, height) = picture::recognise(&bytes)?;
     files.insert(file.clone(), digest(&bytes));
     let fits =
@@ -187,7 +189,7 @@ fn whole_picture(
 
 /// The time in an id; the epoch where there is none.
 fn time_of(id: &GraspId) -> Timestamp {
-    let text = id.0.get(..20).unwrap_or_default();
+    let text = id.get(..20).unwrap_or_default();
     DateTime::strptime("%Y-%m-%dT%H-%M-%SZ", text)
         .and_then(|time| time.to_zoned(TimeZone::UTC))
         .map_or(Timestamp::UNIX_EPOCH, |time| time.timestamp())
@@ -199,8 +201,8 @@ mod tests {
 
     #[test]
     fn the_time_is_read_from_the_id() {
-        let id = GraspId("2026-11-20T10-15-03Z-7f3a".into());
+        let id = GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap();
         assert_eq!(time_of(&id).to_string(), "2026-11-20T10:15:03Z");
-        assert_eq!(time_of(&GraspId("my grasp".into())), Timestamp::UNIX_EPOCH);
+        assert_eq!(time_of(&GraspId::parse("my-grasp").unwrap()), Timestamp::UNIX_EPOCH);
     }
 }

@@ -1,8 +1,6 @@
 //! Reading and writing of `grasp.json` and `initial.json`.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::Path;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -11,6 +9,7 @@ use super::descriptor::check_schema;
 use super::grasp::{FileDigest, GraspId, GraspRecord, OverriddenGuard, StageRecord};
 use super::layout::{GRASP_JSON, INITIAL_JSON, digest};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, FileKind, FileName};
 
 /// A durable initial frame that waits for its grasp; the contents of `initial.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -27,7 +26,7 @@ pub struct PendingInitial {
     /// Guards that were overridden at the initial trigger.
     pub overridden_guards: Vec<OverriddenGuard>,
     /// Digest of each image file, by file name.
-    pub files: BTreeMap<String, FileDigest>,
+    pub files: BTreeMap<FileName, FileDigest>,
     /// The undone grasp whose initial frame this is. It counts only while that grasp stays undone.
     pub reopened_from: Option<GraspId>,
 }
@@ -45,7 +44,7 @@ pub(super) enum Pending {
 
 impl Pending {
     /// Looks into the directory of `id`.
-    pub(super) fn inspect(dir: &Path, id: &GraspId) -> Self {
+    pub(super) fn inspect(dir: &BeneathPath, id: &GraspId) -> Self {
         let grasp = read_grasp(dir).and_then(|record| {
             check_files(dir, &record.files)?;
             check_id(&record.id, id)
@@ -61,7 +60,7 @@ impl Pending {
         });
         match initial {
             Ok(pending) => Self::Initial(pending),
-            Err(_) if dir.join(GRASP_JSON).exists() => Self::Torn(grasp_error.to_string()),
+            Err(_) if dir.join(GRASP_JSON).is_taken() => Self::Torn(grasp_error.to_string()),
             Err(error) => Self::Torn(error.to_string()),
         }
     }
@@ -82,18 +81,19 @@ pub(super) fn check_id(found: &GraspId, expected: &GraspId) -> Result<()> {
 ///
 /// # Errors
 /// `NotFound`, or `Input` when it is no record of this version.
-pub(super) fn read_grasp(dir: &Path) -> Result<GraspRecord> {
+pub(super) fn read_grasp(dir: &BeneathPath) -> Result<GraspRecord> {
     read(&dir.join(GRASP_JSON))
 }
 
 /// Reads `initial.json`.
-pub(super) fn read_initial(dir: &Path) -> Result<PendingInitial> {
+pub(super) fn read_initial(dir: &BeneathPath) -> Result<PendingInitial> {
     read(&dir.join(INITIAL_JSON))
 }
 
-fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
-    let bytes =
-        fs::read(path).map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
+fn read<T: DeserializeOwned>(path: &BeneathPath) -> Result<T> {
+    let bytes = path
+        .read(FileKind::Record)
+        .map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
     from_json(&bytes).map_err(|e| e.at(path.display()))
 }
 
@@ -136,11 +136,12 @@ pub(super) fn to_json<T: Serialize + DeserializeOwned>(record: &T) -> Result<Vec
 ///
 /// # Errors
 /// `NotFound` or `Input` for the first file that is missing or altered.
-pub(super) fn check_files(dir: &Path, files: &BTreeMap<String, FileDigest>) -> Result<()> {
+pub(super) fn check_files(dir: &BeneathPath, files: &BTreeMap<FileName, FileDigest>) -> Result<()> {
     for (name, expected) in files {
         let path = dir.join(name);
-        let bytes =
-            fs::read(&path).map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
+        let bytes = path
+            .read(FileKind::Image)
+            .map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
         if digest(&bytes) != *expected {
             return Err(
                 Error::new(ErrorKind::Input, "the file is not what was stored").at(path.display()),

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 
@@ -20,6 +20,7 @@ use super::trash::set_aside;
 use super::unfinished::{Unfinished, unfinished};
 use super::writer::failed;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::BeneathPath;
 
 /// What recovery does to an item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -78,9 +79,9 @@ impl RecoverReport {
 enum Step {
     WriteDescriptor(Descriptor),
     Complete(GraspId),
-    Rename { from: GraspId, to: GraspId },
+    Rename { from: BeneathPath, to: GraspId },
     Rebuild(Box<GraspRecord>),
-    SetAside(PathBuf),
+    SetAside(BeneathPath),
     Reindex,
     Nothing,
 }
@@ -197,51 +198,52 @@ impl Plan<'_> {
         let hints = index::rows_by_id(self.layout);
         for (id, record) in own.into_iter().chain(other) {
             match record {
-                Ok(record) => self.readable(id, &record),
+                Ok(record) => self.readable(&self.layout.grasp(&id), &record),
                 Err(error) => self.unreadable(id, &error, &hints),
             }
         }
         Ok(())
     }
 
-    fn readable(&mut self, dir_id: GraspId, record: &GraspRecord) {
-        let dir = self.layout.grasp(&dir_id);
-        let item = format!("grasps/{dir_id}");
+    fn readable(&mut self, dir: &BeneathPath, record: &GraspRecord) {
+        let name = dir.name();
+        let item = format!("grasps/{name}");
         if self.kept.contains_key(&record.id) {
             let detail = format!("a copy of {}, which is there", record.id);
-            self.add(ActionKind::SetAside, &item, detail, Step::SetAside(dir));
+            let step = Step::SetAside(dir.clone());
+            self.add(ActionKind::SetAside, &item, detail, step);
             return;
         }
-        if let Err(error) = check_files(&dir, &record.files) {
+        if let Err(error) = check_files(dir, &record.files) {
             self.add_loss(
                 ActionKind::SetAside,
                 &item,
                 format!("not whole any more: {error}"),
-                Step::SetAside(dir),
+                Step::SetAside(dir.clone()),
             );
             return;
         }
-        self.extra_files(&dir_id, record);
+        self.extra_files(dir, record);
         self.kept.insert(record.id.clone(), IndexRow::of(record));
-        if record.id != dir_id {
+        if record.id != *name {
             let detail = format!("its record says {}", record.id);
             let step = Step::Rename {
-                from: dir_id,
+                from: dir.clone(),
                 to: record.id.clone(),
             };
             self.add(ActionKind::Rename, &item, detail, step);
         }
     }
 
-    fn extra_files(&mut self, id: &GraspId, record: &GraspRecord) {
-        for entry in entries(&self.layout.grasp(id)).into_iter().flatten() {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            if name != GRASP_JSON && !record.files.contains_key(&name) {
+    fn extra_files(&mut self, dir: &BeneathPath, record: &GraspRecord) {
+        for entry in entries(dir).into_iter().flatten() {
+            let name = entry.name();
+            if name != GRASP_JSON && !record.files.contains_key(name.as_str()) {
                 self.add(
                     ActionKind::SetAside,
-                    &format!("grasps/{id}/{name}"),
+                    &format!("grasps/{}/{name}", dir.name()),
                     "the record does not name it",
-                    Step::SetAside(entry.path()),
+                    Step::SetAside(entry),
                 );
             }
         }
@@ -262,7 +264,7 @@ impl Plan<'_> {
         match rebuild(&dir, &id, hints.get(&id)) {
             Ok(record) => {
                 let broken = dir.join(GRASP_JSON);
-                if broken.exists() {
+                if broken.is_taken() {
                     self.add(
                         ActionKind::SetAside,
                         &format!("{item}/{GRASP_JSON}"),
@@ -270,7 +272,7 @@ impl Plan<'_> {
                         Step::SetAside(broken),
                     );
                 }
-                self.extra_files(&id, &record);
+                self.extra_files(&dir, &record);
                 self.kept.insert(id, IndexRow::of(&record));
                 self.add(
                     ActionKind::Rebuild,
@@ -291,16 +293,21 @@ impl Plan<'_> {
     /// What is no directory of a grasp.
     fn strays(&mut self) -> Result<()> {
         for entry in entries(&self.layout.grasps())? {
-            let name = entry.file_name().to_string_lossy().into_owned();
-            let is_dir = entry.path().is_dir();
-            if is_dir && (!name.starts_with('.') || pending_id(&name).is_some()) {
+            let name = entry.name();
+            let is_dir = entry.is_dir();
+            if is_dir && (GraspId::parse(&name).is_ok() || pending_id(&name).is_some()) {
+                continue;
+            }
+            // The folder of a grasp under a name that no grasp can have.
+            if is_dir && let Ok(record) = read_grasp(&entry) {
+                self.readable(&entry, &record);
                 continue;
             }
             self.add(
                 ActionKind::SetAside,
                 &format!("grasps/{name}"),
                 "only directories of grasps belong here",
-                Step::SetAside(entry.path()),
+                Step::SetAside(entry),
             );
         }
         Ok(())
@@ -320,7 +327,7 @@ fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
     let done = match step {
         Step::WriteDescriptor(descriptor) => replace(
             disk,
-            layout.root(),
+            &layout.top(),
             DATASET_TOML,
             descriptor.to_toml()?.as_bytes(),
         ),
@@ -329,7 +336,7 @@ fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
             .and_then(|()| disk.rename_new(&layout.pending(id), &layout.grasp(id)))
             .and_then(|()| disk.sync_dir(&layout.grasps())),
         Step::Rename { from, to } => disk
-            .rename_new(&layout.grasp(from), &layout.grasp(to))
+            .rename_new(from, &layout.grasp(to))
             .and_then(|()| disk.sync_dir(&layout.grasps())),
         Step::Rebuild(record) => replace(
             disk,

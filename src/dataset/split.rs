@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::fs;
+use std::io;
 use std::path::Path;
 
 use rand_pcg::Pcg64;
@@ -16,6 +16,7 @@ use super::grasp::{GraspId, GraspRecord, Outcome, SCHEMA_VERSION};
 use super::reader::Dataset;
 use super::writer::failed;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, FileKind, FileName, read_regular};
 
 /// How many seeded orders are tried; the best balanced one is kept.
 const TRIALS: u64 = 64;
@@ -100,7 +101,7 @@ pub struct SplitPart {
 /// `Usage` for shares that are not shares; `Input` with fewer objects than parts, or when a grasp
 /// cannot be read; `DiskFull`, `Io`, … when the file cannot be written.
 pub fn split(dataset: &Dataset, plan: &SplitPlan) -> Result<SplitFile> {
-    check_name(&plan.name)?;
+    let name = file_name(&plan.name)?;
     check_fractions(&plan.fractions)?;
     let mut items: BTreeMap<String, Vec<(GraspId, Outcome)>> = BTreeMap::new();
     for record in dataset.grasps()? {
@@ -120,7 +121,7 @@ pub fn split(dataset: &Dataset, plan: &SplitPlan) -> Result<SplitFile> {
         fractions: plan.fractions.clone(),
         parts,
     };
-    file.write(dataset, &plan.name)?;
+    file.write(dataset, &name)?;
     Ok(file)
 }
 
@@ -130,16 +131,22 @@ impl SplitFile {
     /// # Errors
     /// `NotFound`, or `Input` when it is no split of this version.
     pub fn read(path: &Path) -> Result<Self> {
+        Self::from_bytes(read_regular(path, FileKind::List)).map_err(|e| e.at(path.display()))
+    }
+
+    /// Reads a split of a dataset.
+    pub(super) fn read_beneath(path: &BeneathPath) -> Result<Self> {
+        Self::from_bytes(path.read(FileKind::List)).map_err(|e| e.at(path.display()))
+    }
+
+    fn from_bytes(bytes: io::Result<Vec<u8>>) -> Result<Self> {
         let unreadable = |e: serde_json::Error| {
-            Error::new(ErrorKind::Input, "cannot read the split")
-                .because(e)
-                .at(path.display())
+            Error::new(ErrorKind::Input, "cannot read the split").because(e)
         };
-        let bytes =
-            fs::read(path).map_err(|e| Error::io("cannot read the split", e).at(path.display()))?;
+        let bytes = bytes.map_err(|e| Error::io("cannot read the split", e))?;
         let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(unreadable)?;
         if let Some(schema) = value.get("schema").and_then(serde_json::Value::as_i64) {
-            check_schema(schema).map_err(|e| e.at(path.display()))?;
+            check_schema(schema)?;
         }
         serde_json::from_value(value).map_err(unreadable)
     }
@@ -180,7 +187,7 @@ impl SplitFile {
         items.chain(grasps).collect()
     }
 
-    fn write(&self, dataset: &Dataset, name: &str) -> Result<()> {
+    fn write(&self, dataset: &Dataset, name: &FileName) -> Result<()> {
         let layout = dataset.layout();
         let dir = layout.splits();
         let mut json = serde_json::to_value(self)
@@ -192,10 +199,10 @@ impl SplitFile {
         } else {
             SystemDisk
                 .create_dir(&dir)
-                .and_then(|()| SystemDisk.sync_dir(layout.root()))
+                .and_then(|()| SystemDisk.sync_dir(&layout.top()))
         };
-        made.and_then(|()| replace(&SystemDisk, &dir, &format!("{name}.json"), &json))
-            .map_err(|e| failed(layout, &format!("cannot write splits/{name}.json"), e))
+        made.and_then(|()| replace(&SystemDisk, &dir, name, &json))
+            .map_err(|e| failed(layout, &format!("cannot write splits/{name}"), e))
     }
 }
 
@@ -212,6 +219,12 @@ const PART_WORDS: [&str; 10] = [
     "eval",
     "evaluation",
 ];
+
+/// The file of a split of this name.
+pub(super) fn file_name(name: &str) -> Result<FileName> {
+    check_name(name)?;
+    FileName::parse(&format!("{name}.json"))
+}
 
 /// Refuses names that are no plain file names or would hide the dataset from `imagefolder`.
 pub(super) fn check_name(name: &str) -> Result<()> {

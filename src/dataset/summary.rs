@@ -1,8 +1,6 @@
 //! Numbers about a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::path::Path;
 
 use jiff::Timestamp;
 use serde::Serialize;
@@ -10,6 +8,7 @@ use serde::Serialize;
 use super::grasp::Outcome;
 use super::reader::{Dataset, entries};
 use crate::error::Result;
+use crate::files::{BeneathPath, Label, ObjectName};
 
 /// What is in a dataset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -125,13 +124,14 @@ pub fn summary(dataset: &Dataset) -> Result<Summary> {
 }
 
 /// Size of the files below a directory; what cannot be read counts as nothing.
-fn directory_bytes(path: &Path) -> u64 {
-    entries(path)
-        .into_iter()
-        .flatten()
-        .map(|entry| match entry.file_type() {
-            Ok(kind) if kind.is_dir() => directory_bytes(&entry.path()),
-            _ => fs::symlink_metadata(entry.path()).map_or(0, |file| file.len()),
+fn directory_bytes(path: &BeneathPath) -> u64 {
+    let entries = entries(path).into_iter().flatten();
+    // Links could lead round in a circle.
+    entries
+        .filter(|entry| !entry.is_link())
+        .map(|entry| match entry.metadata() {
+            Ok(found) if found.is_dir => directory_bytes(&entry),
+            found => found.map_or(0, |file| file.bytes),
         })
         .sum()
 }

@@ -46,12 +46,12 @@ pub(super) fn unfinished(layout: &Layout) -> Result<Vec<(GraspId, Unfinished)>> 
 
 fn inspect(layout: &Layout, id: &GraspId) -> Unfinished {
     match Pending::inspect(&layout.pending(id), id) {
-        Pending::Grasp if layout.grasp(id).exists() => {
+        Pending::Grasp if layout.grasp(id).is_taken() => {
             Unfinished::Unusable(format!("there is another grasp {id}"))
         }
         Pending::Grasp => Unfinished::Complete,
         Pending::Initial(pending) => match &pending.reopened_from {
-            Some(grasp) if layout.grasp(grasp).exists() => Unfinished::Unusable(format!(
+            Some(grasp) if layout.grasp(grasp).is_taken() => Unfinished::Unusable(format!(
                 "initial frame of {grasp}, which was not undone after all"
             )),
             _ => Unfinished::Waiting(pending),

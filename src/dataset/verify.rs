@@ -2,7 +2,6 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::fs;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -13,13 +12,14 @@ use super::descriptor::Descriptor;
 use super::disk::is_partial;
 use super::grasp::{CameraRecord, GraspId, GraspRecord, Outcome};
 use super::index::{IndexRow, to_jsonl};
-use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, digest, pending_id, sha12};
+use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, digest, pending_id};
 use super::lock::DatasetLock;
 use super::picture;
 use super::reader::{entries, grasp_ids};
 use super::record_file::{Pending, read_grasp};
 use super::split::{SplitFile, check_name};
 use crate::error::{ErrorKind, Result};
+use crate::files::{BeneathPath, ContentKey, FileKind};
 
 /// Class of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -250,15 +250,18 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
             );
         }
         for (name, expected) in &record.files {
-            let Ok(bytes) = fs::read(dir.join(name)) else {
-                found.add(
-                    ProblemKind::MissingFile,
-                    Some(id),
-                    Some(&at(name)),
-                    "the record names the file, but it cannot be read",
-                    "restore it from a copy, or run `gripcast dataset recover`",
-                );
-                continue;
+            let bytes = match dir.join(name).read(FileKind::Image) {
+                Ok(bytes) => bytes,
+                Err(error) => {
+                    found.add(
+                        ProblemKind::MissingFile,
+                        Some(id),
+                        Some(&at(name)),
+                        format!("the record names the file, but it cannot be read: {error}"),
+                        "restore it from a copy, or run `gripcast dataset recover`",
+                    );
+                    continue;
+                }
             };
             let digest = digest(&bytes);
             if digest != *expected {
@@ -296,12 +299,12 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
     }
 }
 
-fn extra_files(dir: &Path, id: &GraspId, record: &GraspRecord, found: &mut Findings) {
+fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mut Findings) {
     for entry in entries(dir).into_iter().flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
+        let name = entry.name();
         let at = format!("grasps/{id}/{name}");
         // A crash right after a save leaves the initial frame's record for the next opening.
-        if name == GRASP_JSON || name == INITIAL_JSON || record.files.contains_key(&name) {
+        if name == GRASP_JSON || name == INITIAL_JSON || record.files.contains_key(name.as_str()) {
             continue;
         }
         let (kind, detail) = if is_partial(&name) {
@@ -314,8 +317,8 @@ fn extra_files(dir: &Path, id: &GraspId, record: &GraspRecord, found: &mut Findi
 }
 
 fn check_root(layout: &Layout, found: &mut Findings) -> Result<()> {
-    for entry in entries(layout.root())? {
-        let name = entry.file_name().to_string_lossy().into_owned();
+    for entry in entries(&layout.top())? {
+        let name = entry.name();
         if is_partial(&name) {
             found.notes.push(format!(
                 "{name} is left of an interrupted save and will be replaced"
@@ -329,9 +332,9 @@ fn check_root(layout: &Layout, found: &mut Findings) -> Result<()> {
 fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize> {
     let mut pending = 0;
     for entry in entries(&layout.grasps())? {
-        let name = entry.file_name().to_string_lossy().into_owned();
+        let name = entry.name();
         let at = format!("grasps/{name}");
-        if !entry.path().is_dir() {
+        if !entry.is_dir() {
             found.add(
                 ProblemKind::ExtraFile,
                 None,
@@ -342,6 +345,15 @@ fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize
             continue;
         }
         if !name.starts_with('.') {
+            if let Err(error) = GraspId::parse(&name) {
+                found.add(
+                    ProblemKind::IdMismatch,
+                    None,
+                    Some(&at),
+                    format!("the folder is not named after a grasp: {}", error.what()),
+                    RECOVER,
+                );
+            }
             continue;
         }
         let Some(id) = pending_id(&name) else {
@@ -354,9 +366,9 @@ fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize
             );
             continue;
         };
-        let detail = match Pending::inspect(&entry.path(), &id) {
+        let detail = match Pending::inspect(&entry, &id) {
             Pending::Initial(initial) => match &initial.reopened_from {
-                Some(grasp) if layout.grasp(grasp).exists() => {
+                Some(grasp) if layout.grasp(grasp).is_taken() => {
                     format!("undoing {grasp} was interrupted")
                 }
                 _ => {
@@ -443,15 +455,15 @@ fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findin
             grasp
                 .record
                 .as_ref()
-                .is_some_and(|record| record.calibration_keys().any(|key| *key == name))
+                .is_some_and(|record| record.calibration_keys().any(|key| **key == *name))
         });
         if !used {
             found.notes.push(format!("no grasp refers to {at}"));
         }
-        calibrations.insert(name);
+        calibrations.extend(ContentKey::parse(&name));
     }
     for grasp in grasps {
-        let keys: BTreeSet<&String> = grasp
+        let keys: BTreeSet<&ContentKey> = grasp
             .record
             .iter()
             .flat_map(|record| record.calibration_keys())
@@ -474,7 +486,7 @@ fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findin
 
 /// Keys and places of the files in a directory where each is named after its own hash.
 fn immutable_files(
-    dir: &Path,
+    dir: &BeneathPath,
     extension: &str,
     found: &mut Findings,
     kind: ProblemKind,
@@ -482,10 +494,10 @@ fn immutable_files(
     if !dir.is_dir() {
         return Ok(Vec::new());
     }
-    let folder = dir.file_name().unwrap_or_default().to_string_lossy();
+    let folder = dir.name();
     let mut files = Vec::new();
     for entry in entries(dir)? {
-        let name = entry.file_name().to_string_lossy().into_owned();
+        let name = entry.name();
         let at = format!("{folder}/{name}");
         if is_partial(&name) {
             found
@@ -503,8 +515,8 @@ fn immutable_files(
             );
             continue;
         };
-        match fs::read(entry.path()) {
-            Ok(bytes) if sha12(&bytes) == key => {}
+        match entry.read(FileKind::Record) {
+            Ok(bytes) if ContentKey::of(&bytes) == key => {}
             Ok(_) => found.add(
                 kind,
                 None,
@@ -530,7 +542,7 @@ fn check_index(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) {
         .iter()
         .filter_map(|grasp| Some((grasp.id.clone(), IndexRow::of(grasp.record.as_ref()?))))
         .collect();
-    let detail = match fs::read(layout.index()) {
+    let detail = match layout.index().read(FileKind::List) {
         Err(_) => "the index cannot be read",
         Ok(bytes) if bytes == to_jsonl(&rows).as_bytes() => return,
         Ok(bytes) if !bytes.is_empty() && bytes.last() != Some(&b'\n') => {
@@ -556,7 +568,7 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
         .filter_map(|grasp| Some((&grasp.id, grasp.record.as_ref()?)))
         .collect();
     for entry in entries(&layout.splits())? {
-        let name = entry.file_name().to_string_lossy().into_owned();
+        let name = entry.name();
         if is_partial(&name) {
             continue;
         }
@@ -570,7 +582,7 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
                 "give the file another name",
             );
         }
-        let split = match SplitFile::read(&entry.path()) {
+        let split = match SplitFile::read_beneath(&entry) {
             Ok(split) => split,
             Err(error) => {
                 found.add(

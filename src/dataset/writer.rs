@@ -6,7 +6,7 @@
 //! crash between any two operations leaves, and a test goes through all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File, OpenOptions};
+use std::fs::File;
 use std::io::{self, Write as _};
 use std::path::Path;
 
@@ -22,13 +22,14 @@ use super::grasp::{
 };
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{
-    APPROACH_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, id_at, sha12,
+    APPROACH_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, id_at,
 };
 use super::lock::DatasetLock;
 use super::reader::load_frame;
 use super::record_file::{PendingInitial, check_files, read_grasp, read_initial, to_json};
 use super::trash::free_slot;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, ContentKey, FileKind, FileName};
 use crate::imaging::{Frame, PixelFormat, Role};
 
 /// Writes a dataset; holds its lock.
@@ -213,7 +214,7 @@ impl DatasetWriter {
         let record = self.read(id)?;
         let dir = self.layout.grasp(id);
         let captured_at = record.initial.captured_at.parse().unwrap_or_default();
-        let names: BTreeSet<&String> = record.initial.cameras.values().map(|c| &c.file).collect();
+        let names: BTreeSet<&FileName> = record.initial.cameras.values().map(|c| &c.file).collect();
         let pending = PendingInitial {
             schema: SCHEMA_VERSION,
             id: self.free_id(captured_at),
@@ -289,8 +290,8 @@ impl DatasetWriter {
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
-    pub fn put_calibration(&mut self, toml: &str) -> Result<String> {
-        self.put_immutable(&self.layout.calibration(), toml, "toml")
+    pub fn put_calibration(&mut self, toml: &str) -> Result<ContentKey> {
+        self.put_immutable(&self.layout.calibration(), toml, ".toml")
     }
 
     /// Stores a model card; returns its key. The card holds the sha256 of the ONNX file, by which
@@ -298,8 +299,8 @@ impl DatasetWriter {
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
-    pub fn put_model(&mut self, json: &str) -> Result<String> {
-        self.put_immutable(&self.layout.models(), json, "json")
+    pub fn put_model(&mut self, json: &str) -> Result<ContentKey> {
+        self.put_immutable(&self.layout.models(), json, ".json")
     }
 
     /// Grasps that are there now.
@@ -354,7 +355,7 @@ impl DatasetWriter {
         let text = to_jsonl(&self.rows);
         replace(
             self.disk.as_ref(),
-            self.layout.root(),
+            &self.layout.top(),
             METADATA_JSONL,
             text.as_bytes(),
         )
@@ -437,7 +438,7 @@ impl DatasetWriter {
                 self.layout.trashed(id),
             ]
             .iter()
-            .all(|place| place.symlink_metadata().is_err())
+            .all(|place| !place.is_taken())
         };
         let mut later = 0;
         loop {
@@ -453,7 +454,7 @@ impl DatasetWriter {
     fn make_pending(
         &self,
         pending: &PendingInitial,
-        fill: impl FnOnce(&dyn Disk, &Path) -> io::Result<()>,
+        fill: impl FnOnce(&dyn Disk, &BeneathPath) -> io::Result<()>,
     ) -> Result<()> {
         let json = to_json(pending)?;
         let dir = self.layout.pending(&pending.id);
@@ -474,8 +475,8 @@ impl DatasetWriter {
     fn remove_pending(&self, id: &GraspId) {
         let dir = self.layout.pending(id);
         let _ = self.disk.remove_file(&dir.join(INITIAL_JSON));
-        for entry in fs::read_dir(&dir).into_iter().flatten().flatten() {
-            let _ = self.disk.remove_file(&entry.path());
+        for entry in dir.entries().into_iter().flatten() {
+            let _ = self.disk.remove_file(&entry);
         }
         let _ = self.disk.remove_dir(&dir);
     }
@@ -484,7 +485,7 @@ impl DatasetWriter {
     fn complete(
         &self,
         id: &GraspId,
-        contents: &BTreeMap<String, Vec<u8>>,
+        contents: &BTreeMap<FileName, Vec<u8>>,
         json: &[u8],
     ) -> io::Result<()> {
         let disk = self.disk.as_ref();
@@ -515,32 +516,35 @@ impl DatasetWriter {
     /// Frees `trash/<id>`.
     fn vacate_trash(&self, id: &GraspId) -> io::Result<()> {
         let place = self.layout.trashed(id);
-        if place.symlink_metadata().is_err() {
+        if !place.is_taken() {
             return Ok(());
         }
-        self.disk
-            .rename_new(&place, &free_slot(&self.layout, &id.0))
+        self.disk.rename_new(&place, &free_slot(&self.layout, id))
     }
 
     /// Renames a directory between `grasps/` and `trash/`, durably.
-    fn move_dir(&self, from: &Path, to: &Path) -> io::Result<()> {
+    fn move_dir(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
         let disk = self.disk.as_ref();
         disk.rename_new(from, to)?;
         // The new name first: a crash between the two may leave both names, never none.
         let synced = [to, from]
             .into_iter()
-            .filter_map(Path::parent)
-            .try_for_each(|dir| disk.sync_dir(dir));
+            .try_for_each(|place| disk.sync_dir(&place.parent()));
         synced.inspect_err(|_| {
             let _ = disk.rename_new(to, from);
         })
     }
 
-    fn put_immutable(&self, dir: &Path, text: &str, extension: &str) -> Result<String> {
-        let key = sha12(text.as_bytes());
-        let name = format!("{key}.{extension}");
-        let there = fs::read(dir.join(&name)).is_ok_and(|found| found == text.as_bytes());
-        if !there {
+    fn put_immutable(
+        &self,
+        dir: &BeneathPath,
+        text: &str,
+        suffix: &'static str,
+    ) -> Result<ContentKey> {
+        let key = ContentKey::of(text.as_bytes());
+        let name = key.with_suffix(suffix);
+        let there = dir.join(&name).read(FileKind::Record);
+        if !there.is_ok_and(|found| found == text.as_bytes()) {
             replace(self.disk.as_ref(), dir, &name, text.as_bytes())
                 .map_err(|e| self.failed(&format!("cannot store {name}"), e))?;
         }
@@ -549,9 +553,9 @@ impl DatasetWriter {
 
     fn log_file(&mut self) -> io::Result<&File> {
         if self.log.is_none() {
-            let name = Timestamp::now().strftime("%Y-%m-%dT%H-%M-%SZ.jsonl");
-            let path = self.layout.logs().join(name.to_string());
-            self.log = Some(OpenOptions::new().append(true).create(true).open(path)?);
+            let name = Timestamp::now().strftime("%Y-%m-%dT%H-%M-%SZ");
+            let name = FileName::of_words(&[&name.to_string(), "jsonl"]);
+            self.log = Some(self.layout.logs().join(name).append()?);
         }
         self.log
             .as_ref()
@@ -569,7 +573,7 @@ impl Drop for DatasetWriter {
 fn grasp_record(
     pending: &PendingInitial,
     stage: StageRecord,
-    grasp_files: BTreeMap<String, FileDigest>,
+    grasp_files: BTreeMap<FileName, FileDigest>,
     meta: GraspMeta,
 ) -> GraspRecord {
     let mut files = pending.files.clone();
@@ -602,27 +606,31 @@ fn grasp_record(
 
 /// Removes what an earlier attempt at the grasp left in a pending directory, the record first:
 /// without it the rest is known to be incomplete.
-fn remove_grasp_files(disk: &dyn Disk, pending: &Path) -> io::Result<()> {
+fn remove_grasp_files(disk: &dyn Disk, pending: &BeneathPath) -> io::Result<()> {
     let record = pending.join(GRASP_JSON);
-    if record.exists() {
+    if record.is_taken() {
         disk.remove_file(&record)?;
     }
-    for entry in fs::read_dir(pending)? {
-        let entry = entry?;
-        let name = entry.file_name();
-        let name = name.to_string_lossy();
+    for entry in pending.entries()? {
+        let name = entry.name();
         let of_grasp = name.starts_with("grasp.") || name.starts_with(APPROACH_PREFIX);
         if of_grasp || is_partial(&name) {
-            disk.remove_file(&entry.path())?;
+            disk.remove_file(&entry)?;
         }
     }
     Ok(())
 }
 
-fn link_or_copy(disk: &dyn Disk, from: &Path, to: &Path) -> io::Result<()> {
+fn link_or_copy(disk: &dyn Disk, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+    // A second name of a symbolic link would be another link.
+    if from.is_link() {
+        return disk.write(to, &from.read(FileKind::Image)?);
+    }
     match disk.link(from, to) {
         // Some file systems know no links.
-        Err(e) if e.kind() != io::ErrorKind::NotFound => disk.write(to, &fs::read(from)?),
+        Err(e) if e.kind() != io::ErrorKind::NotFound => {
+            disk.write(to, &from.read(FileKind::Image)?)
+        }
         other => other,
     }
 }

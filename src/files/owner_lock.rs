@@ -1,8 +1,13 @@
 //! A lock that names who holds it.
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, TryLockError};
 use std::io::{self, Read as _, Seek as _, Write as _};
 use std::path::Path;
+
+use rustix::fs::CWD;
+
+use super::beneath::open_lock;
+use crate::error::Refused;
 
 /// Longest owner line that is read, bytes.
 const LONGEST_OWNER: u64 = 4096;
@@ -18,6 +23,9 @@ pub struct OwnerLock {
 pub enum NotLocked {
     /// Another process has it: which, as far as it said.
     Held(String),
+    /// It is a link, has other names, or is no regular file: writing to it would change something
+    /// else.
+    Refused(io::Error),
     /// The file cannot be opened.
     Open(io::Error),
     /// The file cannot be locked.
@@ -30,13 +38,7 @@ impl OwnerLock {
     /// # Errors
     /// [`NotLocked`] says why not.
     pub fn acquire(path: &Path) -> Result<Self, NotLocked> {
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .open(path)
-            .map_err(NotLocked::Open)?;
+        let mut file = open_lock(CWD, path, true).map_err(not_opened)?;
         lock(&mut file)?;
         // The owner's name only helps a message; the lock itself holds without it.
         let _ = file.set_len(0).and_then(|()| file.rewind()).and_then(|()| {
@@ -53,7 +55,7 @@ impl OwnerLock {
     /// # Errors
     /// [`NotLocked`] says why not.
     pub fn acquire_foreign(path: &Path) -> Result<Self, NotLocked> {
-        let mut file = File::open(path).map_err(NotLocked::Open)?;
+        let mut file = open_lock(CWD, path, false).map_err(not_opened)?;
         lock(&mut file)?;
         Ok(Self { _file: file })
     }
@@ -61,11 +63,19 @@ impl OwnerLock {
     /// Who has the lock now, if anyone.
     #[must_use]
     pub fn holder(path: &Path) -> Option<String> {
-        let mut file = File::open(path).ok()?;
+        let mut file = open_lock(CWD, path, false).ok()?;
         match file.try_lock_shared() {
             Err(TryLockError::WouldBlock) => Some(owner(&mut file)),
             Ok(()) | Err(TryLockError::Error(_)) => None,
         }
+    }
+}
+
+fn not_opened(error: io::Error) -> NotLocked {
+    if error.get_ref().is_some_and(|e| e.is::<Refused>()) {
+        NotLocked::Refused(error)
+    } else {
+        NotLocked::Open(error)
     }
 }
 
@@ -89,6 +99,29 @@ fn owner(file: &mut File) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_lock_that_is_something_else_is_refused_and_left_as_it_is() {
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let [target, lock] = ["target", "lock"].map(|name| dir.path().join(name));
+        std::fs::write(&target, "precious").unwrap();
+        let is_refused = || {
+            [OwnerLock::acquire(&lock), OwnerLock::acquire_foreign(&lock)]
+                .iter()
+                .all(|locked| matches!(locked, Err(NotLocked::Refused(_))))
+        };
+        symlink(&target, &lock).unwrap();
+        assert!(is_refused());
+        std::fs::remove_file(&lock).unwrap();
+        std::fs::hard_link(&target, &lock).unwrap();
+        assert!(is_refused());
+        assert_eq!(std::fs::read(&target).unwrap(), b"precious");
+        std::fs::remove_file(&lock).unwrap();
+        symlink(dir.path().join("none"), &lock).unwrap();
+        assert!(is_refused());
+        assert!(!dir.path().join("none").exists());
+    }
 
     #[test]
     fn the_second_learns_who_the_first_is() {

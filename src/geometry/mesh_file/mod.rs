@@ -13,7 +13,6 @@ mod stl;
 mod textured;
 
 use std::fmt;
-use std::fs;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -25,7 +24,7 @@ pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mes
 use super::mesh::TriangleMesh;
 use super::weld::weld;
 use crate::error::{Error, ErrorKind, Result, nearest_name};
-use crate::files::save;
+use crate::files::{FileKind, companions, read_regular, save};
 
 const SUFFIXES: [&str; 5] = ["obj", "stl", "ply", "glb", "gltf"];
 
@@ -136,15 +135,14 @@ fn unknown_suffix(suffix: &str) -> Error {
 pub fn load_mesh(path: &Path, unit: LengthUnit) -> Result<TriangleMesh> {
     let format = MeshFormat::of_path(path)?;
     let bytes = file_bytes(path)?;
-    let beside = |name: &str| fs::read(path.with_file_name(name));
-    read_mesh(&bytes, format, &beside)
+    read_mesh(&bytes, format, &companions(path))
         .map(|mesh| mesh.scaled(unit.in_metres()))
         .map_err(|e| e.at(path.display()))
 }
 
 /// The bytes of a mesh file.
 fn file_bytes(path: &Path) -> Result<Vec<u8>> {
-    fs::read(path).map_err(|e| {
+    read_regular(path, FileKind::Mesh).map_err(|e| {
         Error::io("cannot read the mesh", e)
             .at(path.display())
             .remedy("check the path and its permissions")

@@ -1,7 +1,6 @@
 //! Meshes with their materials, normals and texture coordinates, for renderers.
 
 use std::collections::HashMap;
-use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
@@ -11,6 +10,7 @@ use super::obj::{Corner, ObjFile};
 use super::{LengthUnit, MeshFormat, file_bytes, refuse_placeholders};
 use super::{glb, glb_material, mtl, obj, ply, stl};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::companions;
 use crate::geometry::mesh::TriangleMesh;
 
 /// A mesh as its file says it looks.
@@ -65,8 +65,8 @@ impl From<TriangleMesh> for TexturedMesh {
 pub fn load_textured_mesh(path: &Path, unit: LengthUnit) -> Result<TexturedMesh> {
     let format = MeshFormat::of_path(path)?;
     let bytes = file_bytes(path)?;
-    let beside = |name: &str| fs::read(path.with_file_name(name));
-    let mut mesh = read_textured_mesh(&bytes, format, &beside).map_err(|e| e.at(path.display()))?;
+    let mut mesh = read_textured_mesh(&bytes, format, &companions(path))
+        .map_err(|e| e.at(path.display()))?;
     for part in &mut mesh.parts {
         part.shape = part.shape.scaled(unit.in_metres());
     }

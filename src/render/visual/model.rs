@@ -1,6 +1,5 @@
 //! A body with its materials, in its own frame, ready to be put into a scene.
 
-use std::fs;
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
@@ -13,6 +12,7 @@ use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
 use super::texture::{Bitmap, Texture};
 use crate::error::Result;
+use crate::files::companions;
 use crate::geometry::{
     Aabb, CREASE_RAD, LengthUnit, MeshMaterial, MeshPart, PictureSource, Pose, TexturedMesh,
     TriangleMesh, load_textured_mesh,
@@ -70,8 +70,7 @@ impl Model {
     /// and texture coordinates are warnings.
     pub fn load(path: &Path, unit: LengthUnit, finish: Finish, seed: u64) -> Result<LoadedModel> {
         let mesh = load_textured_mesh(path, unit)?;
-        let beside = |name: &str| fs::read(path.with_file_name(name));
-        Self::from_textured(&mesh, &beside, finish, seed)
+        Self::from_textured(&mesh, &companions(path), finish, seed)
     }
 
     /// A mesh with looks as a model; `beside` reads the pictures that it names by a relative
