@@ -247,6 +247,12 @@ impl BeneathPath {
         }
     }
 
+    /// The folder below which it is.
+    #[must_use]
+    pub fn root(&self) -> &Root {
+        &self.root
+    }
+
     /// The folder that it is in; that of the root is the root.
     #[must_use]
     pub fn parent(&self) -> Self {

@@ -1,10 +1,12 @@
 //! Where the files of the black box are: names, sizes, free space.
 
-use std::fs::{self, OpenOptions};
+use std::fs;
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
+
+use crate::files::{self, BeneathPath, Root};
 
 /// What ends the name of a file that was closed.
 const CLOSED: &str = ".mcap";
@@ -33,41 +35,49 @@ pub(super) trait Shelf: Send {
 /// A directory.
 #[derive(Debug)]
 pub(super) struct DirectoryShelf {
-    directory: PathBuf,
+    place: BeneathPath,
     dataset: PathBuf,
 }
 
 impl DirectoryShelf {
-    /// Files in `directory`; the disk of `dataset` matters too.
+    /// Files in `directory`; the disk of `dataset` matters too. Inside a dataset no link leads
+    /// out of it.
     pub(super) fn new(directory: PathBuf, dataset: PathBuf) -> Self {
-        Self { directory, dataset }
+        let inside = directory.strip_prefix(&dataset).ok().and_then(Path::to_str);
+        let place = inside.and_then(|inside| Root::new(&dataset).resolve(inside).ok());
+        Self {
+            place: place.unwrap_or_else(|| Root::new(directory).top()),
+            dataset,
+        }
+    }
+
+    fn file(&self, name: &str) -> io::Result<BeneathPath> {
+        let name = files::FileName::parse(name).map_err(io::Error::other)?;
+        Ok(self.place.join(name))
     }
 }
 
 impl Shelf for DirectoryShelf {
     fn create(&mut self, name: &str) -> io::Result<Box<dyn Output>> {
-        let path = self.directory.join(name);
-        let file = OpenOptions::new().write(true).create_new(true).open(path)?;
-        Ok(Box::new(file))
+        Ok(Box::new(self.file(name)?.create_new()?))
     }
 
     fn rename(&mut self, from: &str, to: &str) -> io::Result<()> {
-        fs::rename(self.directory.join(from), self.directory.join(to))
+        self.file(from)?.rename(&self.file(to)?)
     }
 
     fn list(&mut self) -> io::Result<Vec<(String, u64)>> {
-        fs::create_dir_all(&self.directory)?;
-        fs::read_dir(&self.directory)?
-            .map(|entry| {
-                let entry = entry?;
-                let name = entry.file_name().to_string_lossy().into_owned();
-                Ok((name, entry.metadata()?.len()))
-            })
-            .collect()
+        fs::create_dir_all(self.place.root().path())?;
+        self.place.create_dir_all()?;
+        let entries = self.place.entries()?;
+        Ok(entries
+            .iter()
+            .map(|entry| (entry.name(), entry.metadata().map_or(0, |found| found.bytes)))
+            .collect())
     }
 
     fn remove(&mut self, name: &str) -> io::Result<()> {
-        fs::remove_file(self.directory.join(name))
+        self.file(name)?.remove_file()
     }
 
     fn free_bytes(&mut self) -> Option<u64> {
@@ -75,7 +85,7 @@ impl Shelf for DirectoryShelf {
             let disk = rustix::fs::statvfs(path).ok()?;
             Some(disk.f_bavail.saturating_mul(disk.f_frsize))
         };
-        [&self.directory, &self.dataset]
+        [&self.place.shown(), &self.dataset]
             .into_iter()
             .filter_map(|path| free(path))
             .min()
