@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::app::config as settings;
+use crate::app::config::{self as settings, ConfigFile, FlagValue, Layered};
 use crate::error::{Error, ErrorKind, Result};
 
 mod annotate;
@@ -104,9 +104,24 @@ pub(crate) struct ConfigFlag {
 
 impl ConfigFlag {
     /// The file, if there is one.
-    pub(crate) fn path(&self) -> Option<PathBuf> {
-        self.config.clone().or_else(settings::default_file)
+    pub(crate) fn file(&self) -> Option<ConfigFile> {
+        let named = self.config.clone().map(ConfigFile::Chosen);
+        named.or_else(settings::default_file)
     }
+
+    /// All settings, with flags over them.
+    pub(crate) fn load(&self, flags: &[FlagValue]) -> Result<Layered> {
+        load_settings(self.file().as_ref(), flags)
+    }
+}
+
+/// All settings. What is ignored is said on stderr, even with `--quiet`.
+pub(crate) fn load_settings(file: Option<&ConfigFile>, flags: &[FlagValue]) -> Result<Layered> {
+    let layered = settings::load(file, std::env::vars(), flags)?;
+    for (key, ignored) in &layered.ignored {
+        eprintln!("gripcast: {}", ignored.warning(key));
+    }
+    Ok(layered)
 }
 
 /// Writes a line or more to stdout; a reader that has seen enough (`| head`) is no failure.
