@@ -18,7 +18,8 @@ pub(crate) fn check(input: &[u8]) {
     };
     match kind % 5 {
         0 => {
-            let _ = config::merge(Some((Path::new("gripcast.toml"), text)), [], &[]);
+            let file = config::ConfigFile::Found("gripcast.toml".into());
+            let _ = config::merge(Some((&file, text)), [], &[]);
         }
         1 => {
             let _ = RigFile::parse(text);

@@ -1,7 +1,8 @@
 //! Configuration: defaults < TOML file < `GRIPCAST__SECTION__KEY` < flags.
 //!
 //! Every value remembers where it came from (`gripcast config show`); unknown keys are errors
-//! that name the nearest known one.
+//! that name the nearest known one. A file that was only found in the current folder may not set
+//! all keys ([`is_protected`]).
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -17,6 +18,16 @@ use crate::session::GuardLimits;
 
 /// Prefix of environment variables.
 const ENV_PREFIX: &str = "GRIPCAST__";
+
+/// Whether a key is ignored in a file that was only found in the current folder.
+///
+/// Such a file may have come with somebody else's data. It may say what is collected and how. It
+/// may not decide who can reach this machine and what they must show, nor where files outside the
+/// dataset are written or removed. No key names a command that is executed; one that did would
+/// belong here.
+fn is_protected(key: &str) -> bool {
+    key.starts_with("daemon.") || key == "black_box.directory"
+}
 
 /// All settings; empty text = not set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -228,6 +239,54 @@ impl fmt::Display for Origin {
     }
 }
 
+/// A configuration file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ConfigFile {
+    /// Named by the user, or the user's own.
+    Chosen(PathBuf),
+    /// `gripcast.toml` in the current folder, which nobody named.
+    Found(PathBuf),
+}
+
+impl ConfigFile {
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Chosen(path) | Self::Found(path) => path,
+        }
+    }
+}
+
+/// A value that was ignored: it is protected, and its file was only found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ignored {
+    /// The value.
+    pub value: Value,
+    /// The file that sets it.
+    pub file: PathBuf,
+}
+
+impl Ignored {
+    /// What happened to `key`, why, and how to set it on purpose.
+    #[must_use]
+    pub fn warning(&self, key: &str) -> String {
+        let (value, file) = (&self.value, self.file.display());
+        let flag = match key {
+            "daemon.listen" => ", --listen",
+            "daemon.socket" => ", --socket",
+            "daemon.token_file" => ", --token-file",
+            _ => "",
+        };
+        let variable = key.to_uppercase().replace('.', "__");
+        format!(
+            "warning: {file}: `{key} = {value}` is ignored. A file found in the current folder \
+             cannot open the network or choose where files go. To set it on purpose, use \
+             --config ./{file}{flag} or {ENV_PREFIX}{variable}"
+        )
+    }
+}
+
 /// The configuration together with the origin of every value, by dotted key.
 #[derive(Clone, Debug)]
 pub struct Layered {
@@ -235,6 +294,8 @@ pub struct Layered {
     pub config: Config,
     /// Dotted key → value and origin, sorted.
     pub values: BTreeMap<String, (Value, Origin)>,
+    /// Dotted key → what was ignored and nothing else sets.
+    pub ignored: BTreeMap<String, Ignored>,
 }
 
 /// A flag that was given: its name, dotted key and value.
@@ -246,11 +307,12 @@ pub type FlagValue = (&'static str, &'static str, String);
 /// `Config` for an unreadable or wrong file, an unknown key (with the nearest known one), a value
 /// of the wrong type; each names its origin.
 pub fn load(
-    file: Option<&Path>,
+    file: Option<&ConfigFile>,
     environment: impl IntoIterator<Item = (String, String)>,
     flags: &[FlagValue],
 ) -> Result<Layered> {
-    let text = file.map(|path| {
+    let text = file.map(|file| {
+        let path = file.path();
         std::fs::read_to_string(path)
             .map_err(|e| Error::io("cannot read the configuration file", e).at(path.display()))
     });
@@ -263,7 +325,7 @@ pub fn load(
 /// # Errors
 /// As [`load`].
 pub fn merge(
-    file: Option<(&Path, &str)>,
+    file: Option<(&ConfigFile, &str)>,
     environment: impl IntoIterator<Item = (String, String)>,
     flags: &[FlagValue],
 ) -> Result<Layered> {
@@ -275,7 +337,9 @@ pub fn merge(
         values.insert(key, (value.clone(), Origin::Default));
     });
 
-    if let Some((path, text)) = file {
+    let mut ignored = BTreeMap::new();
+    if let Some((file, text)) = file {
+        let path = file.path();
         let table: Table = text.parse().map_err(|e| {
             Error::new(
                 ErrorKind::Config,
@@ -289,7 +353,15 @@ pub fn merge(
             given.push((key, value.clone()))
         });
         for (key, value) in given {
-            set(&mut values, &key, value, Origin::File(path.to_owned()))?;
+            let origin = Origin::File(path.to_owned());
+            if matches!(file, ConfigFile::Found(_)) && is_protected(&key) {
+                // It must be a key all the same.
+                slot(&mut values, &key, &origin)?;
+                let file = path.to_owned();
+                ignored.insert(key, Ignored { value, file });
+            } else {
+                set(&mut values, &key, value, origin)?;
+            }
         }
     }
 
@@ -307,16 +379,21 @@ pub fn merge(
     }
 
     let config = assemble(&values)?;
-    Ok(Layered { config, values })
+    ignored.retain(|key, _| values[key].1 == Origin::Default);
+    Ok(Layered {
+        config,
+        values,
+        ignored,
+    })
 }
 
 /// The file that is read when none is named: `./gripcast.toml`, then
 /// `$XDG_CONFIG_HOME/gripcast/config.toml`.
 #[must_use]
-pub fn default_file() -> Option<PathBuf> {
+pub fn default_file() -> Option<ConfigFile> {
     let local = PathBuf::from("gripcast.toml");
     if local.is_file() {
-        return Some(local);
+        return Some(ConfigFile::Found(local));
     }
     user_file()
 }
@@ -326,7 +403,8 @@ fn user_file() -> Option<PathBuf> {
     let home = std::env::var_os("XDG_CONFIG_HOME")
         .map(PathBuf::from)
         .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".config")))?;
-    Some(home.join("gripcast/config.toml")).filter(|path| path.is_file())
+    let own = home.join("gripcast/config.toml");
+    own.is_file().then_some(ConfigFile::Chosen(own))
 }
 
 fn flatten(prefix: &str, table: &Table, found: &mut impl FnMut(String, &Value)) {
@@ -447,7 +525,7 @@ mod tests {
         .unwrap();
         let env = [("GRIPCAST__COLLECT__RIG".to_owned(), "b".to_owned())];
         let flags = [("--rig", "collect.rig", "c".to_owned())];
-        let layered = load(Some(&file), env, &flags).unwrap();
+        let layered = load(Some(&ConfigFile::Chosen(file.clone())), env, &flags).unwrap();
         assert_eq!(layered.config.collect.rig, "c");
         assert_eq!(layered.config.collect.scene, "lab");
         assert!((layered.config.guards.max_skew_ms - 25.0).abs() < 1e-12);
@@ -457,6 +535,47 @@ mod tests {
         );
         assert_eq!(layered.values["collect.scene"].1, Origin::File(file));
         assert_eq!(layered.values["collect.sound"].1, Origin::Default);
+    }
+
+    #[test]
+    fn a_file_that_was_only_found_cannot_open_the_network_or_choose_where_files_go() {
+        let path = PathBuf::from("gripcast.toml");
+        let text = "[daemon]\nlisten = \"0.0.0.0:7471\"\nsocket = \"/tmp/s\"\ntoken_file = \"t\"\n\
+                    [black_box]\ndirectory = \"/home/ada\"\nenabled = true\n[collect]\nscene = \"lab\"\n";
+        let found = ConfigFile::Found(path.clone());
+        let env = [("GRIPCAST__DAEMON__SOCKET".to_owned(), "none".to_owned())];
+        let layered = merge(Some((&found, text)), env, &[]).unwrap();
+        let config = &layered.config;
+        assert_eq!(config.daemon.listen, DaemonConfig::default().listen);
+        assert_eq!(config.daemon.socket, "none");
+        assert_eq!(config.daemon.token_file, "");
+        assert_eq!(config.black_box.directory, "");
+        assert!(config.black_box.enabled && config.collect.scene == "lab");
+        // The socket is set by something else: nothing of the file is missing.
+        let keys: Vec<&str> = layered.ignored.keys().map(String::as_str).collect();
+        assert_eq!(
+            keys,
+            ["black_box.directory", "daemon.listen", "daemon.token_file"]
+        );
+        let warning = layered.ignored["daemon.listen"].warning("daemon.listen");
+        for part in [
+            "gripcast.toml: `daemon.listen = \"0.0.0.0:7471\"`",
+            "--config ./gripcast.toml",
+            "--listen",
+            "GRIPCAST__DAEMON__LISTEN",
+        ] {
+            assert!(warning.contains(part), "{warning}");
+        }
+
+        let chosen = ConfigFile::Chosen(path);
+        let layered = merge(Some((&chosen, text)), none(), &[]).unwrap();
+        assert_eq!(layered.config.daemon.listen, "0.0.0.0:7471");
+        assert_eq!(layered.config.black_box.directory, "/home/ada");
+        assert!(layered.ignored.is_empty());
+
+        let unknown = "[daemon]\nlisen = \"0.0.0.0:7471\"\n";
+        let error = merge(Some((&found, unknown)), none(), &[]).unwrap_err();
+        assert!(error.to_string().contains("daemon.listen"), "{error}");
     }
 
     #[test]
@@ -543,7 +662,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("c.toml");
         std::fs::write(&file, "[collect\n").unwrap();
-        let error = load(Some(&file), none(), &[]).unwrap_err();
+        let error = load(Some(&ConfigFile::Chosen(file)), none(), &[]).unwrap_err();
         assert!(error.to_string().contains("c.toml"), "{error}");
         assert_eq!(error.kind().exit_code(), 2);
     }

@@ -8,7 +8,9 @@ use super::damage::FrameDamage;
 use super::frame::{Frame, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
 use super::png::decode_png_rgb;
-use super::resample::{LARGEST_SIDE, Source, check_target, crop_and_resize, resample, window_of};
+use super::resample::{
+    LARGEST_SIDE, Source, check_stored, check_target, crop_and_resize, resample, window_of,
+};
 use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
 use crate::error::{Error, ErrorKind, Result as CrateResult};
@@ -161,6 +163,8 @@ impl Decoder {
         match bytes {
             [0xff, 0xd8, ..] => {
                 let header = jpeg::inspect(bytes)?;
+                let pixels = u64::from(header.width) * u64::from(header.height);
+                check_stored(header.width, header.height, 3 * pixels)?;
                 Ok(self.decode_jpeg(bytes, &header, crop, width, height)?)
             }
             _ if bytes.starts_with(PNG) => {

@@ -1,8 +1,13 @@
 //! Lossless files: colour, grey and 16-bit depth as PNG, and back.
 
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{DynamicImage, ExtendedColorType, GrayImage, ImageEncoder, ImageFormat, RgbImage};
+use std::io::Cursor;
 
+use image::codecs::png::{CompressionType, FilterType, PngDecoder, PngEncoder};
+use image::{
+    DynamicImage, ExtendedColorType, GrayImage, ImageDecoder as _, ImageEncoder, Limits, RgbImage,
+};
+
+use super::resample::{MOST_STORED_BYTES, check_stored};
 use super::z16::DepthImage;
 use crate::error::{Error, ErrorKind, Result};
 
@@ -78,8 +83,14 @@ pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
 }
 
 fn read(bytes: &[u8]) -> Result<DynamicImage> {
-    image::load_from_memory_with_format(bytes, ImageFormat::Png)
-        .map_err(|cause| Error::new(ErrorKind::Input, "the PNG cannot be read").because(cause))
+    let unreadable = |cause| Error::new(ErrorKind::Input, "the PNG cannot be read").because(cause);
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(MOST_STORED_BYTES);
+    let decoder = PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(unreadable)?;
+    // Before anything is decoded: a small file may hold a huge picture.
+    let (width, height) = decoder.dimensions();
+    check_stored(width, height, decoder.total_bytes())?;
+    DynamicImage::from_decoder(decoder).map_err(unreadable)
 }
 
 #[cfg(test)]
@@ -110,5 +121,18 @@ mod tests {
         assert!(decode_png_rgb(&rgb[..rgb.len() / 2]).is_err());
         assert!(decode_png_rgb(b"").is_err());
         assert!(encode_png_rgb(&RgbImage::new(0, 4)).is_err());
+    }
+
+    #[test]
+    fn a_small_file_of_a_huge_picture_is_refused_before_it_is_decoded() {
+        let mut bomb = encode_png_grey16(&DepthImage::new(1, 1)).unwrap();
+        // Width and height are the first fields of the first chunk, IHDR; its checksum follows.
+        bomb[16..20].copy_from_slice(&9000_u32.to_be_bytes());
+        bomb[20..24].copy_from_slice(&9000_u32.to_be_bytes());
+        let mut checksum = flate2::Crc::new();
+        checksum.update(&bomb[12..29]);
+        bomb[29..33].copy_from_slice(&checksum.sum().to_be_bytes());
+        let text = decode_png_grey16(&bomb).unwrap_err().to_string();
+        assert!(text.contains("9000×9000"), "{text}");
     }
 }

@@ -6,9 +6,33 @@ use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
+use crate::error::{Error, ErrorKind, Result as CrateResult};
 
 /// Largest side of a picture that is decoded or produced, in pixels.
 pub(super) const LARGEST_SIDE: u32 = 16_384;
+
+/// Most that the pixels of a stored picture may take, bytes; a camera of 20 Mpx needs half of it.
+pub(super) const MOST_STORED_BYTES: u64 = 128 << 20;
+
+/// Whether a stored picture may be decoded.
+///
+/// # Errors
+/// `Input` for one that would take too much memory.
+pub(super) fn check_stored(width: u32, height: u32, bytes: u64) -> CrateResult<()> {
+    let is_possible = width <= LARGEST_SIDE && height <= LARGEST_SIDE;
+    if is_possible && bytes <= MOST_STORED_BYTES {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Input,
+        format!(
+            "expected a picture of at most {LARGEST_SIDE} pixels a side and {} MiB, found \
+             {width}×{height} pixels that take {} MiB",
+            MOST_STORED_BYTES >> 20,
+            bytes >> 20
+        ),
+    ))
+}
 
 /// RGB pixels of a picture that may have been decoded at a reduced scale.
 pub(super) struct Source<'a> {

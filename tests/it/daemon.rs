@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, channel};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::program::{grasps, gripcast, stderr, verify};
+use crate::program::{grasps, gripcast, json as json_of, stderr, succeed, verify};
 
 /// A running daemon; it is killed when dropped.
 pub(crate) struct Daemon {
@@ -439,6 +439,14 @@ fn a_token_is_needed_where_there_is_one_but_not_on_the_socket() {
         exchange(local, "GET", "/api/state", "Host: localhost\r\n", b"").0,
         200
     );
+    daemon.signal(Signal::HUP);
+    daemon.hear("settings reloaded");
+    let with_cookie = format!("Host: lab.example\r\nCookie: {cookie}\r\n");
+    assert_eq!(status(&with_cookie), 200, "the token is the same");
+    fs::write(&file, "another-token-altogether").unwrap();
+    daemon.signal(Signal::HUP);
+    daemon.hear("settings reloaded");
+    assert_eq!(status(&with_cookie), 401, "sessions end with their token");
 
     let open = place
         .command()
@@ -683,6 +691,91 @@ fn a_screen_is_attached_to_a_daemon_and_leaves_it_running() {
     drain.join().unwrap().unwrap();
     assert_eq!(daemon.get("/api/state")["session"]["step"], "grasp");
     assert_eq!(daemon.stop(), Some(0));
+}
+
+/// A file that came with somebody's data cannot move the socket or set a token that its author knows.
+#[test]
+fn a_configuration_that_was_only_found_opens_nothing() {
+    let place = Place::new();
+    let dir = place.0.path();
+    let (token, socket) = (dir.join("token"), dir.join("chosen.sock"));
+    fs::write(&token, "known-to-somebody-else").unwrap();
+    fs::set_permissions(&token, fs::Permissions::from_mode(0o600)).unwrap();
+    let text = format!(
+        "[daemon]\nlisten = \"0.0.0.0:0\"\nsocket = {socket:?}\ntoken_file = {token:?}\n\
+         [collect]\nobject = \"cup\"\n"
+    );
+    fs::write(dir.join("gripcast.toml"), text).unwrap();
+    let show = |arguments: &[&str]| {
+        let mut command = gripcast();
+        command.args(["config", "show"]).args(arguments);
+        succeed(command.current_dir(dir))
+    };
+    let found = show(&["--json"]);
+    let warning = stderr(&found);
+    for key in ["daemon.listen", "daemon.socket", "daemon.token_file"] {
+        let line = format!("gripcast.toml: `{key} = ");
+        assert!(warning.contains(&line), "{warning}");
+    }
+    let listen = &json_of(&found)["daemon.listen"];
+    assert_eq!(listen["value"], "127.0.0.1:7471");
+    assert_eq!(
+        listen["ignored"],
+        json!({"value": "0.0.0.0:0", "file": "gripcast.toml"})
+    );
+    let text = String::from_utf8(show(&[]).stdout).unwrap();
+    assert!(
+        text.contains("default; \"0.0.0.0:0\" in gripcast.toml is ignored"),
+        "{text}"
+    );
+    let named = show(&["--json", "--config", "./gripcast.toml"]);
+    assert_eq!(stderr(&named), "");
+    let listen = &json_of(&named)["daemon.listen"];
+    assert_eq!(
+        (&listen["value"], &listen["origin"]),
+        (&json!("0.0.0.0:0"), &json!("./gripcast.toml"))
+    );
+
+    let mut command = gripcast();
+    command
+        .args(["daemon", "--rig", "virtual", "--dataset", "d"])
+        .args(["--listen", "127.0.0.1:0"])
+        .env("XDG_RUNTIME_DIR", dir)
+        .current_dir(dir);
+    let daemon = Daemon::start(&mut command);
+    let state = daemon.get("/api/state");
+    assert_eq!(state["session"]["object"], "cup");
+    assert!(!socket.exists() && dir.join("gripcast.sock").exists());
+}
+
+/// A file of a hundred bytes that stands for a picture of 160 MB.
+#[test]
+fn a_picture_that_would_take_all_memory_is_not_decoded() {
+    let place = Place::new();
+    let daemon = place.daemon();
+    let id = daemon.grasp("stable");
+    let record = daemon.get(&format!("/api/grasps/{id}"));
+    let name = record["grasp"]["cameras"]["depth"]["file"]
+        .as_str()
+        .unwrap();
+    let path = place.dataset().join("grasps").join(&id).join(name);
+    let mut bomb = fs::read(&path).unwrap();
+    // Width and height stand at the beginning of the first chunk, IHDR; its checksum follows.
+    bomb[16..20].copy_from_slice(&9000_u32.to_be_bytes());
+    bomb[20..24].copy_from_slice(&9000_u32.to_be_bytes());
+    let mut checksum = flate2::Crc::new();
+    checksum.update(&bomb[12..29]);
+    bomb[29..33].copy_from_slice(&checksum.sum().to_be_bytes());
+    fs::write(&path, bomb).unwrap();
+    let (status, answer) = daemon.ask(
+        "GET",
+        &format!("/api/grasps/{id}/preview/grasp/depth.jpg"),
+        None,
+    );
+    let answer: Value = serde_json::from_slice(&answer).unwrap();
+    let what = answer["error"]["what"].as_str().unwrap();
+    assert_eq!(status, 422, "{answer}");
+    assert!(what.contains("found 9000×9000"), "{answer}");
 }
 
 #[test]

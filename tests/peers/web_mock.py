@@ -462,6 +462,17 @@ def routes(mock):
         response.set_cookie("gripcast", mock.options.token, httponly=True, samesite="Strict")
         return response
 
+    @table.get("/api/login")
+    async def _(request):
+        token = mock.options.token
+        return web.json_response({"needs_token": bool(token), "logged_in": bool(token) and request.cookies.get("gripcast") == token})
+
+    @table.post("/api/logout")
+    async def _(_request):
+        response = web.Response(status=204)
+        response.del_cookie("gripcast")
+        return response
+
     @table.post("/mock")
     async def _(request):
         mock.control.update(await request.json())

@@ -641,6 +641,11 @@ async def restart(d, context):
             await d.shot(page, "lost")
             await d.legible(page, "lost")
         await d.server.start()
+        if d.server.token and not d.server.mock:
+            # Sessions end with the daemon.
+            await page.locator("#token").fill(d.server.token, timeout=30000)
+            await page.keyboard.press("Enter")
+            await page.locator("#steps .here").wait_for()
         await page.locator("#link").wait_for(state="hidden", timeout=30000)
         await true(page, "[...document.querySelectorAll('#pictures img')].every((i) => i.naturalWidth > 0)")
         d.check(f"{how.name}: back with pictures", await page.locator("#trigger[aria-disabled]").count() == 0)
@@ -675,6 +680,12 @@ async def login(d, options):
     await page.goto(f"{server.url}/#token={server.token}")
     await page.locator("#steps .here").wait_for()
     d.check("a token in the address opens it and is taken out", "token" not in page.url)
+    await page.locator("#show-keys").click()
+    await page.locator("#logout").click()
+    await page.locator("#login:visible").wait_for()
+    await page.reload()
+    await page.locator("#login:visible").wait_for()
+    d.check("after a logout a token is asked for", await page.locator("#collect:visible").count() == 0)
     await context.close()
     if server is not d.server:
         server.stop()

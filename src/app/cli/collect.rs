@@ -24,7 +24,7 @@ use super::{ConfigFlag, Context, print, print_json};
 use crate::app::collection::{
     COMMAND_QUEUE, Start, chosen_dataset, chosen_rig, prepare, start_pedals, stop_signals,
 };
-use crate::app::config::{self, FlagValue, Layered};
+use crate::app::config::{FlagValue, Layered};
 use crate::app::daemon::{
     self, Asked, BlackBoxReport, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus,
     Tasks,
@@ -92,11 +92,7 @@ impl Args {
 
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    let Layered { config, .. } = config::load(
-        args.config.path().as_deref(),
-        std::env::vars(),
-        &args.flags(),
-    )?;
+    let Layered { config, .. } = args.config.load(&args.flags())?;
     if let Some(place) = &args.attach {
         let token = args.token_file.as_deref().map(Token::read).transpose()?;
         return attach(place, token.as_ref(), sound(&config.collect.sound)?);

@@ -1,7 +1,7 @@
 //! `gripcast config show`: every setting, its value and where it comes from.
 
 use super::{ConfigFlag, Context, print, print_json};
-use crate::app::config;
+use crate::app::config::Ignored;
 use crate::error::Result;
 
 /// Arguments of `config`.
@@ -26,20 +26,36 @@ enum Action {
 /// Runs the verb.
 pub(crate) fn run(_context: &Context, args: Args) -> Result<()> {
     let Action::Show { file, json } = args.action;
-    let layered = config::load(file.path().as_deref(), std::env::vars(), &[])?;
+    let layered = file.load(&[])?;
     if json {
         let object: serde_json::Map<String, serde_json::Value> = layered
             .values
             .iter()
             .map(|(key, (value, origin))| {
-                let entry = serde_json::json!({"value": value, "origin": origin.to_string()});
+                let mut entry = serde_json::json!({"value": value, "origin": origin.to_string()});
+                if let Some(Ignored { value, file }) = layered.ignored.get(key) {
+                    entry["ignored"] = serde_json::json!({"value": value, "file": file});
+                }
                 (key.clone(), entry)
             })
             .collect();
         print_json(&object)?;
     } else {
         for (key, (value, origin)) in &layered.values {
-            print(&format!("{key:<32} {:<24} {origin}", value.to_string()))?;
+            let ignored = layered
+                .ignored
+                .get(key)
+                .map_or_else(String::new, |ignored| {
+                    format!(
+                        "; {} in {} is ignored",
+                        ignored.value,
+                        ignored.file.display()
+                    )
+                });
+            print(&format!(
+                "{key:<32} {:<24} {origin}{ignored}",
+                value.to_string()
+            ))?;
         }
     }
     Ok(())

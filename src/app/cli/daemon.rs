@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::collection_flags::CollectionFlags;
-use super::{ConfigFlag, Context, collect, print, print_json};
+use super::{ConfigFlag, Context, collect, load_settings, print, print_json};
 use crate::app::collection::{Start, chosen_rig, prepare};
-use crate::app::config::{self, DaemonConfig, FlagValue, Layered};
+use crate::app::config::{DaemonConfig, FlagValue, Layered};
 use crate::app::daemon::Ended;
 use crate::app::rig_lock::RigLock;
 use crate::app::service::{self, Reloaded, ServiceSettings};
@@ -76,9 +76,9 @@ impl Args {
 
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    let file = args.config.path();
+    let file = args.config.file();
     let flags = args.flags();
-    let load = move || config::load(file.as_deref(), std::env::vars(), &flags);
+    let load = move || load_settings(file.as_ref(), &flags);
     let started = load()?;
     let settings = service_settings(&started.config.daemon, context.quiet)?;
     let rig = chosen_rig(&started.config.collect)?;
@@ -215,6 +215,7 @@ fn reloaded(started: &Layered, now: Layered) -> Result<Reloaded> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::app::config;
 
     fn settings(listen: &str, socket: &str) -> Result<ServiceSettings> {
         let config = DaemonConfig {

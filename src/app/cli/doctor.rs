@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::working::interruptible;
 use super::{ConfigFlag, Context, print, print_json};
-use crate::app::config::{self, Layered};
+use crate::app::config::Layered;
 use crate::app::doctor::{Finding, Patient, Verdict};
 use crate::error::{Error, ErrorKind, Result};
 use crate::rig::calibration::RigFile;
@@ -58,8 +58,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     .into_iter()
     .filter_map(|(flag, key, value)| Some((flag, key, value?)))
     .collect();
-    let Layered { config, .. } =
-        config::load(args.config.path().as_deref(), std::env::vars(), &flags)?;
+    let Layered { config, .. } = args.config.load(&flags)?;
     let settings = config.collect;
     let rig = (!settings.rig.is_empty())
         .then(|| RigFile::find(&settings.rig))

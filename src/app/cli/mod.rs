@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-use crate::app::config as settings;
+use crate::app::config::{self as settings, ConfigFile, FlagValue, Layered};
 use crate::app::note;
 pub(crate) use crate::app::terminal_text::{print, print_json};
 use crate::error::Result;
@@ -106,9 +106,24 @@ pub(crate) struct ConfigFlag {
 
 impl ConfigFlag {
     /// The file, if there is one.
-    pub(crate) fn path(&self) -> Option<PathBuf> {
-        self.config.clone().or_else(settings::default_file)
+    pub(crate) fn file(&self) -> Option<ConfigFile> {
+        let named = self.config.clone().map(ConfigFile::Chosen);
+        named.or_else(settings::default_file)
     }
+
+    /// All settings, with flags over them.
+    pub(crate) fn load(&self, flags: &[FlagValue]) -> Result<Layered> {
+        load_settings(self.file().as_ref(), flags)
+    }
+}
+
+/// All settings. What is ignored is said on stderr, even with `--quiet`.
+pub(crate) fn load_settings(file: Option<&ConfigFile>, flags: &[FlagValue]) -> Result<Layered> {
+    let layered = settings::load(file, std::env::vars(), flags)?;
+    for (key, ignored) in &layered.ignored {
+        note!("gripcast: {}", ignored.warning(key));
+    }
+    Ok(layered)
 }
 
 #[derive(Debug, Subcommand)]

@@ -1,10 +1,12 @@
 //! Who may talk to the daemon.
 //!
-//! * A Unix socket: whoever may open it.
-//! * Loopback without a token: this machine's programs, and no page of another site: the `Host` must
-//!   name this machine (a foreign name that was made to point here does not), an `Origin` must be
-//!   our own.
-//! * With a token: whoever shows it, as `Authorization: Bearer` or as the cookie that a login sets.
+//! * Every request: a `Host` that can be read, and no page of another site ([`super::origin`]).
+//! * A Unix socket: whoever may open it. The `Host` must name this machine, since `ssh -L` brings
+//!   browsers to the socket too.
+//! * TCP without a token (loopback only): programs of this machine; the `Host` must name it, a
+//!   foreign name that was made to point here does not.
+//! * TCP with a token: whoever shows it as `Authorization: Bearer`, or the cookie of a session that
+//!   a login has opened.
 
 use std::fmt;
 use std::fs::File;
@@ -12,15 +14,18 @@ use std::io::Read as _;
 use std::net::IpAddr;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse as _, Response};
 use subtle::ConstantTimeEq as _;
 
 use super::failure::Failure;
+use super::origin;
+use super::sessions::{Failures, SessionKey, Sessions};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::sha256_hex;
 
@@ -30,11 +35,31 @@ const SHORTEST_TOKEN: usize = 16;
 const LONGEST_TOKEN: u64 = 1024;
 /// Cookie of a browser that has logged in.
 const COOKIE: &str = "gripcast";
+/// Cookies of that name that are looked at; a browser has one.
+const MOST_COOKIES: usize = 4;
+/// How it is kept: no script reads it, no other site sends it.
+const COOKIE_RULES: &str = "Path=/; HttpOnly; SameSite=Strict";
 
 /// Nothing but our own files, no frames around us.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
      img-src 'self' blob: data:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
      form-action 'none'; frame-ancestors 'none'";
+
+/// On every answer: other sites neither embed it nor hold on to its window.
+const MARKS: [(HeaderName, &str); 6] = [
+    (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (header::X_FRAME_OPTIONS, "DENY"),
+    (
+        HeaderName::from_static("cross-origin-resource-policy"),
+        "same-origin",
+    ),
+    (
+        HeaderName::from_static("cross-origin-opener-policy"),
+        "same-origin",
+    ),
+];
 
 /// A secret; it is never printed.
 #[derive(Clone)]
@@ -71,7 +96,7 @@ impl Token {
         Self::parse(&text).map_err(|e| e.at(path.display()))
     }
 
-    fn parse(text: &str) -> Result<Self> {
+    pub(super) fn parse(text: &str) -> Result<Self> {
         let token = text.trim();
         let printable = token.chars().all(|c| c.is_ascii_graphic());
         if token.len() < SHORTEST_TOKEN || !printable {
@@ -98,94 +123,181 @@ impl Token {
     pub(super) fn bearer(&self) -> String {
         format!("Bearer {}", self.0)
     }
-
-    /// What a browser shows after a login: it proves the token and does not tell it.
-    fn cookie(&self) -> String {
-        sha256_hex(format!("gripcast page\n{}", self.0))
-    }
 }
 
 /// How a connection came in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Peer {
-    /// Over TCP.
-    Network,
+    /// Over TCP, from this address.
+    Network(IpAddr),
     /// Over the Unix socket.
     Local,
 }
 
-/// The rule.
+/// The rule, and who has logged in.
 #[derive(Debug, Default)]
-pub(crate) struct Access {
-    token: RwLock<Option<Token>>,
+pub(crate) struct Access(Mutex<Inner>);
+
+#[derive(Debug, Default)]
+struct Inner {
+    token: Option<Token>,
+    sessions: Sessions,
+    failures: Failures,
+}
+
+impl Inner {
+    /// Whether this is the token. An address that guesses is not heard for a while, not even with
+    /// the right one.
+    fn try_token(&mut self, from: Peer, shown: &str, now: Instant) -> Result<bool, Failure> {
+        let Some(token) = &self.token else {
+            return Ok(false);
+        };
+        let Peer::Network(from) = from else {
+            return Ok(token.is(shown));
+        };
+        if let Some(wait) = self.failures.wait(from, now) {
+            return Err(Failure::new(
+                StatusCode::TOO_MANY_REQUESTS,
+                format!("too many wrong tokens from {from}"),
+            )
+            .remedy(format!(
+                "wait {} s, or use the Unix socket",
+                wait.as_secs() + 1
+            ))
+            .retry_after(wait));
+        }
+        let is_token = token.is(shown);
+        if !is_token {
+            self.failures.note(from, now);
+        }
+        Ok(is_token)
+    }
+}
+
+/// What a request was let in with.
+#[derive(Clone, Debug)]
+pub(crate) struct Pass {
+    access: Arc<Access>,
+    shown: Shown,
+}
+
+#[derive(Clone, Debug)]
+enum Shown {
+    /// It came over the Unix socket.
+    Local,
+    /// Nothing: there is no token, or what it asks for is open to all.
+    Nothing,
+    Token(Token),
+    Session(SessionKey),
+}
+
+impl Pass {
+    /// Whether it would still be let in: not after a logout, nor once there is another token. Long
+    /// answers ask again and again.
+    pub(crate) fn holds(&self) -> bool {
+        let mut inner = self.access.lock();
+        match &self.shown {
+            Shown::Local => true,
+            Shown::Nothing => inner.token.is_none(),
+            Shown::Token(shown) => inner.token.as_ref().is_some_and(|token| token.is(&shown.0)),
+            Shown::Session(key) => inner.sessions.is_open(key, Instant::now(), false),
+        }
+    }
+
+    /// Whether it is a browser that has logged in.
+    pub(crate) fn is_session(&self) -> bool {
+        matches!(self.shown, Shown::Session(_))
+    }
+
+    /// Ends the session, if there is one; returns the cookie that takes its place.
+    pub(crate) fn log_out(&self) -> HeaderValue {
+        if let Shown::Session(key) = &self.shown {
+            self.access.lock().sessions.close(key);
+        }
+        HeaderValue::from_static("gripcast=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0")
+    }
 }
 
 impl Access {
     /// With a token, or without on loopback.
     pub(crate) fn new(token: Option<Token>) -> Self {
-        Self {
-            token: RwLock::new(token),
-        }
+        Self(Mutex::new(Inner {
+            token,
+            ..Inner::default()
+        }))
     }
 
     /// Takes another token from now on; logins with the one before no longer count.
     pub(crate) fn replace(&self, token: Option<Token>) {
-        *self.token.write().unwrap_or_else(PoisonError::into_inner) = token;
+        let mut inner = self.lock();
+        let is_same = match (&inner.token, &token) {
+            (Some(before), Some(now)) => before.is(&now.0),
+            (None, None) => true,
+            _ => false,
+        };
+        if !is_same {
+            inner.sessions.clear();
+            inner.token = token;
+        }
     }
 
-    fn token(&self) -> Option<Token> {
-        self.token
-            .read()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
+    /// Whether there is a token.
+    pub(crate) fn needs_token(&self) -> bool {
+        self.lock().token.is_some()
     }
 
-    /// The cookie for who shows the token.
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Opens a session for who shows the token and returns its cookie; none without a token.
     ///
     /// # Errors
-    /// 401 for another token.
-    pub(crate) fn login(&self, shown: &str) -> Result<Option<HeaderValue>, Failure> {
-        let Some(token) = self.token() else {
+    /// 401 for another token, 429 after too many of them.
+    pub(crate) fn log_in(&self, from: Peer, shown: &str) -> Result<Option<HeaderValue>, Failure> {
+        let (mut inner, now) = (self.lock(), Instant::now());
+        if inner.token.is_none() {
             return Ok(None);
-        };
-        if !token.is(shown) {
+        }
+        if !inner.try_token(from, shown, now)? {
             return Err(Failure::new(
                 StatusCode::UNAUTHORIZED,
                 "this is not the token",
             ));
         }
-        let cookie = format!(
-            "{COOKIE}={}; Path=/; HttpOnly; SameSite=Strict",
-            token.cookie()
-        );
-        Ok(HeaderValue::from_str(&cookie).ok())
+        let id = inner.sessions.open(now)?;
+        Ok(HeaderValue::from_str(&format!("{COOKIE}={id}; {COOKIE_RULES}")).ok())
     }
 
-    /// Whether a request may pass.
-    fn check(&self, peer: Peer, path: &str, headers: &HeaderMap) -> Result<(), Failure> {
+    /// Whether a request may pass, and with what.
+    fn check(&self, peer: Peer, request: &Request) -> Result<Shown, Failure> {
+        let host = origin::check(request)?;
+        let (mut inner, now) = (self.lock(), Instant::now());
+        let is_open = peer == Peer::Local || inner.token.is_none();
+        if is_open && !host.is_this_machine() {
+            return Err(Failure::new(
+                StatusCode::FORBIDDEN,
+                "expected a `Host` that names this machine, as localhost",
+            )
+            .remedy("open the page under the address that the daemon printed"));
+        }
         if peer == Peer::Local {
-            return Ok(());
+            return Ok(Shown::Local);
         }
-        let host = text(headers, header::HOST).unwrap_or_default();
-        let foreign = |what: String| {
-            Failure::new(StatusCode::FORBIDDEN, what)
-                .remedy("open the page under the address that the daemon printed")
-        };
-        if let Some(origin) = text(headers, header::ORIGIN)
-            && origin != format!("http://{host}")
-            && origin != format!("https://{host}")
-        {
-            return Err(foreign(format!("a page of {origin:.100} may not ask here")));
-        }
-        let Some(token) = self.token() else {
-            if is_this_machine(host) {
-                return Ok(());
+        let keys = session_keys(request.headers());
+        for key in keys {
+            if inner.sessions.is_open(&key, now, true) {
+                return Ok(Shown::Session(key));
             }
-            return Err(foreign(format!("`{host:.100}` is no name of this machine")));
-        };
-        let open = !path.starts_with("/api/") && path != "/metrics" || path == "/api/login";
-        if open || shows(&token, headers) {
-            return Ok(());
+        }
+        if let Some(token) = bearer(request.headers())
+            && inner.try_token(peer, token, now)?
+        {
+            return Ok(Shown::Token(Token(token.to_owned())));
+        }
+        let path = request.uri().path();
+        if is_open || !is_api(path) || path == "/api/login" {
+            return Ok(Shown::Nothing);
         }
         Err(Failure::new(
             StatusCode::UNAUTHORIZED,
@@ -195,59 +307,43 @@ impl Access {
     }
 }
 
-fn text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
-    headers.get(name)?.to_str().ok()
+fn is_api(path: &str) -> bool {
+    path.starts_with("/api/") || path == "/metrics"
 }
 
-fn shows(token: &Token, headers: &HeaderMap) -> bool {
-    let bearer = text(headers, header::AUTHORIZATION).and_then(|text| text.strip_prefix("Bearer "));
-    if bearer.is_some_and(|shown| token.is(shown.trim())) {
-        return true;
-    }
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let text = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
+    text.strip_prefix("Bearer ").map(str::trim)
+}
+
+fn session_keys(headers: &HeaderMap) -> impl Iterator<Item = SessionKey> {
     let cookies = headers.get_all(header::COOKIE).iter();
-    let expected = token.cookie();
     cookies
         .filter_map(|value| value.to_str().ok())
         .flat_map(|line| line.split(';'))
         .filter_map(|pair| pair.trim().split_once('='))
-        .any(|(name, value)| {
-            name == COOKIE && bool::from(value.as_bytes().ct_eq(expected.as_bytes()))
-        })
-}
-
-/// Whether a `Host` names this machine's loopback.
-fn is_this_machine(host: &str) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or_default(),
-        None => host.split(':').next().unwrap_or_default(),
-    };
-    name.eq_ignore_ascii_case("localhost")
-        || name
-            .parse::<IpAddr>()
-            .is_ok_and(|address| address.is_loopback())
+        .filter(|(name, _)| *name == COOKIE)
+        .map(|(_, id)| SessionKey::of(id))
+        .take(MOST_COOKIES)
 }
 
 /// Lets a request pass or not, and marks every answer.
 pub(crate) async fn guard(
     State(access): State<Arc<Access>>,
     peer: axum::Extension<Peer>,
-    request: Request,
+    mut request: Request,
     next: Next,
 ) -> Response {
-    let path = request.uri().path();
-    let is_api = path.starts_with("/api/") || path == "/metrics";
-    let mut response = match access.check(peer.0, path, request.headers()) {
-        Ok(()) => next.run(request).await,
+    let is_api = is_api(request.uri().path());
+    let mut response = match access.check(peer.0, &request) {
+        Ok(shown) => {
+            request.extensions_mut().insert(Pass { access, shown });
+            next.run(request).await
+        }
         Err(failure) => failure.into_response(),
     };
     let headers = response.headers_mut();
-    let fixed = [
-        (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
-        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-        (header::REFERRER_POLICY, "no-referrer"),
-        (header::X_FRAME_OPTIONS, "DENY"),
-    ];
-    for (name, value) in fixed {
+    for (name, value) in MARKS {
         headers.insert(name, HeaderValue::from_static(value));
     }
     if is_api {
@@ -264,94 +360,57 @@ mod tests {
 
     const SECRET: &str = "correct-horse-battery";
 
-    fn headers(pairs: &[(header::HeaderName, &str)]) -> HeaderMap {
-        pairs
-            .iter()
-            .map(|(name, value)| (name.clone(), HeaderValue::from_str(value).unwrap()))
-            .collect()
-    }
+    const FROM: Peer = Peer::Network(IpAddr::V4(std::net::Ipv4Addr::LOCALHOST));
 
-    fn status(access: &Access, path: &str, pairs: &[(header::HeaderName, &str)]) -> u16 {
-        match access.check(Peer::Network, path, &headers(pairs)) {
-            Ok(()) => 200,
+    fn status(access: &Access, path: &str, pairs: &[(&str, &str)]) -> u16 {
+        let mut request = Request::builder().uri(path);
+        for (name, value) in pairs {
+            request = request.header(*name, *value);
+        }
+        let request = request.body(axum::body::Body::empty()).unwrap();
+        match access.check(FROM, &request) {
+            Ok(_) => 200,
             Err(failure) => failure.into_response().status().as_u16(),
         }
     }
 
-    #[test]
-    fn without_a_token_only_this_machine_under_its_own_name_is_heard() {
-        let access = Access::default();
-        for host in [
-            "127.0.0.1:7471",
-            "localhost:7471",
-            "[::1]:7471",
-            "LOCALHOST",
-        ] {
-            assert_eq!(status(&access, "/api/state", &[(header::HOST, host)]), 200);
-        }
-        for host in [
-            "rebound.example:7471",
-            "192.168.0.7:7471",
-            "localhost.evil",
-            "",
-        ] {
-            assert_eq!(status(&access, "/api/state", &[(header::HOST, host)]), 403);
-        }
-    }
-
-    #[test]
-    fn pages_of_other_sites_are_refused() {
-        let access = Access::default();
-        let host = (header::HOST, "127.0.0.1:7471");
-        let own = (header::ORIGIN, "http://127.0.0.1:7471");
-        assert_eq!(status(&access, "/api/commands", &[host.clone(), own]), 200);
-        for origin in ["http://evil.example", "null", "http://127.0.0.1:8000"] {
-            let foreign = (header::ORIGIN, origin);
-            assert_eq!(
-                status(&access, "/api/events", &[host.clone(), foreign]),
-                403
-            );
-        }
-    }
+    const LAB: (&str, &str) = ("host", "lab.example");
 
     #[test]
     fn the_token_opens_the_api_and_nothing_else_does() {
         let access = Access::new(Some(Token::parse(SECRET).unwrap()));
         let bearer = format!("Bearer {SECRET}");
-        let cookie = access.login(SECRET).unwrap().unwrap();
-        let cookie = cookie
-            .to_str()
-            .unwrap()
-            .split(';')
-            .next()
-            .unwrap()
-            .to_owned();
-        assert!(!cookie.contains(SECRET));
-        for shown in [
-            (header::AUTHORIZATION, bearer.as_str()),
-            (header::COOKIE, cookie.as_str()),
-        ] {
-            assert_eq!(status(&access, "/api/state", &[shown]), 200);
+        let cookie = access.log_in(FROM, SECRET).unwrap().unwrap();
+        let cookie = cookie.to_str().unwrap();
+        assert!(!cookie.contains(SECRET) && cookie.ends_with("; HttpOnly; SameSite=Strict"));
+        let cookie = cookie.split(';').next().unwrap();
+        for shown in [("authorization", bearer.as_str()), ("cookie", cookie)] {
+            assert_eq!(status(&access, "/api/state", &[LAB, shown]), 200);
         }
         for shown in [
-            (header::AUTHORIZATION, "Bearer correct-horse-batterz"),
-            (header::AUTHORIZATION, "Bearer "),
-            (header::AUTHORIZATION, SECRET),
-            (header::COOKIE, "gripcast=0"),
+            ("authorization", "Bearer correct-horse-batterz"),
+            ("authorization", "Bearer "),
+            ("authorization", SECRET),
+            ("cookie", "gripcast=0"),
+            ("cookie", "gripcast="),
         ] {
-            assert_eq!(
-                status(&access, "/api/state", std::slice::from_ref(&shown)),
-                401
-            );
-            assert_eq!(status(&access, "/metrics", &[shown]), 401);
+            assert_eq!(status(&access, "/api/state", &[LAB, shown]), 401);
+            assert_eq!(status(&access, "/metrics", &[LAB, shown]), 401);
         }
-        assert_eq!(status(&access, "/", &[]), 200, "the page shows the login");
-        assert_eq!(status(&access, "/api/login", &[]), 200);
-        assert!(access.login("something-else-entirely").is_err());
+        assert_eq!(
+            status(&access, "/", &[LAB]),
+            200,
+            "the page shows the login"
+        );
+        assert_eq!(status(&access, "/api/login", &[LAB]), 200);
+        assert_eq!(status(&access, "/api/logout", &[LAB]), 401);
+        assert!(access.log_in(FROM, "something-else-entirely").is_err());
 
+        let show = ("cookie", cookie);
+        access.replace(Some(Token::parse(SECRET).unwrap()));
+        assert_eq!(status(&access, "/api/state", &[LAB, show]), 200);
         access.replace(Some(Token::parse("another-token-altogether").unwrap()));
-        let old = (header::COOKIE, cookie.as_str());
-        assert_eq!(status(&access, "/api/state", &[old]), 401);
+        assert_eq!(status(&access, "/api/state", &[LAB, show]), 401);
     }
 
     #[test]

@@ -13,14 +13,19 @@ use super::access::Access;
 use super::cameras::Previews;
 use super::failure::Failure;
 use super::grasp_list::GraspList;
+use super::places::Places;
 use super::state::State;
 use crate::app::daemon::{Answered, Asked, EngineStatus, Fate, Stored, Tasks};
 use crate::session::{Command, CommandSource, Tone};
 
 /// News that wait for a reader that is slow; it misses the oldest.
 const NEWS_QUEUE: usize = 64;
-/// Those who listen to events at a time: pages, screens, programs.
+/// Those who listen to events at a time, over TCP and over the socket: pages, screens, programs.
 const MOST_LISTENERS: usize = 32;
+/// How long a client may take for the body of a request; the largest has 16 KiB.
+const BODY_PATIENCE: Duration = Duration::from_secs(10);
+/// How long a small picture may wait until others have been decoded.
+const DECODE_PATIENCE: Duration = Duration::from_secs(5);
 /// How long an answer may take; a save on an ordinary disk takes a tenth of a second.
 const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -59,7 +64,11 @@ pub(crate) struct Backend {
     pub(crate) previews: Previews,
     pub(crate) started: Instant,
     /// Places for those who listen to events.
-    pub(crate) listeners: Arc<Semaphore>,
+    pub(crate) listeners: Places,
+    /// Places for pictures that are decoded, one for each core.
+    pub(crate) decodes: Arc<Semaphore>,
+    pub(crate) body_patience: Duration,
+    pub(crate) decode_patience: Duration,
 }
 
 impl Backend {
@@ -72,6 +81,7 @@ impl Backend {
         model: Option<ModelInfo>,
         dataset: PathBuf,
     ) -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             previews: Previews::new(status.clone()),
             status,
@@ -82,7 +92,10 @@ impl Backend {
             model,
             grasps: GraspList::new(dataset),
             started: Instant::now(),
-            listeners: Arc::new(Semaphore::new(MOST_LISTENERS)),
+            listeners: Places::new(MOST_LISTENERS, MOST_LISTENERS),
+            decodes: Arc::new(Semaphore::new(cores)),
+            body_patience: BODY_PATIENCE,
+            decode_patience: DECODE_PATIENCE,
         }
     }
 

@@ -5,14 +5,17 @@ use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use axum::Extension;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, State as Shared};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use tokio::sync::watch;
 
+use super::access::{Pass, Peer};
 use super::backend::Backend;
 use super::failure::{Complaint, Failure};
+use super::places::Places;
 use super::state::RoleName;
 use crate::app::daemon::EngineStatus;
 use crate::imaging::{Role, encode_jpeg};
@@ -21,7 +24,7 @@ use crate::imaging::{Role, encode_jpeg};
 const QUALITY: u8 = 75;
 /// Pause between two pictures of a stream.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Streams at a time; a browser has one a camera.
+/// Streams at a time, over TCP and over the socket; a browser has one a camera.
 const MOST_STREAMS: usize = 32;
 /// Text between two pictures of a stream.
 const BOUNDARY: &str = "gripcast-frame";
@@ -30,7 +33,8 @@ const BOUNDARY: &str = "gripcast-frame";
 pub(crate) struct Previews {
     status: watch::Receiver<Arc<EngineStatus>>,
     encoded: Mutex<BTreeMap<Role, Encoded>>,
-    streams: Arc<tokio::sync::Semaphore>,
+    /// Places for streams.
+    pub(crate) streams: Places,
 }
 
 struct Encoded {
@@ -45,7 +49,7 @@ impl Previews {
         Self {
             status,
             encoded: Mutex::new(BTreeMap::new()),
-            streams: Arc::new(tokio::sync::Semaphore::new(MOST_STREAMS)),
+            streams: Places::new(MOST_STREAMS, MOST_STREAMS),
         }
     }
 
@@ -109,11 +113,12 @@ pub(crate) async fn still(
         (status = 400, body = Complaint), (status = 404, body = Complaint), (status = 503, body = Complaint)))]
 pub(crate) async fn stream(
     Shared(backend): Shared<Arc<Backend>>,
+    Extension(peer): Extension<Peer>,
+    Extension(pass): Extension<Pass>,
     Segment(role): Segment<RoleName>,
 ) -> Result<Response, Failure> {
     let role = known(&backend, role)?;
-    let streams = Arc::clone(&backend.previews.streams);
-    let permit = streams.try_acquire_owned().map_err(|_| {
+    let place = backend.previews.streams.take(peer).ok_or_else(|| {
         Failure::new(
             StatusCode::SERVICE_UNAVAILABLE,
             format!("{MOST_STREAMS} picture streams are open already"),
@@ -121,20 +126,26 @@ pub(crate) async fn stream(
         .remedy("close another page")
     })?;
     // The next picture is made when the one before has been taken: nothing queues for a slow reader.
-    let start = (backend, permit, Bytes::new());
-    let pictures = futures_util::stream::unfold(start, move |(backend, permit, last)| async move {
+    let start = (backend, pass, place, Bytes::new());
+    let next = move |(backend, pass, place, last): (Arc<Backend>, Pass, _, Bytes)| async move {
         let jpeg = loop {
             tokio::time::sleep(PAUSE).await;
             // The engine has gone; so will the connection.
             backend.status.has_changed().ok()?;
+            // The session has ended.
+            if !pass.holds() {
+                return None;
+            }
             match backend.previews.jpeg(role) {
                 // The same bytes in the same place: the camera shows nothing new.
                 Some(jpeg) if jpeg.as_ptr() != last.as_ptr() => break jpeg,
                 _ => {}
             }
         };
-        Some((Ok::<_, Infallible>(part(&jpeg)), (backend, permit, jpeg)))
-    });
+        let taken = Ok::<_, Infallible>(part(&jpeg));
+        Some((taken, (backend, pass, place, jpeg)))
+    };
+    let pictures = futures_util::stream::unfold(start, next);
     let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
     Ok(([(header::CONTENT_TYPE, kind)], Body::from_stream(pictures)).into_response())
 }

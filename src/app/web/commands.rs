@@ -97,7 +97,7 @@ pub(crate) fn parse(text: &str) -> Result<Command, Failure> {
 #[utoipa::path(post, path = "/api/commands", tag = "session", request_body = CommandRequest,
     responses((status = 200, body = CommandAnswer), (status = 409, body = CommandAnswer, description = "refused"),
         (status = 500, body = CommandAnswer, description = "failed on disk; nothing changed"),
-        (status = 400, body = Complaint), (status = 403, body = Complaint), (status = 413, body = Complaint),
+        (status = 400, body = Complaint), (status = 403, body = Complaint), (status = 408, body = Complaint), (status = 413, body = Complaint),
         (status = 415, body = Complaint), (status = 422, body = Complaint), (status = 503, body = Complaint)))]
 pub(crate) async fn command(
     Shared(backend): Shared<Arc<Backend>>,
@@ -109,7 +109,7 @@ pub(crate) async fn command(
 /// Name the object
 #[utoipa::path(put, path = "/api/object", tag = "session", request_body = NameRequest,
     responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
+        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
         (status = 503, body = Complaint)))]
 pub(crate) async fn object(
     Shared(backend): Shared<Arc<Backend>>,
@@ -121,7 +121,7 @@ pub(crate) async fn object(
 /// Name the scene
 #[utoipa::path(put, path = "/api/scene", tag = "session", request_body = NameRequest,
     responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
+        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
         (status = 503, body = Complaint)))]
 pub(crate) async fn scene(
     Shared(backend): Shared<Arc<Backend>>,
@@ -133,7 +133,7 @@ pub(crate) async fn scene(
 /// Name the operator
 #[utoipa::path(put, path = "/api/operator", tag = "session", request_body = NameRequest,
     responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
-        (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
+        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
         (status = 503, body = Complaint)))]
 pub(crate) async fn operator(
     Shared(backend): Shared<Arc<Backend>>,
@@ -156,17 +156,28 @@ where
 /// A JSON body whose refusal is told like every other failure.
 pub(crate) struct Body<T>(pub(crate) T);
 
-impl<T, S> axum::extract::FromRequest<S> for Body<T>
+impl<T> axum::extract::FromRequest<Arc<Backend>> for Body<T>
 where
     T: serde::de::DeserializeOwned,
-    S: Send + Sync,
 {
     type Rejection = Failure;
 
-    async fn from_request(request: axum::extract::Request, state: &S) -> Result<Self, Failure> {
-        match Json::<T>::from_request(request, state).await {
-            Ok(Json(body)) => Ok(Self(body)),
-            Err(rejection) => Err(Failure::new(rejection.status(), rejection.body_text())),
+    async fn from_request(
+        request: axum::extract::Request,
+        backend: &Arc<Backend>,
+    ) -> Result<Self, Failure> {
+        let patience = backend.body_patience;
+        match tokio::time::timeout(patience, Json::<T>::from_request(request, backend)).await {
+            Ok(Ok(Json(body))) => Ok(Self(body)),
+            Ok(Err(rejection)) => Err(Failure::new(rejection.status(), rejection.body_text())),
+            Err(_) => Err(Failure::new(
+                StatusCode::REQUEST_TIMEOUT,
+                format!(
+                    "the body of the request did not come within {} s",
+                    patience.as_secs_f64()
+                ),
+            )
+            .remedy("send it in one piece")),
         }
     }
 }

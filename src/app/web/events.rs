@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Extension;
 use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Query, State as Shared};
@@ -17,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::broadcast::error::RecvError;
 use utoipa::{IntoParams, ToSchema};
 
+use super::access::{Pass, Peer};
 use super::backend::{Backend, News};
 use super::commands::{CommandAnswer, carry_out, parse};
 use super::failure::Failure;
@@ -26,8 +28,6 @@ use crate::imaging::Role;
 
 /// Shortest time between two states.
 const PAUSE: Duration = Duration::from_millis(100);
-/// A client that takes nothing for this long is gone.
-const PATIENCE: Duration = Duration::from_secs(5);
 /// Longest message of a client, bytes.
 const LONGEST_MESSAGE: usize = 4096;
 
@@ -83,6 +83,8 @@ struct Request {
         (status = 503, body = super::failure::Complaint)))]
 pub(crate) async fn events(
     Shared(backend): Shared<Arc<Backend>>,
+    Extension(peer): Extension<Peer>,
+    Extension(pass): Extension<Pass>,
     wishes: Result<Query<Wishes>, axum::extract::rejection::QueryRejection>,
     upgrade: Result<WebSocketUpgrade, axum::extract::ws::rejection::WebSocketUpgradeRejection>,
 ) -> Result<Response, Failure> {
@@ -91,19 +93,21 @@ pub(crate) async fn events(
         Failure::new(axum::http::StatusCode::BAD_REQUEST, e.body_text())
             .remedy("open it as a WebSocket")
     })?;
-    let place = Arc::clone(&backend.listeners)
-        .try_acquire_owned()
-        .map_err(|_| {
-            Failure::new(
-                axum::http::StatusCode::SERVICE_UNAVAILABLE,
-                "too many listen to events already",
-            )
-            .remedy("close another page")
-        })?;
-    let upgrade = upgrade.max_message_size(LONGEST_MESSAGE);
+    let place = backend.listeners.take(peer).ok_or_else(|| {
+        Failure::new(
+            axum::http::StatusCode::SERVICE_UNAVAILABLE,
+            "too many listen to events already",
+        )
+        .remedy("close another page")
+    })?;
+    // A frame is refused by its length, before any of it is kept.
+    let upgrade = upgrade
+        .max_frame_size(LONGEST_MESSAGE)
+        .max_message_size(LONGEST_MESSAGE)
+        .read_buffer_size(LONGEST_MESSAGE);
     Ok(upgrade.on_upgrade(move |socket| async move {
         // A client that goes, or takes nothing, ends its own connection only.
-        let _ = Listener::new(backend, socket, wishes).run().await;
+        let _ = Listener::new(backend, pass, socket, wishes).run().await;
         drop(place);
     }))
 }
@@ -112,6 +116,7 @@ struct Gone;
 
 struct Listener {
     backend: Arc<Backend>,
+    pass: Pass,
     socket: WebSocket,
     wishes: Wishes,
     /// The newest picture sent of each role.
@@ -119,9 +124,10 @@ struct Listener {
 }
 
 impl Listener {
-    fn new(backend: Arc<Backend>, socket: WebSocket, wishes: Wishes) -> Self {
+    fn new(backend: Arc<Backend>, pass: Pass, socket: WebSocket, wishes: Wishes) -> Self {
         Self {
             backend,
+            pass,
             socket,
             wishes,
             sent: BTreeMap::new(),
@@ -151,6 +157,10 @@ impl Listener {
                     Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Gone),
                 },
                 _ = ticks.tick() => {
+                    // Its session has ended.
+                    if !self.pass.holds() {
+                        return Err(Gone);
+                    }
                     let state = Box::new(self.backend.state());
                     self.say(&Event::State { state }).await?;
                     if self.wishes.previews {
@@ -172,6 +182,9 @@ impl Listener {
                 })
                 .await;
         };
+        if !self.pass.holds() {
+            return Err(Gone);
+        }
         let carried_out = match parse(&command) {
             Ok(command) => carry_out(&self.backend, command).await,
             Err(failure) => Err(failure),
@@ -205,9 +218,6 @@ impl Listener {
     }
 
     async fn send(&mut self, message: Message) -> Result<(), Gone> {
-        match tokio::time::timeout(PATIENCE, self.socket.send(message)).await {
-            Ok(Ok(())) => Ok(()),
-            Ok(Err(_)) | Err(_) => Err(Gone),
-        }
+        self.socket.send(message).await.map_err(|_| Gone)
     }
 }

@@ -1,7 +1,9 @@
 //! Errors as answers of the API.
 
+use std::time::Duration;
+
 use axum::Json;
-use axum::http::StatusCode;
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -29,6 +31,7 @@ struct ComplaintText {
 pub(crate) struct Failure {
     status: StatusCode,
     complaint: Complaint,
+    retry_after: Option<Duration>,
 }
 
 impl Failure {
@@ -38,11 +41,14 @@ impl Failure {
             StatusCode::BAD_REQUEST
             | StatusCode::UNPROCESSABLE_ENTITY
             | StatusCode::PAYLOAD_TOO_LARGE
-            | StatusCode::UNSUPPORTED_MEDIA_TYPE => "input",
+            | StatusCode::UNSUPPORTED_MEDIA_TYPE
+            | StatusCode::REQUEST_TIMEOUT => "input",
             StatusCode::NOT_FOUND | StatusCode::METHOD_NOT_ALLOWED => "not_found",
             StatusCode::UNAUTHORIZED => "unauthorised",
             StatusCode::FORBIDDEN | StatusCode::MISDIRECTED_REQUEST => "forbidden",
-            StatusCode::SERVICE_UNAVAILABLE | StatusCode::CONFLICT => "busy",
+            StatusCode::SERVICE_UNAVAILABLE
+            | StatusCode::CONFLICT
+            | StatusCode::TOO_MANY_REQUESTS => "busy",
             _ => "failed",
         };
         Self {
@@ -55,7 +61,14 @@ impl Failure {
                     remedy: None,
                 },
             },
+            retry_after: None,
         }
+    }
+
+    /// Says when to ask again.
+    pub(crate) fn retry_after(mut self, wait: Duration) -> Self {
+        self.retry_after = Some(wait);
+        self
     }
 
     /// Adds what helps.
@@ -99,6 +112,11 @@ impl From<Error> for Failure {
 
 impl IntoResponse for Failure {
     fn into_response(self) -> Response {
-        (self.status, Json(self.complaint)).into_response()
+        let wait = self.retry_after.map(|wait| {
+            // Whole seconds, rounded up.
+            let seconds = wait.as_secs() + u64::from(wait.subsec_nanos() > 0);
+            [(header::RETRY_AFTER, seconds.to_string())]
+        });
+        (self.status, wait, Json(self.complaint)).into_response()
     }
 }

@@ -1,6 +1,7 @@
 //! Saved grasps over HTTP: list, records, files, small pictures, relabelling and trash.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::Json;
 use axum::extract::{Query, State as Shared};
@@ -18,7 +19,10 @@ use super::state::OutcomeName;
 use crate::dataset::{Dataset, GraspId, GraspRecord, Stage};
 use crate::error::{Error, ErrorKind, Result as CrateResult};
 use crate::files::FileKind;
-use crate::imaging::{CropProfile, Decoder, Role, TactileDifference, encode_jpeg};
+use crate::imaging::{
+    CropProfile, Decoder, DepthImage, Frame, PixelFormat, Role, TactileDifference,
+    decode_png_grey16, encode_jpeg,
+};
 use crate::session::Command;
 
 /// Size of the small pictures.
@@ -26,6 +30,8 @@ const PREVIEW_WIDTH: u32 = 320;
 const PREVIEW_HEIGHT: u32 = 240;
 /// Quality of the small pictures.
 const QUALITY: u8 = 80;
+/// When a picture that could not be decoded yet may be asked for again.
+const DECODE_RETRY: Duration = Duration::from_secs(1);
 /// Gain of a difference, as on the operator's screen.
 const DIFFERENCE_GAIN: f32 = 1.5;
 
@@ -34,6 +40,31 @@ const DIFFERENCE_GAIN: f32 = 1.5;
 #[serde(deny_unknown_fields)]
 pub(crate) struct LabelRequest {
     outcome: OutcomeName,
+}
+
+/// Decodes pictures off the threads that serve; not more at a time than there are cores.
+async fn decode<T: Send + 'static>(
+    backend: &Backend,
+    work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
+) -> Result<T, Failure> {
+    let place = Arc::clone(&backend.decodes).acquire_owned();
+    let Ok(Ok(place)) = tokio::time::timeout(backend.decode_patience, place).await else {
+        return Err(Failure::new(
+            StatusCode::SERVICE_UNAVAILABLE,
+            format!(
+                "the picture was not decoded within {} s: too many others are",
+                backend.decode_patience.as_secs_f64()
+            ),
+        )
+        .remedy("ask again")
+        .retry_after(DECODE_RETRY));
+    };
+    off_thread(move || {
+        // Held until the work has ended, even where nobody waits for it any more.
+        let _place = place;
+        work()
+    })
+    .await
 }
 
 /// Work on files, off the threads that serve.
@@ -137,7 +168,8 @@ pub(crate) enum PreviewKind {
     params(("id" = String, Path), ("kind" = PreviewKind, Path),
         ("file" = String, Path, description = "`ROLE.jpg`", pattern = "^(left|right|rgb|depth|external)\\.jpg$")),
     responses((status = 200, body = [u8], content_type = "image/jpeg"), (status = 400, body = Complaint),
-        (status = 404, body = Complaint), (status = 422, body = Complaint)))]
+        (status = 404, body = Complaint), (status = 422, body = Complaint),
+        (status = 503, body = Complaint, description = "too many pictures are decoded; `Retry-After` says when")))]
 pub(crate) async fn preview(
     Shared(backend): Shared<Arc<Backend>>,
     Segment((id, kind, file)): Segment<(String, PreviewKind, String)>,
@@ -149,8 +181,9 @@ pub(crate) async fn preview(
         .ok_or_else(|| {
             Failure::not_found("expected left.jpg, right.jpg, rgb.jpg, depth.jpg or external.jpg")
         })?;
-    off_thread(move || {
-        let dataset = backend.grasps.dataset()?;
+    let list = Arc::clone(&backend);
+    decode(&backend, move || {
+        let dataset = list.grasps.dataset()?;
         let record = record_of(&dataset, &id)?;
         let jpeg = small_picture(&dataset, &record, kind, role)?;
         // A grasp's pictures never change.
@@ -207,24 +240,39 @@ fn stored(
         .as_deref()
         .map(CropProfile::by_name)
         .transpose()?;
-    if role == Role::Depth {
-        let frame = dataset.load_frame(record, stage, role)?;
-        return Ok(decoder.decode(&frame, crop.as_ref(), PREVIEW_WIDTH, PREVIEW_HEIGHT)?);
-    }
     let path = dataset.path_of(record, stage, role).ok_or_else(absent)?;
     let bytes = path
         .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
-    decoder
-        .decode_file(&bytes, crop.as_ref(), PREVIEW_WIDTH, PREVIEW_HEIGHT)
-        .map_err(|e| e.at(path.display()))
+    let (width, height) = (PREVIEW_WIDTH, PREVIEW_HEIGHT);
+    let picture = match camera.format {
+        PixelFormat::Z16 => decode_png_grey16(&bytes).and_then(|depth| {
+            Ok(decoder.decode(&depth_frame(&depth), crop.as_ref(), width, height)?)
+        }),
+        _ => decoder.decode_file(&bytes, crop.as_ref(), width, height),
+    };
+    picture.map_err(|e| e.at(path.display()))
+}
+
+/// Depth as its camera sends it, for the picture in false colour.
+fn depth_frame(depth: &DepthImage) -> Frame {
+    let data: Vec<u8> = depth.iter().flat_map(|v| v.to_le_bytes()).collect();
+    Frame {
+        format: PixelFormat::Z16,
+        width: depth.width(),
+        height: depth.height(),
+        data: data.into(),
+        sequence: 0,
+        driver_time_ns: 0,
+        received_ns: 0,
+    }
 }
 
 /// Label a grasp, whichever it is
 #[utoipa::path(post, path = "/api/grasps/{id}/label", tag = "grasps", params(("id" = String, Path)),
     request_body = LabelRequest,
     responses((status = 200, body = super::commands::CommandAnswer), (status = 400, body = Complaint),
-        (status = 404, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint),
+        (status = 404, body = Complaint), (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint),
         (status = 422, body = Complaint), (status = 500, body = super::commands::CommandAnswer), (status = 503, body = Complaint)))]
 pub(crate) async fn label(
     Shared(backend): Shared<Arc<Backend>>,

@@ -1,17 +1,16 @@
-//! How the daemon does: health, model, login, figures for Prometheus.
+//! How the daemon does: health, model, figures for Prometheus.
 
 use std::fmt::Write as _;
 use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State as Shared;
-use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::{IntoResponse, Response};
-use serde::{Deserialize, Serialize};
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::backend::{Backend, ModelInfo};
-use super::commands::Body;
 use super::failure::{Complaint, Failure};
 use super::state::State;
 use crate::app::daemon::{TaskReport, TaskState};
@@ -91,29 +90,6 @@ pub(crate) async fn model(
     model
         .map(Json)
         .ok_or_else(|| Failure::not_found("nothing predicts: it was started with --model none"))
-}
-
-/// A token that is shown.
-#[derive(Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Login {
-    token: String,
-}
-
-/// Log a browser in
-///
-/// Sets a cookie; without a token in the daemon there is nothing to log in to.
-#[utoipa::path(post, path = "/api/login", tag = "daemon", request_body = Login,
-    responses((status = 204), (status = 400, body = Complaint), (status = 401, body = Complaint),
-        (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint)))]
-pub(crate) async fn login(
-    Shared(backend): Shared<Arc<Backend>>,
-    Body(login): Body<Login>,
-) -> Result<Response, Failure> {
-    let cookie = backend.access.login(&login.token)?;
-    let mut headers = HeaderMap::new();
-    headers.extend(cookie.map(|cookie| (header::SET_COOKIE, cookie)));
-    Ok((StatusCode::NO_CONTENT, headers).into_response())
 }
 
 /// Figures for Prometheus

@@ -20,10 +20,18 @@ mod failure;
 mod grasp_list;
 mod grasps;
 mod health;
+mod login;
+mod origin;
 mod page;
+mod places;
 mod router;
 mod serve;
+mod sessions;
+mod stall;
 mod state;
+
+#[cfg(test)]
+mod attack_test;
 
 pub(crate) use access::{Access, Token};
 pub(crate) use attach::{Attached, Screen, Target, attach};

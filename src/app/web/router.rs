@@ -11,7 +11,7 @@ use utoipa_axum::routes;
 
 use super::backend::Backend;
 use super::failure::Failure;
-use super::{access, cameras, commands, events, grasps, health, page, state};
+use super::{access, cameras, commands, events, grasps, health, login, page, state};
 
 /// Largest body that is taken, bytes.
 const LARGEST_BODY: usize = 16 * 1024;
@@ -51,11 +51,13 @@ fn routes_of_the_api() -> OpenApiRouter<Arc<Backend>> {
         .routes(routes!(cameras::stream))
         .routes(routes!(health::health))
         .routes(routes!(health::model))
-        .routes(routes!(health::login))
+        .routes(routes!(login::login_state, login::login))
+        .routes(routes!(login::logout))
         .routes(routes!(health::metrics))
 }
 
-/// Everything that the daemon answers. Each connection adds how it came in ([`access::Peer`]).
+/// Everything that the daemon answers. Each connection adds where it comes from
+/// ([`access::Peer`]).
 pub(crate) fn router(backend: Arc<Backend>) -> Router {
     let access = Arc::clone(&backend.access);
     let (api, description) = routes_of_the_api().split_for_parts();

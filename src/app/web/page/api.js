@@ -69,6 +69,18 @@ export function whyNot(answer) {
   return [answer.message, ...answer.reasons].filter(Boolean).join("; ") || "refused";
 }
 
+/** Whether this browser has logged in; the cookie itself cannot be read here. @returns {Promise<boolean>} */
+export async function loggedIn() {
+  return (await get("api/login", 5000)).logged_in;
+}
+
+/** Ends the session, in all windows of this browser. */
+export async function logout() {
+  const { response, answer } = await send("POST", "api/logout");
+  // 401: the session has ended already.
+  if (!response.ok && response.status !== 401) throw refusal(response, answer);
+}
+
 /** @param {string} token */
 export async function login(token) {
   const { response, answer } = await send("POST", "api/login", { token });

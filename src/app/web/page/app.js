@@ -13,7 +13,7 @@ import { drawGauge, drawSteps, Reader } from "./gauge.js";
 import { startKeys } from "./keys.js";
 import { drawLabels, startNames } from "./labels.js";
 import { Link } from "./link.js";
-import { askToken, loginFromAddress, startLogin } from "./login.js";
+import { askToken, drawLogout, loginFromAddress, startLogin, startLogout } from "./login.js";
 import { Pictures } from "./pictures.js";
 import { play, startSound } from "./sound.js";
 
@@ -70,6 +70,7 @@ const link = new Link({
     view();
     galleryChanged();
     reloadAfterUpdate();
+    drawLogout();
   },
   lost(bye) {
     cut = bye ? "gripcast has stopped" : "connection lost";
@@ -136,6 +137,7 @@ startKeys();
 startNames();
 startSound();
 startLogin(() => link.start());
+startLogout();
 addEventListener("hashchange", async () => {
   if (location.hash.startsWith("#token=")) {
     await loginFromAddress();

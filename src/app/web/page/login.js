@@ -1,6 +1,6 @@
-/** The token: asked for where the server wants one, or taken from `/#token=…`. */
-import { login } from "./api.js";
-import { byId, say } from "./dom.js";
+/** The token: asked for where the server wants one, or taken from `/#token=…`; and logging out. */
+import { loggedIn, login, logout } from "./api.js";
+import { byId, say, toast } from "./dom.js";
 
 /** Logs in with a token from the address, which is taken out of it. */
 export async function loginFromAddress() {
@@ -17,6 +17,24 @@ export async function loginFromAddress() {
 export function askToken() {
   byId("login").hidden = false;
   byId("token").focus();
+}
+
+/** Shows the button only to who can log out. */
+export async function drawLogout() {
+  byId("logout").hidden = !(await loggedIn().catch(() => false));
+}
+
+/** After a logout the page starts anew and asks for the token. */
+export function startLogout() {
+  byId("logout").addEventListener("click", async () => {
+    try {
+      await logout();
+    } catch (error) {
+      toast(/** @type {Error} */ (error).message, "error");
+      return;
+    }
+    location.reload();
+  });
 }
 
 /** @param {() => void} done called after a login; the form closes once the server answers */

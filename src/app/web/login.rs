@@ -1,0 +1,69 @@
+//! Logging a browser in and out.
+
+use std::sync::Arc;
+
+use axum::extract::State as Shared;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::{Extension, Json};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::access::{Pass, Peer};
+use super::backend::Backend;
+use super::commands::Body;
+use super::failure::{Complaint, Failure};
+
+/// A token that is shown.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Login {
+    token: String,
+}
+
+/// Whether a login is needed, and whether there was one.
+#[derive(Serialize, ToSchema)]
+pub(crate) struct LoginState {
+    /// Whether the daemon has a token.
+    needs_token: bool,
+    /// Whether this request came with the cookie of an open session.
+    logged_in: bool,
+}
+
+/// Whether this browser is logged in
+#[utoipa::path(get, path = "/api/login", tag = "daemon", responses((status = 200, body = LoginState)))]
+pub(crate) async fn login_state(
+    Shared(backend): Shared<Arc<Backend>>,
+    Extension(pass): Extension<Pass>,
+) -> Json<LoginState> {
+    Json(LoginState {
+        needs_token: backend.access.needs_token(),
+        logged_in: pass.is_session(),
+    })
+}
+
+/// Log a browser in
+///
+/// Opens a session and sets its cookie. A daemon without a token sets none.
+#[utoipa::path(post, path = "/api/login", tag = "daemon", request_body = Login,
+    responses((status = 204), (status = 400, body = Complaint), (status = 401, body = Complaint),
+        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint),
+        (status = 422, body = Complaint),
+        (status = 429, body = Complaint, description = "too many wrong tokens from this address")))]
+pub(crate) async fn login(
+    Shared(backend): Shared<Arc<Backend>>,
+    Extension(peer): Extension<Peer>,
+    Body(login): Body<Login>,
+) -> Result<(StatusCode, HeaderMap), Failure> {
+    let cookie = backend.access.log_in(peer, &login.token)?;
+    let cookie = cookie.map(|cookie| (header::SET_COOKIE, cookie));
+    Ok((StatusCode::NO_CONTENT, cookie.into_iter().collect()))
+}
+
+/// Log this browser out
+///
+/// Ends the session and its open connections.
+#[utoipa::path(post, path = "/api/logout", tag = "daemon", responses((status = 204)))]
+pub(crate) async fn logout(Extension(pass): Extension<Pass>) -> (StatusCode, HeaderMap) {
+    let headers = [(header::SET_COOKIE, pass.log_out())];
+    (StatusCode::NO_CONTENT, headers.into_iter().collect())
+}

@@ -1,0 +1,231 @@
+//! Where a request goes to and where it comes from, by its own words: `Host`, `Origin` and
+//! `Sec-Fetch-*`. What is given twice or cannot be read is refused, never ignored.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
+
+use axum::extract::Request;
+use axum::http::{HeaderMap, Method, StatusCode, header};
+
+use super::failure::Failure;
+
+/// Longest host name, characters (RFC 1035).
+const LONGEST_NAME: usize = 253;
+
+/// `NAME`, `1.2.3.4` or `[::1]`, each with `:PORT` or without.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Authority {
+    name: Name,
+    port: Option<u16>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Name {
+    /// In lower case.
+    Domain(String),
+    Address(IpAddr),
+}
+
+impl Authority {
+    /// `None` for anything but exactly that: user names, trailing dots, ports that are no port.
+    fn parse(text: &str) -> Option<Self> {
+        let (name, port) = match text.strip_prefix('[') {
+            Some(rest) => {
+                let (address, port) = rest.split_once(']')?;
+                let address: Ipv6Addr = address.parse().ok()?;
+                (Name::Address(address.into()), port)
+            }
+            None => {
+                let end = text.find(':').unwrap_or(text.len());
+                (Name::parse(&text[..end])?, &text[end..])
+            }
+        };
+        let port = match port {
+            "" => None,
+            port => Some(parse_port(port.strip_prefix(':')?)?),
+        };
+        Some(Self { name, port })
+    }
+
+    /// Whether it names this machine's loopback.
+    pub(super) fn is_this_machine(&self) -> bool {
+        match &self.name {
+            Name::Domain(name) => name == "localhost",
+            Name::Address(address) => address.is_loopback(),
+        }
+    }
+}
+
+impl Name {
+    fn parse(text: &str) -> Option<Self> {
+        if let Ok(address) = text.parse::<Ipv4Addr>() {
+            return Some(Self::Address(address.into()));
+        }
+        let is_label = |label: &str| {
+            let mut characters = label.chars();
+            !label.is_empty()
+                && characters.all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
+        };
+        let is_name = text.len() <= LONGEST_NAME && text.split('.').all(is_label);
+        is_name.then(|| Self::Domain(text.to_ascii_lowercase()))
+    }
+}
+
+fn parse_port(text: &str) -> Option<u16> {
+    // `parse` alone would take a sign.
+    let digits = text.chars().all(|c| c.is_ascii_digit());
+    text.parse().ok().filter(|port| digits && *port != 0)
+}
+
+/// The one value of a header.
+fn only(headers: &HeaderMap, name: impl header::AsHeaderName) -> Result<Option<&str>, Unclear> {
+    let mut values = headers.get_all(name).iter();
+    match (values.next(), values.next()) {
+        (None, _) => Ok(None),
+        (Some(value), None) => value.to_str().map(Some).map_err(|_| Unclear),
+        (Some(_), Some(_)) => Err(Unclear),
+    }
+}
+
+/// A header that is given twice or is not ASCII.
+struct Unclear;
+
+/// Checks what a request says of itself and returns the host that it asks.
+///
+/// # Errors
+/// 400 for a `Host` that is absent, doubled or malformed; 403 for a page of another site.
+pub(super) fn check(request: &Request) -> Result<Authority, Failure> {
+    let host = host(request)?;
+    check_origin(request.headers(), &host)?;
+    check_site(request)?;
+    Ok(host)
+}
+
+fn host(request: &Request) -> Result<Authority, Failure> {
+    let wrong = |found: &str| {
+        Failure::new(
+            StatusCode::BAD_REQUEST,
+            format!("expected one `Host: NAME:PORT`, found {found}"),
+        )
+    };
+    let text = only(request.headers(), header::HOST)
+        .map_err(|_| wrong("several, or one that is not ASCII"))?
+        .ok_or_else(|| wrong("none"))?;
+    let host = Authority::parse(text).ok_or_else(|| wrong(&format!("`{text:.100}`")))?;
+    // A proxy's form of the request line names the host again.
+    let line = request
+        .uri()
+        .authority()
+        .map(|authority| authority.as_str());
+    match line {
+        Some(line) if Authority::parse(line).as_ref() != Some(&host) => Err(wrong(&format!(
+            "`{text:.100}` for a request to `{line:.100}`"
+        ))),
+        _ => Ok(host),
+    }
+}
+
+fn foreign(what: String) -> Failure {
+    Failure::new(StatusCode::FORBIDDEN, what)
+        .remedy("open the page under the address that the daemon printed")
+}
+
+/// Refuses scripts and forms of other sites: browsers name the site.
+fn check_origin(headers: &HeaderMap, host: &Authority) -> Result<(), Failure> {
+    let origin = match only(headers, header::ORIGIN) {
+        Ok(None) => return Ok(()),
+        Ok(Some(origin)) => origin,
+        Err(Unclear) => return Err(foreign("the `Origin` of this page is unclear".into())),
+    };
+    let authority = ["http://", "https://"]
+        .iter()
+        .find_map(|scheme| origin.strip_prefix(scheme));
+    if authority.and_then(Authority::parse).as_ref() == Some(host) {
+        return Ok(());
+    }
+    Err(foreign(format!("a page of {origin:.100} may not ask here")))
+}
+
+/// Refuses pictures and frames in pages of other sites: those come without an `Origin`. A link to
+/// the page itself may be followed.
+fn check_site(request: &Request) -> Result<(), Failure> {
+    let of = |name: &'static str| only(request.headers(), name);
+    match of("sec-fetch-site") {
+        Ok(None | Some("same-origin" | "none")) => return Ok(()),
+        Ok(Some("same-site" | "cross-site")) => {}
+        Ok(Some(_)) | Err(Unclear) => {
+            return Err(foreign(
+                "`Sec-Fetch-Site` of this request is unclear".into(),
+            ));
+        }
+    }
+    let is_link = matches!(of("sec-fetch-mode"), Ok(Some("navigate")))
+        && matches!(of("sec-fetch-dest"), Ok(Some("document")));
+    if is_link && request.method() == Method::GET && request.uri().path() == "/" {
+        return Ok(());
+    }
+    Err(foreign("a page of another site may not embed this".into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hosts_are_exactly_a_name_and_a_port() {
+        for text in [
+            "localhost",
+            "LOCALHOST:7471",
+            "127.0.0.1:7471",
+            "127.8.9.1",
+            "[::1]:7471",
+        ] {
+            let host = Authority::parse(text).unwrap_or_else(|| panic!("{text}"));
+            assert!(host.is_this_machine(), "{text}");
+        }
+        for text in [
+            "lab.example:80",
+            "lab_rig-2:8765",
+            "192.168.0.7:7471",
+            "localhost.evil",
+            "127.0.0.1.evil",
+            "127.1",
+            "[::ffff:127.0.0.1]",
+        ] {
+            let host = Authority::parse(text).unwrap_or_else(|| panic!("{text}"));
+            assert!(!host.is_this_machine(), "{text}");
+        }
+        for text in [
+            "",
+            ":7471",
+            "localhost.",
+            "localhost..",
+            ".localhost",
+            "evil@localhost",
+            "localhost:",
+            "localhost:0",
+            "localhost:+80",
+            "localhost:65536",
+            "localhost:80:80",
+            "localhost:x",
+            "localhost/",
+            "local host",
+            "loc\u{e4}lhost",
+            "[::1",
+            "[::1]x",
+            "[::1]:",
+            "[::1%lo]",
+            "[127.0.0.1]",
+            "::1",
+        ] {
+            assert_eq!(Authority::parse(text), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn names_are_compared_without_case_and_ports_exactly() {
+        let parse = |text| Authority::parse(text).unwrap();
+        assert_eq!(parse("Lab:80"), parse("lab:80"));
+        assert_ne!(parse("lab:80"), parse("lab"));
+        assert_ne!(parse("lab:80"), parse("lab:81"));
+    }
+}
