@@ -36,7 +36,8 @@ rm -f "$record"
 if fetched=$(GIT_TERMINAL_PROMPT=0 timeout "$limit_s" "$deny" fetch db 2>&1); then
     "$deny" --log-level warn check --hide-inclusion-graph --disable-fetch advisories
 else
-    reason="the database of advisories could not be fetched within $limit_s s: $(tail -n 1 <<<"$fetched")"
+    why=$(grep -v '^[[:space:]]*$' <<<"$fetched" | tail -n 1 || true)
+    reason="the database of known vulnerabilities cannot be fetched: ${why:-no answer in $limit_s s}"
     echo "SKIPPED: advisories: $reason" >&2
     [ -z "${GRIPCAST_REQUIRE_ADVISORIES:-}" ] || exit 1
     printf 'advisories\ttools/deny.sh\t%s\n' "$reason" >"$record"
