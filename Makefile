@@ -42,6 +42,7 @@ run: setup
 
 lint: setup
 	@$(CARGO) fmt --check
+	@tools/deny.sh
 	@$(CARGO) clippy --all-targets -- -D warnings
 
 # A kernel that cannot be built (no network, not x86-64) is said loudly and does not hide the
@@ -51,11 +52,13 @@ kernel: setup-test
 	    echo "SKIPPED: the test kernel could not be built; the real-kernel tests will be skipped" >&2; \
 	    [ -z "$${GRIPCAST_REQUIRE_KERNEL:-}" ]; }
 
+# Ends with a summary of what was skipped; GRIPCAST_REQUIRE_KERNEL, _SLURM, _SHARED, … = 1 make that
+# a failure.
 test: setup-test lint kernel
-	@$(CARGO) test
+	@tools/run-tests.sh
 
 test-fast: lint
-	@GRIPCAST_SKIP_KERNEL=1 GRIPCAST_SKIP_SLURM=1 $(CARGO) test
+	@GRIPCAST_SKIP_KERNEL=1 GRIPCAST_SKIP_SLURM=1 tools/run-tests.sh
 
 bench: setup
 	@$(CARGO) build --release --bin gripcast
@@ -67,7 +70,8 @@ bench: setup
 package-files deb tarball: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct || echo 0)
 
 package-files: setup-package
-	@$(CARGO) build --release --locked --bin gripcast
+	@. tools/env.sh; . packaging/build-flags.sh; cargo build --release --locked --bin gripcast
+	@packaging/check-paths.sh target/release/gripcast
 	@. tools/env.sh; packaging/stage.sh target/release/gripcast target/package
 
 CARGO_DEB := 3.8.0

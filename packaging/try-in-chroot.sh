@@ -64,6 +64,8 @@ make_debian() {
 inside() { "${in_root[@]}" "$@"; }
 # As the user of the service.
 as_service() { "${in_service[@]}" "$@"; }
+# As a user without any groups of ours.
+as_other() { inside setpriv --reuid nobody --regid nogroup --clear-groups -- "$@"; }
 
 install_package() {
     cp "$package" "$root/tmp/gripcast.deb"
@@ -91,6 +93,21 @@ check_system_files() {
     inside test -e /usr/share/man/man1/gripcast-collect.1.gz || fail "there are no manual pages"
     inside bash -n /usr/share/bash-completion/completions/gripcast || fail "bash completion"
     say "user, unit, udev rules, manual pages and completions are there"
+}
+
+# The token: for root and the service's group only, long enough, and not replaced by an upgrade.
+check_token() {
+    local file=$root/etc/gripcast/token before
+    [ "$(inside stat -c '%a %U:%G %h' /etc/gripcast/token)" = "640 root:gripcast 1" ] ||
+        fail "the token is not root:gripcast with mode 640: $(ls -l "$file")"
+    [ "$(base64 -d <"$file" | wc -c)" -eq 24 ] || fail "the token does not hold 192 bits"
+    as_other cat /etc/gripcast/token >/dev/null 2>&1 && fail "every user can read the token"
+    before=$(cat "$file")
+    inside /var/lib/dpkg/info/gripcast.postinst configure 0 >"$scratch/err" 2>&1 ||
+        { cat "$scratch/err" >&2 && fail "the package cannot be configured again"; }
+    [ "$(cat "$file")" = "$before" ] || fail "configuring the package again replaced the token"
+    [ -z "$(find "$root/etc/gripcast" -name 'token.*')" ] || fail "a temporary token is left"
+    say "the token is there, closed to other users, and stays"
 }
 
 # Runs the program; its exit code has to be the first argument.
@@ -130,44 +147,69 @@ try_program() {
     say "three grasps were collected and verified"
 }
 
-# The daemon with its page, as the unit starts it, without systemd.
+# Starts the daemon as the unit does, with more arguments, and waits until its socket is there.
+start_daemon() {
+    # Not through a function, which would be a process in between.
+    "${in_service[@]}" gripcast daemon --config /etc/gripcast/config.toml --rig virtual \
+        --dataset "$work/dataset" "$@" 2>"$scratch/daemon" &
+    daemon=$!
+    curl -fsS --retry 30 --retry-delay 1 --retry-all-errors --unix-socket "$socket" \
+        -o "$scratch/health" http://localhost/api/health 2>"$scratch/curl" ||
+        { cat "$scratch/daemon" >&2 && fail "the daemon does not answer on its socket"; }
+}
+stop_daemon() {
+    local code=0
+    # chroot, env and setpriv replace themselves: the process is the daemon.
+    kill -TERM "$daemon"
+    wait "$daemon" || code=$?
+    daemon=
+    [ "$code" -eq 0 ] || [ "$code" -eq 75 ] || fail "the daemon ended with $code"
+}
+# The status of a request to the page's port, 000 where nobody listens.
+status() { curl -sS -o /dev/null -w '%{http_code}' "$@" 2>/dev/null || true; }
+
+# The daemon as the unit starts it, without systemd: first with the packaged settings, then with the
+# page turned on.
 try_daemon() {
     if ! inside gripcast daemon --help >/dev/null 2>&1; then
         say "SKIPPED: this program has no verb \`daemon\`; neither service nor page were tried"
         return
     fi
-    local port=7471 code=0
-    mkdir -p "$root/run/gripcast"
-    chroot "$root" chown gripcast:gripcast /run/gripcast
-    # Not through a function, which would be a process in between.
-    "${in_service[@]}" gripcast daemon --config /etc/gripcast/config.toml --rig virtual \
-        --dataset "$work/dataset" --listen "127.0.0.1:$port" \
-        --socket /run/gripcast/gripcast.sock 2>"$scratch/daemon" &
-    daemon=$!
-    curl -fsS --retry 30 --retry-delay 1 --retry-all-errors -o "$scratch/health" \
-        "http://127.0.0.1:$port/api/health" 2>"$scratch/curl" ||
-        { cat "$scratch/daemon" >&2 && fail "the daemon does not answer"; }
-    curl -fsS "http://127.0.0.1:$port/" | grep -qi '<html' || fail "there is no page"
-    [ -S "$root/run/gripcast/gripcast.sock" ] || fail "there is no socket"
+    local url=http://127.0.0.1:7471 socket=$root/run/gripcast/gripcast.sock token
+    token=$(cat "$root/etc/gripcast/token")
+    # As RuntimeDirectory= and RuntimeDirectoryMode= of the unit.
+    inside install -d -o gripcast -g gripcast -m 0750 /run/gripcast
+    [ "$(status "$url/")" = 000 ] || fail "another program listens on $url: stop it first"
+
+    start_daemon
+    [ "$(status "$url/")" = 000 ] || fail "the packaged settings open a TCP port"
+    as_other test -e /run/gripcast/gripcast.sock && fail "every user can reach the socket"
+    stop_daemon
+    say "with the packaged settings the daemon answers on its socket alone, closed to other users"
+
+    # The page, as config.toml and docs/install.md say.
+    sed -i -e '/^listen = "none"$/d' -e 's/^#\(listen = \)/\1/' -e 's/^#\(token_file = \)/\1/' \
+        "$root/etc/gripcast/config.toml"
+    start_daemon
+    curl -fsS "$url/" | grep -qi '<html' || fail "there is no page"
+    [ "$(status "$url/api/state")" = 401 ] || fail "the page's API answers without the token"
+    [ "$(status -H "Authorization: Bearer $token" "$url/api/state")" = 200 ] ||
+        fail "the page's API refuses the token"
     if [ -n "${GRIPCAST_BROWSER_PYTHON:-}" ]; then
         "$GRIPCAST_BROWSER_PYTHON" "$(dirname "$0")/../tests/web/e2e.py" \
-            --url "http://127.0.0.1:$port" --only grasps >"$scratch/page" 2>&1 ||
+            --url "$url" --token "$token" --only grasps >"$scratch/page" 2>&1 ||
             { cat "$scratch/page" >&2 && fail "the page does not collect"; }
         say "three grasps were collected from the page in Chromium"
     else
         say "SKIPPED: no grasps from the page (GRIPCAST_BROWSER_PYTHON names a Python with" \
             "playwright, see tests/web/e2e.py)"
     fi
-    # chroot, env and setpriv replace themselves: the process is the daemon.
-    kill -TERM "$daemon"
-    wait "$daemon" || code=$?
-    daemon=
-    [ "$code" -eq 0 ] || [ "$code" -eq 75 ] || fail "the daemon ended with $code"
+    stop_daemon
     expect 0 as_service gripcast dataset verify --json "$work/dataset"
     local grasps=("$root$work"/dataset/grasps/*/grasp.json)
     [ -z "${GRIPCAST_BROWSER_PYTHON:-}" ] || [ ${#grasps[@]} -eq 6 ] ||
         fail "${#grasps[@]} grasps instead of 6"
-    say "the daemon served its page and ended at SIGTERM"
+    say "with its page on, the daemon asks for the token; it ended at SIGTERM"
 }
 
 remove_package() {
@@ -242,6 +284,7 @@ trap cleanup EXIT
 make_debian
 install_package
 check_system_files
+check_token
 try_program
 try_daemon
 remove_package

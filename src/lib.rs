@@ -41,6 +41,9 @@ pub mod rig;
 pub mod session;
 pub mod shard;
 pub mod sim;
+#[cfg(test)]
+#[path = "../tests/support/skip.rs"]
+mod skip;
 pub mod synth;
 pub mod train;
 pub mod workers;

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Installs what gripcast needs to be built on Debian 12/13 and Ubuntu 22.04/24.04.
 #   tools/setup.sh build   compiler, cmake, nasm, libclang, Rust toolchain
-#   tools/setup.sh test    the same, and what the kernel tests build and boot and, for root, the
-#                          Slurm of the cluster test
+#   tools/setup.sh test    the same, and what the kernel tests build and boot, and the Slurm of the
+#                          cluster test
 #   tools/setup.sh package the same as build, and what makes packages
 # Idempotent; asks apt only for what is missing; uses sudo when it is not root.
 set -euo pipefail
@@ -33,11 +33,21 @@ find_missing() {
         [ "$status" = installed ] || missing+=("$package")
     done
 }
+# Fails where that needs another user and there is no sudo.
+as_root() {
+    if [ "$(id -u)" -eq 0 ]; then
+        "$@"
+    elif command -v sudo >/dev/null; then
+        sudo "$@"
+    else
+        return 1
+    fi
+}
 apt_install() {
     echo "setup: installing $*" >&2
-    "${sudo[@]}" apt-get update -qq
-    "${sudo[@]}" env DEBIAN_FRONTEND=noninteractive \
-        apt-get install -y -qq --no-install-recommends "$@" >/dev/null
+    as_root apt-get update -qq &&
+        as_root env DEBIAN_FRONTEND=noninteractive \
+            apt-get install -y -qq --no-install-recommends "$@" >/dev/null
 }
 
 # Slurm is no reason to have no other tests; GRIPCAST_REQUIRE_SLURM=1 makes it one.
@@ -52,27 +62,19 @@ install_slurm() {
     fi
     find_missing slurm-wlm munge
     [ ${#missing[@]} -gt 0 ] || return 0
-    if [ "$(id -u)" -ne 0 ]; then
-        without_slurm "a Slurm cluster needs root"
-    else
-        apt_install "${missing[@]}" || without_slurm "Slurm could not be installed"
-    fi
+    apt_install "${missing[@]}" ||
+        without_slurm "Slurm could not be installed (as root: apt-get install ${missing[*]})"
 }
 
 if ! command -v dpkg-query >/dev/null || ! command -v apt-get >/dev/null; then
     echo "setup: no apt here; install the equivalents of: ${packages[*]}" >&2
 else
-    sudo=()
     find_missing "${packages[@]}"
     if [ ${#missing[@]} -gt 0 ]; then
-        if [ "$(id -u)" -ne 0 ]; then
-            command -v sudo >/dev/null || {
-                echo "setup: not root and no sudo; as root: apt-get install ${missing[*]}" >&2
-                exit 1
-            }
-            sudo=(sudo)
-        fi
-        apt_install "${missing[@]}"
+        apt_install "${missing[@]}" || {
+            echo "setup: not installed; as root: apt-get install ${missing[*]}" >&2
+            exit 1
+        }
     fi
     if [ "$want" = test ] && [ -z "${GRIPCAST_SKIP_SLURM:-}" ]; then
         install_slurm

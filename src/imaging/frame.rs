@@ -163,12 +163,8 @@ impl FramePool {
         self.fill(|buffer| buffer.extend_from_slice(bytes))
     }
 
-    /// Copies `rows` one after the other into a free buffer.
-    pub fn copy_rows<'a>(&mut self, rows: impl Iterator<Item = &'a [u8]>) -> FrameBytes {
-        self.fill(|buffer| rows.for_each(|row| buffer.extend_from_slice(row)))
-    }
-
-    fn fill(&mut self, write: impl FnOnce(&mut Vec<u8>)) -> FrameBytes {
+    /// Lets `write` append to a free, empty buffer.
+    pub fn fill(&mut self, write: impl FnOnce(&mut Vec<u8>)) -> FrameBytes {
         for held in &mut self.0 {
             if let Some(buffer) = Arc::get_mut(&mut held.0) {
                 buffer.clear();
@@ -237,7 +233,7 @@ mod tests {
         assert_ne!(second.as_ptr(), address);
         assert_eq!(&*first, [1, 2, 3]);
         drop(first);
-        let third = pool.copy_rows([&[5_u8][..], &[6]].into_iter());
+        let third = pool.fill(|buffer| buffer.extend([5, 6]));
         assert_eq!((third.as_ptr(), &*third), (address, &[5, 6][..]));
         let held: Vec<_> = (0..20).map(|i| pool.copy(&[i])).collect();
         assert_eq!(pool.0.len(), FramePool::CAPACITY);

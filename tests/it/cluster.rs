@@ -2,7 +2,6 @@
 //! Kubernetes by what the manifest says.
 
 use std::fs;
-use std::io::Write as _;
 use std::os::unix::fs::PermissionsExt as _;
 use std::os::unix::process::CommandExt as _;
 use std::path::Path;
@@ -12,6 +11,7 @@ use gripcast::error::ErrorKind;
 use serde_json::{Value, json};
 
 use crate::program::wait_until;
+use crate::skip::{Needs, skip};
 
 /// Exit code of the script where Slurm cannot run.
 const NO_SLURM: i32 = 77;
@@ -20,21 +20,10 @@ fn in_repository(path: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-/// # Panics
-/// Where `GRIPCAST_REQUIRE_SLURM` says that a missing Slurm is a failure.
-fn skip(reason: &str) {
-    assert!(
-        std::env::var_os("GRIPCAST_REQUIRE_SLURM").is_none(),
-        "GRIPCAST_REQUIRE_SLURM is set, but: {reason}"
-    );
-    // Not `eprintln!`, which the test harness keeps to itself where a test passes.
-    let _ = writeln!(std::io::stderr(), "SKIPPED: Slurm test: {reason}");
-}
-
 #[test]
 fn a_slurm_cluster_makes_the_dataset_of_a_single_process() {
     if std::env::var_os("GRIPCAST_SKIP_SLURM").is_some() {
-        return skip("GRIPCAST_SKIP_SLURM is set");
+        return skip(Needs::Slurm, "GRIPCAST_SKIP_SLURM is set");
     }
     let output = Command::new(in_repository("tests/cluster/slurm.sh"))
         .arg(env!("CARGO_BIN_EXE_gripcast"))
@@ -44,7 +33,7 @@ fn a_slurm_cluster_makes_the_dataset_of_a_single_process() {
     let said = String::from_utf8_lossy(&output.stdout);
     let errors = String::from_utf8_lossy(&output.stderr);
     if output.status.code() == Some(NO_SLURM) {
-        return skip(errors.trim());
+        return skip(Needs::Slurm, errors.trim());
     }
     assert!(
         output.status.success(),

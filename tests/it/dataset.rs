@@ -12,6 +12,8 @@ use gripcast::dataset::{
 use gripcast::imaging::{Frame, PixelFormat, Role};
 use serde_json::Value;
 
+use crate::skip::{Needs, skip};
+
 const WIDTH: u32 = 32;
 const HEIGHT: u32 = 24;
 
@@ -410,8 +412,10 @@ fn a_dataset_that_is_written_is_left_alone() {
 #[test]
 fn python_loads_all_image_columns() {
     let Some(python) = std::env::var_os("GRIPCAST_PYTHON") else {
-        eprintln!("SKIPPED: set GRIPCAST_PYTHON to a Python with datasets, pandas and pillow");
-        return;
+        return skip(
+            Needs::Python,
+            "set GRIPCAST_PYTHON to a Python with datasets, pandas and pillow",
+        );
     };
     let dir = tempfile::tempdir().unwrap();
     let cache = tempfile::tempdir().unwrap();

@@ -8,6 +8,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::dataset::{gripcast, json, stderr, stdout, tree, write_dataset};
+use super::skip::{Needs, skip};
 
 const FORMATS: [&str; 5] = ["parquet", "webdataset", "lerobot", "zarr", "training"];
 
@@ -148,8 +149,10 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
 #[test]
 fn python_opens_every_export() {
     let Some(python) = std::env::var_os("GRIPCAST_PYTHON") else {
-        eprintln!("SKIPPED: set GRIPCAST_PYTHON to a Python with datasets, webdataset and zarr");
-        return;
+        return skip(
+            Needs::Python,
+            "set GRIPCAST_PYTHON to a Python with datasets, pandas, pillow, webdataset and zarr",
+        );
     };
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");

@@ -32,6 +32,8 @@ mod rig;
 mod screen;
 mod shared_data;
 mod sim;
+#[path = "../support/skip.rs"]
+mod skip;
 mod synth;
 mod train;
 mod training_screen;

@@ -9,6 +9,7 @@ use gripcast::rig::device::udev_rule;
 use gripcast::rig::trigger::pedal_udev_rule;
 
 use crate::program::{gripcast, json, stderr, succeed};
+use crate::skip::{Needs, skip};
 
 fn repository_file(path: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
@@ -97,7 +98,7 @@ fn every_verb_has_a_manual_page() {
     }
 }
 
-/// With mandoc, or with groff's warnings; says so loudly where neither is installed.
+/// With mandoc or with groff's warnings.
 #[test]
 fn manual_pages_have_no_mistakes() {
     let dir = tempfile::tempdir().unwrap();
@@ -119,7 +120,10 @@ fn manual_pages_have_no_mistakes() {
         }
     }
     if !checked {
-        eprintln!("SKIPPED: manual pages were not checked; apt-get install mandoc");
+        skip(
+            Needs::Mandoc,
+            "neither mandoc nor groff is installed (apt-get install mandoc)",
+        );
     }
 }
 
@@ -161,32 +165,37 @@ fn packaged_udev_rules_are_those_that_doctor_prints() {
     assert_eq!(rules, expected.iter().map(String::as_str).collect());
 }
 
+fn config_show(text: &str) -> serde_json::Value {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("config.toml");
+    fs::write(&file, text).unwrap();
+    let mut command = gripcast();
+    command.args(["config", "show", "--json", "--config"]);
+    json(&succeed(command.arg(&file)))
+}
+
+/// Packaged settings with everything that is commented out switched on, as their comments say.
+fn switched_on(packaged: &str) -> String {
+    let is_setting = |line: &str| line.starts_with('#') && !line.starts_with("# ");
+    packaged
+        .lines()
+        .filter(|line| *line != "listen = \"none\"")
+        .map(|line| if is_setting(line) { &line[1..] } else { line })
+        .flat_map(|line| [line, "\n"])
+        .collect()
+}
+
 /// The packaged settings are accepted, name every key, and those that are commented out are the
 /// defaults, except where they are examples.
 #[test]
 fn packaged_settings_show_the_defaults() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("config.toml");
-    let show = |text: &str| {
-        fs::write(&file, text).unwrap();
-        let mut command = gripcast();
-        command.args(["config", "show", "--json", "--config"]);
-        json(&succeed(command.arg(&file)))
-    };
     let packaged = repository_file("packaging/config.toml");
-    let as_installed = show(&packaged);
     assert_eq!(
-        as_installed["collect.dataset"]["value"],
+        config_show(&packaged)["collect.dataset"]["value"],
         "/var/lib/gripcast/dataset"
     );
-    let is_setting = |line: &str| line.starts_with('#') && !line.starts_with("# ");
-    let uncommented: String = packaged
-        .lines()
-        .map(|line| if is_setting(line) { &line[1..] } else { line })
-        .flat_map(|line| [line, "\n"])
-        .collect();
-    let defaults = show("");
-    let shown = show(&uncommented);
+    let defaults = config_show("");
+    let shown = config_show(&switched_on(&packaged));
     for (key, default) in defaults.as_object().unwrap() {
         // `sound` is of the screen, which a service has none of.
         if key == "collect.sound" {
@@ -194,8 +203,27 @@ fn packaged_settings_show_the_defaults() {
         }
         let here = &shown[key];
         assert_ne!(here["origin"], "default", "{key} is not in the file");
-        if !["collect.rig", "collect.dataset"].contains(&key.as_str()) {
+        if !["collect.rig", "collect.dataset", "daemon.token_file"].contains(&key.as_str()) {
             assert_eq!(here["value"], default["value"], "{key}");
         }
+    }
+}
+
+/// Any user of a machine can reach its loopback: the packaged service listens there only with a
+/// token, and only after the administrator has said so.
+#[test]
+fn the_packaged_service_opens_no_port_without_a_token() {
+    let packaged = repository_file("packaging/config.toml");
+    let installed = config_show(&packaged);
+    assert_eq!(installed["daemon.listen"]["value"], "none");
+    let page_on = config_show(&switched_on(&packaged));
+    assert_eq!(page_on["daemon.listen"]["value"], "127.0.0.1:7471");
+    let token = page_on["daemon.token_file"]["value"].as_str().unwrap();
+    let postinst = repository_file("packaging/deb/postinst");
+    assert!(postinst.contains(&format!("token={token}\n")), "{postinst}");
+
+    let unit = repository_file("packaging/gripcast.service");
+    for line in ["RuntimeDirectoryMode=0750", "Group=gripcast"] {
+        assert!(settings(&unit).contains(&line), "{line}");
     }
 }

@@ -2,8 +2,10 @@
 
 use std::path::PathBuf;
 
-/// Path of an item of the shared folder (`GRIPCAST_SHARED`, else `../shared`), or `None` with a
-/// loud word that the calling test is skipped.
+use crate::skip::{Needs, skip};
+
+/// Path of an item of the shared folder (`GRIPCAST_SHARED`, else `../shared`); without it, the
+/// calling test is skipped.
 pub(crate) fn shared(item: &str) -> Option<PathBuf> {
     let root = std::env::var_os("GRIPCAST_SHARED").map_or_else(
         || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"),
@@ -13,6 +15,9 @@ pub(crate) fn shared(item: &str) -> Option<PathBuf> {
     if path.exists() {
         return Some(path);
     }
-    eprintln!("SKIPPED: {} is not there", path.display());
+    skip(
+        Needs::Shared,
+        format_args!("{} is not there (set GRIPCAST_SHARED)", path.display()),
+    );
     None
 }

@@ -85,27 +85,40 @@ tar -xf "$tarball" -C source --strip-components=1 \
     --exclude='*/drivers/gpu/drm/amd/include/*' --exclude='*/tools/testing/*'
 rm -f "$tarball"
 
-say "building with $(nproc) jobs; the log is in $home.log"
+# Prints the end of the log where a step fails.
+logged() {
+    "$@" >>"$home.log" 2>&1 || {
+        tail -n 20 "$home.log" >&2
+        say "the build failed, see $home.log"
+        exit 1
+    }
+}
 configure() {
     make -C source ARCH=um O="$work/build" allnoconfig &&
         (cd build && ../source/scripts/kconfig/merge_config.sh -m .config "$fragment") &&
         make -C build ARCH=um olddefconfig
 }
+# Before the long step: a newer kernel may have put an option behind another one.
+check_options() {
+    local option dropped=()
+    for option in USB_VIDEO_CLASS USBIP_VHCI_HCD HIDRAW USB_HID HOSTFS UML_TIME_TRAVEL_SUPPORT; do
+        grep -q "^CONFIG_$option=y" build/.config || dropped+=("CONFIG_$option")
+    done
+    [ ${#dropped[@]} -eq 0 ] || {
+        say "the configuration of $version lacks ${dropped[*]}: what they depend on is missing in $fragment"
+        exit 1
+    }
+}
 # The first make can stop on configuration remembered from allnoconfig; the second goes on.
 compile() {
     make -C build ARCH=um -j"$(nproc)" linux || make -C build ARCH=um -j"$(nproc)" linux
 }
-if ! { configure && compile; } >"$home.log" 2>&1; then
-    tail -n 20 "$home.log" >&2
-    say "the build failed, see $home.log"
-    exit 1
-fi
-for option in USB_VIDEO_CLASS USBIP_VHCI_HCD HIDRAW HOSTFS UML_TIME_TRAVEL_SUPPORT; do
-    grep -q "^CONFIG_$option=y" build/.config || {
-        say "CONFIG_$option was dropped by this kernel's configuration; see uml.fragment"
-        exit 1
-    }
-done
+
+say "building with $(nproc) jobs; the log is in $home.log"
+: >"$home.log"
+logged configure
+check_options
+logged compile
 
 mkdir -p "$home"
 strip -o "$home/umlinux.new" build/linux

@@ -311,10 +311,7 @@ fn pool(threads: usize) -> Result<ThreadPool> {
 
 /// A mesh of the folder of shared data in metres, if it is there.
 fn shared_mesh(item: &str, unit_m: f64) -> Result<Option<TriangleMesh>> {
-    let root = std::env::var_os("GRIPCAST_SHARED").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
+    let root = std::env::var_os("GRIPCAST_SHARED").map_or("../shared".into(), PathBuf::from);
     let path = root.join(item);
     if !path.exists() {
         return Ok(None);

@@ -12,6 +12,7 @@ use crate::pose::camera::project;
 use crate::pose::detect::{ApriltagDetector, ApriltagSettings};
 use crate::pose::synthetic::{PictureConditions, render_board, ring_board};
 use crate::pose::{BoardFile, Chessboard, Dictionary, MarkerDetector as _};
+use crate::skip::{Needs, skip};
 
 fn charuco() -> BoardFile {
     let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
@@ -182,10 +183,11 @@ fn pictures_of_no_use_are_refused() {
 #[test]
 fn real_pictures_fit() {
     let Some(folder) = std::env::var_os("GRIPCAST_CHARUCO") else {
-        eprintln!(
-            "SKIPPED: set GRIPCAST_CHARUCO to a folder with img_00.jpg to img_03.jpg of OpenCV's ChArUco tutorial"
+        return skip(
+            Needs::Charuco,
+            "set GRIPCAST_CHARUCO to a folder with img_00.jpg to img_03.jpg of OpenCV's ChArUco \
+             tutorial",
         );
-        return;
     };
     let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
     let chessboard = Chessboard {

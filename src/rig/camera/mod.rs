@@ -13,6 +13,7 @@ mod v4l2_controls;
 mod v4l2_fake;
 mod v4l2_ioctl;
 mod v4l2_node;
+mod v4l2_shared;
 mod virtual_camera;
 mod virtual_scene;
 
@@ -36,6 +37,7 @@ pub use v4l2_node::{
     Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
     VideoNode, VideoNodes,
 };
+pub use v4l2_shared::SharedBytes;
 pub use virtual_camera::{VirtualOpener, VirtualRig};
 pub use virtual_scene::{
     Film, FilmFiles, FilmKeys, FilmLibrary, HandGoal, SceneMoment, ShootSettings, VirtualHand,

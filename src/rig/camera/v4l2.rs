@@ -6,6 +6,7 @@
 //! when it is decoded. Two frames may come in the wrong order (their sequence numbers tell).
 
 use std::io;
+use std::ops::Range;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
@@ -15,6 +16,7 @@ use super::source::{CameraOpener, CaptureError, ControlValues, FrameSource, Stre
 use super::v4l2_controls as controls;
 use super::v4l2_ioctl::KernelNodes;
 use super::v4l2_node::{Filled, Interval, Layout, VideoNode, VideoNodes};
+use super::v4l2_shared::SharedBytes;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Frame, FrameBytes, FramePool, Role};
 use crate::rig::calibration::CameraConfig;
@@ -158,7 +160,8 @@ impl V4l2Source {
             return Err(damaged("the driver marked it as incomplete".to_owned()));
         }
         let used = filled.bytes_used as usize;
-        let Some(bytes) = self.node.buffer(filled.index).and_then(|b| b.get(..used)) else {
+        let buffer = self.node.buffer(filled.index);
+        let Some(bytes) = buffer.and_then(|buffer| buffer.first(used)) else {
             return Err(damaged(format!(
                 "the driver reports {used} bytes in buffer {}, which is not that long",
                 filled.index
@@ -202,31 +205,45 @@ impl V4l2Source {
 /// Copies one frame; raw formats lose the padding at the end of each row.
 fn copy_tight(
     pool: &mut FramePool,
-    bytes: &[u8],
+    bytes: SharedBytes<'_>,
     info: &StreamInfo,
     bytes_per_line: u32,
 ) -> Result<FrameBytes, String> {
+    let whole = bytes.len();
     let Some(expected) = info.format.frame_bytes(info.width, info.height) else {
-        return Ok(pool.copy(bytes));
+        return copied(pool, bytes, std::iter::once(0..whole));
     };
     let height = info.height as usize;
     let row = expected.checked_div(height).unwrap_or(0);
     let stride = (bytes_per_line as usize).max(row);
-    let needed = stride * height.saturating_sub(1) + row;
-    let Some(bytes) = bytes.get(..needed) else {
+    let needed = stride
+        .saturating_mul(height.saturating_sub(1))
+        .saturating_add(row);
+    if needed > whole {
         return Err(format!(
-            "{} {}×{} needs {needed} bytes, {} came",
-            info.format,
-            info.width,
-            info.height,
-            bytes.len()
+            "{} {}×{} needs {needed} bytes, {whole} came",
+            info.format, info.width, info.height
         ));
-    };
-    Ok(if stride == row {
-        pool.copy(bytes)
-    } else {
-        pool.copy_rows(bytes.chunks(stride).map(|line| &line[..row]))
-    })
+    }
+    if stride == row {
+        return copied(pool, bytes, std::iter::once(0..needed));
+    }
+    let starts = (0..height).map(|line| line * stride);
+    copied(pool, bytes, starts.map(|start| start..start + row))
+}
+
+/// Copies parts of a buffer, one after the other.
+fn copied(
+    pool: &mut FramePool,
+    bytes: SharedBytes<'_>,
+    mut parts: impl Iterator<Item = Range<usize>>,
+) -> Result<FrameBytes, String> {
+    let mut complete = false;
+    let copy = pool.fill(|to| complete = parts.all(|part| bytes.append(part, to)));
+    if complete {
+        return Ok(copy);
+    }
+    Err(format!("a row reaches beyond its {} bytes", bytes.len()))
 }
 
 /// Asks for a frame rate; a driver without rates, or with another one, is remarked upon.

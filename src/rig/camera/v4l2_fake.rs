@@ -10,6 +10,7 @@ use super::v4l2_node::{
     Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
     VideoNode, VideoNodes,
 };
+use super::v4l2_shared::SharedBytes;
 
 /// What happens next on the queue of a fake node.
 #[derive(Clone, Debug)]
@@ -250,10 +251,11 @@ impl VideoNode for FakeNode {
         Ok(count)
     }
 
-    fn buffer(&self, index: u32) -> Option<&[u8]> {
+    fn buffer(&self, index: u32) -> Option<SharedBytes<'_>> {
         let queued = self.camera.lock().unwrap().queued[index as usize];
         assert!(!queued, "buffer {index} belongs to the driver");
-        self.buffers.get(index as usize).map(Vec::as_slice)
+        let bytes = self.buffers.get(index as usize)?;
+        Some(SharedBytes::from(&**bytes))
     }
 
     fn enqueue(&mut self, index: u32) -> io::Result<()> {

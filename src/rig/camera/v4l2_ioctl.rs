@@ -20,6 +20,7 @@ use super::v4l2_node::{
     Capabilities, ControlRange, ExtensionRequest, Filled, FrameSize, Interval, Layout, Readiness,
     VideoNode, VideoNodes,
 };
+use super::v4l2_shared::SharedBytes;
 
 const CAPTURE: u32 = sys::v4l2_buf_type_V4L2_BUF_TYPE_VIDEO_CAPTURE;
 const MMAP: u32 = sys::v4l2_memory_V4L2_MEMORY_MMAP;
@@ -81,11 +82,34 @@ const UVCIOC_CTRL_QUERY: vidioc::_IOC_TYPE = (3 << 30)
     | ((b'u' as vidioc::_IOC_TYPE) << 8)
     | 0x21;
 
-/// A plain C structure of the V4L2 ABI, all bytes zero.
-fn zeroed<T: Copy>() -> T {
-    // SAFETY: used only with the integer-and-array structures of `v4l_sys`; zero is a valid value
-    // of each of their fields.
+/// A structure of the V4L2 ABI of which all bytes may be zero.
+///
+/// # Safety
+/// Every field, and every member of a union, must have a valid value of zero bytes.
+unsafe trait Zeroable: Copy {}
+
+macro_rules! zeroable {
+    ($($structure:ident)*) => {$(
+        // SAFETY: linux/videodev2.h declares it with integers, arrays of integers, unions of them
+        // and raw pointers; it has no reference, no function pointer and no Rust enum.
+        unsafe impl Zeroable for sys::$structure {}
+    )*};
+}
+zeroable! {
+    v4l2_buffer v4l2_capability v4l2_captureparm v4l2_fmtdesc v4l2_format v4l2_frmivalenum
+    v4l2_frmsizeenum v4l2_pix_format v4l2_queryctrl v4l2_requestbuffers v4l2_streamparm
+}
+
+fn zeroed<T: Zeroable>() -> T {
+    // SAFETY: that is what `Zeroable` promises.
     unsafe { std::mem::zeroed() }
+}
+
+/// Time of a frame, ns.
+fn time_ns(seconds: u64, microseconds: u64) -> u64 {
+    seconds
+        .saturating_mul(1_000_000_000)
+        .saturating_add(microseconds.saturating_mul(1000))
 }
 
 fn text(bytes: &[u8]) -> String {
@@ -281,11 +305,10 @@ impl VideoNode for KernelNode {
         Ok(request.count)
     }
 
-    fn buffer(&self, index: u32) -> Option<&[u8]> {
+    fn buffer(&self, index: u32) -> Option<SharedBytes<'_>> {
         let mapping = self.buffers.get(index as usize).filter(|m| !m.queued)?;
-        // SAFETY: the mapping is `length` bytes, lives as long as `self`, and while it is not
-        // queued the kernel does not write to it; queueing needs `&mut self`.
-        Some(unsafe { std::slice::from_raw_parts(mapping.start.as_ptr(), mapping.length) })
+        // SAFETY: the mapping is `length` bytes and readable as long as `self` lives.
+        Some(unsafe { SharedBytes::new(mapping.start, mapping.length) })
     }
 
     fn enqueue(&mut self, index: u32) -> io::Result<()> {
@@ -346,7 +369,7 @@ impl VideoNode for KernelNode {
             time_ns: seconds
                 .zip(microseconds)
                 .filter(|_| monotonic)
-                .map(|(s, us)| s.saturating_mul(1_000_000_000).saturating_add(us * 1000)),
+                .map(|(s, us)| time_ns(s, us)),
         })
     }
 
@@ -437,6 +460,21 @@ mod tests {
         );
         assert!(node.buffer(0).is_none());
         assert!(node.now_ns() > 0);
+    }
+
+    #[test]
+    fn times_of_a_broken_driver_do_not_overflow() {
+        assert_eq!(time_ns(2, 500_000), 2_500_000_000);
+        assert_eq!(time_ns(0, i64::MAX as u64), u64::MAX);
+        assert_eq!(time_ns(u64::MAX, 1), u64::MAX);
+    }
+
+    #[test]
+    fn structures_start_as_zeros() {
+        let buffer: sys::v4l2_buffer = zeroed();
+        assert_eq!((buffer.index, buffer.length, buffer.flags), (0, 0, 0));
+        let found: sys::v4l2_capability = zeroed();
+        assert_eq!(text(&found.card), "");
     }
 
     #[test]

@@ -4,6 +4,8 @@ use std::io;
 use std::path::Path;
 use std::time::Duration;
 
+use super::v4l2_shared::SharedBytes;
+
 /// What `VIDIOC_QUERYCAP` says about a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Capabilities {
@@ -147,7 +149,7 @@ pub trait VideoNode: Send {
     /// `VIDIOC_REQBUFS`, `VIDIOC_QUERYBUF` and the mapping of each; returns how many there are.
     fn map_buffers(&mut self, count: u32) -> io::Result<u32>;
     /// The bytes of a buffer; `None` while the driver owns it.
-    fn buffer(&self, index: u32) -> Option<&[u8]>;
+    fn buffer(&self, index: u32) -> Option<SharedBytes<'_>>;
     /// `VIDIOC_QBUF`.
     fn enqueue(&mut self, index: u32) -> io::Result<()>;
     /// `VIDIOC_STREAMON`.

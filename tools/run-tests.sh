@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# tools/run-tests.sh [ARGUMENT…]: `cargo test` with these arguments, then a summary of what was
+# skipped and why. Exit status: that of `cargo test`.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+# shellcheck disable=SC1091
+. tools/env.sh
+mkdir -p target/skipped
+: >target/skipped/tests
+export GRIPCAST_SKIPS=$PWD/target/skipped/tests
+code=0
+cargo test "$@" || code=$?
+tools/skipped.sh
+exit "$code"
