@@ -78,7 +78,13 @@ impl Place {
         let dir = tempfile::tempdir().expect("a folder for the case");
         let outside = dir.path().join("outside");
         fs::create_dir_all(outside.join("folder")).expect("outside");
-        for name in ["secret", "secret.jpg", "secret.obj", "secret.mtl", "folder/grasp.json"] {
+        for name in [
+            "secret",
+            "secret.jpg",
+            "secret.obj",
+            "secret.mtl",
+            "folder/grasp.json",
+        ] {
             fs::write(outside.join(name), "secret").expect("a secret");
         }
         fs::create_dir(dir.path().join("jail")).expect("a jail");
@@ -103,7 +109,11 @@ impl Place {
         let mut buffer = [std::mem::MaybeUninit::uninit(); 4096];
         let mut events = inotify::Reader::new(&self.watch, &mut buffer);
         if let Ok(event) = events.next() {
-            panic!("{what}: {:?} of {:?} outside", event.events(), event.file_name());
+            panic!(
+                "{what}: {:?} of {:?} outside",
+                event.events(),
+                event.file_name()
+            );
         }
     }
 }
@@ -117,7 +127,8 @@ fn quoted(text: &str) -> String {
 fn litter(folder: &Path, choices: &mut Choices<'_>, outside: &Path) {
     for _ in 0..choices.byte() % 4 {
         let name = choices.name(outside);
-        let is_plain = !name.is_empty() && !name.contains(['/', '\0']) && name != "." && name != "..";
+        let is_plain =
+            !name.is_empty() && !name.contains(['/', '\0']) && name != "." && name != "..";
         if !is_plain {
             continue;
         }
@@ -192,7 +203,9 @@ fn record(place: &Place, choices: &mut Choices<'_>) {
     if let Ok(data) = Dataset::open(&root) {
         for record in data.grasps().into_iter().flatten().flatten() {
             for file in record.files.keys() {
-                let _ = data.file(&record, file).map(|f| f.read(gripcast::files::FileKind::Image));
+                let _ = data
+                    .file(&record, file)
+                    .map(|f| f.read(gripcast::files::FileKind::Image));
             }
             for key in record.calibration_keys() {
                 let _ = data.calibration(key);
@@ -231,8 +244,10 @@ fn mesh(place: &Place, choices: &mut Choices<'_>) {
     let name = choices.name(&outside);
     let path = root.join(if is_obj { "mesh.obj" } else { "mesh.gltf" });
     let text = if is_obj {
-        format!("mtllib {name}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl a\n\
-                 f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+        format!(
+            "mtllib {name}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl a\n\
+                 f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+        )
     } else {
         format!(
             "{{\"asset\":{{\"version\":\"2.0\"}},\"buffers\":[{{\"byteLength\":6,\"uri\":{}}}],\

@@ -23,10 +23,10 @@ const ENV_PREFIX: &str = "GRIPCAST__";
 ///
 /// Such a file may have come with somebody else's data. It may say what is collected and how. It
 /// may not decide who can reach this machine and what they must show, nor where files outside the
-/// dataset are written or removed. No key names a command that is executed; one that did would
+/// dataset are written, removed or read through links. No key names a command that is executed; one that did would
 /// belong here.
 fn is_protected(key: &str) -> bool {
-    key.starts_with("daemon.") || key == "black_box.directory"
+    key.starts_with("daemon.") || key.starts_with("files.") || key == "black_box.directory"
 }
 
 /// All settings; empty text = not set.
@@ -395,7 +395,7 @@ pub fn default_file() -> Option<ConfigFile> {
     if local.is_file() {
         return Some(ConfigFile::Found(local));
     }
-    user_file()
+    user_file().map(ConfigFile::Chosen)
 }
 
 /// `$XDG_CONFIG_HOME/gripcast/config.toml`, where it is there.
@@ -404,7 +404,7 @@ fn user_file() -> Option<PathBuf> {
         .map(PathBuf::from)
         .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".config")))?;
     let own = home.join("gripcast/config.toml");
-    own.is_file().then_some(ConfigFile::Chosen(own))
+    own.is_file().then_some(own)
 }
 
 fn flatten(prefix: &str, table: &Table, found: &mut impl FnMut(String, &Value)) {

@@ -74,7 +74,10 @@ impl Site {
         let (address, places) = (listeners.address().unwrap(), listeners.places.clone());
         let backend = Arc::new(backend);
         let router = router(Arc::clone(&backend));
-        runtime.spawn(serve(listeners, router, Tasks::default(), stopped));
+        let handle = runtime.handle().clone();
+        std::thread::spawn(move || {
+            handle.block_on(serve(listeners, router, Tasks::default(), stopped));
+        });
         Self {
             runtime,
             address,

@@ -72,7 +72,12 @@ impl Shelf for DirectoryShelf {
         let entries = self.place.entries()?;
         Ok(entries
             .iter()
-            .map(|entry| (entry.name(), entry.metadata().map_or(0, |found| found.bytes)))
+            .map(|entry| {
+                (
+                    entry.name(),
+                    entry.metadata().map_or(0, |found| found.bytes),
+                )
+            })
             .collect())
     }
 
