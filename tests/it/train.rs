@@ -5,10 +5,11 @@ use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use gripcast::files::Root;
 use gripcast::geometry::Pose;
 use gripcast::imaging::{encode_jpeg, synthetic_gel};
 use gripcast::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_name,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_place,
 };
 use gripcast::train::RunFolder;
 use image::{Rgb, RgbImage};
@@ -73,9 +74,10 @@ fn row(part: &str, number: u64, is_stable: bool) -> ShardRow {
 }
 
 fn write_part(data: &Path, part: &str, rows: impl IntoIterator<Item = ShardRow>) {
-    let path = data.join(shard_name(part, 0, 1).unwrap());
-    fs::create_dir_all(path.parent().unwrap()).unwrap();
-    let mut writer = ShardWriter::create(path, "{}").unwrap();
+    fs::create_dir_all(data).unwrap();
+    let place = shard_place(&Root::new(data), part, 0, 1).unwrap();
+    place.parent().create_dir_all().unwrap();
+    let mut writer = ShardWriter::create(&place, "{}").unwrap();
     for row in rows {
         writer.push(row).unwrap();
     }

@@ -25,13 +25,9 @@ fn settings(jobs: usize) -> PlanSettings {
 
 fn draft(name: &str, size: f64) -> ObjectDraft {
     ObjectDraft {
-        name: name.to_owned(),
+        name: SimulationId::parse(name).unwrap(),
         category: "box".to_owned(),
-        source: MeshSource::File {
-            path: "builtin:box".to_owned(),
-            unit: "m".to_owned(),
-            scale: size,
-        },
+        source: MeshSource::stored(&SimulationId::parse(name).unwrap()).unwrap(),
         mesh: builtin("box").unwrap().scaled(size),
         material: Material::named("wood").unwrap(),
         fill: Some(1.0),
@@ -64,7 +60,7 @@ fn the_plan_is_the_same_on_any_number_of_threads_and_leaves_out_what_does_not_fi
     let forces = one.plan.simulations.iter().map(|s| s.stop_force_n);
     assert_eq!(forces.filter(|force| *force == 10.0).count(), 4);
     let folder = tempfile::tempdir().unwrap();
-    one.plan.write(folder.path()).unwrap();
+    one.write(folder.path()).unwrap();
     let file = std::fs::read(folder.path().join("plan.jsonl")).unwrap();
     assert_eq!(one.plan.sha256, crate::files::sha256_hex(file));
     assert_eq!(Plan::read(folder.path()).unwrap(), one.plan);
@@ -102,7 +98,7 @@ fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
 fn names_that_cannot_be_and_nothing_to_grasp_are_explained() {
     let text = |drafts| made(drafts, &settings(1)).unwrap_err().to_string();
     assert!(text(vec![draft("a", 1.0), draft("a", 0.8)]).contains("two objects"));
-    assert!(text(vec![draft("a/b", 1.0)]).contains("cannot be the name"));
+    assert!(text(vec![draft(&"n".repeat(75), 1.0)]).contains("shorter name"));
     assert!(text(vec![draft("huge", 9.0)]).contains("unit and scale"));
     assert!(text(Vec::new()).contains("no object was given"));
 }

@@ -189,13 +189,13 @@ fn damage_is_named() {
     let store = ResultStore::beside(folder.path());
     let id = |k: usize| &sample.plan.simulations[k].id;
     // Cut off: the result counts as open and is named.
-    let path = store.samples(id(3));
+    let path = store.samples(id(3)).shown();
     fs::write(&path, b"cut").unwrap();
     let found = reported(&sample.plan, folder.path(), None).unwrap();
     assert_eq!(found.progress.open, 2);
     assert_eq!(found.progress.damaged, [id(3).clone()]);
     // Altered: nothing can be said of the pictures.
-    let path = store.samples(id(4));
+    let path = store.samples(id(4)).shown();
     let mut bytes = fs::read(&path).unwrap();
     bytes[200] ^= 1;
     fs::write(&path, bytes).unwrap();

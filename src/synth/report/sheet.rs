@@ -56,7 +56,7 @@ fn example(seen: &Seen<'_>) -> Option<Example> {
         result,
     } = seen.done;
     Some(Example {
-        simulation: simulation.id.clone(),
+        simulation: simulation.id.to_string(),
         object: object.name.clone(),
         category: object.category.clone(),
         material: object.material.clone(),

@@ -18,7 +18,7 @@ pub(super) fn unlabelled(gathered: &Gathered<'_>) -> Vec<UnlabelledGroup> {
             outcome: outcome.clone(),
             reason: short,
             count: 0,
-            example: done.simulation.id.clone(),
+            example: done.simulation.id.to_string(),
             example_reason: in_full,
         });
         group.count += 1;
