@@ -25,7 +25,7 @@ fn all_conditions_are_trained_tested_and_compared_once() {
     let settings = ExperimentSettings {
         tests: vec![TestSet {
             title: "Held-out objects".to_owned(),
-            name: "held-out".to_owned(),
+            name: "held-out",
             data: fem.clone(),
             split: "test".to_owned(),
         }],
