@@ -18,11 +18,12 @@ use sha2::{Digest as _, Sha256};
 use crate::error::{Error, Result};
 
 pub use beneath::{
-    BeneathPath, Component, FileKind, Metadata, Root, allow_links_into, open_regular,
-    read_regular,
+    BeneathPath, Component, FileKind, Metadata, Root, allow_links_into, open_regular, read_regular,
+    read_text,
 };
 pub use name::{
-    ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId, is_unsafe_char,
+    ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId,
+    is_unsafe_char,
 };
 pub use owner_lock::{NotLocked, OwnerLock};
 

@@ -12,8 +12,10 @@ use tokio::sync::mpsc;
 use super::config::{CollectConfig, Config};
 use super::daemon::{Asked, Boards, Ended, EngineSetup};
 use super::model_choice::chosen_model;
+use crate::app::note;
 use crate::dataset::NewDataset;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::allow_links_into;
 use crate::imaging::Role;
 use crate::rig::calibration::{PedalConfig, RigFile};
 use crate::rig::camera::{MonotonicClock, RigSources, SupervisionPolicy};
@@ -50,6 +52,7 @@ pub(crate) fn prepare(
     script: Option<Script>,
     start: Start,
 ) -> Result<EngineSetup> {
+    allow_links_into(config.files.folders());
     let settings = config.collect;
     let dataset = chosen_dataset(&settings)?;
     let black_box = config.black_box.settings(&dataset)?;
@@ -62,7 +65,7 @@ pub(crate) fn prepare(
     let (intrinsics, notes) = sources.intrinsics(&rig, &root)?;
     if !start.quiet {
         for note in notes {
-            eprintln!("{note}");
+            note!("{note}");
         }
     }
 
@@ -74,7 +77,7 @@ pub(crate) fn prepare(
     let is_bound = rig.cameras.contains_key(&Role::External);
     let is_calibrated = intrinsics.contains_key(&Role::External);
     if is_bound && boards.is_some() && !is_calibrated && !start.quiet {
-        eprintln!(
+        note!(
             "external: no intrinsics, so that grasps get no pose; measure them with `gripcast \
              calibrate intrinsics` and name the file in [cameras.external]"
         );
@@ -161,12 +164,12 @@ fn listen_to_pedal(pedal: &PedalConfig, commands: &mpsc::Sender<Asked>, ended: &
                 let _ = commands.try_send(Asked::new(command, CommandSource::Pedal));
             }
         }
-        PedalEvent::Ready { product } => eprintln!("pedal ready: {product}"),
-        PedalEvent::Unmapped { key } => eprintln!("pedal key `{key}` has no command in the rig"),
-        PedalEvent::Lost { reason } => eprintln!("pedal: {reason}"),
+        PedalEvent::Ready { product } => note!("pedal ready: {product}"),
+        PedalEvent::Unmapped { key } => note!("pedal key `{key}` has no command in the rig"),
+        PedalEvent::Lost { reason } => note!("pedal: {reason}"),
     });
     if let Err(error) = result {
-        eprintln!("pedal: {error}");
+        note!("pedal: {error}");
     }
 }
 

@@ -12,6 +12,7 @@ use toml::{Table, Value};
 
 use crate::app::daemon::BlackBoxSettings;
 use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::files::{Label, ObjectName};
 use crate::session::GuardLimits;
 
 /// Prefix of environment variables.
@@ -29,6 +30,43 @@ pub struct Config {
     pub guards: GuardLimits,
     /// The continuous log of a collection.
     pub black_box: BlackBoxConfig,
+    /// Files of datasets, plans and meshes.
+    pub files: FilesConfig,
+}
+
+/// Section `[files]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FilesConfig {
+    /// Folders outside of a dataset into which its symbolic links may lead, with `:` between them
+    /// as in `PATH`.
+    pub linked_folders: String,
+}
+
+impl FilesConfig {
+    /// The folders.
+    #[must_use]
+    pub fn folders(&self) -> Vec<PathBuf> {
+        std::env::split_paths(&self.linked_folders)
+            .filter(|path| !path.as_os_str().is_empty())
+            .collect()
+    }
+}
+
+/// `files.linked_folders` of the environment, else of the user's own file: what every verb needs
+/// before it has read its configuration. A file that is not valid is reported by the verbs that
+/// read it.
+#[must_use]
+pub fn linked_folders() -> Vec<PathBuf> {
+    let linked_folders = std::env::var(format!("{ENV_PREFIX}FILES__LINKED_FOLDERS")).ok();
+    let linked_folders = linked_folders.or_else(|| {
+        let text = std::fs::read_to_string(user_file()?).ok()?;
+        let table: Table = text.parse().ok()?;
+        let folders = table.get("files")?.get("linked_folders")?;
+        folders.as_str().map(str::to_owned)
+    });
+    let linked_folders = linked_folders.unwrap_or_default();
+    FilesConfig { linked_folders }.folders()
 }
 
 /// Most that waits in memory to be written to the black box, bytes: a third of a second of two
@@ -137,11 +175,11 @@ pub struct CollectConfig {
     /// Dataset directory.
     pub dataset: String,
     /// Object at the start.
-    pub object: String,
+    pub object: ObjectName,
     /// Scene at the start.
-    pub scene: String,
+    pub scene: Label,
     /// Operator.
-    pub operator: String,
+    pub operator: Label,
     /// ONNX file, `gripcast-vt` or `baseline-contact`; empty = the first of these that suits the
     /// rig, `none` = no prediction.
     pub model: String,
@@ -156,9 +194,9 @@ impl Default for CollectConfig {
         Self {
             rig: String::new(),
             dataset: String::new(),
-            object: "object".into(),
-            scene: "scene".into(),
-            operator: String::new(),
+            object: ObjectName::default(),
+            scene: Label::nearest("scene"),
+            operator: Label::default(),
             model: String::new(),
             sound: "auto".into(),
             licence: "not stated".into(),
@@ -280,6 +318,11 @@ pub fn default_file() -> Option<PathBuf> {
     if local.is_file() {
         return Some(local);
     }
+    user_file()
+}
+
+/// `$XDG_CONFIG_HOME/gripcast/config.toml`, where it is there.
+fn user_file() -> Option<PathBuf> {
     let home = std::env::var_os("XDG_CONFIG_HOME")
         .map(PathBuf::from)
         .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".config")))?;

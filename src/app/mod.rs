@@ -9,5 +9,8 @@ mod doctor;
 mod model_choice;
 mod rig_lock;
 mod service;
+mod terminal_text;
 pub mod tui;
 mod web;
+
+pub(crate) use terminal_text::note;

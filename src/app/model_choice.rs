@@ -1,5 +1,6 @@
 //! Which model predicts on a rig.
 
+use crate::app::note;
 use crate::error::Result;
 use crate::predict::{BASELINE, Model, ModelContract, SHIPPED};
 use crate::rig::calibration::RigFile;
@@ -14,7 +15,7 @@ pub(crate) fn chosen_model(name: &str, rig: &RigFile, is_quiet: bool) -> Result<
         "" => {
             let (name, why) = usual_model(rig)?;
             if let (Some(why), false) = (why, is_quiet) {
-                eprintln!(
+                note!(
                     "{why}: predictions come from `{BASELINE}`, a heuristic, instead of `{SHIPPED}`"
                 );
             }

@@ -14,6 +14,7 @@ use super::collection::{COMMAND_QUEUE, start_pedals, stop_signals};
 use super::daemon::{self, CollectReport, EngineLinks, EngineSetup, EngineStatus, Stored, Tasks};
 use super::tui;
 use super::web::{self, Access, Backend, Listeners, ModelInfo, News, Token};
+use crate::app::note;
 use crate::error::{Error, Result};
 use crate::rig::calibration::PedalConfig;
 use crate::session::{GuardLimits, StoreReply, StoreRequest};
@@ -139,17 +140,17 @@ fn announce(listeners: &Listeners, settings: &ServiceSettings) {
         return;
     }
     if let Some(address) = listeners.address() {
-        eprintln!("page and API: http://{address}/");
+        note!("page and API: http://{address}/");
     }
     if let Some(socket) = &settings.socket {
-        eprintln!("socket: {}", socket.display());
+        note!("socket: {}", socket.display());
     }
 }
 
 /// Passes a change of the dataset on.
 fn tell(backend: &Backend, stored: &Stored) {
     if let StoreReply::Failed { message } = &stored.reply {
-        eprintln!("NOT SAVED: {message}");
+        note!("NOT SAVED: {message}");
     }
     if let StoreRequest::SetOutcome { id, .. }
     | StoreRequest::RestoreGrasp { id }
@@ -193,7 +194,7 @@ async fn reload_on_hangup(
     let mut hangup = match signal(SignalKind::hangup()) {
         Ok(hangup) => hangup,
         Err(e) => {
-            eprintln!("{}", Error::io("settings cannot be reloaded", e));
+            note!("{}", Error::io("settings cannot be reloaded", e));
             return;
         }
     };
@@ -207,13 +208,13 @@ async fn reload_on_hangup(
                 if limits.send(settings.guards).await.is_err() {
                     return;
                 }
-                eprintln!("settings reloaded");
+                note!("settings reloaded");
                 if !settings.need_restart.is_empty() {
                     let keys = settings.need_restart.join(", ");
-                    eprintln!("these have changed and need a restart: {keys}");
+                    note!("these have changed and need a restart: {keys}");
                 }
             }
-            Err(error) => eprintln!("settings NOT reloaded: {error}"),
+            Err(error) => note!("settings NOT reloaded: {error}"),
         }
         let _ = sd_notify::notify(&[NotifyState::Ready]);
     }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::grasp::Outcome;
+use crate::files::ObjectName;
 
 /// Grasps by outcome, and by object and outcome.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -10,16 +11,16 @@ pub struct GraspCounts {
     /// Grasps by outcome.
     pub by_outcome: BTreeMap<Outcome, usize>,
     /// Grasps by object and outcome.
-    pub by_object: BTreeMap<String, BTreeMap<Outcome, usize>>,
+    pub by_object: BTreeMap<ObjectName, BTreeMap<Outcome, usize>>,
 }
 
 impl GraspCounts {
     /// Adds one grasp.
-    pub(super) fn add(&mut self, object: &str, outcome: Outcome) {
+    pub(super) fn add(&mut self, object: &ObjectName, outcome: Outcome) {
         *self.by_outcome.entry(outcome).or_default() += 1;
         *self
             .by_object
-            .entry(object.to_owned())
+            .entry(object.clone())
             .or_default()
             .entry(outcome)
             .or_default() += 1;

@@ -15,6 +15,7 @@ use super::verify::verify;
 use super::writer::DatasetWriter;
 use super::{GraspId, Outcome, PendingInitial};
 use crate::error::{ErrorKind, Result};
+use crate::files::{BeneathPath, ContentKey};
 
 /// What happens at the chosen operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -188,15 +189,17 @@ impl Revert {
 }
 
 impl Disk for FailingDisk {
-    fn create_dir(&self, path: &Path) -> io::Result<()> {
+    fn create_dir(&self, path: &BeneathPath) -> io::Result<()> {
         self.step(true)?;
+        let path = &path.shown();
         fs::create_dir(path)?;
         self.note(&[path], Revert::RemoveDir(path.to_owned()));
         Ok(())
     }
 
-    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+    fn write(&self, path: &BeneathPath, bytes: &[u8]) -> io::Result<()> {
         self.step(true)?;
+        let path = &path.shown();
         let is_new = !path.exists();
         fs::write(path, &bytes[..bytes.len() / 2])?;
         if is_new {
@@ -213,47 +216,51 @@ impl Disk for FailingDisk {
         })
     }
 
-    fn link(&self, from: &Path, to: &Path) -> io::Result<()> {
+    fn link(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
         self.step(true)?;
+        let (from, to) = (&from.shown(), &to.shown());
         fs::hard_link(from, to)?;
         self.note(&[to], Revert::RemoveFile(to.to_owned()));
         Ok(())
     }
 
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+    fn rename(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
         self.step(false)?;
+        let (from, to) = (&from.shown(), &to.shown());
         let replaced = fs::read(to).ok();
         fs::rename(from, to)?;
         self.note_rename(from, to, replaced);
         Ok(())
     }
 
-    fn rename_new(&self, from: &Path, to: &Path) -> io::Result<()> {
+    fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
         self.step(false)?;
         SystemDisk.rename_new(from, to)?;
-        self.note_rename(from, to, None);
+        self.note_rename(&from.shown(), &to.shown(), None);
         Ok(())
     }
 
-    fn remove_file(&self, path: &Path) -> io::Result<()> {
+    fn remove_file(&self, path: &BeneathPath) -> io::Result<()> {
         self.step(false)?;
+        let path = &path.shown();
         let bytes = fs::read(path)?;
         fs::remove_file(path)?;
         self.note(&[path], Revert::RestoreFile(path.to_owned(), bytes));
         Ok(())
     }
 
-    fn remove_dir(&self, path: &Path) -> io::Result<()> {
+    fn remove_dir(&self, path: &BeneathPath) -> io::Result<()> {
         self.step(false)?;
+        let path = &path.shown();
         fs::remove_dir(path)?;
         self.note(&[path], Revert::RestoreDir(path.to_owned()));
         Ok(())
     }
 
-    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+    fn sync_dir(&self, path: &BeneathPath) -> io::Result<()> {
         self.step(false)?;
         for change in &mut self.state().changes {
-            change.unflushed.remove(path);
+            change.unflushed.remove(&path.shown());
         }
         Ok(())
     }
@@ -316,7 +323,7 @@ struct Operator {
     discarded: Option<GraspId>,
     last: Option<GraspId>,
     undone: Option<GraspId>,
-    calibration: Option<String>,
+    calibration: Option<ContentKey>,
 }
 
 impl Operator {
@@ -432,8 +439,8 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Known {
     let undone = super::reader::subdirectories(&layout.trash())
         .unwrap()
         .into_iter()
-        .filter(|name| super::record_file::read_grasp(&layout.trash().join(name)).is_ok())
-        .map(GraspId)
+        .filter_map(|name| GraspId::parse(&name).ok())
+        .filter(|id| super::record_file::read_grasp(&layout.trashed(id)).is_ok())
         .collect();
     Known {
         grasps,

@@ -7,8 +7,8 @@ use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::layout::Stage;
-pub use crate::files::GraspId;
 use crate::error::{Error, ErrorKind, Result};
+pub use crate::files::GraspId;
 use crate::files::{ContentKey, FileName, Label, ObjectName};
 use crate::geometry::Pose;
 use crate::imaging::{PixelFormat, Role};

@@ -1,6 +1,5 @@
 //! Opening a dataset for writing: making it, or putting in order what a crash left.
 
-use std::fs;
 use std::io;
 use std::path::Path;
 
@@ -139,7 +138,7 @@ impl DatasetWriter {
 /// Makes the dataset's directory, or refuses one that holds something else.
 fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
     let root = layout.root();
-    match fs::read_dir(root) {
+    match layout.top().entries() {
         Err(e) if e.kind() == io::ErrorKind::NotFound => create_all(disk, root)
             .map_err(|e| failed(layout, "cannot make the dataset's directory", e)),
         Err(e) if e.kind() == io::ErrorKind::NotADirectory => Err(Error::new(
@@ -152,9 +151,9 @@ fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
         Ok(_) if layout.dataset_toml().is_taken() => Ok(()),
         Ok(entries) => {
             // A crash may have come between the lock and the description.
-            let foreign = entries.flatten().find(|entry| {
-                let name = entry.file_name();
-                name != LOCK && name.to_string_lossy() != partial_name(DATASET_TOML)
+            let foreign = entries.iter().find(|entry| {
+                let name = entry.name();
+                name != LOCK && name != partial_name(DATASET_TOML)
             });
             let Some(foreign) = foreign else {
                 return Ok(());
@@ -163,7 +162,7 @@ fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
                 ErrorKind::Input,
                 format!(
                     "the directory holds `{}` but no dataset.toml: it is not a dataset",
-                    foreign.file_name().to_string_lossy()
+                    foreign.name()
                 ),
             )
             .at(root.display());

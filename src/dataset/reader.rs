@@ -9,7 +9,7 @@ use super::picture;
 use super::record_file::{check_id, read_grasp};
 use super::split::{self, SplitFile};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::{BeneathPath, ContentKey, FileKind, FileName};
+use crate::files::{BeneathPath, ContentKey, FileKind};
 use crate::imaging::{Frame, PixelFormat, Role};
 
 /// A dataset that is read; any number of readers beside one writer.
@@ -78,12 +78,7 @@ impl Dataset {
 
     /// Where an image of a grasp is; `None` when there is none of that role at that stage.
     #[must_use]
-    pub fn path_of(
-        &self,
-        record: &GraspRecord,
-        stage: Stage,
-        role: Role,
-    ) -> Option<BeneathPath> {
+    pub fn path_of(&self, record: &GraspRecord, stage: Stage, role: Role) -> Option<BeneathPath> {
         let camera = record.stage(stage).cameras.get(&role)?;
         Some(self.layout.grasp(&record.id).join(&camera.file))
     }
@@ -98,7 +93,7 @@ impl Dataset {
     /// Pictures of the external camera from before the fingers closed, by time: the approach and
     /// the initial frame.
     #[must_use]
-    pub fn before_closing(&self, record: &GraspRecord) -> Vec<(CameraRecord, PathBuf)> {
+    pub fn before_closing(&self, record: &GraspRecord) -> Vec<(CameraRecord, BeneathPath)> {
         let initial = record.initial.cameras.get(&Role::External);
         let mut cameras: Vec<CameraRecord> =
             record.approach.iter().chain(initial).cloned().collect();

@@ -203,6 +203,9 @@ mod tests {
     fn the_time_is_read_from_the_id() {
         let id = GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap();
         assert_eq!(time_of(&id).to_string(), "2026-11-20T10:15:03Z");
-        assert_eq!(time_of(&GraspId::parse("my-grasp").unwrap()), Timestamp::UNIX_EPOCH);
+        assert_eq!(
+            time_of(&GraspId::parse("my-grasp").unwrap()),
+            Timestamp::UNIX_EPOCH
+        );
     }
 }

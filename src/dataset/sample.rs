@@ -104,9 +104,9 @@ pub(crate) fn capture(number: u32) -> StageCapture {
 
 pub(crate) fn meta(object: &str) -> GraspMeta {
     GraspMeta {
-        object: object.into(),
-        scene: "table".into(),
-        operator: "Ada".into(),
+        object: object.parse().unwrap(),
+        scene: "table".parse().unwrap(),
+        operator: "Ada".parse().unwrap(),
         rig: "bench".into(),
         prediction: Some(PredictionRecord {
             p_stable: 0.75,

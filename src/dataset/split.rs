@@ -44,8 +44,8 @@ impl SplitBy {
     /// The item of a grasp; spellings that differ in case or blanks are the same item.
     pub(crate) fn item(self, record: &GraspRecord) -> String {
         let name = match self {
-            Self::Object => &record.object,
-            Self::Scene => &record.scene,
+            Self::Object => record.object.as_str(),
+            Self::Scene => record.scene.as_str(),
         };
         let words: Vec<String> = name.split_whitespace().map(str::to_lowercase).collect();
         words.join(" ")
@@ -140,9 +140,8 @@ impl SplitFile {
     }
 
     fn from_bytes(bytes: io::Result<Vec<u8>>) -> Result<Self> {
-        let unreadable = |e: serde_json::Error| {
-            Error::new(ErrorKind::Input, "cannot read the split").because(e)
-        };
+        let unreadable =
+            |e: serde_json::Error| Error::new(ErrorKind::Input, "cannot read the split").because(e);
         let bytes = bytes.map_err(|e| Error::io("cannot read the split", e))?;
         let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(unreadable)?;
         if let Some(schema) = value.get("schema").and_then(serde_json::Value::as_i64) {
@@ -434,7 +433,10 @@ mod tests {
                         } else {
                             Outcome::Stable
                         };
-                        (GraspId(format!("{object}-{grasp}")), outcome)
+                        (
+                            GraspId::parse(&format!("{object}-{grasp}")).unwrap(),
+                            outcome,
+                        )
                     })
                     .collect();
                 (format!("object {object}"), grasps)
@@ -506,7 +508,7 @@ mod tests {
     fn a_leak_is_named() {
         let part = |item: &str, id: &str| SplitPart {
             items: BTreeSet::from([item.to_owned()]),
-            grasps: BTreeSet::from([GraspId(id.into())]),
+            grasps: BTreeSet::from([GraspId::parse(id).unwrap()]),
             outcomes: BTreeMap::new(),
         };
         let file = SplitFile {

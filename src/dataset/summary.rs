@@ -28,11 +28,11 @@ pub struct Summary {
     /// Grasps by outcome.
     pub outcomes: BTreeMap<Outcome, usize>,
     /// Grasps by object and outcome.
-    pub objects: BTreeMap<String, BTreeMap<Outcome, usize>>,
+    pub objects: BTreeMap<ObjectName, BTreeMap<Outcome, usize>>,
     /// Grasps by scene.
-    pub scenes: BTreeMap<String, usize>,
+    pub scenes: BTreeMap<Label, usize>,
     /// Grasps by operator.
-    pub operators: BTreeMap<String, usize>,
+    pub operators: BTreeMap<Label, usize>,
     /// Share of stable among the labelled grasps.
     pub stable_share: Option<f64>,
     /// When the first grasp was taken, RFC 3339 UTC.

@@ -39,7 +39,10 @@ pub(super) fn set_aside(
         slot
     } else {
         // A loose file gets a directory of its own, named after the grasp it came from.
-        let slot = free_slot(layout, &FileName::nearest(&format!("{}.{plain}", parent.name())));
+        let slot = free_slot(
+            layout,
+            &FileName::nearest(&format!("{}.{plain}", parent.name())),
+        );
         disk.create_dir(&slot)?;
         disk.rename_new(path, &path.moved_into(&slot))?;
         slot

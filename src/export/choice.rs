@@ -48,7 +48,7 @@ impl Survey {
         self.grasps += 1;
         self.has_pose |= record.pose.is_some();
         self.has_prediction |= record.prediction.is_some();
-        self.longest_id = self.longest_id.max(record.id.0.chars().count());
+        self.longest_id = self.longest_id.max(record.id.chars().count());
         self.longest_object = self.longest_object.max(record.object.chars().count());
         let crops = record.grasp.cameras.values();
         for crop in crops.filter_map(|camera| camera.crop_profile.as_ref()) {
@@ -104,7 +104,7 @@ pub(super) fn choose(dataset: &Dataset, plan: &ExportPlan) -> Result<Choice> {
                     chosen.push(id);
                 }
                 Err(error) => choice.left_out.push(LeftOut {
-                    id: id.0,
+                    id: id.into(),
                     why: error.to_string(),
                 }),
             }

@@ -166,10 +166,10 @@ fn parquet_has_a_row_a_grasp_and_nulls_where_nothing_is_known() {
     assert_eq!(names(&out), ["data/train-00000-of-00001.parquet"]);
     let rows = rows(&out.join("data/train-00000-of-00001.parquet"));
     for (row, id) in rows.iter().zip(&ids) {
-        assert_eq!(row.get_string(at(row, "id")).unwrap(), &id.0);
+        assert_eq!(row.get_string(at(row, "id")).unwrap(), id.as_str());
         let record: Value =
             serde_json::from_str(row.get_string(at(row, "record")).unwrap()).unwrap();
-        assert_eq!(record["id"], id.0.as_str());
+        assert_eq!(record["id"], id.as_str());
     }
     let labels = rows.iter().map(|row| row.get_long(at(row, "label")).ok());
     assert_eq!(labels.collect::<Vec<_>>(), [Some(1), Some(0), None]);
@@ -199,7 +199,7 @@ fn shards_are_bounded_and_say_how_many_they_are() {
     let shard = |i: usize| format!("data/train-{i:05}-of-00003.parquet");
     assert_eq!(names(&out), [shard(0), shard(1), shard(2)]);
     let row = &rows(&out.join(shard(2)))[0];
-    assert_eq!(row.get_string(0).unwrap(), &ids[2].0);
+    assert_eq!(row.get_string(0).unwrap(), ids[2].as_str());
     plan.format = ExportFormat::WebDataset;
     let out = dir.path().join("tar");
     run(dir.path(), &out, &plan).unwrap();
@@ -236,8 +236,8 @@ fn a_sample_of_webdataset_is_neighbouring_files_of_nobody() {
             None => keys.push((key.to_owned(), vec![rest.to_owned()])),
         }
     }
-    let found: Vec<&String> = keys.iter().map(|(key, _)| key).collect();
-    assert_eq!(found, ids.iter().map(|id| &id.0).collect::<Vec<_>>());
+    let found: Vec<&str> = keys.iter().map(|(key, _)| key.as_str()).collect();
+    assert_eq!(found, ids.iter().map(GraspId::as_str).collect::<Vec<_>>());
     let with_depth = [
         "json",
         "initial_left.jpg",
@@ -291,7 +291,10 @@ fn an_episode_of_lerobot_is_two_frames_of_a_labelled_grasp() {
     assert_eq!(picture.color(), image::ColorType::Rgb8);
     let episodes = rows(&out.join("meta/episodes/chunk-000/file-000.parquet"));
     let last = &episodes[1];
-    assert_eq!(last.get_string(at(last, "gripcast/id")).unwrap(), &ids[1].0);
+    assert_eq!(
+        last.get_string(at(last, "gripcast/id")).unwrap(),
+        ids[1].as_str()
+    );
     assert_eq!(last.get_long(at(last, "dataset_from_index")).unwrap(), 2);
     let stats = json(&out.join("meta/stats.json"));
     assert_eq!(stats["next.success"]["mean"], serde_json::json!([0.25]));
@@ -368,8 +371,13 @@ fn a_sample_for_training_has_the_pixels_of_the_live_path() {
         (f.id.clone(), f.object.clone(), f.outcome, f.engine)
     };
     let real = ShardEngine::Real;
-    let held = (ids[0].0.clone(), "mug".into(), ShardOutcome::Stable, real);
-    let lost = (ids[1].0.clone(), "bottle".into(), ShardOutcome::Slip, real);
+    let held = (ids[0].to_string(), "mug".into(), ShardOutcome::Stable, real);
+    let lost = (
+        ids[1].to_string(),
+        "bottle".into(),
+        ShardOutcome::Slip,
+        real,
+    );
     assert_eq!((facts(mug), facts(bottle)), (held, lost));
     let pose = mug.facts.t_object_gripper.unwrap();
     assert_eq!(pose.translation_m.to_array(), [0.5, -0.25, 0.125]);
@@ -404,7 +412,7 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
         let saved = writer.save_grasp(&pending, &stages[1], meta(" Blue  MUG"));
         let id = saved.unwrap().id;
         writer.set_outcome(&id, Outcome::Slip, at).unwrap();
-        id.0
+        id
     };
     let whole = save(0, &|_| {});
     let blind = save(1, &|stage| drop(stage.cameras.remove(&Role::Rgb)));
@@ -423,7 +431,10 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
     let [(a, no_colour), (b, no_touch), (c, other_crop)] = named[..] else {
         panic!("{named:?}");
     };
-    assert_eq!([a, b, c], [&blind, &numb, &otherwise]);
+    assert_eq!(
+        [a, b, c],
+        [blind.as_str(), numb.as_str(), otherwise.as_str()]
+    );
     assert!(no_colour.contains("grasp rgb"), "{no_colour}");
     assert!(no_touch.contains("initial right"), "{no_touch}");
     assert!(other_crop.contains("gsmini-fifteen-v1") && other_crop.contains("gsmini-seventh-v1"));
@@ -431,7 +442,7 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
     let facts: Vec<_> = set.facts("test").unwrap().map(Result::unwrap).collect();
     assert_eq!(facts.len(), 1);
     assert_eq!(facts[0].object, "blue mug");
-    fs::remove_dir_all(dir.path().join("d/grasps").join(whole)).unwrap();
+    fs::remove_dir_all(dir.path().join("d/grasps").join(whole.as_str())).unwrap();
     let nothing = dir.path().join("nothing");
     let plan = ExportPlan::new(ExportFormat::Training);
     let error = run(dir.path(), &nothing, &plan).unwrap_err();
@@ -464,7 +475,7 @@ fn damaged_grasps_are_left_out_and_named() {
         let report = run(dir.path(), &out, &ExportPlan::new(format)).unwrap();
         assert_eq!(report.grasps, 1, "{format}");
         let named: Vec<&String> = report.left_out.iter().map(|one| &one.id).collect();
-        assert_eq!(named, [&ids[0].0, &ids[1].0]);
+        assert_eq!(named, [ids[0].as_str(), ids[1].as_str()]);
         assert!(
             report.left_out[0].why.contains("grasp.left.jpg"),
             "{report:?}"

@@ -132,7 +132,7 @@ fn facts(grasp: &Grasp) -> Vec<TableCell<'static>> {
     let pose = record.pose.as_ref();
     let depth = record.grasp.cameras.get(&Role::Depth);
     vec![
-        text(&record.id.0),
+        text(&record.id),
         text(&record.object),
         text(&record.scene),
         text(&record.operator),

@@ -122,7 +122,7 @@ fn write(
                     *report.outcomes.entry(outcome).or_default() += 1;
                 }
                 Err(error) => report.left_out.push(LeftOut {
-                    id: id.0.clone(),
+                    id: id.to_string(),
                     why: error.to_string(),
                 }),
             }

@@ -172,8 +172,8 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
         None => (ShardEngine::Real, "real"),
     };
     Ok(ShardFacts {
-        id: record.id.0.clone(),
-        simulation: record.id.0.clone(),
+        id: record.id.to_string(),
+        simulation: record.id.to_string(),
         object: SplitBy::Object.item(record),
         category: "unknown".to_owned(),
         engine,

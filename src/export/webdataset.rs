@@ -74,7 +74,7 @@ impl Writer for TarShards<'_> {
     }
 
     fn push(&mut self, grasp: Grasp) -> Result<Option<Error>> {
-        let id = &grasp.record.id.0;
+        let id = &grasp.record.id;
         if id.contains('.') {
             let what = "the id has a dot, by which WebDataset would cut it";
             return Ok(Some(Error::new(ErrorKind::Input, what)));

@@ -25,9 +25,9 @@ use rustix::fs::{
 };
 use rustix::io::Errno;
 
-use crate::error::Refused;
 use super::name::{ContentKey, FileName, GraspId, ObjectName, SimulationId};
 use super::partial_name;
+use crate::error::Refused;
 
 /// Rights of new files and folders, less the umask.
 const FILE_MODE: Mode = Mode::from_raw_mode(0o666);
@@ -54,7 +54,9 @@ pub enum FileKind {
     List,
     /// A mesh, its buffers and textures, a trace.
     Mesh,
-    /// A network or a shard of samples.
+    /// An ONNX file: protobuf ends at 2 GiB.
+    Model,
+    /// A shard of samples, an HDF5 file: what is read piece by piece.
     Bulk,
 }
 
@@ -66,7 +68,7 @@ impl FileKind {
         match self {
             Self::Record => 16 * MIB,
             Self::Image => 256 * MIB,
-            Self::List | Self::Mesh => 2048 * MIB,
+            Self::List | Self::Mesh | Self::Model => 2048 * MIB,
             Self::Bulk => 16 * 1024 * MIB,
         }
     }
@@ -181,6 +183,12 @@ impl Root {
         found.unwrap_or_else(|| self.resolve(path))
     }
 
+    /// The folder of a file that the user named.
+    #[must_use]
+    pub fn beside(path: &Path) -> BeneathPath {
+        Self::new(super::folder(path)).top()
+    }
+
     /// What has the last component of a path that the user named.
     #[must_use]
     pub fn entry(&self, path: &Path) -> BeneathPath {
@@ -206,6 +214,12 @@ pub struct BeneathPath {
 }
 
 impl BeneathPath {
+    /// A file that the user named, below its own folder.
+    #[must_use]
+    pub fn given(path: &Path) -> Self {
+        Root::new(super::folder(path)).entry(path)
+    }
+
     /// A place inside this one.
     #[must_use]
     pub fn join(&self, name: impl Component) -> Self {
@@ -352,7 +366,10 @@ impl BeneathPath {
     /// operating system.
     pub fn open_file(&self, kind: FileKind) -> io::Result<File> {
         // O_NONBLOCK: a pipe without a writer must not hang the program.
-        let fd = self.open(OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY, Mode::empty())?;
+        let fd = self.open(
+            OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY,
+            Mode::empty(),
+        )?;
         regular(fd, kind)
     }
 
@@ -475,7 +492,13 @@ impl BeneathPath {
     pub fn rename_new(&self, to: &Self) -> io::Result<()> {
         let renamed = self.in_parent_io(|dir, name| {
             to.in_parent_io(|to_dir, to_name| {
-                Ok(renameat_with(dir, name, to_dir, to_name, RenameFlags::NOREPLACE))
+                Ok(renameat_with(
+                    dir,
+                    name,
+                    to_dir,
+                    to_name,
+                    RenameFlags::NOREPLACE,
+                ))
             })
         })?;
         match renamed {
@@ -616,7 +639,11 @@ fn open_stepwise(
             Part::ParentDir | Part::RootDir | Part::Prefix(_) => return Err(Errno::XDEV),
         };
         let is_last = parts.peek().is_none();
-        let how = if is_last { flags | OFlags::NOFOLLOW } else { step };
+        let how = if is_last {
+            flags | OFlags::NOFOLLOW
+        } else {
+            step
+        };
         dir = match openat(&dir, name, how, mode) {
             // ELOOP for a link that is to be opened, ENOTDIR for one on the way.
             Err(Errno::LOOP) => return Err(Errno::XDEV),
@@ -680,7 +707,11 @@ fn read_all(mut file: File, kind: FileKind) -> io::Result<Vec<u8>> {
     (&mut file).take(limit + 1).read_to_end(&mut bytes)?;
     let found = bytes.len() as u64;
     if found > limit {
-        return Err(Refused::TooLarge { bytes: found, limit }.into());
+        return Err(Refused::TooLarge {
+            bytes: found,
+            limit,
+        }
+        .into());
     }
     Ok(bytes)
 }
@@ -708,8 +739,21 @@ pub fn read_regular(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
     read_all(open_regular(path, kind)?, kind)
 }
 
+/// Reads a regular file of UTF-8 at a path that the user gave.
+///
+/// # Errors
+/// As of [`open_regular`]; `InvalidData` for other bytes.
+pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
+    String::from_utf8(read_regular(path, kind)?)
+        .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
+}
+
 /// Opens a lock file without following a link; `write`: makes it where it is missing.
-pub(super) fn open_lock(dir: impl AsFd, path: impl rustix::path::Arg, write: bool) -> io::Result<File> {
+pub(super) fn open_lock(
+    dir: impl AsFd,
+    path: impl rustix::path::Arg,
+    write: bool,
+) -> io::Result<File> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     let flags = flags
         | if write {
@@ -787,7 +831,12 @@ mod tests {
         symlink("sub", data.join("link")).unwrap();
         symlink("../secret", data.join("out")).unwrap();
         let open = |path: &str| {
-            open_stepwise(root.open().unwrap(), Path::new(path), OFlags::RDONLY, Mode::empty())
+            open_stepwise(
+                root.open().unwrap(),
+                Path::new(path),
+                OFlags::RDONLY,
+                Mode::empty(),
+            )
         };
         assert!(open("sub/file").is_ok());
         assert!(open(".").is_ok());
@@ -833,13 +882,20 @@ mod tests {
         rustix::fs::mknodat(CWD, data.join("pipe"), FileType::Fifo, mode, 0).unwrap();
         let _socket = std::os::unix::net::UnixListener::bind(data.join("socket")).unwrap();
         fs::create_dir(data.join("folder")).unwrap();
-        fs::File::create(data.join("huge")).unwrap().set_len(1 << 40).unwrap();
+        fs::File::create(data.join("huge"))
+            .unwrap()
+            .set_len(1 << 40)
+            .unwrap();
         for name in ["pipe", "folder", "huge"] {
             let error = top.join(name).read(FileKind::Bulk).unwrap_err();
             assert!(refused(&error).is_some(), "{name}: {error}");
         }
         assert!(top.join("socket").read(FileKind::Bulk).is_err());
-        for path in [Path::new("/dev/zero"), &data.join("pipe"), &data.join("huge")] {
+        for path in [
+            Path::new("/dev/zero"),
+            &data.join("pipe"),
+            &data.join("huge"),
+        ] {
             let error = read_regular(path, FileKind::Bulk).unwrap_err();
             assert!(refused(&error).is_some(), "{}: {error}", path.display());
         }

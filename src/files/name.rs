@@ -85,9 +85,8 @@ fn parse_line(kind: &str, text: &str) -> Result<String> {
 
 /// An ASCII id that names a file or a folder: letters, digits, `-`, `_` and, inside, `.`.
 fn parse_id(kind: &str, text: &str, has_dots: bool) -> Result<String> {
-    let is_allowed = |c: char| {
-        c.is_ascii_alphanumeric() || c == '-' || c == '_' || (has_dots && c == '.')
-    };
+    let is_allowed =
+        |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_' || (has_dots && c == '.');
     let is_id = !text.is_empty()
         && text.len() <= MAX_ID_BYTES
         && !text.starts_with('.')
@@ -313,7 +312,13 @@ impl GraspId {
 /// A text as near to it as a valid name can be: for records that were written before names were
 /// checked. What is not allowed becomes `_`.
 fn cleaned(text: &str, is_allowed: impl Fn(char) -> bool) -> String {
-    let clean = |c| if is_allowed(c) && !is_unsafe_char(c) { c } else { '_' };
+    let clean = |c| {
+        if is_allowed(c) && !is_unsafe_char(c) {
+            c
+        } else {
+            '_'
+        }
+    };
     let mut name: String = nfc(text).chars().take(MAX_LABEL_CHARS).map(clean).collect();
     name.truncate(name.floor_char_boundary(MAX_LABEL_BYTES));
     name
@@ -342,6 +347,14 @@ impl Label {
     }
 }
 
+/// What an object is called until somebody names it.
+impl Default for ObjectName {
+    fn default() -> Self {
+        Self("object".to_owned())
+    }
+}
+
+/// Not stated.
 impl Default for Label {
     fn default() -> Self {
         Self(String::new())

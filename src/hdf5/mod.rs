@@ -5,7 +5,6 @@
 
 mod watched;
 
-use std::fs;
 use std::path::Path;
 
 use hdf5_pure::{
@@ -14,6 +13,7 @@ use hdf5_pure::{
 };
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, open_regular};
 use watched::{Watch, WatchedFile};
 
 /// Most numbers of one dataset.
@@ -50,10 +50,7 @@ impl Hdf5 {
     /// Those of reading the file; `Input` for what is no HDF5.
     pub(crate) fn open(path: &Path, of: &'static str) -> Result<Self> {
         let unread = |e| Error::io("cannot read the file", e);
-        let file = fs::File::open(path).map_err(unread)?;
-        if !file.metadata().map_err(unread)?.is_file() {
-            return Err(wrong("this is no file".to_owned()).remedy(give(of)));
-        }
+        let file = open_regular(path, FileKind::Bulk).map_err(unread)?;
         if !hdf5_pure::is_hdf5(path).map_err(unread)? {
             return Err(wrong("this is no HDF5 file".to_owned()).remedy(give(of)));
         }

@@ -1,12 +1,11 @@
 //! Intrinsics of a camera, and the file that keeps them.
 
-use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{FileKind, read_text, save};
 
 /// How a lens bends the ideal picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -50,7 +49,7 @@ impl Intrinsics {
     /// # Errors
     /// When the file cannot be read, or [`ErrorKind::Config`] when it is not intrinsics.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path)
+        let text = read_text(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the intrinsics", e).at(path.display()))?;
         let read: Self = toml::from_str(&text).map_err(|e| {
             Error::new(ErrorKind::Config, e.message().trim().to_owned()).at(path.display())
@@ -101,6 +100,8 @@ impl Intrinsics {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

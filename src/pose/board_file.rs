@@ -14,7 +14,6 @@
 //! ```
 
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 
 use glam::DVec3;
@@ -25,6 +24,7 @@ use super::board::{Board, BoardMarker};
 use super::chessboard::Chessboard;
 use super::dictionary::Dictionary;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, read_text};
 use crate::geometry::Pose;
 
 /// Version of the format.
@@ -124,7 +124,7 @@ impl BoardFile {
     /// # Errors
     /// That of the operating system, or `Input` with the line or the marker that is wrong.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path)
+        let text = read_text(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the board", e).at(path.display()))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         Self::parse(&text, folder).map_err(|e| e.at(path.display()))
@@ -279,6 +279,8 @@ fn check_sheet(sheet: &PrintedSheet) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::super::board::Part;
+    use std::fs;
+
     use super::*;
 
     fn file() -> BoardFile {

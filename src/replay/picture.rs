@@ -7,6 +7,7 @@ use super::recording::RecordedGrasp;
 use super::report::PicturePair;
 use crate::dataset::{Dataset, Stage};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::FileKind;
 use crate::geometry::Pose;
 use crate::html::picture::data_uri;
 use crate::imaging::{Decoder, Role};
@@ -48,7 +49,8 @@ pub(super) fn view_pair(
     let path = dataset.path_of(&grasp.record, Stage::Grasp, Role::Rgb);
     let path =
         path.ok_or_else(|| Error::new(ErrorKind::NotFound, "the grasp has no colour picture"))?;
-    let bytes = std::fs::read(&path)
+    let bytes = path
+        .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the colour picture", e).at(path.display()))?;
     let whole = Decoder::new()?.decode_file(&bytes, None, size[0], size[1])?;
     let state = GraspState::at(snapshot, None)?;

@@ -10,6 +10,7 @@ use super::object_file::ReplayObject;
 use super::report::LeftOut;
 use crate::dataset::{Dataset, GraspRecord, Outcome};
 use crate::error::{Error, ErrorKind, Result, nearest_name};
+use crate::files::{ContentKey, ObjectName};
 use crate::geometry::{MeshQuery, Pose};
 use crate::pose::{BoardFile, PrintedSheet};
 use crate::render::visual::SeedStream;
@@ -60,7 +61,7 @@ impl Recording {
     /// [`Self::left_out`].
     pub fn read(
         dataset: &Dataset,
-        objects: &BTreeMap<String, Result<ReplayObject>>,
+        objects: &BTreeMap<ObjectName, Result<ReplayObject>>,
         wanted: Option<&[String]>,
     ) -> Result<Self> {
         let mut grasps = Vec::new();
@@ -73,14 +74,14 @@ impl Recording {
                 Ok(record) => record,
                 Err(error) => {
                     left_out.push(LeftOut {
-                        grasp: id.0.clone(),
+                        grasp: id.to_string(),
                         object: String::new(),
                         reason: error.to_string(),
                     });
                     continue;
                 }
             };
-            if wanted.is_some_and(|wanted| !wanted.contains(&record.object)) {
+            if wanted.is_some_and(|wanted| !wanted.iter().any(|name| record.object == **name)) {
                 unwanted += 1;
                 continue;
             }
@@ -88,8 +89,8 @@ impl Recording {
             match recorded(dataset, record, objects, &mut sheets) {
                 Ok(grasp) => grasps.push(grasp),
                 Err(error) => left_out.push(LeftOut {
-                    grasp: id.0.clone(),
-                    object,
+                    grasp: id.to_string(),
+                    object: object.into(),
                     reason: error.to_string(),
                 }),
             }
@@ -110,8 +111,8 @@ impl Recording {
 fn recorded(
     dataset: &Dataset,
     record: GraspRecord,
-    objects: &BTreeMap<String, Result<ReplayObject>>,
-    sheets: &mut BTreeMap<String, Option<PrintedSheet>>,
+    objects: &BTreeMap<ObjectName, Result<ReplayObject>>,
+    sheets: &mut BTreeMap<ContentKey, Option<PrintedSheet>>,
 ) -> Result<RecordedGrasp> {
     let wrong = |what: String| Error::new(ErrorKind::Input, what);
     let stable = match record.outcome {
@@ -128,7 +129,7 @@ fn recorded(
         );
     };
     let t_object_gripper = pose.t_object_gripper()?;
-    let object = match objects.get(&record.object) {
+    let object = match objects.get(record.object.as_str()) {
         Some(Ok(object)) => object,
         Some(Err(error)) => {
             return Err(wrong(format!("its object cannot be simulated: {error}")));
@@ -177,12 +178,12 @@ fn recorded(
 }
 
 /// The printed sheet of a board that is stored with the dataset.
-fn stored_sheet(dataset: &Dataset, key: &str) -> Result<Option<PrintedSheet>> {
+fn stored_sheet(dataset: &Dataset, key: &ContentKey) -> Result<Option<PrintedSheet>> {
     let text = dataset.calibration(key)?;
     Ok(BoardFile::parse(&text, Path::new(""))?.sheet)
 }
 
-fn unknown(name: &str, objects: &BTreeMap<String, Result<ReplayObject>>) -> Error {
+fn unknown(name: &str, objects: &BTreeMap<ObjectName, Result<ReplayObject>>) -> Error {
     let nearest = nearest_name(name, objects.keys().map(String::as_str));
     let hint = nearest.map_or(String::new(), |n| format!("; the nearest name is {n}"));
     Error::new(

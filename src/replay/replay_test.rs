@@ -132,7 +132,7 @@ fn dataset(path: &Path, grasps: &[(&str, Outcome, Option<PoseRecord>)]) -> Vec<G
     ids
 }
 
-fn objects(folder: &Path) -> BTreeMap<String, Result<ReplayObject>> {
+fn objects(folder: &Path) -> BTreeMap<ObjectName, Result<ReplayObject>> {
     fs::create_dir_all(folder).unwrap();
     let write = |name: &str, text: &str| fs::write(folder.join(name), text).unwrap();
     write(

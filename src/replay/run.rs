@@ -22,6 +22,7 @@ use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
 use crate::dataset::Dataset;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::ObjectName;
 use crate::render::tactile::{ObjectDepthRenderer, SensorProfile, SimulatedGel};
 use crate::sim::grasp::{Snapshot, StageName};
 use crate::sim::{Engine, EngineKind};
@@ -61,7 +62,7 @@ pub struct ReplayInput<'a> {
     /// Its grasps that can be replayed.
     pub recording: &'a Recording,
     /// Its objects.
-    pub objects: &'a BTreeMap<String, Result<ReplayObject>>,
+    pub objects: &'a BTreeMap<ObjectName, Result<ReplayObject>>,
     /// Where its outcomes come from.
     pub reality: Reality,
     /// The command that repeats it.
@@ -153,7 +154,7 @@ pub fn replay(
 }
 
 fn object<'a>(input: &ReplayInput<'a>, grasp: &RecordedGrasp) -> Result<&'a ReplayObject> {
-    let found = input.objects.get(&grasp.record.object);
+    let found = input.objects.get(grasp.record.object.as_str());
     found
         .and_then(|object| object.as_ref().ok())
         .ok_or_else(|| {
@@ -373,7 +374,7 @@ impl<'a> Replayed<'a> {
         let mut found: Vec<ObjectFacts> = Vec::new();
         for grasp in self.grasps() {
             let name = &grasp.record.object;
-            if found.last().is_none_or(|last| last.name != *name) {
+            if found.last().is_none_or(|last| last.name != **name) {
                 let object = object(self.input, grasp)?;
                 let view = self.settings.view_samples.map(|samples| ViewSettings {
                     samples,
@@ -385,7 +386,7 @@ impl<'a> Replayed<'a> {
                     picture.inspect_err(told).ok()
                 });
                 found.push(ObjectFacts {
-                    name: name.clone(),
+                    name: name.to_string(),
                     mesh: object.file.mesh.clone(),
                     mesh_sha256: object.mesh_sha256.clone(),
                     triangles: object.mesh.triangles.len(),
@@ -469,8 +470,8 @@ impl<'a> Replayed<'a> {
                 let facts = &self.records[*first].facts;
                 let setting = self.cases[*first].setting;
                 found.push(LeftOut {
-                    grasp: grasp.record.id.0.clone(),
-                    object: grasp.record.object.clone(),
+                    grasp: grasp.record.id.to_string(),
+                    object: grasp.record.object.to_string(),
                     reason: format!(
                         "{} has no outcome at {} of {all} settings; at friction {}, {} N: {}{}",
                         self.kind(engine).name(),
@@ -498,8 +499,8 @@ impl<'a> Replayed<'a> {
                 let ([x, y, z], q) = (t.translation_m.to_array(), t.rotation);
                 let sd = grasp.pose_sd();
                 GraspFacts {
-                    id: grasp.record.id.0.clone(),
-                    object: grasp.record.object.clone(),
+                    id: grasp.record.id.to_string(),
+                    object: grasp.record.object.to_string(),
                     stable: grasp.stable,
                     t_object_gripper: [x, y, z, q.w, q.x, q.y, q.z],
                     pose_sd_m: sd.map(|[position, _]| position),

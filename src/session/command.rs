@@ -4,6 +4,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::dataset::{GraspId, Outcome};
+use crate::error::Error;
+use crate::files::{Label, ObjectName};
 
 /// A session command; keyboard, pedal, script and API all end here.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -29,11 +31,11 @@ pub enum Command {
     /// Repeat the refused command although a guard refused it; recorded in the grasp.
     Override,
     /// Name of the object from now on.
-    Object(String),
+    Object(ObjectName),
     /// Name of the scene from now on.
-    Scene(String),
+    Scene(Label),
     /// Name of the operator from now on.
-    Operator(String),
+    Operator(Label),
     /// End the session.
     Quit,
 }
@@ -69,13 +71,18 @@ impl CommandSource {
 pub struct ParseCommandError {
     /// The text.
     pub text: String,
+    /// What is wrong with the name or id in it, where the command itself is known.
+    pub reason: Option<String>,
 }
 
 impl fmt::Display for ParseCommandError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(reason) = &self.reason {
+            return f.write_str(reason);
+        }
         write!(
             f,
-            "`{}` is no command; expected one of trigger, initial, grasp, stable, slip, unlabel, \
+            "unknown command `{}`; expected one of trigger, initial, grasp, stable, slip, unlabel, \
              undo, redo, override, object NAME, scene NAME, operator NAME, relabel ID OUTCOME, \
              trash ID, restore ID, quit",
             self.text
@@ -94,15 +101,20 @@ impl FromStr for Command {
         let rest = rest.trim();
         let error = || ParseCommandError {
             text: text.to_owned(),
+            reason: None,
         };
-        let named = |make: fn(String) -> Self| {
+        let because = |e: Error| ParseCommandError {
+            reason: Some(e.what().to_owned()),
+            ..error()
+        };
+        let label = || {
             if rest.is_empty() {
                 Err(error())
             } else {
-                Ok(make(rest.to_owned()))
+                Label::parse(rest).map_err(because)
             }
         };
-        let id = |text: &str| GraspId::parse(text).map_err(|_| error());
+        let id = |text: &str| GraspId::parse(text).map_err(because);
         let plain = match word {
             "trash" => return Ok(Self::Trash(id(rest)?)),
             "restore" => return Ok(Self::Restore(id(rest)?)),
@@ -111,9 +123,10 @@ impl FromStr for Command {
                 let outcome = Outcome::by_name(outcome.trim()).ok_or_else(error)?;
                 return Ok(Self::Relabel(id(which)?, outcome));
             }
-            "object" => return named(Self::Object),
-            "scene" => return named(Self::Scene),
-            "operator" => return named(Self::Operator),
+            "object" if rest.is_empty() => return Err(error()),
+            "object" => return ObjectName::parse(rest).map(Self::Object).map_err(because),
+            "scene" => return label().map(Self::Scene),
+            "operator" => return label().map(Self::Operator),
             "trigger" => Self::Trigger,
             "initial" => Self::Initial,
             "grasp" => Self::Grasp,
@@ -194,6 +207,9 @@ mod tests {
             "jump",
             "trash",
             "trash ../7f3a",
+            "object ../mug",
+            "object a\u{202e}b",
+            "scene a\u{1b}[2Jb",
             "relabel 7f3a",
             "relabel 7f3a good",
         ] {

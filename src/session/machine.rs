@@ -1,6 +1,7 @@
 //! The state machine itself.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use serde::Serialize;
 
@@ -10,17 +11,18 @@ use super::view::{
     Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
 };
 use crate::dataset::{GraspId, Outcome, OverriddenGuard};
+use crate::files::{FileName, Label, ObjectName};
 use crate::imaging::Role;
 
 /// Names that go into every grasp.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Labels {
     /// What is grasped.
-    pub object: String,
+    pub object: ObjectName,
     /// Where.
-    pub scene: String,
+    pub scene: Label,
     /// Who holds the gripper.
-    pub operator: String,
+    pub operator: Label,
 }
 
 /// An initial frame that waits for its grasp.
@@ -35,11 +37,11 @@ pub struct PendingFrame {
     /// Control values of each camera at that time.
     pub controls: BTreeMap<Role, BTreeMap<String, i64>>,
     /// The external camera's frame: its driver time, ns, and file.
-    pub external: Option<(u64, String)>,
+    pub external: Option<(u64, FileName)>,
 }
 
 /// Grasps by object and outcome.
-pub type OutcomeCounts = BTreeMap<String, BTreeMap<Outcome, usize>>;
+pub type OutcomeCounts = BTreeMap<ObjectName, BTreeMap<Outcome, usize>>;
 
 /// What the engine has to do.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,7 +126,7 @@ pub enum StoreReply {
         /// Its key.
         id: GraspId,
         /// Its object.
-        object: String,
+        object: ObjectName,
         /// Its outcome.
         outcome: Outcome,
         /// What was predicted before the lift.
@@ -133,14 +135,14 @@ pub enum StoreReply {
     /// An outcome is durable.
     Labelled {
         /// The grasp's object.
-        object: String,
+        object: ObjectName,
         /// Its outcome before.
         before: Outcome,
     },
     /// A grasp is in the trash.
     Trashed {
         /// Its object.
-        object: String,
+        object: ObjectName,
         /// Its outcome.
         outcome: Outcome,
     },
@@ -168,20 +170,20 @@ enum Done {
     },
     Label {
         id: GraspId,
-        object: String,
+        object: ObjectName,
         before: Outcome,
         after: Outcome,
     },
     Trash {
         id: GraspId,
-        object: String,
+        object: ObjectName,
         outcome: Outcome,
         /// The newest grasp of the session, if it is this one.
         was_last: Option<LastGrasp>,
     },
     Restore {
         id: GraspId,
-        object: String,
+        object: ObjectName,
         outcome: Outcome,
     },
 }
@@ -513,10 +515,10 @@ impl Session {
         vec![Effect::Store(request)]
     }
 
-    fn rename(
+    fn rename<T: fmt::Display>(
         &mut self,
-        name: String,
-        field: fn(&mut Labels) -> &mut String,
+        name: T,
+        field: fn(&mut Labels) -> &mut T,
         what: &str,
     ) -> Vec<Effect> {
         self.say(MessageLevel::Info, format!("{what}: {name}"));
@@ -633,7 +635,7 @@ impl Session {
     fn labelled(
         &mut self,
         id: GraspId,
-        object: String,
+        object: ObjectName,
         before: Outcome,
         outcome: Outcome,
     ) -> Vec<Effect> {
@@ -658,7 +660,7 @@ impl Session {
     }
 
     /// Brings memory in line with a label that was written.
-    fn relabel(&mut self, id: &GraspId, object: &str, from: Outcome, to: Outcome) {
+    fn relabel(&mut self, id: &GraspId, object: &ObjectName, from: Outcome, to: Outcome) {
         if let Some(last) = self.last.as_mut().filter(|last| last.id == *id) {
             last.outcome = to;
         }
@@ -666,7 +668,7 @@ impl Session {
         self.count(object, to, 1);
     }
 
-    fn trashed(&mut self, id: GraspId, object: String, outcome: Outcome) -> Vec<Effect> {
+    fn trashed(&mut self, id: GraspId, object: ObjectName, outcome: Outcome) -> Vec<Effect> {
         let was_last = self.leave_out(&id, &object, outcome);
         self.say(
             MessageLevel::Info,
@@ -682,7 +684,7 @@ impl Session {
         vec![Effect::Tone(Tone::Undone)]
     }
 
-    fn restored(&mut self, id: GraspId, object: String, outcome: Outcome) -> Vec<Effect> {
+    fn restored(&mut self, id: GraspId, object: ObjectName, outcome: Outcome) -> Vec<Effect> {
         self.count(&object, outcome, 1);
         self.say(
             MessageLevel::Info,
@@ -698,13 +700,18 @@ impl Session {
     }
 
     /// A grasp has gone to the trash; returns it if it was the newest of the session.
-    fn leave_out(&mut self, id: &GraspId, object: &str, outcome: Outcome) -> Option<LastGrasp> {
+    fn leave_out(
+        &mut self,
+        id: &GraspId,
+        object: &ObjectName,
+        outcome: Outcome,
+    ) -> Option<LastGrasp> {
         self.count(object, outcome, -1);
         self.last.take_if(|last| last.id == *id)
     }
 
-    fn count(&mut self, object: &str, outcome: Outcome, by: isize) {
-        let object = self.counts.entry(object.to_owned()).or_default();
+    fn count(&mut self, object: &ObjectName, outcome: Outcome, by: isize) {
+        let object = self.counts.entry(object.clone()).or_default();
         let n = object.entry(outcome).or_default();
         *n = n.saturating_add_signed(by);
     }

@@ -7,6 +7,7 @@ use proptest::prelude::*;
 use super::machine::*;
 use super::{CameraCondition, Command, Conditions, Guard, GuardLimits, Step, Tone};
 use crate::dataset::{GraspId, Outcome};
+use crate::files::ObjectName;
 use crate::imaging::Role;
 
 /// A dataset in memory that refuses whatever a real one would refuse.
@@ -14,9 +15,9 @@ use crate::imaging::Role;
 struct Store {
     next: u32,
     pending: BTreeMap<String, ()>,
-    grasps: BTreeMap<String, (String, Outcome)>,
+    grasps: BTreeMap<String, (ObjectName, Outcome)>,
     trashed_pending: BTreeMap<String, ()>,
-    trashed_grasps: BTreeMap<String, (String, Outcome)>,
+    trashed_grasps: BTreeMap<String, (ObjectName, Outcome)>,
     /// Undone grasp → the pending frame that the undo made.
     reopened: BTreeMap<String, String>,
 }
@@ -24,7 +25,7 @@ struct Store {
 impl Store {
     fn new_id(&mut self) -> GraspId {
         self.next += 1;
-        GraspId(format!("2026-11-20T10-15-03Z-{:04x}", self.next))
+        GraspId::parse(&format!("2026-11-20T10-15-03Z-{:04x}", self.next)).unwrap()
     }
 
     fn frame(id: GraspId) -> PendingFrame {
@@ -38,7 +39,7 @@ impl Store {
     }
 
     fn grasp(&self, id: GraspId) -> StoreReply {
-        let (object, outcome) = self.grasps[&id.0].clone();
+        let (object, outcome) = self.grasps[id.as_str()].clone();
         StoreReply::Grasp {
             id,
             object,
@@ -51,19 +52,21 @@ impl Store {
         match request {
             StoreRequest::SaveInitial { .. } => {
                 let id = self.new_id();
-                self.pending.insert(id.0.clone(), ());
+                self.pending.insert(id.to_string(), ());
                 StoreReply::Initial(Self::frame(id))
             }
             StoreRequest::SaveGrasp {
                 initial, labels, ..
             } => {
-                self.pending.remove(&initial.0).expect("pending initial");
+                self.pending
+                    .remove(initial.as_str())
+                    .expect("pending initial");
                 self.grasps
-                    .insert(initial.0.clone(), (labels.object, Outcome::Unlabelled));
+                    .insert(initial.to_string(), (labels.object, Outcome::Unlabelled));
                 self.grasp(initial)
             }
             StoreRequest::SetOutcome { id, outcome } => {
-                let Some(grasp) = self.grasps.get_mut(&id.0) else {
+                let Some(grasp) = self.grasps.get_mut(id.as_str()) else {
                     return Self::missing(&id);
                 };
                 let before = std::mem::replace(&mut grasp.1, outcome);
@@ -73,52 +76,58 @@ impl Store {
                 }
             }
             StoreRequest::TrashGrasp { id } => {
-                let Some((object, outcome)) = self.grasps.remove(&id.0) else {
+                let Some((object, outcome)) = self.grasps.remove(id.as_str()) else {
                     return Self::missing(&id);
                 };
-                self.trashed_grasps.insert(id.0, (object.clone(), outcome));
+                self.trashed_grasps
+                    .insert(id.to_string(), (object.clone(), outcome));
                 StoreReply::Trashed { object, outcome }
             }
             StoreRequest::RestoreGrasp { id } => {
-                let reopened = self.reopened.get(&id.0);
+                let reopened = self.reopened.get(id.as_str());
                 if reopened.is_some_and(|pending| self.pending.contains_key(pending)) {
                     let message = "its initial frame is pending again".into();
                     return StoreReply::Failed { message };
                 }
-                let Some(grasp) = self.trashed_grasps.remove(&id.0) else {
+                let Some(grasp) = self.trashed_grasps.remove(id.as_str()) else {
                     return Self::missing(&id);
                 };
-                self.grasps.insert(id.0.clone(), grasp);
+                self.grasps.insert(id.to_string(), grasp);
                 self.grasp(id)
             }
             StoreRequest::DiscardInitial { id } => {
-                self.pending.remove(&id.0).expect("initial to discard");
-                self.trashed_pending.insert(id.0, ());
+                self.pending
+                    .remove(id.as_str())
+                    .expect("initial to discard");
+                self.trashed_pending.insert(id.to_string(), ());
                 StoreReply::Done
             }
             StoreRequest::RestoreInitial { id } => {
                 self.trashed_pending
-                    .remove(&id.0)
+                    .remove(id.as_str())
                     .expect("initial in trash");
-                self.pending.insert(id.0.clone(), ());
+                self.pending.insert(id.to_string(), ());
                 StoreReply::Initial(Self::frame(id))
             }
             StoreRequest::UndoGrasp { id } => {
-                let grasp = self.grasps.remove(&id.0).expect("grasp to undo");
-                self.trashed_grasps.insert(id.0.clone(), grasp);
-                let undone = id.0;
+                let grasp = self.grasps.remove(id.as_str()).expect("grasp to undo");
+                self.trashed_grasps.insert(id.to_string(), grasp);
+                let undone = id.to_string();
                 let id = self.new_id();
-                self.reopened.insert(undone, id.0.clone());
-                self.pending.insert(id.0.clone(), ());
+                self.reopened.insert(undone, id.to_string());
+                self.pending.insert(id.to_string(), ());
                 StoreReply::Initial(Self::frame(id))
             }
             StoreRequest::RedoGrasp { id, reopened } => {
                 let reopened = reopened.expect("reopened initial");
                 self.pending
-                    .remove(&reopened.0)
+                    .remove(reopened.as_str())
                     .expect("reopened is pending");
-                let grasp = self.trashed_grasps.remove(&id.0).expect("grasp in trash");
-                self.grasps.insert(id.0.clone(), grasp);
+                let grasp = self
+                    .trashed_grasps
+                    .remove(id.as_str())
+                    .expect("grasp in trash");
+                self.grasps.insert(id.to_string(), grasp);
                 self.grasp(id)
             }
         }
@@ -138,7 +147,7 @@ impl Store {
             .chain(self.trashed_grasps.keys())
             .collect();
         let id = all.get(number % all.len().max(1));
-        GraspId(id.map_or_else(|| "nobody".into(), |id| (*id).clone()))
+        GraspId::parse(id.map_or("nobody", |id| id.as_str())).unwrap()
     }
 
     fn count(&self, outcome: Outcome) -> usize {
@@ -165,7 +174,7 @@ fn good() -> Conditions {
 
 fn session() -> Session {
     let labels = Labels {
-        object: "mug".into(),
+        object: "mug".parse().unwrap(),
         ..Labels::default()
     };
     Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None)
@@ -249,7 +258,7 @@ fn every_guard_refuses_and_override_records_it() {
 
 #[test]
 fn changed_exposure_is_refused_with_both_values() {
-    let mut initial = Store::frame(GraspId("x".into()));
+    let mut initial = Store::frame(GraspId::parse("x").unwrap());
     let controls = |exposure| BTreeMap::from([("exposure_time_absolute".to_owned(), exposure)]);
     initial.controls.insert(Role::Left, controls(180));
     let labels = Labels::default();
@@ -346,7 +355,7 @@ fn a_failed_save_keeps_the_step_and_says_so() {
 
 #[test]
 fn an_initial_from_before_is_resumed() {
-    let frame = Store::frame(GraspId("2026-11-20T10-15-03Z-00ff".into()));
+    let frame = Store::frame(GraspId::parse("2026-11-20T10-15-03Z-00ff").unwrap());
     let session = Session::new(
         GuardLimits::default(),
         Labels::default(),
@@ -359,7 +368,7 @@ fn an_initial_from_before_is_resumed() {
 
 /// A command; those that name a grasp come with its number among those that are there.
 fn any_command() -> impl Strategy<Value = (Command, usize)> {
-    let nobody = || GraspId(String::new());
+    let nobody = || GraspId::parse("nobody").unwrap();
     let command = prop_oneof![
         4 => Just(Command::Trigger),
         2 => Just(Command::Initial),
@@ -370,7 +379,7 @@ fn any_command() -> impl Strategy<Value = (Command, usize)> {
         5 => Just(Command::Undo),
         4 => Just(Command::Redo),
         1 => Just(Command::Override),
-        1 => Just(Command::Object("cup".into())),
+        1 => Just(Command::Object("cup".parse().unwrap())),
         2 => Just(Command::Relabel(nobody(), Outcome::Slip)),
         3 => Just(Command::Trash(nobody())),
         3 => Just(Command::Restore(nobody())),
@@ -435,7 +444,7 @@ proptest! {
             prop_assert_eq!(view.counts.unlabelled, store.count(Outcome::Unlabelled));
             prop_assert_eq!(store.pending.len(), usize::from(view.step == Step::Grasp));
             if let Some(last) = &view.last {
-                prop_assert_eq!(store.grasps[&last.id.0].1, last.outcome);
+                prop_assert_eq!(store.grasps[&last.id.to_string()].1, last.outcome);
             }
         }
         while session.view(0).undo.is_some() {

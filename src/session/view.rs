@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::dataset::{GraspId, Outcome};
+use crate::files::{Label, ObjectName};
 
 /// Step of the cycle that comes next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,7 +99,7 @@ pub struct LastGrasp {
     /// Its key.
     pub id: GraspId,
     /// Object.
-    pub object: String,
+    pub object: ObjectName,
     /// Label.
     pub outcome: Outcome,
     /// What was predicted before the lift.
@@ -111,11 +112,11 @@ pub struct SessionView {
     /// Step that comes next.
     pub step: Step,
     /// Present object.
-    pub object: String,
+    pub object: ObjectName,
     /// Present scene.
-    pub scene: String,
+    pub scene: Label,
     /// Present operator.
-    pub operator: String,
+    pub operator: Label,
     /// When the pending initial frame was taken, RFC 3339 UTC.
     pub initial_at: Option<String>,
     /// Age of the pending initial frame, s.

@@ -15,22 +15,27 @@ use serde_json::{Value, json};
 use crate::program::{grasps, gripcast, stderr, verify};
 
 /// A running daemon; it is killed when dropped.
-struct Daemon {
+pub(crate) struct Daemon {
     child: Child,
     address: String,
     said: Receiver<String>,
 }
 
 /// A folder with a place for a dataset and a socket.
-struct Place(tempfile::TempDir);
+pub(crate) struct Place(tempfile::TempDir, Option<PathBuf>);
 
 impl Place {
     fn new() -> Self {
-        Self(tempfile::tempdir().unwrap())
+        Self(tempfile::tempdir().unwrap(), None)
+    }
+
+    /// With a dataset that is there already.
+    pub(crate) fn at(dataset: PathBuf) -> Self {
+        Self(tempfile::tempdir().unwrap(), Some(dataset))
     }
 
     fn dataset(&self) -> PathBuf {
-        self.0.path().join("d")
+        self.1.clone().unwrap_or_else(|| self.0.path().join("d"))
     }
 
     fn socket(&self) -> PathBuf {
@@ -50,7 +55,7 @@ impl Place {
         command
     }
 
-    fn daemon(&self) -> Daemon {
+    pub(crate) fn daemon(&self) -> Daemon {
         Daemon::start(&mut self.command())
     }
 }
@@ -93,7 +98,7 @@ impl Daemon {
     }
 
     /// Status and body.
-    fn ask(&self, method: &str, path: &str, body: Option<&Value>) -> (u16, Vec<u8>) {
+    pub(crate) fn ask(&self, method: &str, path: &str, body: Option<&Value>) -> (u16, Vec<u8>) {
         let body = body.map(Value::to_string);
         let headers = body
             .as_ref()

@@ -112,9 +112,9 @@ pub(super) fn write_dataset(root: &Path, objects: &[&str]) -> Vec<GraspId> {
             .save_initial(&capture(number, roles), Vec::new())
             .unwrap();
         let meta = GraspMeta {
-            object: (*object).into(),
-            scene: "table".into(),
-            operator: "Ada".into(),
+            object: object.parse().unwrap(),
+            scene: "table".parse().unwrap(),
+            operator: "Ada".parse().unwrap(),
             rig: "bench-1".into(),
             prediction: (index > 0).then(prediction),
             ..GraspMeta::default()
@@ -159,8 +159,8 @@ pub(super) fn json(output: &Output) -> Value {
 /// Ids hold the process id; their time is fixed.
 fn redacted(text: &str, ids: &[GraspId]) -> String {
     ids.iter().fold(text.to_owned(), |text, id| {
-        let (time, _) = id.0.rsplit_once('-').unwrap();
-        text.replace(&id.0, &format!("{time}-XXXX"))
+        let (time, _) = id.rsplit_once('-').unwrap();
+        text.replace(id.as_str(), &format!("{time}-XXXX"))
     })
 }
 
@@ -275,7 +275,7 @@ fn a_lost_index_comes_back() {
     .unwrap();
     let output = gripcast(&["reindex"], dir.path());
     assert_eq!(output.status.code(), Some(3), "a grasp was skipped");
-    assert!(stderr(&output).contains(&ids[0].0));
+    assert!(stderr(&output).contains(ids[0].as_str()));
 }
 
 #[test]

@@ -77,7 +77,11 @@ fn a_damaged_grasp_is_named_and_told_by_the_exit_code() {
     let out = dir.path().join("out");
     let output = gripcast(&arguments("parquet", &out), &root);
     assert_eq!(output.status.code(), Some(3));
-    assert!(stdout(&output).contains(&ids[0].0), "{}", stdout(&output));
+    assert!(
+        stdout(&output).contains(ids[0].as_str()),
+        "{}",
+        stdout(&output)
+    );
     assert!(
         stderr(&output).contains("1 grasp left out"),
         "{}",

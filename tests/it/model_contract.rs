@@ -89,7 +89,7 @@ fn what_is_no_model_is_refused_as_what_it_is() {
     assert!(text.contains("/no/such/model.onnx: cannot open"), "{text}");
     let directory = gripcast(&["predict", "check", folder.path().to_str().unwrap()]);
     assert_eq!(directory.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&directory.stderr).contains("a directory"));
+    assert!(String::from_utf8_lossy(&directory.stderr).contains("a folder"));
 }
 
 #[test]

@@ -8,6 +8,7 @@ use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use gripcast::app::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
 use gripcast::app::tui::{ColourDepth, LinePrinter, Overlay, Palette, Reaction, ScreenState, draw};
 use gripcast::dataset::{GraspId, Outcome};
+use gripcast::files::{Label, ObjectName};
 use gripcast::imaging::Role;
 use gripcast::session::{
     Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step,
@@ -77,9 +78,9 @@ fn waiting_for_grasp() -> EngineStatus {
         black_box: None,
         session: SessionView {
             step: Step::Grasp,
-            object: "mug-blue".to_owned(),
-            scene: "sink".to_owned(),
-            operator: "Ada".to_owned(),
+            object: "mug-blue".parse().unwrap(),
+            scene: "sink".parse().unwrap(),
+            operator: "Ada".parse().unwrap(),
             initial_at: Some("2026-11-20T17:41:58Z".to_owned()),
             initial_age_s: Some(12.0),
             counts: Counts {
@@ -90,8 +91,8 @@ fn waiting_for_grasp() -> EngineStatus {
                 object_slip: 2,
             },
             last: Some(LastGrasp {
-                id: GraspId("2026-11-20T17-40-51Z-7f3a".to_owned()),
-                object: "mug-blue".to_owned(),
+                id: GraspId::parse("2026-11-20T17-40-51Z-7f3a").unwrap(),
+                object: "mug-blue".parse().unwrap(),
                 outcome: Outcome::Stable,
                 predicted: Some(predicted(0.74, None)),
             }),
@@ -336,7 +337,7 @@ fn letters_typed_into_a_prompt_are_no_commands() {
     for c in "sofa q".chars() {
         assert_eq!(press(&mut state, KeyCode::Char(c), &status), Reaction::None);
     }
-    let scene = Reaction::Send(Command::Scene("sofa q".to_owned()));
+    let scene = Reaction::Send(Command::Scene("sofa q".parse().unwrap()));
     assert_eq!(press(&mut state, KeyCode::Enter, &status), scene);
     assert_eq!(state.prompt, None);
     press(&mut state, KeyCode::Char('o'), &status);
@@ -363,7 +364,7 @@ fn plain_lines_tell_each_change_once() {
     assert_eq!(lines(&waiting_for_grasp()), [""; 0]);
 
     let mut saved = labelling();
-    let id = GraspId("2026-11-20T17-42-10Z-52c1".to_owned());
+    let id = GraspId::parse("2026-11-20T17-42-10Z-52c1").unwrap();
     saved.session.last.as_mut().unwrap().id = id;
     assert_eq!(
         lines(&saved),
@@ -374,7 +375,7 @@ fn plain_lines_tell_each_change_once() {
     );
     let mut odd = labelling();
     let last = odd.session.last.as_mut().unwrap();
-    last.id = GraspId("2026-11-20T17-43-00Z-0b77".to_owned());
+    last.id = GraspId::parse("2026-11-20T17-43-00Z-0b77").unwrap();
     last.predicted = Some(predicted(0.97, Some(1.3)));
     assert_eq!(
         lines(&odd),
@@ -488,8 +489,8 @@ prop_compose! {
             initial_age_s: age,
             counts: Counts { stable: a, slip: b, unlabelled: c, object_stable: c, object_slip: a },
             last: Some(LastGrasp {
-                id: GraspId(names.0.clone()),
-                object: names.1.clone(),
+                id: GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap(),
+                object: ObjectName::nearest(&names.1),
                 outcome: Outcome::Slip,
                 predicted: said.map(|(p_stable, novelty)| predicted(p_stable, novelty)),
             }),
@@ -498,7 +499,7 @@ prop_compose! {
             refusal: reasons.map(|reasons| Refusal {
                 stage: names.0.clone(), reasons, can_override: saving,
             }),
-            object: names.0, scene: names.1, operator: names.2,
+            object: ObjectName::nearest(&names.0), scene: Label::nearest(&names.1), operator: Label::nearest(&names.2),
             undo, saving,
         }
     }

@@ -33,7 +33,7 @@ use crate::annotate::{
 use crate::app::daemon::{read_sheets, stored_intrinsics};
 use crate::dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, NewDataset, PoseRecord};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{ContentKey, FileKind, ObjectName, Root};
 use crate::geometry::{LengthUnit, Pose, TriangleMesh};
 use crate::imaging::{Decoder, Intrinsics, Role, encode_jpeg};
 use crate::pose::{BoardFile, PrintedSheet, load_intrinsics};
@@ -211,7 +211,7 @@ fn annotate(args: &Args, progress: &Progress) -> Result<Summary> {
 /// Boards and intrinsics of the command line.
 struct Given {
     sheet: Option<BoardFile>,
-    sheets: Option<BTreeMap<String, BoardFile>>,
+    sheets: Option<BTreeMap<ObjectName, BoardFile>>,
     tags: Option<BoardFile>,
     intrinsics: Option<Intrinsics>,
 }
@@ -295,7 +295,7 @@ impl Work<'_> {
         };
         Ok(Annotated {
             grasp: record.id.clone(),
-            object: record.object.clone(),
+            object: record.object.to_string(),
             pose,
             overlay,
             off_truth_mm: off.map(|(mm, _)| mm),
@@ -308,11 +308,13 @@ impl Work<'_> {
         let mut failure = None;
         let mut pictures = Vec::new();
         for (camera, path) in self.dataset.before_closing(record) {
-            let bytes = fs::read(&path).map_err(|e| Error::io("cannot read the picture", e));
+            let bytes = path
+                .read(FileKind::Image)
+                .map_err(|e| Error::io("cannot read the picture", e));
             let read = bytes.and_then(|bytes| self.decoder.stored_picture(&bytes));
             match read.map_err(|e| e.at(path.display())) {
                 Ok(colour) => pictures.push(Picture {
-                    name: camera.file,
+                    name: camera.file.into(),
                     grey: grayscale(&colour),
                     colour,
                 }),
@@ -367,7 +369,7 @@ impl Work<'_> {
     }
 
     /// A board that was stored with the grasp.
-    fn stored(&self, key: Option<&String>, what: &str, flag: &str) -> Result<BoardFile> {
+    fn stored(&self, key: Option<&ContentKey>, what: &str, flag: &str) -> Result<BoardFile> {
         let Some(key) = key else {
             return Err(Error::new(
                 ErrorKind::NotFound,
@@ -411,13 +413,16 @@ impl Work<'_> {
         pose: &PoseRecord,
         mesh: Option<&TriangleMesh>,
     ) -> Result<PathBuf> {
-        let folder = self
-            .args
-            .overlays
-            .clone()
-            .unwrap_or_else(|| self.args.dataset.join(OVERLAYS));
-        fs::create_dir_all(&folder)
-            .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
+        // Inside a dataset nothing is written through a link.
+        let folder = match &self.args.overlays {
+            Some(folder) => {
+                fs::create_dir_all(folder)
+                    .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
+                Root::new(folder).top()
+            }
+            None => Root::new(&self.args.dataset).top().join(OVERLAYS),
+        };
+        let unwritten = |e| Error::io("cannot write the overlay", e).at(folder.display());
         if let Some(annotator) = &self.annotator {
             let content = OverlayContent {
                 mesh,
@@ -425,9 +430,11 @@ impl Work<'_> {
             };
             overlay(&mut picture, shown, annotator.intrinsics(), &content);
         }
-        let path = folder.join(format!("{}.jpg", record.id));
-        save(&path, &encode_jpeg(&picture, OVERLAY_QUALITY)?)?;
-        Ok(path)
+        let jpeg = encode_jpeg(&picture, OVERLAY_QUALITY)?;
+        let place = folder.join_affixed("", &record.id, ".jpg");
+        let written = folder.create_dir_all().and_then(|()| place.replace(&jpeg));
+        written.map_err(unwritten)?;
+        Ok(place.shown())
     }
 }
 

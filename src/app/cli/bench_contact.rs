@@ -35,6 +35,7 @@ use serde_json::{Map, Value, json};
 
 use super::sim_grasp::GelName;
 use super::{Context, print, print_json, python_peer};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::sim::grasp::resolution_name;
 use crate::sim::solver::{ContactLoad, ContactPhases, ContactState};
@@ -176,7 +177,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         }
     }
     if is_absent && !context.quiet {
-        eprintln!(
+        note!(
             "gripcast: ipctk is absent, so it was not measured\n  → pip install ipctk==1.6.1 numpy"
         );
     }

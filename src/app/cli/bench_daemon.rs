@@ -16,6 +16,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::{Context, print};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 
 /// Ticks of CPU time a second in `/proc/PID/stat`: USER_HZ, the same on all machines.
@@ -79,9 +80,11 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let dir = dir.map_err(|e| Error::io("cannot make a folder for the dataset", e))?;
     let mut daemon = Daemon::start(&dir.path().join("d"))?;
     if !context.quiet {
-        eprintln!(
+        note!(
             "a daemon at {}; two measurements of {} s, then {} grasps",
-            daemon.url, args.seconds, args.grasps
+            daemon.url,
+            args.seconds,
+            args.grasps
         );
     }
     // The first frames come with the costs of the start.

@@ -8,6 +8,7 @@ use serde_json::{Map, json};
 
 use super::{Context, print, python_peer};
 use crate::app::daemon::live_load::{LoadParams, decode_ms, drive, gel_frame};
+use crate::app::note;
 use crate::error::Result;
 use crate::predict::{Model, SHIPPED};
 
@@ -46,7 +47,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let model = Model::named(&args.model)?;
     let name = model.contract().name.clone();
     if !context.quiet {
-        eprintln!(
+        note!(
             "synthesising full-size frames, then measuring for {} s",
             args.seconds
         );
@@ -67,7 +68,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
                 peer["decode_ratio"] = json!(ours / theirs);
                 peers.insert("opencv".to_owned(), peer);
             }
-            None if !context.quiet => eprintln!(
+            None if !context.quiet => note!(
                 "gripcast: OpenCV is absent, so it was not measured\n  → pip install \
                  opencv-python-headless"
             ),

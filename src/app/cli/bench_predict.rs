@@ -7,6 +7,7 @@
 use serde_json::{Map, Value, json};
 
 use super::{Context, print, python_peer};
+use crate::app::note;
 use crate::error::{Error, Result};
 use crate::predict::{Model, PredictFigures, SHIPPED, measure, model_bytes};
 
@@ -53,7 +54,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
             }
             None => {
                 if !context.quiet {
-                    eprintln!(
+                    note!(
                         "gripcast: onnxruntime is absent, so it was not measured\n  → pip install \
                          onnxruntime numpy"
                     );

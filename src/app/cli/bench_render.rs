@@ -18,6 +18,7 @@ use serde_json::{Map, Value, json};
 
 use super::working::interruptible;
 use super::{Context, print, print_json, python_peer};
+use crate::app::note;
 use crate::error::Result;
 use crate::geometry::{Pose, builtin};
 use crate::render::tactile::{
@@ -77,7 +78,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
                 peers.insert("taxim".to_owned(), peer);
             }
             None if context.quiet => {}
-            None => eprintln!(
+            None => note!(
                 "gripcast: taxim is absent, so it was not measured\n  → pip install taxim jax"
             ),
         }

@@ -21,6 +21,7 @@ use serde_json::{Value, json};
 
 use super::sim_object::{SimObject, unit};
 use super::{Context, print, print_json, python_peer};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, TriangleMesh};
 use crate::sim::Engine as _;
@@ -172,9 +173,7 @@ fn ask(
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
     let Some(answer) = python_peer::measure("pybullet", PEER_SCRIPT, 1, &input)? else {
         if !context.quiet {
-            eprintln!(
-                "gripcast: pybullet is absent, so it was not asked\n  → pip install pybullet"
-            );
+            note!("gripcast: pybullet is absent, so it was not asked\n  → pip install pybullet");
         }
         return Ok(None);
     };

@@ -8,6 +8,7 @@ use std::time::Instant;
 use serde_json::{Map, Value, json};
 
 use super::{Context, print, python_peer};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::nn::{Adam, Architecture, Batch, Network, PICTURE, Senses, Step};
 use crate::render::visual::SeedStream;
@@ -86,7 +87,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
             }
             None => {
                 if !context.quiet {
-                    eprintln!(
+                    note!(
                         "gripcast: torch is absent, so it was not measured\n  → pip install torch"
                     );
                 }

@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::board::folder;
 use super::sim_object::{SimObject, unit};
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result, nearest_name};
 use crate::files::save;
 use crate::geometry::{LengthUnit, Pose};
@@ -245,7 +246,7 @@ pub(super) fn make(context: &Context, args: &MakeArgs) -> Result<()> {
     let object = SimObject::read(&args.object, args.unit, args.scale)?;
     if !context.quiet {
         for warning in &object.warnings {
-            eprintln!("gripcast: {warning}");
+            note!("gripcast: {warning}");
         }
     }
     let (_, pose) = resting_pose(&object.mesh, args.stable_pose)?;

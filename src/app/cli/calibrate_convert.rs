@@ -6,6 +6,7 @@ use glam::DVec2;
 use serde::Serialize;
 
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::imaging::{DistortionModel, Intrinsics};
@@ -92,7 +93,7 @@ pub(super) fn convert(context: &Context, args: &ConvertArgs) -> Result<()> {
     save(&args.out, text.as_bytes())?;
     if !context.quiet {
         for note in &read.notes {
-            eprintln!("gripcast: {}: {note}", args.source.file.display());
+            note!("gripcast: {}: {note}", args.source.file.display());
         }
     }
     print(&format!(

@@ -9,8 +9,9 @@ use serde::Serialize;
 
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result, unknown_name};
-use crate::files::save;
+use crate::files::{FileKind, read_regular, save};
 use crate::imaging::{Decoder, Intrinsics};
 use crate::pose::calibrate::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
@@ -78,13 +79,14 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     }
     if !context.quiet {
         for skipped in report.skipped.iter() {
-            eprintln!(
+            note!(
                 "gripcast: {} is not used: {}",
-                skipped.picture, skipped.reason
+                skipped.picture,
+                skipped.reason
             );
         }
         for note in &found.notes {
-            eprintln!("gripcast: {note}");
+            note!("gripcast: {note}");
         }
     }
     let is_loose = |m: &CalibratedMarker| matches!(m.state, MarkerState::Loose { .. });
@@ -197,7 +199,8 @@ fn look(
 
 /// A stored picture in grey, at its own size.
 fn grey(decoder: &mut Decoder, file: &Path) -> Result<GrayImage> {
-    let bytes = fs::read(file).map_err(|e| Error::io("cannot read the picture", e))?;
+    let bytes =
+        read_regular(file, FileKind::Image).map_err(|e| Error::io("cannot read the picture", e))?;
     Ok(grayscale(&decoder.stored_picture(&bytes)?))
 }
 

@@ -24,7 +24,9 @@ use serde_json::{Value, json};
 
 use super::working::interruptible;
 use super::{Context, calibrate_live, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, read_regular};
 use crate::imaging::{Decoder, Role};
 use crate::pose::BoardFile;
 use crate::pose::calibrate::{
@@ -130,7 +132,7 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
     } else {
         print(&as_text(args, &taken, &report))?;
         for warning in &warnings {
-            eprintln!("warning: {warning}");
+            note!("warning: {warning}");
         }
     }
     if taken.lost > 0 {
@@ -170,7 +172,8 @@ fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
 }
 
 fn read(decoder: &mut Decoder, path: &Path) -> Result<GrayImage> {
-    let bytes = fs::read(path).map_err(|e| Error::io("cannot read the picture", e))?;
+    let bytes =
+        read_regular(path, FileKind::Image).map_err(|e| Error::io("cannot read the picture", e))?;
     Ok(grayscale(&decoder.stored_picture(&bytes)?))
 }
 

@@ -29,7 +29,9 @@ use crate::app::daemon::{
     self, Asked, BlackBoxReport, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus,
     Tasks,
 };
+use crate::app::note;
 use crate::app::rig_lock::RigLock;
+use crate::app::terminal_text::escaped_json;
 use crate::app::tui;
 use crate::app::web::{self, Attached, Target, Token};
 use crate::error::{Error, ErrorKind, Result};
@@ -207,11 +209,11 @@ async fn collect(
         tones: tone_sender,
         stored: Box::new(move |stored| {
             if let (true, StoreReply::Failed { message }) = (told, &stored.reply) {
-                eprintln!("NOT SAVED: {message}");
+                note!("NOT SAVED: {message}");
             }
             if events {
                 // A reader that has gone does not stop the collection.
-                let _ = serde_json::to_string(stored).map(|line| print(&line));
+                let _ = serde_json::to_string(stored).map(|line| print(&escaped_json(&line)));
             }
         }),
     };

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::app::config::FlagValue;
+use crate::files::{Label, ObjectName};
 
 /// The flags; each stands for a key of the configuration.
 #[derive(Clone, Debug, clap::Args)]
@@ -15,13 +16,13 @@ pub(super) struct CollectionFlags {
     dataset: Option<PathBuf>,
     /// Object at the start
     #[arg(long)]
-    object: Option<String>,
+    object: Option<ObjectName>,
     /// Scene at the start
     #[arg(long)]
-    scene: Option<String>,
+    scene: Option<Label>,
     /// Who holds the gripper
     #[arg(long)]
-    operator: Option<String>,
+    operator: Option<Label>,
     /// ONNX file, `gripcast-vt`, the built-in classifier, `baseline-contact`, a heuristic of touch
     /// alone, or `none` for no prediction [default: gripcast-vt; baseline-contact where the rig's
     /// cameras or crop profile are not those of the classifier]
@@ -41,9 +42,21 @@ impl CollectionFlags {
         [
             ("--rig", "collect.rig", self.rig.clone()),
             ("--dataset", "collect.dataset", dataset),
-            ("--object", "collect.object", self.object.clone()),
-            ("--scene", "collect.scene", self.scene.clone()),
-            ("--operator", "collect.operator", self.operator.clone()),
+            (
+                "--object",
+                "collect.object",
+                self.object.clone().map(String::from),
+            ),
+            (
+                "--scene",
+                "collect.scene",
+                self.scene.clone().map(String::from),
+            ),
+            (
+                "--operator",
+                "collect.operator",
+                self.operator.clone().map(String::from),
+            ),
             ("--model", "collect.model", self.model.clone()),
             ("--black-box", "black_box.enabled", black_box),
         ]

@@ -24,6 +24,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 
 use super::{Context, dataset_export, dataset_import, print, print_json};
+use crate::app::note;
 use crate::dataset::{
     Dataset, Outcome, RecoverReport, SplitBy, SplitFile, SplitPlan, Summary, VerifyReport, recover,
     reindex, split, summary, verify,
@@ -167,7 +168,7 @@ fn run_recover(context: &Context, args: &RecoverArgs) -> Result<()> {
         .remedy("restore the files from a copy; what moved is in trash/, with the reason"));
     }
     if report.actions.is_empty() && !place.json && !context.quiet {
-        eprintln!("nothing to recover");
+        note!("nothing to recover");
     }
     Ok(())
 }
@@ -177,7 +178,7 @@ fn run_reindex(context: &Context, place: &Place) -> Result<()> {
     if place.json {
         print_json(&to_value(&report)?)?;
     } else if !context.quiet {
-        eprintln!(
+        note!(
             "metadata.jsonl {}: {}",
             if report.changed {
                 "written"

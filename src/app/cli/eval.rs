@@ -8,6 +8,7 @@ use serde_json::json;
 
 use super::working::interruptible;
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
 use crate::predict::Model;
@@ -73,7 +74,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     )??;
     if !context.quiet {
         for warning in &report.warnings {
-            eprintln!("gripcast: {warning}");
+            note!("gripcast: {warning}");
         }
     }
     if is_json {
@@ -82,7 +83,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         print(&text(&report))?;
     }
     if let (Some(out), false, false) = (&out, context.quiet, is_json) {
-        eprintln!("report: {}", out.join("eval.html").display());
+        note!("report: {}", out.join("eval.html").display());
     }
     Ok(())
 }

@@ -12,6 +12,7 @@ use clap_mangen::roff::{Roff, roman};
 use jiff::Timestamp;
 
 use super::{Cli, Context};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 
@@ -50,7 +51,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     command.build();
     let written = write_pages(&command, &date, &args.out)?;
     if !context.quiet {
-        eprintln!("{written} pages in {}", args.out.display());
+        note!("{written} pages in {}", args.out.display());
     }
     Ok(())
 }

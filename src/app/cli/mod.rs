@@ -1,13 +1,15 @@
 //! The command line: one file a verb. stdout is data, stderr is for people.
 
-use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
 use crate::app::config as settings;
-use crate::error::{Error, ErrorKind, Result};
+use crate::app::note;
+pub(crate) use crate::app::terminal_text::{print, print_json};
+use crate::error::Result;
+use crate::files::allow_links_into;
 
 mod annotate;
 mod bench;
@@ -109,24 +111,6 @@ impl ConfigFlag {
     }
 }
 
-/// Writes a line or more to stdout; a reader that has seen enough (`| head`) is no failure.
-pub(crate) fn print(text: &str) -> Result<()> {
-    let text = text.strip_suffix('\n').unwrap_or(text);
-    match writeln!(std::io::stdout().lock(), "{text}") {
-        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
-            Err(Error::io("cannot write to stdout", e))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Prints one JSON object on stdout.
-pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
-    let text = serde_json::to_string_pretty(value)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    print(&text)
-}
-
 #[derive(Debug, Subcommand)]
 enum Verb {
     /// Collect grasps: live cameras, triggers, prediction, crash-safe saving
@@ -178,7 +162,7 @@ pub fn main() -> ExitCode {
     match run(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("gripcast: {error}");
+            note!("gripcast: {error}");
             ExitCode::from(error.kind().exit_code())
         }
     }
@@ -186,6 +170,7 @@ pub fn main() -> ExitCode {
 
 fn run(cli: Cli) -> Result<()> {
     let context = cli.context;
+    allow_links_into(settings::linked_folders());
     match cli.verb {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),

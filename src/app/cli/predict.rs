@@ -9,15 +9,15 @@
 //!
 //! Exit codes: 0 predicted, 1 the model or a picture is refused, 2 usage.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use serde_json::{Value, json};
 
 use super::{Context, print};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{FileKind, read_regular, save};
 use crate::imaging::{
     CropProfile, Decoder, Frame, FrameDamage, PixelFormat, TactileDifference, crop_and_resize,
     decode_png_rgb, jpeg,
@@ -201,7 +201,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
     let verdict = Verdict::of(prediction.p_stable, contract.threshold, novelty);
     let outcome = verdict.name();
     if contract.is_heuristic() && !context.quiet {
-        eprintln!(
+        note!(
             "gripcast: `{}` is a contact-strength heuristic, not a trained model",
             contract.name
         );
@@ -236,7 +236,7 @@ fn write_baseline(context: &Context, out: &Path) -> Result<()> {
     let bytes = baseline::onnx_bytes()?;
     save(out, &bytes)?;
     if !context.quiet {
-        eprintln!("wrote {} ({} bytes)", out.display(), bytes.len());
+        note!("wrote {} ({} bytes)", out.display(), bytes.len());
     }
     Ok(())
 }
@@ -257,7 +257,8 @@ fn needed<'a>(file: Option<&'a Path>, flag: &str, input: InputName) -> Result<&'
 /// A picture file, cropped and resized as a live frame would be.
 fn picture(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
     let read = || -> Result<RgbImage> {
-        let bytes = fs::read(path).map_err(|e| Error::io("cannot read the picture", e))?;
+        let bytes = read_regular(path, FileKind::Image)
+            .map_err(|e| Error::io("cannot read the picture", e))?;
         if bytes.starts_with(b"\x89PNG") {
             let picture = decode_png_rgb(&bytes)?;
             return Ok(crop_and_resize(&picture, crop, IMAGE_WIDTH, IMAGE_HEIGHT)?);

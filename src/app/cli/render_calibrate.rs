@@ -22,6 +22,7 @@ use serde::Serialize;
 
 use super::working::interruptible;
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::imaging::{CropProfile, encode_png_rgb};
@@ -195,7 +196,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     save(&picture, &encode_png_rgb(&calibration.picture)?)?;
     if !context.quiet {
         for press in &calibration.skipped {
-            eprintln!("gripcast: {} is not used: {}", press.file, press.reason);
+            note!("gripcast: {} is not used: {}", press.file, press.reason);
         }
     }
     if args.json {

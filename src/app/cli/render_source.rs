@@ -1,6 +1,5 @@
 //! What is rendered: a trace of a simulated grasp with its object.
 
-use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
@@ -8,6 +7,7 @@ use serde_json::Value;
 use super::sim_object::SimObject;
 use super::working::Progress;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, read_regular};
 use crate::geometry::{LengthUnit, TriangleMesh};
 use crate::render::tactile::{SimulatedGel, TraceHeader, TraceObject, TraceStart};
 use crate::render::visual::{Finish, Model, demo_model, drawn_finish};
@@ -105,8 +105,8 @@ pub(super) struct SimulatedGrasp {
 impl SimulatedGrasp {
     /// Reads a trace and the mesh that it names; `object` replaces the name of the mesh.
     pub(super) fn read(path: &Path, object: Option<&str>) -> Result<Self> {
-        let bytes =
-            fs::read(path).map_err(|e| Error::io("cannot read the trace", e).at(path.display()))?;
+        let bytes = read_regular(path, FileKind::Mesh)
+            .map_err(|e| Error::io("cannot read the trace", e).at(path.display()))?;
         Self::parse(&bytes, path, object).map_err(|e| e.at(path.display()))
     }
 

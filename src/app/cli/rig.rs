@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use super::{Context, print, print_json};
 use crate::app::camera_check::{CameraCheck, check_cameras, verdict};
 use crate::app::doctor::{access_text, crowding, plugged_cameras};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::PixelFormat;
 use crate::rig::calibration::{RigFile, draft};
@@ -150,7 +151,7 @@ fn list(context: &Context, root: &SystemRoot, json: bool) -> Result<()> {
         }
         if !context.quiet {
             for warning in &warnings {
-                eprintln!("note: {warning}");
+                note!("note: {warning}");
             }
         }
     }
@@ -171,7 +172,7 @@ fn explain_denied(devices: &[VideoDevice]) {
         let ids = (device.vendor_id, device.product_id);
         if !told.contains(&ids) {
             told.push(ids);
-            eprintln!("{}", permission_error(device, "open"));
+            note!("{}", permission_error(device, "open"));
         }
     }
 }
@@ -294,9 +295,9 @@ fn init(
         .and_then(|()| file.sync_all())
         .map_err(|e| Error::io("cannot write the rig file", e).at(out.display()))?;
     if !context.quiet {
-        eprintln!("wrote {}", out.display());
+        note!("wrote {}", out.display());
         for note in &draft.notes {
-            eprintln!("note: {note}");
+            note!("note: {note}");
         }
     }
     Ok(())

@@ -23,6 +23,7 @@ use serde_json::{Value, json};
 use super::sim_object::{ObjectFlags, ObjectRecord, SimObject};
 use super::working::interruptible;
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::save;
 use crate::geometry::Pose;
@@ -274,7 +275,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     };
     if !context.quiet {
         for warning in &object.warnings {
-            eprintln!("gripcast: {}: {warning}", args.object.object);
+            note!("gripcast: {}: {warning}", args.object.object);
         }
     }
     let gel_axes_m = scene.gel.grid.axes().clone();
@@ -523,11 +524,11 @@ fn finish(context: &Context, report: &Report) -> Result<()> {
         for warning in &summary.warnings {
             // Those of the mesh were said before.
             if warning.contains("converge") {
-                eprintln!("gripcast: {warning}");
+                note!("gripcast: {warning}");
             }
         }
         if summary.outcome == GraspOutcome::PenetratingStart {
-            eprintln!(
+            note!(
                 "gripcast: the gripper starts in collision\n  → open it further (--width), raise \
                  it (--height) or shift it (--offset-x, --offset-y)"
             );

@@ -22,6 +22,7 @@ use serde::Serialize;
 use super::sim_grasp::GelName;
 use super::working::interruptible;
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
 use crate::sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
@@ -168,7 +169,7 @@ fn load(context: &Context, path: &Path, unit: LengthUnit) -> Result<TriangleMesh
         .map_err(|e| e.at(path.display()))?;
     if !context.quiet {
         for warning in &prepared.warnings {
-            eprintln!("gripcast: {}: {warning}", path.display());
+            note!("gripcast: {}: {warning}", path.display());
         }
     }
     Ok(prepared.mesh)

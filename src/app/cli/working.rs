@@ -12,6 +12,7 @@ use tokio::sync::oneshot;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::Context;
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 
 /// Between lines that say that it still works, where there is no terminal.
@@ -227,7 +228,7 @@ impl Display {
         }
         let has_lines = !context.quiet && !on_terminal;
         if has_lines {
-            eprintln!("{label}");
+            note!("{label}");
         }
         Self {
             bar,
@@ -240,7 +241,7 @@ impl Display {
 
     fn show(&self, event: Event) {
         match event {
-            Event::Line(text) if self.has_lines => eprintln!("{text}"),
+            Event::Line(text) if self.has_lines => note!("{text}"),
             Event::Line(text) => self.bar.println(text),
             Event::Stage(label) if self.label.get() == label => {}
             Event::Stage(label) => {
@@ -248,7 +249,7 @@ impl Display {
                 self.at.set(None);
                 self.bar.set_message(label);
                 if self.has_lines {
-                    eprintln!("{label}");
+                    note!("{label}");
                 }
             }
             Event::At { done, all } => {
@@ -271,7 +272,7 @@ impl Display {
         if self.has_lines {
             let seconds = self.started.elapsed().as_secs();
             let at = self.at.get().map_or(String::new(), |at| at.text());
-            eprintln!("{} for {seconds} s{at}", self.label.get());
+            note!("{} for {seconds} s{at}", self.label.get());
         }
     }
 }

@@ -14,6 +14,7 @@ use super::sheets::Boards;
 use crate::annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 use crate::dataset::{PoseRecord, approach_name};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::FileName;
 use crate::imaging::{Decoder, Frame, Intrinsics, Role};
 
 /// Time between two frames that are kept.
@@ -124,7 +125,7 @@ impl ApproachWatch {
         &self,
         initial_ns: u64,
         until_ns: u64,
-        initial: Option<&(u64, String)>,
+        initial: Option<&(u64, FileName)>,
     ) -> Approach {
         let shared = lock(&self.shared);
         let current = self.current(&shared.object);
@@ -156,7 +157,7 @@ impl Shared {
         &self,
         initial_ns: u64,
         until_ns: u64,
-        initial: Option<&(u64, String)>,
+        initial: Option<&(u64, FileName)>,
         boards: Option<CurrentBoards>,
     ) -> Approach {
         let from_ns = initial_ns.saturating_sub(BEFORE_TRIGGER_NS);
@@ -200,9 +201,9 @@ impl Shared {
                 let number: usize = name.parse().unwrap_or_default();
                 let frame = &within[number].frame;
                 if let Some(file) = file_of_initial(frame) {
-                    name.clone_from(file);
+                    *name = file.to_string();
                 } else {
-                    *name = approach_name(frames.len(), frame.format);
+                    *name = approach_name(frames.len(), frame.format).into();
                     frames.push(frame.clone());
                 }
             }
@@ -389,7 +390,7 @@ mod tests {
             let frames = approach.frames.iter();
             frames.map(|f| f.driver_time_ns / MS).collect()
         };
-        let initial = (2000 * MS, "initial.external.png".to_owned());
+        let initial = (2000 * MS, "initial.external.png".parse().unwrap());
         let taken = shared.take(2050 * MS, 4000 * MS, Some(&initial), None);
         assert_eq!(times(&taken), [1500, 1600, 1700, 1800, 1900]);
         assert!(taken.pose.is_none() && taken.boards.is_none());

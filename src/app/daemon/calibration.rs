@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::dataset::DatasetWriter;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::ContentKey;
 use crate::imaging::{Intrinsics, Role};
 use crate::rig::calibration::{CameraConfig, RigFile};
 
@@ -24,7 +25,7 @@ pub(super) fn store_calibration(
     writer: &mut DatasetWriter,
     rig: &RigFile,
     intrinsics: &BTreeMap<Role, Intrinsics>,
-) -> Result<BTreeMap<Role, String>> {
+) -> Result<BTreeMap<Role, ContentKey>> {
     rig.cameras
         .iter()
         .map(|(role, camera)| {

@@ -553,24 +553,24 @@ impl Engine {
                     predicted,
                 },
             ) => self.grasps.push(GraspReport {
-                id: id.0.clone(),
-                object: object.clone(),
+                id: id.to_string(),
+                object: object.to_string(),
                 outcome: *outcome,
                 p_stable: predicted.map(|said| said.p_stable),
             }),
             (StoreRequest::SetOutcome { id, outcome }, _) => {
-                if let Some(grasp) = self.grasps.iter_mut().find(|g| g.id == id.0) {
+                if let Some(grasp) = self.grasps.iter_mut().find(|g| g.id == **id) {
                     grasp.outcome = *outcome;
                 }
             }
             (StoreRequest::UndoGrasp { id } | StoreRequest::TrashGrasp { id }, _) => {
-                if let Some(place) = self.grasps.iter().position(|g| g.id == id.0) {
+                if let Some(place) = self.grasps.iter().position(|g| g.id == **id) {
                     self.taken_back
-                        .insert(id.0.clone(), self.grasps.remove(place));
+                        .insert(id.to_string(), self.grasps.remove(place));
                 }
             }
             (StoreRequest::RedoGrasp { id, .. } | StoreRequest::RestoreGrasp { id }, _) => {
-                if let Some(grasp) = self.taken_back.remove(&id.0) {
+                if let Some(grasp) = self.taken_back.remove(id.as_str()) {
                     let place = self.grasps.partition_point(|g| g.id < grasp.id);
                     self.grasps.insert(place, grasp);
                 }

@@ -1,11 +1,11 @@
 //! Which printed boards the external camera sees.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
 use crate::error::{Error, Result};
+use crate::files::{ObjectName, Root};
 use crate::pose::BoardFile;
 use crate::rig::calibration::BoardsConfig;
 use crate::rig::camera::VirtualHand;
@@ -21,7 +21,7 @@ enum Sheets {
     /// One for all objects.
     One(Box<BoardFile>),
     /// By name of the object.
-    ByObject(BTreeMap<String, BoardFile>),
+    ByObject(BTreeMap<ObjectName, BoardFile>),
     /// That of the object on the virtual table.
     Virtual(Arc<VirtualHand>),
 }
@@ -70,15 +70,15 @@ impl Boards {
 ///
 /// # Errors
 /// `NotFound`, `Io`, or those of a file that is no board.
-pub fn read_sheets(folder: &Path) -> Result<BTreeMap<String, BoardFile>> {
+pub fn read_sheets(folder: &Path) -> Result<BTreeMap<ObjectName, BoardFile>> {
     let unreadable = |e| Error::io("cannot read the sheets", e).at(folder.display());
     let mut sheets = BTreeMap::new();
-    for entry in fs::read_dir(folder).map_err(unreadable)? {
-        let path = entry.map_err(unreadable)?.path();
-        if path.extension().is_some_and(|e| e == "toml")
-            && let Some(name) = path.file_stem().and_then(|stem| stem.to_str())
+    for entry in Root::new(folder).top().entries().map_err(unreadable)? {
+        let name = entry.name();
+        if let Some(name) = name.strip_suffix(".toml")
+            && let Ok(name) = ObjectName::parse(name)
         {
-            sheets.insert(name.to_owned(), BoardFile::load(&path)?);
+            sheets.insert(name, BoardFile::load(&entry.shown())?);
         }
     }
     Ok(sheets)

@@ -19,6 +19,7 @@ use crate::dataset::{
     StageCapture,
 };
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::ContentKey;
 use crate::imaging::{CropProfile, Decoder, Frame, Role};
 use crate::quiet_panic;
 use crate::session::{PendingFrame, Predicted, StoreReply, StoreRequest};
@@ -66,7 +67,7 @@ pub(super) struct StoreContext {
     /// Rig id.
     pub(super) rig: String,
     /// Calibration by role.
-    pub(super) calibration: BTreeMap<Role, String>,
+    pub(super) calibration: BTreeMap<Role, ContentKey>,
     /// Model, if there is one.
     pub(super) model: Option<ModelFacts>,
     /// Crop of each tactile camera.

@@ -158,8 +158,8 @@ mod tests {
         };
         let marked_of = |outcome, p, novelty| {
             let last = LastGrasp {
-                id: GraspId("2026-11-20T10-15-03Z-7f3a".to_owned()),
-                object: "mug".to_owned(),
+                id: GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap(),
+                object: "mug".parse().unwrap(),
                 outcome,
                 predicted: Some(Predicted {
                     p_stable: p,

@@ -7,10 +7,11 @@ use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
 use super::text::{clipped, columns, fill, write};
+use crate::files::{Label, MAX_LABEL_CHARS, ObjectName, is_unsafe_char};
 use crate::session::{Command, SessionView};
 
 /// Longest name, in characters.
-const MAX_CHARACTERS: usize = 80;
+const MAX_CHARACTERS: usize = MAX_LABEL_CHARS;
 
 /// What a prompt asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,11 +41,11 @@ impl Field {
         }
     }
 
-    fn command(self, name: String) -> Command {
+    fn command(self, name: &str) -> Command {
         match self {
-            Self::Object => Command::Object(name),
-            Self::Scene => Command::Scene(name),
-            Self::Operator => Command::Operator(name),
+            Self::Object => Command::Object(ObjectName::nearest(name)),
+            Self::Scene => Command::Scene(Label::nearest(name)),
+            Self::Operator => Command::Operator(Label::nearest(name)),
         }
     }
 }
@@ -125,12 +126,12 @@ impl Prompt {
     fn accepted(&self) -> Reply {
         match self.text.trim() {
             "" => Reply::Cancelled,
-            name => Reply::Accepted(self.field.command(name.to_owned())),
+            name => Reply::Accepted(self.field.command(name)),
         }
     }
 
     fn insert(&mut self, character: char) {
-        if !character.is_control() && self.text.chars().count() < MAX_CHARACTERS {
+        if !is_unsafe_char(character) && self.text.chars().count() < MAX_CHARACTERS {
             self.text.insert(self.cursor, character);
             self.cursor += character.len_utf8();
         }
@@ -254,7 +255,7 @@ mod tests {
         assert_eq!(prompt.text(), "asse für é ");
         assert_eq!(
             press(&mut prompt, KeyCode::Enter),
-            Reply::Accepted(Command::Object("asse für é".to_owned()))
+            Reply::Accepted(Command::Object("asse für é".parse().unwrap()))
         );
     }
 

@@ -19,6 +19,7 @@ use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 use super::access::Token;
 use super::state::{State, ToneName};
 use crate::app::daemon::{Asked, EngineStatus, Preview};
+use crate::app::note;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Decoder, Role};
 use crate::session::{Command, Tone};
@@ -149,7 +150,7 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
                     Ok(Heard::State { state }) => shown.state = Some(*state),
                     // A screen that has gone asks to leave next.
                     Ok(Heard::Tone { tone }) => drop(screen.tones.send(tone.into())),
-                    Ok(Heard::Answer { error: Some(error) }) => eprintln!("{error}"),
+                    Ok(Heard::Answer { error: Some(error) }) => note!("{error}"),
                     Ok(Heard::Bye) => return Ok(Attached::Ended),
                     Ok(Heard::Answer { error: None } | Heard::Other) => continue,
                     Err(e) => return Err(of_another_version(e, target)),

@@ -1,5 +1,7 @@
 //! Commands over HTTP.
 
+use std::ops::Deref;
+use std::str::FromStr;
 use std::sync::Arc;
 
 use axum::Json;
@@ -12,10 +14,8 @@ use super::backend::{Backend, status_of};
 use super::failure::{Complaint, Failure};
 use super::state::State;
 use crate::app::daemon::{Answered, Fate};
+use crate::error::Error;
 use crate::session::Command;
-
-/// Longest name of an object, scene or operator, characters.
-const LONGEST_NAME: usize = 120;
 
 /// A command as in scripts and on pedals.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -87,22 +87,8 @@ pub(crate) fn parse(text: &str) -> Result<Command, Failure> {
             "the daemon is not ended from here",
         )
         .remedy("systemctl stop gripcast, or Ctrl-C where it runs")),
-        Command::Object(name) | Command::Scene(name) | Command::Operator(name) => {
-            check_name(name)?;
-            Ok(command)
-        }
         _ => Ok(command),
     }
-}
-
-fn check_name(name: &str) -> Result<(), Failure> {
-    let length = name.chars().count();
-    if name.trim().is_empty() || length > LONGEST_NAME || name.chars().any(char::is_control) {
-        return Err(Failure::input(format!(
-            "expected a name of 1 to {LONGEST_NAME} characters in one line, found {length}"
-        )));
-    }
-    Ok(())
 }
 
 /// Carry out a command
@@ -156,9 +142,15 @@ pub(crate) async fn operator(
     named(&backend, request, Command::Operator).await
 }
 
-async fn named(backend: &Backend, request: NameRequest, make: fn(String) -> Command) -> Reply {
-    check_name(&request.name)?;
-    carry_out(backend, make(request.name.trim().to_owned())).await
+async fn named<T>(backend: &Backend, request: NameRequest, make: fn(T) -> Command) -> Reply
+where
+    T: FromStr<Err = Error> + Deref<Target = str>,
+{
+    let name: T = request.name.trim().parse()?;
+    if name.is_empty() {
+        return Err(Failure::input("expected a name, found an empty text"));
+    }
+    carry_out(backend, make(name)).await
 }
 
 /// A JSON body whose refusal is told like every other failure.
@@ -196,7 +188,7 @@ mod tests {
         assert_eq!(parse("trigger").unwrap(), Command::Trigger);
         assert_eq!(
             parse("object blue mug").unwrap(),
-            Command::Object("blue mug".into())
+            Command::Object("blue mug".parse().unwrap())
         );
         assert_eq!(refused("quit"), 403);
         assert_eq!(refused("jump"), 422);

@@ -52,10 +52,10 @@ impl GraspSummary {
             _ => None,
         };
         Self {
-            id: record.id.0.clone(),
-            object: record.object.clone(),
-            scene: record.scene.clone(),
-            operator: record.operator.clone(),
+            id: record.id.to_string(),
+            object: record.object.to_string(),
+            scene: record.scene.to_string(),
+            operator: record.operator.to_string(),
             outcome: record.outcome.into(),
             labelled_at: record.labelled_at.clone(),
             captured_at: record.grasp.captured_at.clone(),
@@ -219,12 +219,15 @@ mod tests {
             limit: Some(2),
             ..Wanted::default()
         });
-        assert_eq!(ids(&first), [&*saved[2].0, &*saved[1].0]);
+        assert_eq!(ids(&first), [saved[2].as_str(), saved[1].as_str()]);
         let rest = page(Wanted {
             before: first.next.clone(),
             ..Wanted::default()
         });
-        assert_eq!((ids(&rest), rest.next.clone()), (vec![&*saved[0].0], None));
+        assert_eq!(
+            (ids(&rest), rest.next.clone()),
+            (vec![saved[0].as_str()], None)
+        );
         let mugs = page(Wanted {
             object: Some("mug".into()),
             ..Wanted::default()
@@ -239,7 +242,7 @@ mod tests {
             outcome: Some(OutcomeName::Slip),
             ..Wanted::default()
         });
-        assert_eq!(ids(&slips), [&*saved[0].0]);
+        assert_eq!(ids(&slips), [saved[0].as_str()]);
         assert_eq!(page(Wanted::default()).grasps.len(), 2);
         let wrong = page(Wanted {
             disagree: Some(true),

@@ -17,6 +17,7 @@ use super::grasp_list::{GraspPage, Wanted};
 use super::state::OutcomeName;
 use crate::dataset::{Dataset, GraspId, GraspRecord, Stage};
 use crate::error::{Error, ErrorKind, Result as CrateResult};
+use crate::files::FileKind;
 use crate::imaging::{CropProfile, Decoder, Role, TactileDifference, encode_jpeg};
 use crate::session::Command;
 
@@ -104,9 +105,10 @@ pub(crate) async fn file(
             Failure::not_found(format!("{id} has no file of that name"))
                 .remedy("`files` in its record lists them")
         })?;
-        let bytes = std::fs::read(&path)
+        let bytes = path
+            .read(FileKind::Image)
             .map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
-        let kind = match path.extension().and_then(|extension| extension.to_str()) {
+        let kind = match path.name().rsplit_once('.').map(|(_, suffix)| suffix) {
             Some("jpg") => "image/jpeg",
             Some("png") => "image/png",
             _ => "application/octet-stream",
@@ -210,7 +212,8 @@ fn stored(
         return Ok(decoder.decode(&frame, crop.as_ref(), PREVIEW_WIDTH, PREVIEW_HEIGHT)?);
     }
     let path = dataset.path_of(record, stage, role).ok_or_else(absent)?;
-    let bytes = std::fs::read(&path)
+    let bytes = path
+        .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
     decoder
         .decode_file(&bytes, crop.as_ref(), PREVIEW_WIDTH, PREVIEW_HEIGHT)

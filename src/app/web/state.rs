@@ -10,6 +10,7 @@ use crate::app::daemon::{
     BlackBoxStatus, CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview,
 };
 use crate::dataset::{GraspId, Outcome};
+use crate::files::{Label, ObjectName};
 use crate::imaging::Role;
 use crate::predict::Verdict;
 use crate::session::{
@@ -66,11 +67,14 @@ pub(crate) struct ContactReading {
 pub(crate) struct SessionState {
     step: StepName,
     /// What is grasped.
-    object: String,
+    #[schema(value_type = String)]
+    object: ObjectName,
     /// Where.
-    scene: String,
+    #[schema(value_type = String)]
+    scene: Label,
     /// Who holds the gripper.
-    operator: String,
+    #[schema(value_type = String)]
+    operator: Label,
     /// When the pending initial frame was taken, RFC 3339 UTC.
     initial_at: Option<String>,
     /// Its age, s.
@@ -114,8 +118,10 @@ pub(crate) struct LabelCounts {
 /// The newest grasp.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub(crate) struct LastGraspState {
-    id: String,
-    object: String,
+    #[schema(value_type = String)]
+    id: GraspId,
+    #[schema(value_type = String)]
+    object: ObjectName,
     outcome: OutcomeName,
     /// What was predicted before the lift.
     predicted: Option<PredictedState>,
@@ -421,7 +427,7 @@ impl SessionState {
                 object_slip: counts.object_slip,
             },
             last: view.last.as_ref().map(|last| LastGraspState {
-                id: last.id.0.clone(),
+                id: last.id.clone(),
                 object: last.object.clone(),
                 outcome: last.outcome.into(),
                 predicted: last.predicted.map(|said| PredictedState {
@@ -462,7 +468,7 @@ impl SessionState {
                 object_slip: counts.object_slip,
             },
             last: self.last.map(|last| LastGrasp {
-                id: GraspId(last.id),
+                id: last.id,
                 object: last.object,
                 outcome: last.outcome.into(),
                 predicted: last.predicted.map(|said| Predicted {

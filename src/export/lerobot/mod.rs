@@ -113,7 +113,7 @@ impl<'a> LeRobot<'a> {
             integer(self.file % FILES_PER_CHUNK),
             integer(0),
             integer(0),
-            text(grasp.record.id.0.clone()),
+            text(grasp.record.id.to_string()),
             text(String::from_utf8_lossy(&grasp.json).into_owned()),
         ]
     }

@@ -99,7 +99,7 @@ impl PerGrasp {
         self.p_stable.push(store, &p_stable.to_le_bytes())?;
         self.pose_t_m.push(store, &le_bytes(&t_m))?;
         self.pose_q_wxyz.push(store, &le_bytes(&q_wxyz))?;
-        self.id.push_text(store, &record.id.0)?;
+        self.id.push_text(store, &record.id)?;
         self.object.push_text(store, &record.object)?;
         self.part.push_text(store, part)
     }

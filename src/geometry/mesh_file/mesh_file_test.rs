@@ -1,6 +1,7 @@
 use super::*;
 use crate::geometry::builtin;
 use proptest::prelude::*;
+use std::fs;
 
 fn no_file(_: &str) -> std::io::Result<Vec<u8>> {
     Err(std::io::ErrorKind::NotFound.into())

@@ -65,8 +65,8 @@ impl From<TriangleMesh> for TexturedMesh {
 pub fn load_textured_mesh(path: &Path, unit: LengthUnit) -> Result<TexturedMesh> {
     let format = MeshFormat::of_path(path)?;
     let bytes = file_bytes(path)?;
-    let mut mesh = read_textured_mesh(&bytes, format, &companions(path))
-        .map_err(|e| e.at(path.display()))?;
+    let mut mesh =
+        read_textured_mesh(&bytes, format, &companions(path)).map_err(|e| e.at(path.display()))?;
     for part in &mut mesh.parts {
         part.shape = part.shape.scaled(unit.in_metres());
     }

@@ -12,12 +12,12 @@ mod opencv;
 mod ros;
 mod write;
 
-use std::fs;
 use std::path::Path;
 
 pub use write::{to_opencv, to_ros};
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, read_regular};
 use crate::imaging::Intrinsics;
 
 /// Formats of camera files.
@@ -118,7 +118,7 @@ impl CameraFile {
     /// # Errors
     /// As [`Self::parse`], and that of the operating system.
     pub fn load(path: &Path, choice: CameraChoice<'_>) -> Result<Self> {
-        let bytes = fs::read(path)
+        let bytes = read_regular(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the camera file", e).at(path.display()))?;
         let text = String::from_utf8(bytes)
             .map_err(|_| Error::new(ErrorKind::Input, "the camera file is no text"));

@@ -6,6 +6,7 @@ mod tables;
 use std::path::Path;
 
 use crate::error::{Error, ErrorKind, Result, unknown_name};
+use crate::files::{FileKind, Root};
 
 /// Most cells along a side: a code is a `u64`.
 const MAX_SIDE: usize = 8;
@@ -91,7 +92,9 @@ impl Dictionary {
             return Self::by_name(name);
         }
         let path = folder.join(name);
-        let text = std::fs::read_to_string(&path)
+        let text = Root::new(folder)
+            .resolve(name)
+            .and_then(|place| place.read_to_string(FileKind::Record))
             .map_err(|e| Error::io("cannot read the dictionary", e).at(path.display()))?;
         Self::from_opencv(name, &text).map_err(|e| e.at(path.display()))
     }

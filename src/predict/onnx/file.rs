@@ -1,16 +1,12 @@
 //! Reading the message of an ONNX file.
 
-use std::fs::{self, File};
-use std::io::Read as _;
 use std::path::Path;
 
 use prost::Message as _;
 use tract_onnx::pb::ModelProto;
 
 use crate::error::{Error, ErrorKind, Result};
-
-/// Protobuf messages end here.
-const MAX_BYTES: u64 = 2 << 30;
+use crate::files::{FileKind, read_regular};
 
 /// Field 1, varint: what every ONNX writer puts first (`ir_version`).
 const FIRST_BYTE: u8 = 0x08;
@@ -20,36 +16,11 @@ const FIRST_BYTE: u8 = 0x08;
 /// # Errors
 /// When it is missing, unreadable, no regular file, or larger than an ONNX file can be.
 pub fn read(path: &Path) -> Result<Vec<u8>> {
-    let read = || -> Result<Vec<u8>> {
-        let metadata =
-            fs::metadata(path).map_err(|e| Error::io("cannot open the model file", e))?;
-        if !metadata.is_file() {
-            let found = if metadata.is_dir() {
-                "a directory"
-            } else {
-                "no regular file"
-            };
-            return Err(
-                Error::new(ErrorKind::Input, format!("the model is {found}"))
-                    .remedy("name the .onnx file itself"),
-            );
-        }
-        if metadata.len() > MAX_BYTES {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the model file has {} bytes; an ONNX file has at most {MAX_BYTES}",
-                    metadata.len()
-                ),
-            ));
-        }
-        let mut bytes = Vec::new();
-        File::open(path)
-            .and_then(|file| file.take(MAX_BYTES).read_to_end(&mut bytes))
-            .map_err(|e| Error::io("cannot read the model file", e))?;
-        Ok(bytes)
-    };
-    read().map_err(|error| error.at(path.display()))
+    read_regular(path, FileKind::Model).map_err(|e| {
+        Error::io("cannot read the model file", e)
+            .at(path.display())
+            .remedy("name the .onnx file itself")
+    })
 }
 
 /// Decodes the message of a model file.
@@ -156,7 +127,7 @@ mod tests {
     #[test]
     fn a_directory_and_a_missing_file_are_told_apart() {
         let directory = read(Path::new("/")).unwrap_err();
-        assert!(directory.to_string().contains("a directory"), "{directory}");
+        assert!(directory.to_string().contains("a folder"), "{directory}");
         let missing = read(Path::new("/no/such/model.onnx")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);
         assert!(missing.to_string().starts_with("/no/such/model.onnx: "));

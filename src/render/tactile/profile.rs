@@ -4,7 +4,6 @@
 //! picture of the untouched gel lies beside it as PNG; the file itself holds a smooth fit of that
 //! picture, so that it also works alone.
 
-use std::fs;
 use std::io;
 use std::path::Path;
 
@@ -18,7 +17,7 @@ use super::press_depth::SensorGeometry;
 use super::shading::PolynomialShading;
 use super::smooth::Smoothing;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::StagedFile;
+use crate::files::{FileKind, FileName, Root, StagedFile, read_text};
 use crate::imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
 
 /// Version of the file format.
@@ -60,7 +59,7 @@ impl ShadingModel {
 pub struct Background {
     /// Name of the picture (PNG) beside the profile; without one the fit is shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub file: Option<String>,
+    pub file: Option<FileName>,
     /// Smooth fit of the picture.
     pub fit: BackgroundFit,
     /// The picture itself, once read.
@@ -128,20 +127,21 @@ impl SensorProfile {
     /// `NotFound`, `Permission`, `Io` if a file cannot be read; `Config` as
     /// [`SensorProfile::from_toml`]; `Input` if the picture is none or of another size.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path).map_err(|e| {
+        let text = read_text(path, FileKind::Record).map_err(|e| {
             Error::io("cannot read the sensor profile", e)
                 .at(path.display())
                 .remedy("check the path, or make a profile with `gripcast render calibrate`")
         })?;
         let mut profile = Self::from_toml(&text).map_err(|e| e.at(path.display()))?;
         if let Some(name) = &profile.background.file {
-            let beside = path.with_file_name(name);
-            let bytes = fs::read(&beside).map_err(|e| {
+            let beside = Root::beside(path).join(name);
+            let bytes = beside.read(FileKind::Image).map_err(|e| {
                 Error::io("cannot read the picture of the untouched gel", e)
                     .at(beside.display())
                     .remedy(format!(
-                        "put it beside the profile, or delete the line `file = {name:?}` there to \
-                         use the smooth fit"
+                        "put it beside the profile, or delete the line `file = {:?}` there to use \
+                         the smooth fit",
+                        name.as_str()
                     ))
             })?;
             profile.background.picture =
@@ -165,12 +165,12 @@ impl SensorProfile {
             .background
             .picture
             .as_ref()
-            .map(|_| format!("{stem}.background.png"));
+            .map(|_| FileName::nearest(&format!("{stem}.background.png")));
         profile.validate()?;
         profile.check_picture()?;
         let mut files = Vec::new();
         if let (Some(name), Some(picture)) = (&profile.background.file, &self.background.picture) {
-            files.push((path.with_file_name(name), encode_png_rgb(picture)?));
+            files.push((path.with_file_name(name.as_str()), encode_png_rgb(picture)?));
         }
         files.push((path.to_owned(), profile.to_toml()?.into_bytes()));
         // All are on the disk before the first takes its name: they belong together.
@@ -293,6 +293,8 @@ mod crop_name {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

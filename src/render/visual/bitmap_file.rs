@@ -1,12 +1,12 @@
 //! Pictures that users and meshes name, as textures.
 
-use std::fs;
 use std::path::Path;
 
 use image::{ImageFormat, ImageReader, Limits, RgbImage};
 
 use super::texture::Bitmap;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, read_regular};
 use crate::imaging::jpeg::{JpegDecoder, JpegScale, inspect};
 use crate::imaging::{CropProfile, crop_and_resize};
 
@@ -29,7 +29,7 @@ pub(super) struct Loaded {
 /// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no PNG or JPEG
 /// picture, is damaged or too large.
 pub fn load_bitmap(path: &Path) -> Result<Bitmap> {
-    let bytes = fs::read(path).map_err(|e| {
+    let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
         Error::io("cannot read the texture", e)
             .at(path.display())
             .remedy("check the path and its permissions")
@@ -141,6 +141,8 @@ fn foreign(bytes: &[u8]) -> Error {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::imaging::{encode_jpeg, encode_png_rgb};
 

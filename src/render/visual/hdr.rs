@@ -4,11 +4,11 @@
 //! in which a file can be wrong gets its own words. Format: Ward, *Real Pixels* (Graphics Gems II,
 //! 1991) and the manual page of Radiance's `rpict`.
 
-use std::fs;
 use std::path::Path;
 
 use super::picture::Picture;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, read_regular};
 
 /// Most pixels of a side; a dome of 16384 × 8192 is the largest that is offered anywhere.
 const LARGEST_SIDE: usize = 16_384;
@@ -21,7 +21,7 @@ const MOST_HEADER_LINES: usize = 200;
 /// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no Radiance HDR
 /// picture, is cut off or too large.
 pub fn load_hdr(path: &Path) -> Result<Picture> {
-    let bytes = fs::read(path).map_err(|e| {
+    let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
         Error::io("cannot read the HDR picture", e)
             .at(path.display())
             .remedy("check the path and its permissions")

@@ -20,6 +20,7 @@ use crate::dataset::{
     PendingInitial, PoseRecord, SimulatedTruth, Stage, StageCapture, image_name,
 };
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{ContentKey, Label, ObjectName};
 use crate::imaging::{Decoder, Frame, Intrinsics, PixelFormat, Role};
 use crate::render::tactile::SimulatedGel;
 use crate::render::visual::SeedStream;
@@ -276,9 +277,9 @@ impl Recorder {
         let mut writer = self.writer();
         let camera = stand.intrinsics();
         let meta = GraspMeta {
-            object: object.name.clone(),
-            scene: "simulated table".to_owned(),
-            operator: OPERATOR.to_owned(),
+            object: ObjectName::parse(&object.name)?,
+            scene: Label::nearest("simulated table"),
+            operator: Label::nearest(OPERATOR),
             rig: RIG.to_owned(),
             boards: Some(BoardKeys {
                 sheet: writer.put_calibration(&stand.sheet.file.to_toml())?,
@@ -311,7 +312,7 @@ impl Recorder {
         &self,
         writer: &mut DatasetWriter,
         beside: Intrinsics,
-    ) -> Result<BTreeMap<Role, String>> {
+    ) -> Result<BTreeMap<Role, ContentKey>> {
         [Role::Left, Role::Right, Role::Rgb, Role::External]
             .into_iter()
             .map(|role| {
@@ -364,7 +365,7 @@ fn annotate(stand: &Stand, pictures: &Pictures) -> Result<PoseRecord> {
     let (sheet, tags) = (stand.sheet.file.clone(), stand.tags.clone());
     let mut annotator = Annotator::new(sheet, tags, pictures.intrinsics)?;
     let name = image_name(Stage::Initial, Role::External, PixelFormat::Mjpg);
-    Ok(annotator.annotate([(name, &picture)])?.record)
+    Ok(annotator.annotate([(name.into(), &picture)])?.record)
 }
 
 fn truth(object: &DemoObject, chosen: &Chosen) -> Option<SimulatedTruth> {

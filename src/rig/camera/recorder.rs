@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::source::{CameraIdentity, StreamInfo};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::FileName;
 use crate::imaging::{Frame, PixelFormat, Role};
 
 pub(super) const STREAM_FILE: &str = "stream.json";
@@ -78,7 +79,7 @@ impl StreamRecord {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FrameRecord {
-    pub(super) file: String,
+    pub(super) file: FileName,
     pub(super) sequence: u32,
     pub(super) driver_time_ns: u64,
 }
@@ -137,14 +138,15 @@ impl Recorder {
     /// # Errors
     /// When the disk refuses; the frames before stay readable.
     pub fn write(&mut self, frame: &Frame) -> Result<()> {
-        let file = format!("{:06}.{}", self.count, extension(self.format));
+        let number = format!("{:06}", self.count);
+        let file = FileName::of_words(&[&number, extension(self.format)]);
         let record = FrameRecord {
             file,
             sequence: frame.sequence,
             driver_time_ns: frame.driver_time_ns,
         };
         let append = || -> Result<()> {
-            let path = self.dir.join(&record.file);
+            let path = self.dir.join(record.file.as_str());
             fs::write(&path, &*frame.data)
                 .map_err(|error| Error::io(format!("cannot write {}", record.file), error))?;
             let mut line = serde_json::to_string(&record)

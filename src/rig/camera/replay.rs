@@ -7,7 +7,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,6 +19,7 @@ use super::source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, FileKind, Root};
 use crate::imaging::{Frame, FrameBytes, PixelFormat, Role};
 use crate::rig::calibration::CameraConfig;
 
@@ -147,7 +148,7 @@ impl CameraOpener for ReplayOpener {
 }
 
 enum Payload {
-    File(PathBuf),
+    File(BeneathPath),
     Bytes(FrameBytes),
 }
 
@@ -165,8 +166,12 @@ struct Recording {
 }
 
 fn load_recording(dir: &Path) -> Result<Recording> {
-    let read = |name: &str| {
-        fs::read(dir.join(name)).map_err(|error| Error::io(format!("cannot read {name}"), error))
+    let root = Root::new(dir);
+    let read = |name: &'static str| {
+        root.top()
+            .join(name)
+            .read(FileKind::List)
+            .map_err(|error| Error::io(format!("cannot read {name}"), error))
     };
     let stream: StreamRecord = serde_json::from_slice(&read(STREAM_FILE)?).map_err(|error| {
         Error::new(
@@ -212,22 +217,8 @@ fn load_recording(dir: &Path) -> Result<Recording> {
     };
     let mut frames = Vec::with_capacity(records.len());
     for record in records {
-        let file = Path::new(&record.file);
-        let is_plain = matches!(
-            file.components().collect::<Vec<_>>().as_slice(),
-            [Component::Normal(_)]
-        );
-        if !is_plain {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "{FRAMES_FILE} names `{}`, expected a file of the directory",
-                    record.file
-                ),
-            ));
-        }
         frames.push(Recorded {
-            payload: Payload::File(dir.join(file)),
+            payload: Payload::File(root.top().join(&record.file)),
             sequence: record.sequence,
             offset_ns: record.driver_time_ns.saturating_sub(first_ns),
         });
@@ -324,12 +315,15 @@ fn picture_kind(path: &Path) -> Option<PictureKind> {
 }
 
 fn open_picture(path: &Path) -> Result<(Payload, (u32, u32))> {
-    let bytes = fs::read(path).map_err(|error| Error::io("cannot read the picture", error))?;
+    let place = BeneathPath::given(path);
+    let bytes = place
+        .read(FileKind::Image)
+        .map_err(|error| Error::io("cannot read the picture", error))?;
     if picture_kind(path) == Some(PictureKind::Jpeg) {
         let header = turbojpeg::read_header(&bytes)
             .map_err(|error| Error::new(ErrorKind::Input, "this is no JPEG").because(error))?;
         let size = (header.width as u32, header.height as u32);
-        return Ok((Payload::File(path.to_owned()), size));
+        return Ok((Payload::File(place), size));
     }
     let picture = image::load_from_memory_with_format(&bytes, image::ImageFormat::Png)
         .map_err(|error| Error::new(ErrorKind::Input, "this is no PNG").because(error))?
@@ -414,7 +408,7 @@ impl FrameSource for ReplaySource {
             .wrapping_add((pass as u32).wrapping_mul(pass_length));
         let data: FrameBytes = match &recorded.payload {
             Payload::Bytes(bytes) => bytes.clone(),
-            Payload::File(path) => match fs::read(path) {
+            Payload::File(path) => match path.read(FileKind::Image) {
                 Ok(bytes) => bytes.into(),
                 Err(error) => {
                     let reason = format!("cannot read {}: {error}", path.display());

@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{Drafts, MeshSource, ObjectDraft, TextureDraft};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::{FileKind, Root, SimulationId, read_regular};
+use crate::files::{FileKind, Root, SimulationId, read_text};
 use crate::geometry::load_object_mesh_below;
 use crate::render::visual::SeedStream;
 use crate::synth::properties::{FRICTION_RANGE, Material, Modifier};
@@ -72,9 +72,9 @@ struct Row {
 /// Those of reading the table; `Input` for what is no table or has no objects.
 pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
     let at = |e: Error| e.at(table.display());
-    let text = read_regular(table, FileKind::Record)
+    let text = read_text(table, FileKind::Record)
         .map_err(|e| at(Error::io("cannot read the table of objects", e)))?;
-    let found: Table = toml::from_slice(&text).map_err(|e| at(no_table().because(e)))?;
+    let found: Table = toml::from_str(&text).map_err(|e| at(no_table().because(e)))?;
     if found.schema != SCHEMA {
         let what = format!("the table has schema {}, known is {SCHEMA}", found.schema);
         let remedy = "read it with the release of gripcast that it was written for";

@@ -28,7 +28,7 @@ fn sent_picture(number: u64, dir: &Path, kind: &str) -> Vec<u8> {
 
 fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
     let record = &stage.cameras[&role];
-    fs::read(dir.join(&record.file)).unwrap()
+    fs::read(dir.join(record.file.as_str())).unwrap()
 }
 
 /// The tactile pictures of a grasp are, byte for byte, what the sensor of that role sent.
@@ -72,7 +72,7 @@ fn assert_complete_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
 /// 400 + (x + y + n) mod 256, the first four n in digits to the base of 256.
 fn assert_depth_as_sent(grasp: &SavedGrasp) {
     let record = &grasp.record.grasp.cameras[&Role::Depth];
-    let depth = image::open(grasp.dir.join(&record.file))
+    let depth = image::open(grasp.dir.join(record.file.as_str()))
         .unwrap()
         .to_luma16();
     let number = u32::from(depth.get_pixel(0, 0).0[0]) - 400;

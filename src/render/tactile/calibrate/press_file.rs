@@ -7,13 +7,13 @@
 //! `ball_diameter_m` and `m_per_px` may be null, `center_px` and `radius_px` may be missing: the
 //! contact is then found in the picture. Other keys are not read.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use image::RgbImage;
 use serde::Deserialize;
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, Root};
 use crate::imaging::jpeg::JpegScale;
 use crate::imaging::{JpegDecoder, decode_png_rgb};
 
@@ -81,8 +81,8 @@ impl PressEntry {
 impl PressList {
     /// Reads the list of a folder, or makes one of the pictures in it.
     pub(super) fn read(folder: &Path) -> Result<Self> {
-        let path = folder.join(LIST);
-        match fs::read(&path) {
+        let path = Root::new(folder).top().join(LIST);
+        match path.read(FileKind::List) {
             Ok(bytes) => serde_json::from_slice(&bytes).map_err(|cause| {
                 Error::new(ErrorKind::Input, "the list of presses cannot be read")
                     .because(cause)
@@ -142,22 +142,23 @@ fn picture_names(folder: &Path) -> Result<Vec<String>> {
             .remedy("name a folder with presses.json or with pictures of presses")
     };
     let mut names = Vec::new();
-    for entry in fs::read_dir(folder).map_err(refused)? {
-        let path: PathBuf = entry.map_err(refused)?.path();
-        let suffix = path.extension().unwrap_or_default().to_string_lossy();
+    for entry in Root::new(folder).top().entries().map_err(refused)? {
+        let name = entry.name();
+        let suffix = name.rsplit_once('.').map_or("", |(_, suffix)| suffix);
         if SUFFIXES.contains(&suffix.to_ascii_lowercase().as_str()) {
-            names.extend(path.file_name().map(|n| n.to_string_lossy().into_owned()));
+            names.push(name);
         }
     }
-    names.sort();
     Ok(names)
 }
 
 /// Reads a PNG or JPEG picture of a folder.
 pub(super) fn read_picture(folder: &Path, file: &str) -> Result<RgbImage> {
     let path = folder.join(file);
-    let bytes =
-        fs::read(&path).map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
+    let bytes = Root::new(folder)
+        .resolve(file)
+        .and_then(|place| place.read(FileKind::Image))
+        .map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
     decode(&bytes).map_err(|e| e.at(path.display()))
 }
 

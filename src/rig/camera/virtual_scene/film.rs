@@ -15,7 +15,6 @@
 //! shown. Tactile pictures are not stored: they are rendered from the trace, step by step.
 
 use std::borrow::Cow;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -26,6 +25,7 @@ use serde_json::Value;
 
 use crate::dataset::SimulatedTruth;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, FileName, Root};
 use crate::geometry::{Pose, TriangleMesh};
 use crate::imaging::{DepthImage, Intrinsics, decode_png_grey16};
 use crate::pose::BoardFile;
@@ -60,8 +60,10 @@ impl FilmFiles {
     /// Reads the films' files of `name` in a folder.
     pub(super) fn read(folder: &Path, name: &str) -> Result<Self> {
         let read = |end: &str| -> Result<Cow<'static, [u8]>> {
-            let path = folder.join(format!("{name}{end}"));
-            let bytes = fs::read(&path)
+            let file = FileName::parse(&format!("{name}{end}"))?;
+            let path = Root::new(folder).top().join(file);
+            let bytes = path
+                .read(FileKind::Mesh)
                 .map_err(|e| Error::io("cannot read the film", e).at(path.display()))?;
             Ok(Cow::Owned(bytes))
         };

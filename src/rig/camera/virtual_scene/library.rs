@@ -1,13 +1,13 @@
 //! The films of a virtual rig.
 
 use std::borrow::Cow;
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
 use super::film::{Film, FilmFiles, TRACE};
 use super::random::mixed;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::Root;
 
 macro_rules! films {
     ($($name:literal),* $(,)?) => {
@@ -72,11 +72,8 @@ impl FilmLibrary {
     pub fn read(folder: &Path) -> Result<Self> {
         let at = |e| Error::io("cannot read the films", e).at(folder.display());
         let mut names = Vec::new();
-        for entry in fs::read_dir(folder).map_err(at)? {
-            let file = entry.map_err(at)?.file_name();
-            if let Some(name) = file.to_str().and_then(|name| name.strip_suffix(TRACE)) {
-                names.push(name.to_owned());
-            }
+        for entry in Root::new(folder).top().entries().map_err(at)? {
+            names.extend(entry.name().strip_suffix(TRACE).map(str::to_owned));
         }
         names.sort();
         if names.is_empty() {
@@ -122,6 +119,8 @@ impl FilmLibrary {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::sim::grasp::GraspOutcome;
 

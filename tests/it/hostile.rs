@@ -1,0 +1,477 @@
+//! Datasets that try to read or change what lies outside of them. The corpus is in
+//! `tests/data/hostile`, one folder a case; each lies in a jail between files that it wants.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use serde_json::{Value, json};
+
+use crate::daemon::Place;
+use crate::dataset::write_dataset;
+use crate::program::gripcast;
+
+/// What no output may show.
+const SECRET: &str = "TOP-SECRET-7d1f";
+/// Where cases with absolute paths try to write.
+const PLANTED: &str = "/tmp/gripcast-hostile-planted";
+
+/// A record that is changed, written back.
+fn change(root: &Path, change: impl FnOnce(&mut Value)) {
+    let path = first_grasp(root).join("grasp.json");
+    let mut record: Value = serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+    change(&mut record);
+    fs::write(path, serde_json::to_vec_pretty(&record).unwrap()).unwrap();
+}
+
+fn first_grasp(root: &Path) -> PathBuf {
+    let mut grasps: Vec<_> = fs::read_dir(root.join("grasps"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    grasps.sort();
+    grasps.remove(0)
+}
+
+/// Gives a stored file another name in the record, with its digest.
+fn rename_file(record: &mut Value, from: &str, to: &str) {
+    let digest = record["files"]
+        .as_object_mut()
+        .unwrap()
+        .remove(from)
+        .unwrap();
+    record["files"][to] = digest;
+    for stage in ["initial", "grasp"] {
+        for (_, camera) in record[stage]["cameras"].as_object_mut().unwrap() {
+            if camera["file"] == from {
+                camera["file"] = json!(to);
+            }
+        }
+    }
+}
+
+fn relink(path: &Path, target: &str) {
+    let _ = fs::remove_file(path);
+    symlink(target, path).unwrap();
+}
+
+type Attack = (&'static str, fn(&Path));
+
+/// Each makes a case of a sound dataset. The jail: `outside/` and `data/CASE/` side by side.
+const ATTACKS: &[Attack] = &[
+    ("id-with-dots", |root| {
+        change(root, |r| r["id"] = json!("../../../outside/autostart"));
+    }),
+    ("id-absolute", |root| {
+        change(root, |r| r["id"] = json!(PLANTED))
+    }),
+    ("id-with-separator", |root| {
+        change(root, |r| r["id"] = json!("a/b"))
+    }),
+    ("file-key-with-dots", |root| {
+        change(root, |r| {
+            rename_file(r, "grasp.left.jpg", "../../../../outside/secret.txt");
+        });
+    }),
+    ("file-key-absolute", |root| {
+        change(root, |r| rename_file(r, "grasp.left.jpg", "/etc/passwd"));
+    }),
+    ("image-is-a-link", |root| {
+        let image = first_grasp(root).join("grasp.left.jpg");
+        relink(&image, "../../../../outside/secret.txt");
+    }),
+    ("record-is-a-link", |root| {
+        let record = first_grasp(root).join("grasp.json");
+        relink(&record, "../../../../outside/secret.json");
+    }),
+    ("grasp-folder-is-a-link", |root| {
+        let folder = root.join("grasps/2026-01-01T00-00-00Z-0000");
+        relink(&folder, "../../../outside/folder");
+    }),
+    ("grasps-is-a-link", |root| {
+        fs::rename(root.join("grasps"), root.join("elsewhere")).unwrap();
+        relink(&root.join("grasps"), "../../outside");
+    }),
+    ("lock-is-a-link", |root| {
+        relink(&root.join(".lock"), "../../outside/secret.txt");
+    }),
+    ("partials-are-links", |root| {
+        for name in [".metadata.jsonl.partial", ".dataset.toml.partial"] {
+            relink(&root.join(name), "../../outside/secret.txt");
+        }
+        let partial = first_grasp(root).join(".grasp.json.partial");
+        relink(&partial, "../../../../outside/secret.txt");
+        fs::remove_file(root.join("metadata.jsonl")).unwrap();
+    }),
+    ("trash-is-a-link", |root| {
+        fs::remove_dir(root.join("trash")).unwrap();
+        relink(&root.join("trash"), "../../outside");
+        fs::write(
+            root.join("grasps/stray.desktop"),
+            "[Desktop Entry]\nExec=x\n",
+        )
+        .unwrap();
+    }),
+    ("calibration-is-a-link", |root| {
+        fs::remove_dir(root.join("calibration")).unwrap();
+        relink(&root.join("calibration"), "../../outside");
+    }),
+    ("calibration-key-with-dots", |root| {
+        change(root, |r| {
+            r["calibration"] = json!({"left": "../../../outside/secret"});
+        });
+    }),
+    ("split-names-a-path", |root| {
+        fs::create_dir_all(root.join("splits")).unwrap();
+        fs::write(
+            root.join("splits/objects.json"),
+            json!({"schema": 1, "by": "object", "seed": 0, "fractions": {"train": 1.0},
+                "parts": {"../../outside/x": {"items": [], "outcomes": {},
+                    "grasps": ["../../../outside/folder"]}}})
+            .to_string(),
+        )
+        .unwrap();
+        relink(
+            &root.join("splits/link.json"),
+            "../../../outside/secret.json",
+        );
+    }),
+    ("index-is-a-link", |root| {
+        relink(&root.join("metadata.jsonl"), "../../outside/secret.txt");
+    }),
+    ("names-with-escapes", |root| {
+        change(root, |r| {
+            r["object"] = json!("mug\u{1b}]0;owned\u{7}\u{202e}");
+            r["operator"] = json!("Ada\u{9b}31m\nroot");
+        });
+    }),
+    ("object-is-a-path", |root| {
+        change(root, |r| r["object"] = json!("../../outside/folder"));
+    }),
+];
+
+fn corpus() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hostile")
+}
+
+/// Copies a tree, links as links.
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in fs::read_dir(from).unwrap() {
+        let (path, to) = {
+            let entry = entry.unwrap();
+            (entry.path(), to.join(entry.file_name()))
+        };
+        if path.is_symlink() {
+            symlink(fs::read_link(&path).unwrap(), to).unwrap();
+        } else if path.is_dir() {
+            copy(&path, &to);
+        } else {
+            fs::copy(&path, &to).unwrap();
+        }
+    }
+}
+
+/// Everything below a folder: contents of files, targets of links.
+fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let contents = if path.is_symlink() {
+                let target = fs::read_link(&path).unwrap();
+                target.into_os_string().into_encoded_bytes()
+            } else if path.is_dir() {
+                folders.push(path.clone());
+                Vec::new()
+            } else {
+                fs::read(&path).unwrap()
+            };
+            found.insert(path, contents);
+        }
+    }
+    found
+}
+
+/// A case of the corpus between what it wants.
+struct Jail {
+    dir: tempfile::TempDir,
+    before: BTreeMap<PathBuf, Vec<u8>>,
+}
+
+impl Jail {
+    fn of(case: &Path) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let outside = dir.path().join("outside");
+        fs::create_dir_all(outside.join("folder")).unwrap();
+        for name in [
+            "secret.txt",
+            "secret.toml",
+            "secret.json",
+            "folder/grasp.json",
+        ] {
+            fs::write(outside.join(name), format!("{SECRET} of {name}\n")).unwrap();
+        }
+        let jail = Self {
+            before: tree(&outside),
+            dir,
+        };
+        copy(case, &jail.dataset());
+        jail
+    }
+
+    /// As deep as the links of the corpus expect.
+    fn dataset(&self) -> PathBuf {
+        self.dir.path().join("data/case")
+    }
+
+    fn outside(&self) -> PathBuf {
+        self.dir.path().join("outside")
+    }
+
+    fn run(&self, args: &[&str]) -> Output {
+        gripcast()
+            .args(args)
+            .current_dir(self.dir.path())
+            .output()
+            .unwrap()
+    }
+
+    /// Nothing outside was changed or shown; the program ended by itself.
+    fn holds(&self, output: &Output, context: &str) {
+        let shown = [&output.stdout[..], &output.stderr].concat();
+        let shown = String::from_utf8_lossy(&shown);
+        assert!(
+            !shown.contains(SECRET),
+            "{context} shows the secret: {shown}"
+        );
+        assert!(
+            !shown.contains("root:x:"),
+            "{context} shows a file: {shown}"
+        );
+        let is_safe = |c: char| c == '\n' || !c.is_control() && c != '\u{202e}';
+        assert!(
+            shown.chars().all(is_safe),
+            "{context} prints a control: {shown:?}"
+        );
+        assert!(
+            matches!(output.status.code(), Some(0..=4 | 69 | 75)),
+            "{context}: {:?}: {shown}",
+            output.status
+        );
+        assert_eq!(
+            tree(&self.outside()),
+            self.before,
+            "{context} changed a file outside"
+        );
+        assert!(!Path::new(PLANTED).exists(), "{context} wrote outside");
+    }
+}
+
+fn cases() -> Vec<PathBuf> {
+    let mut cases: Vec<_> = fs::read_dir(corpus())
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.is_dir())
+        .collect();
+    cases.sort();
+    cases
+}
+
+fn name(case: &Path) -> String {
+    case.file_name().unwrap().to_string_lossy().into_owned()
+}
+
+/// Makes the corpus again: `GRIPCAST_BLESS=1 cargo test --test it hostile`.
+#[test]
+fn the_corpus_has_every_attack() {
+    if std::env::var_os("GRIPCAST_BLESS").is_some() {
+        let dir = tempfile::tempdir().unwrap();
+        write_dataset(dir.path(), &["mug", "bottle"]);
+        for (name, attack) in ATTACKS {
+            let case = corpus().join(name);
+            let _ = fs::remove_dir_all(&case);
+            copy(dir.path(), &case);
+            attack(&case);
+            for folder in ["trash", "logs", "calibration", "models"] {
+                // Git keeps no empty folders.
+                if fs::read_dir(case.join(folder)).is_ok_and(|mut f| f.next().is_none())
+                    && !case.join(folder).is_symlink()
+                {
+                    fs::remove_dir(case.join(folder)).unwrap();
+                }
+            }
+        }
+    }
+    let mut expected: Vec<_> = ATTACKS.iter().map(|(name, _)| (*name).to_owned()).collect();
+    expected.sort();
+    let found: Vec<_> = cases().iter().map(|case| name(case)).collect();
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn hostile_datasets_reach_nothing_outside_of_them() {
+    for case in cases() {
+        let name = name(&case);
+        let jail = Jail::of(&case);
+        let data = jail.dataset().display().to_string();
+        let out = |name: &str| jail.dir.path().join(name).display().to_string();
+        let mut verbs: Vec<Vec<String>> = Vec::new();
+        let mut verb = |args: &[&str]| verbs.push(args.iter().map(|a| (*a).to_owned()).collect());
+        verb(&["dataset", "info", &data]);
+        verb(&["dataset", "info", &data, "--json"]);
+        for format in ["parquet", "webdataset", "lerobot", "zarr", "training"] {
+            verb(&[
+                "dataset",
+                "export",
+                &data,
+                "--to",
+                format,
+                "--out",
+                &out(format),
+            ]);
+        }
+        verb(&[
+            "eval",
+            "--data",
+            &out("training"),
+            "--model",
+            "baseline-contact",
+        ]);
+        verb(&["annotate", &data, "--dry-run"]);
+        verb(&[
+            "replay",
+            &data,
+            "--objects",
+            &out("data"),
+            "--out",
+            &out("replay"),
+        ]);
+        verb(&["predict", &data]);
+        verb(&["dataset", "split", &data]);
+        verb(&["dataset", "verify", &data]);
+        verb(&["dataset", "verify", &data, "--json"]);
+        verb(&["dataset", "recover", &data, "--dry-run"]);
+        verb(&["dataset", "recover", &data]);
+        verb(&["dataset", "reindex", &data]);
+        verb(&["dataset", "verify", &data]);
+        verb(&["dataset", "info", &data]);
+        for args in &verbs {
+            let args: Vec<&str> = args.iter().map(String::as_str).collect();
+            let output = jail.run(&args);
+            jail.holds(&output, &format!("{name}: {}", args.join(" ")));
+        }
+    }
+}
+
+#[test]
+fn a_daemon_serves_no_file_outside_of_a_hostile_dataset() {
+    for case in [
+        "file-key-with-dots",
+        "image-is-a-link",
+        "grasp-folder-is-a-link",
+    ] {
+        let jail = Jail::of(&corpus().join(case));
+        let place = Place::at(jail.dataset());
+        let daemon = place.daemon();
+        for grasp in fs::read_dir(jail.dataset().join("grasps")).unwrap() {
+            let id = grasp.unwrap().file_name().into_string().unwrap();
+            for path in [
+                format!("/api/grasps/{id}"),
+                format!("/api/grasps/{id}/files/grasp.left.jpg"),
+                format!("/api/grasps/{id}/files/..%2F..%2F..%2F..%2Foutside%2Fsecret.txt"),
+                format!("/api/grasps/{id}/files/%2Fetc%2Fpasswd"),
+            ] {
+                let (_, body) = daemon.ask("GET", &path, None);
+                let body = String::from_utf8_lossy(&body);
+                assert!(
+                    !body.contains(SECRET) && !body.contains("root:x:"),
+                    "{path}: {body}"
+                );
+            }
+        }
+        drop(daemon);
+        assert_eq!(tree(&jail.outside()), jail.before, "{case}");
+    }
+}
+
+/// What cannot be stored in a repository: a pipe, a device by a link, a huge file, a hard link.
+#[test]
+fn devices_pipes_and_huge_files_in_a_dataset_are_refused_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    write_dataset(dir.path(), &["mug", "bottle"]);
+    let image = first_grasp(dir.path()).join("grasp.left.jpg");
+    let stored = fs::read(&image).unwrap();
+    let put: [(&str, fn(&Path)); 4] = [
+        ("a pipe", |path| {
+            use rustix::fs::{CWD, FileType, Mode, mknodat};
+            mknodat(CWD, path, FileType::Fifo, Mode::from_raw_mode(0o600), 0).unwrap();
+        }),
+        ("a link to a device", |path| {
+            symlink("/dev/zero", path).unwrap()
+        }),
+        ("a huge file", |path| {
+            fs::File::create(path).unwrap().set_len(1 << 42).unwrap();
+        }),
+        ("a folder", |path| fs::create_dir(path).unwrap()),
+    ];
+    for (what, put) in put {
+        let _ = fs::remove_file(&image);
+        put(&image);
+        let output = gripcast()
+            .args(["dataset", "verify", "--json"])
+            .arg(dir.path())
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(4), "{what}");
+        let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let problems = report["problems"].to_string();
+        assert!(problems.contains("grasp.left.jpg"), "{what}: {problems}");
+        let _ = fs::remove_file(&image);
+        let _ = fs::remove_dir(&image);
+    }
+    fs::write(&image, stored).unwrap();
+    let target = dir.path().join("precious");
+    fs::write(&target, "precious").unwrap();
+    fs::remove_file(dir.path().join(".lock")).unwrap();
+    fs::hard_link(&target, dir.path().join(".lock")).unwrap();
+    let output = gripcast()
+        .args(["dataset", "reindex"])
+        .arg(dir.path())
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(fs::read(&target).unwrap(), b"precious");
+}
+
+#[test]
+fn a_dataset_on_another_disk_works_where_the_user_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let (root, disk) = (dir.path().join("d"), dir.path().join("disk"));
+    write_dataset(&root, &["mug", "bottle"]);
+    fs::create_dir(&disk).unwrap();
+    fs::rename(root.join("grasps"), disk.join("grasps")).unwrap();
+    symlink(disk.join("grasps"), root.join("grasps")).unwrap();
+    // The dataset itself may always be a link.
+    symlink(&root, dir.path().join("link")).unwrap();
+    let verify = |allowed: Option<&Path>| {
+        let mut command = gripcast();
+        command
+            .args(["dataset", "verify"])
+            .arg(dir.path().join("link"));
+        if let Some(folder) = allowed {
+            command.env("GRIPCAST__FILES__LINKED_FOLDERS", folder);
+        }
+        command.output().unwrap()
+    };
+    let refused = verify(None);
+    assert_eq!(refused.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(said.contains("GRIPCAST__FILES__LINKED_FOLDERS"), "{said}");
+    let allowed = verify(Some(&disk));
+    let said = String::from_utf8_lossy(&allowed.stderr).into_owned();
+    assert_eq!(allowed.status.code(), Some(0), "{said}");
+}
