@@ -177,7 +177,9 @@ impl Root {
         let allowed = ALLOWED.read().unwrap_or_else(|e| e.into_inner()).clone();
         let inside = |folder: &PathBuf| {
             let inside = Path::new(path).strip_prefix(folder).ok()?.to_str()?;
-            folder.is_absolute().then(|| Self::new(folder).resolve(inside))
+            folder
+                .is_absolute()
+                .then(|| Self::new(folder).resolve(inside))
         };
         let found = allowed.iter().find_map(inside);
         found.unwrap_or_else(|| self.resolve(path))

@@ -208,7 +208,10 @@ fn files_of_another_kind_are_refused_before_anything_is_written() {
     bench.refused(&one(|s| s.object = None), "there is no `object_name`");
     for name in [" ", "a/b", "../../x", "/etc/x", "a\u{1b}[2J"] {
         let sketch = Sketch::with(|s| s.object = Some(name));
-        bench.refused(&write("data", &[sketch]), "object_name: invalid object name");
+        bench.refused(
+            &write("data", &[sketch]),
+            "object_name: invalid object name",
+        );
     }
     bench.refused(
         &one(|s| s.label = Some(AttrValue::I64(2))),

@@ -57,7 +57,9 @@ pub fn import_feeling_of_success(
         .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
     let of_part = |part: &str| -> usize {
         let facts = found.iter().flat_map(Index::values);
-        facts.filter(|facts| part_of[facts.object.as_str()] == part).count()
+        facts
+            .filter(|facts| part_of[facts.object.as_str()] == part)
+            .count()
     };
     let mut writing: BTreeMap<&String, PartWriter<'_>> = split
         .names()
@@ -296,7 +298,7 @@ impl<'a> PartWriter<'a> {
             if let Some(LeftOut { id, why }) = left_out {
                 what.push_str(&format!("; {id}: {why}"));
             }
-            return Err(Error::new(ErrorKind::Input, what).at(self.out.display()));
+            return Err(Error::new(ErrorKind::Input, what).at(self.root.path().display()));
         }
         self.facts.objects = self.objects.len();
         Ok((self.name.to_owned(), self.facts))

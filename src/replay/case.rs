@@ -249,7 +249,10 @@ impl CaseStore {
     /// # Errors
     /// `Internal` where a number has no JSON form.
     pub fn snapshot(&self, case: &Case<'_>, stage: StageName) -> Result<Option<Snapshot>> {
-        let file = self.place(&case.identity()?, TRACE)?.read(FileKind::Mesh).ok();
+        let file = self
+            .place(&case.identity()?, TRACE)?
+            .read(FileKind::Mesh)
+            .ok();
         let file = file.and_then(|bytes| TraceFile::read(&bytes).ok());
         let mut snapshots = file.into_iter().flat_map(|file| file.trace.snapshots);
         Ok(snapshots.find(|snapshot| snapshot.stage == stage))

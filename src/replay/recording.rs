@@ -184,7 +184,7 @@ fn stored_sheet(dataset: &Dataset, key: &ContentKey) -> Result<Option<PrintedShe
 }
 
 fn unknown(name: &str, objects: &BTreeMap<ObjectName, Result<ReplayObject>>) -> Error {
-    let nearest = nearest_name(name, objects.keys().map(String::as_str));
+    let nearest = nearest_name(name, objects.keys().map(ObjectName::as_str));
     let hint = nearest.map_or(String::new(), |n| format!("; the nearest name is {n}"));
     Error::new(
         ErrorKind::Input,

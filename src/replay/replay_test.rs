@@ -298,7 +298,11 @@ fn results_do_not_depend_on_the_number_of_jobs() {
         })
         .collect();
     let run = |jobs: usize| {
-        let store = CaseStore::new(Root::new(bench.folder.path()).top().join_number("cases-", jobs));
+        let store = CaseStore::new(
+            Root::new(bench.folder.path())
+                .top()
+                .join_number("cases-", jobs),
+        );
         let records = sweep(&cases, &store, jobs, &|_| {}).unwrap().records;
         records
             .into_iter()
@@ -470,10 +474,17 @@ fn a_mesh_outside_of_the_objects_folder_is_refused() {
         loaded(&at("objects/box.toml"))
     };
     let absolute = at("secret.obj");
-    for mesh in [absolute.to_str().unwrap(), "../secret.obj", "sub/../../secret.obj"] {
+    for mesh in [
+        absolute.to_str().unwrap(),
+        "../secret.obj",
+        "sub/../../secret.obj",
+    ] {
         let error = load(mesh).unwrap_err();
         let remedy = error.remedy_text().unwrap_or_default();
-        assert!(remedy.contains("beside") && remedy.contains("LINKED_FOLDERS"), "{error}");
+        assert!(
+            remedy.contains("beside") && remedy.contains("LINKED_FOLDERS"),
+            "{error}"
+        );
     }
     for mesh in ["link.obj", "up/secret.obj"] {
         let error = load(mesh).unwrap_err();
@@ -487,7 +498,10 @@ fn a_mesh_outside_of_the_objects_folder_is_refused() {
     fs::rename(at("objects/box.toml"), at("box.toml")).unwrap();
     std::os::unix::fs::symlink("../box.toml", at("objects/box.toml")).unwrap();
     let objects = load_objects(&at("objects")).unwrap();
-    assert_eq!(objects["box"].as_ref().unwrap_err().kind(), ErrorKind::Input);
+    assert_eq!(
+        objects["box"].as_ref().unwrap_err().kind(),
+        ErrorKind::Input
+    );
 }
 
 #[test]

@@ -225,11 +225,7 @@ fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
 }
 
 /// The files of a split, all of them. `shards`: index and count in the name of each.
-fn files(
-    root: &Root,
-    split: &str,
-    shards: &BTreeSet<(usize, usize)>,
-) -> Result<Vec<BeneathPath>> {
+fn files(root: &Root, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<Vec<BeneathPath>> {
     let count = shards.first().map_or(0, |&(_, count)| count);
     if let Some((_, other)) = shards.iter().find(|&&(_, other)| other != count) {
         let what = format!(
@@ -348,7 +344,13 @@ mod tests {
         fs::create_dir_all(root.join(DATA)).unwrap();
         symlink(secret.join(shard), root.join(shard)).unwrap();
         refused(ShardSet::open(&root));
-        assert!(ShardSet::open(&root).unwrap().rows("train").unwrap().all(|row| row.is_err()));
+        assert!(
+            ShardSet::open(&root)
+                .unwrap()
+                .rows("train")
+                .unwrap()
+                .all(|row| row.is_err())
+        );
         fs::remove_dir_all(root.join(DATA)).unwrap();
         symlink(secret.join(DATA), root.join(DATA)).unwrap();
         refused(ShardSet::open(&root));

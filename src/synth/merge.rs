@@ -171,7 +171,10 @@ pub fn merge(
     let text = serde_json::to_string_pretty(&report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
     // Last: with this file the dataset is whole.
-    replace(&root.top().join(DATASET_FILE), format!("{text}\n").as_bytes())?;
+    replace(
+        &root.top().join(DATASET_FILE),
+        format!("{text}\n").as_bytes(),
+    )?;
     Ok(report)
 }
 

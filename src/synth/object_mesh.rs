@@ -44,5 +44,65 @@ fn stored_mesh(root: &Root, file: &FileName) -> Result<TriangleMesh> {
         })
     };
     let mesh = read().map_err(|e: Error| e.at(place.display()))?;
-    Ok(mesh.parts.into_iter().next().map_or_else(TriangleMesh::default, |part| part.shape))
+    Ok(mesh
+        .parts
+        .into_iter()
+        .next()
+        .map_or_else(TriangleMesh::default, |part| part.shape))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+    use crate::geometry::{builtin, ply_bytes};
+    use crate::synth::plan::sample_plan;
+
+    fn object(mesh: &TriangleMesh) -> PlannedObject {
+        PlannedObject {
+            mesh: MeshSource::File {
+                file: FileName::parse("part.ply").unwrap(),
+            },
+            mesh_sha256: mesh.content_hash(),
+            ..sample_plan(1).objects.into_values().next().unwrap()
+        }
+    }
+
+    #[test]
+    fn a_stored_mesh_reads_back_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join(MESHES)).unwrap();
+        // Two bodies that touch in a vertex, which each has of its own; one vertex at -0.
+        let one = builtin("box").unwrap();
+        let apart = one.bounds().max - one.bounds().min;
+        let mut both = one.clone();
+        let first = both.vertices.len() as u32;
+        both.vertices
+            .extend(one.vertices.iter().map(|v| *v + apart));
+        both.triangles
+            .extend(one.triangles.iter().map(|t| t.map(|v| v + first)));
+        both.vertices[0].x = -0.0;
+        fs::write(folder.path().join("meshes/part.ply"), ply_bytes(&both)).unwrap();
+        let root = Root::new(folder.path());
+        let found = planned_mesh(&object(&both), &root).unwrap();
+        assert_eq!(found.content_hash(), both.content_hash());
+        let error = planned_mesh(&object(&one), &root).unwrap_err();
+        assert!(error.to_string().contains("changed"), "{error}");
+    }
+
+    #[test]
+    fn a_mesh_outside_of_the_plan_is_not_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let mesh = builtin("box").unwrap();
+        fs::write(dir.path().join("secret.ply"), ply_bytes(&mesh)).unwrap();
+        fs::create_dir_all(dir.path().join("plan/meshes")).unwrap();
+        let link = dir.path().join("plan/meshes/part.ply");
+        symlink("../../secret.ply", link).unwrap();
+        let root = Root::new(dir.path().join("plan"));
+        let error = planned_mesh(&object(&mesh), &root).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        assert!(error.to_string().contains("leads out of"), "{error}");
+    }
 }

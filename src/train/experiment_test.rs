@@ -1,3 +1,5 @@
+use std::fs;
+
 use super::*;
 use crate::nn::{Architecture, ConvSpec};
 use crate::train::sample_dataset::{row, write_dataset, write_part};

@@ -119,7 +119,12 @@ mod tests {
             best_epoch: Some(2),
             best: Some([0.75, 0.5]),
         };
-        save(&place, &position, &[&[1.5, -0.0], &[], &[f32::MIN_POSITIVE]]).unwrap();
+        save(
+            &place,
+            &position,
+            &[&[1.5, -0.0], &[], &[f32::MIN_POSITIVE]],
+        )
+        .unwrap();
         let (found, arrays): (Position, _) = load(&place).unwrap();
         assert_eq!(found, position);
         assert_eq!(arrays, [vec![1.5, -0.0], vec![], vec![f32::MIN_POSITIVE]]);

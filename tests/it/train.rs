@@ -125,7 +125,10 @@ fn signalled(data: &Path, out: &Path, epochs: usize, signal: Signal) -> Option<i
     wait_until(&mut child, || metrics(out).len() >= epochs);
     kill_process(Pid::from_child(&child), signal).unwrap();
     let code = child.wait().unwrap().code();
-    assert!(!RunFolder::at(out).model().is_file(), "it had ended already");
+    assert!(
+        !RunFolder::at(out).model().is_file(),
+        "it had ended already"
+    );
     code
 }
 
@@ -148,9 +151,18 @@ fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
     assert_eq!(metrics(&broken), metrics(&whole));
     let [one, other] = [&whole, &broken].map(RunFolder::at);
     let same = |a: &Path, b: &Path| fs::read(a).unwrap() == fs::read(b).unwrap();
-    assert!(same(&one.model().shown(), &other.model().shown()), "the models differ");
-    assert!(same(&one.state().shown(), &other.state().shown()), "the checkpoints differ");
-    assert!(same(&one.run().shown(), &other.run().shown()), "the descriptions differ");
+    assert!(
+        same(&one.model().shown(), &other.model().shown()),
+        "the models differ"
+    );
+    assert!(
+        same(&one.state().shown(), &other.state().shown()),
+        "the checkpoints differ"
+    );
+    assert!(
+        same(&one.run().shown(), &other.run().shown()),
+        "the descriptions differ"
+    );
 
     let state = fs::read(one.state().shown()).unwrap();
     succeed(&mut train(&data, &whole));

@@ -194,7 +194,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         made.write(&args.out)?;
         Ok::<MadePlan, Error>(made)
     })??;
-    let MadePlan { plan, left_out } = &made;
+    let (plan, left_out) = (&made.plan, &made.left_out);
     let cost_h = plan.simulations.iter().map(|s| s.cost_s).sum::<f64>() / 3600.0;
     if is_json {
         print_json(&json!({

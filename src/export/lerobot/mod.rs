@@ -9,8 +9,6 @@ mod frames;
 mod info;
 mod stats;
 
-use std::borrow::Cow;
-use std::collections::BTreeMap;
 use super::run::{Setting, Writer};
 use super::source::Grasp;
 use crate::dataset::Outcome;
@@ -21,6 +19,8 @@ use features::Features;
 use frames::Frames;
 use info::{Totals, info, tasks_metadata};
 use stats::Stats;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
 
 /// Size of a data file, bytes; LeRobot's own default.
 const DATA_FILE_BYTES: usize = 100 << 20;

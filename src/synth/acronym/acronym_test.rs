@@ -284,7 +284,12 @@ fn meshes_lie_below_their_root() {
     save_mesh(&secret, &mesh).unwrap();
     std::os::unix::fs::symlink(&secret, root.path().join("link.obj")).unwrap();
     let absolute = secret.to_str().unwrap();
-    for outside in [absolute, "../secret.obj", "meshes/../../secret.obj", "link.obj"] {
+    for outside in [
+        absolute,
+        "../secret.obj",
+        "meshes/../../secret.obj",
+        "link.obj",
+    ] {
         outside.clone_into(&mut object.mesh_file);
         let error = object.load_mesh(&root).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{outside:?}: {error}");

@@ -67,6 +67,42 @@ fn the_plan_is_the_same_on_any_number_of_threads_and_leaves_out_what_does_not_fi
 }
 
 #[test]
+fn a_plan_has_what_its_objects_need_beside_it() {
+    use crate::files::Root;
+    use crate::synth::planned_mesh;
+    let dir = tempfile::tempdir().unwrap();
+    let picture = dir.path().join("red label.png");
+    image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]))
+        .save(&picture)
+        .unwrap();
+    let texture = TextureDraft::of_file(BeneathPath::given(&picture), 0.05).unwrap();
+    let mut labelled = draft("a", 1.0);
+    labelled.textures = vec![texture];
+    let made = made(vec![labelled, draft("b", 0.8)], &settings(1)).unwrap();
+    let [first, second] = ["first", "second"].map(|name| dir.path().join(name));
+    made.write(&first).unwrap();
+    made.write(&first).unwrap();
+    std::fs::remove_file(&picture).unwrap();
+    // Another folder, as on a cluster.
+    std::fs::rename(&first, &second).unwrap();
+    let root = Root::new(&second);
+    let plan = Plan::read(&second).unwrap();
+    for object in plan.objects.values() {
+        planned_mesh(object, &root).unwrap();
+    }
+    let texture = &plan.objects["a"].textures[0];
+    assert_eq!(texture.words, "red label");
+    assert_eq!(texture.load(&root).unwrap().size(), [8, 4]);
+    // A folder in it that leads elsewhere.
+    let elsewhere = dir.path().join("elsewhere");
+    std::fs::create_dir_all(&elsewhere).unwrap();
+    std::fs::create_dir(dir.path().join("third")).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, dir.path().join("third/meshes")).unwrap();
+    made.write(&dir.path().join("third")).unwrap_err();
+    assert_eq!(std::fs::read_dir(&elsewhere).unwrap().count(), 0);
+}
+
+#[test]
 fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
     let mut given = draft("given", 1.0);
     (given.mass_kg, given.friction) = (Some(0.42), Some(1.4));

@@ -183,7 +183,7 @@ mod tests {
 
     use super::*;
     use crate::error::ErrorKind;
-    use crate::files::Root;
+    use crate::files::{Label, Root};
 
     fn object(name: &str) -> PlannedObject {
         PlannedObject {
@@ -285,6 +285,100 @@ mod tests {
         fs::remove_file(folder.path().join(HASH_FILE)).unwrap();
         assert!(Plan::read(folder.path()).is_err());
         assert!(Plan::read(&folder.path().join("nothing")).is_err());
+    }
+
+    /// The text of a small plan with a stored mesh and a picture.
+    fn stored_plan() -> String {
+        let Plan {
+            header,
+            mut objects,
+            simulations,
+            ..
+        } = plan(2);
+        for object in objects.values_mut() {
+            object.mesh = MeshSource::stored(&object.name).unwrap();
+            object.textures = vec![PictureTexture {
+                file: FileName::parse("0123456789ab.png").unwrap(),
+                words: Label::nearest("label"),
+                sha256: String::new(),
+                width_m: 0.1,
+            }];
+        }
+        let objects = objects.into_values().collect();
+        let folder = tempfile::tempdir().unwrap();
+        let plan = Plan::new(header, objects, simulations).unwrap();
+        plan.write(&Root::new(folder.path())).unwrap();
+        fs::read_to_string(folder.path().join(PLAN_FILE)).unwrap()
+    }
+
+    #[test]
+    fn a_plan_whose_names_are_paths_cannot_be_read() {
+        let text = stored_plan();
+        assert!(Plan::from_bytes(text.as_bytes()).is_ok());
+        for (key, sound) in [
+            ("id", "box-0001-01-10n"),
+            ("object", "box-0001"),
+            ("name", "box-0001"),
+            ("file", "box-0001.ply"),
+            ("file", "0123456789ab.png"),
+        ] {
+            for hostile in ["../../x", "/tmp/x", "a/b", "..", ".x", "", "a\u{1b}[2J"] {
+                let from = format!("\"{key}\":\"{sound}\"");
+                let to = format!("\"{key}\":{}", serde_json::to_string(hostile).unwrap());
+                assert!(text.contains(&from), "{from}");
+                let error = Plan::from_bytes(text.replace(&from, &to).as_bytes()).unwrap_err();
+                assert!(error.to_string().contains("invalid"), "{to}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_plan_of_the_first_version_is_told_to_be_made_again() {
+        let text = stored_plan().replacen("\"version\":2", "\"version\":1", 1);
+        // Their objects had paths.
+        let text = text.replace("\"file\":\"box-0000.ply\"", "\"path\":\"/x.obj\"");
+        let error = Plan::from_bytes(text.as_bytes()).unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("found gripcast-synth-plan version 1")
+        );
+        let remedy = error.remedy_text().unwrap();
+        assert!(remedy.contains("the same flags"), "{remedy}");
+    }
+
+    #[test]
+    fn a_plan_of_families_differs_from_the_first_version_in_its_version_alone() {
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/models/plans/train-fem/plan.jsonl"
+        );
+        let text = fs::read_to_string(path).unwrap();
+        let text = text.replacen("\"version\":1", "\"version\":2", 1);
+        let plan = Plan::from_bytes(text.as_bytes()).unwrap();
+        assert_eq!(plan.sha256, crate::files::sha256_hex(text));
+    }
+
+    #[test]
+    fn links_out_of_a_folder_are_neither_read_nor_overwritten() {
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let [folder, secret] = ["plan", "secret"].map(|name| dir.path().join(name));
+        fs::create_dir(&folder).unwrap();
+        let root = Root::new(&folder);
+        plan(2).write(&root).unwrap();
+        for name in [PLAN_FILE, HASH_FILE] {
+            let path = folder.join(name);
+            fs::rename(&path, &secret).unwrap();
+            let kept = fs::read(&secret).unwrap();
+            symlink(&secret, &path).unwrap();
+            let error = Plan::read(&folder).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+            let _ = plan(2).write(&root);
+            assert_eq!(fs::read(&secret).unwrap(), kept, "{name}");
+            fs::remove_file(&path).unwrap();
+            plan(2).write(&root).unwrap();
+        }
     }
 
     #[test]

@@ -27,8 +27,13 @@ impl FoundDataset {
     pub(super) fn read(folder: &Path, plan: &Plan) -> Result<Self> {
         let merge = MergeReport::read(folder)?;
         if merge.plan_sha256 != plan.sha256 {
-            let [expected, found] = [&plan.sha256, &merge.plan_sha256]
-                .map(|hash| Printable(hash).to_string().chars().take(12).collect::<String>());
+            let [expected, found] = [&plan.sha256, &merge.plan_sha256].map(|hash| {
+                Printable(hash)
+                    .to_string()
+                    .chars()
+                    .take(12)
+                    .collect::<String>()
+            });
             let what =
                 format!("the dataset is of another plan: expected {expected}, found {found}");
             return Err(Error::new(ErrorKind::Input, what)

@@ -57,7 +57,7 @@ fn example(seen: &Seen<'_>) -> Option<Example> {
     } = seen.done;
     Some(Example {
         simulation: simulation.id.to_string(),
-        object: object.name.clone(),
+        object: object.name.to_string(),
         category: object.category.clone(),
         material: object.material.clone(),
         fault: simulation.fault.map(|_| fault(seen.done)),
