@@ -562,6 +562,39 @@ fn parts_of_a_split_stay_apart() {
 }
 
 #[test]
+fn parts_whose_names_are_paths_are_refused_in_every_format() {
+    let (dir, _) = dataset();
+    let root = dir.path().join("d");
+    let plan = SplitPlan {
+        name: "halves".into(),
+        by: SplitBy::Object,
+        seed: 1,
+        fractions: BTreeMap::from([("train".into(), 0.5), ("test".into(), 0.5)]),
+    };
+    split(&Dataset::open(&root).unwrap(), &plan).unwrap();
+    let path = root.join("splits/halves.json");
+    let text = fs::read_to_string(&path).unwrap();
+    let absolute = dir.path().join("planted").display().to_string();
+    for part in ["../../planted", "a/b", "..", &absolute] {
+        fs::write(&path, text.replace("\"test\"", &format!("{part:?}"))).unwrap();
+        for format in FORMATS {
+            let asked = ExportPlan {
+                split: Some("halves".into()),
+                ..ExportPlan::new(format)
+            };
+            let error = run(dir.path(), &dir.path().join("out"), &asked).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{part} {format}: {error}");
+        }
+        let mut found: Vec<_> = fs::read_dir(dir.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name())
+            .collect();
+        found.sort();
+        assert_eq!(found, ["d"], "{part}");
+    }
+}
+
+#[test]
 fn nothing_to_export_and_no_place_for_it_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) =

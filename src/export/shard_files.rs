@@ -1,11 +1,9 @@
 //! Parquet files of a part, whose names say how many there are.
 
-use std::fs;
-use std::path::PathBuf;
-
 use super::staged::{StagedFolder, write_failed};
 use crate::error::Result;
-use crate::shard::shard_name;
+use crate::files::{BeneathPath, FileName};
+use crate::shard::shard_place;
 
 /// Names for the shards of one part after the other.
 #[derive(Debug)]
@@ -13,7 +11,7 @@ pub(super) struct ShardFiles<'a> {
     folder: &'a StagedFolder,
     part: String,
     /// Those of the part so far, under names for the meantime.
-    written: Vec<PathBuf>,
+    written: Vec<BeneathPath>,
 }
 
 impl<'a> ShardFiles<'a> {
@@ -25,16 +23,16 @@ impl<'a> ShardFiles<'a> {
         }
     }
 
-    /// Path of the part's next shard for the meantime.
+    /// Place of the part's next shard for the meantime.
     ///
     /// # Errors
     /// Those of the operating system.
-    pub(super) fn next(&mut self) -> Result<PathBuf> {
-        let data = self.folder.root().join("data");
-        fs::create_dir_all(&data).map_err(write_failed)?;
-        let path = data.join(format!("{}-{:05}", self.part, self.written.len()));
-        self.written.push(path.clone());
-        Ok(path)
+    pub(super) fn next(&mut self) -> Result<BeneathPath> {
+        let data = self.folder.folder(self.folder.root().top().join("data"))?;
+        let name = format!("{}-{:05}", self.part, self.written.len());
+        let place = data.join(&FileName::parse(&name)?);
+        self.written.push(place.clone());
+        Ok(place)
     }
 
     /// Names the shards of the part, all of which are written.
@@ -43,9 +41,9 @@ impl<'a> ShardFiles<'a> {
     /// Those of the operating system.
     pub(super) fn end_part(&mut self) -> Result<()> {
         let shards = std::mem::take(&mut self.written);
-        for (index, path) in shards.iter().enumerate() {
-            let name = shard_name(&self.part, index, shards.len())?;
-            fs::rename(path, self.folder.root().join(name)).map_err(write_failed)?;
+        for (index, written) in shards.iter().enumerate() {
+            let place = shard_place(self.folder.root(), &self.part, index, shards.len())?;
+            written.rename(&place).map_err(write_failed)?;
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! An export that gets its name when it is whole.
 
 use std::ffi::OsString;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -9,12 +9,13 @@ use rustix::fs::{CWD, FlockOperation, RenameFlags, flock, renameat_with, syncfs}
 use rustix::io::Errno;
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, Root};
 
 /// A hidden folder beside the target. It is removed when dropped before the commit; what a kill
 /// leaves behind is removed by the next export to the same target.
 #[derive(Debug)]
 pub(super) struct StagedFolder {
-    root: PathBuf,
+    root: Root,
     target: PathBuf,
     /// Holds the folder's lock, so that two exports do not write one target.
     folder: File,
@@ -57,7 +58,7 @@ impl StagedFolder {
                 .remedy("wait for it, or choose another `--out`"));
         }
         let staged = Self {
-            root,
+            root: Root::new(root),
             target: target.to_owned(),
             folder,
         };
@@ -66,7 +67,7 @@ impl StagedFolder {
     }
 
     /// Where the files of the export are until the commit.
-    pub(super) fn root(&self) -> &Path {
+    pub(super) fn root(&self) -> &Root {
         &self.root
     }
 
@@ -80,12 +81,21 @@ impl StagedFolder {
     /// # Errors
     /// Those of the operating system.
     pub(super) fn file(&self, name: &str) -> Result<BufWriter<File>> {
-        let path = self.root.join(name);
         let create = || {
-            fs::create_dir_all(parent(&path))?;
-            OpenOptions::new().write(true).create_new(true).open(&path)
+            let place = self.root.resolve(name)?;
+            place.parent().create_dir_all()?;
+            place.create_new()
         };
         create().map(BufWriter::new).map_err(write_failed)
+    }
+
+    /// A folder of the export, which is made.
+    ///
+    /// # Errors
+    /// Those of the operating system.
+    pub(super) fn folder(&self, place: BeneathPath) -> Result<BeneathPath> {
+        place.create_dir_all().map_err(write_failed)?;
+        Ok(place)
     }
 
     /// A new file with its contents.
@@ -104,7 +114,7 @@ impl StagedFolder {
     /// Those of the operating system.
     pub(super) fn size(&self) -> Result<(usize, u64)> {
         let (mut files, mut bytes) = (0, 0);
-        let mut folders = vec![self.root.clone()];
+        let mut folders = vec![self.root.path().to_owned()];
         while let Some(folder) = folders.pop() {
             for entry in fs::read_dir(&folder).map_err(write_failed)? {
                 let entry = entry.map_err(write_failed)?;
@@ -125,7 +135,7 @@ impl StagedFolder {
     ///
     /// # Errors
     /// `Input`: something has appeared there. Those of the operating system.
-    pub(super) fn commit(self, file: Option<&str>) -> Result<()> {
+    pub(super) fn commit(self, file: Option<&'static str>) -> Result<()> {
         let taken = |e: io::Error| match e.kind() {
             io::ErrorKind::AlreadyExists | io::ErrorKind::DirectoryNotEmpty => {
                 occupied(&self.target)
@@ -135,8 +145,10 @@ impl StagedFolder {
         // One call for all files: an export may have very many small ones.
         syncfs(&self.folder).map_err(|e| write_failed(e.into()))?;
         match file {
-            None => fs::rename(&self.root, &self.target).map_err(taken)?,
-            Some(name) => rename_new(&self.root.join(name), &self.target).map_err(taken)?,
+            None => fs::rename(self.root.path(), &self.target).map_err(taken)?,
+            Some(name) => {
+                rename_new(&self.root.path().join(name), &self.target).map_err(taken)?;
+            }
         }
         // Not every file system can do this to a folder, and the files themselves are safe.
         if let Ok(parent) = File::open(parent(&self.target)) {
@@ -146,12 +158,13 @@ impl StagedFolder {
     }
 
     fn clear(&self) -> io::Result<()> {
-        for entry in fs::read_dir(&self.root)? {
-            let path = entry?.path();
-            if path.is_dir() {
-                fs::remove_dir_all(path)?;
+        for entry in fs::read_dir(self.root.path())? {
+            let entry = entry?;
+            // Of a link the link.
+            if entry.file_type()?.is_dir() {
+                fs::remove_dir_all(entry.path())?;
             } else {
-                fs::remove_file(path)?;
+                fs::remove_file(entry.path())?;
             }
         }
         Ok(())
@@ -161,7 +174,7 @@ impl StagedFolder {
 impl Drop for StagedFolder {
     fn drop(&mut self) {
         // After the renaming there is none any more; the cause is what the caller reports.
-        let _ = fs::remove_dir_all(&self.root);
+        let _ = fs::remove_dir_all(self.root.path());
     }
 }
 
@@ -217,6 +230,8 @@ fn parent(path: &Path) -> &Path {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::symlink;
+
     use super::*;
 
     #[test]
@@ -258,12 +273,37 @@ mod tests {
     }
 
     #[test]
+    fn no_file_is_written_outside_and_no_link_is_followed() {
+        let dir = tempfile::tempdir().unwrap();
+        let [target, secret] = ["made", "secret"].map(|name| dir.path().join(name));
+        fs::create_dir(&secret).unwrap();
+        fs::write(secret.join("file"), "secret").unwrap();
+        // What a kill, or somebody else, left.
+        let partial = dir.path().join(".made.gripcast-partial");
+        fs::create_dir(&partial).unwrap();
+        symlink(&secret, partial.join("data")).unwrap();
+        let staged = StagedFolder::create(&target).unwrap();
+        assert_eq!(fs::read_dir(&partial).unwrap().count(), 0);
+        for name in ["../out", "/tmp/out", "data/../../out"] {
+            assert!(staged.write(name, b"x").is_err(), "{name}");
+        }
+        symlink(&secret, partial.join("data")).unwrap();
+        symlink(secret.join("file"), partial.join("file")).unwrap();
+        assert!(staged.write("data/new", b"x").is_err());
+        assert!(staged.write("file", b"x").is_err());
+        let place = staged.root().top().join("data").join("chunk");
+        assert!(staged.folder(place).is_err());
+        assert_eq!(fs::read(secret.join("file")).unwrap(), b"secret");
+        assert_eq!(fs::read_dir(&secret).unwrap().count(), 1);
+    }
+
+    #[test]
     fn what_a_kill_left_is_gone_with_the_next_attempt() {
         let dir = tempfile::tempdir().unwrap();
         let target = dir.path().join("export");
         let staged = StagedFolder::create(&target).unwrap();
         staged.write("data/old", b"1").unwrap();
-        let root = staged.root().to_owned();
+        let root = staged.root().path().to_owned();
         // As a kill does: the lock goes, the files stay.
         drop(staged);
         fs::create_dir_all(root.join("data")).unwrap();

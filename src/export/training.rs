@@ -64,7 +64,7 @@ impl<'a> TrainingShards<'a> {
         };
         let (shard, bytes) = match open {
             Some(open) => open,
-            None => (ShardWriter::create(self.files.next()?, &self.info)?, 0),
+            None => (ShardWriter::create(&self.files.next()?, &self.info)?, 0),
         };
         Ok(&mut self.open.insert((shard, bytes + next)).0)
     }

@@ -168,6 +168,23 @@ impl Root {
         })
     }
 
+    /// As [`resolve`](Self::resolve); an absolute path may also lie in a folder that the user
+    /// allowed with [`allow_links_into`].
+    ///
+    /// # Errors
+    /// [`Refused::Outside`] for any other absolute path and one with `..`.
+    pub fn resolve_allowed(&self, path: &str) -> io::Result<BeneathPath> {
+        let allowed = ALLOWED.read().unwrap_or_else(|e| e.into_inner()).clone();
+        let inside = |folder: &PathBuf| {
+            let inside = Path::new(path).strip_prefix(folder).ok()?.to_str()?;
+            folder
+                .is_absolute()
+                .then(|| Self::new(folder).resolve(inside))
+        };
+        let found = allowed.iter().find_map(inside);
+        found.unwrap_or_else(|| self.resolve(path))
+    }
+
     /// The folder of a file that the user named.
     #[must_use]
     pub fn beside(path: &Path) -> BeneathPath {
@@ -237,6 +254,12 @@ impl BeneathPath {
             root: self.root.clone(),
             relative: name.into(),
         }
+    }
+
+    /// A place beside it with a hidden name by chance, for a file that gets its own name last.
+    #[must_use]
+    pub fn partial(&self) -> Self {
+        self.parent().child(OsStr::new(&partial_name()))
     }
 
     /// A child by a name that is known to be one component.
@@ -407,7 +430,7 @@ impl BeneathPath {
     /// # Errors
     /// Those of the operating system; the old file is then as it was.
     pub fn replace(&self, bytes: &[u8]) -> io::Result<()> {
-        let partial = self.parent().child(OsStr::new(&partial_name()));
+        let partial = self.partial();
         let written = partial.write(bytes).and_then(|()| partial.rename(self));
         if written.is_err() {
             // The cause is what the caller reports.

@@ -33,9 +33,9 @@ pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
 pub use mesh_file::{
     LengthUnit, MeshFormat, MeshMaterial, MeshPart, PictureSource, TexturedMesh, load_mesh,
-    load_textured_mesh, read_mesh, read_textured_mesh, save_mesh,
+    load_textured_mesh, ply_bytes, read_mesh, read_textured_mesh, save_mesh,
 };
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
-pub use object_mesh::load_object_mesh;
+pub use object_mesh::{load_object_mesh, load_object_mesh_below};
 pub use pose::Pose;
 pub use stable_poses::{StablePose, likely_poses, stable_poses};

@@ -18,6 +18,7 @@ use image::RgbImage;
 use image::imageops::crop_imm;
 
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::ObjectName;
 use crate::hdf5::{ByteArray, Hdf5, misshapen, wrong};
 use crate::imaging::{CropProfile, Decoder, crop_and_resize, encode_jpeg};
 use crate::shard::ShardImages;
@@ -60,7 +61,7 @@ pub(super) struct GraspFile {
 /// What is known of a grasp besides its pictures.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct GraspFacts {
-    pub(super) object: String,
+    pub(super) object: ObjectName,
     pub(super) is_stable: bool,
 }
 
@@ -122,10 +123,7 @@ impl GraspFacts {
             None => grasp.text(OBJECT)?,
         };
         let object = object.ok_or_else(|| grasp.missing(OBJECT))?;
-        let object = object.trim().to_owned();
-        if object.is_empty() {
-            return Err(wrong(format!("`{OBJECT}` is empty")));
-        }
+        let object = ObjectName::parse(object.trim()).map_err(|e| e.at(OBJECT))?;
         Ok(Self { object, is_stable })
     }
 }

@@ -7,6 +7,7 @@ use hdf5_pure::{AttrValue, FileBuilder};
 use image::{Rgb, RgbImage};
 use tempfile::TempDir;
 
+use super::run::sources;
 use super::*;
 use crate::error::{Error, ErrorKind, Result};
 use crate::imaging::{Decoder, encode_jpeg};
@@ -205,7 +206,13 @@ fn files_of_another_kind_are_refused_before_anything_is_written() {
     );
     bench.refused(&one(|s| s.label = None), "there is no `is_gripping`");
     bench.refused(&one(|s| s.object = None), "there is no `object_name`");
-    bench.refused(&one(|s| s.object = Some(" ")), "`object_name` is empty");
+    for name in [" ", "a/b", "../../x", "/etc/x", "a\u{1b}[2J"] {
+        let sketch = Sketch::with(|s| s.object = Some(name));
+        bench.refused(
+            &write("data", &[sketch]),
+            "object_name: invalid object name",
+        );
+    }
     bench.refused(
         &one(|s| s.label = Some(AttrValue::I64(2))),
         "`is_gripping` must be 0 or 1, found 2",
@@ -286,6 +293,20 @@ fn a_stopped_import_is_begun_again_and_no_other_folder_is_touched() {
     assert!(full.to_string().contains("something else: data"), "{full}");
     let twice = bench.import(&[files[0].clone(), files[0].clone()], "test");
     assert_eq!(twice.unwrap_err().kind(), ErrorKind::Usage);
+}
+
+#[test]
+fn a_begun_import_whose_folder_leads_elsewhere_is_not_gone_on_with() {
+    let bench = Bench::new();
+    let files = [bench.file("a.h5", DEEPDISH)];
+    let split = Split::one("test").unwrap();
+    let report = ImportReport::new("feeling-of-success", sources(&files).unwrap(), &split);
+    report.claim(&bench.out()).unwrap();
+    let elsewhere = bench.0.path().join("elsewhere");
+    fs::create_dir(&elsewhere).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, bench.out().join("data")).unwrap();
+    bench.import(&files, "test").unwrap_err();
+    assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 0);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{FileKind, Printable, Root};
 use crate::shard::Split;
 
 /// The file, beside `data/`.
@@ -86,10 +86,11 @@ impl ImportReport {
     /// # Errors
     /// `NotFound` for a folder without an import; `Input` for facts of another kind or version.
     pub fn read(folder: &Path) -> Result<Self> {
-        let path = folder.join(FILE);
+        let place = Root::new(folder).top().join(FILE);
         let read = || {
-            let bytes =
-                fs::read(&path).map_err(|e| Error::io("cannot read the facts of the import", e))?;
+            let bytes = place
+                .read(FileKind::List)
+                .map_err(|e| Error::io("cannot read the facts of the import", e))?;
             let found: Self = serde_json::from_slice(&bytes).map_err(|e| {
                 Error::new(
                     ErrorKind::Input,
@@ -106,7 +107,7 @@ impl ImportReport {
             Err(Error::new(ErrorKind::Input, what))
         };
         read().map_err(|e: Error| {
-            e.at(path.display())
+            e.at(place.display())
                 .remedy("give the folder that `gripcast dataset import --out` wrote")
         })
     }
@@ -123,7 +124,8 @@ impl ImportReport {
             let error = Error::new(ErrorKind::Input, what).at(out.display());
             Err(error.remedy("give a new folder"))
         };
-        if out.join(FILE).exists() {
+        let top = Root::new(out).top();
+        if top.join(FILE).is_taken() {
             let there = Self::read(out)?;
             if there.is_finished {
                 return refused("the folder holds a finished import");
@@ -138,15 +140,14 @@ impl ImportReport {
             }
             return Ok(());
         }
-        let entries = fs::read_dir(out)
+        let entries = top
+            .entries()
             .map_err(|e| Error::io("cannot read the folder", e).at(out.display()))?;
         for entry in entries {
-            let name = entry
-                .map_err(|e| Error::io("cannot read the folder", e).at(out.display()))?
-                .file_name();
-            let name = name.to_string_lossy();
+            let name = entry.name();
             // What a kill left of this file.
             if !(name.starts_with(".gripcast-") && name.ends_with(".partial")) {
+                let name = Printable(&name);
                 return refused(&format!("the folder holds something else: {name}"));
             }
         }
@@ -156,6 +157,9 @@ impl ImportReport {
     pub(super) fn save(&self, out: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-        save(&out.join(FILE), format!("{text}\n").as_bytes())
+        let place = Root::new(out).top().join(FILE);
+        place
+            .replace(format!("{text}\n").as_bytes())
+            .map_err(|e| Error::io("cannot write the facts of the import", e).at(place.display()))
     }
 }

@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use super::feeling_of_success::{CROP, GraspFacts, GraspFile, images};
 use super::report::{ImportReport, ImportedPart, LeftOut, SourceFile};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{Label, Printable, Root};
 use crate::imaging::Decoder;
 use crate::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, Split, SplitGroup,
-    shard_name,
+    shard_place,
 };
 
 /// Name of the dataset on the command line.
@@ -49,16 +50,20 @@ pub fn import_feeling_of_success(
     let left_out = std::mem::take(&mut report.left_out);
     report.claim(out)?;
     report.left_out = left_out;
-    let folder = out.join(DATA);
-    fs::create_dir_all(&folder)
+    let root = Root::new(out);
+    let folder = root.top().join(DATA);
+    folder
+        .create_dir_all()
         .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
     let of_part = |part: &str| -> usize {
         let facts = found.iter().flat_map(Index::values);
-        facts.filter(|facts| part_of[&facts.object] == part).count()
+        facts
+            .filter(|facts| part_of[facts.object.as_str()] == part)
+            .count()
     };
     let mut writing: BTreeMap<&String, PartWriter<'_>> = split
         .names()
-        .map(|part| (part, PartWriter::new(out, part, of_part(part))))
+        .map(|part| (part, PartWriter::new(&root, part, of_part(part))))
         .collect();
     let all = found.iter().map(Index::len).sum();
     let mut done = 0;
@@ -70,7 +75,7 @@ pub fn import_feeling_of_success(
                 continue;
             };
             let id = format!("{stem}-{}", grasp.name());
-            let Some(part) = writing.get_mut(&part_of[&facts.object]) else {
+            let Some(part) = writing.get_mut(&part_of[facts.object.as_str()]) else {
                 continue;
             };
             match images(grasp, &mut decoder) {
@@ -115,7 +120,7 @@ fn stems(files: &[PathBuf]) -> Result<Vec<String>> {
     stems.collect()
 }
 
-fn sources(files: &[PathBuf]) -> Result<Vec<SourceFile>> {
+pub(super) fn sources(files: &[PathBuf]) -> Result<Vec<SourceFile>> {
     let source = |path: &PathBuf| {
         let found = fs::metadata(path)
             .map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
@@ -134,13 +139,15 @@ fn index(path: &Path, stem: &str, left_out: &mut Vec<LeftOut>) -> Result<Index> 
     let mut index = Index::new();
     let mut first = None;
     for grasp in file.grasps() {
-        match GraspFacts::read(grasp) {
+        // The name becomes a part of the id.
+        let named = Label::parse(grasp.name());
+        match named.and_then(|_| GraspFacts::read(grasp)) {
             Ok(facts) => {
                 index.insert(grasp.name().to_owned(), facts);
             }
             Err(error) if error.kind() == ErrorKind::Input => {
                 left_out.push(LeftOut {
-                    id: format!("{stem}-{}", grasp.name()),
+                    id: format!("{stem}-{}", Printable(grasp.name())),
                     why: error.to_string(),
                 });
                 first.get_or_insert((grasp.name(), error));
@@ -166,7 +173,7 @@ fn deal(found: &[Index], split: &Split) -> Result<BTreeMap<String, String>> {
             stratum: String::new(),
             size: 0,
         };
-        objects.entry(facts.object.clone()).or_insert(new).size += 1;
+        objects.entry(facts.object.to_string()).or_insert(new).size += 1;
     }
     let dealt = split.deal(&objects, 0);
     if let Some(empty) = split
@@ -191,7 +198,7 @@ fn row(id: String, facts: &GraspFacts, images: ShardImages) -> ShardRow {
         facts: ShardFacts {
             simulation: id.clone(),
             id,
-            object: facts.object.clone(),
+            object: facts.object.to_string(),
             category: "unknown".to_owned(),
             engine: ShardEngine::Real,
             outcome,
@@ -216,7 +223,7 @@ fn row(id: String, facts: &GraspFacts, images: ShardImages) -> ShardRow {
 
 /// The shards of a part, one after the other.
 struct PartWriter<'a> {
-    out: &'a Path,
+    root: &'a Root,
     name: &'a str,
     /// Rows that are expected.
     all: usize,
@@ -228,9 +235,9 @@ struct PartWriter<'a> {
 }
 
 impl<'a> PartWriter<'a> {
-    fn new(out: &'a Path, name: &'a str, all: usize) -> Self {
+    fn new(root: &'a Root, name: &'a str, all: usize) -> Self {
         Self {
-            out,
+            root,
             name,
             all,
             done: 0,
@@ -262,8 +269,8 @@ impl<'a> PartWriter<'a> {
             None => {
                 let number = self.done / ROWS_PER_SHARD;
                 let count = self.all.div_ceil(ROWS_PER_SHARD);
-                let path = self.out.join(shard_name(self.name, number, count)?);
-                ShardWriter::create(path, &format!("{{\"imported_from\":\"{FROM}\"}}"))?
+                let place = shard_place(self.root, self.name, number, count)?;
+                ShardWriter::create(&place, &format!("{{\"imported_from\":\"{FROM}\"}}"))?
             }
         };
         Ok(self.shard.insert(shard))
@@ -291,7 +298,7 @@ impl<'a> PartWriter<'a> {
             if let Some(LeftOut { id, why }) = left_out {
                 what.push_str(&format!("; {id}: {why}"));
             }
-            return Err(Error::new(ErrorKind::Input, what).at(self.out.display()));
+            return Err(Error::new(ErrorKind::Input, what).at(self.root.path().display()));
         }
         self.facts.objects = self.objects.len();
         Ok((self.name.to_owned(), self.facts))

@@ -1,7 +1,6 @@
 //! One simulation of a replay, and the file that holds its result.
 
 use std::fs;
-use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -11,7 +10,7 @@ use super::curves::{curves, min_height_m};
 use super::object_file::ReplayObject;
 use super::report::{CaseFacts, Curves, Setting};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{BeneathPath, FileKind, FileName, hex};
 use crate::sim::grasp::{
     GraspOutcome, GraspResult, STEADY_STEPS, Snapshot, StageName, Trace, TraceFile,
 };
@@ -22,6 +21,8 @@ use crate::workers::thread_cpu_s;
 const FORMAT: &str = "gripcast-replay-case";
 /// Raised whenever the simulators may give another result for the same input.
 const VERSION: u32 = 1;
+/// Suffix of traces.
+const TRACE: &str = "trace.bin";
 /// Outcome of a case that an engine refuses.
 pub(super) const REFUSED: &str = "refused";
 
@@ -198,12 +199,12 @@ fn absolute(source: &str) -> String {
 /// The folder of finished cases. A file is there whole or not at all.
 #[derive(Clone, Debug)]
 pub struct CaseStore {
-    folder: PathBuf,
+    folder: BeneathPath,
 }
 
 impl CaseStore {
     /// A store in a folder, which is made with the first case.
-    pub fn new(folder: PathBuf) -> Self {
+    pub fn new(folder: BeneathPath) -> Self {
         Self { folder }
     }
 
@@ -213,7 +214,7 @@ impl CaseStore {
     /// `Internal` where a number has no JSON form.
     pub fn find(&self, case: &Case<'_>) -> Result<Option<CaseRecord>> {
         let identity = case.identity()?;
-        let Ok(bytes) = fs::read(self.path(&identity)?.with_extension("json")) else {
+        let Ok(bytes) = self.place(&identity, "json")?.read(FileKind::List) else {
             return Ok(None);
         };
         let record: Option<CaseRecord> = serde_json::from_slice(&bytes).ok();
@@ -227,18 +228,20 @@ impl CaseStore {
     /// # Errors
     /// `DiskFull`, `Io`, …
     pub fn keep(&self, case: &Case<'_>, record: &CaseRecord, trace: Trace) -> Result<()> {
-        let path = self.path(&record.identity)?;
-        let folder = path.parent().unwrap_or(Path::new(""));
-        fs::create_dir_all(folder).map_err(|e| {
-            Error::io("cannot make the folder of the cases", e).at(folder.display())
-        })?;
+        let save = |place: BeneathPath, bytes: &[u8]| {
+            place
+                .parent()
+                .create_dir_all()
+                .and_then(|()| place.replace(bytes))
+                .map_err(|e| Error::io("cannot write the case", e).at(place.display()))
+        };
         if has_gels(&trace) {
             let bytes = case.trace_file(record, trace)?.to_bytes()?;
-            save(&path.with_extension("trace.bin"), &bytes)?;
+            save(self.place(&record.identity, TRACE)?, &bytes)?;
         }
         let text = serde_json::to_vec(record)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-        save(&path.with_extension("json"), &text)
+        save(self.place(&record.identity, "json")?, &text)
     }
 
     /// The state of a finished case at the end of a stage; none if its trace has none.
@@ -246,21 +249,22 @@ impl CaseStore {
     /// # Errors
     /// `Internal` where a number has no JSON form.
     pub fn snapshot(&self, case: &Case<'_>, stage: StageName) -> Result<Option<Snapshot>> {
-        let path = self.path(&case.identity()?)?.with_extension("trace.bin");
-        let file = fs::read(path).ok();
+        let file = self
+            .place(&case.identity()?, TRACE)?
+            .read(FileKind::Mesh)
+            .ok();
         let file = file.and_then(|bytes| TraceFile::read(&bytes).ok());
         let mut snapshots = file.into_iter().flat_map(|file| file.trace.snapshots);
         Ok(snapshots.find(|snapshot| snapshot.stage == stage))
     }
 
-    /// `<2 hex>/<30 hex>` of the hash of the identity.
-    fn path(&self, identity: &Value) -> Result<PathBuf> {
+    /// `<2 hex>/<30 hex>.<suffix>` of the hash of the identity.
+    fn place(&self, identity: &Value, suffix: &str) -> Result<BeneathPath> {
         let text = serde_json::to_vec(identity)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
         let digest = Sha256::digest(text);
-        let hex: String = digest.iter().take(16).map(|b| format!("{b:02x}")).collect();
-        let (folder, name) = hex.split_at(2);
-        Ok(self.folder.join(folder).join(name))
+        let name = FileName::parse(&format!("{}.{suffix}", hex(&digest[1..16])))?;
+        Ok(self.folder.join_number("", digest[0]).join(&name))
     }
 }
 

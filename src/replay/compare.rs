@@ -1,7 +1,6 @@
 //! What changed against an earlier report.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
@@ -11,6 +10,7 @@ use super::report::{
     Report,
 };
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{FileKind, read_regular};
 
 /// Reads a report.
 ///
@@ -27,8 +27,8 @@ pub fn read_report(path: &Path) -> Result<Report> {
             .at(path.display())
             .remedy("give the report.json of an earlier `gripcast replay`")
     };
-    let bytes =
-        fs::read(path).map_err(|e| Error::io("cannot read the report", e).at(path.display()))?;
+    let bytes = read_regular(path, FileKind::Mesh)
+        .map_err(|e| Error::io("cannot read the report", e).at(path.display()))?;
     let head: Head = serde_json::from_slice(&bytes)
         .map_err(|e| wrong("this is no report of a replay".to_owned()).because(e))?;
     if head.format != REPORT_FORMAT || head.version != REPORT_VERSION {

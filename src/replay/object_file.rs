@@ -1,19 +1,20 @@
 //! An object of a dataset: `OBJECTS/NAME.toml`.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
-use crate::geometry::{Aabb, LengthUnit, Pose, TriangleMesh, load_object_mesh};
+use crate::files::{BeneathPath, FileKind, ObjectName, Root};
+use crate::geometry::{Aabb, LengthUnit, Pose, TriangleMesh, load_object_mesh_below};
 use crate::pose::PrintedSheet;
 use crate::sim::grasp::resting_pose;
 
+/// Ending of object files.
+const ENDING: &str = ".toml";
 /// Version of the format.
 const SCHEMA: u32 = 1;
 /// Heaviest object that is believed, kg; more is mostly grams taken for kilograms.
@@ -25,7 +26,7 @@ const GROUND_TOLERANCE_M: f64 = 1e-3;
 ///
 /// ```toml
 /// schema = 1
-/// mesh = "b1.obj"            # relative to this file, or builtin:NAME
+/// mesh = "b1.obj"            # below this file's folder, or builtin:NAME
 /// unit = "mm"                # of the file's coordinates; not for builtin:NAME
 /// scale = 1.0
 /// mesh_sha256 = "…"          # optional: what `gripcast sim grasp --json` prints for the mesh
@@ -42,7 +43,7 @@ const GROUND_TOLERANCE_M: f64 = 1e-3;
 pub struct ObjectFile {
     /// Version of the format, 1.
     pub schema: u32,
-    /// Mesh file, relative to the object file, or `builtin:NAME`.
+    /// Mesh file below the folder of the object file, or `builtin:NAME`.
     pub mesh: String,
     /// Unit of the mesh file's coordinates: `mm`, `cm`, `m`, `in`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -71,7 +72,7 @@ pub struct ObjectFile {
 #[derive(Clone, Debug)]
 pub struct ReplayObject {
     /// Its name in the dataset.
-    pub name: String,
+    pub name: ObjectName,
     /// What its file says.
     pub file: ObjectFile,
     /// Mesh file as found from here, or `builtin:NAME`.
@@ -95,15 +96,19 @@ impl ObjectFile {
     ///
     /// # Errors
     /// That of the operating system.
-    pub fn save(&self, path: &Path) -> Result<()> {
+    pub fn save(&self, place: &BeneathPath) -> Result<()> {
         let text = toml::to_string(self).map_err(|e| {
             Error::new(ErrorKind::Internal, "cannot write the object file").because(e)
         })?;
-        save(path, text.as_bytes())
+        place
+            .replace(text.as_bytes())
+            .map_err(|e| Error::io("cannot write the object file", e).at(place.display()))
     }
 
-    fn read(path: &Path) -> Result<Self> {
-        let text = fs::read_to_string(path).map_err(|e| Error::io("cannot read the object", e))?;
+    fn read(place: &BeneathPath) -> Result<Self> {
+        let text = place
+            .read_to_string(FileKind::Record)
+            .map_err(|e| Error::io("cannot read the object", e))?;
         let file: Self = toml::from_str(&text).map_err(|e| {
             Error::new(ErrorKind::Input, "this is no object file")
                 .because(e)
@@ -155,26 +160,24 @@ impl ObjectFile {
 }
 
 impl ReplayObject {
-    /// Reads an object file and its mesh.
+    /// Reads the file of an object in a folder, and its mesh.
     ///
     /// # Errors
-    /// Those of reading the files; `Input` for what cannot be simulated or a mesh that is another
-    /// one than the file says.
-    pub fn load(path: &Path) -> Result<Self> {
-        Self::read(path).map_err(|e| e.at(path.display()))
+    /// Those of reading the files; `Input` for what cannot be simulated, a mesh outside of the folder
+    /// or another one than the file says.
+    pub fn load(folder: &Root, place: &BeneathPath) -> Result<Self> {
+        Self::read(folder, place).map_err(|e| e.at(place.display()))
     }
 
-    fn read(path: &Path) -> Result<Self> {
-        let file = ObjectFile::read(path)?;
-        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    fn read(folder: &Root, place: &BeneathPath) -> Result<Self> {
+        let name = object_name(&place.name())?;
+        let file = ObjectFile::read(place)?;
         let unit = file.unit.as_deref().unwrap_or("m").parse()?;
-        let source = if file.mesh.starts_with("builtin:") {
-            file.mesh.clone()
-        } else {
-            let folder = path.parent().unwrap_or(Path::new(""));
-            folder.join(&file.mesh).to_string_lossy().into_owned()
+        let prepared = load_object_mesh_below(folder, &file.mesh, unit, file.scale)?;
+        let source = match file.mesh.starts_with("builtin:") {
+            true => file.mesh.clone(),
+            false => folder.path().join(&file.mesh).display().to_string(),
         };
-        let prepared = load_object_mesh(&source, unit, file.scale)?;
         let mesh_sha256 = prepared.mesh.content_hash();
         if let Some(expected) = &file.mesh_sha256
             && *expected != mesh_sha256
@@ -189,7 +192,7 @@ impl ReplayObject {
             ));
         }
         Ok(Self {
-            name: name.into_owned(),
+            name,
             source,
             unit,
             mesh: Arc::new(prepared.mesh),
@@ -259,28 +262,30 @@ impl ReplayObject {
 /// All objects of a folder by name, or why one cannot be used.
 ///
 /// # Errors
-/// That of the operating system if the folder cannot be read; `NotFound` if it has no object file.
-pub fn load_objects(folder: &Path) -> Result<BTreeMap<String, Result<ReplayObject>>> {
+/// That of the operating system if the folder cannot be read; `NotFound` if it has no object file;
+/// `Input` for a file name that no object can have.
+pub fn load_objects(folder: &Path) -> Result<BTreeMap<ObjectName, Result<ReplayObject>>> {
+    let root = Root::new(folder);
     let unreadable = |e| Error::io("cannot read the objects", e).at(folder.display());
-    let mut paths: Vec<PathBuf> = Vec::new();
-    for entry in fs::read_dir(folder).map_err(unreadable)? {
-        let path = entry.map_err(unreadable)?.path();
-        if path.extension().is_some_and(|suffix| suffix == "toml") {
-            paths.push(path);
+    let mut objects = BTreeMap::new();
+    for place in root.top().entries().map_err(unreadable)? {
+        let file = place.name();
+        // Editors keep hidden files beside those that are open.
+        if file.ends_with(ENDING) && !file.starts_with('.') {
+            let name = object_name(&file).map_err(|e| e.at(folder.display()))?;
+            objects.insert(name, ReplayObject::load(&root, &place));
         }
     }
-    if paths.is_empty() {
+    if objects.is_empty() {
         return Err(Error::new(ErrorKind::NotFound, "there is no object file")
             .at(folder.display())
             .remedy("write NAME.toml for each object of the dataset (docs/replay.md)"));
     }
-    let named = paths.iter().map(|path| {
-        let name = path
-            .file_stem()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        (name, ReplayObject::load(path))
-    });
-    Ok(named.collect())
+    Ok(objects)
+}
+
+/// The object that a file is named after.
+fn object_name(file: &str) -> Result<ObjectName> {
+    ObjectName::parse(file.strip_suffix(ENDING).unwrap_or(file))
+        .map_err(|e| e.remedy("rename the object file"))
 }

@@ -10,7 +10,7 @@ use super::object_file::ReplayObject;
 use super::report::LeftOut;
 use crate::dataset::{Dataset, GraspRecord, Outcome};
 use crate::error::{Error, ErrorKind, Result, nearest_name};
-use crate::files::ContentKey;
+use crate::files::{ContentKey, ObjectName};
 use crate::geometry::{MeshQuery, Pose};
 use crate::pose::{BoardFile, PrintedSheet};
 use crate::render::visual::SeedStream;
@@ -61,7 +61,7 @@ impl Recording {
     /// [`Self::left_out`].
     pub fn read(
         dataset: &Dataset,
-        objects: &BTreeMap<String, Result<ReplayObject>>,
+        objects: &BTreeMap<ObjectName, Result<ReplayObject>>,
         wanted: Option<&[String]>,
     ) -> Result<Self> {
         let mut grasps = Vec::new();
@@ -111,7 +111,7 @@ impl Recording {
 fn recorded(
     dataset: &Dataset,
     record: GraspRecord,
-    objects: &BTreeMap<String, Result<ReplayObject>>,
+    objects: &BTreeMap<ObjectName, Result<ReplayObject>>,
     sheets: &mut BTreeMap<ContentKey, Option<PrintedSheet>>,
 ) -> Result<RecordedGrasp> {
     let wrong = |what: String| Error::new(ErrorKind::Input, what);
@@ -183,8 +183,8 @@ fn stored_sheet(dataset: &Dataset, key: &ContentKey) -> Result<Option<PrintedShe
     Ok(BoardFile::parse(&text, Path::new(""))?.sheet)
 }
 
-fn unknown(name: &str, objects: &BTreeMap<String, Result<ReplayObject>>) -> Error {
-    let nearest = nearest_name(name, objects.keys().map(String::as_str));
+fn unknown(name: &str, objects: &BTreeMap<ObjectName, Result<ReplayObject>>) -> Error {
+    let nearest = nearest_name(name, objects.keys().map(ObjectName::as_str));
     let hint = nearest.map_or(String::new(), |n| format!("; the nearest name is {n}"));
     Error::new(
         ErrorKind::Input,

@@ -16,7 +16,8 @@ use super::{
 use crate::dataset::sample::{capture, meta, new_dataset};
 use crate::dataset::{Dataset, DatasetWriter, GraspId, Outcome, PoseRecord};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{Pose, builtin};
+use crate::files::{ObjectName, Root};
+use crate::geometry::{Pose, builtin, save_mesh};
 use crate::render::tactile::SensorProfile;
 use crate::sim::grasp::{GelForce, GraspOutcome, GraspResult, StageName, Trace, TraceStep};
 use crate::sim::solver::PhaseTimes;
@@ -131,7 +132,7 @@ fn dataset(path: &Path, grasps: &[(&str, Outcome, Option<PoseRecord>)]) -> Vec<G
     ids
 }
 
-fn objects(folder: &Path) -> BTreeMap<String, Result<ReplayObject>> {
+fn objects(folder: &Path) -> BTreeMap<ObjectName, Result<ReplayObject>> {
     fs::create_dir_all(folder).unwrap();
     let write = |name: &str, text: &str| fs::write(folder.join(name), text).unwrap();
     write(
@@ -152,7 +153,7 @@ fn objects(folder: &Path) -> BTreeMap<String, Result<ReplayObject>> {
 struct Bench {
     folder: TempDir,
     dataset: Dataset,
-    objects: BTreeMap<String, Result<ReplayObject>>,
+    objects: BTreeMap<ObjectName, Result<ReplayObject>>,
     recording: Recording,
 }
 
@@ -211,7 +212,7 @@ impl Bench {
             command: "gripcast replay".into(),
             written_at: "2026-11-20T00:00:00Z".into(),
         };
-        let store = CaseStore::new(self.folder.path().join("cases"));
+        let store = CaseStore::new(Root::new(self.folder.path()).top().join("cases"));
         replay(&input, settings, &store, &|_| {}).unwrap()
     }
 }
@@ -297,7 +298,11 @@ fn results_do_not_depend_on_the_number_of_jobs() {
         })
         .collect();
     let run = |jobs: usize| {
-        let store = CaseStore::new(bench.folder.path().join(format!("cases-{jobs}")));
+        let store = CaseStore::new(
+            Root::new(bench.folder.path())
+                .top()
+                .join_number("cases-", jobs),
+        );
         let records = sweep(&cases, &store, jobs, &|_| {}).unwrap().records;
         records
             .into_iter()
@@ -433,7 +438,7 @@ fn what_cannot_be_replayed_is_told_with_the_reason() {
         written_at: String::new(),
     };
     let known = Known::new(EngineKind::Fem);
-    let store = CaseStore::new(folder.path().join("cases"));
+    let store = CaseStore::new(Root::new(folder.path()).top().join("cases"));
     let error = replay(
         &input,
         &settings(vec![engine(&known, &[0.2])]),
@@ -448,17 +453,95 @@ fn what_cannot_be_replayed_is_told_with_the_reason() {
     );
 }
 
+fn loaded(path: &Path) -> Result<ReplayObject> {
+    let folder = Root::new(path.parent().unwrap());
+    ReplayObject::load(&folder, &folder.entry(path))
+}
+
+#[test]
+fn a_mesh_outside_of_the_objects_folder_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    fs::create_dir_all(at("objects/sub")).unwrap();
+    for name in ["secret.obj", "objects/own.obj", "objects/sub/own.obj"] {
+        save_mesh(&at(name), &builtin("box").unwrap()).unwrap();
+    }
+    std::os::unix::fs::symlink("../secret.obj", at("objects/link.obj")).unwrap();
+    std::os::unix::fs::symlink("..", at("objects/up")).unwrap();
+    let load = |mesh: &str| {
+        let text = format!("schema = 1\nmesh = {mesh:?}\nunit = \"m\"\nmass_kg = 0.06\n");
+        fs::write(at("objects/box.toml"), text).unwrap();
+        loaded(&at("objects/box.toml"))
+    };
+    let absolute = at("secret.obj");
+    for mesh in [
+        absolute.to_str().unwrap(),
+        "../secret.obj",
+        "sub/../../secret.obj",
+    ] {
+        let error = load(mesh).unwrap_err();
+        let remedy = error.remedy_text().unwrap_or_default();
+        assert!(
+            remedy.contains("beside") && remedy.contains("LINKED_FOLDERS"),
+            "{error}"
+        );
+    }
+    for mesh in ["link.obj", "up/secret.obj"] {
+        let error = load(mesh).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        assert!(error.to_string().contains("leads out of"), "{error}");
+    }
+    for mesh in ["own.obj", "./own.obj", "sub/own.obj"] {
+        assert!(load(mesh).is_ok(), "{mesh}");
+    }
+    // The object file itself.
+    fs::rename(at("objects/box.toml"), at("box.toml")).unwrap();
+    std::os::unix::fs::symlink("../box.toml", at("objects/box.toml")).unwrap();
+    let objects = load_objects(&at("objects")).unwrap();
+    assert_eq!(
+        objects["box"].as_ref().unwrap_err().kind(),
+        ErrorKind::Input
+    );
+}
+
+#[test]
+fn links_among_the_cases_are_neither_followed_out_nor_overwritten() {
+    let bench = bench();
+    let cases = bench.folder.path().join("cases");
+    let replay = || {
+        let known = Known::new(EngineKind::Fem);
+        bench.replay(&settings(vec![engine(&known, &[0.2])]))
+    };
+    let first = replay();
+    let secret = bench.folder.path().join("secret");
+    fs::write(&secret, "secret").unwrap();
+    let mut linked = 0;
+    for folder in fs::read_dir(&cases).unwrap() {
+        for file in fs::read_dir(folder.unwrap().path()).unwrap() {
+            let file = file.unwrap().path();
+            fs::remove_file(&file).unwrap();
+            std::os::unix::fs::symlink(&secret, &file).unwrap();
+            linked += 1;
+        }
+    }
+    assert!(linked > 0);
+    let again = replay();
+    assert_eq!(again.grasps.len(), first.grasps.len());
+    assert_eq!(again.cost.simulated_now, first.cost.simulated_now);
+    assert_eq!(fs::read(&secret).unwrap(), b"secret");
+}
+
 #[test]
 fn a_mesh_that_changed_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("box.toml");
     let text = "schema = 1\nmesh = \"builtin:box\"\nmass_kg = 0.06\nmesh_sha256 = \"0123\"\n";
     fs::write(&path, text).unwrap();
-    let error = ReplayObject::load(&path).unwrap_err().to_string();
+    let error = loaded(&path).unwrap_err().to_string();
     assert!(error.contains("the mesh changed: expected 0123"), "{error}");
     let hash = builtin("box").unwrap().content_hash();
     fs::write(&path, text.replace("0123", &hash)).unwrap();
-    let object = ReplayObject::load(&path).unwrap();
+    let object = loaded(&path).unwrap();
     assert!((object.t_world_object(None).unwrap().translation_m.z - 0.03).abs() < 1e-9);
 }
 
@@ -470,7 +553,7 @@ fn objects_lie_on_the_ground_and_their_sheet_is_of_their_mesh() {
     let base = "schema = 1\nmesh = \"builtin:box\"\nmass_kg = 0.06\n";
     let floating = "t_world_object = { t_m = [0, 0, 0.05], q_wxyz = [1, 0, 0, 0] }\n";
     fs::write(&path, format!("{base}{floating}")).unwrap();
-    let error = ReplayObject::load(&path).unwrap().t_world_object(None);
+    let error = loaded(&path).unwrap().t_world_object(None);
     let error = error.unwrap_err().to_string();
     assert!(error.contains("20.0 mm"), "{error}");
 
@@ -483,7 +566,7 @@ fn objects_lie_on_the_ground_and_their_sheet_is_of_their_mesh() {
         t_world_object: Pose::from_translation(glam::DVec3::new(0.01, 0.02, 0.03)),
     };
     fs::write(&path, base).unwrap();
-    let object = ReplayObject::load(&path).unwrap();
+    let object = loaded(&path).unwrap();
     assert_eq!(
         object.t_world_object(Some(&sheet)).unwrap(),
         sheet.t_world_object
@@ -492,7 +575,7 @@ fn objects_lie_on_the_ground_and_their_sheet_is_of_their_mesh() {
     let error = object.t_world_object(Some(&sheet)).unwrap_err().to_string();
     assert!(error.contains("drawn for another mesh"), "{error}");
     fs::write(&path, format!("{base}drawn_from_sha256 = \"abc\"\n")).unwrap();
-    let object = ReplayObject::load(&path).unwrap();
+    let object = loaded(&path).unwrap();
     assert!(object.t_world_object(Some(&sheet)).is_ok());
 }
 

@@ -22,6 +22,7 @@ use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
 use crate::dataset::Dataset;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::ObjectName;
 use crate::render::tactile::{ObjectDepthRenderer, SensorProfile, SimulatedGel};
 use crate::sim::grasp::{Snapshot, StageName};
 use crate::sim::{Engine, EngineKind};
@@ -61,7 +62,7 @@ pub struct ReplayInput<'a> {
     /// Its grasps that can be replayed.
     pub recording: &'a Recording,
     /// Its objects.
-    pub objects: &'a BTreeMap<String, Result<ReplayObject>>,
+    pub objects: &'a BTreeMap<ObjectName, Result<ReplayObject>>,
     /// Where its outcomes come from.
     pub reality: Reality,
     /// The command that repeats it.

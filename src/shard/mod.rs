@@ -39,7 +39,7 @@ pub(crate) use cell::Cell as TableCell;
 pub(crate) use metadata::EXPORT;
 pub use reader::ShardReader;
 pub use row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
-pub use set::{ShardSet, shard_name};
+pub use set::{ShardSet, shard_name, shard_place};
 pub use split::{Split, SplitGroup};
 pub(crate) use table::TableWriter;
 pub(crate) use table_column::TableKind;

@@ -1,6 +1,8 @@
 //! Reads shards, ours and those that others wrote with the same columns.
 
+use std::fmt;
 use std::fs::File;
+use std::io;
 use std::panic::AssertUnwindSafe;
 use std::path::Path;
 use std::sync::Arc;
@@ -18,6 +20,7 @@ use super::metadata::{CREATED_BY, GroupHash, KEY, ShardMetadata};
 use super::row::{ShardFacts, ShardImages, ShardRow};
 use super::source::Source;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, FileKind, open_regular};
 use crate::quiet_panic;
 
 /// Rows that are read together; of other writers' files, also those that are in memory.
@@ -50,19 +53,25 @@ impl ShardReader {
     ///
     /// # Errors
     /// `Input`: no Parquet file, damaged, another version, a column is missing or of another
-    /// kind. `NotFound`, `Permission`, `Io`: the file.
+    /// kind; no regular file. `NotFound`, `Permission`, `Io`: the file.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let open = || {
-            let file = File::open(path)?;
-            if file.metadata()?.is_dir() {
-                return Err(std::io::ErrorKind::IsADirectory.into());
-            }
-            Source::file(file)
-        };
-        let source =
-            open().map_err(|e| Error::io("cannot read the shard", e).at(path.display()))?;
-        Self::of(path.display().to_string(), source)
+        Self::of_file(open_regular(path, FileKind::Bulk), path.display())
+    }
+
+    /// The same of a file of a dataset.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open); `Input` for a link that leads out of the dataset.
+    pub fn open_beneath(place: &BeneathPath) -> Result<Self> {
+        Self::of_file(place.open_file(FileKind::Bulk), place.display())
+    }
+
+    fn of_file(file: io::Result<File>, name: impl fmt::Display) -> Result<Self> {
+        let name = name.to_string();
+        let source = file.and_then(Source::file);
+        let source = source.map_err(|e| Error::io("cannot read the shard", e).at(&name))?;
+        Self::of(name, source)
     }
 
     /// A shard in memory; `name` is for errors.

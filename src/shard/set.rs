@@ -1,12 +1,12 @@
 //! A folder of shards by split.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::reader::ShardReader;
 use super::row::{ShardFacts, ShardRow};
 use crate::error::{Error, ErrorKind, Result, unknown_name};
+use crate::files::{BeneathPath, FileName, Printable, Root};
 
 /// Folder of the shards in that of a dataset.
 const DATA: &str = "data";
@@ -28,6 +28,19 @@ const MAKERS: &str =
 /// # Errors
 /// `Usage`: the split is no word of ASCII letters, digits and `_`; there is no such shard.
 pub fn shard_name(split: &str, index: usize, count: usize) -> Result<String> {
+    Ok(format!("{DATA}/{}", file_name(split, index, count)?))
+}
+
+/// Place of a shard in the folder of its dataset.
+///
+/// # Errors
+/// As of [`shard_name`].
+pub fn shard_place(root: &Root, split: &str, index: usize, count: usize) -> Result<BeneathPath> {
+    let name = file_name(split, index, count)?;
+    Ok(root.top().join(DATA).join(&name))
+}
+
+fn file_name(split: &str, index: usize, count: usize) -> Result<FileName> {
     if !is_split(split) {
         let what = format!("a split cannot be called {split:?}");
         let error = Error::new(ErrorKind::Usage, what);
@@ -37,16 +50,16 @@ pub fn shard_name(split: &str, index: usize, count: usize) -> Result<String> {
         let what = format!("there is no shard {index} of {count}; at most {MAX_SHARDS} are");
         return Err(Error::new(ErrorKind::Usage, what));
     }
-    Ok(format!(
-        "{DATA}/{split}-{index:0DIGITS$}-of-{count:0DIGITS$}{ENDING}"
+    FileName::parse(&format!(
+        "{split}-{index:0DIGITS$}-of-{count:0DIGITS$}{ENDING}"
     ))
 }
 
 /// The shards of a dataset, complete, by split.
 #[derive(Clone, Debug)]
 pub struct ShardSet {
-    root: PathBuf,
-    splits: BTreeMap<String, Vec<PathBuf>>,
+    root: Root,
+    splits: BTreeMap<String, Vec<BeneathPath>>,
 }
 
 impl ShardSet {
@@ -56,10 +69,10 @@ impl ShardSet {
     /// `NotFound`: there is no such folder, or no shard in it. `Input`: a shard is missing, or a
     /// Parquet file has another name. `Permission`, `Io`: the folder.
     pub fn open(root: impl Into<PathBuf>) -> Result<Self> {
-        let root = root.into();
+        let root = Root::new(root);
         match list(&root) {
             Ok(splits) => Ok(Self { root, splits }),
-            Err(error) => Err(error.at(root.display())),
+            Err(error) => Err(error.at(root.path().display())),
         }
     }
 
@@ -72,11 +85,11 @@ impl ShardSet {
     ///
     /// # Errors
     /// `Usage`: there is no such split.
-    pub fn shards(&self, split: &str) -> Result<&[PathBuf]> {
+    pub fn shards(&self, split: &str) -> Result<&[BeneathPath]> {
         let found = self.splits.get(split);
         found.map(Vec::as_slice).ok_or_else(|| {
             let known: Vec<&str> = self.splits().collect();
-            unknown_name("split", split, &known).at(self.root.display())
+            unknown_name("split", split, &known).at(self.root.path().display())
         })
     }
 
@@ -87,7 +100,7 @@ impl ShardSet {
     pub fn num_rows(&self, split: &str) -> Result<usize> {
         let shards = self.shards(split)?.iter();
         shards
-            .map(|path| Ok(ShardReader::open(path)?.num_rows()))
+            .map(|place| Ok(ShardReader::open_beneath(place)?.num_rows()))
             .sum()
     }
 
@@ -129,7 +142,7 @@ impl ShardSet {
                 let id = row?.facts.id;
                 if let Some(other) = split_of.get(&id) {
                     let what = format!("the sample {id:?} is in {other} and again in {split}");
-                    return Err(Error::new(ErrorKind::Input, what).at(self.root.display()));
+                    return Err(Error::new(ErrorKind::Input, what).at(self.root.path().display()));
                 }
                 split_of.insert(id, split);
             }
@@ -141,7 +154,7 @@ impl ShardSet {
 
 /// What is in the files one after the other, up to the first error.
 fn chain<T, I>(
-    shards: Vec<PathBuf>,
+    shards: Vec<BeneathPath>,
     samples: impl Fn(&ShardReader) -> I + Send,
 ) -> impl Iterator<Item = Result<T>> + Send
 where
@@ -157,7 +170,7 @@ where
                 failed = sample.is_err();
                 return Some(sample);
             }
-            match ShardReader::open(shards.next()?) {
+            match ShardReader::open_beneath(&shards.next()?) {
                 Ok(shard) => open = Some(samples(&shard)),
                 Err(error) => {
                     failed = true;
@@ -169,9 +182,9 @@ where
     })
 }
 
-fn list(root: &Path) -> Result<BTreeMap<String, Vec<PathBuf>>> {
-    let folder = root.join(DATA);
-    if !folder.is_dir() && root.join(COLLECTED).is_file() {
+fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
+    let folder = root.top().join(DATA);
+    if !folder.is_dir() && root.top().join(COLLECTED).is_file() {
         let what = "these are grasps as they were collected, not shards of samples";
         let remedy = "make shards of them with `gripcast dataset export FOLDER --to training --out SHARDS`, and give SHARDS";
         return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
@@ -186,15 +199,14 @@ fn list(root: &Path) -> Result<BTreeMap<String, Vec<PathBuf>>> {
         }
     };
     let mut found: BTreeMap<String, BTreeSet<(usize, usize)>> = BTreeMap::new();
-    for entry in fs::read_dir(&folder).map_err(unreadable)? {
-        let name = entry.map_err(unreadable)?.file_name();
-        let name = name.to_string_lossy();
+    for entry in folder.entries().map_err(unreadable)? {
+        let name = entry.name();
         // What a kill left behind is hidden.
         if name.starts_with('.') || !name.ends_with(ENDING) {
             continue;
         }
         let Some((split, index, count)) = parse(&name) else {
-            let what = format!("{DATA}/{name} has no name of a shard");
+            let what = format!("{DATA}/{} has no name of a shard", Printable(&name));
             let remedy = "shards are called SPLIT-00000-of-00003.parquet, counted from 0";
             return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
         };
@@ -213,7 +225,7 @@ fn list(root: &Path) -> Result<BTreeMap<String, Vec<PathBuf>>> {
 }
 
 /// The files of a split, all of them. `shards`: index and count in the name of each.
-fn files(root: &Path, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<Vec<PathBuf>> {
+fn files(root: &Root, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<Vec<BeneathPath>> {
     let count = shards.first().map_or(0, |&(_, count)| count);
     if let Some((_, other)) = shards.iter().find(|&&(_, other)| other != count) {
         let what = format!(
@@ -232,8 +244,8 @@ fn files(root: &Path, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<
         };
         return Err(Error::new(ErrorKind::Input, what).remedy("make or fetch it again"));
     }
-    let file = |index| Ok(root.join(shard_name(split, index, count)?));
-    (0..count).map(file).collect()
+    let place = |index| shard_place(root, split, index, count);
+    (0..count).map(place).collect()
 }
 
 /// Split, index and count in the name of a shard.
@@ -255,6 +267,10 @@ fn is_split(split: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+    use std::os::unix::fs::symlink;
+    use std::path::Path;
+
     use super::super::sample_rows::sample_rows;
     use super::super::writer::to_bytes;
     use super::*;
@@ -313,6 +329,34 @@ mod tests {
             error.contains("train-00001-of-00002.parquet: this is no Parquet"),
             "{error}"
         );
+    }
+
+    #[test]
+    fn shards_that_lead_out_of_the_dataset_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let [root, secret] = ["set", "secret"].map(|name| dir.path().join(name));
+        write(&secret, "data/train-00000-of-00001.parquet", 0, 2);
+        let shard = "data/train-00000-of-00001.parquet";
+        let refused = |set: Result<ShardSet>| {
+            let error = set.and_then(|set| set.num_rows("train")).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        };
+        fs::create_dir_all(root.join(DATA)).unwrap();
+        symlink(secret.join(shard), root.join(shard)).unwrap();
+        refused(ShardSet::open(&root));
+        assert!(
+            ShardSet::open(&root)
+                .unwrap()
+                .rows("train")
+                .unwrap()
+                .all(|row| row.is_err())
+        );
+        fs::remove_dir_all(root.join(DATA)).unwrap();
+        symlink(secret.join(DATA), root.join(DATA)).unwrap();
+        refused(ShardSet::open(&root));
+        fs::remove_file(root.join(DATA)).unwrap();
+        fs::create_dir_all(root.join(shard)).unwrap();
+        refused(ShardSet::open(&root));
     }
 
     #[test]

@@ -1,52 +1,43 @@
 //! A file that is written piece by piece and gets its name last.
 
-use std::fs::{self, File, OpenOptions};
-use std::hash::{BuildHasher as _, RandomState};
+use std::fs::File;
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+
+use crate::files::BeneathPath;
 
 /// A file under a hidden name in the folder of its own; removed when dropped before
 /// [`commit`](Self::commit).
 #[derive(Debug)]
 pub(super) struct StagedShard {
     file: File,
-    partial: PathBuf,
-    target: PathBuf,
+    partial: BeneathPath,
+    target: BeneathPath,
 }
 
 impl StagedShard {
     /// # Errors
     /// Those of the operating system; the target being a folder.
-    pub(super) fn create(target: &Path) -> io::Result<Self> {
+    pub(super) fn create(target: &BeneathPath) -> io::Result<Self> {
         if target.is_dir() {
             return Err(io::ErrorKind::IsADirectory.into());
         }
-        // By chance: a number of the process comes again, and with it what a kill left behind.
-        let name = format!(".gripcast-{:016x}.partial", RandomState::new().hash_one(()));
-        let partial = target.with_file_name(name);
-        let file = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .open(&partial)?;
+        let partial = target.partial();
         Ok(Self {
-            file,
+            file: partial.create_new()?,
             partial,
-            target: target.to_owned(),
+            target: target.clone(),
         })
     }
 
-    /// Gives the file its name once its contents are on the disk.
+    /// Gives the file its name once its contents are on the disk; a link is replaced.
     ///
     /// # Errors
     /// Those of the operating system; what had the name before is then as it was.
     pub(super) fn commit(self) -> io::Result<()> {
         self.file.sync_all()?;
-        fs::rename(&self.partial, &self.target)?;
+        self.partial.rename(&self.target)?;
         // Not every file system can do this to a folder, and the file itself is safe.
-        let folder = self.target.parent().filter(|f| !f.as_os_str().is_empty());
-        if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
-            let _ = folder.sync_all();
-        }
+        let _ = self.target.parent().sync_dir();
         Ok(())
     }
 }
@@ -64,6 +55,6 @@ impl Write for StagedShard {
 impl Drop for StagedShard {
     fn drop(&mut self) {
         // After the renaming there is none any more; the cause is what the caller reports.
-        let _ = fs::remove_file(&self.partial);
+        let _ = self.partial.remove_file();
     }
 }

@@ -1,6 +1,5 @@
 //! Writes tables with pictures whose columns are chosen while the program runs.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use parquet::file::metadata::KeyValue;
@@ -13,6 +12,7 @@ use super::staged::StagedShard;
 use super::table_column::{TableKind, features, schema};
 use super::writer::{GROUP_BYTES, MAX_ROW_BYTES, table_properties, write_error};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::BeneathPath;
 
 /// Who wrote the file; a shard has another name, and hashes.
 const CREATED_BY: &str = "gripcast-table version 1.0.0";
@@ -23,7 +23,7 @@ const CREATED_BY: &str = "gripcast-table version 1.0.0";
 /// The file has a hidden name in its folder until [`finish`](Self::finish). The same rows make the
 /// same bytes.
 pub(crate) struct TableWriter {
-    path: PathBuf,
+    place: BeneathPath,
     columns: Vec<(String, TableKind)>,
     writer: SerializedFileWriter<StagedShard>,
     waiting: Vec<Vec<Cell<'static>>>,
@@ -38,13 +38,13 @@ impl TableWriter {
     /// # Errors
     /// `NotFound`, `Permission`, `DiskFull`, `Io`: the folder.
     pub(crate) fn create(
-        path: PathBuf,
+        place: BeneathPath,
         columns: Vec<(String, TableKind)>,
         metadata: &[(&str, String)],
     ) -> Result<Self> {
         let begin = || {
             let staged =
-                StagedShard::create(&path).map_err(|e| Error::io("cannot write the table", e))?;
+                StagedShard::create(&place).map_err(|e| Error::io("cannot write the table", e))?;
             let all = || columns.iter().map(|(name, kind)| (name.as_str(), *kind));
             let pictures = all().filter(|(_, kind)| *kind == TableKind::Picture);
             let properties =
@@ -58,9 +58,9 @@ impl TableWriter {
             }
             Ok(writer)
         };
-        let writer = begin().map_err(|e: Error| e.at(path.display()))?;
+        let writer = begin().map_err(|e: Error| e.at(place.display()))?;
         Ok(Self {
-            path,
+            place,
             columns,
             writer,
             waiting: Vec::new(),
@@ -76,7 +76,7 @@ impl TableWriter {
     /// `Input`: a picture that is neither PNG nor JPEG, a row that is too large. `Internal`: not as
     /// many cells as columns. `DiskFull`, `Io`, …: the file; nothing more can be written.
     pub(crate) fn push(&mut self, cells: Vec<Cell<'static>>) -> Result<()> {
-        let size = self.check(&cells).map_err(|e| e.at(self.path.display()))?;
+        let size = self.check(&cells).map_err(|e| e.at(self.place.display()))?;
         if self.waiting_bytes + size > GROUP_BYTES {
             self.close_group()?;
         }
@@ -118,7 +118,7 @@ impl TableWriter {
             .iter()
             .map(|(name, kind)| (name.as_str(), *kind));
         write_columns(&mut self.writer, columns, &rows)
-            .map_err(|e| write_error(e).at(self.path.display()))
+            .map_err(|e| write_error(e).at(self.place.display()))
     }
 
     /// Rows so far.
@@ -144,7 +144,7 @@ impl TableWriter {
                 let committed = staged.commit();
                 committed.map_err(|e| Error::io("cannot write the table", e))
             })
-            .map_err(|e| e.at(self.path.display()))
+            .map_err(|e| e.at(self.place.display()))
     }
 }
 
@@ -157,11 +157,13 @@ mod tests {
 
     use super::super::sample_rows::picture;
     use super::*;
+    use crate::files::Root;
 
     #[test]
     fn every_kind_comes_back_and_nulls_stay_null() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.parquet");
+        let place = Root::new(folder.path()).top().join("a.parquet");
+        let path = place.shown();
         let columns = [
             ("text", TableKind::Text),
             ("tasks", TableKind::OneText),
@@ -175,7 +177,7 @@ mod tests {
         ];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind)).to_vec();
         let metadata = [("pandas", "{}".to_owned())];
-        let mut writer = TableWriter::create(path.clone(), columns, &metadata).unwrap();
+        let mut writer = TableWriter::create(place, columns, &metadata).unwrap();
         let seen = picture(true, 3, 100);
         writer
             .push(vec![
@@ -230,9 +232,9 @@ mod tests {
     #[test]
     fn a_picture_must_be_one() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.parquet");
+        let place = Root::new(folder.path()).top().join("a.parquet");
         let columns = vec![("seen".to_owned(), TableKind::Picture)];
-        let mut writer = TableWriter::create(path, columns, &[]).unwrap();
+        let mut writer = TableWriter::create(place, columns, &[]).unwrap();
         let text = writer
             .push(vec![Cell::Picture(b"GIF89a".as_slice().into())])
             .unwrap_err()

@@ -2,7 +2,6 @@
 
 use std::collections::HashSet;
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::sync::Arc;
 
 use parquet::basic::Compression;
@@ -19,6 +18,7 @@ use super::metadata::{CREATED_BY, GroupHash, HUGGINGFACE_KEY, KEY, ShardMetadata
 use super::row::{ShardRow, picture_extension};
 use super::staged::StagedShard;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::BeneathPath;
 
 /// Bytes of cells after which a row group is closed; only a single row may be larger.
 pub(super) const GROUP_BYTES: usize = 12 << 20;
@@ -33,7 +33,7 @@ const BATCH: usize = 16;
 /// dropped before leaves what had the name as it was. The same rows make the same bytes.
 #[derive(Debug)]
 pub struct ShardWriter {
-    path: PathBuf,
+    place: BeneathPath,
     groups: Groups<StagedShard>,
 }
 
@@ -42,15 +42,17 @@ impl ShardWriter {
     ///
     /// # Errors
     /// `Input`: `info` is no JSON. `NotFound`, `Permission`, `DiskFull`, `Io`: the folder.
-    pub fn create(path: impl Into<PathBuf>, info: &str) -> Result<Self> {
-        let path = path.into();
+    pub fn create(place: &BeneathPath, info: &str) -> Result<Self> {
         let begin = || {
             let staged =
-                StagedShard::create(&path).map_err(|e| Error::io("cannot write the shard", e))?;
+                StagedShard::create(place).map_err(|e| Error::io("cannot write the shard", e))?;
             Groups::new(staged, info)
         };
-        let groups = begin().map_err(|e| e.at(path.display()))?;
-        Ok(Self { path, groups })
+        let groups = begin().map_err(|e| e.at(place.display()))?;
+        Ok(Self {
+            place: place.clone(),
+            groups,
+        })
     }
 
     /// Adds a row.
@@ -61,7 +63,7 @@ impl ShardWriter {
     /// more can be written.
     pub fn push(&mut self, row: ShardRow) -> Result<()> {
         let pushed = self.groups.push(row);
-        pushed.map_err(|e| e.at(self.path.display()))
+        pushed.map_err(|e| e.at(self.place.display()))
     }
 
     /// Rows so far.
@@ -75,14 +77,14 @@ impl ShardWriter {
     /// # Errors
     /// `DiskFull`, `Io`, …; what had the name before is then as it was.
     pub fn finish(self) -> Result<()> {
-        let Self { path, groups } = self;
+        let Self { place, groups } = self;
         let finish = || {
             let staged = groups.finish()?;
             staged
                 .commit()
                 .map_err(|e| Error::io("cannot write the shard", e))
         };
-        finish().map_err(|e| e.at(path.display()))
+        finish().map_err(|e| e.at(place.display()))
     }
 }
 
@@ -251,6 +253,7 @@ mod tests {
     use super::super::row::{ShardEngine, ShardFacts};
     use super::super::sample_rows::{picture, sample_row, sample_rows};
     use super::*;
+    use crate::files::Root;
 
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap();
@@ -337,8 +340,11 @@ mod tests {
     #[test]
     fn a_file_has_its_name_when_it_is_whole() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("train-00000-of-00001.parquet");
-        let mut writer = ShardWriter::create(&path, "{}").unwrap();
+        let place = Root::new(folder.path())
+            .top()
+            .join("train-00000-of-00001.parquet");
+        let path = place.shown();
+        let mut writer = ShardWriter::create(&place, "{}").unwrap();
         for row in sample_rows(0, 3) {
             writer.push(row).unwrap();
         }
@@ -348,7 +354,7 @@ mod tests {
         assert_eq!(names(folder.path()), ["train-00000-of-00001.parquet"]);
         let bytes = fs::read(&path).unwrap();
         assert_eq!(bytes, to_bytes(sample_rows(0, 3), "{}").unwrap());
-        let mut dropped = ShardWriter::create(&path, "[1]").unwrap();
+        let mut dropped = ShardWriter::create(&place, "[1]").unwrap();
         dropped.push(sample_row(9)).unwrap();
         assert_eq!(names(folder.path()).len(), 2);
         drop(dropped);
@@ -361,12 +367,13 @@ mod tests {
     #[test]
     fn places_that_cannot_be_written_are_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let create = |path: &Path| ShardWriter::create(path, "{}").unwrap_err();
-        let error = create(&folder.path().join("no/such.parquet"));
+        let top = Root::new(folder.path()).top();
+        let create = |place: &BeneathPath| ShardWriter::create(place, "{}").unwrap_err();
+        let error = create(&top.join("no").join("such.parquet"));
         assert_eq!(error.kind(), ErrorKind::NotFound);
         assert!(error.to_string().contains("no/such.parquet"), "{error}");
-        create(folder.path());
-        let error = ShardWriter::create(folder.path().join("a.parquet"), "{plan").unwrap_err();
+        create(&top);
+        let error = ShardWriter::create(&top.join("a.parquet"), "{plan").unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
         assert!(names(folder.path()).is_empty());
     }
@@ -405,8 +412,8 @@ mod tests {
             (with(|r| r.facts.id = sample_row(1).facts.id), "two samples"),
         ];
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.parquet");
-        let mut writer = ShardWriter::create(&path, "{}").unwrap();
+        let place = Root::new(folder.path()).top().join("a.parquet");
+        let mut writer = ShardWriter::create(&place, "{}").unwrap();
         writer.push(sample_row(1)).unwrap();
         for (row, expected) in wrong {
             let error = writer.push(row).unwrap_err();
@@ -415,6 +422,6 @@ mod tests {
         }
         writer.push(sample_row(2)).unwrap();
         writer.finish().unwrap();
-        assert_eq!(read(fs::read(&path).unwrap()), sample_rows(1, 2));
+        assert_eq!(read(fs::read(place.shown()).unwrap()), sample_rows(1, 2));
     }
 }

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use super::plan::{Plan, check_parameters};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::Root;
 use crate::sim::grasp::{GraspSettings, Preset, resolution_by_name};
 use crate::sim::rigid::{RigidEngine, RigidSettings};
 use crate::sim::{Engine, EngineKind, FemEngine};
@@ -26,7 +27,8 @@ pub fn planned_engine(plan: &Plan, folder: &Path) -> Result<Box<dyn Engine>> {
         EngineKind::Rigid => {
             let settings: RigidSettings = serde_json::from_value(parameters.clone())
                 .map_err(|e| unreadable("parameters").because(e))?;
-            Box::new(RigidEngine::new(settings).with_cache(&folder.join(PIECES))?)
+            let pieces = Root::new(folder).top().join(PIECES);
+            Box::new(RigidEngine::new(settings).with_cache(pieces)?)
         }
     };
     check_parameters(plan, engine.as_ref())?;

@@ -2,17 +2,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::curate::{Curation, CurationSettings, Labelled, LeftOut, PlannedObject, curate};
-use super::plan::{Plan, PlannedSimulation};
+use super::plan::{Plan, PlannedSimulation, replace};
 use super::store::{ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::{save, sha256_hex};
-use crate::shard::{ShardRow, ShardWriter, shard_name};
+use crate::files::{FileKind, Root, SimulationId, sha256_hex};
+use crate::shard::{ShardRow, ShardWriter, shard_name, shard_place};
 
 /// Facts of the dataset, beside `data/`.
 const DATASET_FILE: &str = "synth.json";
@@ -70,15 +70,15 @@ impl MergeReport {
     /// `NotFound` for a folder without a dataset of `synth merge`; `Input` for damaged facts or
     /// those of another version.
     pub fn read(folder: &Path) -> Result<Self> {
-        let path = folder.join(DATASET_FILE);
-        let bytes = fs::read(&path).map_err(|e| {
+        let place = Root::new(folder).top().join(DATASET_FILE);
+        let bytes = place.read(FileKind::List).map_err(|e| {
             Error::io("cannot read the facts of the dataset", e)
-                .at(path.display())
+                .at(place.display())
                 .remedy("give the folder that `gripcast synth merge --out` wrote")
         })?;
         let wrong = |what: String| {
             Error::new(ErrorKind::Input, what)
-                .at(path.display())
+                .at(place.display())
                 .remedy("merge again: gripcast synth merge --plan P --out D")
         };
         let found: Self = serde_json::from_slice(&bytes)
@@ -134,14 +134,15 @@ pub fn merge(
         usable,
         curation,
     } = Chosen::of(plan, &store, settings)?;
-    check_free(out, plan)?;
+    let root = Root::new(out);
+    check_free(&root, plan)?;
     let parts = parts(plan, &curation, usable);
     let chosen = parts.values().flatten();
     let lacking = chosen.filter(|(_, result)| result.lacks_pictures()).count();
     if lacking > 0 {
         return Err(without_pictures(lacking));
     }
-    let mut writing = Writing::new(plan, &store, out, told)?;
+    let mut writing = Writing::new(plan, &store, &root, told)?;
     let mut facts = BTreeMap::new();
     writing.all = parts.values().map(Vec::len).sum();
     for (name, part) in &parts {
@@ -166,11 +167,14 @@ pub fn merge(
         parts: facts,
         files: writing.files,
     };
-    save(&out.join(CARD_FILE), card(plan, &report).as_bytes())?;
+    replace(&root.top().join(CARD_FILE), card(plan, &report).as_bytes())?;
     let text = serde_json::to_string_pretty(&report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
     // Last: with this file the dataset is whole.
-    save(&out.join(DATASET_FILE), format!("{text}\n").as_bytes())?;
+    replace(
+        &root.top().join(DATASET_FILE),
+        format!("{text}\n").as_bytes(),
+    )?;
     Ok(report)
 }
 
@@ -183,17 +187,19 @@ pub fn chosen(
     plan: &Plan,
     plan_folder: &Path,
     settings: &MergeSettings,
-) -> Result<BTreeSet<String>> {
+) -> Result<BTreeSet<SimulationId>> {
     let store = ResultStore::beside(plan_folder);
     let Chosen { curation, .. } = Chosen::of(plan, &store, settings)?;
-    Ok(curation.part.into_keys().collect())
+    let ids = plan.simulations.iter().map(|simulation| &simulation.id);
+    let chosen = ids.filter(|id| curation.part.contains_key(id.as_str()));
+    Ok(chosen.cloned().collect())
 }
 
 /// What is chosen of the results.
 struct Chosen<'a> {
     counts: Counts,
     /// Results with a label.
-    usable: BTreeMap<&'a String, (&'a PlannedSimulation, SimulationResult)>,
+    usable: BTreeMap<&'a SimulationId, (&'a PlannedSimulation, SimulationResult)>,
     curation: Curation,
 }
 
@@ -218,8 +224,8 @@ impl<'a> Chosen<'a> {
         }
         let labelled = usable.values().map(|(simulation, result)| {
             Ok(Labelled {
-                id: simulation.id.clone(),
-                object: simulation.object.clone(),
+                id: simulation.id.to_string(),
+                object: simulation.object.to_string(),
                 category: plan.object(simulation)?.category.clone(),
                 stop_force_n: simulation.stop_force_n,
                 stable: result.stable == Some(true),
@@ -242,7 +248,7 @@ fn planned_objects(plan: &Plan) -> Result<BTreeMap<String, PlannedObject>> {
             category: plan.object(simulation)?.category.clone(),
             simulations: 0,
         };
-        let object = objects.entry(simulation.object.clone()).or_insert(new);
+        let object = objects.entry(simulation.object.to_string()).or_insert(new);
         object.simulations += 1;
     }
     Ok(objects)
@@ -279,18 +285,19 @@ fn unfinished(plan: &Plan, open: usize) -> Error {
 }
 
 /// Refuses a folder with the dataset of another plan.
-fn check_free(out: &Path, plan: &Plan) -> Result<()> {
-    let path = out.join(DATASET_FILE);
-    let Ok(text) = fs::read(&path) else {
+fn check_free(root: &Root, plan: &Plan) -> Result<()> {
+    let place = root.top().join(DATASET_FILE);
+    if !place.is_taken() {
         return Ok(());
-    };
-    let there: Option<MergeReport> = serde_json::from_slice(&text).ok();
+    }
+    let there = place.read(FileKind::List).ok();
+    let there = there.and_then(|text| serde_json::from_slice::<MergeReport>(&text).ok());
     if there.is_some_and(|there| there.plan_sha256 == plan.sha256) {
         return Ok(());
     }
     Err(
         Error::new(ErrorKind::Input, "the folder holds another dataset")
-            .at(path.display())
+            .at(place.display())
             .remedy("give a new folder"),
     )
 }
@@ -299,11 +306,11 @@ fn check_free(out: &Path, plan: &Plan) -> Result<()> {
 fn parts<'a>(
     plan: &'a Plan,
     curation: &Curation,
-    mut usable: BTreeMap<&String, (&'a PlannedSimulation, SimulationResult)>,
+    mut usable: BTreeMap<&SimulationId, (&'a PlannedSimulation, SimulationResult)>,
 ) -> BTreeMap<String, Part<'a>> {
     let mut parts: BTreeMap<String, Part<'a>> = BTreeMap::new();
     for simulation in &plan.simulations {
-        if let Some(part) = curation.part.get(&simulation.id)
+        if let Some(part) = curation.part.get(simulation.id.as_str())
             && let Some(one) = usable.remove(&simulation.id)
         {
             parts.entry(part.clone()).or_default().push(one);
@@ -314,8 +321,8 @@ fn parts<'a>(
 
 fn part_facts(plan: &Plan, part: &Part<'_>) -> Result<PartFacts> {
     let mut facts = PartFacts::default();
-    let mut objects: Vec<&String> = Vec::new();
-    let mut grasps: Vec<(&String, u32)> = Vec::new();
+    let mut objects: Vec<&SimulationId> = Vec::new();
+    let mut grasps: Vec<(&SimulationId, u32)> = Vec::new();
     for (simulation, result) in part {
         let held = result.stable == Some(true);
         facts.rows += result.samples.as_ref().map_or(0, |file| file.rows);
@@ -340,7 +347,7 @@ fn part_facts(plan: &Plan, part: &Part<'_>) -> Result<PartFacts> {
 struct Writing<'a> {
     plan: &'a Plan,
     store: &'a ResultStore,
-    out: PathBuf,
+    root: Root,
     told: &'a (dyn Fn(usize, usize) + Sync),
     done: usize,
     all: usize,
@@ -354,16 +361,17 @@ impl<'a> Writing<'a> {
     fn new(
         plan: &'a Plan,
         store: &'a ResultStore,
-        out: &Path,
+        root: &Root,
         told: &'a (dyn Fn(usize, usize) + Sync),
     ) -> Result<Self> {
-        let folder = out.join(DATA);
-        fs::create_dir_all(&folder)
+        let folder = root.top().join(DATA);
+        fs::create_dir_all(root.path())
+            .and_then(|()| folder.create_dir_all())
             .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
         Ok(Self {
             plan,
             store,
-            out: out.to_owned(),
+            root: root.clone(),
             told,
             done: 0,
             all: 0,
@@ -377,10 +385,9 @@ impl<'a> Writing<'a> {
         let shards = shards(part);
         let count = shards.len();
         for (number, shard) in shards.into_iter().enumerate() {
-            let file = shard_name(name, number, count)?;
-            let path = self.out.join(&file);
+            let place = shard_place(&self.root, name, number, count)?;
             let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
-            let mut writer = ShardWriter::create(&path, &info)?;
+            let mut writer = ShardWriter::create(&place, &info)?;
             for (_, result) in shard {
                 for row in self.store.rows(result)? {
                     self.note(&row);
@@ -390,8 +397,10 @@ impl<'a> Writing<'a> {
                 (self.told)(self.done, self.all);
             }
             writer.finish()?;
-            let bytes = fs::read(&path)
-                .map_err(|e| Error::io("cannot read the shard again", e).at(path.display()))?;
+            let bytes = place
+                .read(FileKind::Bulk)
+                .map_err(|e| Error::io("cannot read the shard again", e).at(place.display()))?;
+            let file = shard_name(name, number, count)?;
             self.files.insert(file, sha256_hex(bytes));
         }
         Ok(())

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::AssertUnwindSafe;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use super::object_mesh::planned_mesh;
@@ -10,6 +10,7 @@ use super::picture::{Grasped, Photographer, before_lift, rendering_seed, seen_su
 use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
 use super::store::{ResultStore, SimulationResult};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{Root, SimulationId};
 use crate::geometry::TriangleMesh;
 use crate::quiet_panic;
 use crate::render::tactile::SimulatedGel;
@@ -53,11 +54,11 @@ pub enum Pictures {
     /// None: labels are there sooner, and tell which pictures a dataset needs.
     None,
     /// Those with a label that are named.
-    Of(BTreeSet<String>),
+    Of(BTreeSet<SimulationId>),
 }
 
 impl Pictures {
-    fn are_taken(&self, id: &str) -> bool {
+    fn are_taken(&self, id: &SimulationId) -> bool {
         match self {
             Self::All => true,
             Self::None => false,
@@ -176,9 +177,10 @@ pub fn simulate_labels(
     jobs: usize,
     told: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<Option<bool>>> {
+    let root = Root::new(folder);
     let label = |simulation: &PlannedSimulation| -> Result<Option<bool>> {
         let object = plan.object(simulation)?;
-        let setup = setup(simulation, object, folder)?;
+        let setup = setup(simulation, object, &root)?;
         let force_n = simulation.stop_force_n;
         let grasp = engine.simulate(&setup, object.friction, force_n)?;
         Ok(stable(grasp.outcome))
@@ -189,10 +191,10 @@ pub fn simulate_labels(
 fn setup(
     simulation: &PlannedSimulation,
     object: &PlannedObject,
-    folder: &Path,
+    root: &Root,
 ) -> Result<GraspSetup> {
     Ok(GraspSetup {
-        mesh: Arc::new(planned_mesh(object, folder)?),
+        mesh: Arc::new(planned_mesh(object, root)?),
         mass_kg: object.mass_kg,
         t_world_object: simulation.t_world_object,
         t_world_gripper: simulation.t_world_gripper,
@@ -203,7 +205,7 @@ fn setup(
 fn note_failure(result: &SimulationResult, failed: &mut BTreeMap<String, String>) {
     if result.is_failed() {
         let why = result.detail.clone().unwrap_or_default();
-        failed.insert(result.id.clone(), why);
+        failed.insert(result.id.to_string(), why);
     }
 }
 
@@ -223,7 +225,7 @@ type Earlier = Option<(SimulationResult, Snapshot)>;
 /// Everything that all simulations share.
 struct Workshop<'a> {
     plan: &'a Plan,
-    folder: PathBuf,
+    root: Root,
     engine: &'a dyn Engine,
     gel: Option<SimulatedGel>,
     photographer: Photographer,
@@ -234,7 +236,7 @@ impl<'a> Workshop<'a> {
         let gel = engine.gel()?;
         Ok(Self {
             plan,
-            folder: folder.to_owned(),
+            root: Root::new(folder),
             engine,
             gel: gel.map(|(grid, d_hat_m)| SimulatedGel { grid, d_hat_m }),
             photographer: Photographer::new(plan.header.rendering)?,
@@ -272,7 +274,7 @@ impl<'a> Workshop<'a> {
         is_taken: bool,
     ) -> Result<(SimulationResult, Beside)> {
         let mut clock = Clock::new();
-        let setup = setup(simulation, object, &self.folder)?;
+        let setup = setup(simulation, object, &self.root)?;
         let prepare = clock.lap();
         let (mut result, snapshot) = match earlier {
             Some(earlier) => earlier,
@@ -324,7 +326,7 @@ impl<'a> Workshop<'a> {
             let seed = rendering_seed(simulation.seed, rendering);
             let [initial, pressed] = self.photographer.tactile(grasped, seed)?;
             result.cpu_s.tactile += clock.lap();
-            let (words, model) = appearance(object, &self.folder, &setup.mesh, seed)?;
+            let (words, model) = appearance(object, &self.root, &setup.mesh, seed)?;
             let rgb = self.photographer.rgb(grasped, &model, seed)?;
             result.cpu_s.visual += clock.lap();
             let [initial_left, initial_right] = initial;
@@ -332,8 +334,8 @@ impl<'a> Workshop<'a> {
             rows.push(ShardRow {
                 facts: ShardFacts {
                     id: format!("{}-r{rendering}", simulation.id),
-                    simulation: simulation.id.clone(),
-                    object: object.name.clone(),
+                    simulation: simulation.id.to_string(),
+                    object: object.name.to_string(),
                     category: object.category.clone(),
                     engine: match simulation.engine {
                         EngineKind::Fem => ShardEngine::Fem,
@@ -379,7 +381,7 @@ impl<'a> Workshop<'a> {
 /// What an object looks like in a rendering, in words and as a model.
 fn appearance(
     object: &PlannedObject,
-    folder: &Path,
+    root: &Root,
     mesh: &TriangleMesh,
     seed: u64,
 ) -> Result<(String, Model)> {
@@ -394,8 +396,8 @@ fn appearance(
         let what = format!("{} has no appearance", object.name);
         Error::new(ErrorKind::Input, what)
     })?;
-    let model = Model::textured(mesh, &texture.load(folder)?, texture.width_m)?;
-    Ok((texture.words().to_owned(), model))
+    let model = Model::textured(mesh, &texture.load(root)?, texture.width_m)?;
+    Ok((texture.words.to_string(), model))
 }
 
 /// Whether the object was held; none where there is no outcome, or no contact.

@@ -1,14 +1,13 @@
 //! Results of simulations: two files each, there whole or not at all.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::plan::{Plan, PlannedSimulation};
-use crate::error::{Error, ErrorKind, Result};
-use crate::files::{save, sha256_hex};
+use crate::error::{Error, ErrorKind, Refused, Result};
+use crate::files::{BeneathPath, FileKind, Printable, Root, SimulationId, sha256_hex};
 use crate::shard::{ShardReader, ShardRow};
 use crate::sim::grasp::Snapshot;
 
@@ -28,7 +27,7 @@ pub struct SimulationResult {
     /// Hash of the plan.
     pub plan_sha256: String,
     /// The simulation.
-    pub id: String,
+    pub id: SimulationId,
     /// `success`, `slip`, `eject`, …, or `failed` for a simulation that could not be done.
     pub outcome: String,
     /// More about it, where there is more to say.
@@ -116,24 +115,24 @@ pub const FAILED: &str = "failed";
 /// The results of a plan.
 #[derive(Clone, Debug)]
 pub struct ResultStore {
-    folder: PathBuf,
+    folder: BeneathPath,
 }
 
 impl ResultStore {
     /// The results beside the plan of a folder.
     pub fn beside(plan_folder: &Path) -> Self {
         Self {
-            folder: plan_folder.join(RESULTS),
+            folder: Root::new(plan_folder).top().join(RESULTS),
         }
     }
 
     /// A finished result; none if it is not there or damaged.
     ///
     /// # Errors
-    /// `Input` for the result of another plan.
-    pub fn find(&self, plan: &Plan, id: &str) -> Result<Option<SimulationResult>> {
-        let path = self.path(id, "json");
-        let Some(found) = read(&path) else {
+    /// `Input` for the result of another plan, and a file that leads out of the plan's folder.
+    pub fn find(&self, plan: &Plan, id: &SimulationId) -> Result<Option<SimulationResult>> {
+        let place = self.place(id, FACTS);
+        let Some(found) = read(&place)? else {
             return Ok(None);
         };
         if found.plan_sha256 != plan.sha256 {
@@ -142,15 +141,16 @@ impl ResultStore {
                 format!(
                     "the result is of another plan: expected {}, found {}",
                     short(&plan.sha256),
-                    short(&found.plan_sha256)
+                    Printable(short(&found.plan_sha256))
                 ),
             )
-            .at(path.display())
+            .at(place.display())
             .remedy("keep each plan with its results in a folder of its own"));
         }
-        let is_whole = found.format == FORMAT && found.version == VERSION && found.id == id;
+        let is_whole = found.format == FORMAT && found.version == VERSION && found.id == *id;
         let has_samples = |file: &SampleFile| {
-            fs::metadata(self.samples(id)).is_ok_and(|found| found.len() == file.bytes)
+            let there = self.samples(id).metadata();
+            there.is_ok_and(|there| there.is_file && there.bytes == file.bytes)
         };
         let is_whole = is_whole && found.samples.as_ref().is_none_or(has_samples);
         Ok(is_whole.then_some(found))
@@ -165,11 +165,9 @@ impl ResultStore {
         mut result: SimulationResult,
         samples: Option<(usize, &[u8])>,
     ) -> Result<()> {
-        let path = self.path(&result.id, "json");
-        make_folder(&path)?;
         // The pictures first: a result that is there is whole.
         if let Some((rows, bytes)) = samples {
-            save(&self.samples(&result.id), bytes)?;
+            write(&self.samples(&result.id), bytes)?;
             result.samples = Some(SampleFile {
                 rows,
                 bytes: bytes.len() as u64,
@@ -178,49 +176,53 @@ impl ResultStore {
         }
         let text = serde_json::to_vec(&result)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-        save(&path, &text)
+        write(&self.place(&result.id, FACTS), &text)
     }
 
     /// Keeps what pictures of a labelled simulation are to be taken of later.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
-    pub(super) fn keep_state(&self, plan: &Plan, id: &str, snapshot: &Snapshot) -> Result<()> {
-        let path = self.path(id, STATE);
-        make_folder(&path)?;
+    pub(super) fn keep_state(
+        &self,
+        plan: &Plan,
+        id: &SimulationId,
+        snapshot: &Snapshot,
+    ) -> Result<()> {
         let state = State {
             version: VERSION,
             plan_sha256: plan.sha256.clone(),
-            id: id.to_owned(),
+            id: id.clone(),
             snapshot: snapshot.clone(),
         };
         let text = serde_json::to_string(&state)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-        save(&path, format!("{}\n{text}", sha256_hex(&text)).as_bytes())
+        let file = format!("{}\n{text}", sha256_hex(&text));
+        write(&self.place(id, STATE), file.as_bytes())
     }
 
     /// The state before the lift that was kept; none where there is none, or a damaged one: then
     /// the simulation is done again.
-    pub(super) fn state(&self, plan: &Plan, id: &str) -> Option<Snapshot> {
-        let file = fs::read_to_string(self.path(id, STATE)).ok()?;
+    pub(super) fn state(&self, plan: &Plan, id: &SimulationId) -> Option<Snapshot> {
+        let file = self.place(id, STATE).read_to_string(FileKind::Mesh).ok()?;
         let (hash, text) = file.split_once('\n')?;
         let state: State = serde_json::from_str(text).ok()?;
         let is_ours = hash == sha256_hex(text)
             && state.version == VERSION
             && state.plan_sha256 == plan.sha256
-            && state.id == id;
+            && state.id == *id;
         is_ours.then_some(state.snapshot)
     }
 
     /// Removes a state that is not needed any more.
-    pub(super) fn drop_state(&self, id: &str) {
+    pub(super) fn drop_state(&self, id: &SimulationId) {
         // One that stays is only in the way.
-        let _ = fs::remove_file(self.path(id, STATE));
+        let _ = self.place(id, STATE).remove_file();
     }
 
     /// Whether there is a file of a result, sound or not.
-    pub fn is_begun(&self, id: &str) -> bool {
-        self.path(id, "json").exists()
+    pub fn is_begun(&self, id: &SimulationId) -> bool {
+        self.place(id, FACTS).is_taken()
     }
 
     /// The renderings of a result, whose file must be the one that was kept.
@@ -228,38 +230,41 @@ impl ResultStore {
     /// # Errors
     /// `Input` for pictures that are damaged or of another result; those of the operating system.
     pub fn rows(&self, result: &SimulationResult) -> Result<Vec<ShardRow>> {
-        let path = self.samples(&result.id);
+        let place = self.samples(&result.id);
         let wrong = || {
             Error::new(ErrorKind::Input, "the pictures are not those of the result")
-                .at(path.display())
+                .at(place.display())
                 .remedy("remove the file and run its shard again: it comes out the same")
         };
         let expected = result.samples.as_ref().ok_or_else(wrong)?;
-        let bytes = fs::read(&path)
-            .map_err(|e| Error::io("cannot read the pictures", e).at(path.display()))?;
+        let bytes = place
+            .read(FileKind::Bulk)
+            .map_err(|e| Error::io("cannot read the pictures", e).at(place.display()))?;
         if sha256_hex(&bytes) != expected.sha256 {
             return Err(wrong());
         }
-        let reader = ShardReader::from_bytes(path.display().to_string(), bytes)?;
+        let reader = ShardReader::from_bytes(place.display().to_string(), bytes)?;
         reader.rows().collect()
     }
 
     /// The file of a simulation's pictures.
-    pub fn samples(&self, id: &str) -> PathBuf {
-        self.path(id, "parquet")
+    pub fn samples(&self, id: &SimulationId) -> BeneathPath {
+        self.place(id, ".parquet")
     }
 
-    /// `<2 hex>/<id>.<suffix>`, so that no folder gets too many files.
-    fn path(&self, id: &str, suffix: &str) -> PathBuf {
-        let digest = Sha256::digest(id);
+    /// `<2 hex>/<id><suffix>`, so that no folder gets too many files.
+    fn place(&self, id: &SimulationId, suffix: &'static str) -> BeneathPath {
+        let digest = Sha256::digest(id.as_str());
         self.folder
-            .join(format!("{:02x}", digest[0]))
-            .join(format!("{id}.{suffix}"))
+            .join_number("", digest[0])
+            .join_affixed("", id, suffix)
     }
 }
 
+/// Suffix of the files of results.
+const FACTS: &str = ".json";
 /// Suffix of the files of states.
-const STATE: &str = "state";
+const STATE: &str = ".state";
 
 /// What a simulation was kept in before its pictures. In its file it comes after a line with its
 /// SHA-256.
@@ -268,20 +273,30 @@ const STATE: &str = "state";
 struct State {
     version: u32,
     plan_sha256: String,
-    id: String,
+    id: SimulationId,
     snapshot: Snapshot,
 }
 
-fn make_folder(path: &Path) -> Result<()> {
-    let Some(folder) = path.parent() else {
-        return Ok(());
-    };
-    fs::create_dir_all(folder)
-        .map_err(|e| Error::io("cannot make the folder of the results", e).at(folder.display()))
+/// Writes a file whole, in the place of what had its name.
+fn write(place: &BeneathPath, bytes: &[u8]) -> Result<()> {
+    let folder = place.parent();
+    folder
+        .create_dir_all()
+        .map_err(|e| Error::io("cannot make the folder of the results", e).at(folder.display()))?;
+    place
+        .replace(bytes)
+        .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
 }
 
-fn read(path: &Path) -> Option<SimulationResult> {
-    serde_json::from_slice(&fs::read(path).ok()?).ok()
+/// A file of a result; none where there is none, or a damaged one.
+fn read(place: &BeneathPath) -> Result<Option<SimulationResult>> {
+    match place.read(FileKind::Record) {
+        Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
+        Err(e) if e.get_ref().is_some_and(|e| e.is::<Refused>()) => {
+            Err(Error::io("cannot read the result", e).at(place.display()))
+        }
+        Err(_) => Ok(None),
+    }
 }
 
 fn short(hash: &str) -> &str {
@@ -290,7 +305,13 @@ fn short(hash: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+    use std::os::unix::fs::symlink;
+    use std::path::PathBuf;
+
     use super::*;
+    use crate::geometry::Pose;
+    use crate::sim::grasp::StageName;
     use crate::synth::plan::sample_plan;
 
     fn result(plan: &Plan) -> SimulationResult {
@@ -314,11 +335,65 @@ mod tests {
         assert_eq!(found.samples.as_ref().unwrap().rows, 3);
         let error = store.find(&sample_plan(4), id).unwrap_err().to_string();
         assert!(error.contains("another plan"), "{error}");
-        fs::write(store.samples(id), b"row").unwrap();
+        fs::write(store.samples(id).shown(), b"row").unwrap();
         assert_eq!(store.find(&plan, id).unwrap(), None, "pictures cut off");
         store.keep(result(&plan), None).unwrap();
         assert!(store.find(&plan, id).unwrap().is_some());
-        fs::write(store.path(id, "json"), b"{").unwrap();
+        fs::write(store.place(id, FACTS).shown(), b"{").unwrap();
         assert_eq!(store.find(&plan, id).unwrap(), None, "a damaged result");
+    }
+
+    fn snapshot() -> Snapshot {
+        Snapshot {
+            stage: StageName::Adjustment,
+            t_s: 0.0,
+            t_world_object: Pose::IDENTITY,
+            t_world_gripper: Pose::IDENTITY,
+            opening_m: 0.05,
+            gels: [Vec::new(), Vec::new()],
+        }
+    }
+
+    /// Where the files of a result are, and a file outside of the plan's folder.
+    fn jail(dir: &Path) -> (ResultStore, PathBuf) {
+        let secret = dir.join("secret");
+        fs::write(&secret, "secret").unwrap();
+        fs::create_dir(dir.join("plan")).unwrap();
+        (ResultStore::beside(&dir.join("plan")), secret)
+    }
+
+    #[test]
+    fn links_among_the_results_are_neither_followed_out_nor_overwritten() {
+        let dir = tempfile::tempdir().unwrap();
+        let (store, secret) = jail(dir.path());
+        let plan = sample_plan(1);
+        let id = &plan.simulations[0].id;
+        let places = [FACTS, ".parquet", STATE].map(|suffix| store.place(id, suffix));
+        places[0].parent().create_dir_all().unwrap();
+        for place in &places {
+            symlink(&secret, place.shown()).unwrap();
+        }
+        let error = store.find(&plan, id).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        assert_eq!(store.state(&plan, id), None);
+        store.keep_state(&plan, id, &snapshot()).unwrap();
+        store.keep(result(&plan), Some((1, b"rows"))).unwrap();
+        assert_eq!(fs::read(&secret).unwrap(), b"secret");
+        assert!(store.find(&plan, id).unwrap().is_some());
+        assert!(places.iter().all(|place| !place.is_link()));
+    }
+
+    #[test]
+    fn a_folder_of_results_that_leads_out_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let (store, _) = jail(dir.path());
+        let elsewhere = dir.path().join("elsewhere");
+        fs::create_dir(&elsewhere).unwrap();
+        symlink(&elsewhere, dir.path().join("plan").join(RESULTS)).unwrap();
+        let plan = sample_plan(1);
+        let error = store.find(&plan, &plan.simulations[0].id).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        assert!(store.keep(result(&plan), Some((1, b"rows"))).is_err());
+        assert_eq!(fs::read_dir(&elsewhere).unwrap().count(), 0);
     }
 }

@@ -2,7 +2,6 @@
 //! to training data over a rigid-body simulator.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -14,8 +13,9 @@ use super::metrics::{Bootstrap, Interval, Scored, SeedSummary, Summary};
 use super::run::{RunFolder, TrainEvent, train};
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
+use super::state::write;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files;
+use crate::files::{FileKind, Root};
 use crate::predict::Model;
 use crate::predict::contract::Variant;
 use crate::workers::one_per_core;
@@ -76,7 +76,7 @@ pub struct TestSet {
     /// What the figure calls it.
     pub title: String,
     /// Name in files.
-    pub name: String,
+    pub name: &'static str,
     /// Folder of the dataset.
     pub data: PathBuf,
     /// Its part.
@@ -197,19 +197,20 @@ pub fn experiment(
         },
         &|_| {},
     )?;
-    let mut found: BTreeMap<(String, Condition), Vec<ModelEvaluation>> = BTreeMap::new();
+    let mut found: BTreeMap<(&str, Condition), Vec<ModelEvaluation>> = BTreeMap::new();
     for ((_, condition), evaluations) in runs.iter().zip::<Vec<Vec<ModelEvaluation>>>(evaluations) {
         for (test, evaluation) in settings.tests.iter().zip(evaluations) {
-            let key = (test.name.clone(), *condition);
+            let key = (test.name, *condition);
             found.entry(key).or_default().push(evaluation);
         }
     }
     let report = settings.report(&found)?;
     let text = serde_json::to_vec_pretty(&report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the report").because(e))?;
-    files::save(&out.join("fig6.json"), &text)?;
+    let top = Root::new(out).top();
+    write(&top.join("fig6.json"), &text)?;
     for (name, chart) in charts(&report, settings) {
-        files::save(&out.join(name), bars(&chart).as_bytes())?;
+        write(&top.join(name), bars(&chart).as_bytes())?;
     }
     Ok(report)
 }
@@ -232,24 +233,26 @@ fn trained(
         told(ExperimentEvent::Train(condition, seed, event));
     })?;
     let run = RunFolder::at(folder);
-    if run.model().exists() {
-        return Ok(run.model());
+    if run.model().is_file() {
+        return Ok(run.model().shown());
     }
     let file = run.read()?.ok_or_else(|| {
         Error::new(ErrorKind::Internal, "the run has no description").at(folder.display())
     })?;
     let name = format!("fig6-{}-{seed}", condition.folder());
     finish(&run, &file, data, &name, &|_| {})?;
-    Ok(run.model())
+    Ok(run.model().shown())
 }
 
 /// The evaluation of a model on a test, read again if it is of the same files.
 fn tested(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvaluation> {
-    let path = folder.join(format!("eval-{}.json", test.name));
+    let place = Root::new(folder)
+        .top()
+        .join_affixed("eval-", &test.name, ".json");
     let sha256 = dataset_sha256(&test.data)?;
     let model_file = model.display().to_string();
     let loaded = Model::load(model)?;
-    let kept = fs::read(&path).ok();
+    let kept = place.read(FileKind::List).ok();
     let kept = kept.and_then(|text| serde_json::from_slice::<Tested>(&text).ok());
     if let Some(kept) = kept
         && kept.dataset_sha256 == sha256
@@ -270,7 +273,7 @@ fn tested(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvaluation
     };
     let text = serde_json::to_vec(&tested)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the figures").because(e))?;
-    files::save(&path, &text)?;
+    write(&place, &text)?;
     Ok(tested.evaluation)
 }
 
@@ -360,7 +363,7 @@ impl ExperimentSettings {
 
     fn report(
         &self,
-        found: &BTreeMap<(String, Condition), Vec<ModelEvaluation>>,
+        found: &BTreeMap<(&str, Condition), Vec<ModelEvaluation>>,
     ) -> Result<ExperimentReport> {
         let bootstrap = Bootstrap::new(SEED);
         let mut results = Vec::new();
@@ -368,7 +371,7 @@ impl ExperimentSettings {
         for test in &self.tests {
             let mut of_test: BTreeMap<Condition, OverSeeds> = BTreeMap::new();
             for condition in self.conditions() {
-                let key = (test.name.clone(), condition);
+                let key = (test.name, condition);
                 let Some(evaluations) = found.get(&key) else {
                     continue;
                 };
@@ -377,7 +380,7 @@ impl ExperimentSettings {
                     evaluations.iter().map(|e| e.summary.clone()).collect();
                 results.push(ConditionResult {
                     condition,
-                    test: test.name.clone(),
+                    test: test.name.to_owned(),
                     n: summaries.first().map_or(0, |s| s.n),
                     stable: summaries.first().map_or(0, |s| s.stable),
                     over_seeds: SeedSummary::new(&summaries),
@@ -401,7 +404,7 @@ impl ExperimentSettings {
                 differences.push(ConditionDifference {
                     first,
                     second,
-                    test: test.name.clone(),
+                    test: test.name.to_owned(),
                     balanced_accuracy: bootstrap.paired_interval(
                         &one.objects,
                         |times| one.balanced_accuracy(times),
@@ -421,7 +424,7 @@ impl ExperimentSettings {
             datasets.insert("rigid".to_owned(), dataset_sha256(rigid)?);
         }
         for test in &self.tests {
-            datasets.insert(test.name.clone(), dataset_sha256(&test.data)?);
+            datasets.insert(test.name.to_owned(), dataset_sha256(&test.data)?);
         }
         Ok(ExperimentReport {
             format: "gripcast-fig6".to_owned(),

@@ -1,3 +1,5 @@
+use std::fs;
+
 use super::*;
 use crate::nn::{Architecture, ConvSpec};
 use crate::train::sample_dataset::{row, write_dataset, write_part};
@@ -25,7 +27,7 @@ fn all_conditions_are_trained_tested_and_compared_once() {
     let settings = ExperimentSettings {
         tests: vec![TestSet {
             title: "Held-out objects".to_owned(),
-            name: "held-out".to_owned(),
+            name: "held-out",
             data: fem.clone(),
             split: "test".to_owned(),
         }],

@@ -9,8 +9,8 @@ use super::look::{Logit, logits};
 use super::metrics::{Summary, fit_temperature, youden_threshold};
 use super::run::{EpochFigures, RunFile, RunFolder};
 use super::samples::Samples;
+use super::state::write;
 use crate::error::Result;
-use crate::files;
 use crate::imaging::CropProfile;
 use crate::predict::contract::{InputName, InputSpec, Origin};
 use crate::predict::{ModelContract, novelty};
@@ -64,7 +64,7 @@ pub fn finish(
         contract.other.extend([known]);
     }
     let onnx = to_onnx(&network, &contract)?;
-    files::save(&folder.model(), &onnx)?;
+    write(&folder.model(), &onnx)?;
     Ok(Finished {
         temperature,
         threshold,

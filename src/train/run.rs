@@ -1,6 +1,6 @@
 //! A training run: a folder that can be left and gone on with at any time.
 
-use std::fs::{self, OpenOptions};
+use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -15,7 +15,7 @@ use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::{self, Position};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files;
+use crate::files::{BeneathPath, FileKind, Root};
 use crate::imaging::CropProfile;
 use crate::nn::{Adam, Batch, Losses, Network, Step, linear_schedule};
 use crate::predict::contract::RgbNormalisation;
@@ -154,36 +154,36 @@ pub struct Trained {
 
 /// Files of a run.
 #[derive(Clone, Debug)]
-pub struct RunFolder(PathBuf);
+pub struct RunFolder(BeneathPath);
 
 impl RunFolder {
     /// The run in a folder.
     pub fn at(folder: impl Into<PathBuf>) -> Self {
-        Self(folder.into())
+        Self(Root::new(folder).top())
     }
 
     /// Its settings and origin.
-    pub fn run(&self) -> PathBuf {
+    pub fn run(&self) -> BeneathPath {
         self.0.join("run.json")
     }
 
     /// Figures of its epochs.
-    pub fn metrics(&self) -> PathBuf {
+    pub fn metrics(&self) -> BeneathPath {
         self.0.join("metrics.jsonl")
     }
 
     /// The last checkpoint.
-    pub fn state(&self) -> PathBuf {
+    pub fn state(&self) -> BeneathPath {
         self.0.join("state.bin")
     }
 
     /// The best one.
-    pub fn best(&self) -> PathBuf {
+    pub fn best(&self) -> BeneathPath {
         self.0.join("best.bin")
     }
 
     /// The model that came out.
-    pub fn model(&self) -> PathBuf {
+    pub fn model(&self) -> BeneathPath {
         self.0.join("model.onnx")
     }
 
@@ -192,16 +192,16 @@ impl RunFolder {
     /// # Errors
     /// `Input`: the file is damaged. Those of reading it.
     pub fn read(&self) -> Result<Option<RunFile>> {
-        let path = self.run();
-        let text = match fs::read(&path) {
+        let place = self.run();
+        let text = match place.read(FileKind::List) {
             Ok(text) => text,
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(Error::io("cannot read the run", e).at(path.display())),
+            Err(e) => return Err(Error::io("cannot read the run", e).at(place.display())),
         };
         let found = serde_json::from_slice(&text).map_err(|e| {
             Error::new(ErrorKind::Input, "the run's description cannot be read")
                 .because(e)
-                .at(path.display())
+                .at(place.display())
         })?;
         Ok(Some(found))
     }
@@ -211,8 +211,8 @@ impl RunFolder {
     /// # Errors
     /// `Input`: it is damaged, or of other settings. Those of reading it.
     pub fn best_network(&self, settings: &TrainSettings) -> Result<(Network, EpochFigures)> {
-        let path = self.best();
-        let (figures, arrays): (EpochFigures, _) = state::load(&path)?;
+        let place = self.best();
+        let (figures, arrays): (EpochFigures, _) = state::load(&place)?;
         let mut network = untrained(settings, || 0.5);
         match <[Vec<f32>; 2]>::try_from(arrays) {
             Ok([parameters, moments])
@@ -223,7 +223,7 @@ impl RunFolder {
                 network.moments = moments;
                 Ok((network, figures))
             }
-            _ => Err(foreign_checkpoint(&path)),
+            _ => Err(foreign_checkpoint(&place)),
         }
     }
 }
@@ -233,9 +233,9 @@ fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) -> Network 
     Network::new(architecture, senses, settings.quantities(), uniform)
 }
 
-fn foreign_checkpoint(path: &Path) -> Error {
+fn foreign_checkpoint(place: &BeneathPath) -> Error {
     let what = "the checkpoint is of a network with other sizes";
-    let error = Error::new(ErrorKind::Input, what).at(path.display());
+    let error = Error::new(ErrorKind::Input, what).at(place.display());
     error.remedy("name another folder for the run")
 }
 
@@ -335,7 +335,7 @@ fn begun(
     };
     let text = serde_json::to_vec_pretty(&file)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the run").because(e))?;
-    files::save(&folder.run(), &text)?;
+    state::write(&folder.run(), &text)?;
     Ok(file)
 }
 
@@ -398,16 +398,16 @@ impl<'a> Training<'a> {
                 best: None,
             },
         };
-        let path = folder.state();
-        if path.exists() {
-            training.restore(&path)?;
+        let place = folder.state();
+        if place.is_taken() {
+            training.restore(&place)?;
         }
         training.cut_metrics()?;
         Ok(training)
     }
 
-    fn restore(&mut self, path: &Path) -> Result<()> {
-        let (position, mut arrays): (Position, Vec<Vec<f32>>) = state::load(path)?;
+    fn restore(&mut self, place: &BeneathPath) -> Result<()> {
+        let (position, mut arrays): (Position, Vec<Vec<f32>>) = state::load(place)?;
         let network = &self.network;
         let [parameters, moments] = [network.parameters.len(), network.moments.len()];
         let mut expected = vec![parameters, moments, parameters, parameters];
@@ -415,7 +415,7 @@ impl<'a> Training<'a> {
             expected.extend([parameters, moments]);
         }
         if !arrays.iter().map(Vec::len).eq(expected) {
-            return Err(foreign_checkpoint(path));
+            return Err(foreign_checkpoint(place));
         }
         let mut next = || arrays.remove(0);
         self.network.parameters = next();
@@ -450,8 +450,8 @@ impl<'a> Training<'a> {
 
     /// Takes away what was written of epochs after the checkpoint.
     fn cut_metrics(&self) -> Result<()> {
-        let path = self.folder.metrics();
-        let text = fs::read_to_string(&path).unwrap_or_default();
+        let place = self.folder.metrics();
+        let text = place.read_to_string(FileKind::List).unwrap_or_default();
         let whole = text.lines().filter(|line| {
             serde_json::from_str::<EpochFigures>(line)
                 .is_ok_and(|figures| figures.epoch <= self.position.epoch)
@@ -460,12 +460,13 @@ impl<'a> Training<'a> {
         if kept == text {
             return Ok(());
         }
-        files::save(&path, kept.as_bytes())
+        state::write(&place, kept.as_bytes())
     }
 
     /// What there is before the first step.
     fn start(&self) -> RunStart {
-        let text = fs::read_to_string(self.folder.metrics()).unwrap_or_default();
+        let metrics = self.folder.metrics();
+        let text = metrics.read_to_string(FileKind::List).unwrap_or_default();
         let figures = text.lines().map(serde_json::from_str);
         let steps = self.steps_per_epoch();
         let epochs = u64::from(self.settings.epochs);
@@ -480,15 +481,13 @@ impl<'a> Training<'a> {
     }
 
     fn note(&self, figures: &EpochFigures) -> Result<()> {
-        let path = self.folder.metrics();
+        let place = self.folder.metrics();
         let line = serde_json::to_string(figures)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the figures").because(e))?;
-        OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(&path)
+        place
+            .append()
             .and_then(|mut file| writeln!(file, "{line}"))
-            .map_err(|e| Error::io("cannot write the figures", e).at(path.display()))
+            .map_err(|e| Error::io("cannot write the figures", e).at(place.display()))
     }
 
     fn steps_per_epoch(&self) -> u64 {

@@ -44,7 +44,7 @@ fn thrifty(variant: Variant) -> TrainSettings {
 }
 
 fn without_times(folder: &RunFolder) -> Vec<EpochFigures> {
-    let text = fs::read_to_string(folder.metrics()).unwrap();
+    let text = fs::read_to_string(folder.metrics().shown()).unwrap();
     let lines = text.lines().map(|line| serde_json::from_str(line).unwrap());
     lines
         .map(|figures: EpochFigures| EpochFigures {
@@ -75,7 +75,7 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
         let file = run.read().unwrap().unwrap();
         let validation = Samples::open(&data, "validation").unwrap();
         let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
-        assert_eq!(fs::read(run.model()).unwrap(), finished.onnx);
+        assert_eq!(fs::read(run.model().shown()).unwrap(), finished.onnx);
         let model = Model::from_bytes(&finished.onnx).unwrap();
         assert_eq!(model.contract().variant, variant);
         assert_eq!(model.novelty().is_some(), variant != Variant::V);
@@ -286,12 +286,12 @@ fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
     arrays[0][0] = f32::NAN;
     let arrays: Vec<&[f32]> = arrays.iter().map(Vec::as_slice).collect();
     state::save(&run.state(), &position, &arrays).unwrap();
-    let best = fs::read(run.best()).unwrap();
+    let best = fs::read(run.best().shown()).unwrap();
     let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
     let text = error.to_string();
     assert!(text.contains("no number in epoch 2"), "{text}");
     assert!(text.contains("of epoch 1, is kept"), "{text}");
-    assert_eq!(fs::read(run.best()).unwrap(), best);
+    assert_eq!(fs::read(run.best().shown()).unwrap(), best);
 }
 
 #[test]

@@ -5,10 +5,11 @@ use std::path::Path;
 use glam::{DQuat, DVec3};
 use image::{Rgb, RgbImage};
 
+use crate::files::Root;
 use crate::geometry::Pose;
 use crate::imaging::{encode_jpeg, synthetic_gel};
 use crate::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_name,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_place,
 };
 
 /// Rows of two objects; `part` keeps those of one part of a dataset apart from the others'.
@@ -66,9 +67,10 @@ pub(super) fn row(part: &str, number: u64) -> ShardRow {
 
 /// Writes one part in one shard.
 pub(super) fn write_part(root: &Path, part: &str, rows: impl IntoIterator<Item = ShardRow>) {
-    let path = root.join(shard_name(part, 0, 1).unwrap());
-    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    let mut writer = ShardWriter::create(path, "{}").unwrap();
+    std::fs::create_dir_all(root).unwrap();
+    let place = shard_place(&Root::new(root), part, 0, 1).unwrap();
+    place.parent().create_dir_all().unwrap();
+    let mut writer = ShardWriter::create(&place, "{}").unwrap();
     for row in rows {
         writer.push(row).unwrap();
     }

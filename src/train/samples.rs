@@ -1,7 +1,6 @@
 //! The samples of a dataset's part, read as they are needed.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::io::{self, BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::quantities::{Quantities, quantities};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::hex;
+use crate::files::{BeneathPath, FileKind, hex};
 use crate::render::visual::SeedStream;
 use crate::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
 
@@ -86,9 +85,9 @@ impl Samples {
             crop_profile: String::new(),
         };
         let mut crops = BTreeSet::new();
-        for path in set.shards(split)? {
-            let reader = ShardReader::open(path)?;
-            let size = std::fs::metadata(path).map_or(0, |found| found.len()) as usize;
+        for place in set.shards(split)? {
+            let reader = ShardReader::open_beneath(place)?;
+            let size = place.metadata().map_or(0, |found| found.bytes) as usize;
             let shard = samples.shards.len();
             let begun = samples.facts.len();
             for facts in reader.facts() {
@@ -307,18 +306,18 @@ pub fn dataset_sha256(root: &Path) -> Result<String> {
     let set = ShardSet::open(root)?;
     let mut all = Sha256::new();
     for split in set.splits() {
-        for path in set.shards(split)? {
-            let hash = file_sha256(path)
-                .map_err(|e| Error::io("cannot read the shard", e).at(path.display()))?;
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            all.update(format!("{}  {name}\n", hash));
+        for place in set.shards(split)? {
+            let hash = file_sha256(place)
+                .map_err(|e| Error::io("cannot read the shard", e).at(place.display()))?;
+            all.update(format!("{hash}  {}\n", place.name()));
         }
     }
     Ok(hex(&all.finalize()))
 }
 
-fn file_sha256(path: &Path) -> io::Result<String> {
-    let mut reader = BufReader::with_capacity(1 << 20, File::open(path)?);
+fn file_sha256(place: &BeneathPath) -> io::Result<String> {
+    let file = place.open_file(FileKind::Bulk)?;
+    let mut reader = BufReader::with_capacity(1 << 20, file);
     let mut hash = Sha256::new();
     loop {
         let bytes = reader.fill_buf()?;

@@ -1,12 +1,10 @@
 //! Checkpoints: all that a run needs to go on as if it had never been stopped.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use sha2::{Digest as _, Sha256};
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::files;
+use crate::files::{BeneathPath, FileKind};
 
 /// What every checkpoint begins with.
 const MAGIC: &[u8; 8] = b"gcstate1";
@@ -34,7 +32,7 @@ pub(super) struct Position {
 ///
 /// # Errors
 /// Those of writing the file; an older one is then as it was.
-pub(super) fn save<H: Serialize>(path: &Path, header: &H, arrays: &[&[f32]]) -> Result<()> {
+pub(super) fn save<H: Serialize>(place: &BeneathPath, header: &H, arrays: &[&[f32]]) -> Result<()> {
     let header = serde_json::to_vec(header)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the checkpoint").because(e))?;
     let floats: usize = arrays.iter().map(|array| array.len()).sum();
@@ -48,22 +46,33 @@ pub(super) fn save<H: Serialize>(path: &Path, header: &H, arrays: &[&[f32]]) -> 
     }
     let hash = Sha256::digest(&bytes);
     bytes.extend_from_slice(&hash);
-    files::save(path, &bytes)
+    write(place, &bytes)
+}
+
+/// Writes a file of a run whole, in the place of what had its name.
+///
+/// # Errors
+/// Those of the operating system.
+pub(super) fn write(place: &BeneathPath, bytes: &[u8]) -> Result<()> {
+    place
+        .replace(bytes)
+        .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
 }
 
 /// Reads what [`save`] wrote.
 ///
 /// # Errors
 /// `Input`: damaged, or no checkpoint of this version. Those of reading the file.
-pub(super) fn load<H: DeserializeOwned>(path: &Path) -> Result<(H, Vec<Vec<f32>>)> {
-    let bytes = std::fs::read(path)
-        .map_err(|e| Error::io("cannot read the checkpoint", e).at(path.display()))?;
+pub(super) fn load<H: DeserializeOwned>(place: &BeneathPath) -> Result<(H, Vec<Vec<f32>>)> {
+    let bytes = place
+        .read(FileKind::Bulk)
+        .map_err(|e| Error::io("cannot read the checkpoint", e).at(place.display()))?;
     parse(&bytes).ok_or_else(|| {
         Error::new(
             ErrorKind::Input,
             "the checkpoint is damaged or of another version",
         )
-        .at(path.display())
+        .at(place.display())
         .remedy("delete the file: the run then starts from the beginning")
     })
 }
@@ -96,11 +105,12 @@ fn sized(bytes: &[u8], size: usize) -> Option<(&[u8], &[u8])> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::files::Root;
 
     #[test]
     fn a_checkpoint_comes_back_and_a_damaged_one_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("state.bin");
+        let place = Root::new(folder.path()).top().join("state.bin");
         let position = Position {
             epoch: 3,
             step: 7,
@@ -109,19 +119,24 @@ mod tests {
             best_epoch: Some(2),
             best: Some([0.75, 0.5]),
         };
-        save(&path, &position, &[&[1.5, -0.0], &[], &[f32::MIN_POSITIVE]]).unwrap();
-        let (found, arrays): (Position, _) = load(&path).unwrap();
+        save(
+            &place,
+            &position,
+            &[&[1.5, -0.0], &[], &[f32::MIN_POSITIVE]],
+        )
+        .unwrap();
+        let (found, arrays): (Position, _) = load(&place).unwrap();
         assert_eq!(found, position);
         assert_eq!(arrays, [vec![1.5, -0.0], vec![], vec![f32::MIN_POSITIVE]]);
-        let whole = std::fs::read(&path).unwrap();
+        let whole = std::fs::read(place.shown()).unwrap();
         for cut in [0, 7, 8, 20, whole.len() - 1] {
-            std::fs::write(&path, &whole[..cut]).unwrap();
-            assert!(load::<Position>(&path).is_err(), "{cut}");
+            std::fs::write(place.shown(), &whole[..cut]).unwrap();
+            assert!(load::<Position>(&place).is_err(), "{cut}");
         }
         let mut flipped = whole;
         flipped[30] ^= 4;
-        std::fs::write(&path, &flipped).unwrap();
-        let error = load::<Position>(&path).unwrap_err();
+        std::fs::write(place.shown(), &flipped).unwrap();
+        let error = load::<Position>(&place).unwrap_err();
         assert!(error.to_string().contains("from the beginning"), "{error}");
     }
 }

@@ -18,6 +18,7 @@ mod familiarity;
 mod fuzz_corpus;
 mod hangup;
 mod hostile;
+mod hostile_synth;
 mod imaging;
 mod kernel;
 mod layers;

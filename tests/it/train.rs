@@ -5,10 +5,11 @@ use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+use gripcast::files::Root;
 use gripcast::geometry::Pose;
 use gripcast::imaging::{encode_jpeg, synthetic_gel};
 use gripcast::shard::{
-    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_name,
+    ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_place,
 };
 use gripcast::train::RunFolder;
 use image::{Rgb, RgbImage};
@@ -73,9 +74,10 @@ fn row(part: &str, number: u64, is_stable: bool) -> ShardRow {
 }
 
 fn write_part(data: &Path, part: &str, rows: impl IntoIterator<Item = ShardRow>) {
-    let path = data.join(shard_name(part, 0, 1).unwrap());
-    fs::create_dir_all(path.parent().unwrap()).unwrap();
-    let mut writer = ShardWriter::create(path, "{}").unwrap();
+    fs::create_dir_all(data).unwrap();
+    let place = shard_place(&Root::new(data), part, 0, 1).unwrap();
+    place.parent().create_dir_all().unwrap();
+    let mut writer = ShardWriter::create(&place, "{}").unwrap();
     for row in rows {
         writer.push(row).unwrap();
     }
@@ -102,7 +104,7 @@ fn train(data: &Path, out: &Path) -> Command {
 
 /// Figures of the epochs, without how fast they were.
 fn metrics(out: &Path) -> Vec<Value> {
-    let text = fs::read_to_string(RunFolder::at(out).metrics()).unwrap_or_default();
+    let text = fs::read_to_string(RunFolder::at(out).metrics().shown()).unwrap_or_default();
     // The last line may be half there while the run goes on.
     let whole = &text[..text.rfind('\n').map_or(0, |at| at + 1)];
     let lines = whole.lines().map(|line| {
@@ -123,7 +125,10 @@ fn signalled(data: &Path, out: &Path, epochs: usize, signal: Signal) -> Option<i
     wait_until(&mut child, || metrics(out).len() >= epochs);
     kill_process(Pid::from_child(&child), signal).unwrap();
     let code = child.wait().unwrap().code();
-    assert!(!RunFolder::at(out).model().exists(), "it had ended already");
+    assert!(
+        !RunFolder::at(out).model().is_file(),
+        "it had ended already"
+    );
     code
 }
 
@@ -146,14 +151,23 @@ fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
     assert_eq!(metrics(&broken), metrics(&whole));
     let [one, other] = [&whole, &broken].map(RunFolder::at);
     let same = |a: &Path, b: &Path| fs::read(a).unwrap() == fs::read(b).unwrap();
-    assert!(same(&one.model(), &other.model()), "the models differ");
-    assert!(same(&one.state(), &other.state()), "the checkpoints differ");
-    assert!(same(&one.run(), &other.run()), "the descriptions differ");
+    assert!(
+        same(&one.model().shown(), &other.model().shown()),
+        "the models differ"
+    );
+    assert!(
+        same(&one.state().shown(), &other.state().shown()),
+        "the checkpoints differ"
+    );
+    assert!(
+        same(&one.run().shown(), &other.run().shown()),
+        "the descriptions differ"
+    );
 
-    let state = fs::read(one.state()).unwrap();
+    let state = fs::read(one.state().shown()).unwrap();
     succeed(&mut train(&data, &whole));
     assert!(
-        fs::read(one.state()).unwrap() == state,
+        fs::read(one.state().shown()).unwrap() == state,
         "a run that has ended went on"
     );
 
@@ -235,7 +249,7 @@ fn the_dashboard_stops_at_q_and_leaves_the_terminal_as_it_was() {
         after.contains("interrupted") && after.contains("goes on"),
         "{text}"
     );
-    assert!(!RunFolder::at(&out).model().exists());
+    assert!(!RunFolder::at(&out).model().is_file());
 
     let out = dir.path().join("short");
     let (text, code) = on_terminal("--epochs 1", &data, &out, None);

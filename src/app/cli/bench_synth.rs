@@ -112,9 +112,10 @@ fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelName, Figures)>> 
         let engine = engine(*gel);
         let jobs = args.jobs();
         let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
-        let plan = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?.plan;
+        let made = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?;
         let at = folder.path().join(gel_name(*gel));
-        plan.write(&at)?;
+        made.write(&at)?;
+        let plan = made.plan;
         progress.line(format!("{} gels", gel_name(*gel)));
         let mut figures = figures(&plan, &at, &engine, jobs, progress)?;
         if let Some(other) = args.against {

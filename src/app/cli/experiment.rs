@@ -64,9 +64,9 @@ struct Fig6Args {
 /// Runs the verb.
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let Experiment::Fig6(args) = args.experiment;
-    let test = |title: &str, name: &str, data: &PathBuf| TestSet {
+    let test = |title: &str, name: &'static str, data: &PathBuf| TestSet {
         title: title.to_owned(),
-        name: name.to_owned(),
+        name,
         data: data.clone(),
         split: "test".to_owned(),
     };

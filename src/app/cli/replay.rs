@@ -28,6 +28,7 @@ use super::working::{Progress, resumable};
 use super::{Context, print, print_json};
 use crate::dataset::Dataset;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{ObjectName, Root};
 use crate::render::tactile::SensorProfile;
 use crate::replay::{
     CaseStore, DemoProgress, DemoSettings, DemoStage, DemoWatch, EngineSweep, Reality, Recording,
@@ -296,6 +297,10 @@ impl SweepFlags {
         fem.solver.max_grasp_iterations = self.max_iterations;
         let mut rigid = RigidSettings::default();
         rigid.decomposition.resolution = self.resolution;
+        fs::create_dir_all(&self.out).map_err(|e| {
+            Error::io("cannot make the folder of the report", e).at(self.out.display())
+        })?;
+        let pieces = Root::new(&self.out).top().join("convex-pieces");
         let mut engines = Vec::new();
         for kind in EngineKind::ALL {
             if !self
@@ -312,9 +317,7 @@ impl SweepFlags {
                     forces_n: given(&self.stop_force_n, [20.0, 40.0, 80.0]),
                 },
                 EngineKind::Rigid => EngineSweep {
-                    engine: Arc::new(
-                        RigidEngine::new(rigid).with_cache(&self.out.join("convex-pieces"))?,
-                    ),
+                    engine: Arc::new(RigidEngine::new(rigid).with_cache(pieces.clone())?),
                     frictions: given(&self.rigid_friction, [0.1, 0.25, 0.4]),
                     forces_n: given(&self.rigid_force_n, [5.0, 10.0, 20.0]),
                 },
@@ -367,10 +370,7 @@ fn replayed(
         ))?;
         return Ok(None);
     }
-    fs::create_dir_all(&sweep.out).map_err(|e| {
-        Error::io("cannot make the folder of the report", e).at(sweep.out.display())
-    })?;
-    let store = CaseStore::new(sweep.out.join("cases"));
+    let store = CaseStore::new(Root::new(&sweep.out).top().join("cases"));
     let input = ReplayInput {
         dataset: &dataset,
         recording: &recording,
@@ -390,7 +390,7 @@ fn replayed(
     Ok(Some((report, sweep.out.clone())))
 }
 
-fn warnings(objects: &BTreeMap<String, Result<ReplayObject>>) -> Vec<String> {
+fn warnings(objects: &BTreeMap<ObjectName, Result<ReplayObject>>) -> Vec<String> {
     let usable = objects.values().filter_map(|object| object.as_ref().ok());
     usable
         .flat_map(|object| {

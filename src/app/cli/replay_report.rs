@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{BeneathPath, Root};
 use crate::replay::{Proportion, Reality, Report, page};
 
 /// Writes `report.json`, then `report.html`.
@@ -14,8 +14,13 @@ use crate::replay::{Proportion, Reality, Report, page};
 pub(super) fn write_report(report: &Report, out: &Path) -> Result<()> {
     let json = serde_json::to_vec_pretty(report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    save(&out.join("report.json"), &json)?;
-    save(&out.join("report.html"), page(report)?.as_bytes())
+    let save = |place: BeneathPath, bytes: &[u8]| {
+        let saved = place.replace(bytes);
+        saved.map_err(|e| Error::io("cannot write the report", e).at(place.display()))
+    };
+    let top = Root::new(out).top();
+    save(top.join("report.json"), &json)?;
+    save(top.join("report.html"), page(report)?.as_bytes())
 }
 
 /// The result for people.

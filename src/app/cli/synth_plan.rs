@@ -191,10 +191,10 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let (out, is_json) = (args.out.clone(), args.json);
     let made = interruptible(context, "planning", move |progress| {
         let made = args.make(progress)?;
-        made.plan.write(&args.out)?;
+        made.write(&args.out)?;
         Ok::<MadePlan, Error>(made)
     })??;
-    let MadePlan { plan, left_out } = &made;
+    let (plan, left_out) = (&made.plan, &made.left_out);
     let cost_h = plan.simulations.iter().map(|s| s.cost_s).sum::<f64>() / 3600.0;
     if is_json {
         print_json(&json!({
@@ -251,10 +251,9 @@ impl Args {
         }
         let of_preset = preset.rendering();
         let jobs = self.jobs.map_or_else(cores, usize::from);
-        let plan_folder = &self.out;
         let textures = match &self.sources.textures {
             None => Vec::new(),
-            Some(folder) => texture_folder(folder, self.sources.texture_width_m, plan_folder)?,
+            Some(folder) => texture_folder(folder, self.sources.texture_width_m)?,
         };
         let settings = PlanSettings {
             preset: preset.name().to_owned(),
@@ -276,7 +275,7 @@ impl Args {
         let count = drafts.drafts.len() as u64;
         progress.stage("drawing grasps");
         let told = |done: usize| progress.at(done as u64, count);
-        let mut asker = self.llm.asker(plan_folder)?;
+        let mut asker = self.llm.asker(&self.out)?;
         let engine = self.engine();
         make_plan(&settings, drafts, engine.as_ref(), asker.as_mut(), &told)
     }
@@ -293,11 +292,11 @@ impl Args {
         progress.stage("making objects");
         let mut all = Drafts::default();
         if let Some(table) = table {
-            all.extend(table_drafts(table, &self.out, self.seed)?);
+            all.extend(table_drafts(table, self.seed)?);
         }
         if let (Some(grasps), Some(meshes)) = (acronym, meshes) {
             let most = acronym_objects.map(|n| n as usize);
-            all.extend(acronym_drafts(grasps, meshes, &self.out, most, self.seed)?);
+            all.extend(acronym_drafts(grasps, meshes, most, self.seed)?);
         }
         let usual = if table.is_some() || acronym.is_some() {
             0

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{BeneathPath, Root};
 use crate::synth::plan::Plan;
 use crate::synth::report::{SynthReport, SynthReportSettings, page, report};
 use crate::workers::cores;
@@ -78,8 +78,13 @@ fn write(report: &SynthReport, out: &Path) -> Result<()> {
         .map_err(|e| Error::io("cannot make the folder of the report", e).at(out.display()))?;
     let json = serde_json::to_vec_pretty(report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    save(&out.join("report.json"), &json)?;
-    save(&out.join("report.html"), page(report)?.as_bytes())
+    let save = |place: BeneathPath, bytes: &[u8]| {
+        let saved = place.replace(bytes);
+        saved.map_err(|e| Error::io("cannot write the report", e).at(place.display()))
+    };
+    let top = Root::new(out).top();
+    save(top.join("report.json"), &json)?;
+    save(top.join("report.html"), page(report)?.as_bytes())
 }
 
 /// The result for people.

@@ -9,21 +9,18 @@ mod frames;
 mod info;
 mod stats;
 
-use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::fs;
-use std::path::PathBuf;
-
 use super::run::{Setting, Writer};
 use super::source::Grasp;
-use super::staged::write_failed;
 use crate::dataset::Outcome;
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, FileName};
 use crate::shard::{TableCell, TableKind, TableWriter};
 use features::Features;
 use frames::Frames;
 use info::{Totals, info, tasks_metadata};
 use stats::Stats;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
 
 /// Size of a data file, bytes; LeRobot's own default.
 const DATA_FILE_BYTES: usize = 100 << 20;
@@ -68,9 +65,9 @@ impl<'a> LeRobot<'a> {
     pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
         let (features, notes) = Features::choose(setting.survey)?;
         let episodes = EPISODES.map(|(name, kind)| (name.to_owned(), kind));
-        let path = place(setting, "meta/episodes", 0)?;
+        let path = place(setting, &["meta", "episodes"], 0)?;
         let episodes = TableWriter::create(path, episodes.to_vec(), &[])?;
-        let path = place(setting, "data", 0)?;
+        let path = place(setting, &["data"], 0)?;
         let data = TableWriter::create(path, features.columns(), &[])?;
         Ok(Self {
             setting,
@@ -92,7 +89,7 @@ impl<'a> LeRobot<'a> {
             return Ok(());
         }
         self.file += 1;
-        let path = place(self.setting, "data", self.file)?;
+        let path = place(self.setting, &["data"], self.file)?;
         let next = TableWriter::create(path, self.frames.features().columns(), &[])?;
         std::mem::replace(&mut self.data, next).finish()
     }
@@ -122,7 +119,8 @@ impl<'a> LeRobot<'a> {
     }
 
     fn write_tasks(&self) -> Result<()> {
-        let path = self.setting.folder.root().join("meta/tasks.parquet");
+        let meta = self.setting.folder.root().top().join("meta");
+        let path = meta.join("tasks.parquet");
         let columns = [
             ("task_index", TableKind::Integer),
             ("task", TableKind::Text),
@@ -196,14 +194,12 @@ fn integer(value: usize) -> TableCell<'static> {
     TableCell::Integer(value as i64)
 }
 
-/// Path of a numbered file below a folder of the export, which is made.
-fn place(setting: Setting<'_>, folder: &str, file: usize) -> Result<PathBuf> {
-    let chunk = file / FILES_PER_CHUNK;
-    let folder = setting
-        .folder
-        .root()
-        .join(folder)
-        .join(format!("chunk-{chunk:03}"));
-    fs::create_dir_all(&folder).map_err(write_failed)?;
-    Ok(folder.join(format!("file-{:03}.parquet", file % FILES_PER_CHUNK)))
+/// Place of a numbered file below a folder of the export, which is made.
+fn place(setting: Setting<'_>, folder: &[&'static str], file: usize) -> Result<BeneathPath> {
+    let top = setting.folder.root().top();
+    let folder = folder.iter().fold(top, |place, name| place.join(*name));
+    let chunk = FileName::parse(&format!("chunk-{:03}", file / FILES_PER_CHUNK))?;
+    let folder = setting.folder.folder(folder.join(&chunk))?;
+    let name = FileName::parse(&format!("file-{:03}.parquet", file % FILES_PER_CHUNK))?;
+    Ok(folder.join(&name))
 }

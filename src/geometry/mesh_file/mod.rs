@@ -208,6 +208,12 @@ pub fn save_mesh(path: &Path, mesh: &TriangleMesh) -> Result<()> {
     save(path, &bytes)
 }
 
+/// A mesh as binary PLY. Coordinates read back bit for bit.
+#[must_use]
+pub fn ply_bytes(mesh: &TriangleMesh) -> Vec<u8> {
+    ply::write(mesh)
+}
+
 /// An error of the content, with the usual remedy.
 fn malformed(what: impl Into<String>) -> Error {
     Error::new(ErrorKind::Input, what)

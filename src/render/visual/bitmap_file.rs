@@ -38,6 +38,14 @@ pub fn load_bitmap(path: &Path) -> Result<Bitmap> {
     Bitmap::from_srgb8(&loaded.picture)
 }
 
+/// The texture in the bytes of a PNG or JPEG file.
+///
+/// # Errors
+/// As of [`load_bitmap`].
+pub fn read_bitmap(bytes: &[u8]) -> Result<Bitmap> {
+    Bitmap::from_srgb8(&decode(bytes)?.picture)
+}
+
 /// Decodes a PNG or JPEG picture and scales it down to the largest texture.
 pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
     let is_png = bytes.starts_with(b"\x89PNG");

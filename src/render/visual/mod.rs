@@ -43,7 +43,7 @@ mod texture;
 mod trigonometry;
 
 pub use crate::render::seed::SeedStream;
-pub use bitmap_file::load_bitmap;
+pub use bitmap_file::{load_bitmap, read_bitmap};
 pub use camera::Camera;
 pub use conditions::{DomeChoice, GroundChoice, VisualConditions, VisualRandomisation};
 pub use d435::{

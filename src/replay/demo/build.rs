@@ -11,6 +11,7 @@ use super::reality::Class;
 use super::recording::{Recorder, film};
 use super::selection::{Chosen, Selection, choose};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::Root;
 
 /// How this reality differs from its replay.
 fn how(is_quick: bool) -> String {
@@ -67,12 +68,17 @@ pub struct DemoData {
 /// `Io`, `DiskFull`, ….
 pub fn build_demo(settings: &DemoSettings, out: &Path, watch: &DemoWatch<'_>) -> Result<DemoData> {
     let all = objects(settings)?;
+    fs::create_dir_all(out)
+        .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
+    let top = Root::new(out).top();
     let [dataset, object_files, simulated] =
-        ["dataset", "objects", "simulated"].map(|name| out.join(name));
+        ["dataset", "objects", "simulated"].map(|name| top.join(name));
     for folder in [&object_files, &simulated] {
-        fs::create_dir_all(folder)
+        folder
+            .create_dir_all()
             .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
     }
+    let dataset = dataset.shown();
     for object in &all {
         object.save(&object_files)?;
     }
@@ -80,7 +86,7 @@ pub fn build_demo(settings: &DemoSettings, out: &Path, watch: &DemoWatch<'_>) ->
     let with_pose = record(settings, &all, &selection.grasps, &dataset, watch)?;
     Ok(DemoData {
         dataset,
-        objects: object_files,
+        objects: object_files.shown(),
         how: how(settings.quick),
         counts: counts(&all, &selection, &with_pose),
         simulation_cpu_s: selection.cpu_s,

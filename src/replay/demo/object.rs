@@ -1,11 +1,10 @@
 //! The objects of the demo data.
 
-use std::fs;
 use std::path::Path;
 
 use super::plan::DemoSettings;
 use crate::error::{Error, Result};
-use crate::files::save;
+use crate::files::{BeneathPath, FileKind, FileName, read_regular};
 use crate::geometry::{
     LengthUnit, MeshFormat, Pose, PrepareOptions, TriangleMesh, builtin, likely_poses, prepare,
     read_mesh,
@@ -79,8 +78,8 @@ pub(super) fn objects(settings: &DemoSettings) -> Result<Vec<DemoObject>> {
 
 fn from_file(folder: &Path, name: &str, seed: u64) -> Result<DemoObject> {
     let path = folder.join(format!("{name}.obj"));
-    let bytes =
-        fs::read(&path).map_err(|e| Error::io("cannot read the mesh", e).at(path.display()))?;
+    let bytes = read_regular(&path, FileKind::Mesh)
+        .map_err(|e| Error::io("cannot read the mesh", e).at(path.display()))?;
     let called = name.to_lowercase();
     DemoObject::new(
         &called,
@@ -132,9 +131,12 @@ impl DemoObject {
     ///
     /// # Errors
     /// Those of the operating system.
-    pub(super) fn save(&self, folder: &Path) -> Result<()> {
+    pub(super) fn save(&self, folder: &BeneathPath) -> Result<()> {
         if let Some(bytes) = &self.file {
-            save(&folder.join(&self.source), bytes)?;
+            let place = folder.join(&FileName::parse(&self.source)?);
+            place
+                .replace(bytes)
+                .map_err(|e| Error::io("cannot write the mesh", e).at(place.display()))?;
         }
         let unit = self
             .file
@@ -151,13 +153,16 @@ impl DemoObject {
             t_world_object: Some(self.t_world_object),
             drawn_from_sha256: None,
         };
-        file.save(&folder.join(format!("{}.toml", self.name)))
+        file.save(&folder.join(&FileName::parse(&format!("{}.toml", self.name))?))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
+    use crate::files::Root;
 
     fn settings(seed: u64) -> DemoSettings {
         DemoSettings {
@@ -201,7 +206,7 @@ mod tests {
     fn an_object_file_tells_what_a_laboratory_knows() {
         let folder = tempfile::tempdir().unwrap();
         let object = &objects(&settings(3)).unwrap()[0];
-        object.save(folder.path()).unwrap();
+        object.save(&Root::new(folder.path()).top()).unwrap();
         let text = fs::read_to_string(folder.path().join("jack.toml")).unwrap();
         let file: ObjectFile = toml::from_str(&text).unwrap();
         assert_eq!(file.mesh, "builtin:jack");

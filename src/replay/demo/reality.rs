@@ -1,8 +1,6 @@
 //! What happens to a grasp: the simulation that stands for reality, and the coarse one that looks
 //! for candidates. Each result is a file, so that a build that was stopped goes on.
 
-use std::fs;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -12,7 +10,7 @@ use sha2::{Digest as _, Sha256};
 use super::object::DemoObject;
 use super::sampler::Candidate;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{BeneathPath, FileKind, FileName};
 use crate::sim::fem::GelResolution;
 use crate::sim::grasp::GraspResult;
 use crate::sim::grasp::{
@@ -98,13 +96,13 @@ pub(super) fn screening() -> FemEngine {
 pub(super) struct Reality<'a> {
     object: &'a DemoObject,
     engine: FemEngine,
-    folder: &'a Path,
+    folder: &'a BeneathPath,
     mesh: Arc<crate::geometry::TriangleMesh>,
     mesh_sha256: String,
 }
 
 impl<'a> Reality<'a> {
-    pub(super) fn new(object: &'a DemoObject, engine: FemEngine, folder: &'a Path) -> Self {
+    pub(super) fn new(object: &'a DemoObject, engine: FemEngine, folder: &'a BeneathPath) -> Self {
         Self {
             object,
             engine,
@@ -120,8 +118,8 @@ impl<'a> Reality<'a> {
     /// `Io`, `DiskFull`; `Internal` for a candidate that the engine refuses.
     pub(super) fn simulate(&self, candidate: &Candidate) -> Result<Simulated> {
         let key = self.key(candidate)?;
-        let path = self.path(candidate);
-        if let Some(known) = read(&path, &key) {
+        let place = self.place(candidate)?;
+        if let Some(known) = read(&place, &key) {
             return Ok(known);
         }
         let began = thread_cpu_s();
@@ -133,7 +131,9 @@ impl<'a> Reality<'a> {
         let done = self.kept(&result, key, thread_cpu_s() - began);
         let text = serde_json::to_vec(&done)
             .map_err(|e| Error::new(ErrorKind::Internal, "cannot write a result").because(e))?;
-        save(&path, &text)?;
+        place
+            .replace(&text)
+            .map_err(|e| Error::io("cannot write a result", e).at(place.display()))?;
         Ok(done)
     }
 
@@ -165,10 +165,10 @@ impl<'a> Reality<'a> {
         }
     }
 
-    fn path(&self, candidate: &Candidate) -> PathBuf {
+    fn place(&self, candidate: &Candidate) -> Result<BeneathPath> {
         let mesh = resolution_name(self.engine.settings.resolution);
         let name = format!("{}-{:03}.{mesh}.json", self.object.name, candidate.number);
-        self.folder.join(name)
+        Ok(self.folder.join(&FileName::parse(&name)?))
     }
 
     fn key(&self, candidate: &Candidate) -> Result<String> {
@@ -188,8 +188,8 @@ impl<'a> Reality<'a> {
 }
 
 /// A result that was kept and still is the one asked for; anything else is simulated again.
-fn read(path: &Path, key: &str) -> Option<Simulated> {
-    let text = fs::read(path).ok()?;
+fn read(place: &BeneathPath, key: &str) -> Option<Simulated> {
+    let text = place.read(FileKind::Mesh).ok()?;
     let found: Simulated = serde_json::from_slice(&text).ok()?;
     (found.key == key).then_some(found)
 }

@@ -4,13 +4,13 @@
 //! force, only says which candidate to look at next. No engine that will replay the dataset is asked.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use super::object::DemoObject;
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
 use super::reality::{Class, Reality, Simulated, reality, screening};
 use super::sampler::{Candidate, Sampler};
 use crate::error::Result;
+use crate::files::BeneathPath;
 
 /// A grasp of the dataset.
 #[derive(Clone, Debug)]
@@ -109,7 +109,7 @@ pub(super) struct Selection {
 pub(super) fn choose(
     objects: &[DemoObject],
     settings: &DemoSettings,
-    folder: &Path,
+    folder: &BeneathPath,
     watch: &DemoWatch<'_>,
 ) -> Result<Selection> {
     let wanted = settings.wanted_of_class();

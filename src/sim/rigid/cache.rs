@@ -1,8 +1,6 @@
 //! Decompositions that were computed before: in memory, and as files of a folder.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use glam::DVec3;
@@ -12,8 +10,7 @@ use sha2::{Digest as _, Sha256};
 use super::decomposition::Decomposition;
 use super::settings::DecompositionSettings;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files;
-use crate::files::{hex, sha256_hex};
+use crate::files::{BeneathPath, FileKind, FileName, hex, sha256_hex};
 use crate::geometry::TriangleMesh;
 
 /// What such a file says it is.
@@ -24,18 +21,18 @@ type Slot = Arc<OnceLock<std::result::Result<Arc<Decomposition>, String>>>;
 /// Decompositions by mesh and parameters. Threads that ask for the same one wait for the first.
 #[derive(Debug, Default)]
 pub(super) struct DecompositionCache {
-    folder: Option<PathBuf>,
-    slots: Mutex<BTreeMap<String, Slot>>,
+    folder: Option<BeneathPath>,
+    slots: Mutex<BTreeMap<FileName, Slot>>,
 }
 
 impl DecompositionCache {
     /// With a folder for files, which is made if it does not exist.
-    pub(super) fn in_folder(folder: &Path) -> Result<Self> {
-        fs::create_dir_all(folder).map_err(|e| {
+    pub(super) fn in_folder(folder: BeneathPath) -> Result<Self> {
+        folder.create_dir_all().map_err(|e| {
             Error::io("cannot make the folder of convex pieces", e).at(folder.display())
         })?;
         Ok(Self {
-            folder: Some(folder.to_owned()),
+            folder: Some(folder),
             ..Self::default()
         })
     }
@@ -48,7 +45,7 @@ impl DecompositionCache {
         let key = Key::of(mesh, settings)?;
         let slot = {
             let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
-            slots.entry(key.file_name()).or_default().clone()
+            slots.entry(key.file_name()?).or_default().clone()
         };
         // Computed outside the lock: other meshes need not wait.
         slot.get_or_init(|| self.load_or_compute(&key, mesh))
@@ -61,14 +58,15 @@ impl DecompositionCache {
         key: &Key,
         mesh: &TriangleMesh,
     ) -> std::result::Result<Arc<Decomposition>, String> {
-        let path = self.folder.as_ref().map(|f| f.join(key.file_name()));
-        if let Some(found) = path.as_ref().and_then(|path| read(path, key)) {
+        let name = key.file_name().map_err(|error| error.to_string())?;
+        let place = self.folder.as_ref().map(|folder| folder.join(&name));
+        if let Some(found) = place.as_ref().and_then(|place| read(place, key)) {
             return Ok(Arc::new(found));
         }
         let computed = Decomposition::of(mesh, &key.settings).map_err(|error| error.to_string())?;
-        if let Some(path) = path {
+        if let Some(place) = place {
             // Without the file it is only computed again.
-            let _ = write(&path, key, &computed);
+            let _ = write(&place, key, &computed);
         }
         Ok(Arc::new(computed))
     }
@@ -93,8 +91,9 @@ impl Key {
         })
     }
 
-    fn file_name(&self) -> String {
-        format!("{}-{}.json", &self.mesh[..32], &self.settings_hash[..16])
+    fn file_name(&self) -> Result<FileName> {
+        let (mesh, settings) = (&self.mesh[..32], &self.settings_hash[..16]);
+        FileName::parse(&format!("{mesh}-{settings}.json"))
     }
 }
 
@@ -123,8 +122,9 @@ fn checksum(pieces: &[TriangleMesh]) -> String {
 }
 
 /// The pieces in a file; none if it is damaged or of something else.
-fn read(path: &Path, key: &Key) -> Option<Decomposition> {
-    let file: File = serde_json::from_slice(&fs::read(path).ok()?).ok()?;
+fn read(place: &BeneathPath, key: &Key) -> Option<Decomposition> {
+    let bytes = place.read(FileKind::Mesh).ok()?;
+    let file: File = serde_json::from_slice(&bytes).ok()?;
     if file.format != FORMAT || file.mesh != key.mesh || file.settings != key.settings {
         return None;
     }
@@ -143,7 +143,7 @@ fn read(path: &Path, key: &Key) -> Option<Decomposition> {
     Decomposition::from_pieces(pieces).ok()
 }
 
-fn write(path: &Path, key: &Key, found: &Decomposition) -> Result<()> {
+fn write(place: &BeneathPath, key: &Key, found: &Decomposition) -> Result<()> {
     let piece = |mesh: &TriangleMesh| Piece {
         vertices_m: mesh.vertices.iter().map(|v| v.to_array()).collect(),
         triangles: mesh.triangles.clone(),
@@ -157,12 +157,18 @@ fn write(path: &Path, key: &Key, found: &Decomposition) -> Result<()> {
     };
     let json = serde_json::to_vec(&file)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    files::save(path, &json)
+    place
+        .replace(&json)
+        .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+    use std::path::{Path, PathBuf};
+
     use super::*;
+    use crate::files::Root;
     use crate::geometry::builtin;
 
     const SETTINGS: fn() -> DecompositionSettings = || DecompositionSettings {
@@ -178,7 +184,7 @@ mod tests {
     }
 
     fn pieces(folder: &Path) -> Vec<TriangleMesh> {
-        let cache = DecompositionCache::in_folder(folder).unwrap();
+        let cache = DecompositionCache::in_folder(Root::new(folder).top()).unwrap();
         let mesh = builtin("spike").unwrap();
         cache.get(&mesh, &SETTINGS()).unwrap().pieces().to_vec()
     }
@@ -187,6 +193,7 @@ mod tests {
     fn files_give_back_the_same_bits() {
         let folder = tempfile::tempdir().unwrap();
         let nested = folder.path().join("a/b");
+        fs::create_dir_all(&nested).unwrap();
         let first = pieces(&nested);
         let file = only_file(&nested);
         let before = fs::metadata(&file).unwrap().modified().unwrap();
@@ -221,6 +228,21 @@ mod tests {
     }
 
     #[test]
+    fn a_link_is_replaced_and_its_target_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let [cache, secret] = ["cache", "secret"].map(|name| folder.path().join(name));
+        fs::create_dir(&cache).unwrap();
+        pieces(&cache);
+        let file = only_file(&cache);
+        fs::remove_file(&file).unwrap();
+        fs::write(&secret, "secret").unwrap();
+        std::os::unix::fs::symlink(&secret, &file).unwrap();
+        pieces(&cache);
+        assert_eq!(fs::read(&secret).unwrap(), b"secret");
+        assert!(!file.is_symlink());
+    }
+
+    #[test]
     fn threads_share_one_decomposition() {
         let cache = DecompositionCache::default();
         let mesh = builtin("spike").unwrap();
@@ -240,6 +262,6 @@ mod tests {
     #[test]
     fn a_folder_that_cannot_be_is_an_error() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        assert!(DecompositionCache::in_folder(file.path()).is_err());
+        assert!(DecompositionCache::in_folder(Root::new(file.path()).top().join("a")).is_err());
     }
 }

@@ -1,6 +1,5 @@
 //! The rigid-body simulator as an engine.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use serde_json::Value;
@@ -12,6 +11,7 @@ use super::settings::RigidSettings;
 use super::start;
 use super::world::{World, WorldSetup};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::BeneathPath;
 use crate::geometry::TriangleMesh;
 use crate::sim::grasp::GraspResult;
 use crate::sim::{Engine, EngineKind, GraspSetup};
@@ -42,7 +42,7 @@ impl RigidEngine {
     ///
     /// # Errors
     /// `Io`, … where there can be no such folder.
-    pub fn with_cache(self, folder: &Path) -> Result<Self> {
+    pub fn with_cache(self, folder: BeneathPath) -> Result<Self> {
         Ok(Self {
             cache: DecompositionCache::in_folder(folder)?,
             ..self

@@ -9,6 +9,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::error::{Error, ErrorKind};
+use crate::files::Root;
 use crate::geometry::{builtin, save_mesh};
 
 /// What is to be in a file; none leaves the key out.
@@ -269,22 +270,28 @@ fn damaged_files_end_in_errors() {
 #[test]
 fn meshes_lie_below_their_root() {
     let mut object = Sketch::new().read().unwrap().object;
-    let root = TempDir::new().unwrap();
-    let error = object.load_mesh(root.path()).unwrap_err();
+    let dir = TempDir::new().unwrap();
+    let root = Root::new(dir.path().join("meshes-root"));
+    let error = object.load_mesh(&root).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::NotFound);
-    let path = object.mesh_path(root.path()).unwrap();
-    assert_eq!(path, root.path().join("meshes/Mug/10f6.obj"));
+    let path = root.path().join("meshes/Mug/10f6.obj");
     fs::create_dir_all(path.parent().unwrap()).unwrap();
-    save_mesh(&path, &builtin("box").unwrap().scaled(2.0)).unwrap();
-    let size = object
-        .load_mesh(root.path())
-        .unwrap()
-        .mesh
-        .bounds()
-        .extent();
+    let mesh = builtin("box").unwrap().scaled(2.0);
+    save_mesh(&path, &mesh).unwrap();
+    let size = object.load_mesh(&root).unwrap().mesh.bounds().extent();
     assert!(size.distance(DVec3::new(0.04, 0.04, 0.06)) < 1e-9, "{size}");
-    for outside in ["/etc/passwd", "../other.obj", "meshes/../../x.obj", ""] {
+    let secret = dir.path().join("secret.obj");
+    save_mesh(&secret, &mesh).unwrap();
+    std::os::unix::fs::symlink(&secret, root.path().join("link.obj")).unwrap();
+    let absolute = secret.to_str().unwrap();
+    for outside in [
+        absolute,
+        "../secret.obj",
+        "meshes/../../secret.obj",
+        "link.obj",
+    ] {
         outside.clone_into(&mut object.mesh_file);
-        assert!(object.mesh_path(root.path()).is_err(), "{outside:?}");
+        let error = object.load_mesh(&root).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{outside:?}: {error}");
     }
 }

@@ -1,12 +1,13 @@
 //! What a file of ACRONYM says.
 
-use std::path::{Component, Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DVec3};
 
 use super::transform::{AcronymGrasp, SkippedGrasp, gripper_pose};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::{LengthUnit, Prepared, load_object_mesh};
+use crate::files::Root;
+use crate::geometry::{LengthUnit, Prepared, load_object_mesh_below};
 use crate::hdf5::{Hdf5, misshapen, wrong};
 
 /// Scales that are believed: coordinates of ShapeNetSem times the scale are metres, and objects are
@@ -86,40 +87,28 @@ pub fn read_acronym(path: &Path) -> Result<AcronymSet> {
 }
 
 impl AcronymObject {
-    /// The mesh file below the root of the meshes.
+    /// The mesh in metres, fit for simulation; `meshes` is the folder that its path begins in.
     ///
     /// # Errors
-    /// `Input` for a path that leads out of the root.
-    pub fn mesh_path(&self, mesh_root: &Path) -> Result<PathBuf> {
-        let relative = Path::new(&self.mesh_file);
-        let inside = |c: Component<'_>| matches!(c, Component::Normal(_) | Component::CurDir);
-        if self.mesh_file.is_empty() || !relative.components().all(inside) {
-            return Err(wrong(format!(
-                "the mesh {:?} is not below the root of the meshes",
-                self.mesh_file
-            )));
-        }
-        Ok(mesh_root.join(relative))
+    /// `Input` for a path that leads out of the folder; those of [`load_object_mesh_below`].
+    pub fn load_mesh(&self, meshes: &Root) -> Result<Prepared> {
+        load_object_mesh_below(meshes, &self.mesh_file, LengthUnit::Metre, self.scale).map_err(
+            |e| match e.kind() {
+                ErrorKind::NotFound => missing(&self.mesh_file, meshes),
+                _ => e,
+            },
+        )
     }
+}
 
-    /// The mesh in metres, fit for simulation.
-    ///
-    /// # Errors
-    /// As [`mesh_path`](Self::mesh_path) and [`load_object_mesh`].
-    pub fn load_mesh(&self, mesh_root: &Path) -> Result<Prepared> {
-        let path = self.mesh_path(mesh_root)?;
-        if !path.exists() {
-            return Err(
-                Error::new(ErrorKind::NotFound, "the mesh of the grasps is missing")
-                    .at(path.display())
-                    .remedy(
-                        "download the meshes of ShapeNetSem, make them watertight as ACRONYM's \
-                     readme says, and give the folder that has `meshes` in it",
-                    ),
-            );
-        }
-        load_object_mesh(&path.to_string_lossy(), LengthUnit::Metre, self.scale)
-    }
+fn missing(mesh_file: &str, meshes: &Root) -> Error {
+    Error::new(ErrorKind::NotFound, "the mesh of the grasps is missing")
+        .at(mesh_file)
+        .at(meshes.path().display())
+        .remedy(
+            "download the meshes of ShapeNetSem, make them watertight as ACRONYM's readme says, and \
+             give the folder that has `meshes` in it",
+        )
 }
 
 fn check_gripper(file: &Hdf5) -> Result<()> {

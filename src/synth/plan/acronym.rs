@@ -1,16 +1,17 @@
 //! Objects and grasps of ACRONYM.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::draft::stored_path;
 use super::{Drafts, MeshSource, ObjectDraft};
 use crate::error::{Error, ErrorKind, Result};
+use crate::files::{BeneathPath, FileKind, Root, SimulationId};
 use crate::render::visual::SeedStream;
 use crate::synth::acronym::read_acronym;
 use crate::synth::family::Category;
 use crate::synth::properties::Material;
 
+/// Ending of the files.
+const ENDING: &str = ".h5";
 /// What things are of whose category says nothing about it.
 const MATERIALS: [&str; 6] = ["abs", "wood", "polypropylene", "steel", "ceramic", "rubber"];
 
@@ -22,7 +23,6 @@ const MATERIALS: [&str; 6] = ["abs", "wood", "polypropylene", "steel", "ceramic"
 pub fn acronym_drafts(
     folder: &Path,
     mesh_root: &Path,
-    plan_folder: &Path,
     most: Option<usize>,
     seed: u64,
 ) -> Result<Drafts> {
@@ -30,42 +30,42 @@ pub fn acronym_drafts(
     if let Some(most) = most {
         files.sort_by_key(|file| SeedStream::named(seed, &stem(file)).bits());
         files.truncate(most);
-        files.sort();
+        files.sort_by_key(BeneathPath::name);
     }
+    let meshes = Root::new(mesh_root);
     let mut drafts = Drafts::default();
     for file in files {
-        drafts.note(&stem(&file), draft(&file, mesh_root, plan_folder, seed))?;
+        drafts.note(&stem(&file), draft(&file, &meshes, seed))?;
     }
     Ok(drafts)
 }
 
-fn stem(file: &Path) -> String {
-    let stem = file.file_stem().unwrap_or_default();
-    stem.to_string_lossy().into_owned()
+fn stem(file: &BeneathPath) -> String {
+    let name = file.name();
+    name.strip_suffix(ENDING).unwrap_or(&name).to_owned()
 }
 
-fn h5_files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let cannot = |e| Error::io("cannot read the folder of grasps", e).at(folder.display());
-    let mut files = Vec::new();
-    for entry in fs::read_dir(folder).map_err(cannot)? {
-        let path = entry.map_err(cannot)?.path();
-        if path.extension().is_some_and(|ending| ending == "h5") {
-            files.push(path);
-        }
-    }
+fn h5_files(folder: &Path) -> Result<Vec<BeneathPath>> {
+    let mut files = Root::new(folder)
+        .top()
+        .entries()
+        .map_err(|e| Error::io("cannot read the folder of grasps", e).at(folder.display()))?;
+    files.retain(|file| file.name().ends_with(ENDING));
     if files.is_empty() {
         return Err(Error::new(ErrorKind::Input, "the folder has no .h5 files")
             .at(folder.display())
             .remedy("give the folder `grasps` of ACRONYM"));
     }
-    files.sort();
     Ok(files)
 }
 
-fn draft(file: &Path, mesh_root: &Path, plan_folder: &Path, seed: u64) -> Result<ObjectDraft> {
-    let set = read_acronym(file)?;
-    let mesh = set.object.load_mesh(mesh_root)?.mesh;
-    let mesh_path = set.object.mesh_path(mesh_root)?;
+fn draft(file: &BeneathPath, meshes: &Root, seed: u64) -> Result<ObjectDraft> {
+    // Refuses what leads out of the folder and what is no file.
+    file.open_file(FileKind::Bulk)
+        .map_err(|e| Error::io("cannot read the file", e).at(file.display()))?;
+    let set = read_acronym(&file.shown())?;
+    let name = SimulationId::parse(&set.name)?;
+    let mesh = set.object.load_mesh(meshes)?.mesh;
     let category = match &set.object.category {
         Some(category) => category.to_lowercase(),
         None => "thing".to_owned(),
@@ -75,13 +75,9 @@ fn draft(file: &Path, mesh_root: &Path, plan_folder: &Path, seed: u64) -> Result
     let materials = known.unwrap_or(&MATERIALS);
     let material = materials[draw.index(materials.len())];
     Ok(ObjectDraft {
-        name: set.name,
+        source: MeshSource::stored(&name)?,
+        name,
         category,
-        source: MeshSource::File {
-            path: stored_path(&mesh_path, plan_folder)?,
-            unit: "m".to_owned(),
-            scale: set.object.scale,
-        },
         mesh,
         material: Material::named(material)?,
         // ACRONYM states masses for one density, and friction of its own simulator.
@@ -96,6 +92,8 @@ fn draft(file: &Path, mesh_root: &Path, plan_folder: &Path, seed: u64) -> Result
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use hdf5_pure::{FileBuilder, GroupBuilder};
 
     use super::*;
@@ -152,7 +150,7 @@ mod tests {
             fs::write(at("grasps").join(format!("{name}_0.5.h5")), h5(mesh)).unwrap();
         }
         fs::write(at("grasps/broken.h5"), "no hdf5").unwrap();
-        let read = |most| acronym_drafts(&at("grasps"), folder.path(), folder.path(), most, 1);
+        let read = |most| acronym_drafts(&at("grasps"), folder.path(), most, 1);
         let found = read(None).unwrap();
         let [object] = found.drafts.as_slice() else {
             panic!("one object, found {:?}", found.left_out);
@@ -171,7 +169,7 @@ mod tests {
         assert!(found.left_out[0].reason.contains("b.obj"));
         let one = read(Some(1)).unwrap();
         assert_eq!(one.drafts.len() + one.left_out.len(), 1);
-        let error = acronym_drafts(&at("meshes"), folder.path(), folder.path(), None, 1);
+        let error = acronym_drafts(&at("meshes"), folder.path(), None, 1);
         assert!(error.unwrap_err().to_string().contains(".h5"));
     }
 }

@@ -1,20 +1,19 @@
 //! Objects on their way into a plan.
 
-use std::path::Path;
-
-use super::{MeshSource, PictureTexture};
-use crate::error::{Error, ErrorKind, Result};
+use super::{MeshSource, TextureDraft};
+use crate::error::{ErrorKind, Result};
+use crate::files::SimulationId;
 use crate::geometry::{Pose, TriangleMesh};
 use crate::synth::properties::{Material, Modifier};
 
 /// An object before it has properties and grasps.
 #[derive(Clone, Debug)]
 pub struct ObjectDraft {
-    /// Name; a key.
-    pub name: String,
+    /// Name; a key, and begin of file names.
+    pub name: SimulationId,
     /// Kind of thing.
     pub category: String,
-    /// Where the mesh comes from.
+    /// Where the plan has the mesh from.
     pub source: MeshSource,
     /// The mesh, m: closed.
     pub mesh: TriangleMesh,
@@ -29,7 +28,7 @@ pub struct ObjectDraft {
     /// What it may look like, where that is known.
     pub looks: Vec<Modifier>,
     /// Pictures of its own.
-    pub textures: Vec<PictureTexture>,
+    pub textures: Vec<TextureDraft>,
     /// Its grasps as `t_object_gripper`; none to draw them.
     pub grasps: Option<Vec<Pose>>,
 }
@@ -79,41 +78,5 @@ impl From<Vec<ObjectDraft>> for Drafts {
             drafts,
             left_out: Vec::new(),
         }
-    }
-}
-
-/// A file as plans name it: relative where it lies in the plan's folder, so that the folder can be
-/// moved with it, else from the root.
-pub(super) fn stored_path(file: &Path, plan_folder: &Path) -> Result<String> {
-    let whole = file
-        .canonicalize()
-        .map_err(|e| Error::io("cannot find the file", e).at(file.display()))?;
-    let folder = plan_folder.canonicalize().ok();
-    let stored = folder
-        .and_then(|folder| whole.strip_prefix(folder).ok().map(Path::to_owned))
-        .unwrap_or(whole);
-    stored.to_str().map(str::to_owned).ok_or_else(|| {
-        Error::new(ErrorKind::Input, "the path is no Unicode")
-            .at(stored.display())
-            .remedy("rename the file: plans are text")
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn files_in_the_folder_of_the_plan_move_with_it() {
-        let folder = tempfile::tempdir().unwrap();
-        let plan = folder.path().join("plan");
-        std::fs::create_dir(&plan).unwrap();
-        let [inside, outside] = [plan.join("a.obj"), folder.path().join("b.obj")];
-        std::fs::write(&inside, "").unwrap();
-        std::fs::write(&outside, "").unwrap();
-        assert_eq!(stored_path(&inside, &plan).unwrap(), "a.obj");
-        let stored = stored_path(&outside, &plan).unwrap();
-        assert!(Path::new(&stored).is_absolute());
-        assert!(stored_path(&plan.join("c.obj"), &plan).is_err());
     }
 }

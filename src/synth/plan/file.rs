@@ -1,14 +1,13 @@
 //! The plan as a file, and the hash that says that it is the one that was made.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::{PlanHeader, PlannedObject, PlannedSimulation};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::{save, sha256_hex};
+use crate::files::{BeneathPath, FileKind, Printable, Root, SimulationId, sha256_hex};
 
 /// Name of the plan in its folder.
 pub const PLAN_FILE: &str = "plan.jsonl";
@@ -16,8 +15,8 @@ pub const PLAN_FILE: &str = "plan.jsonl";
 pub const HASH_FILE: &str = "plan.sha256";
 /// Name of the format in the header.
 pub const PLAN_FORMAT: &str = "gripcast-synth-plan";
-/// Its version.
-pub const PLAN_VERSION: u32 = 1;
+/// Its version: 2 since a plan's folder holds the meshes and pictures that it names.
+pub const PLAN_VERSION: u32 = 2;
 
 /// A line of the file.
 #[derive(Serialize, Deserialize)]
@@ -34,7 +33,7 @@ pub struct Plan {
     /// What all simulations share.
     pub header: PlanHeader,
     /// Objects by name.
-    pub objects: BTreeMap<String, PlannedObject>,
+    pub objects: BTreeMap<SimulationId, PlannedObject>,
     /// Simulations by object, grasp and force.
     pub simulations: Vec<PlannedSimulation>,
     /// SHA-256 of the file, 64 hex digits.
@@ -70,40 +69,53 @@ impl Plan {
     /// `NotFound` for a folder without plan; `Input` for one that was altered, or is of another
     /// version, or is no plan.
     pub fn read(folder: &Path) -> Result<Self> {
-        let path = folder.join(PLAN_FILE);
-        let bytes = fs::read(&path).map_err(|e| {
+        let root = Root::new(folder);
+        let place = root.top().join(PLAN_FILE);
+        let bytes = place.read(FileKind::List).map_err(|e| {
             Error::io("cannot read the plan", e)
-                .at(path.display())
+                .at(place.display())
                 .remedy("make one: gripcast synth plan --preset small --out DIR")
         })?;
-        let sha256 = checked_hash(folder, &bytes).map_err(|e| e.at(path.display()))?;
-        let plan = Self::from_bytes(&bytes).map_err(|e| e.at(path.display()))?;
+        let sha256 = checked_hash(&root, &bytes).map_err(|e| e.at(place.display()))?;
+        let plan = Self::from_bytes(&bytes).map_err(|e| e.at(place.display()))?;
         // That of the file, whoever wrote its numbers.
         Ok(Self { sha256, ..plan })
     }
 
-    /// Writes the plan and its hash into a folder that is made if need be.
+    /// Writes the plan and its hash into a folder that exists.
     ///
     /// # Errors
     /// `Input` where another plan is there; those of the operating system.
-    pub fn write(&self, folder: &Path) -> Result<()> {
-        fs::create_dir_all(folder)
-            .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
-        let path = folder.join(PLAN_FILE);
-        let text = self.text()?;
-        match fs::read(&path) {
-            Ok(there) if there == text.as_bytes() => {}
-            Ok(_) => {
-                return Err(
-                    Error::new(ErrorKind::Input, "another plan is in the folder already")
-                        .at(path.display())
-                        .remedy("give a new folder: results belong to the plan they were made of"),
-                );
-            }
-            Err(_) => save(&path, text.as_bytes())?,
+    pub(super) fn write(&self, root: &Root) -> Result<()> {
+        self.check_free(root)?;
+        let place = root.top().join(PLAN_FILE);
+        if !place.is_taken() {
+            replace(&place, self.text()?.as_bytes())?;
         }
         let hash = format!("{}  {PLAN_FILE}\n", self.sha256);
-        save(&folder.join(HASH_FILE), hash.as_bytes())
+        replace(&root.top().join(HASH_FILE), hash.as_bytes())
+    }
+
+    /// Refuses a folder with another plan.
+    ///
+    /// # Errors
+    /// `Input` where there is one; those of the operating system.
+    pub(super) fn check_free(&self, root: &Root) -> Result<()> {
+        let place = root.top().join(PLAN_FILE);
+        if !place.is_taken() {
+            return Ok(());
+        }
+        let there = place
+            .read(FileKind::List)
+            .map_err(|e| Error::io("cannot read the plan", e).at(place.display()))?;
+        if there == self.text()?.as_bytes() {
+            return Ok(());
+        }
+        Err(
+            Error::new(ErrorKind::Input, "another plan is in the folder already")
+                .at(place.display())
+                .remedy("give a new folder: results belong to the plan they were made of"),
+        )
     }
 
     /// The object of a simulation.
@@ -155,20 +167,13 @@ impl Plan {
             }
             let line = serde_json::from_slice(line).map_err(|e| wrong(number, e.to_string()))?;
             match line {
-                Line::Plan(found) if header.is_none() => header = Some(found),
+                Line::Plan(found) if header.is_none() => header = Some(checked(found)?),
                 Line::Plan(_) => return Err(wrong(number, "a second header".to_owned())),
                 Line::Object(object) => objects.push(object),
                 Line::Simulation(simulation) => simulations.push(simulation),
             }
         }
         let header = header.ok_or_else(|| wrong(1, "the header is missing".to_owned()))?;
-        if header.format != PLAN_FORMAT || header.version != PLAN_VERSION {
-            let found = format!("{} version {}", header.format, header.version);
-            return Err(wrong(
-                1,
-                format!("expected {PLAN_FORMAT} version {PLAN_VERSION}, found {found}"),
-            ));
-        }
         Self::new(header, objects, simulations)
     }
 
@@ -188,11 +193,33 @@ impl Plan {
     }
 }
 
+/// A header of this version.
+fn checked(header: PlanHeader) -> Result<PlanHeader> {
+    if header.format == PLAN_FORMAT && header.version == PLAN_VERSION {
+        return Ok(header);
+    }
+    let (format, version) = (Printable(&header.format), header.version);
+    let what =
+        format!("expected {PLAN_FORMAT} version {PLAN_VERSION}, found {format} version {version}");
+    Err(Error::new(ErrorKind::Input, what).remedy(
+        "make the plan again with the same flags, in a new folder; or read it with the release of \
+         gripcast that made it",
+    ))
+}
+
+/// Replaces a file of the plan.
+pub(in crate::synth) fn replace(place: &BeneathPath, bytes: &[u8]) -> Result<()> {
+    place
+        .replace(bytes)
+        .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
+}
+
 /// Hash of a plan's file, which is as it was written.
-fn checked_hash(folder: &Path, plan: &[u8]) -> Result<String> {
-    let path = folder.join(HASH_FILE);
-    let text = fs::read_to_string(&path)
-        .map_err(|e| Error::io("cannot read the hash of the plan", e).at(path.display()))?;
+fn checked_hash(root: &Root, plan: &[u8]) -> Result<String> {
+    let place = root.top().join(HASH_FILE);
+    let text = place
+        .read_to_string(FileKind::Record)
+        .map_err(|e| Error::io("cannot read the hash of the plan", e).at(place.display()))?;
     let expected = text.split_whitespace().next().unwrap_or_default();
     let found = sha256_hex(plan);
     if expected == found {
@@ -200,7 +227,10 @@ fn checked_hash(folder: &Path, plan: &[u8]) -> Result<String> {
     }
     Err(Error::new(
         ErrorKind::Input,
-        format!("the plan was altered: expected the hash {expected}, found {found}"),
+        format!(
+            "the plan was altered: expected the hash {}, found {found}",
+            Printable(expected)
+        ),
     )
     .remedy("restore it, or make a new plan in another folder; results belong to one plan"))
 }

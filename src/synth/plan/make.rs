@@ -1,15 +1,19 @@
 //! Makes a plan: objects get properties and grasps, grasps get forces and seeds.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
 
 use serde_json::Value;
 
+use super::file::replace;
 use super::{
-    Drafts, LeftOutObject, ObjectDraft, PLAN_FORMAT, PLAN_VERSION, PictureTexture, Plan,
-    PlanHeader, PlannedObject, PlannedSimulation, RenderingPlan,
+    Drafts, LeftOutObject, MESHES, MeshSource, ObjectDraft, PLAN_FORMAT, PLAN_VERSION, Plan,
+    PlanHeader, PlannedObject, PlannedSimulation, RenderingPlan, TEXTURES, TextureDraft,
 };
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::MassProperties;
+use crate::files::{BeneathPath, FileName, Root, SimulationId};
+use crate::geometry::{MassProperties, TriangleMesh, ply_bytes};
 use crate::render::visual::SeedStream;
 use crate::sim::{Engine, EngineKind};
 use crate::synth::grasp::{GraspChoice, choose_given_grasps, choose_grasps};
@@ -51,7 +55,7 @@ pub struct PlanSettings {
     /// How simulations become pictures.
     pub rendering: RenderingPlan,
     /// Pictures of the user's: objects without appearances of their own may wear them.
-    pub textures: Vec<PictureTexture>,
+    pub textures: Vec<TextureDraft>,
     /// How masses that were not given are mapped to those of the paper's objects (A.1).
     pub mass_map: MassMap,
     /// Share of a clean surface's friction that the dirtiest keeps: friction of the table is that
@@ -68,12 +72,52 @@ pub struct MadePlan {
     pub plan: Plan,
     /// Objects without grasps.
     pub left_out: Vec<LeftOutObject>,
+    /// Meshes that the plan names.
+    meshes: BTreeMap<FileName, TriangleMesh>,
+    /// Pictures that the plan names.
+    textures: BTreeMap<FileName, TextureDraft>,
+}
+
+impl MadePlan {
+    /// Writes the plan with all that it names into a folder, which is made if need be. The same
+    /// plan may be there already.
+    ///
+    /// # Errors
+    /// `Input` where another plan is there, or a picture changed meanwhile; those of the operating
+    /// system.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        fs::create_dir_all(folder)
+            .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
+        let root = Root::new(folder);
+        self.plan.check_free(&root)?;
+        if !self.meshes.is_empty() {
+            let meshes = folder_at(root.top().join(MESHES))?;
+            for (name, mesh) in &self.meshes {
+                replace(&meshes.join(name), &ply_bytes(mesh))?;
+            }
+        }
+        if !self.textures.is_empty() {
+            let textures = folder_at(root.top().join(TEXTURES))?;
+            for (name, texture) in &self.textures {
+                replace(&textures.join(name), &texture.read()?)?;
+            }
+        }
+        // Last: a plan that is there is whole.
+        self.plan.write(&root)
+    }
+}
+
+fn folder_at(folder: BeneathPath) -> Result<BeneathPath> {
+    match folder.create_dir_all() {
+        Ok(()) => Ok(folder),
+        Err(e) => Err(Error::io("cannot make the folder", e).at(folder.display())),
+    }
 }
 
 /// Makes a plan of objects. The same input gives the same plan on any number of threads.
 ///
 /// # Errors
-/// `Input` where no object can be grasped or a name comes twice; those of the asker.
+/// `Input` where no object can be grasped or two have one name; those of the asker.
 pub fn make_plan(
     settings: &PlanSettings,
     drafts: Drafts,
@@ -93,7 +137,7 @@ pub fn make_plan(
         match seen {
             Ok(seen) => kept.push((draft, seen)),
             Err(error) => left_out.push(LeftOutObject {
-                name: draft.name,
+                name: draft.name.into(),
                 reason: error.to_string(),
             }),
         }
@@ -120,7 +164,41 @@ pub fn make_plan(
         rendering: settings.rendering,
     };
     let plan = Plan::new(header, objects, simulations)?;
-    Ok(MadePlan { plan, left_out })
+    let (meshes, textures) = files(kept, settings, &plan);
+    Ok(MadePlan {
+        plan,
+        left_out,
+        meshes,
+        textures,
+    })
+}
+
+/// The meshes and pictures that a plan names.
+fn files(
+    kept: Vec<(ObjectDraft, Seen)>,
+    settings: &PlanSettings,
+    plan: &Plan,
+) -> (
+    BTreeMap<FileName, TriangleMesh>,
+    BTreeMap<FileName, TextureDraft>,
+) {
+    let worn: BTreeSet<&FileName> = plan
+        .objects
+        .values()
+        .flat_map(|object| &object.textures)
+        .map(|texture| &texture.file)
+        .collect();
+    let own = kept.iter().flat_map(|(draft, _)| &draft.textures);
+    let textures = own
+        .chain(&settings.textures)
+        .filter(|texture| worn.contains(&texture.planned.file))
+        .map(|texture| (texture.planned.file.clone(), texture.clone()))
+        .collect();
+    let mesh = |(draft, _): (ObjectDraft, Seen)| match draft.source {
+        MeshSource::File { file } => Some((file, draft.mesh)),
+        MeshSource::Family { .. } => None,
+    };
+    (kept.into_iter().filter_map(mesh).collect(), textures)
 }
 
 /// What is found by looking at an object alone.
@@ -141,6 +219,9 @@ fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
         return Err(Error::new(ErrorKind::Input, what).remedy("check its unit and scale"));
     }
     let (name, wanted, seed) = (&draft.name, settings.grasps, settings.seed);
+    for force_n in &settings.stop_forces_n {
+        simulation_id(name, wanted, *force_n)?;
+    }
     let choice = match &draft.grasps {
         Some(given) => choose_given_grasps(name, &draft.mesh, given, wanted, seed)?,
         None => choose_grasps(name, &draft.mesh, wanted, seed)?,
@@ -167,22 +248,11 @@ fn without_grasps(choice: &GraspChoice) -> String {
 }
 
 fn check_names(drafts: &[ObjectDraft]) -> Result<()> {
-    let mut names = BTreeMap::new();
-    for draft in drafts {
-        *names.entry(&draft.name).or_insert(0) += 1;
-        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
-        if draft.name.is_empty() || !draft.name.chars().all(plain) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("`{}` cannot be the name of an object", draft.name),
-            )
-            .remedy("use letters, digits, `-`, `_` and `.`: files are named after it"));
-        }
-    }
-    match names.iter().find(|(_, count)| **count > 1) {
-        Some((twice, _)) => Err(Error::new(
+    let mut names = BTreeSet::new();
+    match drafts.iter().find(|draft| !names.insert(&draft.name)) {
+        Some(twice) => Err(Error::new(
             ErrorKind::Input,
-            format!("two objects are named {twice}"),
+            format!("two objects are named {}", twice.name),
         )),
         None => Ok(()),
     }
@@ -210,7 +280,10 @@ fn described(
                 .friction
                 .unwrap_or_else(|| soiled(&physical, settings.least_friction_share, seed)),
             properties: physical.source,
-            textures: textures(draft, seed, settings),
+            textures: textures(draft, seed, settings)
+                .into_iter()
+                .map(|texture| texture.planned.clone())
+                .collect(),
             looks,
         });
     }
@@ -264,15 +337,20 @@ fn looks(
 }
 
 /// Pictures on an object: its own, else as many as it has other appearances.
-fn textures(draft: &ObjectDraft, seed: u64, settings: &PlanSettings) -> Vec<PictureTexture> {
+fn textures<'a>(
+    draft: &'a ObjectDraft,
+    seed: u64,
+    settings: &'a PlanSettings,
+) -> Vec<&'a TextureDraft> {
     if !draft.looks.is_empty() || !draft.textures.is_empty() {
-        return draft.textures.clone();
+        return draft.textures.iter().collect();
     }
-    let mut drawn: Vec<&PictureTexture> = settings.textures.iter().collect();
+    let mut drawn: Vec<&TextureDraft> = settings.textures.iter().collect();
     drawn.sort_by_key(|texture| {
-        SeedStream::named(seed, &format!("texture {}", texture.sha256)).bits()
+        SeedStream::named(seed, &format!("texture {}", texture.planned.sha256)).bits()
     });
-    drawn.into_iter().take(APPEARANCES).cloned().collect()
+    drawn.truncate(APPEARANCES);
+    drawn
 }
 
 fn physical(
@@ -333,7 +411,7 @@ fn simulations(
     for (draft, seen) in kept {
         for (number, grasp) in seen.choice.grasps.iter().enumerate() {
             for force_n in &settings.stop_forces_n {
-                let id = format!("{}-{number:03}-{force_n}n", draft.name);
+                let id = simulation_id(&draft.name, number, *force_n)?;
                 // The engine is no part of it: both make pictures under the same conditions.
                 let seed = SeedStream::named(settings.seed, &format!("pictures {id}")).bits();
                 all.push(PlannedSimulation {
@@ -354,6 +432,11 @@ fn simulations(
     }
     all.sort_by(|a, b| (&a.object, a.grasp).cmp(&(&b.object, b.grasp)));
     Ok(all)
+}
+
+fn simulation_id(object: &SimulationId, grasp: usize, force_n: f64) -> Result<SimulationId> {
+    SimulationId::parse(&format!("{object}-{grasp:03}-{force_n}n"))
+        .map_err(|e| e.remedy("give the object a shorter name"))
 }
 
 /// Estimated CPU time of a simulation with its pictures, s.

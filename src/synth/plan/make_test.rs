@@ -25,13 +25,9 @@ fn settings(jobs: usize) -> PlanSettings {
 
 fn draft(name: &str, size: f64) -> ObjectDraft {
     ObjectDraft {
-        name: name.to_owned(),
+        name: SimulationId::parse(name).unwrap(),
         category: "box".to_owned(),
-        source: MeshSource::File {
-            path: "builtin:box".to_owned(),
-            unit: "m".to_owned(),
-            scale: size,
-        },
+        source: MeshSource::stored(&SimulationId::parse(name).unwrap()).unwrap(),
         mesh: builtin("box").unwrap().scaled(size),
         material: Material::named("wood").unwrap(),
         fill: Some(1.0),
@@ -64,10 +60,46 @@ fn the_plan_is_the_same_on_any_number_of_threads_and_leaves_out_what_does_not_fi
     let forces = one.plan.simulations.iter().map(|s| s.stop_force_n);
     assert_eq!(forces.filter(|force| *force == 10.0).count(), 4);
     let folder = tempfile::tempdir().unwrap();
-    one.plan.write(folder.path()).unwrap();
+    one.write(folder.path()).unwrap();
     let file = std::fs::read(folder.path().join("plan.jsonl")).unwrap();
     assert_eq!(one.plan.sha256, crate::files::sha256_hex(file));
     assert_eq!(Plan::read(folder.path()).unwrap(), one.plan);
+}
+
+#[test]
+fn a_plan_has_what_its_objects_need_beside_it() {
+    use crate::files::Root;
+    use crate::synth::planned_mesh;
+    let dir = tempfile::tempdir().unwrap();
+    let picture = dir.path().join("red label.png");
+    image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]))
+        .save(&picture)
+        .unwrap();
+    let texture = TextureDraft::of_file(BeneathPath::given(&picture), 0.05).unwrap();
+    let mut labelled = draft("a", 1.0);
+    labelled.textures = vec![texture];
+    let made = made(vec![labelled, draft("b", 0.8)], &settings(1)).unwrap();
+    let [first, second] = ["first", "second"].map(|name| dir.path().join(name));
+    made.write(&first).unwrap();
+    made.write(&first).unwrap();
+    std::fs::remove_file(&picture).unwrap();
+    // Another folder, as on a cluster.
+    std::fs::rename(&first, &second).unwrap();
+    let root = Root::new(&second);
+    let plan = Plan::read(&second).unwrap();
+    for object in plan.objects.values() {
+        planned_mesh(object, &root).unwrap();
+    }
+    let texture = &plan.objects["a"].textures[0];
+    assert_eq!(texture.words, "red label");
+    assert_eq!(texture.load(&root).unwrap().size(), [8, 4]);
+    // A folder in it that leads elsewhere.
+    let elsewhere = dir.path().join("elsewhere");
+    std::fs::create_dir_all(&elsewhere).unwrap();
+    std::fs::create_dir(dir.path().join("third")).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, dir.path().join("third/meshes")).unwrap();
+    made.write(&dir.path().join("third")).unwrap_err();
+    assert_eq!(std::fs::read_dir(&elsewhere).unwrap().count(), 0);
 }
 
 #[test]
@@ -102,7 +134,7 @@ fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
 fn names_that_cannot_be_and_nothing_to_grasp_are_explained() {
     let text = |drafts| made(drafts, &settings(1)).unwrap_err().to_string();
     assert!(text(vec![draft("a", 1.0), draft("a", 0.8)]).contains("two objects"));
-    assert!(text(vec![draft("a/b", 1.0)]).contains("cannot be the name"));
+    assert!(text(vec![draft(&"n".repeat(75), 1.0)]).contains("shorter name"));
     assert!(text(vec![draft("huge", 9.0)]).contains("unit and scale"));
     assert!(text(Vec::new()).contains("no object was given"));
 }

@@ -1,7 +1,8 @@
 //! What is to be simulated, fixed before anything is: objects, grasps, forces and seeds.
 //!
 //! A plan is a folder with `plan.jsonl`: a header, then objects, then simulations, a JSON object
-//! each, and `plan.sha256`. Results are kept beside it, in `results/`.
+//! each, and `plan.sha256`. What the objects need is stored beside it, in `meshes/` and `textures/`,
+//! so that the folder can be moved to another machine; results are kept in `results/`.
 
 mod acronym;
 mod draft;
@@ -15,6 +16,8 @@ mod texture;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+pub(super) use file::replace;
+
 pub use acronym::acronym_drafts;
 pub use draft::{Drafts, LeftOutObject, ObjectDraft};
 pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
@@ -22,12 +25,19 @@ pub use make::{LEAST_FRICTION_SHARE, MadePlan, PlanSettings, check_parameters, m
 pub use preset::{PlanPreset, family_drafts};
 pub use shard::{INDEX_VARIABLES, Shard};
 pub use table::table_drafts;
-pub use texture::{PictureTexture, texture_folder};
+pub use texture::{PictureTexture, TextureDraft, texture_folder};
 
 use super::grasp::GraspFault;
 use super::properties::{Modifier, PropertySource};
+use crate::error::Result;
+use crate::files::{FileName, SimulationId};
 use crate::geometry::Pose;
 use crate::sim::EngineKind;
+
+/// Folder of the meshes in that of the plan.
+pub(super) const MESHES: &str = "meshes";
+/// Folder of the pictures in that of the plan.
+pub(super) const TEXTURES: &str = "textures";
 
 /// What all simulations of a plan share.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -86,23 +96,30 @@ pub enum MeshSource {
         /// Which of its shapes.
         seed: u64,
     },
-    /// A file.
+    /// A file in the plan's folder [`MESHES`]: binary PLY, metres, fit for simulation.
     File {
-        /// `builtin:NAME`, or the file: relative to the plan's folder where it lies in it.
-        path: String,
-        /// Unit of its coordinates.
-        unit: String,
-        /// Factor on its size.
-        scale: f64,
+        /// Its name.
+        file: FileName,
     },
+}
+
+impl MeshSource {
+    /// The file of an object's mesh.
+    ///
+    /// # Errors
+    /// None for an object's name.
+    pub(super) fn stored(object: &SimulationId) -> Result<Self> {
+        let file = FileName::parse(&format!("{object}.ply"))?;
+        Ok(Self::File { file })
+    }
 }
 
 /// An object of a plan.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlannedObject {
-    /// Name; a key.
-    pub name: String,
+    /// Name; a key, and begin of file names.
+    pub name: SimulationId,
     /// Kind of thing.
     pub category: String,
     /// Where its mesh comes from.
@@ -129,9 +146,9 @@ pub struct PlannedObject {
 #[serde(deny_unknown_fields)]
 pub struct PlannedSimulation {
     /// `<object>-<grasp>-<force>n`; a key and a file name.
-    pub id: String,
+    pub id: SimulationId,
     /// Name of the object.
-    pub object: String,
+    pub object: SimulationId,
     /// Number of the grasp among those of the object.
     pub grasp: u32,
     /// How it departs from a pair of opposite places; none for one that was given.
@@ -166,10 +183,11 @@ mod tests {
 
     use super::*;
     use crate::error::ErrorKind;
+    use crate::files::{Label, Root};
 
     fn object(name: &str) -> PlannedObject {
         PlannedObject {
-            name: name.to_owned(),
+            name: SimulationId::parse(name).unwrap(),
             category: "box".to_owned(),
             mesh: MeshSource::Family {
                 category: "box".to_owned(),
@@ -188,8 +206,8 @@ mod tests {
     fn simulation(number: usize) -> PlannedSimulation {
         let object = ["box-0000", "box-0001"][number % 2];
         PlannedSimulation {
-            id: format!("{object}-{number:02}-10n"),
-            object: object.to_owned(),
+            id: SimulationId::parse(&format!("{object}-{number:02}-10n")).unwrap(),
+            object: SimulationId::parse(object).unwrap(),
             grasp: number as u32,
             fault: Some(GraspFault::Tilted),
             engine: EngineKind::Fem,
@@ -225,10 +243,10 @@ mod tests {
     #[test]
     fn a_plan_is_read_back_as_it_was_written_and_stays_the_only_one() {
         let folder = tempfile::tempdir().unwrap();
-        plan(5).write(folder.path()).unwrap();
+        plan(5).write(&Root::new(folder.path())).unwrap();
         assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
-        plan(5).write(folder.path()).unwrap();
-        let other = plan(6).write(folder.path()).unwrap_err();
+        plan(5).write(&Root::new(folder.path())).unwrap();
+        let other = plan(6).write(&Root::new(folder.path())).unwrap_err();
         assert_eq!(other.kind(), ErrorKind::Input);
         assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
         assert_ne!(plan(5).sha256, plan(6).sha256);
@@ -254,7 +272,7 @@ mod tests {
     #[test]
     fn what_was_altered_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        plan(5).write(folder.path()).unwrap();
+        plan(5).write(&Root::new(folder.path())).unwrap();
         let path = folder.path().join(PLAN_FILE);
         let text = fs::read_to_string(&path).unwrap();
         let check = |text: String, words: &str| {
@@ -267,6 +285,100 @@ mod tests {
         fs::remove_file(folder.path().join(HASH_FILE)).unwrap();
         assert!(Plan::read(folder.path()).is_err());
         assert!(Plan::read(&folder.path().join("nothing")).is_err());
+    }
+
+    /// The text of a small plan with a stored mesh and a picture.
+    fn stored_plan() -> String {
+        let Plan {
+            header,
+            mut objects,
+            simulations,
+            ..
+        } = plan(2);
+        for object in objects.values_mut() {
+            object.mesh = MeshSource::stored(&object.name).unwrap();
+            object.textures = vec![PictureTexture {
+                file: FileName::parse("0123456789ab.png").unwrap(),
+                words: Label::nearest("label"),
+                sha256: String::new(),
+                width_m: 0.1,
+            }];
+        }
+        let objects = objects.into_values().collect();
+        let folder = tempfile::tempdir().unwrap();
+        let plan = Plan::new(header, objects, simulations).unwrap();
+        plan.write(&Root::new(folder.path())).unwrap();
+        fs::read_to_string(folder.path().join(PLAN_FILE)).unwrap()
+    }
+
+    #[test]
+    fn a_plan_whose_names_are_paths_cannot_be_read() {
+        let text = stored_plan();
+        assert!(Plan::from_bytes(text.as_bytes()).is_ok());
+        for (key, sound) in [
+            ("id", "box-0001-01-10n"),
+            ("object", "box-0001"),
+            ("name", "box-0001"),
+            ("file", "box-0001.ply"),
+            ("file", "0123456789ab.png"),
+        ] {
+            for hostile in ["../../x", "/tmp/x", "a/b", "..", ".x", "", "a\u{1b}[2J"] {
+                let from = format!("\"{key}\":\"{sound}\"");
+                let to = format!("\"{key}\":{}", serde_json::to_string(hostile).unwrap());
+                assert!(text.contains(&from), "{from}");
+                let error = Plan::from_bytes(text.replace(&from, &to).as_bytes()).unwrap_err();
+                assert!(error.to_string().contains("invalid"), "{to}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_plan_of_the_first_version_is_told_to_be_made_again() {
+        let text = stored_plan().replacen("\"version\":2", "\"version\":1", 1);
+        // Their objects had paths.
+        let text = text.replace("\"file\":\"box-0000.ply\"", "\"path\":\"/x.obj\"");
+        let error = Plan::from_bytes(text.as_bytes()).unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("found gripcast-synth-plan version 1")
+        );
+        let remedy = error.remedy_text().unwrap();
+        assert!(remedy.contains("the same flags"), "{remedy}");
+    }
+
+    #[test]
+    fn a_plan_of_families_differs_from_the_first_version_in_its_version_alone() {
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/models/plans/train-fem/plan.jsonl"
+        );
+        let text = fs::read_to_string(path).unwrap();
+        let text = text.replacen("\"version\":1", "\"version\":2", 1);
+        let plan = Plan::from_bytes(text.as_bytes()).unwrap();
+        assert_eq!(plan.sha256, crate::files::sha256_hex(text));
+    }
+
+    #[test]
+    fn links_out_of_a_folder_are_neither_read_nor_overwritten() {
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let [folder, secret] = ["plan", "secret"].map(|name| dir.path().join(name));
+        fs::create_dir(&folder).unwrap();
+        let root = Root::new(&folder);
+        plan(2).write(&root).unwrap();
+        for name in [PLAN_FILE, HASH_FILE] {
+            let path = folder.join(name);
+            fs::rename(&path, &secret).unwrap();
+            let kept = fs::read(&secret).unwrap();
+            symlink(&secret, &path).unwrap();
+            let error = Plan::read(&folder).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+            let _ = plan(2).write(&root);
+            assert_eq!(fs::read(&secret).unwrap(), kept, "{name}");
+            fs::remove_file(&path).unwrap();
+            plan(2).write(&root).unwrap();
+        }
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::{MeshSource, ObjectDraft, RenderingPlan};
 use crate::error::{Result, unknown_name};
+use crate::files::SimulationId;
 use crate::render::visual::SeedStream;
 use crate::sim::fem::GelResolution;
 use crate::synth::family::{Category, family_shape};
@@ -95,7 +96,7 @@ pub fn family_drafts(
 fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {
     let category = Category::ALL[number % Category::ALL.len()];
     let of_category = number / Category::ALL.len();
-    let name = format!("{}-{of_category:04}", category.name());
+    let name = SimulationId::parse(&format!("{}-{of_category:04}", category.name()))?;
     let mut draw = SeedStream::named(seed, &format!("shape {name}"));
     // Below 2⁵³, so that every JSON reader keeps it.
     let shape_seed = draw.bits() >> 11;

@@ -145,10 +145,10 @@ mod tests {
             for index in 0..count {
                 let part = Shard::new(index, count).unwrap().of(&plan);
                 costs.push(part.iter().map(|s| s.cost_s).sum::<f64>());
-                seen.extend(part.iter().map(|s| s.id.clone()));
+                seen.extend(part.iter().map(|s| &s.id));
             }
             seen.sort();
-            let mut all: Vec<String> = plan.simulations.iter().map(|s| s.id.clone()).collect();
+            let mut all: Vec<_> = plan.simulations.iter().map(|s| &s.id).collect();
             all.sort();
             assert_eq!(seen, all, "{count}");
             let [least, most] =

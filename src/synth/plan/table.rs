@@ -1,14 +1,13 @@
 //! Objects of the user's: a table beside their meshes.
 
-use std::fs;
 use std::path::Path;
 
 use serde::Deserialize;
 
-use super::draft::stored_path;
-use super::{Drafts, MeshSource, ObjectDraft, PictureTexture};
+use super::{Drafts, MeshSource, ObjectDraft, TextureDraft};
 use crate::error::{Error, ErrorKind, Result};
-use crate::geometry::load_object_mesh;
+use crate::files::{FileKind, Root, SimulationId, read_text};
+use crate::geometry::load_object_mesh_below;
 use crate::render::visual::SeedStream;
 use crate::synth::properties::{FRICTION_RANGE, Material, Modifier};
 
@@ -32,7 +31,7 @@ struct Table {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Row {
-    name: String,
+    name: SimulationId,
     mesh: String,
     unit: Option<String>,
     scale: Option<f64>,
@@ -55,7 +54,7 @@ struct Row {
 ///
 /// [[object]]
 /// name = "blue-mug"              # letters, digits, - _ .
-/// mesh = "mug.obj"               # relative to the table, or builtin:NAME
+/// mesh = "mug.obj"               # below the table's folder, or builtin:NAME
 /// unit = "mm"                    # of the mesh's coordinates; not for builtin:NAME
 /// category = "mug"
 /// material = "ceramic"           # density, friction and appearances where they are not given
@@ -65,15 +64,15 @@ struct Row {
 /// mass_kg = 0.21
 /// friction = 0.6                 # against the gel, 0.1 to 1.5
 /// appearances = ["glossy blue enamel", "chipped white enamel"]
-/// textures = ["label.png"]       # PNG or JPEG, relative to the table
+/// textures = ["label.png"]       # PNG or JPEG, below the table's folder
 /// texture_width_m = 0.08         # of the picture on the object
 /// ```
 ///
 /// # Errors
 /// Those of reading the table; `Input` for what is no table or has no objects.
-pub fn table_drafts(table: &Path, plan_folder: &Path, seed: u64) -> Result<Drafts> {
+pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
     let at = |e: Error| e.at(table.display());
-    let text = fs::read_to_string(table)
+    let text = read_text(table, FileKind::Record)
         .map_err(|e| at(Error::io("cannot read the table of objects", e)))?;
     let found: Table = toml::from_str(&text).map_err(|e| at(no_table().because(e)))?;
     if found.schema != SCHEMA {
@@ -84,7 +83,7 @@ pub fn table_drafts(table: &Path, plan_folder: &Path, seed: u64) -> Result<Draft
     if found.object.is_empty() {
         return Err(at(no_table()));
     }
-    let folder = table.parent().unwrap_or(Path::new("."));
+    let folder = Root::new(table.parent().unwrap_or(Path::new(".")));
     let mut drafts = Drafts::default();
     for (number, row) in found.object.into_iter().enumerate() {
         let name = row.get("name").and_then(toml::Value::as_str);
@@ -92,7 +91,7 @@ pub fn table_drafts(table: &Path, plan_folder: &Path, seed: u64) -> Result<Draft
         let read = row
             .try_into()
             .map_err(|e: toml::de::Error| no_table().because(e))
-            .and_then(|row: Row| draft(row, folder, plan_folder, seed));
+            .and_then(|row: Row| draft(row, &folder, seed));
         drafts.note(&name, read)?;
     }
     Ok(drafts)
@@ -105,7 +104,7 @@ fn no_table() -> Error {
     )
 }
 
-fn draft(row: Row, folder: &Path, plan_folder: &Path, seed: u64) -> Result<ObjectDraft> {
+fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
     in_range("mass_kg", row.mass_kg, [0.0, MAX_MASS_KG])?;
     in_range("fill", row.fill, [0.0, 1.0])?;
     in_range("friction", row.friction, FRICTION_RANGE)?;
@@ -126,28 +125,22 @@ fn draft(row: Row, folder: &Path, plan_folder: &Path, seed: u64) -> Result<Objec
         }
     };
     let scale = row.scale.unwrap_or(1.0);
-    let file = folder.join(&row.mesh);
-    let source = if is_builtin {
-        row.mesh.clone()
-    } else {
-        file.to_string_lossy().into_owned()
-    };
-    let mesh = load_object_mesh(&source, unit.parse()?, scale)?.mesh;
-    let path = if is_builtin {
-        source
-    } else {
-        stored_path(&file, plan_folder)?
-    };
+    let mesh = load_object_mesh_below(folder, &row.mesh, unit.parse()?, scale)?.mesh;
     let own = SeedStream::named(seed, &format!("object {}", row.name)).bits();
     let width_m = row.texture_width_m.unwrap_or(TEXTURE_WIDTH_M);
-    let texture = |file: &String| PictureTexture::of_file(&folder.join(file), width_m, plan_folder);
+    let texture = |file: &String| {
+        let place = folder.resolve_allowed(file).map_err(|_| {
+            let what = format!("the texture {file:?} is not below the folder of the table");
+            Error::new(ErrorKind::Input, what).remedy(
+                "copy the picture beside the table, or allow its folder with \
+                 GRIPCAST__FILES__LINKED_FOLDERS",
+            )
+        })?;
+        TextureDraft::of_file(place, width_m)
+    };
     Ok(ObjectDraft {
         category: row.category.trim().to_owned(),
-        source: MeshSource::File {
-            path,
-            unit: unit.to_owned(),
-            scale,
-        },
+        source: MeshSource::stored(&row.name)?,
         mesh,
         material,
         fill: row.fill,
@@ -176,6 +169,8 @@ fn in_range(name: &str, value: Option<f64>, [low, high]: [f64; 2]) -> Result<()>
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn read(rows: &str) -> Result<Drafts> {
@@ -186,7 +181,11 @@ mod tests {
         picture.save(folder.path().join("label.png")).unwrap();
         let mesh = "v 0 0 0\nv 40 0 0\nv 0 40 0\nv 0 0 40\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
         fs::write(folder.path().join("corner.obj"), mesh).unwrap();
-        table_drafts(&table, folder.path(), 1)
+        let outside = tempfile::tempdir().unwrap();
+        fs::write(outside.path().join("corner.obj"), mesh).unwrap();
+        let link = folder.path().join("out.obj");
+        std::os::unix::fs::symlink(outside.path().join("corner.obj"), link).unwrap();
+        table_drafts(&table, 1)
     }
 
     const MUG: &str = "[[object]]\nname = \"mug\"\nmesh = \"builtin:mug\"\ncategory = \"mug\"\n\
@@ -209,12 +208,12 @@ mod tests {
         );
         assert_eq!((corner.mass_kg, corner.friction), (Some(0.05), Some(0.7)));
         assert_eq!(corner.looks[0].words, "glossy blue paint");
-        assert_eq!(corner.textures[0].words(), "label");
+        assert_eq!(corner.textures[0].planned.words, "label");
         assert!((corner.mesh.bounds().extent().max_element() - 0.08).abs() < 1e-12);
-        let MeshSource::File { path, .. } = &corner.source else {
+        let MeshSource::File { file } = &corner.source else {
             panic!("a file");
         };
-        assert_eq!(path, "corner.obj");
+        assert_eq!(*file, "corner.ply");
     }
 
     #[test]
@@ -225,6 +224,8 @@ mod tests {
             ("fill = nan", "fill"),
             ("scale = -1", "scale"),
             ("textures = [\"other.png\"]", "other.png"),
+            ("textures = [\"../label.png\"]", "../label.png"),
+            ("textures = [\"/label.png\"]", "/label.png"),
             ("colour = \"red\"", "colour"),
         ];
         for (line, words) in wrong {
@@ -243,6 +244,10 @@ mod tests {
             ("pine", "pyne", "pine"),
             ("corner.obj", "other.obj", "other.obj"),
             ("\"mm\"", "\"furlong\"", "furlong"),
+            ("\"corner\"", "\"a/b\"", "a/b"),
+            ("corner.obj", "../corner.obj", "beside"),
+            ("corner.obj", "/etc/hostname", "LINKED_FOLDERS"),
+            ("corner.obj", "out.obj", "out.obj"),
         ] {
             let read = read(&format!("{MUG}{}", CORNER.replace(from, to))).unwrap();
             assert!(
@@ -264,6 +269,6 @@ mod tests {
                     .is_some_and(|r| r.contains("[[object]]"))
             );
         }
-        assert!(table_drafts(Path::new("/nothing"), Path::new("/"), 0).is_err());
+        assert!(table_drafts(Path::new("/nothing"), 0).is_err());
     }
 }

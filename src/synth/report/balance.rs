@@ -35,7 +35,7 @@ pub(super) fn balance(
         for (done, held) in gathered.labelled() {
             let [results, dataset] = groups.entry(key(done)).or_default();
             results.note(held);
-            if chosen.is_some_and(|chosen| chosen.contains(&done.simulation.id)) {
+            if chosen.is_some_and(|chosen| chosen.contains(&*done.simulation.id)) {
                 dataset.note(held);
             }
         }

@@ -1,12 +1,11 @@
 //! The dataset of a plan: what `synth merge` wrote.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::Path;
 
 use super::facts::{DatasetFacts, ProgressFacts};
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::sha256_hex;
+use crate::files::{BeneathPath, FileKind, Printable, Root, sha256_hex};
 use crate::shard::ShardReader;
 use crate::synth::MergeReport;
 use crate::synth::plan::Plan;
@@ -28,22 +27,31 @@ impl FoundDataset {
     pub(super) fn read(folder: &Path, plan: &Plan) -> Result<Self> {
         let merge = MergeReport::read(folder)?;
         if merge.plan_sha256 != plan.sha256 {
-            let [expected, found] = [&plan.sha256, &merge.plan_sha256]
-                .map(|hash| hash.chars().take(12).collect::<String>());
+            let [expected, found] = [&plan.sha256, &merge.plan_sha256].map(|hash| {
+                Printable(hash)
+                    .to_string()
+                    .chars()
+                    .take(12)
+                    .collect::<String>()
+            });
             let what =
                 format!("the dataset is of another plan: expected {expected}, found {found}");
             return Err(Error::new(ErrorKind::Input, what)
                 .at(folder.display())
                 .remedy("give the plan that it was merged from, or merge this one"));
         }
+        let root = Root::new(folder);
         let mut chosen = BTreeSet::new();
         for (name, sha256) in &merge.files {
-            let path = folder.join(name);
-            check(&path, sha256).map_err(|e| {
-                e.at(path.display())
+            let wrong = |e: Error| {
+                e.at(Printable(name))
+                    .at(folder.display())
                     .remedy("merge again into a new folder: it comes out the same")
-            })?;
-            for facts in ShardReader::open(&path)?.facts() {
+            };
+            let cannot = |e| wrong(Error::io("cannot read a file of the dataset", e));
+            let place = root.resolve(name).map_err(cannot)?;
+            check(&place, sha256).map_err(wrong)?;
+            for facts in ShardReader::open_beneath(&place)?.facts() {
                 chosen.insert(facts?.simulation);
             }
         }
@@ -59,8 +67,10 @@ impl FoundDataset {
     }
 }
 
-fn check(path: &Path, sha256: &str) -> Result<()> {
-    let bytes = fs::read(path).map_err(|e| Error::io("cannot read a file of the dataset", e))?;
+fn check(place: &BeneathPath, sha256: &str) -> Result<()> {
+    let bytes = place
+        .read(FileKind::Bulk)
+        .map_err(|e| Error::io("cannot read a file of the dataset", e))?;
     if sha256_hex(bytes) == sha256 {
         return Ok(());
     }

@@ -42,7 +42,7 @@ impl<'a> Gathered<'a> {
             let Some(result) = store.find(plan, &simulation.id)? else {
                 gathered.open += 1;
                 if store.is_begun(&simulation.id) {
-                    gathered.damaged.push(simulation.id.clone());
+                    gathered.damaged.push(simulation.id.to_string());
                 }
                 continue;
             };

@@ -98,7 +98,7 @@ fn seen<'a>(
     let mut shown = BTreeSet::new();
     for label in [true, false] {
         let results = labelled.iter().filter(|(done, held)| {
-            *held == label && chosen.is_none_or(|chosen| chosen.contains(&done.simulation.id))
+            *held == label && chosen.is_none_or(|chosen| chosen.contains(&*done.simulation.id))
         });
         let results: Vec<&Done<'_>> = results.map(|(done, _)| *done).collect();
         shown.extend(sheet::choose(&results, settings.examples, settings.seed));

@@ -183,19 +183,58 @@ fn what_does_not_belong_together_is_refused() {
 }
 
 #[test]
+fn files_of_a_dataset_outside_of_its_folder_are_not_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let sample = finished(folder.path());
+    let out = folder.path().join("D");
+    merged(&sample.plan, folder.path(), &out);
+    let shard = "data/train-00000-of-00001.parquet";
+    let secret = folder.path().join("secret.parquet");
+    fs::copy(out.join(shard), &secret).unwrap();
+    let facts = fs::read_to_string(out.join("synth.json")).unwrap();
+    for name in [
+        "../secret.parquet",
+        secret.to_str().unwrap(),
+        "link.parquet",
+    ] {
+        let _ = std::os::unix::fs::symlink(&secret, out.join("link.parquet"));
+        fs::write(out.join("synth.json"), facts.replace(shard, name)).unwrap();
+        let error = reported(&sample.plan, folder.path(), Some(&out)).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        assert!(error.to_string().contains("leads out of"), "{error}");
+    }
+    // Nor are links written through.
+    fs::write(out.join("synth.json"), facts).unwrap();
+    for name in ["README.md", shard] {
+        fs::remove_file(out.join(name)).unwrap();
+        std::os::unix::fs::symlink(&secret, out.join(name)).unwrap();
+    }
+    let kept = fs::read(&secret).unwrap();
+    merged(&sample.plan, folder.path(), &out);
+    assert_eq!(fs::read(&secret).unwrap(), kept);
+    fs::remove_dir_all(out.join("data")).unwrap();
+    std::os::unix::fs::symlink(folder.path(), out.join("data")).unwrap();
+    let settings = MergeSettings {
+        is_partial_allowed: true,
+        ..MergeSettings::default()
+    };
+    merge(&sample.plan, folder.path(), &out, &settings, &|_, _| ()).unwrap_err();
+}
+
+#[test]
 fn damage_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let store = ResultStore::beside(folder.path());
     let id = |k: usize| &sample.plan.simulations[k].id;
     // Cut off: the result counts as open and is named.
-    let path = store.samples(id(3));
+    let path = store.samples(id(3)).shown();
     fs::write(&path, b"cut").unwrap();
     let found = reported(&sample.plan, folder.path(), None).unwrap();
     assert_eq!(found.progress.open, 2);
-    assert_eq!(found.progress.damaged, [id(3).clone()]);
+    assert_eq!(found.progress.damaged, [id(3).as_str()]);
     // Altered: nothing can be said of the pictures.
-    let path = store.samples(id(4));
+    let path = store.samples(id(4)).shown();
     let mut bytes = fs::read(&path).unwrap();
     bytes[200] ^= 1;
     fs::write(&path, bytes).unwrap();

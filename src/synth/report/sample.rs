@@ -3,6 +3,7 @@
 use image::{Rgb, RgbImage};
 
 use super::gather::{Done, Gathered};
+use crate::files::SimulationId;
 use crate::geometry::Pose;
 use crate::imaging::encode_jpeg;
 use crate::shard::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
@@ -20,7 +21,8 @@ impl Sample {
         let mut plan = sample_plan(count);
         for simulation in plan.simulations.iter_mut().skip(1).step_by(2) {
             simulation.stop_force_n = 40.0;
-            simulation.id = simulation.id.replace("10n", "40n");
+            let id = simulation.id.replace("10n", "40n");
+            simulation.id = SimulationId::parse(&id).unwrap();
         }
         let mut objects: Vec<_> = plan.objects.into_values().collect();
         objects[1].category = "ring <b>".to_owned();
@@ -56,8 +58,8 @@ impl Sample {
         ShardRow {
             facts: ShardFacts {
                 id: format!("{}-r0", simulation.id),
-                simulation: simulation.id.clone(),
-                object: object.name.clone(),
+                simulation: simulation.id.to_string(),
+                object: object.name.to_string(),
                 category: object.category.clone(),
                 engine: ShardEngine::Fem,
                 outcome: match held {

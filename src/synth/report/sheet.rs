@@ -56,8 +56,8 @@ fn example(seen: &Seen<'_>) -> Option<Example> {
         result,
     } = seen.done;
     Some(Example {
-        simulation: simulation.id.clone(),
-        object: object.name.clone(),
+        simulation: simulation.id.to_string(),
+        object: object.name.to_string(),
         category: object.category.clone(),
         material: object.material.clone(),
         fault: simulation.fault.map(|_| fault(seen.done)),

@@ -18,7 +18,7 @@ pub(super) fn unlabelled(gathered: &Gathered<'_>) -> Vec<UnlabelledGroup> {
             outcome: outcome.clone(),
             reason: short,
             count: 0,
-            example: done.simulation.id.clone(),
+            example: done.simulation.id.to_string(),
             example_reason: in_full,
         });
         group.count += 1;
@@ -114,6 +114,6 @@ mod tests {
         let expected = [(4, "step # was bad"), (1, "the fingers met each other")];
         assert_eq!(short, expected);
         assert_eq!(groups[0].example_reason, "step 2 was bad");
-        assert_eq!(groups[0].example, gathered.done[2].simulation.id);
+        assert_eq!(groups[0].example, *gathered.done[2].simulation.id);
     }
 }

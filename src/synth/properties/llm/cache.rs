@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{BeneathPath, FileKind, FileName, Root, hex};
 
 /// Version of the files.
 const SCHEMA: u32 = 1;
@@ -18,7 +18,7 @@ const LARGEST_BYTES: u64 = 1 << 20;
 /// A folder of answers.
 #[derive(Clone, Debug)]
 pub(super) struct AnswerCache {
-    folder: PathBuf,
+    folder: Root,
 }
 
 /// An answer with its question, so that it can be checked and read by people.
@@ -33,18 +33,20 @@ struct Entry {
 
 impl AnswerCache {
     pub(super) fn new(folder: PathBuf) -> Self {
-        Self { folder }
+        Self {
+            folder: Root::new(folder),
+        }
     }
 
     /// The file of a question: the hash of model and prompt.
-    fn path(&self, model: &str, prompt: &str) -> PathBuf {
+    fn place(&self, model: &str, prompt: &str) -> Result<BeneathPath> {
         let mut hash = Sha256::new();
         // The length keeps model and prompt apart.
         hash.update((model.len() as u64).to_le_bytes());
         hash.update(model);
         hash.update(prompt);
-        let name: String = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
-        self.folder.join(format!("{name}.json"))
+        let name = FileName::parse(&format!("{}.json", hex(&hash.finalize())))?;
+        Ok(self.folder.top().join(&name))
     }
 
     /// The answer, if there is one that is whole and belongs to the question.
@@ -52,15 +54,15 @@ impl AnswerCache {
     /// # Errors
     /// `Permission` or `Io` if there is a file that cannot be read.
     pub(super) fn load(&self, model: &str, prompt: &str) -> Result<Option<String>> {
-        let path = self.path(model, prompt);
-        let failed = |e| Error::io("cannot read the stored answer", e).at(path.display());
-        match fs::metadata(&path) {
-            Ok(found) if found.len() > LARGEST_BYTES => return Ok(None),
+        let place = self.place(model, prompt)?;
+        let failed = |e| Error::io("cannot read the stored answer", e).at(place.display());
+        match place.metadata() {
+            Ok(found) if found.bytes > LARGEST_BYTES => return Ok(None),
             Ok(_) => {}
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(failed(e)),
         }
-        let bytes = fs::read(&path).map_err(failed)?;
+        let bytes = place.read(FileKind::Record).map_err(failed)?;
         let entry: Option<Entry> = serde_json::from_slice(&bytes).ok();
         let fitting =
             entry.filter(|e| e.schema == SCHEMA && e.model == model && e.prompt == prompt);
@@ -82,10 +84,13 @@ impl AnswerCache {
             Error::new(ErrorKind::Internal, "cannot write the answer as JSON").because(e)
         })?;
         text.push('\n');
-        fs::create_dir_all(&self.folder).map_err(|e| {
-            Error::io("cannot make the folder of answers", e).at(self.folder.display())
-        })?;
-        save(&self.path(model, prompt), text.as_bytes())
+        let folder = self.folder.path();
+        fs::create_dir_all(folder)
+            .map_err(|e| Error::io("cannot make the folder of answers", e).at(folder.display()))?;
+        let place = self.place(model, prompt)?;
+        place
+            .replace(text.as_bytes())
+            .map_err(|e| Error::io("cannot write the answer", e).at(place.display()))
     }
 }
 
@@ -110,7 +115,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let cache = AnswerCache::new(folder.path().to_owned());
         cache.store("m", "p", "answer").unwrap();
-        let path = cache.path("m", "p");
+        let path = cache.place("m", "p").unwrap().shown();
         let whole = fs::read_to_string(&path).unwrap();
         let other = whole.replace("\"p\"", "\"q\"");
         let newer = whole.replace("\"schema\": 1", "\"schema\": 2");

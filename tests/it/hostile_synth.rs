@@ -1,0 +1,207 @@
+//! Plans, results and tables that try to read or change what lies outside of their folder.
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use sha2::{Digest as _, Sha256};
+
+use crate::program::{gripcast, stderr, succeed};
+
+const TETRAHEDRON: &str =
+    "v 0 0 0\nv 40 0 0\nv 0 40 0\nv 0 0 40\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+
+/// A folder with a secret beside what is exchanged.
+struct Jail(tempfile::TempDir);
+
+impl Jail {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join("secret"), "secret").unwrap();
+        Self(dir)
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// A plan of one object of a table, with a picture.
+    fn plan(&self) -> PathBuf {
+        fs::create_dir_all(self.at("table")).unwrap();
+        let picture = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
+        picture.save(self.at("table/label.png")).unwrap();
+        fs::write(self.at("table/part.obj"), TETRAHEDRON).unwrap();
+        let row = "mesh = \"part.obj\"\nunit = \"mm\"\ntextures = [\"label.png\"]";
+        succeed(&mut self.plan_of(row));
+        self.at("plan")
+    }
+
+    fn plan_of(&self, row: &str) -> Command {
+        fs::create_dir_all(self.at("table")).unwrap();
+        let table = format!(
+            "schema = 1\n[[object]]\nname = \"part\"\ncategory = \"block\"\n\
+             material = \"pine\"\nmass_kg = 0.05\n{row}\n"
+        );
+        fs::write(self.at("table/objects.toml"), table).unwrap();
+        let mut command = gripcast();
+        command
+            .args(["synth", "plan", "--preset", "tiny", "--engine", "rigid"])
+            .args(["--grasps", "1", "--samples", "1", "--stop-force-n", "10"])
+            .arg("--table")
+            .arg(self.at("table/objects.toml"))
+            .arg("--out")
+            .arg(self.at("plan"));
+        command
+    }
+
+    /// Nothing outside of the plan and the table was made or changed.
+    fn is_intact(&self) {
+        assert_eq!(fs::read(self.at("secret")).unwrap(), b"secret");
+        for entry in fs::read_dir(self.0.path()).unwrap() {
+            let name = entry.unwrap().file_name().into_string().unwrap();
+            let known = ["secret", "table", "plan", "dataset", "report", "moved"];
+            assert!(known.contains(&name.as_str()), "{name} was made");
+        }
+    }
+}
+
+fn synth(verb: &str, plan: &Path) -> Command {
+    let mut command = gripcast();
+    command.args(["synth", verb, "--plan"]).arg(plan);
+    command
+}
+
+/// Changes a plan and gives it the hash that belongs to it.
+fn forge(plan: &Path, from: &str, to: &str) {
+    let path = plan.join("plan.jsonl");
+    let text = fs::read_to_string(&path).unwrap();
+    assert!(text.contains(from), "{from}");
+    let text = text.replace(from, to);
+    let digest = Sha256::digest(&text);
+    let hash: String = digest.iter().map(|b| format!("{b:02x}")).collect();
+    fs::write(path, text).unwrap();
+    fs::write(plan.join("plan.sha256"), format!("{hash}  plan.jsonl\n")).unwrap();
+}
+
+/// `<2 hex>/<id>` of the only simulation.
+fn result(plan: &Path) -> PathBuf {
+    let id = "part-000-10n";
+    let digest = Sha256::digest(id);
+    plan.join("results")
+        .join(format!("{:02x}", digest[0]))
+        .join(id)
+}
+
+#[track_caller]
+fn refused(output: &Output, words: &str) {
+    let text = stderr(output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains(words), "{text}");
+}
+
+#[test]
+fn a_plan_with_paths_for_names_does_nothing() {
+    let jail = Jail::new();
+    let plan = jail.plan();
+    let text = fs::read(plan.join("plan.jsonl")).unwrap();
+    let absolute = jail.at("planted").display().to_string();
+    for id in ["../../planted", "a/b", &absolute] {
+        forge(&plan, "\"part-000-10n\"", &format!("{id:?}"));
+        for verb in ["run", "status"] {
+            let output = synth(verb, &plan).output().unwrap();
+            refused(&output, "invalid simulation id");
+        }
+        for verb in ["merge", "report"] {
+            let mut command = synth(verb, &plan);
+            let output = command.arg("--out").arg(jail.at("dataset")).output();
+            refused(&output.unwrap(), "invalid simulation id");
+        }
+        fs::write(plan.join("plan.jsonl"), &text).unwrap();
+    }
+    forge(&plan, "part.ply", "../../secret");
+    refused(&synth("run", &plan).output().unwrap(), "invalid file name");
+    assert!(!plan.join("results").exists());
+    jail.is_intact();
+}
+
+#[test]
+fn links_in_a_plan_lead_nowhere() {
+    let jail = Jail::new();
+    let plan = jail.plan();
+    let secret = jail.at("secret");
+    // The facts of a result.
+    let facts = result(&plan).with_extension("json");
+    fs::create_dir_all(facts.parent().unwrap()).unwrap();
+    symlink(&secret, &facts).unwrap();
+    refused(&synth("run", &plan).output().unwrap(), "leads out of");
+    fs::remove_file(&facts).unwrap();
+    // Its pictures and its state, and what the rigid engine keeps.
+    for ending in ["parquet", "state"] {
+        symlink(&secret, facts.with_extension(ending)).unwrap();
+    }
+    succeed(&mut synth("run", &plan));
+    jail.is_intact();
+    let pieces: Vec<_> = fs::read_dir(plan.join("convex-pieces"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .collect();
+    assert!(!pieces.is_empty());
+    for path in &pieces {
+        fs::remove_file(path).unwrap();
+        symlink(&secret, path).unwrap();
+    }
+    // Mesh and picture.
+    for folder in ["meshes", "textures"] {
+        fs::remove_dir_all(plan.join("results")).unwrap();
+        let entry = fs::read_dir(plan.join(folder)).unwrap().next().unwrap();
+        let path = entry.unwrap().path();
+        let kept = fs::read(&path).unwrap();
+        fs::remove_file(&path).unwrap();
+        symlink(&secret, &path).unwrap();
+        let output = synth("run", &plan).output().unwrap();
+        assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
+        assert!(
+            stderr(&output).contains("leads out of"),
+            "{}",
+            stderr(&output)
+        );
+        fs::remove_file(&path).unwrap();
+        fs::write(&path, kept).unwrap();
+    }
+    // The folder of results.
+    fs::remove_dir_all(plan.join("results")).unwrap();
+    symlink(jail.0.path(), plan.join("results")).unwrap();
+    refused(&synth("run", &plan).output().unwrap(), "leads out of");
+    jail.is_intact();
+}
+
+#[test]
+fn a_plan_runs_wherever_its_folder_is() {
+    let jail = Jail::new();
+    let plan = jail.plan();
+    fs::remove_dir_all(jail.at("table")).unwrap();
+    fs::rename(plan, jail.at("moved")).unwrap();
+    succeed(&mut synth("run", &jail.at("moved")));
+}
+
+#[test]
+fn a_table_names_files_below_its_folder_and_below_allowed_ones() {
+    let jail = Jail::new();
+    fs::create_dir(jail.at("meshes")).unwrap();
+    fs::write(jail.at("meshes/part.obj"), TETRAHEDRON).unwrap();
+    let absolute = jail.at("meshes/part.obj");
+    let row = |mesh: &str| format!("mesh = {mesh:?}\nunit = \"mm\"");
+    for mesh in [absolute.to_str().unwrap(), "../meshes/part.obj"] {
+        refused(
+            &jail.plan_of(&row(mesh)).output().unwrap(),
+            "LINKED_FOLDERS",
+        );
+    }
+    let mut plan = jail.plan_of(&row(absolute.to_str().unwrap()));
+    succeed(plan.env("GRIPCAST__FILES__LINKED_FOLDERS", jail.at("meshes")));
+    let outside = jail.at("meshes/../secret");
+    let mut plan = jail.plan_of(&row(outside.to_str().unwrap()));
+    plan.env("GRIPCAST__FILES__LINKED_FOLDERS", jail.at("meshes"));
+    refused(&plan.output().unwrap(), "not below the folder");
+}
