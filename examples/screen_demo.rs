@@ -14,6 +14,7 @@ use gripcast::app::daemon::{
 use gripcast::app::tui::{Sound, Wiring, run};
 use gripcast::dataset::{GraspId, Outcome};
 use gripcast::error::Result;
+use gripcast::files::{Label, ObjectName};
 use gripcast::imaging::Role;
 use gripcast::session::{
     Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
@@ -108,9 +109,9 @@ fn status_at(time_s: f64, moment: Option<&str>) -> EngineStatus {
 fn session(step: Step, moment: &str, time_s: f64) -> SessionView {
     SessionView {
         step,
-        object: "mug-blue".to_owned(),
-        scene: "sink".to_owned(),
-        operator: "Ada".to_owned(),
+        object: ObjectName::nearest("mug-blue"),
+        scene: Label::nearest("sink"),
+        operator: Label::nearest("Ada"),
         initial_at: Some("2026-11-20T17:41:58Z".to_owned()),
         initial_age_s: Some(12.0 + time_s % CYCLE_S),
         counts: Counts {
@@ -121,8 +122,8 @@ fn session(step: Step, moment: &str, time_s: f64) -> SessionView {
             object_slip: 2,
         },
         last: Some(LastGrasp {
-            id: GraspId("2026-11-20T17-40-51Z-7f3a".to_owned()),
-            object: "mug-blue".to_owned(),
+            id: GraspId::parse("2026-11-20T17-40-51Z-7f3a").unwrap_or_else(|e| panic!("{e}")),
+            object: ObjectName::nearest("mug-blue"),
             outcome: match step {
                 Step::Label => Outcome::Unlabelled,
                 _ => Outcome::Stable,

@@ -7,9 +7,10 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
 use gripcast::dataset::{self, Dataset};
+use gripcast::files::Root;
 use gripcast::geometry::{LengthUnit, load_mesh, load_textured_mesh};
-use gripcast::synth::ResultStore;
 use gripcast::synth::plan::Plan;
+use gripcast::synth::{ResultStore, planned_mesh};
 use rustix::fs::inotify::{self, CreateFlags, WatchFlags};
 
 /// What names try. `OUTSIDE` becomes the absolute path of the folder outside.
@@ -222,17 +223,49 @@ fn record(place: &Place, choices: &mut Choices<'_>) {
     place.check("a dataset");
 }
 
+/// A plan of one object; its names and its mesh are replaced.
+const PLAN: &str = include_str!("../corpus/plan_jsonl/plan");
+const PLANNED_MESH: &str = r#""mesh":{"from":"family","category":"block","seed":1188066420357611}"#;
+
 fn plan(place: &Place, choices: &mut Choices<'_>) {
     let outside = place.outside();
     let root = place.jail();
+    for name in ["meshes", "textures", "results"] {
+        if choices.byte() % 4 == 0 {
+            let _ = symlink(&outside, root.join(name));
+        } else {
+            fs::create_dir_all(root.join(name)).expect("a folder");
+            litter(&root.join(name), choices, &outside);
+        }
+    }
     litter(&root, choices, &outside);
-    let id = choices.name(&outside);
-    let Ok(id) = id.parse::<gripcast::files::SimulationId>() else {
-        return;
-    };
-    let store = ResultStore::beside(&root);
-    let _ = store.is_begun(&id);
-    let _ = Plan::read(&root);
+    let mut text = PLAN.to_owned();
+    if choices.byte() % 2 == 0 {
+        let file = quoted(&choices.name(&outside));
+        text = text.replace(
+            PLANNED_MESH,
+            &format!("\"mesh\":{{\"from\":\"file\",\"file\":{file}}}"),
+        );
+    }
+    if choices.byte() % 2 == 0 {
+        let name = quoted(&choices.name(&outside));
+        text = text.replace("block-0000", name.trim_matches('"'));
+    }
+    let _ = fs::remove_file(root.join("plan.jsonl"));
+    fs::write(root.join("plan.jsonl"), &text).expect("a plan");
+    let hash = format!("{}  plan.jsonl\n", gripcast::files::sha256_hex(&text));
+    let _ = fs::remove_file(root.join("plan.sha256"));
+    fs::write(root.join("plan.sha256"), hash).expect("its hash");
+    if let Ok(plan) = Plan::read(&root) {
+        let store = ResultStore::beside(&root);
+        for object in plan.objects.values() {
+            let _ = planned_mesh(object, &Root::new(&root));
+        }
+        for simulation in &plan.simulations {
+            let _ = store.is_begun(&simulation.id);
+            let _ = store.find(&plan, &simulation.id);
+        }
+    }
     place.check("a plan");
 }
 

@@ -24,13 +24,25 @@ const RAW: [&str; 14] = [
 ];
 
 /// Areas whose files somebody else may have made.
-const AREAS: [&str; 11] = [
+const AREAS: [&str; 12] = [
     "annotate", "dataset", "export", "geometry", "imaging", "import", "predict", "render",
-    "replay", "shard", "synth",
+    "replay", "shard", "synth", "train",
 ];
 
 /// Raw calls that stay, a count a file, with the reason.
-const ALLOWED: &[(&str, usize, &str)] = &[];
+const ALLOWED: &[(&str, usize, &str)] = &[
+    (
+        "src/export/staged.rs",
+        7,
+        "its own hidden folder beside the target that the user named",
+    ),
+    (
+        "src/render/tactile/profile.rs",
+        1,
+        "the path that the user named, with a FileName",
+    ),
+    ("src/replay/run.rs", 1, "/proc/cpuinfo"),
+];
 
 fn rust_files(dir: &Path, found: &mut Vec<PathBuf>) {
     let mut entries: Vec<_> = fs::read_dir(dir)
@@ -69,8 +81,15 @@ fn places(folder: &Path, words: &[&str]) -> BTreeMap<String, usize> {
         let lines = text
             .lines()
             .filter(|line| !line.trim_start().starts_with("//"));
+        let has = |line: &str, word: &str| {
+            line.match_indices(word).any(|(at, _)| {
+                let before = line[..at].chars().next_back();
+                !before.is_some_and(|c| c.is_alphanumeric() || c == '_')
+            })
+        };
         let count = lines
-            .filter(|line| words.iter().any(|w| line.contains(w)))
+            .filter(|line| !line.contains(".is_terminal()"))
+            .filter(|line| words.iter().any(|word| has(line, word)))
             .count();
         if count > 0 {
             let name = path.strip_prefix(root).unwrap().display().to_string();
@@ -105,15 +124,22 @@ fn text_leaves_through_one_place() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let words = [
         "println!(",
+        "eprintln!(",
+        "print!(",
         "eprint!(",
-        " print!(",
         "io::stderr()",
         "io::stdout()",
     ];
     let found = places(&root.join("src"), &words);
     let allowed = [
+        // Completion scripts of clap: nothing in them comes from data.
+        ("src/app/cli/completions.rs", 1),
+        // A block that is drawn over itself; its lines are escaped.
+        ("src/app/cli/calibrate_live.rs", 1),
         // The place.
         ("src/app/terminal_text.rs", 2),
+        // The screen: ratatui drops control characters.
+        ("src/app/tui/terminal.rs", 2),
     ];
     let allowed: BTreeMap<String, usize> = allowed
         .into_iter()

@@ -15,7 +15,7 @@ use super::calibrate_intrinsics::{Taken, diagnosed};
 use super::working::{Progress, interruptible};
 use crate::app::tui::Keyboard;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::save;
+use crate::files::{Printable, save};
 use crate::imaging::{Decoder, Role, encode_png_grey8};
 use crate::pose::calibrate::{Collector, Coverage, Hint, Offer, Refusal, Tilt};
 use crate::rig::calibration::RigFile;
@@ -327,6 +327,7 @@ impl Block {
         }
         for line in lines {
             // A line that wraps would make the block grow.
+            let line = Printable(line).to_string();
             let cut: String = line.chars().take(width.saturating_sub(1)).collect();
             text += &format!("\r\x1b[2K{cut}\r\n");
         }

@@ -7,7 +7,7 @@
 //! On a terminal it shows a dashboard; elsewhere, and with `--headless`, lines on stderr. What came
 //! out goes to stdout.
 
-use std::io::{self, IsTerminal as _, Write as _};
+use std::io::{self, IsTerminal as _};
 use std::path::{Path, PathBuf};
 
 use rustix::process::getpgrp;
@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use super::training_flags::TrainingFlags;
 use super::working::{Progress, resumable, resumable_under_screen};
 use super::{Context, print, print_json};
+use crate::app::note;
 use crate::app::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files;
@@ -110,7 +111,7 @@ fn under_dashboard(args: Args) -> Result<Value> {
     let found = resumable_under_screen(asked, move || all_seeds(&args, &tell));
     if let Err(error) = screen.end() {
         // The training went on without it. A terminal that has gone takes no line either.
-        let _ = writeln!(io::stderr(), "gripcast: {error}");
+        note!("gripcast: {error}");
     }
     found?
 }

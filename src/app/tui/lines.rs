@@ -1,7 +1,6 @@
 //! Plain lines for logs and terminals without a screen: one a change of the engine's state.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -12,6 +11,7 @@ use super::gauge::{claimed, word};
 use crate::app::daemon::{
     BlackBoxStatus, CameraState, CameraStatus, EngineStatus, PredictionStatus,
 };
+use crate::app::note;
 use crate::dataset::Outcome;
 use crate::imaging::Role;
 use crate::predict::Verdict;
@@ -226,7 +226,7 @@ pub async fn print_lines(mut status: watch::Receiver<Arc<EngineStatus>>) {
         let newest = Arc::clone(&status.borrow_and_update());
         for line in printer.lines(&newest, Instant::now()) {
             // A closed standard error must not end the collection.
-            let _ = writeln!(std::io::stderr(), "{line}");
+            note!("{line}");
         }
         if status.changed().await.is_err() {
             return;
