@@ -37,11 +37,9 @@ struct Site {
     backend: Arc<Backend>,
     /// Places of connections.
     places: Places,
-    _engine: (
-        watch::Sender<Arc<EngineStatus>>,
-        mpsc::Receiver<Asked>,
-        watch::Sender<bool>,
-    ),
+    stop: watch::Sender<bool>,
+    server: Option<std::thread::JoinHandle<()>>,
+    _engine: (watch::Sender<Arc<EngineStatus>>, mpsc::Receiver<Asked>),
     _dir: tempfile::TempDir,
 }
 
@@ -75,7 +73,7 @@ impl Site {
         let backend = Arc::new(backend);
         let router = router(Arc::clone(&backend));
         let handle = runtime.handle().clone();
-        std::thread::spawn(move || {
+        let server = std::thread::spawn(move || {
             handle.block_on(serve(listeners, router, Tasks::default(), stopped));
         });
         Self {
@@ -84,7 +82,9 @@ impl Site {
             socket,
             backend,
             places,
-            _engine: (status, asked, stop),
+            stop,
+            server: Some(server),
+            _engine: (status, asked),
             _dir: dir,
         }
     }
@@ -165,6 +165,14 @@ impl Site {
             Ok((socket, _)) => socket,
             Err(error) => panic!("no WebSocket: {error}"),
         }
+    }
+}
+
+impl Drop for Site {
+    fn drop(&mut self) {
+        // It must not outlive the runtime. A failed server fails its test by itself.
+        let _ = self.stop.send(true);
+        let _ = self.server.take().map(std::thread::JoinHandle::join);
     }
 }
 
@@ -542,7 +550,8 @@ fn a_logout_ends_a_session_and_what_it_has_open() {
     let events = site.listen(site.tcp(), Some(&one));
     let mut stream = site.tcp();
     let headers = format!("Host: lab\r\nCookie: {one}\r\n");
-    start(&mut stream, "GET /api/cameras/left/preview.mjpg", &headers);
+    let closing = format!("{headers}Connection: close\r\n");
+    start(&mut stream, "GET /api/cameras/left/preview.mjpg", &closing);
     is_answered(&mut stream);
     let answer = ask(site.tcp(), "POST /api/logout", &headers, "").unwrap();
     assert_eq!(answer.status, 204, "{}", answer.text);
