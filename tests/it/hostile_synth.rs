@@ -48,7 +48,7 @@ impl Jail {
         let mut command = gripcast();
         command
             .args(["synth", "plan", "--preset", "tiny", "--engine", "rigid"])
-            .args(["--grasps", "1", "--samples", "1", "--stop-force-n", "10"])
+            .args(["--grasps", "4", "--samples", "1", "--stop-force-n", "10"])
             .arg("--table")
             .arg(self.at("table/objects.toml"))
             .arg("--out")
@@ -85,7 +85,7 @@ fn forge(plan: &Path, from: &str, to: &str) {
     fs::write(plan.join("plan.sha256"), format!("{hash}  plan.jsonl\n")).unwrap();
 }
 
-/// `<2 hex>/<id>` of the only simulation.
+/// `<2 hex>/<id>` of the first simulation.
 fn result(plan: &Path) -> PathBuf {
     let id = "part-000-10n";
     let digest = Sha256::digest(id);
