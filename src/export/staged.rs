@@ -114,16 +114,15 @@ impl StagedFolder {
     /// Those of the operating system.
     pub(super) fn size(&self) -> Result<(usize, u64)> {
         let (mut files, mut bytes) = (0, 0);
-        let mut folders = vec![self.root.path().to_owned()];
+        let mut folders = vec![self.root.top()];
         while let Some(folder) = folders.pop() {
-            for entry in fs::read_dir(&folder).map_err(write_failed)? {
-                let entry = entry.map_err(write_failed)?;
+            for entry in folder.entries().map_err(write_failed)? {
                 let found = entry.metadata().map_err(write_failed)?;
-                if found.is_dir() {
-                    folders.push(entry.path());
+                if found.is_dir {
+                    folders.push(entry);
                 } else {
                     files += 1;
-                    bytes += found.len();
+                    bytes += found.bytes;
                 }
             }
         }

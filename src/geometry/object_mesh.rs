@@ -21,11 +21,7 @@ pub fn load_object_mesh(source: &str, unit: LengthUnit, scale: f64) -> Result<Pr
     let mesh = if source.starts_with("builtin:") {
         builtin(source)?
     } else if BUILTIN_NAMES.contains(&source) && !path.exists() {
-        return Err(
-            Error::new(ErrorKind::NotFound, "there is no such mesh file")
-                .at(source)
-                .remedy(format!("the built-in shape is builtin:{source}")),
-        );
+        return Err(bare_name(source));
     } else {
         load_mesh(path, unit)?
     };
@@ -54,6 +50,9 @@ pub fn load_object_mesh_below(
              GRIPCAST__FILES__LINKED_FOLDERS",
         )
     })?;
+    if BUILTIN_NAMES.contains(&named) && !place.is_taken() {
+        return Err(bare_name(named));
+    }
     let path = place.shown();
     let read = || {
         let format = MeshFormat::of_path(&path)?;
@@ -64,6 +63,13 @@ pub fn load_object_mesh_below(
         prepared(&mesh.scaled(unit.in_metres()), scale)
     };
     read().map_err(|e: Error| e.at(path.display()))
+}
+
+/// The name of a built-in shape where a file was expected.
+fn bare_name(name: &str) -> Error {
+    Error::new(ErrorKind::NotFound, "there is no such mesh file")
+        .at(name)
+        .remedy(format!("the built-in shape is builtin:{name}"))
 }
 
 fn check_scale(scale: f64) -> Result<()> {

@@ -1,6 +1,7 @@
 //! The whole replay: cases, scores, drawn poses, pictures, report.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -22,7 +23,7 @@ use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
 use crate::dataset::Dataset;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::ObjectName;
+use crate::files::{FileKind, ObjectName, read_text};
 use crate::render::tactile::{ObjectDepthRenderer, SensorProfile, SimulatedGel};
 use crate::sim::grasp::{Snapshot, StageName};
 use crate::sim::{Engine, EngineKind};
@@ -588,7 +589,7 @@ impl Parts<'_> {
 /// Name of the processor and how many of it there are.
 fn processor() -> String {
     let cores = crate::workers::cores();
-    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let info = read_text(Path::new("/proc/cpuinfo"), FileKind::Record).unwrap_or_default();
     let name = info
         .lines()
         .find_map(|line| line.strip_prefix("model name")?.split_once(':'))

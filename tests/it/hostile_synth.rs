@@ -9,8 +9,9 @@ use sha2::{Digest as _, Sha256};
 
 use crate::program::{gripcast, stderr, succeed};
 
-const TETRAHEDRON: &str =
-    "v 0 0 0\nv 40 0 0\nv 0 40 0\nv 0 0 40\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+/// A box of 40 × 30 × 60 mm.
+const MESH: &str = "v 0 0 0\nv 40 0 0\nv 40 30 0\nv 0 30 0\nv 0 0 60\nv 40 0 60\n\
+    v 40 30 60\nv 0 30 60\nf 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n";
 
 /// A folder with a secret beside what is exchanged.
 struct Jail(tempfile::TempDir);
@@ -31,7 +32,7 @@ impl Jail {
         fs::create_dir_all(self.at("table")).unwrap();
         let picture = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
         picture.save(self.at("table/label.png")).unwrap();
-        fs::write(self.at("table/part.obj"), TETRAHEDRON).unwrap();
+        fs::write(self.at("table/part.obj"), MESH).unwrap();
         let row = "mesh = \"part.obj\"\nunit = \"mm\"\ntextures = [\"label.png\"]";
         succeed(&mut self.plan_of(row));
         self.at("plan")
@@ -47,7 +48,7 @@ impl Jail {
         let mut command = gripcast();
         command
             .args(["synth", "plan", "--preset", "tiny", "--engine", "rigid"])
-            .args(["--grasps", "1", "--samples", "1", "--stop-force-n", "10"])
+            .args(["--grasps", "4", "--samples", "1", "--stop-force-n", "10"])
             .arg("--table")
             .arg(self.at("table/objects.toml"))
             .arg("--out")
@@ -84,7 +85,7 @@ fn forge(plan: &Path, from: &str, to: &str) {
     fs::write(plan.join("plan.sha256"), format!("{hash}  plan.jsonl\n")).unwrap();
 }
 
-/// `<2 hex>/<id>` of the only simulation.
+/// `<2 hex>/<id>` of the first simulation.
 fn result(plan: &Path) -> PathBuf {
     let id = "part-000-10n";
     let digest = Sha256::digest(id);
@@ -189,7 +190,7 @@ fn a_plan_runs_wherever_its_folder_is() {
 fn a_table_names_files_below_its_folder_and_below_allowed_ones() {
     let jail = Jail::new();
     fs::create_dir(jail.at("meshes")).unwrap();
-    fs::write(jail.at("meshes/part.obj"), TETRAHEDRON).unwrap();
+    fs::write(jail.at("meshes/part.obj"), MESH).unwrap();
     let absolute = jail.at("meshes/part.obj");
     let row = |mesh: &str| format!("mesh = {mesh:?}\nunit = \"mm\"");
     for mesh in [absolute.to_str().unwrap(), "../meshes/part.obj"] {

@@ -41,7 +41,7 @@ pub(crate) struct Args {
     /// nothing is simulated
     #[arg(long)]
     partial: bool,
-    /// Try simulations again that could not be done, as after a missing mesh came back
+    /// Try simulations again that could not be done, as after a damaged mesh was restored
     #[arg(long)]
     retry_failed: bool,
     /// Print what was done as JSON

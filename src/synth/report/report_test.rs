@@ -215,10 +215,19 @@ fn files_of_a_dataset_outside_of_its_folder_are_not_read() {
     fs::remove_dir_all(out.join("data")).unwrap();
     std::os::unix::fs::symlink(folder.path(), out.join("data")).unwrap();
     let settings = MergeSettings {
+        curation: CurationSettings {
+            parts: Split::one("train").unwrap(),
+            category_cap: None,
+            ..CurationSettings::default()
+        },
         is_partial_allowed: true,
-        ..MergeSettings::default()
     };
-    merge(&sample.plan, folder.path(), &out, &settings, &|_, _| ()).unwrap_err();
+    let error = merge(&sample.plan, folder.path(), &out, &settings, &|_, _| ()).unwrap_err();
+    assert!(
+        error.to_string().contains("cannot make the folder"),
+        "{error}"
+    );
+    assert!(!folder.path().join("train-00000-of-00001.parquet").exists());
 }
 
 #[test]
