@@ -52,7 +52,7 @@ impl fmt::Display for Refused {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Outside { root, target } => {
-                f.write_str("a symbolic link leads out of ")?;
+                f.write_str("the path or a symbolic link in it leads out of ")?;
                 write!(f, "{}", root.display())?;
                 match target {
                     Some(target) => write!(f, " to {}", target.display()),

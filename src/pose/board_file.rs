@@ -24,7 +24,7 @@ use super::board::{Board, BoardMarker};
 use super::chessboard::Chessboard;
 use super::dictionary::Dictionary;
 use crate::error::{Error, ErrorKind, Result};
-use crate::files::{FileKind, read_text};
+use crate::files::{FileKind, Root, read_text};
 use crate::geometry::Pose;
 
 /// Version of the format.
@@ -126,8 +126,7 @@ impl BoardFile {
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the board", e).at(path.display()))?;
-        let folder = path.parent().unwrap_or(Path::new(""));
-        Self::parse(&text, folder).map_err(|e| e.at(path.display()))
+        Self::parse(&text, Root::beside(path).root().path()).map_err(|e| e.at(path.display()))
     }
 
     /// Reads and checks the text of a file in `folder`.

@@ -68,7 +68,10 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 /// The folder that a file lies in.
 pub(super) fn folder(file: &Path) -> &Path {
-    file.parent().unwrap_or(Path::new(""))
+    match file.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    }
 }
 
 #[derive(Debug, clap::Args)]
@@ -302,7 +305,7 @@ fn import(args: &ImportArgs) -> Result<()> {
 
 impl ImportArgs {
     fn dictionary(&self) -> Result<Option<Dictionary>> {
-        let folder = self.out.as_deref().map_or(Path::new(""), folder);
+        let folder = self.out.as_deref().map_or(Path::new("."), folder);
         let name = self.dictionary.as_deref();
         name.map(|name| Dictionary::open(name, folder)).transpose()
     }

@@ -128,7 +128,7 @@ impl Site {
 
     /// Waits until all of these places are free.
     fn wait_until_free(&self, places: &Semaphore, count: u32) {
-        let all = tokio::time::timeout(PATIENCE, places.acquire_many(count));
+        let all = async { tokio::time::timeout(PATIENCE, places.acquire_many(count)).await };
         let all = self.runtime.block_on(all);
         drop(all.expect("a place is not given back").unwrap());
     }

@@ -91,6 +91,13 @@ impl Dictionary {
         if !is_file_name(name) {
             return Self::by_name(name);
         }
+        // A board that is stored in a dataset has no folder, and names no file.
+        if folder.as_os_str().is_empty() {
+            let what =
+                format!("the board names a dictionary file, {name:?}, and lies in no folder");
+            return Err(Error::new(ErrorKind::Input, what)
+                .remedy("use a dictionary by its name, for instance DICT_4X4_50"));
+        }
         let path = folder.join(name);
         let text = Root::new(folder)
             .resolve(name)

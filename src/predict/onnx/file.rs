@@ -16,11 +16,8 @@ const FIRST_BYTE: u8 = 0x08;
 /// # Errors
 /// When it is missing, unreadable, no regular file, or larger than an ONNX file can be.
 pub fn read(path: &Path) -> Result<Vec<u8>> {
-    read_regular(path, FileKind::Model).map_err(|e| {
-        Error::io("cannot read the model file", e)
-            .at(path.display())
-            .remedy("name the .onnx file itself")
-    })
+    read_regular(path, FileKind::Model)
+        .map_err(|e| Error::io("cannot read the model file", e).at(path.display()))
 }
 
 /// Decodes the message of a model file.

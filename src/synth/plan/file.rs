@@ -15,8 +15,8 @@ pub const PLAN_FILE: &str = "plan.jsonl";
 pub const HASH_FILE: &str = "plan.sha256";
 /// Name of the format in the header.
 pub const PLAN_FORMAT: &str = "gripcast-synth-plan";
-/// Its version: 2 since a plan's folder holds the meshes and pictures that it names.
-pub const PLAN_VERSION: u32 = 2;
+/// Its version.
+pub const PLAN_VERSION: u32 = 1;
 
 /// A line of the file.
 #[derive(Serialize, Deserialize)]

@@ -183,10 +183,10 @@ mod tests {
     fn a_picture_outside_of_the_folder_is_not_read() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
-        fs::create_dir(at("textures")).unwrap();
+        fs::create_dir_all(at("plan/textures")).unwrap();
         image::RgbImage::new(4, 2).save(at("secret.png")).unwrap();
-        std::os::unix::fs::symlink("../secret.png", at("textures/a.png")).unwrap();
-        let error = texture_folder(&at("textures"), 0.05).unwrap_err();
+        std::os::unix::fs::symlink("../../secret.png", at("plan/textures/a.png")).unwrap();
+        let error = texture_folder(&at("plan/textures"), 0.05).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
         let planned = PictureTexture {
             file: FileName::parse("a.png").unwrap(),
@@ -194,7 +194,7 @@ mod tests {
             sha256: sha256_hex(fs::read(at("secret.png")).unwrap()),
             width_m: 0.1,
         };
-        let error = planned.load(&Root::new(dir.path())).unwrap_err();
+        let error = planned.load(&Root::new(at("plan"))).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
     }
 }
