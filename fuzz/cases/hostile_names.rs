@@ -200,6 +200,7 @@ fn record(place: &Place, choices: &mut Choices<'_>) {
         name(),
         name()
     );
+    let _ = fs::remove_file(folder.join("grasp.json"));
     fs::write(folder.join("grasp.json"), json).expect("a record");
     if let Ok(data) = Dataset::open(&root) {
         for record in data.grasps().into_iter().flatten().flatten() {

@@ -83,7 +83,7 @@ fn places(folder: &Path, words: &[&str]) -> BTreeMap<String, usize> {
         let has = |line: &str, word: &str| {
             line.match_indices(word).any(|(at, _)| {
                 let before = line[..at].chars().next_back();
-                !before.is_some_and(|c| c.is_alphanumeric() || c == '_')
+                word.starts_with('.') || !before.is_some_and(|c| c.is_alphanumeric() || c == '_')
             })
         };
         let count = lines
