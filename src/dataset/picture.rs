@@ -3,7 +3,7 @@
 use image::ColorType;
 
 use super::grasp::CameraRecord;
-use crate::imaging::PixelFormat;
+use crate::imaging::{PixelFormat, decode_png};
 
 /// Says what is wrong with a picture; `None` when it is whole and of the right size and kind.
 pub(super) fn fault(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
@@ -41,8 +41,7 @@ pub(super) fn recognise(bytes: &[u8]) -> Option<(PixelFormat, u32, u32)> {
 }
 
 fn png_size(bytes: &[u8], colour: ColorType) -> Result<(u32, u32), String> {
-    let image = image::load_from_memory_with_format(bytes, image::ImageFormat::Png)
-        .map_err(|e| format!("not a whole PNG: {e}"))?;
+    let image = decode_png(bytes).map_err(|e| format!("not a whole PNG: {e}"))?;
     if image.color() != colour {
         return Err(format!(
             "the picture is {:?}, its record says {colour:?}",

@@ -10,7 +10,7 @@ use super::record_file::{check_id, read_grasp};
 use super::split::{self, SplitFile};
 use crate::error::{Error, ErrorKind, Result};
 use crate::files::{BeneathPath, ContentKey, FileKind};
-use crate::imaging::{Frame, PixelFormat, Role};
+use crate::imaging::{Frame, PixelFormat, Role, decode_png};
 
 /// A dataset that is read; any number of readers beside one writer.
 #[derive(Clone, Debug)]
@@ -259,11 +259,7 @@ pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Fra
 }
 
 fn decode(path: &BeneathPath, bytes: &[u8]) -> Result<image::DynamicImage> {
-    image::load_from_memory_with_format(bytes, image::ImageFormat::Png).map_err(|e| {
-        Error::new(ErrorKind::Input, "cannot decode the picture")
-            .because(e)
-            .at(path.display())
-    })
+    decode_png(bytes).map_err(|e| e.at(path.display()))
 }
 
 fn other_picture(path: &BeneathPath, expected: &str) -> Error {

@@ -28,7 +28,8 @@ pub use gel_pattern::{GelContact, gel_picture, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};
 pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};
 pub use png::{
-    decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16, encode_png_rgb,
+    decode_png, decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16,
+    encode_png_rgb,
 };
 pub use resample::crop_and_resize;
 pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};

@@ -62,7 +62,7 @@ fn encode(bytes: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> R
 /// # Errors
 /// [`ErrorKind::Input`] for a damaged or foreign file.
 pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
-    read(bytes).map(DynamicImage::into_rgb8)
+    decode_png(bytes).map(DynamicImage::into_rgb8)
 }
 
 /// 16-bit grey PNG to depth.
@@ -70,7 +70,7 @@ pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
 /// # Errors
 /// [`ErrorKind::Input`] for a damaged or foreign file, or one that is not 16-bit grey.
 pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
-    match read(bytes)? {
+    match decode_png(bytes)? {
         DynamicImage::ImageLuma16(depth) => Ok(depth),
         other => Err(Error::new(
             ErrorKind::Input,
@@ -82,7 +82,11 @@ pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
     }
 }
 
-fn read(bytes: &[u8]) -> Result<DynamicImage> {
+/// A PNG as it is, of a size that stored pictures can have.
+///
+/// # Errors
+/// [`ErrorKind::Input`] for a damaged or foreign file, and for a picture that is too large.
+pub fn decode_png(bytes: &[u8]) -> Result<DynamicImage> {
     let unreadable = |cause| Error::new(ErrorKind::Input, "the PNG cannot be read").because(cause);
     let mut limits = Limits::default();
     limits.max_alloc = Some(MOST_STORED_BYTES);
