@@ -61,6 +61,13 @@ const MARKS: [(HeaderName, &str); 6] = [
     ),
 ];
 
+/// Whether a file's rights let others read or change it. Root chooses who is in a group, so that
+/// a group may read what belongs to root: the package gives its token to the service's.
+fn is_open(owner: u32, mode: u32) -> bool {
+    let allowed = if owner == 0 { 0o040 } else { 0 };
+    mode & 0o077 & !allowed != 0
+}
+
 /// A secret; it is never printed.
 #[derive(Clone)]
 pub(crate) struct Token(String);
@@ -72,7 +79,7 @@ impl fmt::Debug for Token {
 }
 
 impl Token {
-    /// The token in a file that only its owner can read.
+    /// The token in a file that only its owner can read, or that root gave to a group.
     ///
     /// # Errors
     /// `Config` for a file that others may read or that holds no token of at least 16 printable
@@ -80,8 +87,9 @@ impl Token {
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let unreadable = |e| Error::io("cannot read the token", e).at(path.display());
         let file = File::open(path).map_err(unreadable)?;
-        let mode = file.metadata().map_err(unreadable)?.mode();
-        if mode & 0o077 != 0 {
+        let metadata = file.metadata().map_err(unreadable)?;
+        let mode = metadata.mode();
+        if is_open(metadata.uid(), mode) {
             return Err(Error::new(
                 ErrorKind::Config,
                 format!("others may read the token (mode {:o})", mode & 0o777),
@@ -411,6 +419,19 @@ mod tests {
         assert_eq!(status(&access, "/api/state", &[LAB, show]), 200);
         access.replace(Some(Token::parse("another-token-altogether").unwrap()));
         assert_eq!(status(&access, "/api/state", &[LAB, show]), 401);
+    }
+
+    #[test]
+    fn a_group_reads_only_what_root_gave_to_it() {
+        for (owner, mode, open) in [
+            (1000, 0o600, false),
+            (1000, 0o640, true),
+            (0, 0o640, false),
+            (0, 0o660, true),
+            (0, 0o644, true),
+        ] {
+            assert_eq!(is_open(owner, mode), open, "{owner} {mode:o}");
+        }
     }
 
     #[test]
