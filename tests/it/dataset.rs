@@ -216,7 +216,7 @@ fn problems_are_reported_and_recovered() {
       "pending": 0,
       "problems": [
         {
-          "detail": "the record names the file, but it cannot be read",
+          "detail": "the record names the file, but it cannot be read: No such file or directory (os error 2)",
           "file": "grasps/2026-11-20T10-15-00Z-XXXX/grasp.rgb.png",
           "grasp": "2026-11-20T10-15-00Z-XXXX",
           "kind": "missing-file",

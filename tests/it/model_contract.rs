@@ -86,7 +86,7 @@ fn what_is_no_model_is_refused_as_what_it_is() {
     let missing = gripcast(&["predict", "check", "/no/such/model.onnx"]);
     assert_eq!(missing.status.code(), Some(1));
     let text = String::from_utf8_lossy(&missing.stderr).into_owned();
-    assert!(text.contains("/no/such/model.onnx: cannot open"), "{text}");
+    assert!(text.contains("/no/such/model.onnx: cannot read"), "{text}");
     let directory = gripcast(&["predict", "check", folder.path().to_str().unwrap()]);
     assert_eq!(directory.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&directory.stderr).contains("a folder"));
