@@ -121,19 +121,21 @@ fn session(step: Step, moment: &str, time_s: f64) -> SessionView {
             object_stable: 4,
             object_slip: 2,
         },
-        last: Some(LastGrasp {
-            id: GraspId::parse("2026-11-20T17-40-51Z-7f3a").unwrap_or_else(|e| panic!("{e}")),
-            object: ObjectName::nearest("mug-blue"),
-            outcome: match step {
-                Step::Label => Outcome::Unlabelled,
-                _ => Outcome::Stable,
-            },
-            predicted: Some(Predicted {
-                p_stable: 0.74,
-                threshold: 0.5,
-                novelty: None,
+        last: GraspId::parse("2026-11-20T17-40-51Z-7f3a")
+            .ok()
+            .map(|id| LastGrasp {
+                id,
+                object: ObjectName::nearest("mug-blue"),
+                outcome: match step {
+                    Step::Label => Outcome::Unlabelled,
+                    _ => Outcome::Stable,
+                },
+                predicted: Some(Predicted {
+                    p_stable: 0.74,
+                    threshold: 0.5,
+                    novelty: None,
+                }),
             }),
-        }),
         undo: Some("label of 7f3a".to_owned()),
         redo: None,
         message: Some(Message {

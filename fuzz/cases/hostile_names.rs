@@ -166,7 +166,7 @@ fn record(place: &Place, choices: &mut Choices<'_>) {
     )
     .expect("a description");
     for name in ["trash", "calibration", "splits", "logs", "models"] {
-        if choices.byte() % 4 == 0 {
+        if choices.byte().is_multiple_of(4) {
             let _ = symlink(&outside, root.join(name));
         } else {
             fs::create_dir_all(root.join(name)).expect("a folder");
@@ -232,7 +232,7 @@ fn plan(place: &Place, choices: &mut Choices<'_>) {
     let outside = place.outside();
     let root = place.jail();
     for name in ["meshes", "textures", "results"] {
-        if choices.byte() % 4 == 0 {
+        if choices.byte().is_multiple_of(4) {
             let _ = symlink(&outside, root.join(name));
         } else {
             fs::create_dir_all(root.join(name)).expect("a folder");
@@ -241,14 +241,14 @@ fn plan(place: &Place, choices: &mut Choices<'_>) {
     }
     litter(&root, choices, &outside);
     let mut text = PLAN.to_owned();
-    if choices.byte() % 2 == 0 {
+    if choices.byte().is_multiple_of(2) {
         let file = quoted(&choices.name(&outside));
         text = text.replace(
             PLANNED_MESH,
             &format!("\"mesh\":{{\"from\":\"file\",\"file\":{file}}}"),
         );
     }
-    if choices.byte() % 2 == 0 {
+    if choices.byte().is_multiple_of(2) {
         let name = quoted(&choices.name(&outside));
         text = text.replace("block-0000", name.trim_matches('"'));
     }
@@ -274,7 +274,7 @@ fn mesh(place: &Place, choices: &mut Choices<'_>) {
     let outside = place.outside();
     let root = place.jail();
     litter(&root, choices, &outside);
-    let is_obj = choices.byte() % 2 == 0;
+    let is_obj = choices.byte().is_multiple_of(2);
     let name = choices.name(&outside);
     let path = root.join(if is_obj { "mesh.obj" } else { "mesh.gltf" });
     let text = if is_obj {

@@ -405,7 +405,7 @@ fn devices_pipes_and_huge_files_in_a_dataset_are_refused_at_once() {
     write_dataset(dir.path(), &["mug", "bottle"]);
     let image = first_grasp(dir.path()).join("grasp.left.jpg");
     let stored = fs::read(&image).unwrap();
-    let put: [(&str, fn(&Path)); 4] = [
+    let put: [Attack; 4] = [
         ("a pipe", |path| {
             use rustix::fs::{CWD, FileType, Mode, mknodat};
             mknodat(CWD, path, FileType::Fifo, Mode::from_raw_mode(0o600), 0).unwrap();
