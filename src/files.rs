@@ -5,7 +5,10 @@
 //! part; a kill may leave a hidden `.gripcast-….partial` beside it, which nothing reads.
 
 mod beneath;
+#[cfg(test)]
+mod beneath_test;
 mod name;
+mod opening;
 mod owner_lock;
 
 use std::fs::{self, OpenOptions};
@@ -17,14 +20,12 @@ use sha2::{Digest as _, Sha256};
 
 use crate::error::{Error, Result};
 
-pub use beneath::{
-    BeneathPath, Component, FileKind, Metadata, Root, allow_links_into, open_regular, read_regular,
-    read_text,
-};
+pub use beneath::{BeneathPath, Component, Metadata, Root, allow_links_into};
 pub use name::{
     ContentKey, FileName, GraspId, Label, MAX_LABEL_CHARS, ObjectName, Printable, SimulationId,
     is_unsafe_char,
 };
+pub use opening::{FileKind, open_regular, read_regular, read_text};
 pub use owner_lock::{NotLocked, OwnerLock};
 
 /// Most symbolic links that are followed, as Linux has it.

@@ -13,27 +13,25 @@
 use std::ffi::{OsStr, OsString};
 use std::fmt;
 use std::fs::File;
-use std::io::{self, Read as _, Write as _};
-use std::os::fd::{AsFd, OwnedFd};
+use std::io::{self, Write as _};
+use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStringExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, RwLock};
 
 use rustix::fs::{
-    AtFlags, CWD, Dir, FileType, Mode, OFlags, RawMode, RenameFlags, ResolveFlags, fstat, fsync,
-    linkat, mkdirat, openat, openat2, renameat, renameat_with, statat, unlinkat,
+    AtFlags, CWD, Dir, FileType, Mode, OFlags, RawMode, RenameFlags, fstat, fsync, linkat, mkdirat,
+    openat, renameat, renameat_with, statat, unlinkat,
 };
 use rustix::io::Errno;
 
 use super::name::{ContentKey, FileName, GraspId, ObjectName, SimulationId};
+use super::opening::{FILE_MODE, FileKind, open_beneath, owned, read_all, regular};
 use super::partial_name;
 use crate::error::Refused;
 
-/// Rights of new files and folders, less the umask.
-const FILE_MODE: Mode = Mode::from_raw_mode(0o666);
+/// Rights of new folders, less the umask.
 const DIR_MODE: Mode = Mode::from_raw_mode(0o777);
-/// `openat2` asks to try again when a folder moves meanwhile.
-const MAX_TRIES: usize = 16;
 
 /// Folders outside of a root into which its links may lead; set once by the application.
 static ALLOWED: RwLock<Vec<PathBuf>> = RwLock::new(Vec::new());
@@ -41,37 +39,6 @@ static ALLOWED: RwLock<Vec<PathBuf>> = RwLock::new(Vec::new());
 /// Permits symbolic links below any [`Root`] that lead into one of these folders.
 pub fn allow_links_into(folders: Vec<PathBuf>) {
     *ALLOWED.write().unwrap_or_else(|e| e.into_inner()) = folders;
-}
-
-/// What a file holds; says how large one can be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FileKind {
-    /// A record, a card, a configuration: JSON or TOML written by hand or of one item.
-    Record,
-    /// A compressed image or a raw frame of a camera.
-    Image,
-    /// A list with a line or a row an item: index, plan, table, log.
-    List,
-    /// A mesh, its buffers and textures, a trace.
-    Mesh,
-    /// An ONNX file: protobuf ends at 2 GiB.
-    Model,
-    /// A shard of samples, an HDF5 file: what is read piece by piece.
-    Bulk,
-}
-
-impl FileKind {
-    /// Largest file of this kind, bytes.
-    #[must_use]
-    pub fn max_bytes(self) -> u64 {
-        const MIB: u64 = 1 << 20;
-        match self {
-            Self::Record => 16 * MIB,
-            Self::Image => 256 * MIB,
-            Self::List | Self::Mesh | Self::Model => 2048 * MIB,
-            Self::Bulk => 16 * 1024 * MIB,
-        }
-    }
 }
 
 /// What a place is; symbolic links that may be followed are followed.
@@ -197,7 +164,7 @@ impl Root {
         self.top().child(path.file_name().unwrap_or_default())
     }
 
-    fn open(&self) -> io::Result<OwnedFd> {
+    pub(super) fn open(&self) -> io::Result<OwnedFd> {
         let path = if self.0.as_os_str().is_empty() {
             Path::new(".")
         } else {
@@ -600,361 +567,5 @@ impl BeneathPath {
             }
         }
         Err(refused.into())
-    }
-}
-
-/// Opens a path below a folder; `XDEV` where it leads out of it.
-fn open_beneath(
-    root: impl AsFd,
-    relative: &Path,
-    flags: OFlags,
-    mode: Mode,
-) -> rustix::io::Result<OwnedFd> {
-    let relative = if relative.as_os_str().is_empty() {
-        Path::new(".")
-    } else {
-        relative
-    };
-    let flags = flags | OFlags::CLOEXEC;
-    let resolve = ResolveFlags::BENEATH | ResolveFlags::NO_MAGICLINKS;
-    for _ in 0..MAX_TRIES {
-        match openat2(root.as_fd(), relative, flags, mode, resolve) {
-            // Another rename or mount of the system came in between.
-            Err(Errno::AGAIN) => {}
-            // Kernels before 5.6, and sandboxes that forbid calls that they do not know.
-            Err(Errno::NOSYS | Errno::PERM) => return open_stepwise(root, relative, flags, mode),
-            opened => return opened,
-        }
-    }
-    Err(Errno::AGAIN)
-}
-
-/// The same without `openat2`: component by component, following no link.
-fn open_stepwise(
-    root: impl AsFd,
-    relative: &Path,
-    flags: OFlags,
-    mode: Mode,
-) -> rustix::io::Result<OwnedFd> {
-    use std::path::Component as Part;
-    let step = OFlags::PATH | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-    let mut dir = openat(root.as_fd(), ".", step, Mode::empty())?;
-    let mut parts = relative.components().peekable();
-    while let Some(part) = parts.next() {
-        let name = match part {
-            Part::Normal(name) => name,
-            Part::CurDir => OsStr::new("."),
-            Part::ParentDir | Part::RootDir | Part::Prefix(_) => return Err(Errno::XDEV),
-        };
-        let is_last = parts.peek().is_none();
-        let how = if is_last {
-            flags | OFlags::NOFOLLOW
-        } else {
-            step
-        };
-        dir = match openat(&dir, name, how, mode) {
-            // ELOOP for a link that is to be opened, ENOTDIR for one on the way.
-            Err(Errno::LOOP) => return Err(Errno::XDEV),
-            Err(Errno::NOTDIR)
-                if statat(&dir, name, AtFlags::SYMLINK_NOFOLLOW).is_ok_and(|s| {
-                    FileType::from_raw_mode(s.st_mode as RawMode) == FileType::Symlink
-                }) =>
-            {
-                return Err(Errno::XDEV);
-            }
-            opened => opened?,
-        };
-    }
-    Ok(dir)
-}
-
-/// What is no regular file, in words.
-fn irregular(kind: FileType) -> Option<Refused> {
-    let found = match kind {
-        FileType::RegularFile => return None,
-        FileType::Directory => "a folder",
-        FileType::Symlink => "a symbolic link",
-        FileType::Fifo => "a pipe",
-        FileType::Socket => "a socket",
-        FileType::CharacterDevice | FileType::BlockDevice => "a device",
-        FileType::Unknown => "something else",
-    };
-    Some(Refused::NotRegular(found))
-}
-
-fn regular(fd: OwnedFd, kind: FileKind) -> io::Result<File> {
-    let stat = fstat(&fd)?;
-    if let Some(refused) = irregular(FileType::from_raw_mode(stat.st_mode as RawMode)) {
-        return Err(refused.into());
-    }
-    let bytes = u64::try_from(stat.st_size).unwrap_or(0);
-    let limit = kind.max_bytes();
-    if bytes > limit {
-        return Err(Refused::TooLarge { bytes, limit }.into());
-    }
-    Ok(fd.into())
-}
-
-/// A regular file that has no other name.
-fn owned(fd: OwnedFd) -> io::Result<File> {
-    let stat = fstat(&fd)?;
-    if let Some(refused) = irregular(FileType::from_raw_mode(stat.st_mode as RawMode)) {
-        return Err(refused.into());
-    }
-    if stat.st_nlink > 1 {
-        return Err(Refused::Linked.into());
-    }
-    Ok(fd.into())
-}
-
-fn read_all(mut file: File, kind: FileKind) -> io::Result<Vec<u8>> {
-    let limit = kind.max_bytes();
-    let expected = file.metadata()?.len();
-    let mut bytes = Vec::with_capacity(usize::try_from(expected).unwrap_or(0) + 1);
-    // One that grows while it is read, and those of /proc, do not say how large they are.
-    (&mut file).take(limit + 1).read_to_end(&mut bytes)?;
-    let found = bytes.len() as u64;
-    if found > limit {
-        return Err(Refused::TooLarge {
-            bytes: found,
-            limit,
-        }
-        .into());
-    }
-    Ok(bytes)
-}
-
-/// Opens a regular file at a path that the user gave; links are followed.
-///
-/// # Errors
-/// [`Refused`] for a device, a pipe, a socket, a folder, and for a file larger than its kind can
-/// be; those of the operating system.
-pub fn open_regular(path: &Path, kind: FileKind) -> io::Result<File> {
-    let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
-    // Opening a device may already do something, so look first.
-    let stat = rustix::fs::stat(path)?;
-    if let Some(refused) = irregular(FileType::from_raw_mode(stat.st_mode as RawMode)) {
-        return Err(refused.into());
-    }
-    regular(openat(CWD, path, flags, Mode::empty())?, kind)
-}
-
-/// Reads a regular file at a path that the user gave.
-///
-/// # Errors
-/// As of [`open_regular`].
-pub fn read_regular(path: &Path, kind: FileKind) -> io::Result<Vec<u8>> {
-    read_all(open_regular(path, kind)?, kind)
-}
-
-/// Reads a regular file of UTF-8 at a path that the user gave.
-///
-/// # Errors
-/// As of [`open_regular`]; `InvalidData` for other bytes.
-pub fn read_text(path: &Path, kind: FileKind) -> io::Result<String> {
-    String::from_utf8(read_regular(path, kind)?)
-        .map_err(|e| io::Error::new(io::ErrorKind::InvalidData, e))
-}
-
-/// Opens a lock file without following a link; `write`: makes it where it is missing.
-pub(super) fn open_lock(
-    dir: impl AsFd,
-    path: impl rustix::path::Arg,
-    write: bool,
-) -> io::Result<File> {
-    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
-    let flags = flags
-        | if write {
-            OFlags::RDWR | OFlags::CREATE
-        } else {
-            OFlags::RDONLY
-        };
-    match openat(dir, path, flags, FILE_MODE) {
-        Err(Errno::LOOP) => Err(Refused::NotRegular("a symbolic link").into()),
-        opened => owned(opened?),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::fs;
-    use std::os::unix::fs::symlink;
-
-    use super::*;
-
-    fn refused(error: &io::Error) -> Option<&Refused> {
-        error.get_ref()?.downcast_ref()
-    }
-
-    /// A folder `data` with a secret beside it.
-    fn jail() -> (tempfile::TempDir, Root) {
-        let dir = tempfile::tempdir().unwrap();
-        fs::create_dir(dir.path().join("data")).unwrap();
-        fs::write(dir.path().join("secret"), "secret").unwrap();
-        let root = Root::new(dir.path().join("data"));
-        (dir, root)
-    }
-
-    #[test]
-    fn links_out_of_the_folder_are_refused_and_those_inside_followed() {
-        let (dir, root) = jail();
-        let data = dir.path().join("data");
-        fs::write(data.join("file"), "inside").unwrap();
-        symlink("file", data.join("good")).unwrap();
-        symlink("../secret", data.join("relative")).unwrap();
-        symlink(dir.path().join("secret"), data.join("absolute")).unwrap();
-        symlink("..", data.join("up")).unwrap();
-        symlink("/proc/self/root", data.join("magic")).unwrap();
-        let top = root.top();
-        assert_eq!(top.join("good").read(FileKind::Record).unwrap(), b"inside");
-        for place in [
-            top.join("relative"),
-            top.join("absolute"),
-            top.join("up").join("secret"),
-            top.join("magic").join("etc"),
-        ] {
-            let error = place.read(FileKind::Record).unwrap_err();
-            assert!(
-                matches!(refused(&error), Some(Refused::Outside { .. })),
-                "{}: {error}",
-                place.display()
-            );
-            assert!(!place.is_file() && !place.is_dir());
-        }
-        let error = top.join("up").join("new").write(b"x").unwrap_err();
-        assert!(refused(&error).is_some(), "{error}");
-        assert!(!dir.path().join("new").exists());
-        for path in ["../secret", "/etc/passwd", "a/../../secret", "./../secret"] {
-            assert!(root.resolve(path).is_err(), "{path}");
-        }
-        assert!(root.resolve("./textures//a.png").is_ok());
-    }
-
-    #[test]
-    fn without_openat2_no_link_is_followed() {
-        let (dir, root) = jail();
-        let data = dir.path().join("data");
-        fs::create_dir(data.join("sub")).unwrap();
-        fs::write(data.join("sub/file"), "x").unwrap();
-        symlink("sub", data.join("link")).unwrap();
-        symlink("../secret", data.join("out")).unwrap();
-        let open = |path: &str| {
-            open_stepwise(
-                root.open().unwrap(),
-                Path::new(path),
-                OFlags::RDONLY,
-                Mode::empty(),
-            )
-        };
-        assert!(open("sub/file").is_ok());
-        assert!(open(".").is_ok());
-        for path in ["link/file", "out", "../secret", "sub/../../secret"] {
-            assert_eq!(open(path).unwrap_err(), Errno::XDEV, "{path}");
-        }
-        assert_eq!(open("sub/none").unwrap_err(), Errno::NOENT);
-    }
-
-    #[test]
-    fn a_write_replaces_a_link_and_never_its_target() {
-        let (dir, root) = jail();
-        let secret = dir.path().join("secret");
-        let place = root.top().join("file");
-        for write in [BeneathPath::write, BeneathPath::replace] {
-            let _ = fs::remove_file(place.shown());
-            symlink("../secret", place.shown()).unwrap();
-            write(&place, b"new").unwrap();
-            assert_eq!(fs::read(&secret).unwrap(), b"secret");
-            assert_eq!(place.read(FileKind::Record).unwrap(), b"new");
-            let _ = fs::remove_file(place.shown());
-            fs::hard_link(&secret, place.shown()).unwrap();
-            write(&place, b"new").unwrap();
-            assert_eq!(fs::read(&secret).unwrap(), b"secret");
-        }
-        let log = root.top().join("log");
-        symlink("../secret", log.shown()).unwrap();
-        assert!(log.append().is_err());
-        fs::remove_file(log.shown()).unwrap();
-        fs::hard_link(&secret, log.shown()).unwrap();
-        let error = log.append().unwrap_err();
-        assert_eq!(refused(&error), Some(&Refused::Linked));
-        assert!(root.top().join("link").create_new().is_ok());
-        assert!(root.top().join("link").create_new().is_err());
-    }
-
-    #[test]
-    fn devices_pipes_sockets_and_huge_files_are_refused() {
-        let (dir, root) = jail();
-        let data = dir.path().join("data");
-        let top = root.top();
-        let mode = Mode::from_raw_mode(0o600);
-        rustix::fs::mknodat(CWD, data.join("pipe"), FileType::Fifo, mode, 0).unwrap();
-        let _socket = std::os::unix::net::UnixListener::bind(data.join("socket")).unwrap();
-        fs::create_dir(data.join("folder")).unwrap();
-        fs::File::create(data.join("huge"))
-            .unwrap()
-            .set_len(1 << 40)
-            .unwrap();
-        for name in ["pipe", "folder", "huge"] {
-            let error = top.join(name).read(FileKind::Bulk).unwrap_err();
-            assert!(refused(&error).is_some(), "{name}: {error}");
-        }
-        assert!(top.join("socket").read(FileKind::Bulk).is_err());
-        for path in [
-            Path::new("/dev/zero"),
-            &data.join("pipe"),
-            &data.join("huge"),
-        ] {
-            let error = read_regular(path, FileKind::Bulk).unwrap_err();
-            assert!(refused(&error).is_some(), "{}: {error}", path.display());
-        }
-        assert!(read_regular(Path::new("/proc/self/status"), FileKind::Record).is_ok());
-    }
-
-    #[test]
-    fn the_root_may_be_a_link_and_links_may_lead_where_the_user_allows() {
-        let (dir, root) = jail();
-        let disk = dir.path().join("disk");
-        fs::create_dir(&disk).unwrap();
-        fs::write(disk.join("file"), "far").unwrap();
-        symlink(&disk, dir.path().join("data/grasps")).unwrap();
-        symlink("data", dir.path().join("alias")).unwrap();
-        let place = root.top().join("grasps").join("file");
-        assert!(place.read(FileKind::Record).is_err());
-        allow_links_into(vec![disk]);
-        assert_eq!(place.read(FileKind::Record).unwrap(), b"far");
-        let alias = Root::new(dir.path().join("alias"));
-        let place = alias.top().join("grasps").join("new");
-        place.write(b"x").unwrap();
-        assert_eq!(place.read(FileKind::Record).unwrap(), b"x");
-        symlink("../secret", dir.path().join("data/other")).unwrap();
-        assert!(!root.top().join("other").is_file());
-        allow_links_into(Vec::new());
-        assert!(place.read(FileKind::Record).is_err());
-    }
-
-    #[test]
-    fn folders_are_listed_made_and_renamed_below() {
-        let (_dir, root) = jail();
-        let place = root.top().join("a").join("b");
-        place.create_dir_all().unwrap();
-        place.create_dir_all().unwrap();
-        let [one, two] = ["one", "two"].map(|name| place.join(name));
-        one.write(b"1").unwrap();
-        two.write(b"2").unwrap();
-        assert_eq!(place.entries().unwrap(), [one.clone(), two.clone()]);
-        assert_eq!(
-            one.rename_new(&two).unwrap_err().kind(),
-            io::ErrorKind::AlreadyExists
-        );
-        one.rename(&two).unwrap();
-        assert_eq!(two.read(FileKind::Record).unwrap(), b"1");
-        two.hard_link(&one).unwrap();
-        two.remove_file().unwrap();
-        one.remove_file().unwrap();
-        place.sync_dir().unwrap();
-        place.remove_dir().unwrap();
-        assert_eq!(place.name(), "b");
-        assert_eq!(place.parent(), root.top().join("a"));
-        assert_eq!(place.numbered(2).name(), "b.2");
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use rustix::fs::CWD;
 
-use super::beneath::open_lock;
+use super::opening::open_lock;
 use crate::error::Refused;
 
 /// Longest owner line that is read, bytes.

@@ -3,7 +3,9 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+
+use crate::layers::rust_files;
 
 /// Calls that open a path as it is, or make one of a text.
 const RAW: [&str; 14] = [
@@ -42,21 +44,6 @@ const ALLOWED: &[(&str, usize, &str)] = &[
         "the path that the user named, with a FileName",
     ),
 ];
-
-fn rust_files(dir: &Path, found: &mut Vec<PathBuf>) {
-    let mut entries: Vec<_> = fs::read_dir(dir)
-        .unwrap()
-        .map(|e| e.unwrap().path())
-        .collect();
-    entries.sort();
-    for path in entries {
-        if path.is_dir() {
-            rust_files(&path, found);
-        } else if path.extension().is_some_and(|e| e == "rs") {
-            found.push(path);
-        }
-    }
-}
 
 /// Product code of a file: not its test module.
 fn product(path: &Path) -> String {

@@ -30,13 +30,13 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::files::sha256_hex;
 
 /// Shortest token that is taken, characters.
-const SHORTEST_TOKEN: usize = 16;
+const MIN_TOKEN_CHARS: usize = 16;
 /// Longest one; a larger file is no token.
-const LONGEST_TOKEN: u64 = 1024;
+const MAX_TOKEN_BYTES: u64 = 1024;
 /// Cookie of a browser that has logged in.
 const COOKIE: &str = "gripcast";
 /// Cookies of that name that are looked at; a browser has one.
-const MOST_COOKIES: usize = 4;
+const MAX_COOKIES: usize = 4;
 /// How it is kept: no script reads it, no other site sends it.
 const COOKIE_RULES: &str = "Path=/; HttpOnly; SameSite=Strict";
 
@@ -98,7 +98,7 @@ impl Token {
             .remedy(format!("chmod 600 {}", path.display())));
         }
         let mut text = String::new();
-        file.take(LONGEST_TOKEN)
+        file.take(MAX_TOKEN_BYTES)
             .read_to_string(&mut text)
             .map_err(unreadable)?;
         Self::parse(&text).map_err(|e| e.at(path.display()))
@@ -107,11 +107,11 @@ impl Token {
     pub(super) fn parse(text: &str) -> Result<Self> {
         let token = text.trim();
         let printable = token.chars().all(|c| c.is_ascii_graphic());
-        if token.len() < SHORTEST_TOKEN || !printable {
+        if token.len() < MIN_TOKEN_CHARS || !printable {
             return Err(Error::new(
                 ErrorKind::Config,
                 format!(
-                    "expected a token of at least {SHORTEST_TOKEN} printable ASCII characters \
+                    "expected a token of at least {MIN_TOKEN_CHARS} printable ASCII characters \
                      without blanks, found {} characters",
                     token.chars().count()
                 ),
@@ -332,7 +332,7 @@ fn session_keys(headers: &HeaderMap) -> impl Iterator<Item = SessionKey> {
         .filter_map(|pair| pair.trim().split_once('='))
         .filter(|(name, _)| *name == COOKIE)
         .map(|(_, id)| SessionKey::of(id))
-        .take(MOST_COOKIES)
+        .take(MAX_COOKIES)
 }
 
 /// Lets a request pass or not, and marks every answer.

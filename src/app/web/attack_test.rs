@@ -17,7 +17,7 @@ use super::backend::Backend;
 use super::places::Places;
 use super::router::router;
 use super::serve::{Listeners, serve};
-use super::sessions::MOST_FAILURES;
+use super::sessions::MAX_FAILURES;
 use crate::app::daemon::{Asked, CameraState, CameraStatus, EngineStatus, Preview, Tasks};
 use crate::imaging::Role;
 
@@ -269,8 +269,8 @@ fn log_in<S: Read + Write>(stream: S, token: &str) -> Option<Answer> {
 /// Reads a WebSocket to its end, which must come.
 fn read_to_end<S: Read + Write>(mut socket: tungstenite::WebSocket<S>) {
     // States come ten times a second.
-    const MOST_MESSAGES: usize = 600;
-    for _ in 0..MOST_MESSAGES {
+    const MAX_MESSAGES: usize = 600;
+    for _ in 0..MAX_MESSAGES {
         match socket.read() {
             Ok(_) => {}
             Err(tungstenite::Error::Io(e)) if e.kind() == std::io::ErrorKind::WouldBlock => break,
@@ -575,7 +575,7 @@ fn who_guesses_tokens_is_not_heard_for_a_while_and_others_are() {
         let headers = format!("Host: lab\r\nAuthorization: Bearer {token}\r\n");
         ask(site.tcp(), "GET /api/state", &headers, "").unwrap()
     };
-    for number in 0..MOST_FAILURES {
+    for number in 0..MAX_FAILURES {
         let answer = match number % 2 {
             0 => bearer("a-guess-of-the-token"),
             _ => log_in(site.tcp(), "a-guess-of-the-token").unwrap(),

@@ -21,7 +21,7 @@ use crate::session::{Command, CommandSource, Tone};
 /// News that wait for a reader that is slow; it misses the oldest.
 const NEWS_QUEUE: usize = 64;
 /// Those who listen to events at a time, over TCP and over the socket: pages, screens, programs.
-const MOST_LISTENERS: usize = 32;
+const MAX_LISTENERS: usize = 32;
 /// How long a client may take for the body of a request; the largest has 16 KiB.
 const BODY_PATIENCE: Duration = Duration::from_secs(10);
 /// How long a small picture may wait until others have been decoded.
@@ -92,7 +92,7 @@ impl Backend {
             model,
             grasps: GraspList::new(dataset),
             started: Instant::now(),
-            listeners: Places::new(MOST_LISTENERS, MOST_LISTENERS),
+            listeners: Places::new(MAX_LISTENERS, MAX_LISTENERS),
             decodes: Arc::new(Semaphore::new(cores)),
             body_patience: BODY_PATIENCE,
             decode_patience: DECODE_PATIENCE,

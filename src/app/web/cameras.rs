@@ -25,7 +25,7 @@ const QUALITY: u8 = 75;
 /// Pause between two pictures of a stream.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Streams at a time, over TCP and over the socket; a browser has one a camera.
-const MOST_STREAMS: usize = 32;
+const MAX_STREAMS: usize = 32;
 /// Text between two pictures of a stream.
 const BOUNDARY: &str = "gripcast-frame";
 
@@ -49,7 +49,7 @@ impl Previews {
         Self {
             status,
             encoded: Mutex::new(BTreeMap::new()),
-            streams: Places::new(MOST_STREAMS, MOST_STREAMS),
+            streams: Places::new(MAX_STREAMS, MAX_STREAMS),
         }
     }
 
@@ -121,7 +121,7 @@ pub(crate) async fn stream(
     let place = backend.previews.streams.take(peer).ok_or_else(|| {
         Failure::new(
             StatusCode::SERVICE_UNAVAILABLE,
-            format!("{MOST_STREAMS} picture streams are open already"),
+            format!("{MAX_STREAMS} picture streams are open already"),
         )
         .remedy("close another page")
     })?;

@@ -49,9 +49,9 @@ impl Default for Limits {
 }
 
 /// Connections at a time over TCP.
-const MOST_OVER_TCP: usize = 128;
+const MAX_OVER_TCP: usize = 128;
 /// Connections at a time over the Unix socket.
-const MOST_OVER_SOCKET: usize = 64;
+const MAX_OVER_SOCKET: usize = 64;
 /// What the kernel holds for a client that does not read, bytes. Linux doubles it. Small, since the
 /// patience with a client begins when it is full.
 const SEND_BUFFER: u32 = 64 * 1024;
@@ -90,7 +90,7 @@ impl Listeners {
             tcp: None,
             unix: None,
             limits: Limits::default(),
-            places: Places::new(MOST_OVER_TCP, MOST_OVER_SOCKET),
+            places: Places::new(MAX_OVER_TCP, MAX_OVER_SOCKET),
         };
         if let Some(address) = listen {
             let listener = tcp(address).map_err(|e| taken(address, e))?;

@@ -10,18 +10,18 @@ use crate::error::{Error, ErrorKind, Result};
 use crate::files::sha256_hex;
 
 /// Sessions at a time; one more ends the one that was used least lately.
-const MOST_SESSIONS: usize = 64;
+const MAX_SESSIONS: usize = 64;
 /// A session ends after this time without a request …
 const IDLE: Duration = Duration::from_secs(12 * 3600);
 /// … and this long after the login in any case.
 const LONGEST: Duration = Duration::from_secs(7 * 24 * 3600);
 
 /// Wrong tokens of an address within [`FAILURE_WINDOW`] after which it is not heard.
-pub(super) const MOST_FAILURES: u32 = 10;
+pub(super) const MAX_FAILURES: u32 = 10;
 /// How long wrong tokens are remembered.
 const FAILURE_WINDOW: Duration = Duration::from_secs(60);
 /// Addresses that are remembered.
-const MOST_ADDRESSES: usize = 1024;
+const MAX_ADDRESSES: usize = 1024;
 
 /// Digest of a session's id. The id itself is known to the browser alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -61,7 +61,7 @@ impl Sessions {
         })?;
         let id: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
         self.end_old(now);
-        if self.0.len() >= MOST_SESSIONS {
+        if self.0.len() >= MAX_SESSIONS {
             let oldest = (0..self.0.len()).min_by_key(|&place| self.0[place].used);
             oldest.map(|place| self.0.swap_remove(place));
         }
@@ -129,13 +129,13 @@ impl Failures {
     pub(super) fn wait(&self, from: IpAddr, now: Instant) -> Option<Duration> {
         let failed = self.0.get(&from)?;
         let left = failed.left(now);
-        (failed.count >= MOST_FAILURES && !left.is_zero()).then_some(left)
+        (failed.count >= MAX_FAILURES && !left.is_zero()).then_some(left)
     }
 
     /// Remembers a wrong token.
     pub(super) fn note(&mut self, from: IpAddr, now: Instant) {
         self.0.retain(|_, failed| !failed.left(now).is_zero());
-        if self.0.len() >= MOST_ADDRESSES && !self.0.contains_key(&from) {
+        if self.0.len() >= MAX_ADDRESSES && !self.0.contains_key(&from) {
             let oldest = self.0.iter().min_by_key(|(_, failed)| failed.since);
             let oldest = oldest.map(|(address, _)| *address);
             oldest.map(|address| self.0.remove(&address));
@@ -178,14 +178,14 @@ mod tests {
     fn sessions_are_random_bounded_and_can_be_closed() {
         let (start, mut sessions) = (Instant::now(), Sessions::default());
         let mut ids = Vec::new();
-        for second in 0..=MOST_SESSIONS as u64 {
+        for second in 0..=MAX_SESSIONS as u64 {
             let at = start + Duration::from_secs(second);
             ids.push(sessions.open(at).unwrap());
         }
         let different: BTreeSet<&String> = ids.iter().collect();
         assert_eq!(different.len(), ids.len());
         assert!(ids.iter().all(|id| id.len() == 64));
-        assert_eq!(sessions.0.len(), MOST_SESSIONS);
+        assert_eq!(sessions.0.len(), MAX_SESSIONS);
         let now = start + MINUTE * 2;
         let keys: Vec<SessionKey> = ids.iter().map(|id| SessionKey::of(id)).collect();
         assert!(
@@ -207,7 +207,7 @@ mod tests {
             Ipv4Addr::LOCALHOST.into(),
             Ipv4Addr::new(10, 0, 0, 2).into(),
         );
-        for _ in 0..MOST_FAILURES {
+        for _ in 0..MAX_FAILURES {
             assert_eq!(failures.wait(one, start), None);
             failures.note(one, start);
         }
@@ -222,11 +222,11 @@ mod tests {
     #[test]
     fn addresses_are_bounded_and_the_oldest_is_forgotten() {
         let (start, mut failures) = (Instant::now(), Failures::default());
-        for number in 0..=MOST_ADDRESSES as u32 {
+        for number in 0..=MAX_ADDRESSES as u32 {
             let at = start + Duration::from_millis(number.into());
             failures.note(Ipv4Addr::from_bits(number).into(), at);
         }
-        assert_eq!(failures.0.len(), MOST_ADDRESSES);
+        assert_eq!(failures.0.len(), MAX_ADDRESSES);
         assert!(
             !failures
                 .0
