@@ -351,6 +351,7 @@ pub(crate) async fn guard(
         Err(failure) => failure.into_response(),
     };
     let headers = response.headers_mut();
+    headers.reserve(MARKS.len() + 1);
     for (name, value) in MARKS {
         headers.insert(name, HeaderValue::from_static(value));
     }

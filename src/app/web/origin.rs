@@ -9,7 +9,7 @@ use axum::http::{HeaderMap, Method, StatusCode, header};
 use super::failure::Failure;
 
 /// Longest host name, characters (RFC 1035).
-const LONGEST_NAME: usize = 253;
+const MAX_NAME_CHARS: usize = 253;
 
 /// `NAME`, `1.2.3.4` or `[::1]`, each with `:PORT` or without.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -65,7 +65,7 @@ impl Name {
             !label.is_empty()
                 && characters.all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_')
         };
-        let is_name = text.len() <= LONGEST_NAME && text.split('.').all(is_label);
+        let is_name = text.len() <= MAX_NAME_CHARS && text.split('.').all(is_label);
         is_name.then(|| Self::Domain(text.to_ascii_lowercase()))
     }
 }
