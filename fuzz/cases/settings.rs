@@ -26,7 +26,7 @@ pub(crate) fn check(input: &[u8]) {
         }
         2 => {
             // No dictionary is beside it.
-            let _ = BoardFile::parse(text, Path::new("/nonexistent"));
+            let _ = BoardFile::parse(text, Path::new("/proc/nonexistent"));
         }
         3 => {
             let _ = CameraFile::parse(text, CameraChoice::default());

@@ -62,7 +62,8 @@ pub(crate) async fn run(
     let (command_sender, commands) = mpsc::channel(COMMAND_QUEUE);
     let (limit_sender, limits) = mpsc::channel(1);
     let (tone_sender, mut tones) = mpsc::unbounded_channel();
-    let starting = EngineStatus::starting(&setup.new_dataset.name, &setup.rig.id);
+    let starting =
+        EngineStatus::starting(&setup.new_dataset.name, &setup.rig.id, setup.labels.clone());
     let (status, newest) = watch::channel(Arc::new(starting));
     let tasks = Tasks::default();
     let access = Arc::new(Access::new(settings.token));

@@ -397,7 +397,7 @@ mod tests {
         }
         let said = parse("").unwrap_err().to_string();
         assert!(said.contains("schema"), "{said}");
-        let missing = BoardFile::load(Path::new("/nonexistent/b.toml")).unwrap_err();
+        let missing = BoardFile::load(Path::new("/proc/nonexistent/b.toml")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);
     }
 }

@@ -134,16 +134,20 @@ fn wrong_wishes_are_explained() {
             ".pdf, .svg or .png",
         ),
         (
-            "make --object builtin:box --out /nonexistent/b.pdf".to_owned(),
+            "make --object builtin:box --out /proc/nonexistent/b.pdf".to_owned(),
             1,
-            "/nonexistent",
+            "/proc/nonexistent",
         ),
         (
             format!("gripper --out {out} --body-mm 60"),
             1,
             "no room on the body",
         ),
-        ("show /nonexistent.toml".to_owned(), 1, "/nonexistent.toml"),
+        (
+            "show /proc/nonexistent.toml".to_owned(),
+            1,
+            "/proc/nonexistent.toml",
+        ),
     ] {
         let (found, said) = refused(&mut board(&words));
         assert_eq!(found, code, "{words}: {said}");

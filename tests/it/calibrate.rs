@@ -97,9 +97,12 @@ fn wrong_intrinsics_are_explained() {
             "letters, digits",
         ),
         (
-            format!("convert {} --to ros --out /nonexistent/o", at("a.toml")),
+            format!(
+                "convert {} --to ros --out /proc/nonexistent/o",
+                at("a.toml")
+            ),
             1,
-            "/nonexistent/o",
+            "/proc/nonexistent/o",
         ),
     ] {
         let (found, said) = refused(&mut calibrate(&words));
@@ -236,8 +239,8 @@ fn pictures_without_tags_are_explained() {
     let (code, said) = run(TAGS);
     assert_eq!(code, 1);
     assert!(said.contains("no marker of any known dictionary"), "{said}");
-    let (code, said) = run("/nonexistent/tags.toml");
+    let (code, said) = run("/proc/nonexistent/tags.toml");
     assert_eq!(code, 1);
-    assert!(said.contains("/nonexistent/tags.toml"), "{said}");
+    assert!(said.contains("/proc/nonexistent/tags.toml"), "{said}");
     assert!(!dir.path().join("o.toml").exists());
 }

@@ -276,13 +276,17 @@ fn wrong_input_is_explained_with_the_right_exit_code() {
         ),
         (with(&[&wait, "--model", &not_onnx]), 1, &["model.onnx"]),
         (
-            with(&[&wait, "--model", "/nonexistent.onnx"]),
+            with(&[&wait, "--model", "/proc/nonexistent.onnx"]),
             1,
-            &["/nonexistent.onnx"],
+            &["/proc/nonexistent.onnx"],
         ),
         (with(&[&nonsense]), 1, &["nonsense.txt:2", "grab it"]),
         (with(&[&wait, "--sound", "loud"]), 2, &["loud", "bell"]),
-        (with(&["/nonexistent.txt"]), 1, &["/nonexistent.txt"]),
+        (
+            with(&["/proc/nonexistent.txt"]),
+            1,
+            &["/proc/nonexistent.txt"],
+        ),
     ];
     for ((code, message), expected, words) in cases {
         assert_eq!(code, expected, "{message}");

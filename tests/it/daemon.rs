@@ -645,7 +645,7 @@ fn guards_are_reloaded_and_the_rest_is_named() {
 #[test]
 fn attaching_needs_a_terminal_and_a_daemon() {
     let output = gripcast()
-        .args(["collect", "--attach", "/nonexistent/socket"])
+        .args(["collect", "--attach", "/proc/nonexistent/socket"])
         .output()
         .unwrap();
     assert_eq!(output.status.code(), Some(2));
@@ -670,7 +670,7 @@ fn a_screen_is_attached_to_a_daemon_and_leaves_it_running() {
     let mut screen = Command::new("script")
         .args(["-qec", &line, "/dev/null"])
         .env("TERM", "xterm-256color")
-        .env("XDG_CONFIG_HOME", "/nonexistent")
+        .env("XDG_CONFIG_HOME", "/proc/nonexistent")
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -786,7 +786,7 @@ fn nothing_of_a_token_is_told() {
     fs::set_permissions(&file, fs::Permissions::from_mode(0o644)).unwrap();
     let output = gripcast()
         .args(["daemon", "--rig", "virtual", "--dataset"])
-        .arg(Path::new("/nonexistent"))
+        .arg(Path::new("/proc/nonexistent"))
         .arg("--token-file")
         .arg(&file)
         .output()

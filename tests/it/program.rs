@@ -16,7 +16,7 @@ pub(crate) fn gripcast() -> Command {
         command.env_remove(name);
     }
     command
-        .env("XDG_CONFIG_HOME", "/nonexistent")
+        .env("XDG_CONFIG_HOME", "/proc/nonexistent")
         .env("NO_COLOR", "1")
         .stdin(Stdio::null());
     command

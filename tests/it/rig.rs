@@ -111,7 +111,7 @@ fn init_writes_a_rig_once_and_never_over_a_file() {
     assert!(stderr(&output).contains("exists already"));
     assert_eq!(fs::read_to_string(&out).unwrap(), written);
 
-    let output = gripcast(&Tree::new(), &["init", "--out", "/nonexistent/x.toml"]);
+    let output = gripcast(&Tree::new(), &["init", "--out", "/proc/nonexistent/x.toml"]);
     assert_eq!(output.status.code(), Some(69));
 }
 

@@ -37,7 +37,7 @@ use crate::app::web::{self, Attached, Target, Token};
 use crate::error::{Error, ErrorKind, Result};
 use crate::rig::calibration::PedalConfig;
 use crate::rig::trigger::Script;
-use crate::session::{Command, CommandSource, StoreReply};
+use crate::session::{Command, CommandSource, Labels, StoreReply};
 
 /// How long the screen may take to come to its end after the engine.
 const SCREEN_PATIENCE: Duration = Duration::from_secs(2);
@@ -176,6 +176,7 @@ async fn collect(
     let (status, newest) = watch::channel(Arc::new(EngineStatus::starting(
         &setup.new_dataset.name,
         &setup.rig.id,
+        setup.labels.clone(),
     )));
     let ended = Arc::new(AtomicBool::new(false));
     let pedals = start_pedals(pedals, &command_sender, &ended);
@@ -251,7 +252,8 @@ fn attach(place: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
         .map_err(|e| Error::io("cannot start the event loop", e))?;
     let (command_sender, commands) = mpsc::channel(COMMAND_QUEUE);
     let (tone_sender, tones) = mpsc::unbounded_channel();
-    let (status, newest) = watch::channel(Arc::new(EngineStatus::starting("", "")));
+    let (status, newest) =
+        watch::channel(Arc::new(EngineStatus::starting("", "", Labels::default())));
     let screen = Screen::start(tui::Wiring {
         status: newest,
         commands: command_sender,

@@ -39,13 +39,8 @@ pub struct EngineStatus {
 impl EngineStatus {
     /// The status before the engine has told anything.
     #[must_use]
-    pub fn starting(dataset: &str, rig: &str) -> Self {
-        let session = Session::new(
-            GuardLimits::default(),
-            Labels::default(),
-            OutcomeCounts::new(),
-            None,
-        );
+    pub fn starting(dataset: &str, rig: &str, labels: Labels) -> Self {
+        let session = Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None);
         Self {
             dataset: dataset.to_owned(),
             rig: rig.to_owned(),

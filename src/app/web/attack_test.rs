@@ -20,6 +20,7 @@ use super::serve::{Listeners, serve};
 use super::sessions::MAX_FAILURES;
 use crate::app::daemon::{Asked, CameraState, CameraStatus, EngineStatus, Preview, Tasks};
 use crate::imaging::Role;
+use crate::session::Labels;
 
 const SECRET: &str = "correct-horse-battery";
 /// Limits that tests wait for.
@@ -178,7 +179,7 @@ impl Drop for Site {
 
 /// A camera with a picture that is large once it is a JPEG.
 fn status() -> EngineStatus {
-    let mut status = EngineStatus::starting("d", "r");
+    let mut status = EngineStatus::starting("d", "r", Labels::default());
     status.cameras.push(CameraStatus {
         role: Role::Left,
         product: String::new(),

@@ -319,7 +319,7 @@ fn what_is_no_camera_file_is_said() {
         said.contains("c.yaml") && said.contains("no text"),
         "{said}"
     );
-    let missing = load_intrinsics(Path::new("/nonexistent/c.yaml")).unwrap_err();
+    let missing = load_intrinsics(Path::new("/proc/nonexistent/c.yaml")).unwrap_err();
     assert_eq!(missing.kind(), ErrorKind::NotFound);
 }
 

@@ -137,6 +137,6 @@ fn wrong_opencv_files_are_explained() {
         let said = Dictionary::from_opencv("own.yml", &text).unwrap_err();
         assert!(said.to_string().contains(expected), "{said}");
     }
-    let none = Dictionary::open("none.yaml", Path::new("/nonexistent")).unwrap_err();
+    let none = Dictionary::open("none.yaml", Path::new("/proc/nonexistent")).unwrap_err();
     assert_eq!(none.kind(), ErrorKind::NotFound);
 }
