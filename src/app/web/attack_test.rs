@@ -304,6 +304,18 @@ fn a_body_that_does_not_come_loses_its_place() {
 }
 
 #[test]
+fn a_head_that_does_not_come_loses_its_place() {
+    let site = Site::open(None, |listeners, _| {
+        listeners.places = Places::new(1, 1);
+        listeners.limits.head_patience = SHORT;
+    });
+    let mut slow = site.tcp();
+    slow.write_all(b"GET /api/state HTTP/1.1\r\nHost: ").unwrap();
+    assert!(answer_of(slow).is_none_or(|answer| answer.status == 408));
+    site.wait_until_free(&site.places.network, 1);
+}
+
+#[test]
 fn a_flood_over_tcp_does_not_lock_out_the_socket() {
     const MOST: usize = 4;
     let site = Site::open(None, |listeners, backend| {
