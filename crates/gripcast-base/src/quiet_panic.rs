@@ -14,6 +14,9 @@ thread_local! {
 }
 
 /// Runs `work`; a panic in it is returned as its message and prints nothing.
+///
+/// # Errors
+/// The message of the panic.
 pub fn catch<T>(work: impl FnOnce() -> T + UnwindSafe) -> Result<T, String> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

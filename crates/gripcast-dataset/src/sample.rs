@@ -1,5 +1,7 @@
 //! Small captures for tests.
 
+#![allow(clippy::unwrap_used)]
+
 use std::collections::BTreeMap;
 
 use jiff::{SignedDuration, Timestamp};
@@ -9,6 +11,7 @@ use super::descriptor::NewDataset;
 use super::grasp::PredictionRecord;
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
+/// What a new dataset is told about itself.
 pub fn new_dataset() -> NewDataset {
     NewDataset {
         name: "sample".into(),
@@ -102,6 +105,7 @@ pub fn capture(number: u32) -> StageCapture {
     }
 }
 
+/// What is known of a grasp of an object.
 pub fn meta(object: &str) -> GraspMeta {
     GraspMeta {
         object: object.parse().unwrap(),

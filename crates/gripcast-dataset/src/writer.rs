@@ -37,7 +37,7 @@ pub struct DatasetWriter {
     pub(super) layout: Layout,
     pub(super) disk: Box<dyn Disk>,
     pub(super) descriptor: Descriptor,
-    pub rows: BTreeMap<GraspId, IndexRow>,
+    pub(super) rows: BTreeMap<GraspId, IndexRow>,
     pub(super) index_is_stale: bool,
     log: Option<File>,
     _lock: DatasetLock,

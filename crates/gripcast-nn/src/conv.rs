@@ -55,7 +55,7 @@ impl ConvShape {
     }
 
     /// Where windows lie in the padded input.
-    pub fn rows(&self) -> (Rows, [usize; 3]) {
+    pub(super) fn rows(&self) -> (Rows, [usize; 3]) {
         let [height, width, _] = self.output();
         let row = self.padded()[1] * self.input[2];
         let rows = Rows {

@@ -13,11 +13,17 @@ pub struct Tree {
 /// A USB device as the tree shows it.
 #[derive(Clone, Copy)]
 pub struct Usb<'a> {
+    /// Where it is plugged in, as `3-1`.
     pub port: &'a str,
+    /// Vendor and product.
     pub ids: (u16, u16),
+    /// Its name.
     pub product: &'a str,
+    /// Serial number.
     pub serial: &'a str,
+    /// Number of its bus.
     pub bus: u32,
+    /// Speed of its link, Mbit/s.
     pub speed: &'a str,
 }
 
@@ -45,7 +51,14 @@ pub const fn d435(port: &str) -> Usb<'_> {
     }
 }
 
+impl Default for Tree {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Tree {
+    /// A tree without devices.
     pub fn new() -> Self {
         let directory = tempfile::tempdir().unwrap();
         for part in ["sys/class/video4linux", "dev", "proc"] {
@@ -57,6 +70,7 @@ impl Tree {
         }
     }
 
+    /// A path in the tree.
     pub fn path(&self, part: &str) -> PathBuf {
         self.directory.path().join(part)
     }

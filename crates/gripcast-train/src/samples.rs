@@ -265,7 +265,7 @@ impl<'a> SampleReader<'a> {
     ///
     /// # Errors
     /// Those of reading the files.
-    pub fn rows(&mut self, samples: &[usize]) -> Result<Vec<(Arc<Vec<ShardRow>>, usize)>> {
+    pub(crate) fn rows(&mut self, samples: &[usize]) -> Result<Vec<(Arc<Vec<ShardRow>>, usize)>> {
         self.clock += 1;
         let places: Vec<_> = samples.iter().map(|at| self.samples.place(*at)).collect();
         let rows = places.iter().map(|(group, at)| {

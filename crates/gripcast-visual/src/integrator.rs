@@ -99,7 +99,7 @@ impl<'a> Batch<'a> {
 
     /// Adds a path that starts with a ray from the camera.
     #[inline(always)]
-    pub fn push(&mut self, ray: Ray, numbers: PixelSample<'a>) {
+    pub(crate) fn push(&mut self, ray: Ray, numbers: PixelSample<'a>) {
         self.paths.push(Path {
             ray,
             throughput: Vec3::ONE,

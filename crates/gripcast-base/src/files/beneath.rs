@@ -164,7 +164,7 @@ impl Root {
         self.top().child(path.file_name().unwrap_or_default())
     }
 
-    pub fn open(&self) -> io::Result<OwnedFd> {
+    pub(super) fn open(&self) -> io::Result<OwnedFd> {
         let path = if self.0.as_os_str().is_empty() {
             Path::new(".")
         } else {

@@ -7,16 +7,22 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 /// One value on its way between a row and a column.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Cell<'a> {
+    /// Nothing.
     Null,
+    /// UTF-8.
     Text(Cow<'a, str>),
+    /// A 64-bit integer.
     Integer(i64),
+    /// A 64-bit float.
     Number(f64),
+    /// A list of 64-bit floats.
     Numbers(Vec<f64>),
     /// An encoded picture.
     Picture(Cow<'a, [u8]>),
 }
 
 impl<'a> Cell<'a> {
+    /// A borrowed text.
     pub fn text(text: &'a str) -> Self {
         Self::Text(Cow::Borrowed(text))
     }
@@ -78,7 +84,7 @@ impl<'a> Cells<'a> {
         }
     }
 
-    pub fn text(&mut self) -> Result<String> {
+    pub(super) fn text(&mut self) -> Result<String> {
         self.next(text).map(|(_, text)| text)
     }
 

@@ -63,7 +63,7 @@ impl GroupCursor {
     ///
     /// # Errors
     /// `Input`: a column is not in the file or compressed in an unknown way.
-    pub fn open(
+    pub(super) fn open(
         source: &Arc<Source>,
         group: &RowGroupMetaData,
         layout: &Layout,

@@ -25,7 +25,7 @@ impl ContentHash {
     }
 
     /// The hash, 64 hexadecimal digits.
-    pub fn finish(self) -> String {
+    pub(super) fn finish(self) -> String {
         let bytes = self.0.finalize();
         bytes.iter().map(|byte| format!("{byte:02x}")).collect()
     }

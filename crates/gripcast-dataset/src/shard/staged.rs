@@ -17,7 +17,7 @@ pub(super) struct StagedShard {
 impl StagedShard {
     /// # Errors
     /// Those of the operating system; the target being a folder.
-    pub fn create(target: &BeneathPath) -> io::Result<Self> {
+    pub(super) fn create(target: &BeneathPath) -> io::Result<Self> {
         if target.is_dir() {
             return Err(io::ErrorKind::IsADirectory.into());
         }

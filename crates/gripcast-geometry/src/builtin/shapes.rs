@@ -110,7 +110,7 @@ pub(super) fn octahedron(half: DVec3, cuts: u32) -> TriangleMesh {
 }
 
 /// Appends a vertex (m) and returns its index.
-pub fn push(mesh: &mut TriangleMesh, vertex: DVec3) -> u32 {
+pub(super) fn push(mesh: &mut TriangleMesh, vertex: DVec3) -> u32 {
     mesh.vertices.push(vertex);
     mesh.vertices.len() as u32 - 1
 }

@@ -157,7 +157,7 @@ pub(super) fn read(bytes: &[u8], beside: Beside<'_>) -> Result<TriangleMesh> {
 
 impl Gltf {
     /// Parses the document and gathers its buffers.
-    pub fn open(bytes: &[u8], beside: Beside<'_>) -> Result<Self> {
+    pub(super) fn open(bytes: &[u8], beside: Beside<'_>) -> Result<Self> {
         let (json, blob) = parts(bytes)?;
         let document: Document = serde_json::from_slice(json)
             .map_err(|e| malformed("the glTF cannot be read").because(e))?;

@@ -39,7 +39,7 @@ impl Picture {
 
 impl Grasp {
     /// Bytes of record and pictures.
-    pub fn bytes(&self) -> usize {
+    pub(super) fn bytes(&self) -> usize {
         let pictures = self.pictures.values().map(|picture| picture.bytes.len());
         self.json.len() + pictures.sum::<usize>()
     }

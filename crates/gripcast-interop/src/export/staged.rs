@@ -27,7 +27,7 @@ impl StagedFolder {
     /// # Errors
     /// `Usage`: the target has no name. `Input`: something is there. `Busy`: another export is
     /// writing it. `Permission`, `DiskFull`, `Io`: the folder.
-    pub fn create(target: &Path) -> Result<Self> {
+    pub(super) fn create(target: &Path) -> Result<Self> {
         let Some(name) = target.file_name() else {
             let what = "the export needs a name of its own";
             return Err(Error::new(ErrorKind::Usage, what).at(target.display()));

@@ -36,7 +36,7 @@ pub struct Hdf5 {
 }
 
 /// An array of bytes whose contents are still in the file.
-pub(crate) struct ByteArray<'a> {
+pub struct ByteArray<'a> {
     dataset: Dataset,
     key: &'a str,
     /// Lengths of its axes.
@@ -147,6 +147,9 @@ impl Hdf5 {
     }
 
     /// One finite number: a scalar, or an array of one.
+    ///
+    /// # Errors
+    /// `Input` for another type or shape.
     pub fn number(&self, key: &str) -> Result<Option<f64>> {
         let Some((shape, values)) = self.numbers(key)? else {
             return Ok(None);
@@ -159,6 +162,9 @@ impl Hdf5 {
     }
 
     /// As many finite numbers as the array has, whatever their shape.
+    ///
+    /// # Errors
+    /// `Input` for another type or shape.
     pub fn array<const N: usize>(&self, key: &str) -> Result<Option<[f64; N]>> {
         let Some((shape, values)) = self.numbers(key)? else {
             return Ok(None);
@@ -174,6 +180,9 @@ impl Hdf5 {
     }
 
     /// One text, of fixed or variable length.
+    ///
+    /// # Errors
+    /// `Input` for another type or shape.
     pub fn text(&self, key: &str) -> Result<Option<String>> {
         let Some(dataset) = self.find(key)? else {
             return Ok(None);
@@ -304,12 +313,14 @@ impl ByteArray<'_> {
     }
 }
 
+/// An array of another shape than expected.
 pub fn misshapen(key: &str, expected: &str, shape: &[u64]) -> Error {
     wrong(format!(
         "`{key}` must be {expected}, found the shape {shape:?}"
     ))
 }
 
+/// A file that holds something else than expected.
 pub fn wrong(what: String) -> Error {
     Error::new(ErrorKind::Input, what)
 }

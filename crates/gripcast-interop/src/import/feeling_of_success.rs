@@ -68,7 +68,7 @@ pub(super) struct GraspFacts {
 impl GraspFile {
     /// # Errors
     /// Those of reading the file; `Input` for what has no list of grasps.
-    pub fn open(path: &Path) -> Result<Self> {
+    pub(super) fn open(path: &Path) -> Result<Self> {
         let read = || {
             let file = Hdf5::open(path, "the Feeling of Success (calandra_corl2017_*.h5)")?;
             for list in LISTS {

@@ -21,7 +21,7 @@ pub(super) struct Matrix {
 
 impl Matrix {
     /// Its numbers, if there are as many as it says, and finite.
-    pub fn numbers(&self, what: &str) -> Result<&[f64]> {
+    pub(super) fn numbers(&self, what: &str) -> Result<&[f64]> {
         if self.rows.checked_mul(self.cols) != Some(self.data.len()) {
             return Err(bad(format!(
                 "{what} is said to have {} × {} numbers, found {}",

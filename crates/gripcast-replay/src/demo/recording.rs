@@ -78,7 +78,7 @@ impl Recorder {
     ///
     /// # Errors
     /// Those of [`DatasetWriter::open_or_create`].
-    pub fn open(folder: &Path, seed: u64, is_quick: bool) -> Result<Self> {
+    pub(super) fn open(folder: &Path, seed: u64, is_quick: bool) -> Result<Self> {
         let new = NewDataset {
             name: NAME.to_owned(),
             rig: RIG.to_owned(),
@@ -337,7 +337,7 @@ impl Recorder {
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
-    pub fn finish(&self) -> Result<()> {
+    pub(super) fn finish(&self) -> Result<()> {
         let left = self.left.lock().unwrap_or_else(|e| e.into_inner()).take();
         let mut writer = self.writer();
         if let Some(pending) = left {

@@ -5,15 +5,15 @@ use rapier3d_f64::math::{Pose as RapierPose, Rotation, Vector};
 
 use gripcast_geometry::Pose;
 
-pub fn vector(v: DVec3) -> Vector {
+pub(super) fn vector(v: DVec3) -> Vector {
     Vector::new(v.x, v.y, v.z)
 }
 
-pub(crate) fn from_vector(v: Vector) -> DVec3 {
+pub(super) fn from_vector(v: Vector) -> DVec3 {
     DVec3::new(v.x, v.y, v.z)
 }
 
-pub fn pose(p: &Pose) -> RapierPose {
+pub(super) fn pose(p: &Pose) -> RapierPose {
     let q = p.rotation;
     RapierPose::from_parts(
         vector(p.translation_m),
@@ -21,7 +21,7 @@ pub fn pose(p: &Pose) -> RapierPose {
     )
 }
 
-pub(crate) fn from_pose(p: &RapierPose) -> Pose {
+pub(super) fn from_pose(p: &RapierPose) -> Pose {
     let q = p.rotation;
     Pose::new(
         DQuat::from_xyzw(q.x, q.y, q.z, q.w),

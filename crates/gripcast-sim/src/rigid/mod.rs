@@ -11,8 +11,9 @@
 //! coefficient as in the finite-element simulator, and there is no rolling friction.
 
 mod cache;
+mod collision;
 mod contact;
-pub mod convert;
+mod convert;
 mod decomposition;
 mod engine;
 mod merge;
@@ -22,6 +23,7 @@ mod settings;
 mod start;
 mod world;
 
+pub use collision::CollisionShape;
 pub use decomposition::Decomposition;
 pub use engine::RigidEngine;
 pub use peer::{

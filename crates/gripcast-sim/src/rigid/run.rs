@@ -38,7 +38,7 @@ impl<'a> Run<'a> {
     }
 
     /// Closes, settles, lifts, and judges.
-    pub fn finish(mut self) -> GraspResult {
+    pub(super) fn finish(mut self) -> GraspResult {
         let is_finite = self.close();
         let before = self.world.object_height_m();
         let was_held = self.last_force() > NO_FORCE;

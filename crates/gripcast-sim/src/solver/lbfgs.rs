@@ -29,7 +29,7 @@ impl Memory {
     }
 
     /// Takes a pair, if the gradient grew along the step enough to be worth keeping.
-    pub fn push(&mut self, step: &[f64], gradient: &[f64], before: &[f64]) {
+    pub(super) fn push(&mut self, step: &[f64], gradient: &[f64], before: &[f64]) {
         if self.capacity == 0 {
             return;
         }

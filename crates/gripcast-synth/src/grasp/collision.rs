@@ -3,18 +3,16 @@
 use std::sync::OnceLock;
 
 use glam::DVec3;
-use rapier3d_f64::geometry::SharedShape;
-use rapier3d_f64::parry::query::intersection_test;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::Result;
 use gripcast_geometry::{Pose, TriangleMesh, convex_hull};
 use gripcast_sim::grasp::Placed;
-use gripcast_sim::rigid::convert;
+use gripcast_sim::rigid::CollisionShape;
 use gripcast_visual::{GripperPart, gripper_parts};
 
 /// An object that a gripper could hit.
 pub struct Obstacle {
-    surface: SharedShape,
+    surface: CollisionShape,
     t_world_object: Pose,
 }
 
@@ -24,13 +22,8 @@ impl Obstacle {
     /// # Errors
     /// `Input` for a mesh without triangles.
     pub fn new(object: &TriangleMesh, t_world_object: Pose) -> Result<Self> {
-        let vertices = object.vertices.iter().map(|v| convert::vector(*v));
-        let surface = SharedShape::trimesh(vertices.collect(), object.triangles.clone());
-        let surface = surface.map_err(|e| {
-            Error::new(ErrorKind::Input, "the mesh cannot be tested for collisions").because(e)
-        })?;
         Ok(Self {
-            surface,
+            surface: CollisionShape::surface(object)?,
             t_world_object,
         })
     }
@@ -43,7 +36,6 @@ impl Obstacle {
 /// `Input` for an opening that the gripper has not.
 pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<&'static str>> {
     let t_world_gripper = placed.t_world_gripper;
-    let place = convert::pose(&obstacle.t_world_object);
     for (part, solid) in gripper_parts(placed.opening_m)?.iter().zip(solids()?) {
         // Parts move with the opening, but keep their shape.
         let moved_m = part.shape.vertices[0] - solid.reference_m;
@@ -55,16 +47,8 @@ pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<&'static 
         let Some(shape) = &solid.shape else {
             continue;
         };
-        let at = convert::pose(&t_world_solid);
-        let hit = intersection_test(&place, obstacle.surface.as_ref(), &at, shape.as_ref());
-        let hit = hit.map_err(|e| {
-            Error::new(
-                ErrorKind::Internal,
-                "shapes cannot be tested for collisions",
-            )
-            .because(e)
-        })?;
-        if hit.intersecting {
+        let surface = &obstacle.surface;
+        if surface.intersects(&obstacle.t_world_object, shape, &t_world_solid)? {
             return Ok(Some(part.name));
         }
     }
@@ -77,7 +61,7 @@ struct Solid {
     reference_m: DVec3,
     corners: Vec<DVec3>,
     /// None for a hull without volume.
-    shape: Option<SharedShape>,
+    shape: Option<CollisionShape>,
 }
 
 /// Opening at which hulls are made, m.
@@ -96,10 +80,9 @@ fn solids() -> Result<&'static [Solid]> {
 
 fn solid(part: &GripperPart) -> Result<Solid> {
     let hull = convex_hull(&part.shape.vertices)?;
-    let points = hull.vertices.iter().map(|v| convert::vector(*v)).collect();
     Ok(Solid {
         reference_m: part.shape.vertices[0],
-        shape: SharedShape::convex_mesh(points, &hull.triangles),
+        shape: CollisionShape::solid(&hull.vertices, &hull.triangles),
         corners: hull.vertices,
     })
 }

@@ -55,7 +55,7 @@ pub(super) struct FrameRow {
 }
 
 impl Pictures {
-    pub fn bytes(&self) -> usize {
+    pub(super) fn bytes(&self) -> usize {
         let colour = self.frames.iter().flat_map(|frame| &frame.colour);
         let depth = self.frames.iter().flat_map(|frame| &frame.depth);
         colour.map(|c| c.bytes.len()).sum::<usize>() + depth.map(|d| d.bytes.len()).sum::<usize>()
@@ -158,7 +158,7 @@ fn found(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Picture> {
 }
 
 /// Both frames. `episode` and `task` are the numbers of the grasp and of its task.
-pub fn rows(
+pub(super) fn rows(
     is_stable: bool,
     episode: usize,
     task: usize,

@@ -83,7 +83,7 @@ impl Rows {
     }
 
     /// Adds a row: its bytes, little endian.
-    pub fn push(&mut self, store: &mut Store<'_>, row: &[u8]) -> Result<()> {
+    pub(super) fn push(&mut self, store: &mut Store<'_>, row: &[u8]) -> Result<()> {
         debug_assert_eq!(row.len(), self.row_bytes());
         self.waiting.extend_from_slice(row);
         self.rows += 1;
@@ -103,7 +103,7 @@ impl Rows {
         self.push(store, &row)
     }
 
-    pub fn finish(mut self, store: &mut Store<'_>) -> Result<()> {
+    pub(super) fn finish(mut self, store: &mut Store<'_>) -> Result<()> {
         if !self.waiting.is_empty() {
             // Chunks have all the same shape; what is beyond the array is not read.
             self.waiting.resize(ROWS_PER_CHUNK * self.row_bytes(), 0);
@@ -147,7 +147,7 @@ impl Pictures {
     }
 
     /// Adds a picture of `height × width × 3` bytes; none is read as black.
-    pub fn push(&mut self, store: &mut Store<'_>, pixels: Option<&[u8]>) -> Result<()> {
+    pub(super) fn push(&mut self, store: &mut Store<'_>, pixels: Option<&[u8]>) -> Result<()> {
         if let Some(pixels) = pixels {
             let name = chunk_name(&self.name, self.rows, 3);
             store.put(&name, &compressed(pixels)?)?;
@@ -156,7 +156,7 @@ impl Pictures {
         Ok(())
     }
 
-    pub fn finish(self, store: &mut Store<'_>) -> Result<()> {
+    pub(super) fn finish(self, store: &mut Store<'_>) -> Result<()> {
         let shape = [self.rows, self.height, self.width, 3];
         let chunks = [1, self.height, self.width, 3];
         let description = describe(&shape, &chunks, Kind::U1);

@@ -19,7 +19,7 @@ pub(super) enum Store<'a> {
 }
 
 impl<'a> Store<'a> {
-    pub fn create(folder: &'a StagedFolder, is_zip: bool) -> Result<Self> {
+    pub(super) fn create(folder: &'a StagedFolder, is_zip: bool) -> Result<Self> {
         if !is_zip {
             return Ok(Self::Folder(folder));
         }
@@ -50,7 +50,7 @@ impl<'a> Store<'a> {
         self.put(key, &text)
     }
 
-    pub fn finish(self) -> Result<()> {
+    pub(super) fn finish(self) -> Result<()> {
         match self {
             Self::Folder(_) => Ok(()),
             Self::Zip(zip) => {
