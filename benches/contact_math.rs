@@ -9,12 +9,12 @@ use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use glam::DVec3;
-use gripcast::sim::contact::barrier::Barrier;
-use gripcast::sim::contact::ccd::{edge_edge_toi, point_triangle_toi};
-use gripcast::sim::contact::distance::{edge_edge, point_triangle};
-use gripcast::sim::contact::distance_hessian::squared_distance_hessian;
-use gripcast::sim::contact::friction::Friction;
-use gripcast::sim::contact::mollifier::{mollifier, threshold};
+use gripcast_sim::contact::barrier::Barrier;
+use gripcast_sim::contact::ccd::{edge_edge_toi, point_triangle_toi};
+use gripcast_sim::contact::distance::{edge_edge, point_triangle};
+use gripcast_sim::contact::distance_hessian::squared_distance_hessian;
+use gripcast_sim::contact::friction::Friction;
+use gripcast_sim::contact::mollifier::{mollifier, threshold};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

@@ -10,7 +10,7 @@ use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use glam::DVec3;
-use gripcast::sim::fem::{Elastic, GelGrid, GelResolution, NeoHookean, Projection};
+use gripcast_sim::fem::{Elastic, GelGrid, GelResolution, NeoHookean, Projection};
 
 /// A gel pressed to three quarters of its thickness, sheared and wavy.
 fn pressed(grid: &GelGrid) -> Vec<DVec3> {

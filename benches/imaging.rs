@@ -15,8 +15,8 @@ use std::time::Duration;
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use fast_image_resize::images::{Image, ImageRef};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
-use gripcast::imaging::jpeg::{JpegScale, inspect};
-use gripcast::imaging::{
+use gripcast_imaging::jpeg::{JpegScale, inspect};
+use gripcast_imaging::{
     CropProfile, Decoder, Frame, JpegDecoder, PixelFormat, TactileDifference, crop_and_resize,
     encode_jpeg, encode_png_rgb, synthetic_gel,
 };

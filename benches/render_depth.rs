@@ -1,7 +1,7 @@
 //! Tactile depth of an object of 100k triangles on 320 × 240 pixels, one thread.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use gripcast::render::tactile::{DepthLoad, Rasteriser, object_depth};
+use gripcast_tactile::{DepthLoad, Rasteriser, object_depth};
 
 fn depth(criterion: &mut Criterion) {
     let load = DepthLoad::default();

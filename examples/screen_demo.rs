@@ -8,15 +8,13 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gripcast::app::daemon::{
-    Asked, CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview,
-};
-use gripcast::app::tui::{Sound, Wiring, run};
-use gripcast::dataset::{GraspId, Outcome};
-use gripcast::error::Result;
-use gripcast::files::{Label, ObjectName};
-use gripcast::imaging::Role;
-use gripcast::session::{
+use gripcast::daemon::{Asked, CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
+use gripcast::tui::{Sound, Wiring, run};
+use gripcast_base::error::Result;
+use gripcast_base::files::{Label, ObjectName};
+use gripcast_dataset::{GraspId, Outcome};
+use gripcast_imaging::Role;
+use gripcast_session::{
     Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
 };
 use image::{Rgb, RgbImage};

@@ -4,11 +4,12 @@
 //! cargo run --release --example simulate_grasp -- sphere.svg
 //! ```
 
-use gripcast::error::{Error, Result};
-use gripcast::geometry::{PrepareOptions, builtin, prepare};
-use gripcast::sim::fem::GelResolution;
-use gripcast::sim::grasp::{
-    GraspSettings, GraspSummary, Placement, Scene, StageName, plot, resting_pose, simulate,
+use gripcast_base::error::{Error, Result};
+use gripcast_geometry::{PrepareOptions, builtin, prepare};
+use gripcast_replay::plot;
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{
+    GraspSettings, GraspSummary, Placement, Scene, StageName, resting_pose, simulate,
 };
 
 fn main() -> Result<()> {

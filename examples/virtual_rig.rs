@@ -10,11 +10,11 @@ use std::error::Error;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use gripcast::imaging::{Frame, PixelFormat, Role};
-use gripcast::rig::calibration::CameraConfig;
-use gripcast::rig::camera::{
+use gripcast_capture::calibration::CameraConfig;
+use gripcast_capture::camera::{
     CameraOpener, FilmLibrary, FrameSource, HandGoal, ManualClock, VirtualRig,
 };
+use gripcast_imaging::{Frame, PixelFormat, Role};
 use image::{Rgb, RgbImage, imageops};
 
 const WIDTH: u32 = 640;

@@ -17,7 +17,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
-use gripcast::render::visual::{
+use gripcast_visual::{
     Bitmap, Camera, Colour, DenoiseSettings, Environment, Material, Mesh, Picture, PixelFilter,
     RenderSettings, Renderer, Rendering, Scene, Texture, Watch, denoise, load_hdr,
 };

@@ -3,5 +3,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    gripcast::app::cli::main()
+    gripcast::cli::main()
 }

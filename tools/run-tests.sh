@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# tools/run-tests.sh [ARGUMENT…]: `cargo test` with these arguments, then a summary of what was
+# tools/run-tests.sh [ARGUMENT…]: `cargo test --workspace` with these arguments, then a summary of what was
 # skipped and why. Exit status: that of `cargo test`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -9,6 +9,6 @@ mkdir -p target/skipped
 : >target/skipped/tests
 export GRIPCAST_SKIPS=$PWD/target/skipped/tests
 code=0
-cargo test "$@" || code=$?
+cargo test --workspace "$@" || code=$?
 tools/skipped.sh
 exit "$code"

@@ -2,7 +2,7 @@
 //!
 //! The checksum is put right, or nearly every input would end there.
 
-use gripcast::rig::calibration::ColourTable;
+use gripcast_capture::calibration::ColourTable;
 
 const HEADER_BYTES: usize = 16;
 const CHECKSUM: std::ops::Range<usize> = 12..16;

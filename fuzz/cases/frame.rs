@@ -4,7 +4,7 @@
 
 use std::cell::RefCell;
 
-use gripcast::imaging::{CropProfile, Decoder, Frame, PixelFormat, check_structure};
+use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, check_structure};
 
 /// Larger pictures only take longer.
 const MAX_PIXELS: u32 = 1 << 16;
@@ -55,7 +55,7 @@ pub(crate) fn check(input: &[u8]) {
 
 /// What a JPEG's or PNG's header says; zero for others.
 fn claimed_pixels(file: &[u8]) -> u32 {
-    if let Ok(header) = gripcast::imaging::jpeg::inspect(file) {
+    if let Ok(header) = gripcast_imaging::jpeg::inspect(file) {
         return header.width.saturating_mul(header.height);
     }
     let side = |at: usize| {

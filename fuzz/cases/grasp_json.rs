@@ -1,6 +1,6 @@
 //! `grasp.json` as a dataset may hold it.
 
-use gripcast::dataset::GraspRecord;
+use gripcast_dataset::GraspRecord;
 
 /// Panics where something is wrong.
 pub(crate) fn check(input: &[u8]) {

@@ -6,11 +6,11 @@ use std::fs;
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 
-use gripcast::dataset::{self, Dataset};
-use gripcast::files::Root;
-use gripcast::geometry::{LengthUnit, load_mesh, load_textured_mesh};
-use gripcast::synth::plan::Plan;
-use gripcast::synth::{ResultStore, planned_mesh};
+use gripcast_base::files::Root;
+use gripcast_dataset::Dataset;
+use gripcast_geometry::{LengthUnit, load_mesh, load_textured_mesh};
+use gripcast_synth::plan::Plan;
+use gripcast_synth::{ResultStore, planned_mesh};
 use rustix::fs::inotify::{self, CreateFlags, WatchFlags};
 
 /// What names try. `OUTSIDE` becomes the absolute path of the folder outside.
@@ -210,7 +210,7 @@ fn record(place: &Place, choices: &mut Choices<'_>) {
             for file in record.files.keys() {
                 let _ = data
                     .file(&record, file)
-                    .map(|f| f.read(gripcast::files::FileKind::Image));
+                    .map(|f| f.read(gripcast_base::files::FileKind::Image));
             }
             for key in record.calibration_keys() {
                 let _ = data.calibration(key);
@@ -220,10 +220,10 @@ fn record(place: &Place, choices: &mut Choices<'_>) {
             let _ = data.split(&name);
         }
     }
-    let _ = dataset::verify(&root, &|_, _| {});
-    let _ = dataset::recover(&root, false);
-    let _ = dataset::reindex(&root);
-    let _ = dataset::verify(&root, &|_, _| {});
+    let _ = gripcast_dataset::verify(&root, &|_, _| {});
+    let _ = gripcast_dataset::recover(&root, false);
+    let _ = gripcast_dataset::reindex(&root);
+    let _ = gripcast_dataset::verify(&root, &|_, _| {});
     place.check("a dataset");
 }
 
@@ -257,7 +257,7 @@ fn plan(place: &Place, choices: &mut Choices<'_>) {
     }
     let _ = fs::remove_file(root.join("plan.jsonl"));
     fs::write(root.join("plan.jsonl"), &text).expect("a plan");
-    let hash = format!("{}  plan.jsonl\n", gripcast::files::sha256_hex(&text));
+    let hash = format!("{}  plan.jsonl\n", gripcast_base::files::sha256_hex(&text));
     let _ = fs::remove_file(root.join("plan.sha256"));
     fs::write(root.join("plan.sha256"), hash).expect("its hash");
     if let Ok(plan) = Plan::read(&root) {

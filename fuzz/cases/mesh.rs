@@ -2,7 +2,7 @@
 
 use std::io::{Error, ErrorKind};
 
-use gripcast::geometry::{MeshFormat, read_mesh, read_textured_mesh};
+use gripcast_geometry::{MeshFormat, read_mesh, read_textured_mesh};
 
 /// Panics where something is wrong.
 pub(crate) fn check(input: &[u8]) {

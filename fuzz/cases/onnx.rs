@@ -4,8 +4,8 @@
 
 use std::sync::OnceLock;
 
-use gripcast::predict::onnx::{decode, pb};
-use gripcast::predict::{ModelContract, Novelty, SHIPPED, model_bytes};
+use gripcast_nn::predict::onnx::{decode, pb};
+use gripcast_nn::predict::{ModelContract, Novelty, SHIPPED, model_bytes};
 
 /// The shipped model without its weights.
 fn sound() -> &'static pb::ModelProto {

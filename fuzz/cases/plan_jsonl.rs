@@ -1,6 +1,6 @@
 //! `plan.jsonl`: objects and simulations of a synthetic dataset.
 
-use gripcast::synth::plan::Plan;
+use gripcast_synth::plan::Plan;
 
 /// Panics where something is wrong.
 pub(crate) fn check(input: &[u8]) {

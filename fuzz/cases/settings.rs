@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use gripcast::app::config;
-use gripcast::pose::{BoardFile, CameraChoice, CameraFile};
-use gripcast::rig::calibration::RigFile;
-use gripcast::rig::trigger::Script;
-use gripcast::session::Command;
+use gripcast::config;
+use gripcast_capture::calibration::RigFile;
+use gripcast_capture::trigger::Script;
+use gripcast_pose::{BoardFile, CameraChoice, CameraFile};
+use gripcast_session::Command;
 
 /// Panics where something is wrong.
 pub(crate) fn check(input: &[u8]) {

@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::Path;
 
-use gripcast::pose::BoardFile;
+use gripcast_pose::BoardFile;
 use serde_json::{Value, json};
 
 use crate::program::{collect_on, grasps, gripcast, script, stderr, succeed, verify};

@@ -5,9 +5,9 @@ use std::path::Path;
 use std::process::Command;
 
 use glam::DVec3;
-use gripcast::geometry::MeshQuery;
-use gripcast::pose::{BoardFile, BoardMarker, Part};
-use gripcast::render::visual::gripper_parts;
+use gripcast_geometry::MeshQuery;
+use gripcast_pose::{BoardFile, BoardMarker, Part};
+use gripcast_visual::gripper_parts;
 
 use crate::program::{gripcast, json, stderr, succeed};
 
@@ -39,7 +39,7 @@ fn a_sheet_is_written_in_three_formats_with_its_board() {
     assert!(svg.contains("width=\"297mm\" height=\"210mm\""));
     let hash = made["hash"].as_str().unwrap();
     assert!(svg.contains(hash), "the hash is printed");
-    let picture = gripcast::imaging::decode_png_rgb(&fs::read(at("mug.png")).unwrap()).unwrap();
+    let picture = gripcast_imaging::decode_png_rgb(&fs::read(at("mug.png")).unwrap()).unwrap();
     assert_eq!(picture.dimensions(), (1169, 827));
     let file = BoardFile::load(Path::new(&at("mug.toml"))).unwrap();
     assert_eq!(file.board.hash(), hash);
@@ -210,7 +210,7 @@ fn boards_of_other_programs_are_imported() {
 #[test]
 fn an_own_dictionary_lies_beside_the_board() {
     let dir = tempfile::tempdir().unwrap();
-    let known = gripcast::pose::Dictionary::by_name("DICT_5X5_50").unwrap();
+    let known = gripcast_pose::Dictionary::by_name("DICT_5X5_50").unwrap();
     let mut text = "%YAML:1.0\nnmarkers: 50\nmarkersize: 5\n".to_owned();
     for id in 0..50 {
         text += &format!("marker_{id}: \"{:025b}\"\n", known.code(id).unwrap());

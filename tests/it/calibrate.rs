@@ -5,10 +5,10 @@ use std::path::Path;
 use std::process::Command;
 
 use glam::{DMat3, DQuat, DVec3};
-use gripcast::geometry::Pose;
-use gripcast::imaging::{Intrinsics, encode_png_grey8};
-use gripcast::pose::synthetic::{PictureConditions, Placed, render, test_camera};
-use gripcast::pose::{BoardFile, Part, load_intrinsics};
+use gripcast_geometry::Pose;
+use gripcast_imaging::{Intrinsics, encode_png_grey8};
+use gripcast_pose::synthetic::{PictureConditions, Placed, render, test_camera};
+use gripcast_pose::{BoardFile, Part, load_intrinsics};
 
 use crate::program::{gripcast, json, stderr, succeed};
 
@@ -35,7 +35,7 @@ fn intrinsics_survive_every_format() {
     let dir = tempfile::tempdir().unwrap();
     let at = |name: &str| dir.path().join(name);
     let mut camera = camera();
-    camera.model = gripcast::imaging::DistortionModel::BrownConrady;
+    camera.model = gripcast_imaging::DistortionModel::BrownConrady;
     camera.coefficients = [1e-7, -1.0 / 3.0, 0.0007, -0.0004, 0.08];
     camera.save(&at("a.toml")).unwrap();
     let mut from = "a.toml";

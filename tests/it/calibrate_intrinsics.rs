@@ -5,11 +5,11 @@ use std::path::Path;
 use std::process::Command;
 
 use glam::{DQuat, DVec3};
-use gripcast::geometry::Pose;
-use gripcast::imaging::{DistortionModel, Frame, Intrinsics, PixelFormat, Role, encode_png_grey8};
-use gripcast::pose::BoardFile;
-use gripcast::pose::synthetic::{PictureConditions, render_board};
-use gripcast::rig::camera::{CameraIdentity, Recorder, StreamInfo};
+use gripcast_capture::camera::{CameraIdentity, Recorder, StreamInfo};
+use gripcast_geometry::Pose;
+use gripcast_imaging::{DistortionModel, Frame, Intrinsics, PixelFormat, Role, encode_png_grey8};
+use gripcast_pose::BoardFile;
+use gripcast_pose::synthetic::{PictureConditions, render_board};
 use image::GrayImage;
 use image::imageops::flip_horizontal;
 

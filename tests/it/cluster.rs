@@ -7,11 +7,11 @@ use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use gripcast::error::ErrorKind;
+use gripcast_base::error::ErrorKind;
 use serde_json::{Value, json};
 
 use crate::program::wait_until;
-use crate::skip::{Needs, skip};
+use gripcast_testing::{Needs, skip};
 
 /// Exit code of the script where Slurm cannot run.
 const NO_SLURM: i32 = 77;

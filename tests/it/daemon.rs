@@ -215,7 +215,7 @@ fn exchange(
 }
 
 fn sha256(bytes: &[u8]) -> String {
-    gripcast::files::sha256_hex(bytes)
+    gripcast_base::files::sha256_hex(bytes)
 }
 
 #[test]

@@ -5,14 +5,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use gripcast::dataset::{
+use gripcast_dataset::{
     CapturedCamera, DatasetWriter, GraspId, GraspMeta, NewDataset, Outcome, PredictionRecord,
     StageCapture,
 };
-use gripcast::imaging::{Frame, PixelFormat, Role};
+use gripcast_imaging::{Frame, PixelFormat, Role};
 use serde_json::Value;
 
-use crate::skip::{Needs, skip};
+use gripcast_testing::{Needs, skip};
 
 const WIDTH: u32 = 32;
 const HEIGHT: u32 = 24;

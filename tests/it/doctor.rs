@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 
 use crate::program::{gripcast, json, stderr};
-use crate::rig::sysfs_tree::{Tree, mini};
+use gripcast_testing::sysfs_tree::{Tree, mini};
 
 /// A command that sees the devices of a tree only.
 fn over(tree: &Tree, arguments: &[&str]) -> Output {

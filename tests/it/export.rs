@@ -8,7 +8,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::dataset::{gripcast, json, stderr, stdout, tree, write_dataset};
-use super::skip::{Needs, skip};
+use gripcast_testing::{Needs, skip};
 
 const FORMATS: [&str; 5] = ["parquet", "webdataset", "lerobot", "zarr", "training"];
 

@@ -5,11 +5,11 @@
 
 use std::path::{Path, PathBuf};
 
-use gripcast::imaging::{CropProfile, TactileDifference, crop_and_resize, decode_png_rgb};
-use gripcast::predict::{Model, SHIPPED};
+use gripcast_imaging::{CropProfile, TactileDifference, crop_and_resize, decode_png_rgb};
+use gripcast_nn::predict::{Model, SHIPPED};
 use image::RgbImage;
 
-use crate::shared_data::shared;
+use gripcast_testing::shared;
 
 /// Real frames of three sensors that touch nothing.
 const NO_CONTACT: [&str; 3] = [

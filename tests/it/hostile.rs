@@ -475,3 +475,27 @@ fn a_dataset_on_another_disk_works_where_the_user_says_so() {
     let said = String::from_utf8_lossy(&allowed.stderr).into_owned();
     assert_eq!(allowed.status.code(), Some(0), "{said}");
 }
+
+/// Names of files are whatever somebody gave them: on stdout as a finding, on stderr as a place.
+#[test]
+fn names_of_files_cannot_command_a_terminal() {
+    const TITLE: &str = "\u{1b}]0;owned\u{7}\u{202e}";
+    let dir = tempfile::tempdir().unwrap();
+    let root = dir.path().join(format!("data{TITLE}"));
+    write_dataset(&root, &["mug"]);
+    fs::write(root.join("grasps").join(TITLE), "stray").unwrap();
+    for arguments in [
+        vec!["dataset", "verify"],
+        vec!["dataset", "verify", "--json"],
+    ] {
+        let output = gripcast().args(arguments).arg(&root).output().unwrap();
+        let (stdout, stderr) = (
+            String::from_utf8(output.stdout).unwrap(),
+            String::from_utf8(output.stderr).unwrap(),
+        );
+        for text in [&stdout, &stderr] {
+            assert!(text.contains("owned"), "{text:?}");
+            assert!(!text.contains(['\u{1b}', '\u{7}', '\u{202e}']), "{text:?}");
+        }
+    }
+}

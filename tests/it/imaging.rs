@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use gripcast::imaging::jpeg::{JpegScale, Subsampling, inspect};
-use gripcast::imaging::{
+use gripcast_imaging::jpeg::{JpegScale, Subsampling, inspect};
+use gripcast_imaging::{
     CropProfile, Decoder, Frame, FrameDamage, JpegDamage, JpegDecoder, PixelFormat,
     TactileDifference, check_structure, crop_and_resize, decode_png_rgb, encode_jpeg,
     encode_png_rgb, synthetic_gel,
@@ -13,7 +13,7 @@ use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use crate::shared_data::shared;
+use gripcast_testing::shared;
 
 fn frame(format: PixelFormat, width: u32, height: u32, data: Vec<u8>) -> Frame {
     Frame {

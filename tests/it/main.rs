@@ -21,7 +21,6 @@ mod hostile;
 mod hostile_synth;
 mod imaging;
 mod kernel;
-mod layers;
 mod model_contract;
 mod packaging;
 mod program;
@@ -31,10 +30,7 @@ mod render_tactile;
 mod replay;
 mod rig;
 mod screen;
-mod shared_data;
 mod sim;
-#[path = "../support/skip.rs"]
-mod skip;
 mod synth;
 mod train;
 mod training_screen;

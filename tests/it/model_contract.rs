@@ -4,8 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use gripcast::imaging::{encode_png_rgb, synthetic_gel};
-use gripcast::predict::{BASELINE, Model, baseline, contract, onnx};
+use gripcast_imaging::{encode_png_rgb, synthetic_gel};
+use gripcast_nn::predict::{BASELINE, Model, baseline, contract, onnx};
 use serde_json::Value;
 
 fn gripcast(arguments: &[&str]) -> Output {

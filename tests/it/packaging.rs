@@ -5,11 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use gripcast::rig::device::udev_rule;
-use gripcast::rig::trigger::pedal_udev_rule;
+use gripcast_capture::device::udev_rule;
+use gripcast_capture::trigger::pedal_udev_rule;
 
 use crate::program::{gripcast, json, stderr, succeed};
-use crate::skip::{Needs, skip};
+use gripcast_testing::{Needs, skip};
 
 fn repository_file(path: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);

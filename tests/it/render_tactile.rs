@@ -1,9 +1,9 @@
 //! The calibration of the tactile renderer on real presses.
 
-use gripcast::render::tactile::SensorProfile;
-use gripcast::render::tactile::calibrate::{CalibrateOptions, CalibrationReport, run};
+use gripcast_tactile::SensorProfile;
+use gripcast_tactile::calibrate::{CalibrateOptions, CalibrationReport, run};
 
-use crate::shared_data::shared;
+use gripcast_testing::shared;
 
 fn fots(most_fitted: Option<usize>, seed: u64) -> Option<CalibrationReport> {
     let options = CalibrateOptions {

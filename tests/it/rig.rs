@@ -6,10 +6,7 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
-#[path = "../../src/rig/device/sysfs_tree.rs"]
-pub(crate) mod sysfs_tree;
-
-use sysfs_tree::{Tree, d435, mini};
+use gripcast_testing::sysfs_tree::{Tree, d435, mini};
 
 fn gripcast(tree: &Tree, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_gripcast"))
@@ -189,7 +186,7 @@ fn example_rig_files_are_valid() {
     let mut checked = 0;
     for entry in fs::read_dir(rigs).unwrap() {
         let path = entry.unwrap().path();
-        gripcast::rig::calibration::RigFile::load(&path).unwrap();
+        gripcast_capture::calibration::RigFile::load(&path).unwrap();
         checked += 1;
     }
     assert!(checked >= 2);

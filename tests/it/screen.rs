@@ -5,12 +5,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
-use gripcast::app::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
-use gripcast::app::tui::{ColourDepth, LinePrinter, Overlay, Palette, Reaction, ScreenState, draw};
-use gripcast::dataset::{GraspId, Outcome};
-use gripcast::files::{Label, ObjectName};
-use gripcast::imaging::Role;
-use gripcast::session::{
+use gripcast::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
+use gripcast::tui::{ColourDepth, LinePrinter, Overlay, Palette, Reaction, ScreenState, draw};
+use gripcast_base::files::{Label, ObjectName};
+use gripcast_dataset::{GraspId, Outcome};
+use gripcast_imaging::Role;
+use gripcast_session::{
     Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step,
 };
 use image::{Rgb, RgbImage};

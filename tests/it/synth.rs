@@ -167,10 +167,10 @@ fn finite_elements_end_in_rows_that_say_what_was_simulated() {
     let part = &report["parts"]["train"];
     assert!(part["rows"].as_u64().unwrap() > 0, "{report}");
     let shard = out.join("data/train-00000-of-00001.parquet");
-    let rows = gripcast::shard::ShardReader::open(&shard).unwrap();
+    let rows = gripcast_dataset::shard::ShardReader::open(&shard).unwrap();
     for row in rows.rows() {
         let facts = row.unwrap().facts;
-        assert_eq!(facts.engine, gripcast::shard::ShardEngine::Fem);
+        assert_eq!(facts.engine, gripcast_dataset::shard::ShardEngine::Fem);
         assert!(facts.force_left_n.unwrap() > 0.0 && facts.mass_kg.unwrap() <= 0.2);
         assert!([10.0, 40.0].contains(&facts.stop_force_n.unwrap()));
     }

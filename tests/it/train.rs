@@ -5,13 +5,13 @@ use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use gripcast::files::Root;
-use gripcast::geometry::Pose;
-use gripcast::imaging::{encode_jpeg, synthetic_gel};
-use gripcast::shard::{
+use gripcast_base::files::Root;
+use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter, shard_place,
 };
-use gripcast::train::RunFolder;
+use gripcast_geometry::Pose;
+use gripcast_imaging::{encode_jpeg, synthetic_gel};
+use gripcast_train::RunFolder;
 use image::{Rgb, RgbImage};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;

@@ -2,10 +2,10 @@
 
 use std::time::Duration;
 
-use gripcast::app::tui::{ColourDepth, Palette, TrainingNews, TrainingStatus, draw_training};
-use gripcast::nn::Architecture;
-use gripcast::predict::contract::Variant;
-use gripcast::train::{EpochFigures, PartCounts, RunStart, TrainEvent, TrainSettings};
+use gripcast::tui::{ColourDepth, Palette, TrainingNews, TrainingStatus, draw_training};
+use gripcast_nn::Architecture;
+use gripcast_nn::predict::contract::Variant;
+use gripcast_train::{EpochFigures, PartCounts, RunStart, TrainEvent, TrainSettings};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::style::Color;

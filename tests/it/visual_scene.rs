@@ -3,12 +3,12 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use gripcast::geometry::LengthUnit;
-use gripcast::render::visual::{
+use gripcast_geometry::LengthUnit;
+use gripcast_visual::{
     Colour, Finish, Model, Pattern, load_bitmap, load_hdr, white_table_luminance,
 };
 
-use crate::shared_data::shared;
+use gripcast_testing::shared;
 
 /// Files of a folder with a suffix, sorted.
 fn files(folder: &Path, suffix: &str) -> Vec<PathBuf> {

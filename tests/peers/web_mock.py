@@ -3,7 +3,7 @@
     python3 -m venv venv && venv/bin/pip install aiohttp numpy pillow
     venv/bin/python tests/peers/web_mock.py --port 8765 [--token T] [--grasps 30] [--cameras 4]
 
-For work on the page (src/app/web/page), which is read anew for every request. Ctrl-C says goodbye to
+For work on the page (src/web/page), which is read anew for every request. Ctrl-C says goodbye to
 the pages first. Beyond the API, `POST /mock` with JSON changes what is simulated: `fault` (role and
 state, or null), `stale`, `absent` (a reason or null), `heuristic`, `novelty`, `p` (fixed, or null to
 wander), `refuse` (`overridable`, `final` or null), `saving_s`, `fail`, `mute` (no events).
@@ -23,7 +23,7 @@ import numpy
 from aiohttp import WSMsgType, web
 from PIL import Image
 
-PAGE = pathlib.Path(__file__).resolve().parents[2] / "src/app/web/page"
+PAGE = pathlib.Path(__file__).resolve().parents[2] / "src/web/page"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

@@ -9,12 +9,12 @@ use std::sync::OnceLock;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use gripcast::dataset::GraspRecord;
+use gripcast_dataset::GraspRecord;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
 use super::pictures::Pictures;
-use crate::skip::{Needs, skip};
+use gripcast_testing::{Needs, skip};
 
 /// A guest that is not done by then hangs. Wall clock of the host.
 const WATCHDOG: Duration = Duration::from_secs(420);

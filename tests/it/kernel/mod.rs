@@ -7,8 +7,8 @@ mod pictures;
 use std::fs;
 use std::path::Path;
 
-use gripcast::dataset::{Outcome as Label, StageRecord};
-use gripcast::imaging::Role;
+use gripcast_dataset::{Outcome as Label, StageRecord};
+use gripcast_imaging::Role;
 
 use self::guest::{Outcome, SavedGrasp, kernel, run};
 use self::pictures::Pictures;

@@ -8,7 +8,7 @@ use image::RgbImage;
 use image::imageops::{self, FilterType};
 use turbojpeg::{Image, PixelFormat, Subsamp};
 
-use crate::shared_data::shared;
+use gripcast_testing::shared;
 
 const WIDTH: u32 = 3280;
 const HEIGHT: u32 = 2464;

@@ -3,14 +3,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use gripcast::imaging::encode_png_rgb;
-use gripcast::render::tactile::calibrate::BallContact;
-use gripcast::render::tactile::{FrameLook, SensorProfile, TactileRenderer};
+use gripcast_imaging::encode_png_rgb;
+use gripcast_tactile::calibrate::BallContact;
+use gripcast_tactile::{FrameLook, SensorProfile, TactileRenderer};
 use serde_json::{Value, json as value};
 
 use super::{png, refused, render};
 use crate::program::{json, succeed};
-use crate::shared_data::shared;
+use gripcast_testing::shared;
 
 /// Presses of a 4 mm ball rendered with the built-in profile.
 pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
@@ -44,7 +44,7 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
         save(&name, &renderer.render(&press, &look).unwrap());
         presses.push(value!({"file": name, "center_px": centre, "radius_px": radius_px}));
     }
-    let nothing = gripcast::render::tactile::PressDepth::untouched(grid);
+    let nothing = gripcast_tactile::PressDepth::untouched(grid);
     let look = FrameLook {
         noise_seed: Some(99),
         ..FrameLook::default()

@@ -46,9 +46,9 @@ fn refused(command: &mut Command) -> (i32, String) {
 
 fn png(path: impl AsRef<Path>) -> image::RgbImage {
     let bytes = fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.as_ref().display()));
-    gripcast::imaging::decode_png_rgb(&bytes).unwrap()
+    gripcast_imaging::decode_png_rgb(&bytes).unwrap()
 }
 
-fn depth_png(path: impl AsRef<Path>) -> gripcast::imaging::DepthImage {
-    gripcast::imaging::decode_png_grey16(&fs::read(path).unwrap()).unwrap()
+fn depth_png(path: impl AsRef<Path>) -> gripcast_imaging::DepthImage {
+    gripcast_imaging::decode_png_grey16(&fs::read(path).unwrap()).unwrap()
 }

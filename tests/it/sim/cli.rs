@@ -5,7 +5,7 @@ use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
-use gripcast::sim::grasp::TraceFile;
+use gripcast_sim::grasp::TraceFile;
 use serde_json::Value;
 
 use crate::program::{gripcast, json, stderr, succeed};

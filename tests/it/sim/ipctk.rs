@@ -4,12 +4,12 @@
 //! the largest entry; no case lies on a switch of regions but one pair of parallel edges.
 
 use glam::{DMat3, DVec3};
-use gripcast::sim::contact::barrier::Barrier;
-use gripcast::sim::contact::ccd::{edge_edge_toi, half_space_toi, point_triangle_toi};
-use gripcast::sim::contact::distance::{Closest, Region, edge_edge, point_triangle};
-use gripcast::sim::contact::distance_hessian::{Matrix12, squared_distance_hessian};
-use gripcast::sim::contact::friction::{Friction, f0, f1, f1_over_y, f2};
-use gripcast::sim::contact::mollifier;
+use gripcast_sim::contact::barrier::Barrier;
+use gripcast_sim::contact::ccd::{edge_edge_toi, half_space_toi, point_triangle_toi};
+use gripcast_sim::contact::distance::{Closest, Region, edge_edge, point_triangle};
+use gripcast_sim::contact::distance_hessian::{Matrix12, squared_distance_hessian};
+use gripcast_sim::contact::friction::{Friction, f0, f1, f1_over_y, f2};
+use gripcast_sim::contact::mollifier;
 use serde::Deserialize;
 
 const TOLERANCE: f64 = 1e-10;

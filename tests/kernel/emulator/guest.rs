@@ -13,8 +13,8 @@ use std::str::FromStr;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use gripcast::imaging::{PixelFormat, Role};
-use gripcast::rig::calibration::{CameraConfig, PedalConfig, RigFile, SourceKind};
+use gripcast_capture::calibration::{CameraConfig, PedalConfig, RigFile, SourceKind};
+use gripcast_imaging::{PixelFormat, Role};
 
 use crate::command::Command;
 use crate::probe;

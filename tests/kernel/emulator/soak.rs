@@ -145,7 +145,7 @@ fn script(seconds: f64, random: &mut Random) -> String {
 
 #[cfg(test)]
 mod tests {
-    use gripcast::rig::trigger::Script;
+    use gripcast_capture::trigger::Script;
 
     use super::*;
     use crate::guest::Action;

@@ -1,0 +1,457 @@
+//! Names from files, flags and clients, as types that cannot hold a path.
+
+use std::borrow::Borrow;
+use std::fmt;
+use std::ops::Deref;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize};
+use unicode_normalization::{UnicodeNormalization as _, is_nfc};
+
+use super::sha256_hex;
+use crate::error::{Error, ErrorKind, Result};
+
+/// Longest name of a file, bytes: that of Linux file systems.
+const MAX_FILE_NAME_BYTES: usize = 255;
+/// Longest id of a grasp or a simulation, bytes: suffixes must fit behind it in a file name.
+const MAX_ID_BYTES: usize = 80;
+/// Longest name of an object, a scene or an operator, characters.
+pub const MAX_LABEL_CHARS: usize = 120;
+/// The same in bytes, so that an object's name with a suffix is a file name.
+const MAX_LABEL_BYTES: usize = 240;
+
+/// Whether a character changes how the text around it is read or where its line ends: controls,
+/// bidirectional controls, line and paragraph separators, zero-width characters that hide in a
+/// name, the byte-order mark.
+#[must_use]
+pub fn is_unsafe_char(c: char) -> bool {
+    c.is_control()
+        || matches!(c,
+            '\u{061c}' | '\u{200b}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}'
+            | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}'
+            | '\u{e0000}'..='\u{e007f}')
+}
+
+/// Text from data for a terminal or a message: one that is printed cannot move the cursor, change
+/// colours, reorder or hide what stands beside it. `\n` and `\t` stay.
+#[derive(Clone, Copy, Debug)]
+pub struct Printable<'a>(pub &'a str);
+
+impl fmt::Display for Printable<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut rest = self.0;
+        while let Some(at) = rest.find(|c| is_unsafe_char(c) && c != '\n' && c != '\t') {
+            let (clean, tail) = rest.split_at(at);
+            f.write_str(clean)?;
+            let mut chars = tail.chars();
+            if let Some(c) = chars.next() {
+                write!(f, "{}", c.escape_unicode())?;
+            }
+            rest = chars.as_str();
+        }
+        f.write_str(rest)
+    }
+}
+
+/// A text as NFC, so that names that look alike are the same bytes (UAX #15).
+fn nfc(text: &str) -> String {
+    if is_nfc(text) {
+        text.to_owned()
+    } else {
+        text.nfc().collect()
+    }
+}
+
+fn invalid(kind: &str, text: &str, expected: &str) -> Error {
+    Error::new(
+        ErrorKind::Input,
+        format!("invalid {kind} {text:.80?}: expected {expected}"),
+    )
+}
+
+/// One line of at most [`MAX_LABEL_CHARS`] characters without unsafe ones, as NFC.
+fn parse_line(kind: &str, text: &str) -> Result<String> {
+    let text = nfc(text);
+    let is_long = text.chars().count() > MAX_LABEL_CHARS || text.len() > MAX_LABEL_BYTES;
+    if is_long || text.chars().any(is_unsafe_char) {
+        let expected = format!(
+            "one line of at most {MAX_LABEL_CHARS} characters ({MAX_LABEL_BYTES} bytes) without \
+             control, bidirectional or zero-width characters"
+        );
+        return Err(invalid(kind, &text, &expected));
+    }
+    Ok(text)
+}
+
+/// An ASCII id that names a file or a folder: letters, digits, `-`, `_` and, inside, `.`.
+fn parse_id(kind: &str, text: &str, has_dots: bool) -> Result<String> {
+    let is_allowed =
+        |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_' || (has_dots && c == '.');
+    let is_id = !text.is_empty()
+        && text.len() <= MAX_ID_BYTES
+        && !text.starts_with('.')
+        && text.chars().all(is_allowed);
+    if !is_id {
+        let dots = if has_dots { ", `.`" } else { "" };
+        let expected = format!("1 to {MAX_ID_BYTES} letters, digits, `-`, `_`{dots}");
+        return Err(invalid(kind, text, &expected));
+    }
+    Ok(text.to_owned())
+}
+
+macro_rules! name_type {
+    ($(#[$doc:meta])* $name:ident, $parse:expr) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+        #[serde(transparent)]
+        pub struct $name(String);
+
+        impl $name {
+            /// Checks a text from outside.
+            ///
+            /// # Errors
+            /// `Input` with what is expected.
+            pub fn parse(text: &str) -> Result<Self> {
+                let parse: fn(&str) -> Result<String> = $parse;
+                parse(text).map(Self)
+            }
+
+            /// The name.
+            #[must_use]
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl FromStr for $name {
+            type Err = Error;
+
+            fn from_str(text: &str) -> Result<Self> {
+                Self::parse(text)
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                let text = String::deserialize(deserializer)?;
+                Self::parse(&text).map_err(|e| serde::de::Error::custom(e.what()))
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(&self.0)
+            }
+        }
+
+        impl Deref for $name {
+            type Target = str;
+
+            fn deref(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl AsRef<str> for $name {
+            fn as_ref(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl Borrow<str> for $name {
+            fn borrow(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl PartialEq<str> for $name {
+            fn eq(&self, other: &str) -> bool {
+                self.0 == other
+            }
+        }
+
+        impl PartialEq<&str> for $name {
+            fn eq(&self, other: &&str) -> bool {
+                self.0 == *other
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(name: $name) -> Self {
+                name.0
+            }
+        }
+    };
+}
+
+name_type!(
+    /// Key of a grasp and name of its folder: `<utc>-<4 hex>`, for instance
+    /// `2026-11-20T10-15-03Z-7f3a`. Never a position. ASCII letters, digits, `-` and `_`.
+    GraspId,
+    |text| parse_id("grasp id", text, false)
+        .map_err(|e| e.remedy("ids look like 2026-11-20T10-15-03Z-7f3a"))
+);
+
+name_type!(
+    /// Key of a planned simulation and begin of the names of its files, for instance
+    /// `mug-0003-07-40n`. ASCII letters, digits, `-`, `_` and `.`.
+    SimulationId,
+    |text| parse_id("simulation id", text, true)
+);
+
+name_type!(
+    /// Name of a file without folders: one component of a path in NFC, not hidden, at most 255
+    /// bytes, without unsafe characters.
+    FileName,
+    |text| {
+        let name = nfc(text);
+        let is_name = !name.is_empty()
+            && name.len() <= MAX_FILE_NAME_BYTES
+            && !name.starts_with('.')
+            && !name.chars().any(|c| c == '/' || c == '\\' || is_unsafe_char(c));
+        if is_name {
+            Ok(name)
+        } else {
+            Err(invalid("file name", &name, "one name without folders, not hidden"))
+        }
+    }
+);
+
+name_type!(
+    /// Name of an object: one line that can name a file, in NFC; `/`, `\`, `.`, `..` and hidden
+    /// names are refused.
+    ObjectName,
+    |text| {
+        let name = parse_line("object name", text)?;
+        let is_name = !name.trim().is_empty()
+            && !name.starts_with('.')
+            && !name.contains(['/', '\\']);
+        if is_name {
+            Ok(name)
+        } else {
+            Err(invalid("object name", &name, "a name without `/`, `\\` and a leading `.`"))
+        }
+    }
+);
+
+name_type!(
+    /// Name of a scene or an operator: one line in NFC, which may be empty and never names a file.
+    Label,
+    |text| parse_line("name", text)
+);
+
+name_type!(
+    /// Key of a stored calibration, board or model card: the first 12 hex digits of its SHA-256.
+    ContentKey,
+    |text| {
+        let is_digit = |b: u8| b.is_ascii_digit() || (b'a'..=b'f').contains(&b);
+        if text.len() == 12 && text.bytes().all(is_digit) {
+            Ok(text.to_owned())
+        } else {
+            Err(invalid("key", text, "12 lower-case hex digits"))
+        }
+    }
+);
+
+impl ContentKey {
+    /// The file of a key; the suffix is a literal.
+    #[must_use]
+    pub fn with_suffix(&self, suffix: &'static str) -> FileName {
+        FileName(format!("{}{suffix}", self.0))
+    }
+
+    /// The key of some contents.
+    #[must_use]
+    pub fn of(bytes: &[u8]) -> Self {
+        let mut hex = sha256_hex(bytes);
+        hex.truncate(12);
+        Self(hex)
+    }
+}
+
+impl FileName {
+    /// The valid name nearest to a text.
+    #[must_use]
+    pub fn nearest(text: &str) -> Self {
+        let mut name = cleaned(text, |c| c != '/' && c != '\\');
+        if name.is_empty() || name.starts_with('.') {
+            name.insert(0, '_');
+        }
+        Self(name)
+    }
+
+    /// `stage.role.suffix`: words of the program with dots between them.
+    pub fn of_words(words: &[&str]) -> Self {
+        Self(component_of(words, "."))
+    }
+}
+
+/// Words of the program as one component; what cannot be in one becomes `_`.
+fn component_of(words: &[&str], between: &str) -> String {
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+    let name = cleaned(&words.join(between), is_allowed);
+    match name.strip_prefix('.') {
+        Some(rest) => format!("_{rest}"),
+        None => name,
+    }
+}
+
+impl GraspId {
+    /// `utc-hex`: words of the program with `-` between them.
+    pub fn of_words(words: &[&str]) -> Self {
+        Self(component_of(words, "-"))
+    }
+
+    /// The last four characters: what people call the grasp.
+    #[must_use]
+    pub fn short(&self) -> &str {
+        &self.0[self.0.len().saturating_sub(4)..]
+    }
+}
+
+/// A text as near to it as a valid name can be: for records that were written before names were
+/// checked. What is not allowed becomes `_`.
+fn cleaned(text: &str, is_allowed: impl Fn(char) -> bool) -> String {
+    let clean = |c| {
+        if is_allowed(c) && !is_unsafe_char(c) {
+            c
+        } else {
+            '_'
+        }
+    };
+    let mut name: String = nfc(text).chars().take(MAX_LABEL_CHARS).map(clean).collect();
+    name.truncate(name.floor_char_boundary(MAX_LABEL_BYTES));
+    name
+}
+
+impl ObjectName {
+    /// The valid name nearest to a text.
+    #[must_use]
+    pub fn nearest(text: &str) -> Self {
+        let mut name = cleaned(text, |c| c != '/' && c != '\\');
+        if name.starts_with('.') {
+            name.replace_range(..1, "_");
+        }
+        if name.trim().is_empty() {
+            "unknown".clone_into(&mut name);
+        }
+        Self(name)
+    }
+}
+
+impl Label {
+    /// The valid name nearest to a text.
+    #[must_use]
+    pub fn nearest(text: &str) -> Self {
+        Self(cleaned(text, |_| true))
+    }
+}
+
+/// What an object is called until somebody names it.
+impl Default for ObjectName {
+    fn default() -> Self {
+        Self("object".to_owned())
+    }
+}
+
+/// Not stated.
+impl Default for Label {
+    fn default() -> Self {
+        Self(String::new())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// What people try, and some that programs make.
+    const HOSTILE: [&str; 16] = [
+        "",
+        ".",
+        "..",
+        "../x",
+        "/etc/passwd",
+        "a/b",
+        "..\\x",
+        ".bashrc",
+        "a\nb",
+        "a\u{1b}[2Jb",
+        "a\u{202e}b",
+        "a\u{2028}b",
+        "a\0b",
+        "\u{feff}a",
+        "a\u{200b}b",
+        "a\u{2067}b",
+    ];
+
+    #[test]
+    fn no_name_holds_a_path_or_a_control() {
+        let long = "n".repeat(256);
+        for text in HOSTILE.into_iter().chain([long.as_str()]) {
+            assert!(GraspId::parse(text).is_err(), "{text:?}");
+            assert!(SimulationId::parse(text).is_err(), "{text:?}");
+            assert!(FileName::parse(text).is_err(), "{text:?}");
+            assert!(ObjectName::parse(text).is_err(), "{text:?}");
+            let json = serde_json::to_string(text).unwrap();
+            assert!(serde_json::from_str::<GraspId>(&json).is_err(), "{text:?}");
+            assert!(serde_json::from_str::<FileName>(&json).is_err(), "{text:?}");
+        }
+        for text in &HOSTILE[8..] {
+            assert!(Label::parse(text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn usual_names_are_valid() {
+        assert!(GraspId::parse("2026-11-20T10-15-03Z-7f3a").is_ok());
+        assert!(SimulationId::parse("part-1.5-00-10n").is_ok());
+        assert!(FileName::parse("initial.left.jpg").is_ok());
+        for name in ["mug", "Größe", "杯子", "Tasse (blau) 2", "001", "a..b"] {
+            assert_eq!(ObjectName::parse(name).unwrap(), name);
+        }
+        assert_eq!(Label::parse("").unwrap(), "");
+        assert_eq!(Label::parse("lab 3 / table").unwrap(), "lab 3 / table");
+    }
+
+    #[test]
+    fn names_that_look_alike_are_the_same() {
+        let composed = ObjectName::parse("Gr\u{f6}\u{df}e").unwrap();
+        assert_eq!(ObjectName::parse("Gro\u{308}\u{df}e").unwrap(), composed);
+    }
+
+    #[test]
+    fn printed_text_cannot_command_a_terminal() {
+        let text = "a\u{1b}]0;t\u{7}b\u{9b}31m\u{202e}c\r\nd\te";
+        let printed = Printable(text).to_string();
+        assert_eq!(
+            printed,
+            "a\\u{1b}]0;t\\u{7}b\\u{9b}31m\\u{202e}c\\u{d}\nd\te"
+        );
+        assert_eq!(Printable("Größe").to_string(), "Größe");
+    }
+
+    proptest! {
+        #[test]
+        fn a_parsed_name_is_one_normal_component(text in any::<String>()) {
+            use std::path::{Component, Path};
+            let names = [
+                GraspId::parse(&text).map(String::from),
+                SimulationId::parse(&text).map(String::from),
+                FileName::parse(&text).map(String::from),
+                ObjectName::parse(&text).map(String::from),
+                Ok(String::from(ObjectName::nearest(&text))),
+            ];
+            for name in names.into_iter().flatten() {
+                let components: Vec<_> = Path::new(&name).components().collect();
+                prop_assert_eq!(components, [Component::Normal(name.as_ref())]);
+            }
+            prop_assert!(ObjectName::parse(&ObjectName::nearest(&text)).is_ok());
+            prop_assert!(Label::parse(&Label::nearest(&text)).is_ok());
+            let printed = Printable(&text).to_string();
+            prop_assert!(!printed.chars().any(|c| is_unsafe_char(c) && c != '\n' && c != '\t'));
+        }
+    }
+}

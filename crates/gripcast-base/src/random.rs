@@ -1,0 +1,114 @@
+//! Random numbers that depend only on a seed and a name.
+
+use std::f64::consts::TAU;
+
+/// A sequence of random numbers: the sub-stream of a seed that a name gives.
+///
+/// SplitMix64 (Steele et al., *Fast splittable pseudorandom number generators*, 2014) started at
+/// a hash of both.
+#[derive(Clone, Debug)]
+pub struct SeedStream(u64);
+
+impl SeedStream {
+    /// The stream `name` of `seed`.
+    pub fn named(seed: u64, name: &str) -> Self {
+        // FNV-1a of the name.
+        let hash = name.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+        Self(mix(seed ^ mix(hash)))
+    }
+
+    /// The next 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        mix(self.0)
+    }
+
+    /// Uniform in 0..1.
+    pub fn uniform(&mut self) -> f64 {
+        unit(self.bits())
+    }
+
+    /// Uniform between two numbers.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.uniform()
+    }
+
+    /// Log-uniform between two positive numbers.
+    pub fn between_log(&mut self, low: f64, high: f64) -> f64 {
+        (self.between(low.ln(), high.ln())).exp()
+    }
+
+    /// An index below `count`; 0 if there is none.
+    pub fn index(&mut self, count: usize) -> usize {
+        ((self.uniform() * count as f64) as usize).min(count.saturating_sub(1))
+    }
+
+    /// One of the items of a list that is not empty.
+    pub fn pick<T: Copy, const N: usize>(&mut self, items: [T; N]) -> T {
+        const { assert!(N > 0) };
+        items[self.index(N)]
+    }
+}
+
+/// Two normally distributed numbers (mean 0, deviation 1) for an item of a seed.
+pub fn gaussians(seed: u64, item: u64) -> [f32; 2] {
+    let bits = mix(seed ^ mix(item.wrapping_add(0x9e37_79b9_7f4a_7c15)));
+    // Above 0, for the logarithm.
+    let a = ((bits >> 40) as f64 + 1.0) / f64::from(1 << 24);
+    let b = f64::from((bits & 0xff_ffff) as u32) / f64::from(1 << 24);
+    let (radius, angle) = ((-2.0 * a.ln()).sqrt(), TAU * b);
+    [(radius * angle.cos()) as f32, (radius * angle.sin()) as f32]
+}
+
+/// A hash of three lattice coordinates in 0..1.
+pub fn lattice(seed: u64, x: i64, y: i64, z: i64) -> f32 {
+    let at = mix(seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let at = mix(at ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f));
+    unit(mix(at ^ (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9))) as f32
+}
+
+fn unit(bits: u64) -> f64 {
+    (bits >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+/// The finaliser of SplitMix64.
+pub fn mix(mut z: u64) -> u64 {
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn streams_are_fixed_by_seed_and_name() {
+        let first = |seed, name| SeedStream::named(seed, name).bits();
+        assert_eq!(first(1, "sky"), first(1, "sky"));
+        assert_ne!(first(1, "sky"), first(2, "sky"));
+        assert_ne!(first(1, "sky"), first(1, "ground"));
+    }
+
+    #[test]
+    fn numbers_have_their_distribution() {
+        let mut stream = SeedStream::named(7, "test");
+        let mean = (0..10_000).map(|_| stream.uniform()).sum::<f64>() / 1e4;
+        assert!((mean - 0.5).abs() < 0.02, "{mean}");
+        let count = 20_000;
+        let all: Vec<f64> = (0..count)
+            .flat_map(|i| gaussians(3, i))
+            .map(f64::from)
+            .collect();
+        let n = all.len() as f64;
+        let mean = all.iter().sum::<f64>() / n;
+        let variance = all.iter().map(|v| v * v).sum::<f64>() / n;
+        assert!(
+            mean.abs() < 0.03 && (variance - 1.0).abs() < 0.03,
+            "{mean} {variance}"
+        );
+        assert!(all.iter().all(|v| v.is_finite()));
+    }
+}

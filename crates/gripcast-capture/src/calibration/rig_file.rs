@@ -1,0 +1,695 @@
+//! The rig file (`calib/rigs/<id>.toml`): reading, checking and finding it.
+
+use std::collections::BTreeMap;
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::camera::{CONTROLS, FORMER_NAMES};
+use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_imaging::{PixelFormat, Role};
+
+/// Version of the rig file format that this program reads.
+const SCHEMA: u32 = 1;
+/// Name of the built-in rig.
+const VIRTUAL: &str = "virtual";
+/// Name of the built-in rig with an external camera, and how many frames a second that delivers.
+const VIRTUAL_EXTERNAL: &str = "virtual-external";
+const EXTERNAL_FPS: f64 = 10.0;
+/// Largest width or height that is believed, pixels.
+const LARGEST_SIDE: u32 = 16_384;
+
+/// A rig: cameras by role, pedals.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RigFile {
+    /// Version of this file format; 1.
+    pub schema: u32,
+    /// Name of the rig, stored with every dataset.
+    pub id: String,
+    /// Cameras by role; `left` and `right` are needed to collect.
+    pub cameras: BTreeMap<Role, CameraConfig>,
+    /// Printed markers that the external camera sees, from which grasps are annotated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boards: Option<BoardsConfig>,
+    /// Foot pedals and presenters.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pedals: Vec<PedalConfig>,
+}
+
+/// Board files of a rig. The virtual rig knows its own.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoardsConfig {
+    /// Board file of the gripper's tags.
+    pub tags: PathBuf,
+    /// Folder with the board file of each object's sheet, `OBJECT.toml`, or one such file.
+    pub sheets: PathBuf,
+}
+
+/// Where the frames of a camera come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SourceKind {
+    /// A real camera through V4L2.
+    #[default]
+    V4l2,
+    /// A recorded directory.
+    Replay,
+    /// The built-in virtual rig.
+    Virtual,
+}
+
+/// One camera of a rig.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraConfig {
+    /// Kind of source.
+    #[serde(default)]
+    pub source: SourceKind,
+    /// USB product string, or its beginning (`GelSight Mini`).
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub product: String,
+    /// USB serial; needed when two cameras of the same product are bound.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub serial: Option<String>,
+    /// USB video-control interface number; tells depth (0) from colour (3) on a D435.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub interface: Option<u8>,
+    /// USB port path (`3-2.1`), only for devices without a serial.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub port: Option<String>,
+    /// Directory of a `replay` source; of a `virtual` one the folder of its films, none for
+    /// those that come with the program.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path: Option<PathBuf>,
+    /// Play a `replay` source as fast as it is read instead of with its own timing.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub unpaced: bool,
+    /// Pixel format that is asked for.
+    pub format: PixelFormat,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Nominal frame rate, 1/s.
+    pub fps: f64,
+    /// Named crop profile of a tactile camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crop_profile: Option<String>,
+    /// Metres per count of a depth camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth_unit_m: Option<f64>,
+    /// Intrinsics file of a colour camera; without one a D435 is asked for its factory values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub intrinsics: Option<PathBuf>,
+    /// Controls to set, by V4L2 name in snake case; read back and stored with every frame.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub controls: BTreeMap<String, i64>,
+}
+
+/// A HID pedal or presenter.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PedalConfig {
+    /// USB vendor id.
+    pub vendor: u16,
+    /// USB product id.
+    pub product: u16,
+    /// HID keyboard usage code → command (`trigger`, `stable`, `slip`, `undo`, …); by name of the
+    /// key (`a`, `b`, `page_down`).
+    pub keys: BTreeMap<String, String>,
+    /// Presses closer together than this are bounces of the contact, ms.
+    #[serde(default = "PedalConfig::default_debounce_ms")]
+    pub debounce_ms: u64,
+}
+
+impl PedalConfig {
+    fn default_debounce_ms() -> u64 {
+        80
+    }
+}
+
+impl CameraConfig {
+    /// A camera with a source and a mode; everything else is empty.
+    #[must_use]
+    pub fn new(source: SourceKind, format: PixelFormat, width: u32, height: u32, fps: f64) -> Self {
+        Self {
+            source,
+            product: String::new(),
+            serial: None,
+            interface: None,
+            port: None,
+            path: None,
+            unpaced: false,
+            format,
+            width,
+            height,
+            fps,
+            crop_profile: None,
+            depth_unit_m: None,
+            intrinsics: None,
+            controls: BTreeMap::new(),
+        }
+    }
+}
+
+impl RigFile {
+    /// The built-in rig: two tactile sensors, colour and depth, all simulated.
+    #[must_use]
+    pub fn virtual_rig() -> Self {
+        let camera = |format, fps| CameraConfig::new(SourceKind::Virtual, format, 640, 480, fps);
+        let tactile = CameraConfig {
+            crop_profile: Some("gsmini-seventh-v1".to_owned()),
+            ..camera(PixelFormat::Mjpg, 25.0)
+        };
+        let depth = CameraConfig {
+            depth_unit_m: Some(0.001),
+            ..camera(PixelFormat::Z16, 30.0)
+        };
+        Self {
+            schema: SCHEMA,
+            id: VIRTUAL.to_owned(),
+            cameras: BTreeMap::from([
+                (Role::Left, tactile.clone()),
+                (Role::Right, tactile),
+                (Role::Rgb, camera(PixelFormat::Yuyv, 30.0)),
+                (Role::Depth, depth),
+            ]),
+            boards: None,
+            pedals: Vec::new(),
+        }
+    }
+
+    /// [`Self::virtual_rig`] with a camera beside the table that sees the object's sheet and the
+    /// gripper's tags.
+    #[must_use]
+    pub fn virtual_rig_with_external() -> Self {
+        let external = CameraConfig::new(
+            SourceKind::Virtual,
+            PixelFormat::Mjpg,
+            1280,
+            720,
+            EXTERNAL_FPS,
+        );
+        let mut rig = Self::virtual_rig();
+        rig.id = VIRTUAL_EXTERNAL.to_owned();
+        rig.cameras.insert(Role::External, external);
+        rig
+    }
+
+    /// Finds a rig by name or path: the built-in `virtual` and `virtual-external`, then `calib/rigs/NAME.toml` below the
+    /// working directory, then `gripcast/rigs/NAME.toml` in the user's configuration directory.
+    /// Anything with a slash or ending in `.toml` is a path.
+    ///
+    /// # Errors
+    /// [`ErrorKind::NotFound`] listing the rigs that exist; [`ErrorKind::Config`] for a file with
+    /// a mistake.
+    pub fn find(name: &str) -> Result<Self> {
+        let configuration = env::var_os("XDG_CONFIG_HOME")
+            .map(PathBuf::from)
+            .filter(|path| path.is_absolute())
+            .or_else(|| env::home_dir().map(|home| home.join(".config")));
+        let mut directories = vec![PathBuf::from("calib/rigs")];
+        directories.extend(configuration.map(|path| path.join("gripcast/rigs")));
+        Self::find_in(name, &directories)
+    }
+
+    /// [`Self::find`] in given directories.
+    ///
+    /// # Errors
+    /// As [`Self::find`].
+    pub fn find_in(name: &str, directories: &[PathBuf]) -> Result<Self> {
+        if name == VIRTUAL {
+            return Ok(Self::virtual_rig());
+        }
+        if name == VIRTUAL_EXTERNAL {
+            return Ok(Self::virtual_rig_with_external());
+        }
+        if name.contains('/') || name.ends_with(".toml") {
+            return Self::load(Path::new(name));
+        }
+        let file = format!("{name}.toml");
+        for directory in directories {
+            let path = directory.join(&file);
+            if path.exists() {
+                return Self::load(&path);
+            }
+        }
+        let mut known = vec![VIRTUAL.to_owned(), VIRTUAL_EXTERNAL.to_owned()];
+        for directory in directories {
+            let files = fs::read_dir(directory).into_iter().flatten().flatten();
+            let mut names: Vec<String> = files
+                .filter_map(|entry| {
+                    let name = entry.file_name().into_string().ok()?;
+                    Some(name.strip_suffix(".toml")?.to_owned())
+                })
+                .collect();
+            names.sort();
+            known.extend(names);
+        }
+        known.dedup();
+        let hint = nearest_name(name, known.iter().map(String::as_str))
+            .map(|near| format!("; did you mean `{near}`?"))
+            .unwrap_or_default();
+        let places: Vec<String> = directories
+            .iter()
+            .map(|directory| directory.join(&file).display().to_string())
+            .collect();
+        Err(Error::new(
+            ErrorKind::NotFound,
+            format!(
+                "there is no rig `{name}` (looked for {}){hint}",
+                places.join(", ")
+            ),
+        )
+        .remedy(format!(
+            "use one of {}, the path of a rig file, or write one with `gripcast rig init`",
+            known.join(", ")
+        )))
+    }
+
+    /// Reads and checks a rig file. Relative paths in it (recordings, films, intrinsics, boards) are
+    /// taken from the directory of the file.
+    ///
+    /// # Errors
+    /// When it cannot be read, or [`ErrorKind::Config`] naming the line and the mistake.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = fs::read_to_string(path)
+            .map_err(|e| Error::io("cannot read the rig file", e).at(path.display()))?;
+        let mut rig = Self::parse(&text).map_err(|error| error.at(path.display()))?;
+        let directory = path.parent().unwrap_or(Path::new(""));
+        for camera in rig.cameras.values_mut() {
+            for file in camera.path.iter_mut().chain(&mut camera.intrinsics) {
+                if file.is_relative() {
+                    *file = directory.join(&*file);
+                }
+            }
+        }
+        if let Some(boards) = &mut rig.boards {
+            for file in [&mut boards.tags, &mut boards.sheets] {
+                if file.is_relative() {
+                    *file = directory.join(&*file);
+                }
+            }
+        }
+        Ok(rig)
+    }
+
+    /// Reads and checks the text of a rig file.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Config`] naming the line and the mistake.
+    pub fn parse(text: &str) -> Result<Self> {
+        // The version first: a newer file has keys that look like mistakes here.
+        #[derive(Deserialize)]
+        struct Version {
+            schema: Option<u32>,
+        }
+        if let Ok(Version { schema }) = toml::from_str(text) {
+            check_schema(schema)?;
+        }
+        let rig: Self = toml::from_str(text).map_err(|error| explain(text, &error))?;
+        rig.validate()?;
+        Ok(rig)
+    }
+
+    /// Checks what the types cannot: that the tactile pair is there, each camera can be found,
+    /// and its mode and controls make sense.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Config`] naming the camera and the key.
+    pub fn validate(&self) -> Result<()> {
+        check_schema(Some(self.schema))?;
+        if self.id.is_empty() || self.id.contains(['/', '\\']) || self.id.starts_with('.') {
+            return Err(wrong(format!(
+                "`id` is `{}`; it must be a plain name, for instance `bench-1`",
+                self.id
+            )));
+        }
+        for role in [Role::Left, Role::Right] {
+            if !self.cameras.contains_key(&role) {
+                return Err(
+                    wrong(format!("the camera `{role}` is missing")).remedy(format!(
+                        "add a section [cameras.{role}]; both tactile sensors are needed to collect"
+                    )),
+                );
+            }
+        }
+        for (role, camera) in &self.cameras {
+            camera
+                .validate(*role)
+                .map_err(|error| error.at(format_args!("[cameras.{role}]")))?;
+        }
+        if self.boards.is_some() && !self.cameras.contains_key(&Role::External) {
+            return Err(
+                wrong("[boards] is there, but no external camera".to_owned())
+                    .remedy("add [cameras.external], whose pictures show the boards"),
+            );
+        }
+        self.validate_distinct()
+    }
+
+    /// Two roles may not mean the same physical stream.
+    fn validate_distinct(&self) -> Result<()> {
+        let real: Vec<(&Role, &CameraConfig)> = self
+            .cameras
+            .iter()
+            .filter(|(_, camera)| camera.source == SourceKind::V4l2)
+            .collect();
+        for (i, (role, camera)) in real.iter().enumerate() {
+            for (other_role, other) in &real[..i] {
+                let same = |of: fn(&CameraConfig) -> Option<&str>| of(camera) == of(other);
+                if camera.product == other.product
+                    && same(|c| c.serial.as_deref())
+                    && same(|c| c.port.as_deref())
+                    && camera.interface == other.interface
+                    && camera.format == other.format
+                {
+                    return Err(wrong(format!(
+                        "[cameras.{other_role}] and [cameras.{role}] describe the same camera"
+                    ))
+                    .remedy("give each its own `serial` (`gripcast rig list` shows them)"));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl CameraConfig {
+    fn validate(&self, role: Role) -> Result<()> {
+        match self.source {
+            SourceKind::V4l2 if self.product.is_empty() => {
+                return Err(wrong("`product` is missing".to_owned()).remedy(
+                    "give the beginning of the product name that `gripcast rig list` shows",
+                ));
+            }
+            SourceKind::Replay if self.path.is_none() => {
+                return Err(wrong("`path` is missing".to_owned())
+                    .remedy("give the directory of the recording"));
+            }
+            SourceKind::V4l2 if self.path.is_some() => {
+                return Err(wrong(
+                    "`path` is for source = \"replay\" and \"virtual\" only".to_owned(),
+                ));
+            }
+            _ => {}
+        }
+        let side = 1..=LARGEST_SIDE;
+        if !side.contains(&self.width) || !side.contains(&self.height) {
+            return Err(wrong(format!(
+                "{}×{} pixels is no picture; 1 to {LARGEST_SIDE} each",
+                self.width, self.height
+            )));
+        }
+        if !(self.fps.is_finite() && self.fps > 0.0 && self.fps <= 1000.0) {
+            return Err(wrong(format!(
+                "`fps` is {}; it must be above 0 and at most 1000",
+                self.fps
+            )));
+        }
+        if role.is_tactile() && self.crop_profile.is_none() {
+            return Err(wrong("`crop_profile` is missing".to_owned())
+                .remedy("a tactile camera needs one, for instance \"gsmini-seventh-v1\""));
+        }
+        let fits = match role {
+            Role::Left | Role::Right | Role::External | Role::Rgb => {
+                self.format != PixelFormat::Z16
+            }
+            Role::Depth => self.format == PixelFormat::Z16,
+        };
+        if !fits {
+            return Err(wrong(format!(
+                "format {} does not fit the role {role}",
+                self.format
+            )));
+        }
+        if role == Role::Depth {
+            match self.depth_unit_m {
+                None => {
+                    return Err(wrong("`depth_unit_m` is missing".to_owned())
+                        .remedy("a D435 counts millimetres: depth_unit_m = 0.001"));
+                }
+                Some(unit) if !(unit.is_finite() && unit > 0.0 && unit <= 1.0) => {
+                    return Err(wrong(format!(
+                        "`depth_unit_m` is {unit}; it must be above 0 and at most 1"
+                    )));
+                }
+                Some(_) => {}
+            }
+        }
+        for name in self.controls.keys() {
+            check_control(name)?;
+        }
+        Ok(())
+    }
+}
+
+fn check_control(name: &str) -> Result<()> {
+    let known = || CONTROLS.iter().map(|(known, _)| *known);
+    if known().any(|control| control == name) {
+        return Ok(());
+    }
+    let former = FORMER_NAMES.iter().find(|(former, _)| *former == name);
+    let near = former
+        .map(|(_, present)| *present)
+        .or_else(|| nearest_name(name, known()));
+    Err(
+        wrong(format!("unknown control `{name}`")).remedy(match near {
+            Some(near) => format!("did you mean `{near}`?"),
+            None => format!("known are {}", known().collect::<Vec<_>>().join(", ")),
+        }),
+    )
+}
+
+fn wrong(what: String) -> Error {
+    Error::new(ErrorKind::Config, what)
+}
+
+fn check_schema(found: Option<u32>) -> Result<()> {
+    match found {
+        Some(SCHEMA) => Ok(()),
+        Some(newer) if newer > SCHEMA => Err(wrong(format!(
+            "the rig file has schema {newer}; this gripcast reads {SCHEMA}"
+        ))
+        .remedy("update gripcast, or write the file anew with `gripcast rig init`")),
+        other => Err(wrong(match other {
+            Some(old) => format!("`schema` is {old}, expected {SCHEMA}"),
+            None => "`schema` is missing".to_owned(),
+        })
+        .remedy(format!("write `schema = {SCHEMA}` at the top"))),
+    }
+}
+
+/// Turns a message of the TOML reader into one with a line and the nearest known name.
+fn explain(text: &str, error: &toml::de::Error) -> Error {
+    let message = error.message().trim();
+    let place = match error.span() {
+        Some(span) => {
+            let before = &text.as_bytes()[..span.start.min(text.len())];
+            let line = 1 + before.iter().filter(|&&b| b == b'\n').count();
+            format!("line {line}")
+        }
+        None => "rig file".to_owned(),
+    };
+    let unknown = message.starts_with("unknown ");
+    let mut quoted = message.split('`').skip(1).step_by(2);
+    let remedy = match (unknown, quoted.next()) {
+        (true, Some(name)) => {
+            nearest_name(name, quoted).map(|near| format!("did you mean `{near}`?"))
+        }
+        _ => None,
+    };
+    let what = match message.split_once(", expected") {
+        Some((first, _)) if remedy.is_some() => first.to_owned(),
+        _ => message.to_owned(),
+    };
+    let error = wrong(what).at(place);
+    match remedy {
+        Some(remedy) => error.remedy(remedy),
+        None => error,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = r#"schema = 1
+id = "bench-1"
+
+[cameras.left]
+product = "GelSight Mini"
+serial = "2BNN4ZE7"
+format = "MJPG"
+width = 3280
+height = 2464
+fps = 25
+crop_profile = "gsmini-seventh-v1"
+controls = { auto_exposure = 1, exposure_time_absolute = 180 }
+
+[cameras.right]
+product = "GelSight Mini"
+serial = "28F5K4RR"
+format = "MJPG"
+width = 3280
+height = 2464
+fps = 25
+crop_profile = "gsmini-seventh-v1"
+
+[cameras.depth]
+source = "replay"
+path = "depth"
+format = "Z16"
+width = 640
+height = 480
+fps = 30
+depth_unit_m = 0.001
+"#;
+
+    fn refusal(from: &str, to: &str) -> String {
+        assert!(GOOD.contains(from), "{from}");
+        let error = RigFile::parse(&GOOD.replacen(from, to, 1)).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Config, "{error}");
+        error.to_string()
+    }
+
+    #[test]
+    fn a_good_file_is_read_and_written_back_the_same() {
+        let rig = RigFile::parse(GOOD).unwrap();
+        assert_eq!(
+            rig.cameras[&Role::Left].controls["exposure_time_absolute"],
+            180
+        );
+        assert_eq!(rig.cameras[&Role::Depth].source, SourceKind::Replay);
+        let again = RigFile::parse(&toml::to_string(&rig).unwrap()).unwrap();
+        assert_eq!(again, rig);
+    }
+
+    #[test]
+    fn misspelt_keys_are_refused_with_line_and_nearest_name() {
+        assert_eq!(
+            refusal("product =", "produkt ="),
+            "line 5: unknown field `produkt`\n  → did you mean `product`?"
+        );
+        assert_eq!(
+            refusal("[cameras.left]", "[cameras.lefft]"),
+            "line 4: unknown variant `lefft`\n  → did you mean `left`?"
+        );
+        assert_eq!(
+            refusal("\"MJPG\"", "\"MJPEG\""),
+            "line 7: unknown variant `MJPEG`\n  → did you mean `MJPG`?"
+        );
+        assert_eq!(
+            refusal("auto_exposure", "exposure_auto"),
+            "[cameras.left]: unknown control `exposure_auto`\n  → did you mean `auto_exposure`?"
+        );
+        assert!(refusal("auto_exposure", "gian").contains("did you mean `gain`?"));
+        assert!(refusal("auto_exposure", "f").contains("known are auto_exposure, "));
+        assert!(refusal("fps = 25", "fps = fast").starts_with("line 10: "));
+        assert!(refusal("width = 3280\n", "").contains("missing field `width`"));
+    }
+
+    #[test]
+    fn files_that_cannot_work_are_refused() {
+        for (from, to, expected) in [
+            (
+                "schema = 1",
+                "schema = 2\nfuture = true",
+                "schema 2; this gripcast reads 1",
+            ),
+            ("schema = 1\n", "", "`schema` is missing"),
+            ("bench-1", "../x", "`id` is `../x`"),
+            (
+                "[cameras.right]",
+                "[cameras.external]",
+                "the camera `right` is missing",
+            ),
+            (
+                "product = \"GelSight Mini\"\n",
+                "",
+                "[cameras.left]: `product` is missing",
+            ),
+            ("width = 3280", "width = 0", "0×2464 pixels"),
+            ("fps = 25", "fps = 0", "`fps` is 0"),
+            ("fps = 25", "fps = inf", "`fps` is inf"),
+            (
+                "crop_profile = \"gsmini-seventh-v1\"\n",
+                "",
+                "`crop_profile` is missing",
+            ),
+            (
+                "format = \"MJPG\"",
+                "format = \"Z16\"",
+                "format Z16 does not fit the role left",
+            ),
+            ("depth_unit_m = 0.001\n", "", "`depth_unit_m` is missing"),
+            (
+                "depth_unit_m = 0.001",
+                "depth_unit_m = -1.0",
+                "`depth_unit_m` is -1",
+            ),
+            (
+                "path = \"depth\"\n",
+                "",
+                "[cameras.depth]: `path` is missing",
+            ),
+            ("28F5K4RR", "2BNN4ZE7", "describe the same camera"),
+        ] {
+            let message = refusal(from, to);
+            assert!(message.contains(expected), "{from} → {to}: {message}");
+        }
+    }
+
+    #[test]
+    fn the_virtual_rig_holds_its_own_rules() {
+        let rig = RigFile::virtual_rig();
+        rig.validate().unwrap();
+        assert_eq!(RigFile::find_in("virtual", &[]).unwrap(), rig);
+        assert!(
+            rig.cameras
+                .values()
+                .all(|c| c.source == SourceKind::Virtual)
+        );
+        assert_eq!(rig.cameras.len(), 4);
+    }
+
+    #[test]
+    fn rigs_are_found_by_name_and_path_and_listed_otherwise() {
+        let directory = tempfile::tempdir().unwrap();
+        let (first, second) = (directory.path().join("a"), directory.path().join("b"));
+        fs::create_dir_all(&first).unwrap();
+        fs::create_dir_all(&second).unwrap();
+        fs::write(second.join("bench-1.toml"), GOOD).unwrap();
+        let places = [first.clone(), second.clone()];
+        let rig = RigFile::find_in("bench-1", &places).unwrap();
+        assert_eq!(rig.id, "bench-1");
+        assert_eq!(rig.cameras[&Role::Depth].path, Some(second.join("depth")));
+        fs::write(
+            first.join("bench-1.toml"),
+            GOOD.replace("bench-1", "nearer"),
+        )
+        .unwrap();
+        assert_eq!(RigFile::find_in("bench-1", &places).unwrap().id, "nearer");
+
+        let error = RigFile::find_in("bench-2", &places).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::NotFound);
+        let text = error.to_string();
+        assert!(text.contains("did you mean `bench-1`?"), "{text}");
+        let known = "use one of virtual, virtual-external, bench-1, ";
+        assert!(text.contains(known), "{text}");
+
+        let path = second.join("bench-1.toml");
+        RigFile::find_in(path.to_str().unwrap(), &[]).unwrap();
+        fs::write(&path, GOOD.replace("serial", "serail")).unwrap();
+        let text = RigFile::load(&path).unwrap_err().to_string();
+        assert!(
+            text.contains("bench-1.toml: line 6: unknown field `serail`"),
+            "{text}"
+        );
+        assert!(RigFile::load(&second.join("none.toml")).is_err());
+    }
+}

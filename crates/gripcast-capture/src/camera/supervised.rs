@@ -1,0 +1,476 @@
+//! Keeps one camera running on a thread of its own: opens, reads, judges, reopens.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use super::clock::Clock;
+use super::source::{CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo};
+use super::stream_monitor::{FrameFacts, Health, StreamMonitor, StreamReport, SupervisionPolicy};
+use gripcast_imaging::{Frame, FrameBytes, check_structure};
+
+/// What a supervised camera tells.
+#[derive(Clone, Debug)]
+pub enum CameraEvent {
+    /// The camera was opened, for the first time or again.
+    Opened {
+        /// What the stream delivers.
+        info: StreamInfo,
+        /// Control values read back.
+        controls: ControlValues,
+        /// Wishes of the rig file that did not hold.
+        warnings: Vec<String>,
+    },
+    /// A usable frame.
+    Frame(Frame),
+    /// A frame that cannot be used.
+    Damaged {
+        /// Driver's frame counter.
+        sequence: u32,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The control values are not what they were.
+    Controls(ControlValues),
+    /// Health and counters: at every change of health, and regularly.
+    Report(StreamReport),
+    /// A recorded stream has ended; nothing follows.
+    Ended,
+}
+
+/// Why reading from an open camera stopped.
+enum Stop {
+    Requested,
+    Ended,
+    Reopen(String),
+}
+
+/// Runs a camera until `stop` is set or a recording ends.
+///
+/// Blocks; give it a thread. Opening is retried for ever with bounded pauses: a camera that was
+/// unplugged comes back as soon as it is plugged in again. `sink` must return quickly.
+pub fn run_camera(
+    opener: &mut dyn CameraOpener,
+    policy: &SupervisionPolicy,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    sink: &mut dyn FnMut(CameraEvent),
+) {
+    let mut monitor = StreamMonitor::new(policy.clone());
+    let mut backoff_ns = policy.first_backoff_ns;
+    sink(CameraEvent::Report(monitor.report(clock.now_ns())));
+    while !stop.load(Ordering::Relaxed) {
+        let reason = match opener.open() {
+            Ok(mut source) => {
+                let received = monitor.report(clock.now_ns()).counters.received;
+                match read_frames(source.as_mut(), policy, &mut monitor, clock, stop, sink) {
+                    Stop::Requested => {
+                        sink(CameraEvent::Report(monitor.report(clock.now_ns())));
+                        return;
+                    }
+                    Stop::Ended => {
+                        monitor.ended();
+                        sink(CameraEvent::Report(monitor.report(clock.now_ns())));
+                        sink(CameraEvent::Ended);
+                        return;
+                    }
+                    Stop::Reopen(reason) => {
+                        if monitor.report(clock.now_ns()).counters.received > received {
+                            backoff_ns = policy.first_backoff_ns;
+                        }
+                        reason
+                    }
+                }
+            }
+            Err(error) => error.to_string(),
+        };
+        monitor.lost(reason);
+        sink(CameraEvent::Report(monitor.report(clock.now_ns())));
+        pause(clock, clock.now_ns() + backoff_ns, stop);
+        backoff_ns = (backoff_ns * 2).min(policy.longest_backoff_ns);
+    }
+}
+
+fn read_frames(
+    source: &mut dyn FrameSource,
+    policy: &SupervisionPolicy,
+    monitor: &mut StreamMonitor,
+    clock: &dyn Clock,
+    stop: &AtomicBool,
+    sink: &mut dyn FnMut(CameraEvent),
+) -> Stop {
+    let mut controls = match source.controls() {
+        Ok(controls) => controls,
+        Err(error) => return Stop::Reopen(error.to_string()),
+    };
+    monitor.opened(clock.now_ns(), source.info().nominal_fps);
+    sink(CameraEvent::Opened {
+        info: source.info().clone(),
+        controls: controls.clone(),
+        warnings: source.warnings().to_vec(),
+    });
+    sink(CameraEvent::Report(monitor.report(clock.now_ns())));
+
+    let timeout = Duration::from_nanos(policy.frame_timeout_ns);
+    let mut previous: Option<FrameBytes> = None;
+    let mut told = monitor.health().clone();
+    let mut report_ns = clock.now_ns() + policy.report_every_ns;
+    let mut controls_ns = policy.controls_every_ns.map(|every| clock.now_ns() + every);
+    loop {
+        if stop.load(Ordering::Relaxed) {
+            return Stop::Requested;
+        }
+        match source.next_frame(timeout) {
+            Ok(frame) => match check_structure(&frame).err() {
+                None => {
+                    monitor.frame(FrameFacts {
+                        sequence: frame.sequence,
+                        received_ns: frame.received_ns,
+                        repeats: previous.as_ref().is_some_and(|old| **old == *frame.data),
+                    });
+                    previous = Some(frame.data.clone());
+                    sink(CameraEvent::Frame(frame));
+                }
+                Some(damage) => {
+                    monitor.damaged(frame.sequence);
+                    sink(CameraEvent::Damaged {
+                        sequence: frame.sequence,
+                        reason: damage.to_string(),
+                    });
+                }
+            },
+            Err(CaptureError::Timeout) => {}
+            Err(CaptureError::Damaged { sequence, reason }) => {
+                monitor.damaged(sequence);
+                sink(CameraEvent::Damaged { sequence, reason });
+            }
+            Err(CaptureError::Gone) => return Stop::Reopen(CaptureError::Gone.to_string()),
+            Err(CaptureError::Ended) => return Stop::Ended,
+            Err(CaptureError::Failed(error)) => return Stop::Reopen(error.to_string()),
+        }
+        let now_ns = clock.now_ns();
+        let demand = monitor.tick(now_ns);
+        if told != *monitor.health() || now_ns >= report_ns {
+            told = monitor.health().clone();
+            report_ns = now_ns + policy.report_every_ns;
+            sink(CameraEvent::Report(monitor.report(now_ns)));
+        }
+        if let Some(reason) = demand {
+            return Stop::Reopen(reason);
+        }
+        if let (Some(due_ns), Some(every_ns)) = (controls_ns, policy.controls_every_ns)
+            && now_ns >= due_ns
+            && *monitor.health() == Health::Live
+        {
+            controls_ns = Some(now_ns + every_ns);
+            // A camera that is gone says so at its next frame; a refused read changes nothing.
+            if let Ok(values) = source.controls()
+                && values != controls
+            {
+                controls.clone_from(&values);
+                sink(CameraEvent::Controls(values));
+            }
+        }
+    }
+}
+
+fn pause(clock: &dyn Clock, until_ns: u64, stop: &AtomicBool) {
+    const SLICE_NS: u64 = 50_000_000;
+    while !stop.load(Ordering::Relaxed) {
+        let now_ns = clock.now_ns();
+        if now_ns >= until_ns {
+            return;
+        }
+        clock.sleep_until(until_ns.min(now_ns + SLICE_NS));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::{BTreeMap, VecDeque};
+    use std::sync::{Arc, Mutex};
+
+    use super::*;
+    use crate::camera::{CameraIdentity, ManualClock};
+    use gripcast_base::error::{Error, ErrorKind, Result};
+    use gripcast_imaging::PixelFormat;
+    use gripcast_imaging::Role;
+
+    const MS: u64 = 1_000_000;
+
+    enum Act {
+        Frame {
+            after_ms: u64,
+            sequence: u32,
+            shade: u8,
+        },
+        Short {
+            sequence: u32,
+        },
+        Driver(CaptureError),
+        Exposure(i64),
+        Refuse,
+    }
+
+    /// Plays a list of acts; `Refuse` refuses to open.
+    struct Scripted {
+        acts: Arc<Mutex<VecDeque<Act>>>,
+        clock: Arc<ManualClock>,
+        stop: Arc<AtomicBool>,
+    }
+
+    struct ScriptedSource {
+        acts: Arc<Mutex<VecDeque<Act>>>,
+        clock: Arc<ManualClock>,
+        stop: Arc<AtomicBool>,
+        info: StreamInfo,
+        exposure: i64,
+    }
+
+    impl CameraOpener for Scripted {
+        fn role(&self) -> Role {
+            Role::Left
+        }
+
+        fn describe(&self) -> String {
+            "scripted".to_owned()
+        }
+
+        fn open(&mut self) -> Result<Box<dyn FrameSource>> {
+            let mut acts = self.acts.lock().unwrap();
+            if matches!(acts.front(), Some(Act::Refuse)) {
+                acts.pop_front();
+                return Err(Error::new(ErrorKind::Device, "no camera with serial X"));
+            }
+            Ok(Box::new(ScriptedSource {
+                acts: self.acts.clone(),
+                clock: self.clock.clone(),
+                stop: self.stop.clone(),
+                info: StreamInfo {
+                    identity: CameraIdentity::default(),
+                    format: PixelFormat::Grey,
+                    width: 2,
+                    height: 1,
+                    nominal_fps: 25.0,
+                    depth_unit_m: None,
+                },
+                exposure: 180,
+            }))
+        }
+    }
+
+    impl FrameSource for ScriptedSource {
+        fn info(&self) -> &StreamInfo {
+            &self.info
+        }
+
+        fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError> {
+            let act = self.acts.lock().unwrap().pop_front();
+            let frame = |sequence, data: Vec<u8>| Frame {
+                format: PixelFormat::Grey,
+                width: 2,
+                height: 1,
+                data: data.into(),
+                sequence,
+                driver_time_ns: self.clock.now_ns(),
+                received_ns: self.clock.now_ns(),
+            };
+            match act {
+                Some(Act::Frame {
+                    after_ms,
+                    sequence,
+                    shade,
+                }) => {
+                    self.clock.advance(after_ms * MS);
+                    Ok(Frame {
+                        received_ns: self.clock.now_ns(),
+                        ..frame(sequence, vec![shade, 0])
+                    })
+                }
+                Some(Act::Short { sequence }) => Ok(frame(sequence, vec![1])),
+                Some(Act::Driver(CaptureError::Timeout)) => {
+                    self.clock.advance(timeout.as_nanos() as u64);
+                    Err(CaptureError::Timeout)
+                }
+                Some(Act::Driver(error)) => Err(error),
+                Some(Act::Exposure(value)) => {
+                    self.exposure = value;
+                    self.clock.advance(1_000 * MS);
+                    Ok(frame(9, vec![value as u8, 1]))
+                }
+                Some(Act::Refuse) => Err(CaptureError::Gone),
+                None => {
+                    self.stop.store(true, Ordering::Relaxed);
+                    Err(CaptureError::Timeout)
+                }
+            }
+        }
+
+        fn controls(&mut self) -> Result<ControlValues> {
+            Ok(BTreeMap::from([("exposure".to_owned(), self.exposure)]))
+        }
+    }
+
+    fn play(acts: Vec<Act>) -> (Vec<CameraEvent>, u64) {
+        let clock = Arc::new(ManualClock::default());
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut opener = Scripted {
+            acts: Arc::new(Mutex::new(acts.into())),
+            clock: clock.clone(),
+            stop: stop.clone(),
+        };
+        let mut events = Vec::new();
+        run_camera(
+            &mut opener,
+            &SupervisionPolicy::default(),
+            &*clock,
+            &stop,
+            &mut |event| events.push(event),
+        );
+        (events, clock.now_ns())
+    }
+
+    fn steady(first: u32, count: u32) -> Vec<Act> {
+        (first..first + count)
+            .map(|sequence| Act::Frame {
+                after_ms: 40,
+                sequence,
+                shade: sequence as u8,
+            })
+            .collect()
+    }
+
+    fn reports(events: &[CameraEvent]) -> Vec<StreamReport> {
+        events
+            .iter()
+            .filter_map(|event| match event {
+                CameraEvent::Report(report) => Some(report.clone()),
+                _ => None,
+            })
+            .collect()
+    }
+
+    #[test]
+    fn unplugged_camera_is_opened_again_and_counters_go_on() {
+        let mut acts = steady(0, 10);
+        acts.push(Act::Driver(CaptureError::Gone));
+        acts.push(Act::Refuse);
+        acts.push(Act::Refuse);
+        acts.extend(steady(0, 10));
+        let (events, end_ns) = play(acts);
+        let opened = events
+            .iter()
+            .filter(|event| matches!(event, CameraEvent::Opened { .. }))
+            .count();
+        assert_eq!(opened, 2);
+        let lost: Vec<_> = reports(&events)
+            .into_iter()
+            .filter_map(|report| match report.health {
+                Health::Lost { reason } => Some(reason),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(lost.len(), 3);
+        assert!(lost[0].contains("unplugged"), "{lost:?}");
+        assert!(lost[2].contains("serial X"), "{lost:?}");
+        let last = reports(&events).pop().unwrap();
+        assert_eq!(last.counters.reconnects, 1);
+        assert_eq!(last.counters.sequence_gaps, 0);
+        // Pauses of 250, 500 and 1000 ms between the attempts, and 20 frames of 40 ms.
+        assert_eq!(end_ns, (1750 + 800) * MS);
+    }
+
+    #[test]
+    fn damaged_frames_are_told_and_never_passed_on() {
+        let mut acts = steady(0, 3);
+        acts.push(Act::Short { sequence: 3 });
+        acts.push(Act::Driver(CaptureError::Damaged {
+            sequence: 4,
+            reason: "error flag".to_owned(),
+        }));
+        acts.extend(steady(5, 10));
+        let (events, _) = play(acts);
+        let damaged: Vec<_> = events
+            .iter()
+            .filter_map(|event| match event {
+                CameraEvent::Damaged { sequence, reason } => Some((*sequence, reason.clone())),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(damaged.len(), 2);
+        assert_eq!(
+            damaged[0],
+            (3, "a 2×1 GREY frame has 2 bytes, found 1".to_owned())
+        );
+        let frames = events
+            .iter()
+            .filter(|event| matches!(event, CameraEvent::Frame(_)))
+            .count();
+        assert_eq!(frames, 13);
+        assert_eq!(reports(&events).pop().unwrap().counters.sequence_gaps, 0);
+    }
+
+    #[test]
+    fn silence_becomes_a_reopen() {
+        let mut acts = steady(0, 5);
+        acts.extend((0..32).map(|_| Act::Driver(CaptureError::Timeout)));
+        acts.extend(steady(0, 5));
+        let (events, _) = play(acts);
+        let reports = reports(&events);
+        assert!(
+            reports
+                .iter()
+                .any(|report| matches!(report.health, Health::Silent { .. }))
+        );
+        assert!(reports.iter().any(
+            |report| matches!(&report.health, Health::Lost { reason } if reason.contains("no frame"))
+        ));
+        assert_eq!(reports.last().unwrap().counters.reconnects, 1);
+    }
+
+    #[test]
+    fn a_frozen_picture_is_told_and_reopened() {
+        let acts = (0..120)
+            .map(|sequence| Act::Frame {
+                after_ms: 40,
+                sequence,
+                shade: 7,
+            })
+            .collect();
+        let (events, _) = play(acts);
+        let reports = reports(&events);
+        assert!(
+            reports
+                .iter()
+                .any(|report| matches!(report.health, Health::Frozen { .. }))
+        );
+        assert!(reports.iter().any(
+            |report| matches!(&report.health, Health::Lost { reason } if reason.contains("same"))
+        ));
+    }
+
+    #[test]
+    fn changed_controls_are_told_once() {
+        let mut acts = steady(0, 3);
+        acts.push(Act::Exposure(90));
+        acts.extend(steady(10, 40));
+        let (events, _) = play(acts);
+        let told: Vec<_> = events
+            .iter()
+            .filter_map(|event| match event {
+                CameraEvent::Controls(values) => Some(values["exposure"]),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(told, [90]);
+    }
+
+    #[test]
+    fn a_recording_that_ends_is_not_reopened() {
+        let mut acts = steady(0, 3);
+        acts.push(Act::Driver(CaptureError::Ended));
+        acts.extend(steady(0, 3));
+        let (events, _) = play(acts);
+        assert!(matches!(events.last(), Some(CameraEvent::Ended)));
+        assert_eq!(reports(&events).pop().unwrap().health, Health::Ended);
+    }
+}

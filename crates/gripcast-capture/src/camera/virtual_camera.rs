@@ -1,0 +1,614 @@
+//! Cameras of the virtual rig: paced like real ones, with sequence numbers that jump when the
+//! reader is late.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use fast_image_resize::images::Image as ResizeImage;
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use turbojpeg::{Compressor, Image, PixelFormat as JpegPixels, Subsamp};
+
+use super::clock::Clock;
+use super::source::{
+    CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
+};
+use super::virtual_scene::{
+    ColourPainter, DepthPainter, FilmLibrary, GelPainter, Place, SceneMoment, VirtualHand,
+};
+use crate::calibration::CameraConfig;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_imaging::{Frame, PixelFormat, Role};
+
+/// Pictures are painted at most this wide and enlarged.
+const PAINTED_WIDTH: u32 = 640;
+/// Tactile pictures keep finer detail.
+const PAINTED_GEL_WIDTH: u32 = 820;
+/// Markers are measured in the pictures from beside the table.
+const PAINTED_OUTSIDE_WIDTH: u32 = 1280;
+/// Frames that wait for a late reader, like the buffers of a driver.
+const BUFFERS: u64 = 4;
+const DEPTH_UNIT_M: f64 = 0.001;
+const JPEG_QUALITY: i32 = 92;
+
+/// The virtual rig: one hand and the cameras that see it.
+#[derive(Clone)]
+pub struct VirtualRig {
+    hand: Arc<VirtualHand>,
+    clock: Arc<dyn Clock>,
+    seed: u64,
+    unplugged: Option<PathBuf>,
+}
+
+impl VirtualRig {
+    /// A rig that plays `films`; their order and the noise follow from `seed`.
+    pub fn new(films: FilmLibrary, seed: u64, clock: Arc<dyn Clock>) -> Self {
+        Self {
+            hand: Arc::new(VirtualHand::new(films, seed, clock.clone())),
+            clock,
+            seed,
+            unplugged: None,
+        }
+    }
+
+    /// Cameras whose roles stand in `file` are unplugged for as long as they stand there.
+    #[must_use]
+    pub fn with_unplugged(self, file: PathBuf) -> Self {
+        Self {
+            unplugged: Some(file),
+            ..self
+        }
+    }
+
+    fn is_unplugged(&self, role: Role) -> bool {
+        let text = self.unplugged.as_ref().map(fs::read_to_string);
+        text.is_some_and(|text| text.is_ok_and(|t| t.split_whitespace().any(|w| w == role.name())))
+    }
+
+    /// The hand, to close it, lift and open it.
+    pub fn hand(&self) -> Arc<VirtualHand> {
+        self.hand.clone()
+    }
+
+    /// The camera of `role` in the format and size of `config`.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Config`] when the role cannot deliver that format, or size or rate are out of
+    /// range.
+    pub fn camera(&self, role: Role, config: &CameraConfig) -> Result<VirtualOpener> {
+        let wrong = |what: String| Error::new(ErrorKind::Config, what).at(role);
+        let depth = role == Role::Depth;
+        if depth != (config.format == PixelFormat::Z16) {
+            let found = config.format;
+            let wanted = if depth { "Z16" } else { "MJPG, YUYV or GREY" };
+            return Err(wrong(format!(
+                "the virtual camera cannot deliver {found}, expected {wanted}"
+            )));
+        }
+        let (width, height) = (config.width, config.height);
+        if !(16..=4096).contains(&width) || !(16..=4096).contains(&height) || width % 2 != 0 {
+            return Err(wrong(format!(
+                "the virtual camera cannot deliver {width}×{height}, expected 16 to 4096 pixels \
+                 with an even width"
+            )));
+        }
+        if !(config.fps > 0.0 && config.fps <= 240.0) {
+            let fps = config.fps;
+            return Err(wrong(format!(
+                "frame rate {fps}, expected above 0, up to 240"
+            )));
+        }
+        let (product, serial) = match role {
+            Role::Left => ("Virtual GelSight Mini", "VIRT-LEFT"),
+            Role::Right => ("Virtual GelSight Mini", "VIRT-RIGHT"),
+            Role::Rgb => ("Virtual D435 colour", "VIRT-RGB"),
+            Role::Depth => ("Virtual D435 depth", "VIRT-DEPTH"),
+            Role::External => ("Virtual scene camera", "VIRT-EXTERNAL"),
+        };
+        Ok(VirtualOpener {
+            rig: self.clone(),
+            role,
+            info: StreamInfo {
+                identity: CameraIdentity {
+                    product: product.to_owned(),
+                    serial: serial.to_owned(),
+                    interface: if role == Role::Rgb { 3 } else { 0 },
+                    port: "virtual".to_owned(),
+                    node: None,
+                },
+                format: config.format,
+                width,
+                height,
+                nominal_fps: config.fps,
+                depth_unit_m: depth.then(|| config.depth_unit_m.unwrap_or(DEPTH_UNIT_M)),
+            },
+            controls: controls_of(role, &config.controls),
+        })
+    }
+}
+
+/// What a rig file sets, over the values that such a camera would have.
+fn controls_of(role: Role, wanted: &ControlValues) -> ControlValues {
+    let usual: &[(&str, i64)] = match role {
+        Role::Left | Role::Right => &[
+            ("auto_exposure", 1),
+            ("exposure_time_absolute", 180),
+            ("gain", 0),
+            ("white_balance_automatic", 0),
+            ("white_balance_temperature", 4500),
+        ],
+        Role::Rgb | Role::External => &[
+            ("auto_exposure", 1),
+            ("exposure_time_absolute", 156),
+            ("gain", 64),
+            ("white_balance_automatic", 0),
+            ("white_balance_temperature", 4600),
+        ],
+        Role::Depth => &[
+            ("auto_exposure", 1),
+            ("exposure_time_absolute", 85),
+            ("gain", 16),
+        ],
+    };
+    let mut values: BTreeMap<String, i64> = usual
+        .iter()
+        .map(|(name, value)| ((*name).to_owned(), *value))
+        .collect();
+    values.extend(wanted.iter().map(|(name, value)| (name.clone(), *value)));
+    values
+}
+
+/// Opens one virtual camera.
+pub struct VirtualOpener {
+    rig: VirtualRig,
+    role: Role,
+    info: StreamInfo,
+    controls: ControlValues,
+}
+
+impl CameraOpener for VirtualOpener {
+    fn role(&self) -> Role {
+        self.role
+    }
+
+    fn describe(&self) -> String {
+        self.info.identity.to_string()
+    }
+
+    fn open(&mut self) -> Result<Box<dyn FrameSource>> {
+        if self.rig.is_unplugged(self.role) {
+            let what = format!("{} is not plugged in", self.info.identity);
+            return Err(Error::new(ErrorKind::Device, what));
+        }
+        let painter = Painter::new(&self.rig, self.role, &self.info)?;
+        Ok(Box::new(VirtualCamera {
+            schedule: Schedule {
+                start_ns: self.rig.clock.now_ns(),
+                interval_ns: 1e9 / self.info.nominal_fps,
+                next: 0,
+            },
+            rig: self.rig.clone(),
+            role: self.role,
+            info: self.info.clone(),
+            controls: self.controls.clone(),
+            painter,
+        }))
+    }
+}
+
+/// Which frame is next and when, for a camera that never waits for its reader.
+struct Schedule {
+    start_ns: u64,
+    interval_ns: f64,
+    next: u64,
+}
+
+impl Schedule {
+    fn time_ns(&self, frame: u64) -> u64 {
+        // The first frame is complete one interval after the start.
+        self.start_ns + ((frame + 1) as f64 * self.interval_ns) as u64
+    }
+
+    /// Number of the next frame; a late reader finds the newest buffers only.
+    fn upcoming(&self, now_ns: u64) -> u64 {
+        let made = (now_ns.saturating_sub(self.start_ns) as f64 / self.interval_ns) as u64;
+        self.next.max(made.saturating_sub(BUFFERS))
+    }
+}
+
+struct VirtualCamera {
+    schedule: Schedule,
+    rig: VirtualRig,
+    role: Role,
+    info: StreamInfo,
+    controls: ControlValues,
+    painter: Painter,
+}
+
+impl FrameSource for VirtualCamera {
+    fn info(&self) -> &StreamInfo {
+        &self.info
+    }
+
+    fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError> {
+        if self.rig.is_unplugged(self.role) {
+            return Err(CaptureError::Gone);
+        }
+        let now_ns = self.rig.clock.now_ns();
+        let number = self.schedule.upcoming(now_ns);
+        let due_ns = self.schedule.time_ns(number);
+        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
+        let patience_ns = now_ns.saturating_add(timeout_ns);
+        if due_ns > patience_ns {
+            self.rig.clock.sleep_until(patience_ns);
+            return Err(CaptureError::Timeout);
+        }
+        self.rig.clock.sleep_until(due_ns);
+        self.schedule.next = number + 1;
+        let moment = self.rig.hand.moment(due_ns);
+        let data = self
+            .painter
+            .paint(&moment, number)
+            .map_err(CaptureError::Failed)?;
+        Ok(Frame {
+            format: self.info.format,
+            width: self.info.width,
+            height: self.info.height,
+            data: data.into(),
+            sequence: number as u32,
+            driver_time_ns: due_ns,
+            received_ns: self.rig.clock.now_ns(),
+        })
+    }
+
+    fn controls(&mut self) -> Result<ControlValues> {
+        Ok(self.controls.clone())
+    }
+}
+
+enum Scene {
+    Gel(Box<GelPainter>),
+    Colour(ColourPainter),
+    Depth(DepthPainter),
+}
+
+/// Paints a scene and packs it into a camera's format.
+struct Painter {
+    scene: Scene,
+    painted: (u32, u32),
+    info: StreamInfo,
+    resizer: Resizer,
+    compressor: Option<Compressor>,
+}
+
+impl Painter {
+    fn new(rig: &VirtualRig, role: Role, info: &StreamInfo) -> Result<Self> {
+        let limit = match role {
+            Role::Left | Role::Right => PAINTED_GEL_WIDTH,
+            Role::Rgb | Role::Depth => PAINTED_WIDTH,
+            Role::External => PAINTED_OUTSIDE_WIDTH,
+        };
+        let painted = if info.width <= limit {
+            (info.width, info.height)
+        } else {
+            (limit, (info.height * limit / info.width).max(1))
+        };
+        let full = (info.width, info.height);
+        let scene = match role {
+            Role::Left | Role::Right => {
+                Scene::Gel(Box::new(GelPainter::new(role, rig.seed, painted, full)?))
+            }
+            Role::Rgb => Scene::Colour(ColourPainter::new(Place::Hand, rig.seed, painted)),
+            Role::Depth => Scene::Depth(DepthPainter::new(rig.seed, painted)),
+            Role::External => Scene::Colour(ColourPainter::new(Place::Outside, rig.seed, painted)),
+        };
+        let compressor = match info.format {
+            PixelFormat::Mjpg => Some(jpeg_compressor().map_err(|error| {
+                Error::new(ErrorKind::Internal, "cannot start the JPEG encoder").because(error)
+            })?),
+            _ => None,
+        };
+        Ok(Self {
+            scene,
+            painted,
+            info: info.clone(),
+            resizer: Resizer::new(),
+            compressor,
+        })
+    }
+
+    fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
+        let painted = match &mut self.scene {
+            Scene::Depth(painter) => {
+                let depth_m = painter.paint_m(moment, frame)?;
+                return Ok(self.depth_bytes(&depth_m));
+            }
+            Scene::Gel(painter) => painter.paint(moment, frame)?,
+            Scene::Colour(painter) => painter.paint(moment, frame)?,
+        };
+        let rgb = self.enlarged(painted)?;
+        match (self.info.format, &mut self.compressor) {
+            (PixelFormat::Mjpg, Some(compressor)) => {
+                encode_jpeg(compressor, &rgb, self.info.width, self.info.height)
+            }
+            (PixelFormat::Grey, _) => Ok(rgb.chunks_exact(3).map(luminance).collect()),
+            _ => Ok(yuyv_bytes(&rgb)),
+        }
+    }
+
+    fn enlarged(&mut self, painted: Vec<u8>) -> Result<Vec<u8>> {
+        let (width, height) = (self.info.width, self.info.height);
+        if self.painted == (width, height) {
+            return Ok(painted);
+        }
+        let failed = |error: &dyn std::fmt::Display| {
+            Error::new(
+                ErrorKind::Internal,
+                format!("cannot enlarge a picture: {error}"),
+            )
+        };
+        let small =
+            ResizeImage::from_vec_u8(self.painted.0, self.painted.1, painted, PixelType::U8x3)
+                .map_err(|error| failed(&error))?;
+        let mut large = ResizeImage::new(width, height, PixelType::U8x3);
+        let bilinear =
+            ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear));
+        self.resizer
+            .resize(&small, &mut large, &bilinear)
+            .map_err(|error| failed(&error))?;
+        Ok(large.into_vec())
+    }
+
+    /// Counts of the depth unit, little endian; enlarged without mixing near and far.
+    fn depth_bytes(&self, depth_m: &[f32]) -> Vec<u8> {
+        let unit_m = self.info.depth_unit_m.unwrap_or(DEPTH_UNIT_M) as f32;
+        let (painted_width, painted_height) = (self.painted.0 as usize, self.painted.1 as usize);
+        let (width, height) = (self.info.width as usize, self.info.height as usize);
+        let mut bytes = Vec::with_capacity(2 * width * height);
+        for row in 0..height {
+            let line = &depth_m[row * painted_height / height * painted_width..][..painted_width];
+            for column in 0..width {
+                let counts = line[column * painted_width / width] / unit_m;
+                bytes.extend_from_slice(&(counts.round() as u16).to_le_bytes());
+            }
+        }
+        bytes
+    }
+}
+
+fn jpeg_compressor() -> turbojpeg::Result<Compressor> {
+    let mut compressor = Compressor::new()?;
+    compressor.set_quality(JPEG_QUALITY)?;
+    compressor.set_subsamp(Subsamp::Sub2x1)?;
+    Ok(compressor)
+}
+
+fn encode_jpeg(
+    compressor: &mut Compressor,
+    rgb: &[u8],
+    width: u32,
+    height: u32,
+) -> Result<Vec<u8>> {
+    let image = Image {
+        pixels: rgb,
+        width: width as usize,
+        pitch: 3 * width as usize,
+        height: height as usize,
+        format: JpegPixels::RGB,
+    };
+    compressor.compress_to_vec(image).map_err(|error| {
+        Error::new(ErrorKind::Internal, "cannot encode a virtual picture").because(error)
+    })
+}
+
+/// BT.601 luminance of an RGB pixel, full range.
+fn luminance(rgb: &[u8]) -> u8 {
+    let [r, g, b] = [0, 1, 2].map(|n| u32::from(rgb[n]));
+    ((299 * r + 587 * g + 114 * b + 500) / 1000) as u8
+}
+
+/// BT.601 limited range; the two pixels of a pair share their mean chroma.
+fn yuyv_bytes(rgb: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(rgb.len() / 3 * 2);
+    for pair in rgb.chunks_exact(6) {
+        let p = |n: usize| i32::from(pair[n]);
+        let luma =
+            |n: usize| (((66 * p(n) + 129 * p(n + 1) + 25 * p(n + 2) + 128) >> 8) + 16) as u8;
+        let [r, g, b] = [0, 1, 2].map(|n| p(n) + p(n + 3));
+        let u = ((-38 * r - 74 * g + 112 * b + 256) >> 9) + 128;
+        let v = ((112 * r - 94 * g - 18 * b + 256) >> 9) + 128;
+        bytes.extend_from_slice(&[luma(0), u as u8, luma(3), v as u8]);
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::SourceKind;
+    use crate::camera::{HandGoal, ManualClock};
+
+    const MS: u64 = 1_000_000;
+    const TIMEOUT: Duration = Duration::from_millis(100);
+
+    fn config(format: PixelFormat, width: u32, height: u32, fps: f64) -> CameraConfig {
+        CameraConfig {
+            source: SourceKind::Virtual,
+            product: String::new(),
+            serial: None,
+            interface: None,
+            port: None,
+            path: None,
+            unpaced: false,
+            format,
+            width,
+            height,
+            fps,
+            crop_profile: None,
+            depth_unit_m: None,
+            intrinsics: None,
+            controls: BTreeMap::from([("gain".to_owned(), 7)]),
+        }
+    }
+
+    fn rig() -> (VirtualRig, Arc<ManualClock>) {
+        let clock = Arc::new(ManualClock::at(1_000 * MS));
+        let films = FilmLibrary::built_in().unwrap();
+        (VirtualRig::new(films, 1, clock.clone()), clock)
+    }
+
+    #[test]
+    fn every_role_delivers_its_format() {
+        let (rig, _) = rig();
+        for (role, format, width, height) in [
+            (Role::Left, PixelFormat::Mjpg, 640, 480),
+            (Role::Right, PixelFormat::Mjpg, 3280, 2464),
+            (Role::Rgb, PixelFormat::Yuyv, 1280, 720),
+            (Role::Depth, PixelFormat::Z16, 848, 480),
+            (Role::External, PixelFormat::Grey, 320, 240),
+        ] {
+            let mut opener = rig
+                .camera(role, &config(format, width, height, 30.0))
+                .unwrap();
+            let mut camera = opener.open().unwrap();
+            let frame = camera.next_frame(TIMEOUT).unwrap();
+            assert_eq!(
+                (frame.format, frame.width, frame.height),
+                (format, width, height)
+            );
+            match format.frame_bytes(width, height) {
+                Some(bytes) => assert_eq!(frame.data.len(), bytes, "{role}"),
+                None => {
+                    let header = turbojpeg::read_header(&frame.data).unwrap();
+                    let size = (header.width, header.height);
+                    assert_eq!(size, (width as usize, height as usize));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_camera_is_gone_while_its_role_stands_in_the_file() {
+        let (rig, _) = rig();
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let rig = rig.with_unplugged(file.path().to_owned());
+        let config = config(PixelFormat::Mjpg, 160, 120, 25.0);
+        let mut left = rig.camera(Role::Left, &config).unwrap();
+        let mut right = rig.camera(Role::Right, &config).unwrap();
+        let (mut seen, mut other) = (left.open().unwrap(), right.open().unwrap());
+        assert!(seen.next_frame(TIMEOUT).is_ok());
+        fs::write(file.path(), "depth left\n").unwrap();
+        assert!(matches!(seen.next_frame(TIMEOUT), Err(CaptureError::Gone)));
+        assert!(other.next_frame(TIMEOUT).is_ok());
+        assert_eq!(left.open().err().unwrap().kind(), ErrorKind::Device);
+        fs::write(file.path(), "").unwrap();
+        assert!(left.open().unwrap().next_frame(TIMEOUT).is_ok());
+    }
+
+    #[test]
+    fn frames_are_paced_and_a_late_reader_sees_a_gap() {
+        let (rig, clock) = rig();
+        let config = config(PixelFormat::Mjpg, 160, 120, 25.0);
+        let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
+        for number in 0..5 {
+            let frame = camera.next_frame(TIMEOUT).unwrap();
+            assert_eq!(frame.sequence, number);
+            assert_eq!(
+                frame.driver_time_ns,
+                (1_000 + 40 * (u64::from(number) + 1)) * MS
+            );
+            assert_eq!(frame.received_ns, frame.driver_time_ns);
+        }
+        // 40 ms · 20 later the oldest of four buffers is frame 25 − 4.
+        clock.advance(800 * MS);
+        let frame = camera.next_frame(TIMEOUT).unwrap();
+        assert_eq!(frame.sequence, 21);
+        assert_eq!(frame.driver_time_ns, (1_000 + 22 * 40) * MS);
+        assert_eq!(camera.next_frame(TIMEOUT).unwrap().sequence, 22);
+    }
+
+    #[test]
+    fn a_slow_camera_times_out_without_losing_its_frame() {
+        let (rig, clock) = rig();
+        let config = config(PixelFormat::Grey, 160, 120, 5.0);
+        let mut camera = rig.camera(Role::Rgb, &config).unwrap().open().unwrap();
+        let first = camera.next_frame(TIMEOUT);
+        assert!(matches!(first, Err(CaptureError::Timeout)));
+        assert_eq!(clock.now_ns(), 1_100 * MS);
+        assert_eq!(camera.next_frame(TIMEOUT).unwrap().sequence, 0);
+        assert_eq!(clock.now_ns(), 1_200 * MS);
+    }
+
+    #[test]
+    fn the_same_moment_is_the_same_picture() {
+        let picture = || {
+            let (rig, _) = rig();
+            rig.hand().go(HandGoal::Closed);
+            let config = config(PixelFormat::Mjpg, 320, 240, 1.0);
+            let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
+            camera.next_frame(Duration::from_secs(2)).unwrap().data
+        };
+        assert_eq!(picture(), picture());
+    }
+
+    #[test]
+    fn identity_and_controls_are_readable() {
+        let (rig, _) = rig();
+        let config = config(PixelFormat::Mjpg, 320, 240, 25.0);
+        let mut opener = rig.camera(Role::Right, &config).unwrap();
+        assert_eq!(
+            opener.describe(),
+            "Virtual GelSight Mini, serial VIRT-RIGHT, port virtual"
+        );
+        let controls = opener.open().unwrap().controls().unwrap();
+        assert_eq!(controls["gain"], 7);
+        assert_eq!(controls["exposure_time_absolute"], 180);
+    }
+
+    #[test]
+    fn impossible_modes_are_explained() {
+        let (rig, _) = rig();
+        for (role, config, part) in [
+            (
+                Role::Left,
+                config(PixelFormat::Z16, 640, 480, 25.0),
+                "expected MJPG",
+            ),
+            (
+                Role::Depth,
+                config(PixelFormat::Mjpg, 640, 480, 25.0),
+                "expected Z16",
+            ),
+            (
+                Role::Rgb,
+                config(PixelFormat::Yuyv, 641, 480, 25.0),
+                "641×480",
+            ),
+            (Role::Rgb, config(PixelFormat::Yuyv, 640, 0, 25.0), "640×0"),
+            (
+                Role::Rgb,
+                config(PixelFormat::Yuyv, 640, 480, 0.0),
+                "frame rate 0",
+            ),
+            (
+                Role::Rgb,
+                config(PixelFormat::Yuyv, 640, 480, f64::NAN),
+                "frame rate NaN",
+            ),
+        ] {
+            let error = rig.camera(role, &config).err().unwrap();
+            assert_eq!(error.kind(), ErrorKind::Config);
+            assert!(error.to_string().contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn yuyv_keeps_grey_grey_and_red_red() {
+        assert_eq!(yuyv_bytes(&[128; 6]), [126, 128, 126, 128]);
+        let red = yuyv_bytes(&[255, 0, 0, 255, 0, 0]);
+        assert!(red[0] > 70 && red[0] < 90, "{red:?}");
+        assert!(red[1] < 100 && red[3] > 220, "{red:?}");
+    }
+}

@@ -1,0 +1,467 @@
+//! Makes a film of a trace.
+
+use std::borrow::Cow;
+use std::path::Path;
+
+use glam::DVec3;
+use image::{RgbImage, imageops};
+use serde_json::Value;
+
+use super::film::{FilmFiles, FilmKeys, film_header};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_imaging::{DepthImage, Intrinsics, encode_png_grey16};
+use gripcast_pose::BoardFile;
+use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
+use gripcast_sim::fem::GelGrid;
+use gripcast_sim::grasp::{StageName, Trace, TraceFile, TraceStep};
+use gripcast_tactile::{TraceHeader, TraceStart};
+use gripcast_visual::{
+    Camera, ColourSettings, DenoiseSettings, DepthSettings, GraspPrints, GraspState, Model,
+    RenderSettings, Renderer, View, VisualConditions, VisualRandomisation, Watch,
+    annotation_camera, annotation_scene, denoise, develop, grasp_scene, measure_depth,
+};
+
+/// Steps that are shown: of the way to the object, in contact until closed, adjusting, lifting.
+const FREE_STEPS: usize = 6;
+const CONTACT_STEPS: usize = 24;
+const ADJUSTING_STEPS: usize = 4;
+const LIFTING_STEPS: usize = 10;
+/// Key steps of the way to the object and of the lift.
+const FREE_KEYS: usize = 3;
+const LIFTING_KEYS: usize = 3;
+/// JPEG quality of the pictures in which markers are measured.
+const OUTSIDE_QUALITY: u8 = 88;
+
+/// How a film is made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShootSettings {
+    /// Columns and rows of the colour pictures.
+    pub colour: [usize; 2],
+    /// Columns and rows of the depth pictures.
+    pub depth: [usize; 2],
+    /// Columns and rows of the pictures from beside the table, in which markers are found.
+    pub outside: [usize; 2],
+    /// Paths for each pixel of a colour picture, denoised afterwards.
+    pub samples: u32,
+    /// JPEG quality, 1 to 100.
+    pub quality: u8,
+    /// Light, ground, camera and colours are drawn from it.
+    pub seed: u64,
+}
+
+impl Default for ShootSettings {
+    fn default() -> Self {
+        Self {
+            colour: [480, 360],
+            depth: [320, 240],
+            outside: [1280, 720],
+            samples: 64,
+            quality: 82,
+            seed: 0,
+        }
+    }
+}
+
+/// A film of a simulated grasp of `model`, whose shape is `mesh` (m, its own frame). `progress` is
+/// told how many pictures are done, of how many.
+///
+/// Seen from beside the table, the object stands on its printed sheet and the gripper has the tags
+/// of [`BoardFile::gripper_umi`].
+///
+/// # Errors
+/// `Input` where the trace has no steps or no start, or the scene cannot be rendered.
+pub fn shoot(
+    file: &TraceFile,
+    mesh: &TriangleMesh,
+    model: &Model,
+    settings: &ShootSettings,
+    progress: &dyn Fn(usize, usize),
+) -> Result<FilmFiles> {
+    let trace = &file.trace;
+    let shown = shown_steps(&trace.steps)?;
+    let TraceHeader { gel, object } = TraceHeader::read(&file.header)?;
+    let set = Set {
+        trace,
+        grid: gel.grid,
+        start: TraceStart::read(&file.header)?,
+        conditions: VisualRandomisation::default().sample(settings.seed),
+        settings,
+    };
+    let sheet = sheet_of(mesh, &object.source, set.start.t_world_object)?;
+    let prints = GraspPrints::new(&sheet, &BoardFile::gripper_umi()?)?;
+    let beside = annotation_camera(&set.state(0)?, settings.outside, settings.seed);
+    let keys = keys_of(trace, &shown, beside.intrinsics());
+    let all = keys.keys.len() + keys.outside_keys.len();
+    let steps = |keys: &[usize]| -> Vec<usize> { keys.iter().map(|key| shown[*key]).collect() };
+
+    let mut colour = Vec::new();
+    let mut depth = Vec::new();
+    let view = View::EyeInHand(settings.colour);
+    // One place of the cameras for the whole film.
+    let before = set.state(0)?;
+    let hand = view.camera(&before, &set.conditions);
+    let stereo = View::EyeInHand(settings.depth).camera(&before, &set.conditions);
+    for step in steps(&keys.keys) {
+        progress(colour.len(), all);
+        let scene = grasp_scene(model, &set.state(step)?, &set.conditions, view)?;
+        let renderer = Renderer::new(&scene)?;
+        colour.push(set.picture(
+            &renderer,
+            &set.riding(&hand, step),
+            ColourSettings::default().blur_px,
+        )?);
+        depth.push(depth_picture(&renderer, &set.riding(&stereo, step))?);
+    }
+    let mut outside = Vec::new();
+    for step in steps(&keys.outside_keys) {
+        progress(colour.len() + outside.len(), all);
+        let state = set.state(step)?;
+        let scene = annotation_scene(model, &state, &set.conditions, beside, &prints)?;
+        outside.push(set.picture(&Renderer::new(&scene)?, &beside, 0.0)?);
+    }
+    Ok(FilmFiles {
+        trace: Cow::Owned(thinned(&file.header, trace, &shown, &keys)?),
+        colour: Cow::Owned(jpeg_strip(&colour, settings.quality)?),
+        depth: Cow::Owned(png_strip(&depth)?),
+        outside: Cow::Owned(jpeg_strip(&outside, OUTSIDE_QUALITY)?),
+        sheet: Cow::Owned(sheet.file.to_toml().into_bytes()),
+    })
+}
+
+/// The sheet of an object as it stands, named after its mesh.
+fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<ObjectSheet> {
+    let object = ObjectOnSheet {
+        mesh,
+        source,
+        t_world_object,
+    };
+    let named = source.strip_prefix("builtin:").unwrap_or(source);
+    let name = Path::new(named).file_stem().unwrap_or_default();
+    usual_object_sheet(&name.to_string_lossy(), &object)
+}
+
+/// Everything that the pictures of a film share.
+struct Set<'a> {
+    trace: &'a Trace,
+    grid: GelGrid,
+    start: TraceStart,
+    conditions: VisualConditions,
+    settings: &'a ShootSettings,
+}
+
+impl Set<'_> {
+    /// A camera on the gripper, lifted with it.
+    fn riding(&self, camera: &Camera, step: usize) -> Camera {
+        let lift = Pose::from_translation(DVec3::Z * self.trace.steps[step].lifted_m);
+        Camera {
+            t_world_camera: lift * camera.t_world_camera,
+            ..*camera
+        }
+    }
+
+    /// Deformed gels are known at the ends of the stages only.
+    fn state(&self, step: usize) -> Result<GraspState> {
+        let at = &self.trace.steps[step];
+        let is_now = |t_s: f64| (t_s - at.t_s).abs() < 1e-9;
+        if let Some(snapshot) = self.trace.snapshots.iter().find(|s| is_now(s.t_s)) {
+            return GraspState::at(snapshot, Some(&self.grid));
+        }
+        let lift = Pose::from_translation(DVec3::Z * at.lifted_m);
+        Ok(GraspState {
+            t_world_object: at.t_world_object,
+            t_world_gripper: lift * self.start.t_world_gripper(),
+            opening_m: at.opening_m,
+            gels: None,
+        })
+    }
+
+    fn picture(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
+        let settings = RenderSettings {
+            samples: self.settings.samples,
+            seed: self.settings.seed,
+            ..RenderSettings::default()
+        };
+        let rendering = renderer.render(camera, &settings, &Watch::default())?;
+        let light = denoise(&rendering, &DenoiseSettings::default());
+        // The noise is that of each frame.
+        let colour = ColourSettings {
+            full_well_e: 1e9,
+            read_noise_e: 0.0,
+            blur_px,
+            ..ColourSettings::default()
+        };
+        Ok(develop(&light, &colour, 0))
+    }
+}
+
+fn depth_picture(renderer: &Renderer, camera: &Camera) -> Result<DepthImage> {
+    let noiseless = DepthSettings {
+        subpixel: 0.0,
+        ..DepthSettings::default()
+    };
+    measure_depth(&renderer.depth(camera)?, camera, &noiseless, 0)
+}
+
+/// Indices of the steps that are shown: few where nothing touches, most while the gels are
+/// pressed in.
+fn shown_steps(steps: &[TraceStep]) -> Result<Vec<usize>> {
+    if steps.is_empty() {
+        return Err(Error::new(
+            ErrorKind::Input,
+            "the trace has no steps, so there is nothing to show",
+        )
+        .remedy("take a grasp that was simulated; its outcome says whether it was"));
+    }
+    let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
+    let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
+    let closure = count(&|s| s.stage == StageName::Closure);
+    let before_lift = count(&|s| s.stage != StageName::Lift);
+    let mut shown = vec![0];
+    for (from, to, most) in [
+        (0, free, FREE_STEPS),
+        (free, closure, CONTACT_STEPS),
+        (closure, before_lift, ADJUSTING_STEPS),
+        (before_lift, steps.len(), LIFTING_STEPS),
+    ] {
+        shown.extend(spread(from, to, most));
+    }
+    shown.dedup();
+    Ok(shown)
+}
+
+/// At most `most` of `from..to`, evenly, the last always.
+fn spread(from: usize, to: usize, most: usize) -> impl Iterator<Item = usize> {
+    let length = to - from;
+    let count = length.min(most);
+    (1..=count).map(move |n| from + (n * length).div_ceil(count) - 1)
+}
+
+/// Keys are numbers of shown steps.
+fn keys_of(trace: &Trace, shown: &[usize], outside_camera: Intrinsics) -> FilmKeys {
+    let steps: Vec<&TraceStep> = shown.iter().map(|step| &trace.steps[*step]).collect();
+    let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
+    let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
+    let before_lift = count(&|s| s.stage != StageName::Lift);
+    let mut keys = vec![0];
+    keys.extend(spread(0, free, FREE_KEYS));
+    // The fingers hardly move once they touch: the first touch and the end.
+    keys.extend([
+        free.min(before_lift.saturating_sub(1)),
+        before_lift.saturating_sub(1),
+    ]);
+    keys.extend(spread(before_lift, steps.len(), LIFTING_KEYS));
+    keys.dedup();
+    let mut outside_keys = vec![0, before_lift.saturating_sub(1), steps.len() - 1];
+    outside_keys.dedup();
+    FilmKeys {
+        keys,
+        outside_keys,
+        outside_camera,
+    }
+}
+
+fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &FilmKeys) -> Result<Vec<u8>> {
+    let thin = TraceFile {
+        header: film_header(header, keys)?,
+        trace: Trace {
+            steps: shown
+                .iter()
+                .map(|step| trace.steps[*step].clone())
+                .collect(),
+            snapshots: Vec::new(),
+        },
+    };
+    thin.to_bytes()
+}
+
+fn jpeg_strip(pictures: &[RgbImage], quality: u8) -> Result<Vec<u8>> {
+    let (width, height) = pictures.first().map_or((0, 0), RgbImage::dimensions);
+    let mut strip = RgbImage::new(width, height * pictures.len() as u32);
+    for (number, picture) in pictures.iter().enumerate() {
+        imageops::replace(&mut strip, picture, 0, i64::from(height) * number as i64);
+    }
+    let image = turbojpeg::Image {
+        pixels: strip.as_raw().as_slice(),
+        width: width as usize,
+        pitch: 3 * width as usize,
+        height: strip.height() as usize,
+        format: turbojpeg::PixelFormat::RGB,
+    };
+    turbojpeg::compress(image, i32::from(quality), turbojpeg::Subsamp::Sub2x2)
+        .map(|jpeg| jpeg.to_vec())
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot encode the film").because(e))
+}
+
+fn png_strip(pictures: &[DepthImage]) -> Result<Vec<u8>> {
+    let (width, height) = pictures.first().map_or((0, 0), DepthImage::dimensions);
+    let raw: Vec<u16> = pictures.iter().flat_map(|p| p.as_raw()).copied().collect();
+    let strip = DepthImage::from_vec(width, height * pictures.len() as u32, raw)
+        .ok_or_else(|| Error::new(ErrorKind::Internal, "the depth strip has the wrong size"))?;
+    encode_png_grey16(&strip)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use serde_json::json;
+
+    use super::*;
+    use crate::camera::virtual_scene::film::Film;
+    use gripcast_geometry::{PrepareOptions, builtin, prepare};
+    use gripcast_sim::fem::GelResolution;
+    use gripcast_sim::grasp::GelForce;
+    use gripcast_visual::demo_model;
+
+    fn step(stage: StageName, opening_m: f64, gap: Option<f64>, lifted_m: f64) -> TraceStep {
+        TraceStep {
+            stage,
+            t_s: 0.0,
+            force: [GelForce::default(); 2],
+            t_world_object: Pose::from_translation(DVec3::new(0.0, 0.0, 0.03 + lifted_m)),
+            opening_m,
+            lifted_m,
+            min_gap_m: [gap; 2],
+            solver: None,
+        }
+    }
+
+    fn intrinsics() -> Intrinsics {
+        Camera::centred(64, 36, 1.0, Pose::IDENTITY).intrinsics()
+    }
+
+    /// 30 steps to the object, 40 in contact, 100 of adjustment, 50 of lifting.
+    fn trace() -> Trace {
+        let free = (0..30).map(|n| step(StageName::Closure, 0.07 - 1e-3 * f64::from(n), None, 0.0));
+        let touching = (0..40).map(|n| {
+            step(
+                StageName::Closure,
+                0.04 - 2e-5 * f64::from(n),
+                Some(3e-4),
+                0.0,
+            )
+        });
+        let held = (0..100).map(|_| step(StageName::Adjustment, 0.039, Some(3e-4), 0.0));
+        let lifted =
+            (1..=50).map(|n| step(StageName::Lift, 0.039, Some(3e-4), 1e-3 * f64::from(n)));
+        let steps = free.chain(touching).chain(held).chain(lifted);
+        Trace {
+            steps: steps.collect(),
+            snapshots: Vec::new(),
+        }
+    }
+
+    fn file() -> TraceFile {
+        let mesh = prepare(&builtin("box").unwrap(), &PrepareOptions::default())
+            .unwrap()
+            .mesh;
+        let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
+        let upright = json!({"t_m": [0.0, 0.0, 0.03], "q_wxyz": [1.0, 0.0, 0.0, 0.0]});
+        let above = json!({"t_m": [0.0, 0.0, 0.0], "q_wxyz": [0.0, 1.0, 0.0, 0.0]});
+        TraceFile {
+            header: json!({
+                "outcome": "success",
+                "lifted_m": 0.05,
+                "wall_s": 1.0,
+                "object": {"source": "builtin:box", "sha256": mesh.content_hash(),
+                    "mass_kg": 0.1, "friction": 0.4},
+                "pose": {"t_world_object": upright, "t_object_gripper": above, "opening_m": 0.07},
+                "parameters": {"solver": {"d_hat_m": 5e-4}},
+                "gel_axes_m": grid.axes(),
+            }),
+            trace: trace(),
+        }
+    }
+
+    #[test]
+    fn few_steps_of_the_way_and_most_of_the_contact_are_shown() {
+        let trace = trace();
+        let shown = shown_steps(&trace.steps).unwrap();
+        assert!(shown.windows(2).all(|pair| pair[0] < pair[1]), "{shown:?}");
+        assert_eq!((shown[0], *shown.last().unwrap()), (0, 219));
+        let within =
+            |from: usize, to: usize| shown.iter().filter(|s| (from..to).contains(*s)).count();
+        assert_eq!(
+            [
+                within(1, 30),
+                within(30, 70),
+                within(70, 170),
+                within(170, 220)
+            ],
+            [FREE_STEPS, CONTACT_STEPS, ADJUSTING_STEPS, LIFTING_STEPS]
+        );
+        // The states before the lift and at the ends are those that people look at.
+        assert!(shown.contains(&69) && shown.contains(&169));
+        let keys = keys_of(&trace, &shown, intrinsics());
+        let stages: Vec<_> = keys
+            .keys
+            .iter()
+            .map(|k| trace.steps[shown[*k]].stage)
+            .collect();
+        assert_eq!(
+            stages.iter().filter(|s| **s == StageName::Lift).count(),
+            LIFTING_KEYS
+        );
+        assert_eq!(keys.outside_keys.len(), 3);
+        assert_eq!(
+            trace.steps[shown[keys.outside_keys[1]]].stage,
+            StageName::Adjustment
+        );
+    }
+
+    #[test]
+    fn short_traces_keep_all_their_steps() {
+        for length in [1, 2, 31, 75] {
+            let mut trace = trace();
+            trace.steps.truncate(length);
+            let shown = shown_steps(&trace.steps).unwrap();
+            assert_eq!(*shown.last().unwrap(), length - 1);
+            let keys = keys_of(&trace, &shown, intrinsics());
+            for keys in [keys.keys, keys.outside_keys] {
+                assert!(keys.windows(2).all(|pair| pair[0] < pair[1]), "{keys:?}");
+                assert!(keys[0] == 0 && *keys.last().unwrap() < shown.len());
+            }
+        }
+        assert!(
+            shown_steps(&[])
+                .unwrap_err()
+                .to_string()
+                .contains("no steps")
+        );
+    }
+
+    #[test]
+    fn a_film_plays_back_what_was_simulated() {
+        let file = file();
+        let model = demo_model("box", 1).unwrap();
+        let settings = ShootSettings {
+            colour: [24, 18],
+            depth: [16, 12],
+            outside: [64, 36],
+            samples: 1,
+            seed: 4,
+            ..ShootSettings::default()
+        };
+        let mesh = builtin("box").unwrap();
+        let files = shoot(&file, &mesh, &model, &settings, &|_, _| {}).unwrap();
+        let film = Film::parse("box", files, Path::new("")).unwrap();
+        film.check().unwrap();
+        let shown = shown_steps(&file.trace.steps).unwrap();
+        assert_eq!(film.steps().len(), shown.len());
+        assert_eq!(film.steps()[film.step_at(1.0)], file.trace.steps[169]);
+        assert_eq!(film.steps()[film.step_at(2.0)], file.trace.steps[219]);
+        let truth = film.truth_at(film.step_at(2.0));
+        assert!(truth.held && truth.object == "builtin:box");
+        // The gripper rises with the object: their relation stays.
+        let apart =
+            truth.t_object_gripper.translation_m - truth.t_object_gripper_initial.translation_m;
+        assert!(apart.length() < 1e-12);
+        let depth = film.depth_mm().unwrap();
+        let farthest = |key: usize| depth[key].iter().copied().max().unwrap();
+        assert!(
+            farthest(depth.len() - 1) > farthest(0) + 30,
+            "the table falls back in the lift"
+        );
+    }
+}

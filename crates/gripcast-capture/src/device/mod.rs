@@ -1,0 +1,18 @@
+//! Discovery, identity and access rights of USB cameras.
+//!
+//! A role is bound to a product, a serial number and an interface, never to `/dev/videoN`.
+
+mod access;
+mod bandwidth;
+mod binding;
+mod discovery;
+mod sysfs;
+#[cfg(test)]
+mod tests;
+
+pub use access::{LOCAL_UDEV_RULES, NodeOwner, open_error, permission_error, udev_rule};
+pub use bandwidth::{crowded_buses, no_bandwidth_error};
+pub use binding::{bind, is_candidate};
+pub(crate) use discovery::modes;
+pub use discovery::{Access, Mode, VideoDevice, probe, scan};
+pub use sysfs::SystemRoot;

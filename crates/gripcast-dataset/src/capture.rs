@@ -1,0 +1,167 @@
+//! What the engine hands to the writer.
+
+use std::collections::BTreeMap;
+
+use jiff::Timestamp;
+
+use super::encode::encode;
+use super::grasp::{
+    BoardKeys, CameraRecord, FileDigest, OverriddenGuard, PoseRecord, PredictionRecord,
+    SimulatedTruth, StageRecord,
+};
+use super::layout::{Stage, approach_name, digest, image_name};
+use gripcast_base::error::Result;
+use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
+use gripcast_imaging::{Frame, Role};
+
+/// One camera's frame with all that is stored about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CapturedCamera {
+    /// The frame as sent.
+    pub frame: Frame,
+    /// USB product string.
+    pub product: String,
+    /// USB serial.
+    pub serial: String,
+    /// USB video-control interface.
+    pub interface: u8,
+    /// USB port path.
+    pub port: String,
+    /// Control values read back from the camera.
+    pub controls: BTreeMap<String, i64>,
+    /// Age of the frame at the trigger, ms.
+    pub age_ms: f64,
+    /// Named crop profile, tactile cameras.
+    pub crop_profile: Option<String>,
+    /// Metres per count, depth cameras.
+    pub depth_unit_m: Option<f64>,
+}
+
+/// The frames of one trigger. Depth is stored with the grasp only.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StageCapture {
+    /// Wall clock at the trigger.
+    pub captured_at: Timestamp,
+    /// `CLOCK_MONOTONIC` at the trigger, ns.
+    pub trigger_time_ns: u64,
+    /// `keyboard`, `pedal`, `script`, …
+    pub trigger: String,
+    /// Cameras by role.
+    pub cameras: BTreeMap<Role, CapturedCamera>,
+    /// Further frames of the external camera from before the fingers closed, by time; stored with
+    /// the grasp.
+    pub approach: Vec<CapturedCamera>,
+    /// Gripper relative to the object, where those frames tell.
+    pub pose: Option<Box<PoseRecord>>,
+    /// What a virtual rig knows of the grasp at these frames.
+    pub truth: Option<Box<SimulatedTruth>>,
+}
+
+/// What a grasp record holds besides its frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GraspMeta {
+    /// What is grasped.
+    pub object: ObjectName,
+    /// Where.
+    pub scene: Label,
+    /// Who holds the gripper.
+    pub operator: Label,
+    /// Rig file's id.
+    pub rig: String,
+    /// The printed markers that the external camera saw.
+    pub boards: Option<BoardKeys>,
+    /// Prediction shown before the lift.
+    pub prediction: Option<PredictionRecord>,
+    /// Guards overridden at the grasp trigger; those of the initial frame are added.
+    pub overridden_guards: Vec<OverriddenGuard>,
+    /// Calibration by role, as returned by `DatasetWriter::put_calibration`.
+    pub calibration: BTreeMap<Role, ContentKey>,
+    /// Free text.
+    pub note: String,
+}
+
+/// A capture in the form it is stored in.
+pub(super) struct EncodedStage {
+    pub(super) record: StageRecord,
+    /// The approach, with the grasp.
+    pub(super) approach: Vec<CameraRecord>,
+    /// Contents by file name.
+    pub(super) contents: BTreeMap<FileName, Vec<u8>>,
+    /// Digests by file name.
+    pub(super) files: BTreeMap<FileName, FileDigest>,
+}
+
+impl StageCapture {
+    /// Encodes the frames that are stored at `stage`.
+    ///
+    /// # Errors
+    /// `Input` naming the camera whose frame is not what it says.
+    pub(super) fn encode(&self, stage: Stage) -> Result<EncodedStage> {
+        let mut cameras = BTreeMap::new();
+        let mut contents = BTreeMap::new();
+        let mut files = BTreeMap::new();
+        for (&role, camera) in &self.cameras {
+            if !stage.stores(role) {
+                continue;
+            }
+            let frame = &camera.frame;
+            let file = image_name(stage, role, frame.format);
+            let bytes = encode(frame).map_err(|e| e.at(role))?.into_owned();
+            files.insert(file.clone(), digest(&bytes));
+            contents.insert(file.clone(), bytes);
+            cameras.insert(role, camera.record(file));
+        }
+        let mut approach = Vec::new();
+        if stage == Stage::Grasp {
+            for (number, camera) in self.approach.iter().enumerate() {
+                let file = approach_name(number, camera.frame.format);
+                let bytes = encode(&camera.frame).map_err(|e| e.at(&file))?.into_owned();
+                files.insert(file.clone(), digest(&bytes));
+                contents.insert(file.clone(), bytes);
+                approach.push(camera.record(file));
+            }
+        }
+        Ok(EncodedStage {
+            approach,
+            record: StageRecord {
+                captured_at: self.captured_at.to_string(),
+                trigger_time_ns: self.trigger_time_ns,
+                trigger: self.trigger.clone(),
+                skew_ms: skew_ms(cameras.values()),
+                cameras,
+            },
+            contents,
+            files,
+        })
+    }
+}
+
+impl CapturedCamera {
+    fn record(&self, file: FileName) -> CameraRecord {
+        CameraRecord {
+            file,
+            product: self.product.clone(),
+            serial: self.serial.clone(),
+            interface: self.interface,
+            port: self.port.clone(),
+            format: self.frame.format,
+            width: self.frame.width,
+            height: self.frame.height,
+            driver_time_ns: self.frame.driver_time_ns,
+            sequence: self.frame.sequence,
+            age_ms: self.age_ms,
+            controls: self.controls.clone(),
+            crop_profile: self.crop_profile.clone(),
+            depth_unit_m: self.depth_unit_m,
+        }
+    }
+}
+
+/// Largest difference between the driver times, ms.
+fn skew_ms<'a>(cameras: impl Iterator<Item = &'a CameraRecord> + Clone) -> f64 {
+    let times = cameras.map(|camera| camera.driver_time_ns);
+    match (times.clone().min(), times.max()) {
+        (Some(first), Some(last)) => (last - first) as f64 / 1e6,
+        _ => 0.0,
+    }
+}

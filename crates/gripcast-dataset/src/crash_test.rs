@@ -1,0 +1,586 @@
+//! Goes through every file operation of a whole session and lets the process, the power or the
+//! disk fail exactly there.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard};
+
+use super::disk::{Disk, SystemDisk};
+use super::layout::Layout;
+use super::reader::Dataset;
+use super::sample::{capture, meta, new_dataset};
+use super::verify::verify;
+use super::writer::DatasetWriter;
+use super::{GraspId, Outcome, PendingInitial};
+use gripcast_base::error::{ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, ContentKey};
+
+/// What happens at the chosen operation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    /// The process dies; what it did stays.
+    Kill,
+    /// The power fails; names that were not forced to the disk are lost, or the later half of
+    /// them.
+    PowerLoss { all: bool },
+    /// The operation fails for want of space, the next ones succeed.
+    FullOnce,
+    /// The disk is full from there on; renaming and removing still work.
+    Full,
+    /// The disk is unplugged from there on.
+    Unplugged,
+}
+
+/// How to take back a change whose name is not on the disk yet.
+enum Revert {
+    RemoveFile(PathBuf),
+    RemoveDir(PathBuf),
+    RestoreFile(PathBuf, Vec<u8>),
+    RestoreDir(PathBuf),
+    Rename {
+        from: PathBuf,
+        to: PathBuf,
+        replaced: Option<Vec<u8>>,
+    },
+}
+
+struct Change {
+    /// Directories that must still be flushed.
+    unflushed: BTreeSet<PathBuf>,
+    revert: Revert,
+}
+
+struct State {
+    /// Operations so far.
+    count: usize,
+    at: usize,
+    fault: Option<Fault>,
+    struck: bool,
+    changes: Vec<Change>,
+}
+
+/// A disk that fails at one operation. Files are real, flushing is only noted.
+#[derive(Clone)]
+struct FailingDisk(Arc<Mutex<State>>);
+
+impl FailingDisk {
+    fn new(at: usize, fault: Option<Fault>) -> Self {
+        Self(Arc::new(Mutex::new(State {
+            count: 0,
+            at,
+            fault,
+            struck: false,
+            changes: Vec::new(),
+        })))
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap()
+    }
+
+    fn count(&self) -> usize {
+        self.state().count
+    }
+
+    /// Counts an operation; fails if the fault says so. `grows`: it needs space.
+    fn step(&self, grows: bool) -> io::Result<()> {
+        let mut state = self.state();
+        let number = state.count;
+        state.count += 1;
+        let Some(fault) = state.fault else {
+            return Ok(());
+        };
+        let fails = match fault {
+            Fault::Kill | Fault::PowerLoss { .. } | Fault::Unplugged => number >= state.at,
+            Fault::FullOnce => number == state.at,
+            Fault::Full => number >= state.at && grows,
+        };
+        if !fails {
+            return Ok(());
+        }
+        state.struck = true;
+        Err(match fault {
+            Fault::FullOnce | Fault::Full => io::ErrorKind::StorageFull.into(),
+            _ => io::Error::other("the disk has gone"),
+        })
+    }
+
+    fn note(&self, paths: &[&Path], revert: Revert) {
+        let unflushed = paths
+            .iter()
+            .map(|path| path.parent().unwrap().to_owned())
+            .collect();
+        self.state().changes.push(Change { unflushed, revert });
+    }
+
+    /// Notes a rename, after which directories below `from` are known by their new names.
+    fn note_rename(&self, from: &Path, to: &Path, replaced: Option<Vec<u8>>) {
+        for change in &mut self.state().changes {
+            let names = std::mem::take(&mut change.unflushed);
+            change.unflushed = names
+                .into_iter()
+                .map(|name| moved(&name, from, to))
+                .collect();
+        }
+        let revert = Revert::Rename {
+            from: from.to_owned(),
+            to: to.to_owned(),
+            replaced,
+        };
+        self.note(&[from, to], revert);
+    }
+
+    /// What the power failure leaves: all names that were not flushed are lost, or the later half.
+    fn lose_power(&self, all: bool) {
+        let changes = std::mem::take(&mut self.state().changes);
+        let unflushed = changes.iter().filter(|c| !c.unflushed.is_empty()).count();
+        let mut to_lose = if all {
+            unflushed
+        } else {
+            unflushed.div_ceil(2)
+        };
+        let mut kept_renames: Vec<(PathBuf, PathBuf)> = Vec::new();
+        for change in changes.into_iter().rev() {
+            if change.unflushed.is_empty() || to_lose == 0 {
+                if let Revert::Rename { from, to, .. } = change.revert {
+                    kept_renames.push((from, to));
+                }
+                continue;
+            }
+            to_lose -= 1;
+            change.revert.run(|path| {
+                kept_renames
+                    .iter()
+                    .rev()
+                    .fold(path, |path, (from, to)| moved(&path, from, to))
+            });
+        }
+    }
+}
+
+/// Where `path` is after a rename of `from` to `to`.
+fn moved(path: &Path, from: &Path, to: &Path) -> PathBuf {
+    match path.strip_prefix(from) {
+        Ok(rest) if rest.as_os_str().is_empty() => to.to_owned(),
+        Ok(rest) => to.join(rest),
+        Err(_) => path.to_owned(),
+    }
+}
+
+impl Revert {
+    /// `now`: where a path of then is now.
+    fn run(self, now: impl Fn(PathBuf) -> PathBuf) {
+        match self {
+            Self::RemoveFile(path) => fs::remove_file(now(path)).unwrap(),
+            Self::RemoveDir(path) => fs::remove_dir_all(now(path)).unwrap(),
+            Self::RestoreFile(path, bytes) => fs::write(now(path), bytes).unwrap(),
+            Self::RestoreDir(path) => fs::create_dir(now(path)).unwrap(),
+            Self::Rename { from, to, replaced } => {
+                let to = now(to);
+                fs::rename(&to, now(from)).unwrap();
+                if let Some(bytes) = replaced {
+                    fs::write(to, bytes).unwrap();
+                }
+            }
+        }
+    }
+}
+
+impl Disk for FailingDisk {
+    fn create_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        self.step(true)?;
+        let path = &path.shown();
+        fs::create_dir(path)?;
+        self.note(&[path], Revert::RemoveDir(path.to_owned()));
+        Ok(())
+    }
+
+    fn write(&self, path: &BeneathPath, bytes: &[u8]) -> io::Result<()> {
+        self.step(true)?;
+        let path = &path.shown();
+        let is_new = !path.exists();
+        fs::write(path, &bytes[..bytes.len() / 2])?;
+        if is_new {
+            self.note(&[path], Revert::RemoveFile(path.to_owned()));
+        }
+        // Out of space or out of life in the middle of the file.
+        self.step(true)?;
+        fs::write(path, bytes)?;
+        // The flush: before it the contents are not on the disk.
+        self.step(true).inspect_err(|_| {
+            if matches!(self.state().fault, Some(Fault::PowerLoss { .. })) {
+                fs::write(path, vec![0; bytes.len()]).unwrap();
+            }
+        })
+    }
+
+    fn link(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        self.step(true)?;
+        let (from, to) = (&from.shown(), &to.shown());
+        fs::hard_link(from, to)?;
+        self.note(&[to], Revert::RemoveFile(to.to_owned()));
+        Ok(())
+    }
+
+    fn rename(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        self.step(false)?;
+        let (from, to) = (&from.shown(), &to.shown());
+        let replaced = fs::read(to).ok();
+        fs::rename(from, to)?;
+        self.note_rename(from, to, replaced);
+        Ok(())
+    }
+
+    fn rename_new(&self, from: &BeneathPath, to: &BeneathPath) -> io::Result<()> {
+        self.step(false)?;
+        SystemDisk.rename_new(from, to)?;
+        self.note_rename(&from.shown(), &to.shown(), None);
+        Ok(())
+    }
+
+    fn remove_file(&self, path: &BeneathPath) -> io::Result<()> {
+        self.step(false)?;
+        let path = &path.shown();
+        let bytes = fs::read(path)?;
+        fs::remove_file(path)?;
+        self.note(&[path], Revert::RestoreFile(path.to_owned(), bytes));
+        Ok(())
+    }
+
+    fn remove_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        self.step(false)?;
+        let path = &path.shown();
+        fs::remove_dir(path)?;
+        self.note(&[path], Revert::RestoreDir(path.to_owned()));
+        Ok(())
+    }
+
+    fn sync_dir(&self, path: &BeneathPath) -> io::Result<()> {
+        self.step(false)?;
+        for change in &mut self.state().changes {
+            change.unflushed.remove(&path.shown());
+        }
+        Ok(())
+    }
+}
+
+/// What an operator knows to be saved.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Known {
+    grasps: BTreeMap<GraspId, Outcome>,
+    pending: Option<GraspId>,
+    /// Undone grasps, which can be had back.
+    undone: BTreeSet<GraspId>,
+}
+
+/// Steps of the session under test.
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    Calibration,
+    Initial(u32),
+    Discard,
+    Restore,
+    Grasp(u32, &'static str),
+    Label(Outcome),
+    Undo,
+    Redo,
+    Trash,
+    BackFromTrash,
+    Index,
+}
+
+const SESSION: &[Step] = &[
+    Step::Calibration,
+    Step::Initial(1),
+    Step::Discard,
+    Step::Restore,
+    Step::Grasp(2, "mug"),
+    Step::Label(Outcome::Stable),
+    Step::Index,
+    Step::Undo,
+    Step::Redo,
+    Step::Label(Outcome::Slip),
+    Step::Index,
+    Step::Initial(3),
+    Step::Grasp(4, "bottle"),
+    Step::Undo,
+    Step::Grasp(5, "bottle"),
+    Step::Label(Outcome::Stable),
+    Step::Initial(6),
+    Step::Trash,
+    Step::Index,
+    Step::BackFromTrash,
+    Step::Trash,
+];
+
+/// The operator's side: what was done last, to be undone and redone.
+#[derive(Default)]
+struct Operator {
+    known: Known,
+    pending: Option<PendingInitial>,
+    discarded: Option<GraspId>,
+    last: Option<GraspId>,
+    undone: Option<GraspId>,
+    calibration: Option<ContentKey>,
+}
+
+impl Operator {
+    /// Does one step; only what returned `Ok` is known.
+    fn step(&mut self, writer: &mut DatasetWriter, step: Step) -> Result<()> {
+        let at = "2026-11-20T11:00:00Z".parse().unwrap();
+        match step {
+            Step::Calibration => {
+                self.calibration = Some(writer.put_calibration("unit = 1\n")?);
+                writer.put_model("{}\n")?;
+            }
+            Step::Initial(number) => {
+                self.pending = Some(writer.save_initial(&capture(number), Vec::new())?);
+            }
+            Step::Discard => {
+                writer.discard_initial(self.pending.as_ref().unwrap())?;
+                self.discarded = self.pending.take().map(|pending| pending.id);
+            }
+            Step::Restore => {
+                self.pending = Some(writer.restore_initial(self.discarded.as_ref().unwrap())?);
+            }
+            Step::Grasp(number, object) => {
+                let mut meta = meta(object);
+                meta.calibration.insert(
+                    gripcast_imaging::Role::Left,
+                    self.calibration.clone().unwrap(),
+                );
+                let record =
+                    writer.save_grasp(self.pending.as_ref().unwrap(), &capture(number), meta)?;
+                self.pending = None;
+                self.known.grasps.insert(record.id.clone(), record.outcome);
+                self.last = Some(record.id);
+            }
+            Step::Label(outcome) => {
+                let record = writer.set_outcome(self.last.as_ref().unwrap(), outcome, at)?;
+                self.known.grasps.insert(record.id, record.outcome);
+            }
+            Step::Undo => {
+                let id = self.last.clone().unwrap();
+                self.pending = Some(writer.undo_grasp(&id)?);
+                self.known.grasps.remove(&id);
+                self.known.undone.insert(id.clone());
+                self.undone = Some(id);
+            }
+            Step::Redo => {
+                let id = self.undone.clone().unwrap();
+                let record = writer.redo_grasp(&id, self.pending.as_ref())?;
+                self.pending = None;
+                self.known.undone.remove(&id);
+                self.known.grasps.insert(id, record.outcome);
+            }
+            Step::Trash => {
+                let record = writer.trash_grasp(self.last.as_ref().unwrap())?;
+                self.known.grasps.remove(&record.id);
+                self.known.undone.insert(record.id);
+            }
+            Step::BackFromTrash => {
+                let record = writer.redo_grasp(self.last.as_ref().unwrap(), None)?;
+                self.known.undone.remove(&record.id);
+                self.known.grasps.insert(record.id, record.outcome);
+            }
+            Step::Index => writer.flush_index()?,
+        }
+        self.known.pending = self.pending.as_ref().map(|pending| pending.id.clone());
+        Ok(())
+    }
+}
+
+fn open(disk: &FailingDisk, root: &Path) -> Result<(DatasetWriter, super::OpenReport)> {
+    DatasetWriter::open_on(Box::new(disk.clone()), root, &new_dataset())
+}
+
+/// Runs the session until it fails; returns what was known after each acknowledged step.
+fn run_session(disk: &FailingDisk, root: &Path) -> Vec<Known> {
+    let mut history = vec![Known::default()];
+    let Ok((mut writer, _)) = open(disk, root) else {
+        return history;
+    };
+    let mut operator = Operator::default();
+    for &step in SESSION {
+        if operator.step(&mut writer, step).is_err() {
+            break;
+        }
+        history.push(operator.known.clone());
+    }
+    history
+}
+
+/// What a fresh start finds; also holds every file against its digest.
+fn found(disk: &FailingDisk, root: &Path, context: &str) -> Known {
+    let (writer, report) =
+        open(disk, root).unwrap_or_else(|e| panic!("{context}: cannot open again: {e}"));
+    let layout = Layout::new(root);
+    let dataset = Dataset::open(root).unwrap();
+    let grasps: BTreeMap<GraspId, Outcome> = dataset
+        .grasps()
+        .unwrap()
+        .map(|record| {
+            let record = record.unwrap_or_else(|e| panic!("{context}: half grasp: {e}"));
+            (record.id, record.outcome)
+        })
+        .collect();
+    assert_eq!(report.counts.total(), grasps.len(), "{context}");
+    if let Some(pending) = &report.pending {
+        let frames = writer
+            .pending_frames(pending)
+            .unwrap_or_else(|e| panic!("{context}: {e}"));
+        assert_eq!(frames.len(), 2, "{context}: both gels come back");
+    }
+    drop(writer);
+    let verified = verify(root, &|_, _| {}).unwrap();
+    assert_eq!(verified.problems, [], "{context}");
+    let undone = super::reader::subdirectories(&layout.trash())
+        .unwrap()
+        .into_iter()
+        .filter_map(|name| GraspId::parse(&name).ok())
+        .filter(|id| super::record_file::read_grasp(&layout.trashed(id)).is_ok())
+        .collect();
+    Known {
+        grasps,
+        pending: report.pending.map(|pending| pending.id),
+        undone,
+    }
+}
+
+fn whole_session() -> (usize, Vec<Known>) {
+    let dir = tempfile::tempdir().unwrap();
+    let disk = FailingDisk::new(0, None);
+    let history = run_session(&disk, &dir.path().join("d"));
+    assert_eq!(history.len(), SESSION.len() + 1);
+    (disk.count(), history)
+}
+
+/// The state is the last acknowledged one, or the one after the step that was under way.
+fn assert_nothing_lost(
+    known: &Known,
+    acknowledged: usize,
+    history: &[Known],
+    undone_may_grow: bool,
+    context: &str,
+) {
+    let next = (acknowledged + 1).min(history.len() - 1);
+    let matches = [acknowledged, next].into_iter().any(|index| {
+        let expected = &history[index];
+        let undone_agrees = expected.undone.is_subset(&known.undone)
+            && (undone_may_grow || expected.undone == known.undone);
+        expected.grasps == known.grasps && expected.pending == known.pending && undone_agrees
+    });
+    assert!(
+        matches,
+        "{context}: after {acknowledged} acknowledged steps found\n{known:#?}\nexpected\n{:#?}\nor\n{:#?}",
+        history[acknowledged], history[next]
+    );
+}
+
+#[test]
+fn no_crash_loses_an_acknowledged_step_or_shows_half_a_grasp() {
+    let (operations, history) = whole_session();
+    assert!(operations > 150, "only {operations} operations");
+    for fault in [
+        Fault::Kill,
+        Fault::PowerLoss { all: true },
+        Fault::PowerLoss { all: false },
+        Fault::Unplugged,
+    ] {
+        for at in 0..operations {
+            let context = format!("{fault:?} at operation {at}");
+            let dir = tempfile::tempdir().unwrap();
+            let root = dir.path().join("d");
+            let disk = FailingDisk::new(at, Some(fault));
+            let acknowledged = run_session(&disk, &root).len() - 1;
+            assert!(disk.state().struck, "{context}");
+            if let Fault::PowerLoss { all } = fault {
+                disk.lose_power(all);
+            }
+            let known = found(&FailingDisk::new(0, None), &root, &context);
+            assert_nothing_lost(&known, acknowledged, &history, false, &context);
+        }
+    }
+}
+
+#[test]
+fn a_crash_while_recovering_from_a_crash_loses_nothing() {
+    let (operations, history) = whole_session();
+    for at in 0..operations {
+        for second in 0.. {
+            let context = format!("killed at operation {at}, then at {second} of opening again");
+            let dir = tempfile::tempdir().unwrap();
+            let root = dir.path().join("d");
+            let first = FailingDisk::new(
+                at,
+                Some(Fault::PowerLoss {
+                    all: second % 2 == 0,
+                }),
+            );
+            let acknowledged = run_session(&first, &root).len() - 1;
+            first.lose_power(second % 2 == 0);
+            let opening = FailingDisk::new(second, Some(Fault::PowerLoss { all: true }));
+            drop(open(&opening, &root));
+            let struck = opening.state().struck;
+            opening.lose_power(true);
+            let known = found(&FailingDisk::new(0, None), &root, &context);
+            assert_nothing_lost(&known, acknowledged, &history, false, &context);
+            if !struck {
+                break;
+            }
+        }
+    }
+}
+
+#[test]
+fn a_failed_step_changes_nothing_and_can_be_tried_again() {
+    let (operations, history) = whole_session();
+    for at in 0..operations {
+        let context = format!("no space at operation {at}");
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("d");
+        let disk = FailingDisk::new(at, Some(Fault::FullOnce));
+        let opened = open(&disk, &root).or_else(|error| {
+            assert_eq!(error.kind(), ErrorKind::DiskFull, "{context}: {error}");
+            open(&disk, &root)
+        });
+        let (mut writer, _) = opened.unwrap_or_else(|e| panic!("{context}: {e}"));
+        let mut operator = Operator::default();
+        for &step in SESSION {
+            if let Err(error) = operator.step(&mut writer, step) {
+                assert_eq!(error.kind(), ErrorKind::DiskFull, "{context}: {error}");
+                assert!(error.remedy_text().is_some(), "{context}");
+                operator
+                    .step(&mut writer, step)
+                    .unwrap_or_else(|e| panic!("{context}: {step:?} again: {e}"));
+            }
+        }
+        drop(writer);
+        let known = found(&FailingDisk::new(0, None), &root, &context);
+        let last = history.last().unwrap();
+        let outcomes = |known: &Known| known.grasps.values().copied().collect::<Vec<_>>();
+        assert_eq!(outcomes(&known), outcomes(last), "{context}");
+        assert_eq!(known.pending.is_some(), last.pending.is_some(), "{context}");
+    }
+}
+
+#[test]
+fn a_full_disk_keeps_what_was_saved_and_can_be_opened() {
+    let (operations, history) = whole_session();
+    for at in 0..operations {
+        let context = format!("disk full from operation {at}");
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("d");
+        let disk = FailingDisk::new(at, Some(Fault::Full));
+        let acknowledged = run_session(&disk, &root).len() - 1;
+        // A full disk cannot hold a new dataset, but one that is there can be opened.
+        if root.join("dataset.toml").exists() && root.join("models").exists() {
+            let full = FailingDisk::new(0, Some(Fault::Full));
+            open(&full, &root).unwrap_or_else(|e| panic!("{context}: {e}"));
+        }
+        let known = found(&FailingDisk::new(0, None), &root, &context);
+        assert_nothing_lost(&known, acknowledged, &history, true, &context);
+    }
+}

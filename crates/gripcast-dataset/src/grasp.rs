@@ -1,0 +1,367 @@
+//! What `grasp.json` holds.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::layout::Stage;
+use gripcast_base::error::{Error, ErrorKind, Result};
+pub use gripcast_base::files::GraspId;
+use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
+use gripcast_geometry::Pose;
+use gripcast_imaging::{PixelFormat, Role};
+
+/// Version of the dataset format that this build writes.
+pub const SCHEMA_VERSION: u32 = 1;
+
+/// A unit quaternion's length may be off by this.
+const UNIT_TOLERANCE: f64 = 1e-3;
+/// The only frame that a pose is in.
+const POSE_FRAME: &str = "t_object_gripper";
+
+/// Whether the object stayed in the gripper during the lift.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+#[serde(rename_all = "lowercase")]
+pub enum Outcome {
+    /// It held.
+    Stable,
+    /// It slipped or fell.
+    Slip,
+    /// Not said yet.
+    #[default]
+    Unlabelled,
+}
+
+impl Outcome {
+    /// The outcome of this name, if there is one.
+    #[must_use]
+    pub fn by_name(name: &str) -> Option<Self> {
+        match name {
+            "stable" => Some(Self::Stable),
+            "slip" => Some(Self::Slip),
+            "unlabelled" => Some(Self::Unlabelled),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Stable => "stable",
+            Self::Slip => "slip",
+            Self::Unlabelled => "unlabelled",
+        })
+    }
+}
+
+/// One grasp; keys are sorted in the file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GraspRecord {
+    /// Version of the format.
+    pub schema: u32,
+    /// Key of the grasp; equals the directory's name.
+    pub id: GraspId,
+    /// What is grasped.
+    pub object: ObjectName,
+    /// Where.
+    pub scene: Label,
+    /// Who holds the gripper.
+    pub operator: Label,
+    /// Rig file's id.
+    pub rig: String,
+    /// `gripcast <version>` that wrote the record.
+    pub software: String,
+    /// Outcome of the lift.
+    pub outcome: Outcome,
+    /// When the outcome was given, RFC 3339 UTC.
+    pub labelled_at: Option<String>,
+    /// Before the gripper closed.
+    pub initial: StageRecord,
+    /// After it closed, before the lift.
+    pub grasp: StageRecord,
+    /// Further frames of the external camera from before the fingers closed, by time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub approach: Vec<CameraRecord>,
+    /// Gripper relative to the object, where annotated.
+    pub pose: Option<PoseRecord>,
+    /// Prediction shown at the grasp trigger, before the lift.
+    pub prediction: Option<PredictionRecord>,
+    /// Guards that refused and were overridden.
+    pub overridden_guards: Vec<OverriddenGuard>,
+    /// First 12 hex digits of the calibration's sha256, by role; file `calibration/<sha12>.toml`.
+    pub calibration: BTreeMap<Role, ContentKey>,
+    /// The printed markers that the external camera saw, where they are known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boards: Option<BoardKeys>,
+    /// Digest of each image file of the grasp, by file name.
+    pub files: BTreeMap<FileName, FileDigest>,
+    /// Free text.
+    pub note: String,
+    /// What the simulator knows, where the frames are those of a virtual rig.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<SimulatedTruth>,
+}
+
+impl GraspRecord {
+    /// Reads the bytes of a `grasp.json`.
+    ///
+    /// # Errors
+    /// `Input` when they are no record of this version.
+    pub fn from_json(bytes: &[u8]) -> Result<Self> {
+        super::record_file::from_json(bytes)
+    }
+
+    /// Both stages, in the order of the cycle.
+    pub fn stages(&self) -> [(Stage, &StageRecord); 2] {
+        [(Stage::Initial, &self.initial), (Stage::Grasp, &self.grasp)]
+    }
+
+    /// Keys of the files in `calibration/` that the grasp refers to.
+    pub fn calibration_keys(&self) -> impl Iterator<Item = &ContentKey> {
+        let boards = self.boards.iter().flat_map(|b| [&b.sheet, &b.tags]);
+        self.calibration.values().chain(boards)
+    }
+
+    /// The frames of a stage.
+    #[must_use]
+    pub fn stage(&self, stage: Stage) -> &StageRecord {
+        match stage {
+            Stage::Initial => &self.initial,
+            Stage::Grasp => &self.grasp,
+        }
+    }
+}
+
+/// Frames of all cameras at one trigger.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StageRecord {
+    /// Wall clock at the trigger, RFC 3339 UTC.
+    pub captured_at: String,
+    /// `CLOCK_MONOTONIC` at the trigger, ns.
+    pub trigger_time_ns: u64,
+    /// `keyboard`, `pedal`, `script`, …
+    pub trigger: String,
+    /// Largest difference between the driver times of the cameras, ms.
+    pub skew_ms: f64,
+    /// Cameras by role.
+    pub cameras: BTreeMap<Role, CameraRecord>,
+}
+
+/// One camera's frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraRecord {
+    /// File name inside the grasp's directory.
+    pub file: FileName,
+    /// USB product string.
+    pub product: String,
+    /// USB serial.
+    pub serial: String,
+    /// USB video-control interface.
+    pub interface: u8,
+    /// USB port path at that time.
+    pub port: String,
+    /// Format as sent by the camera.
+    pub format: PixelFormat,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Driver's capture time, `CLOCK_MONOTONIC`, ns.
+    pub driver_time_ns: u64,
+    /// Driver's frame counter.
+    pub sequence: u32,
+    /// Age of the frame at the trigger, ms.
+    pub age_ms: f64,
+    /// Control values read back from the camera (exposure, white balance, gain, …).
+    pub controls: BTreeMap<String, i64>,
+    /// Named crop profile, tactile cameras.
+    pub crop_profile: Option<String>,
+    /// Metres per count, depth cameras.
+    pub depth_unit_m: Option<f64>,
+}
+
+/// Gripper pose in the object's frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseRecord {
+    /// Translation, m.
+    pub t_m: [f64; 3],
+    /// Unit quaternion, w ≥ 0.
+    pub q_wxyz: [f64; 4],
+    /// `t_object_gripper`: maps gripper coordinates into the object frame.
+    pub frame: String,
+    /// 6×6 covariance (translation m, rotation rad), row-major.
+    pub covariance: Option<Vec<f64>>,
+    /// RMS reprojection error, px.
+    pub reprojection_px: Option<f64>,
+    /// True once a person has corrected it; programs never overwrite it then.
+    #[serde(default)]
+    pub corrected_by_hand: bool,
+    /// How it was found; none for one that a person gave.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quality: Option<PoseQuality>,
+}
+
+impl PoseRecord {
+    /// The pose as a transform, its quaternion brought to length 1.
+    ///
+    /// # Errors
+    /// `Input`: it is in another frame, or its numbers are no pose.
+    pub fn t_object_gripper(&self) -> Result<Pose> {
+        let wrong = |what: String| Error::new(ErrorKind::Input, what);
+        if self.frame != POSE_FRAME {
+            return Err(wrong(format!(
+                "its pose is `{}`, expected `{POSE_FRAME}`",
+                self.frame
+            )));
+        }
+        let [w, x, y, z] = self.q_wxyz;
+        let rotation = DQuat::from_xyzw(x, y, z, w);
+        let is_finite = self.t_m.iter().chain(&self.q_wxyz).all(|n| n.is_finite());
+        if !is_finite || (rotation.length() - 1.0).abs() > UNIT_TOLERANCE {
+            return Err(wrong(format!(
+                "its pose must be finite numbers with a unit quaternion, found t_m {:?}, q_wxyz {:?}",
+                self.t_m, self.q_wxyz
+            )));
+        }
+        let translation_m = DVec3::from_array(self.t_m);
+        Ok(Pose::new(rotation.normalize(), translation_m))
+    }
+}
+
+/// How a pose was found, and what speaks for and against it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseQuality {
+    /// Files of the frames that were used.
+    pub frames: Vec<String>,
+    /// Markers of the sheet and tags of the gripper in the last of them.
+    pub markers: [usize; 2],
+    /// RMS reprojection error of the gripper's tags, px; that of the sheet is `reprojection_px`.
+    pub tags_reprojection_px: f64,
+    /// Largest distance of a frame's pose from the pose, m. What all frames have wrong does not
+    /// show in it.
+    pub spread_m: f64,
+    /// The same as an angle, rad.
+    pub spread_rad: f64,
+    /// Blur of the markers' edges in the sharpest frame, px.
+    pub blur_px: f64,
+    /// Distance between the undeformed gel faces; none where no finger's tag was seen, m.
+    pub opening_m: Option<f64>,
+    /// Another pose fits nearly as well, and no two tags face directions 30° apart.
+    pub ambiguous: bool,
+    /// Hash of the sheet's board.
+    pub sheet: String,
+    /// Hash of the tags' board.
+    pub tags: String,
+    /// What a person should know.
+    pub notes: Vec<String>,
+}
+
+/// Keys of board files in `calibration/`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoardKeys {
+    /// The sheet that the object stands on.
+    pub sheet: ContentKey,
+    /// The gripper's tags.
+    pub tags: ContentKey,
+}
+
+/// What is true of a grasp on the virtual rig: it was simulated, and the frames are those of the
+/// renderers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SimulatedTruth {
+    /// Name of the simulated grasp.
+    pub film: String,
+    /// Its object: mesh file or `builtin:NAME`.
+    pub object: String,
+    /// Hash of the object's mesh.
+    pub object_sha256: String,
+    /// Mass of the object, kg.
+    pub mass_kg: f64,
+    /// Coulomb friction coefficient of gel and object.
+    pub friction: f64,
+    /// How the grasp ends: `success`, `slip`, `eject`, …
+    pub outcome: String,
+    /// Whether the object is held through the lift.
+    pub held: bool,
+    /// How far the object rises, m.
+    pub lifted_m: f64,
+    /// The gripper in the object's frame before the fingers close.
+    pub t_object_gripper_initial: Pose,
+    /// The same at the left sensor's grasp frame.
+    pub t_object_gripper: Pose,
+    /// Distance between the undeformed gel faces at that frame, m.
+    pub opening_m: f64,
+    /// Normal force on the left and the right gel at that frame, N.
+    pub force_n: [f64; 2],
+}
+
+/// What the model said before the lift.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PredictionRecord {
+    /// Probability that the grasp is stable.
+    pub p_stable: f64,
+    /// Distance of the tactile pictures from those of the training, over what counts as known;
+    /// absent where the model does not say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub novelty: Option<f64>,
+    /// Decision threshold of the model.
+    pub threshold: f64,
+    /// sha256 of the ONNX file.
+    pub model_sha256: String,
+    /// Name of the model.
+    pub model: String,
+    /// Time from the newest frame's driver time to the result, ms.
+    pub latency_ms: f64,
+    /// Time of the model alone, ms.
+    pub engine_ms: f64,
+}
+
+/// A guard that refused and was overridden by the operator.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OverriddenGuard {
+    /// Name of the guard (`stale_frame`, `skew`, …).
+    pub guard: String,
+    /// `initial` or `grasp`.
+    pub stage: String,
+    /// What it said.
+    pub reason: String,
+}
+
+/// Digest of a stored file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileDigest {
+    /// Size in bytes.
+    pub bytes: u64,
+    /// sha256, lower-case hex; `sha256sum` prints the same.
+    pub sha256: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Otherwise `verify` would find records and index different.
+        #[test]
+        fn floats_read_back_exactly(value in proptest::num::f64::NORMAL) {
+            let text = serde_json::to_string(&value).unwrap();
+            let back: f64 = serde_json::from_str(&text).unwrap();
+            prop_assert_eq!(back.to_bits(), value.to_bits());
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! The dataset on disk: one directory a grasp, crash-safe, readable in one line by
+//! Hugging Face `imagefolder` and pandas.
+//!
+//! Layout and durability rules: `docs/dataset-format.md`.
+//!
+//! * [`DatasetWriter`] writes, one process at a time; [`Dataset`] reads
+//! * [`verify`] finds every torn, missing, altered, duplicated or leaking item;
+//!   [`recover`] rescues what is there
+//! * [`split`] divides the grasps without leakage; [`summary`] counts them
+
+mod capture;
+mod counts;
+#[cfg(test)]
+mod crash_test;
+#[cfg(test)]
+mod damage_test;
+mod descriptor;
+mod disk;
+mod encode;
+mod grasp;
+mod index;
+mod layout;
+mod lock;
+mod opening;
+mod picture;
+mod reader;
+mod rebuild;
+mod record_file;
+mod recover;
+#[cfg(any(test, feature = "testing"))]
+pub mod sample;
+pub mod shard;
+mod split;
+mod summary;
+mod trash;
+mod unfinished;
+mod verify;
+mod writer;
+
+pub use capture::{CapturedCamera, GraspMeta, StageCapture};
+pub use counts::GraspCounts;
+pub use descriptor::{Descriptor, NewDataset};
+pub use grasp::{
+    BoardKeys, CameraRecord, FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard,
+    PoseQuality, PoseRecord, PredictionRecord, SCHEMA_VERSION, SimulatedTruth, StageRecord,
+};
+pub use index::{ReindexReport, reindex};
+pub use layout::{Stage, approach_name, image_name};
+pub use opening::OpenReport;
+pub use reader::Dataset;
+pub use record_file::PendingInitial;
+pub use recover::{Action, ActionKind, RecoverReport, recover};
+pub use split::{SplitBy, SplitFile, SplitPart, SplitPlan, split};
+pub use summary::{Agreement, Summary, summary};
+pub use verify::{Problem, ProblemKind, VerifyReport, verify};
+pub use writer::DatasetWriter;

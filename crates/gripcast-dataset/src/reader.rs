@@ -1,0 +1,267 @@
+//! Reading a dataset.
+
+use std::path::Path;
+
+use super::descriptor::Descriptor;
+use super::grasp::{CameraRecord, GraspId, GraspRecord};
+use super::layout::{GRASP_JSON, Layout, Stage, digest};
+use super::picture;
+use super::record_file::{check_id, read_grasp};
+use super::split::{self, SplitFile};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, ContentKey, FileKind};
+use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
+
+/// A dataset that is read; any number of readers beside one writer.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    layout: Layout,
+    descriptor: Descriptor,
+}
+
+impl Dataset {
+    /// Opens a dataset.
+    ///
+    /// # Errors
+    /// `NotFound` without a dataset there, `Input` when it is of a newer version or unreadable.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let layout = Layout::new(path.as_ref());
+        let descriptor = Descriptor::read(&layout)?;
+        Ok(Self { layout, descriptor })
+    }
+
+    /// What the dataset says about itself.
+    #[must_use]
+    pub fn descriptor(&self) -> &Descriptor {
+        &self.descriptor
+    }
+
+    /// Where the dataset is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        self.layout.root()
+    }
+
+    pub(super) fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Ids of all complete grasps, sorted.
+    ///
+    /// # Errors
+    /// When `grasps/` cannot be read.
+    pub fn ids(&self) -> Result<Vec<GraspId>> {
+        grasp_ids(&self.layout)
+    }
+
+    /// One grasp.
+    ///
+    /// # Errors
+    /// `NotFound` without that grasp, `Input` when its record is unreadable.
+    pub fn grasp(&self, id: &GraspId) -> Result<GraspRecord> {
+        read_grasp(&self.layout.grasp(id))
+    }
+
+    /// Whether a whole grasp of this id lies in `trash/`.
+    #[must_use]
+    pub fn is_in_trash(&self, id: &GraspId) -> bool {
+        self.layout.trashed(id).join(GRASP_JSON).is_file()
+    }
+
+    /// All complete grasps, sorted by id. A grasp that cannot be read is an error of its own.
+    ///
+    /// # Errors
+    /// When `grasps/` cannot be read.
+    pub fn grasps(&self) -> Result<impl Iterator<Item = Result<GraspRecord>>> {
+        Ok(self.ids()?.into_iter().map(|id| self.grasp(&id)))
+    }
+
+    /// Where an image of a grasp is; `None` when there is none of that role at that stage.
+    #[must_use]
+    pub fn path_of(&self, record: &GraspRecord, stage: Stage, role: Role) -> Option<BeneathPath> {
+        let camera = record.stage(stage).cameras.get(&role)?;
+        Some(self.layout.grasp(&record.id).join(&camera.file))
+    }
+
+    /// Where a file of a grasp is, by its name in the record; `None` for other names.
+    #[must_use]
+    pub fn file(&self, record: &GraspRecord, name: &str) -> Option<BeneathPath> {
+        let (name, _) = record.files.get_key_value(name)?;
+        Some(self.layout.grasp(&record.id).join(name))
+    }
+
+    /// Pictures of the external camera from before the fingers closed, by time: the approach and
+    /// the initial frame.
+    #[must_use]
+    pub fn before_closing(&self, record: &GraspRecord) -> Vec<(CameraRecord, BeneathPath)> {
+        let initial = record.initial.cameras.get(&Role::External);
+        let mut cameras: Vec<CameraRecord> =
+            record.approach.iter().chain(initial).cloned().collect();
+        cameras.sort_by_key(|camera| camera.driver_time_ns);
+        let grasp = self.layout.grasp(&record.id);
+        cameras
+            .into_iter()
+            .map(|camera| {
+                let path = grasp.join(&camera.file);
+                (camera, path)
+            })
+            .collect()
+    }
+
+    /// The text of a calibration, by its key.
+    ///
+    /// # Errors
+    /// `NotFound` without it, `Io`, ….
+    pub fn calibration(&self, key: &ContentKey) -> Result<String> {
+        let path = self.layout.calibration().join_affixed("", key, ".toml");
+        path.read_to_string(FileKind::Record)
+            .map_err(|e| Error::io("cannot read the calibration", e).at(path.display()))
+    }
+
+    /// One grasp with the bytes of its `grasp.json`.
+    ///
+    /// # Errors
+    /// As of [`grasp`](Self::grasp), and `Input` when the record is that of another grasp.
+    pub fn grasp_with_json(&self, id: &GraspId) -> Result<(GraspRecord, Vec<u8>)> {
+        let dir = self.layout.grasp(id);
+        let path = dir.join(GRASP_JSON);
+        let record = read_grasp(&dir)?;
+        check_id(&record.id, id).map_err(|e| e.at(path.display()))?;
+        let json = path
+            .read(FileKind::Record)
+            .map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
+        Ok((record, json))
+    }
+
+    /// The bytes of a stored picture, exactly as they were stored: size and sha256 are those of
+    /// the record, and the picture has the recorded size. The entropy-coded data of a JPEG is not
+    /// decoded.
+    ///
+    /// # Errors
+    /// `NotFound`, `Io`: the file. `Input`: it is not what was stored, or damaged.
+    pub fn stored_picture(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
+        let path = self.layout.grasp(&record.id).join(&camera.file);
+        let refused = |what: String| Error::new(ErrorKind::Input, what).at(path.display());
+        let bytes = path
+            .read(FileKind::Image)
+            .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
+        let Some(expected) = record.files.get(&camera.file) else {
+            return Err(refused("the record has no digest of the file".to_owned()));
+        };
+        if digest(&bytes) != *expected {
+            return Err(refused("the file is not what was stored".to_owned()));
+        }
+        match picture::fault(&bytes, camera) {
+            Some(fault) => Err(refused(fault)),
+            None => Ok(bytes),
+        }
+    }
+
+    /// Names of the splits, sorted.
+    ///
+    /// # Errors
+    /// When `splits/` cannot be read.
+    pub fn split_names(&self) -> Result<Vec<String>> {
+        let dir = self.layout.splits();
+        if !dir.is_dir() {
+            return Ok(Vec::new());
+        }
+        let names = entries(&dir)?.into_iter().map(|entry| entry.name());
+        Ok(names
+            .filter(|name| !name.starts_with('.'))
+            .filter_map(|name| name.strip_suffix(".json").map(str::to_owned))
+            .collect())
+    }
+
+    /// A split, by its name.
+    ///
+    /// # Errors
+    /// `Usage`: no split can be called so. As of [`SplitFile::read`].
+    pub fn split(&self, name: &str) -> Result<SplitFile> {
+        let file = split::file_name(name)?;
+        SplitFile::read_beneath(&self.layout.splits().join(file))
+    }
+
+    /// A stored frame, as the camera sent it.
+    ///
+    /// # Errors
+    /// `NotFound` when there is none of that role at that stage; `Input` when the file is damaged,
+    /// and for YUYV frames, which are stored as RGB pictures: read those at [`Dataset::path_of`].
+    pub fn load_frame(&self, record: &GraspRecord, stage: Stage, role: Role) -> Result<Frame> {
+        let camera = record.stage(stage).cameras.get(&role).ok_or_else(|| {
+            Error::new(
+                ErrorKind::NotFound,
+                format!("{} has no {} frame of {role}", record.id, stage.name()),
+            )
+        })?;
+        load_frame(&self.layout.grasp(&record.id), camera)
+    }
+}
+
+/// Ids of the complete grasps, sorted.
+pub(super) fn grasp_ids(layout: &Layout) -> Result<Vec<GraspId>> {
+    Ok(subdirectories(&layout.grasps())?
+        .into_iter()
+        .filter_map(|name| GraspId::parse(&name).ok())
+        .collect())
+}
+
+/// Names of the directories inside a directory, sorted.
+pub(super) fn subdirectories(path: &BeneathPath) -> Result<Vec<String>> {
+    let folders = entries(path)?.into_iter().filter(BeneathPath::is_dir);
+    Ok(folders.map(|folder| folder.name()).collect())
+}
+
+/// Entries of a directory, sorted by name.
+pub(super) fn entries(path: &BeneathPath) -> Result<Vec<BeneathPath>> {
+    path.entries()
+        .map_err(|e| Error::io("cannot read the directory", e).at(path.display()))
+}
+
+/// Reads a stored file back as the frame that it was made from.
+pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Frame> {
+    let path = dir.join(&camera.file);
+    let bytes = path
+        .read(FileKind::Image)
+        .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
+    let data = match camera.format {
+        PixelFormat::Mjpg => bytes,
+        PixelFormat::Z16 => match decode(&path, &bytes)? {
+            image::DynamicImage::ImageLuma16(image) => image
+                .into_raw()
+                .into_iter()
+                .flat_map(u16::to_le_bytes)
+                .collect(),
+            _ => return Err(other_picture(&path, "a 16-bit grey picture")),
+        },
+        PixelFormat::Grey => match decode(&path, &bytes)? {
+            image::DynamicImage::ImageLuma8(image) => image.into_raw(),
+            _ => return Err(other_picture(&path, "an 8-bit grey picture")),
+        },
+        PixelFormat::Yuyv => {
+            return Err(Error::new(
+                ErrorKind::Input,
+                "a YUYV frame is stored as an RGB picture and cannot be had back",
+            )
+            .at(path.display())
+            .remedy("read the PNG file instead"));
+        }
+    };
+    Ok(Frame {
+        format: camera.format,
+        width: camera.width,
+        height: camera.height,
+        data: data.into(),
+        sequence: camera.sequence,
+        driver_time_ns: camera.driver_time_ns,
+        received_ns: camera.driver_time_ns,
+    })
+}
+
+fn decode(path: &BeneathPath, bytes: &[u8]) -> Result<image::DynamicImage> {
+    decode_png(bytes).map_err(|e| e.at(path.display()))
+}
+
+fn other_picture(path: &BeneathPath, expected: &str) -> Error {
+    Error::new(ErrorKind::Input, format!("the file is not {expected}")).at(path.display())
+}

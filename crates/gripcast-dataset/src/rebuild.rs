@@ -1,0 +1,211 @@
+//! Makes a lost `grasp.json` again from the images, the index and what is left of the old record.
+
+use std::collections::BTreeMap;
+
+use jiff::Timestamp;
+use jiff::civil::DateTime;
+use jiff::tz::TimeZone;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use super::descriptor::SOFTWARE;
+use super::grasp::{CameraRecord, FileDigest, GraspId, GraspRecord, SCHEMA_VERSION, StageRecord};
+use super::layout::{APPROACH_PREFIX, GRASP_JSON, Stage, digest};
+use super::picture;
+use super::reader::entries;
+use gripcast_base::files::{BeneathPath, FileKind, FileName, Label, ObjectName};
+use gripcast_imaging::Role;
+
+/// Whether the record is of a version that this build does not know.
+pub(super) fn is_newer(dir: &BeneathPath) -> bool {
+    old_record(dir)
+        .get("schema")
+        .and_then(Value::as_u64)
+        .is_some_and(|schema| schema > u64::from(SCHEMA_VERSION))
+}
+
+/// The record of `id` as far as it can be known. `row`: its line of the index.
+///
+/// Needs whole pictures of both gels at both stages; otherwise says what is missing.
+pub(super) fn rebuild(
+    dir: &BeneathPath,
+    id: &GraspId,
+    row: Option<&Value>,
+) -> Result<GraspRecord, String> {
+    let old = old_record(dir);
+    let sources = Sources { old: &old, row };
+    let mut files = BTreeMap::new();
+    let captured_at = time_of(id);
+    let mut stage = |stage: Stage| {
+        let mut record: StageRecord = sources.field(stage.name()).unwrap_or_else(|| StageRecord {
+            captured_at: captured_at.to_string(),
+            trigger_time_ns: 0,
+            trigger: "unknown".into(),
+            skew_ms: 0.0,
+            cameras: BTreeMap::new(),
+        });
+        record.cameras = cameras(dir, stage, &record.cameras, &mut files);
+        for role in [Role::Left, Role::Right] {
+            if !record.cameras.contains_key(&role) {
+                return Err(format!(
+                    "without a whole {} picture of {role} it cannot be made again",
+                    stage.name()
+                ));
+            }
+        }
+        Ok(record)
+    };
+    let initial = stage(Stage::Initial)?;
+    let grasp = stage(Stage::Grasp)?;
+    let text = |name: &str| {
+        let found: Option<String> = sources.field(name);
+        found.unwrap_or_else(|| "unknown".to_owned())
+    };
+    let from = match (old.is_object(), row.is_some()) {
+        (true, _) => "the images and what was left of it",
+        (false, true) => "the images and the index",
+        (false, false) => "the images alone; object, scene and outcome are not known",
+    };
+    Ok(GraspRecord {
+        schema: SCHEMA_VERSION,
+        id: id.clone(),
+        // Names from before they were checked are brought into a valid form.
+        object: ObjectName::nearest(&text("object")),
+        scene: Label::nearest(&text("scene")),
+        operator: Label::nearest(&text("operator")),
+        rig: text("rig"),
+        software: SOFTWARE.to_owned(),
+        outcome: sources.field("outcome").unwrap_or_default(),
+        labelled_at: sources.field("labelled_at").unwrap_or_default(),
+        initial,
+        grasp,
+        approach: approach(
+            dir,
+            sources.field("approach").unwrap_or_default(),
+            &mut files,
+        ),
+        pose: sources.field("pose").unwrap_or_default(),
+        boards: sources.field("boards").unwrap_or_default(),
+        prediction: sources.field("prediction").unwrap_or_default(),
+        overridden_guards: sources.field("overridden_guards").unwrap_or_default(),
+        calibration: sources.field("calibration").unwrap_or_default(),
+        files,
+        note: format!("record made again from {from}"),
+        truth: sources.field("truth").unwrap_or_default(),
+    })
+}
+
+/// Where fields come from: the old record first, then the index.
+struct Sources<'a> {
+    old: &'a Value,
+    row: Option<&'a Value>,
+}
+
+impl Sources<'_> {
+    fn field<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
+        [Some(self.old), self.row]
+            .into_iter()
+            .flatten()
+            .filter_map(|source| source.get(name))
+            .find_map(|value| serde_json::from_value(value.clone()).ok())
+    }
+}
+
+/// The old record as far as it is JSON; null otherwise.
+fn old_record(dir: &BeneathPath) -> Value {
+    dir.join(GRASP_JSON)
+        .read(FileKind::Record)
+        .ok()
+        .and_then(|bytes| serde_json::from_slice(&bytes).ok())
+        .unwrap_or_default()
+}
+
+/// Cameras whose pictures of a stage are there and whole; notes the digests of those files.
+fn cameras(
+    dir: &BeneathPath,
+    stage: Stage,
+    known: &BTreeMap<Role, CameraRecord>,
+    files: &mut BTreeMap<FileName, FileDigest>,
+) -> BTreeMap<Role, CameraRecord> {
+    let mut cameras = BTreeMap::new();
+    for role in Role::ALL {
+        let found = ["jpg", "png"].iter().find_map(|extension| {
+            let file = FileName::of_words(&[stage.name(), role.name(), extension]);
+            whole_picture(dir, file, known.get(&role), files)
+        });
+        cameras.extend(found.map(|camera| (role, camera)));
+    }
+    cameras
+}
+
+/// Whole frames from before the fingers closed.
+fn approach(
+    dir: &BeneathPath,
+    known: Vec<CameraRecord>,
+    files: &mut BTreeMap<FileName, FileDigest>,
+) -> Vec<CameraRecord> {
+    let names = entries(dir)
+        .into_iter()
+        .flatten()
+        .filter_map(|entry| FileName::parse(&entry.name()).ok())
+        .filter(|name| name.starts_with(APPROACH_PREFIX));
+    let found = names.into_iter().filter_map(|name| {
+        let known = known.iter().find(|camera| camera.file == name);
+        whole_picture(dir, name, known, files)
+    });
+    found.collect()
+}
+
+/// A picture's record, as it was where that still fits; notes its digest. None where the file is
+/// no whole picture.
+fn whole_picture(
+    dir: &BeneathPath,
+    file: FileName,
+    known: Option<&CameraRecord>,
+    files: &mut BTreeMap<FileName, FileDigest>,
+) -> Option<CameraRecord> {
+    let bytes = dir.join(&file).read(FileKind::Image).ok()?;
+    let (format, width, height) = picture::recognise(&bytes)?;
+    files.insert(file.clone(), digest(&bytes));
+    let fits =
+        |camera: &&CameraRecord| camera.file == file && picture::fault(&bytes, camera).is_none();
+    Some(known.filter(fits).cloned().unwrap_or_else(|| CameraRecord {
+        file,
+        product: "unknown".into(),
+        serial: String::new(),
+        interface: 0,
+        port: String::new(),
+        format,
+        width,
+        height,
+        driver_time_ns: 0,
+        sequence: 0,
+        age_ms: 0.0,
+        controls: BTreeMap::new(),
+        crop_profile: None,
+        depth_unit_m: None,
+    }))
+}
+
+/// The time in an id; the epoch where there is none.
+fn time_of(id: &GraspId) -> Timestamp {
+    let text = id.get(..20).unwrap_or_default();
+    DateTime::strptime("%Y-%m-%dT%H-%M-%SZ", text)
+        .and_then(|time| time.to_zoned(TimeZone::UTC))
+        .map_or(Timestamp::UNIX_EPOCH, |time| time.timestamp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_is_read_from_the_id() {
+        let id = GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap();
+        assert_eq!(time_of(&id).to_string(), "2026-11-20T10:15:03Z");
+        assert_eq!(
+            time_of(&GraspId::parse("my-grasp").unwrap()),
+            Timestamp::UNIX_EPOCH
+        );
+    }
+}

@@ -1,0 +1,170 @@
+//! Reading and writing of `grasp.json` and `initial.json`.
+
+use std::collections::BTreeMap;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::descriptor::check_schema;
+use super::grasp::{FileDigest, GraspId, GraspRecord, OverriddenGuard, StageRecord};
+use super::layout::{GRASP_JSON, INITIAL_JSON, digest};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, FileKind, FileName};
+
+/// A durable initial frame that waits for its grasp; the contents of `initial.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PendingInitial {
+    /// Version of the format.
+    pub schema: u32,
+    /// Key that the grasp will have.
+    pub id: GraspId,
+    /// `gripcast <version>` that wrote the record.
+    pub software: String,
+    /// The frames.
+    pub stage: StageRecord,
+    /// Guards that were overridden at the initial trigger.
+    pub overridden_guards: Vec<OverriddenGuard>,
+    /// Digest of each image file, by file name.
+    pub files: BTreeMap<FileName, FileDigest>,
+    /// The undone grasp whose initial frame this is. It counts only while that grasp stays undone.
+    pub reopened_from: Option<GraspId>,
+}
+
+/// What a directory `.tmp-<id>` holds.
+#[derive(Debug)]
+pub(super) enum Pending {
+    /// A durable initial frame.
+    Initial(PendingInitial),
+    /// A whole grasp; only its renaming is missing.
+    Grasp,
+    /// Neither; never acknowledged. Says what is wrong.
+    Torn(String),
+}
+
+impl Pending {
+    /// Looks into the directory of `id`.
+    pub(super) fn inspect(dir: &BeneathPath, id: &GraspId) -> Self {
+        let grasp = read_grasp(dir).and_then(|record| {
+            check_files(dir, &record.files)?;
+            check_id(&record.id, id)
+        });
+        let grasp_error = match grasp {
+            Ok(()) => return Self::Grasp,
+            Err(error) => error,
+        };
+        let initial = read_initial(dir).and_then(|pending| {
+            check_files(dir, &pending.files)?;
+            check_id(&pending.id, id)?;
+            Ok(pending)
+        });
+        match initial {
+            Ok(pending) => Self::Initial(pending),
+            Err(_) if dir.join(GRASP_JSON).is_taken() => Self::Torn(grasp_error.to_string()),
+            Err(error) => Self::Torn(error.to_string()),
+        }
+    }
+}
+
+pub(super) fn check_id(found: &GraspId, expected: &GraspId) -> Result<()> {
+    if found == expected {
+        Ok(())
+    } else {
+        Err(Error::new(
+            ErrorKind::Input,
+            format!("the record is that of {found}"),
+        ))
+    }
+}
+
+/// Reads `grasp.json`.
+///
+/// # Errors
+/// `NotFound`, or `Input` when it is no record of this version.
+pub(super) fn read_grasp(dir: &BeneathPath) -> Result<GraspRecord> {
+    read(&dir.join(GRASP_JSON))
+}
+
+/// Reads `initial.json`.
+pub(super) fn read_initial(dir: &BeneathPath) -> Result<PendingInitial> {
+    read(&dir.join(INITIAL_JSON))
+}
+
+fn read<T: DeserializeOwned>(path: &BeneathPath) -> Result<T> {
+    let bytes = path
+        .read(FileKind::Record)
+        .map_err(|e| Error::io("cannot read the record", e).at(path.display()))?;
+    from_json(&bytes).map_err(|e| e.at(path.display()))
+}
+
+/// Reads the bytes of a record.
+///
+/// # Errors
+/// `Input` when they are no record of this version.
+pub(super) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
+    #[derive(Deserialize)]
+    struct Schema {
+        schema: i64,
+    }
+    let unreadable =
+        |e: serde_json::Error| Error::new(ErrorKind::Input, "cannot read the record").because(e);
+    let Schema { schema } = serde_json::from_slice(bytes).map_err(unreadable)?;
+    check_schema(schema)?;
+    serde_json::from_slice(bytes).map_err(unreadable)
+}
+
+/// Pretty JSON with sorted keys and a final newline; certain to read back.
+///
+/// # Errors
+/// `Internal` for values that JSON cannot hold (not a number, infinity).
+pub(super) fn to_json<T: Serialize + DeserializeOwned>(record: &T) -> Result<Vec<u8>> {
+    let unwritable = |e: serde_json::Error| {
+        Error::new(
+            ErrorKind::Internal,
+            "the record holds a value that JSON cannot hold",
+        )
+        .because(e)
+    };
+    let value = serde_json::to_value(record).map_err(unwritable)?;
+    let mut bytes = serde_json::to_vec_pretty(&value).map_err(unwritable)?;
+    bytes.push(b'\n');
+    serde_json::from_slice::<T>(&bytes).map_err(unwritable)?;
+    Ok(bytes)
+}
+
+/// Holds every file against its digest.
+///
+/// # Errors
+/// `NotFound` or `Input` for the first file that is missing or altered.
+pub(super) fn check_files(dir: &BeneathPath, files: &BTreeMap<FileName, FileDigest>) -> Result<()> {
+    for (name, expected) in files {
+        let path = dir.join(name);
+        let bytes = path
+            .read(FileKind::Image)
+            .map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
+        if digest(&bytes) != *expected {
+            return Err(
+                Error::new(ErrorKind::Input, "the file is not what was stored").at(path.display()),
+            );
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_is_sorted_and_refuses_what_does_not_read_back() {
+        #[derive(Serialize, Deserialize)]
+        struct Sample {
+            z: f64,
+            a: u8,
+        }
+        let text = String::from_utf8(to_json(&Sample { z: 0.1, a: 1 }).unwrap()).unwrap();
+        assert_eq!(text, "{\n  \"a\": 1,\n  \"z\": 0.1\n}\n");
+        let error = to_json(&Sample { z: f64::NAN, a: 1 }).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Internal);
+    }
+}

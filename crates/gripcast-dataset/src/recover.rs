@@ -1,0 +1,371 @@
+//! Rescues what is there; moves the rest to `trash/`, with the reason. Deletes nothing.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use serde::Serialize;
+
+use super::descriptor::{Descriptor, NewDataset};
+use super::disk::{Disk, SystemDisk, replace};
+use super::grasp::{GraspId, GraspRecord};
+use super::index::{self, IndexRow};
+use super::layout::{DATASET_TOML, GRASP_JSON, Layout, METADATA_JSONL, pending_id};
+use super::lock::DatasetLock;
+use super::opening::create_directories;
+use super::reader::{entries, grasp_ids};
+use super::rebuild::{is_newer, rebuild};
+use super::record_file::{check_files, read_grasp, to_json};
+use super::trash::set_aside;
+use super::unfinished::{Unfinished, unfinished};
+use super::writer::failed;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::BeneathPath;
+
+/// What recovery does to an item.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum ActionKind {
+    /// `dataset.toml` is written again.
+    WriteDescriptor,
+    /// A whole grasp whose renaming was interrupted is completed.
+    Complete,
+    /// A grasp gets back the name that its record says.
+    Rename,
+    /// A record is made again from the images, the index and what is left of the old one.
+    Rebuild,
+    /// Something that is no part of a whole grasp moves to `trash/`.
+    SetAside,
+    /// Something that this version does not understand stays as it is.
+    Leave,
+    /// The index is written again.
+    Reindex,
+}
+
+/// One thing that recovery does, or would do.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Action {
+    /// What is done.
+    pub kind: ActionKind,
+    /// To what, relative to the dataset.
+    pub item: String,
+    /// Why.
+    pub detail: String,
+    /// Whether data is lost by it: a grasp or a part of one cannot be used any more.
+    pub lost: bool,
+}
+
+/// What recovery did.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct RecoverReport {
+    /// Whether it only looked.
+    pub dry_run: bool,
+    /// What was done, or would be.
+    pub actions: Vec<Action>,
+    /// Complete grasps afterwards.
+    pub grasps: usize,
+}
+
+impl RecoverReport {
+    /// Whether something could not be rescued.
+    #[must_use]
+    pub fn has_losses(&self) -> bool {
+        self.actions.iter().any(|action| action.lost)
+    }
+}
+
+/// How an action is done.
+enum Step {
+    WriteDescriptor(Descriptor),
+    Complete(GraspId),
+    Rename { from: BeneathPath, to: GraspId },
+    Rebuild(Box<GraspRecord>),
+    SetAside(BeneathPath),
+    Reindex,
+    Nothing,
+}
+
+/// Puts a dataset in order after crashes, lost files and altered files.
+///
+/// # Errors
+/// `NotFound` or `Input` when there is no dataset or it is of a newer version; `Busy` while it is
+/// written; `DiskFull`, `Io`, … when an action fails: what was done before it stays done.
+pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
+    let layout = Layout::new(path.as_ref());
+    let descriptor = match Descriptor::read(&layout) {
+        Ok(_) => None,
+        Err(error) if error.kind() == ErrorKind::NotFound && layout.grasps().is_dir() => {
+            Some(new_descriptor(&layout))
+        }
+        Err(error) => return Err(error),
+    };
+    let _lock = if dry_run {
+        None
+    } else {
+        Some(DatasetLock::acquire(&layout)?)
+    };
+    let mut plan = Plan {
+        layout: &layout,
+        steps: Vec::new(),
+        kept: BTreeMap::new(),
+    };
+    if let Some(descriptor) = descriptor {
+        plan.add(
+            ActionKind::WriteDescriptor,
+            DATASET_TOML,
+            "it was missing; check its name, rig and licence",
+            Step::WriteDescriptor(descriptor),
+        );
+    }
+    plan.unfinished()?;
+    plan.grasps()?;
+    plan.strays()?;
+    plan.index();
+    if !dry_run {
+        create_directories(&SystemDisk, &layout)
+            .map_err(|e| failed(&layout, "cannot make the dataset's directories", e))?;
+        for (action, step) in &plan.steps {
+            execute(&layout, action, step)?;
+        }
+    }
+    Ok(RecoverReport {
+        dry_run,
+        grasps: plan.kept.len(),
+        actions: plan.steps.into_iter().map(|(action, _)| action).collect(),
+    })
+}
+
+struct Plan<'a> {
+    layout: &'a Layout,
+    steps: Vec<(Action, Step)>,
+    /// Grasps that are there afterwards.
+    kept: BTreeMap<GraspId, IndexRow>,
+}
+
+impl Plan<'_> {
+    fn add(&mut self, kind: ActionKind, item: &str, detail: impl Into<String>, step: Step) {
+        self.steps.push((
+            Action {
+                kind,
+                item: item.to_owned(),
+                detail: detail.into(),
+                lost: false,
+            },
+            step,
+        ));
+    }
+
+    fn add_loss(&mut self, kind: ActionKind, item: &str, detail: impl Into<String>, step: Step) {
+        self.add(kind, item, detail, step);
+        if let Some((action, _)) = self.steps.last_mut() {
+            action.lost = true;
+        }
+    }
+
+    /// Directories of saves that were not finished. They were never acknowledged as grasps, so
+    /// setting them aside loses nothing that was promised.
+    fn unfinished(&mut self) -> Result<()> {
+        for (id, fate) in unfinished(self.layout)? {
+            let dir = self.layout.pending(&id);
+            let item = format!("grasps/.tmp-{id}");
+            match fate {
+                Unfinished::Waiting(_) => {}
+                Unfinished::Complete => {
+                    self.kept
+                        .insert(id.clone(), IndexRow::of(&read_grasp(&dir)?));
+                    let detail = "the grasp is whole, only its renaming was interrupted";
+                    self.add(ActionKind::Complete, &item, detail, Step::Complete(id));
+                }
+                Unfinished::Unusable(reason) => {
+                    self.add(ActionKind::SetAside, &item, reason, Step::SetAside(dir));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn grasps(&mut self) -> Result<()> {
+        let ids = grasp_ids(self.layout)?;
+        // Directories that bear the name in their record come first, so that copies yield to them.
+        let (own, other): (Vec<_>, Vec<_>) = ids
+            .into_iter()
+            .map(|id| {
+                let record = read_grasp(&self.layout.grasp(&id));
+                (id, record)
+            })
+            .partition(|(id, record)| record.as_ref().is_ok_and(|record| record.id == *id));
+        let hints = index::rows_by_id(self.layout);
+        for (id, record) in own.into_iter().chain(other) {
+            match record {
+                Ok(record) => self.readable(&self.layout.grasp(&id), &record),
+                Err(error) => self.unreadable(id, &error, &hints),
+            }
+        }
+        Ok(())
+    }
+
+    fn readable(&mut self, dir: &BeneathPath, record: &GraspRecord) {
+        let name = dir.name();
+        let item = format!("grasps/{name}");
+        if self.kept.contains_key(&record.id) {
+            let detail = format!("a copy of {}, which is there", record.id);
+            let step = Step::SetAside(dir.clone());
+            self.add(ActionKind::SetAside, &item, detail, step);
+            return;
+        }
+        if let Err(error) = check_files(dir, &record.files) {
+            self.add_loss(
+                ActionKind::SetAside,
+                &item,
+                format!("not whole any more: {error}"),
+                Step::SetAside(dir.clone()),
+            );
+            return;
+        }
+        self.extra_files(dir, record);
+        self.kept.insert(record.id.clone(), IndexRow::of(record));
+        if record.id != *name {
+            let detail = format!("its record says {}", record.id);
+            let step = Step::Rename {
+                from: dir.clone(),
+                to: record.id.clone(),
+            };
+            self.add(ActionKind::Rename, &item, detail, step);
+        }
+    }
+
+    fn extra_files(&mut self, dir: &BeneathPath, record: &GraspRecord) {
+        for entry in entries(dir).into_iter().flatten() {
+            let name = entry.name();
+            if name != GRASP_JSON && !record.files.contains_key(name.as_str()) {
+                self.add(
+                    ActionKind::SetAside,
+                    &format!("grasps/{}/{name}", dir.name()),
+                    "the record does not name it",
+                    Step::SetAside(entry),
+                );
+            }
+        }
+    }
+
+    fn unreadable(
+        &mut self,
+        id: GraspId,
+        error: &Error,
+        hints: &BTreeMap<GraspId, serde_json::Value>,
+    ) {
+        let dir = self.layout.grasp(&id);
+        let item = format!("grasps/{id}");
+        if is_newer(&dir) {
+            self.add_loss(ActionKind::Leave, &item, error.to_string(), Step::Nothing);
+            return;
+        }
+        match rebuild(&dir, &id, hints.get(&id)) {
+            Ok(record) => {
+                let broken = dir.join(GRASP_JSON);
+                if broken.is_taken() {
+                    self.add(
+                        ActionKind::SetAside,
+                        &format!("{item}/{GRASP_JSON}"),
+                        error.to_string(),
+                        Step::SetAside(broken),
+                    );
+                }
+                self.extra_files(&dir, &record);
+                self.kept.insert(id, IndexRow::of(&record));
+                self.add(
+                    ActionKind::Rebuild,
+                    &item,
+                    record.note.clone(),
+                    Step::Rebuild(Box::new(record)),
+                );
+            }
+            Err(reason) => self.add_loss(
+                ActionKind::SetAside,
+                &item,
+                format!("{error}; {reason}"),
+                Step::SetAside(dir),
+            ),
+        }
+    }
+
+    /// What is no directory of a grasp.
+    fn strays(&mut self) -> Result<()> {
+        for entry in entries(&self.layout.grasps())? {
+            let name = entry.name();
+            let is_dir = entry.is_dir();
+            if is_dir && (GraspId::parse(&name).is_ok() || pending_id(&name).is_some()) {
+                continue;
+            }
+            // The folder of a grasp under a name that no grasp can have.
+            if is_dir && let Ok(record) = read_grasp(&entry) {
+                self.readable(&entry, &record);
+                continue;
+            }
+            self.add(
+                ActionKind::SetAside,
+                &format!("grasps/{name}"),
+                "only directories of grasps belong here",
+                Step::SetAside(entry),
+            );
+        }
+        Ok(())
+    }
+
+    /// The index of what is there afterwards.
+    fn index(&mut self) {
+        if !index::is_stored(self.layout, &index::to_jsonl(&self.kept)) {
+            let detail = "it does not say what the records say";
+            self.add(ActionKind::Reindex, METADATA_JSONL, detail, Step::Reindex);
+        }
+    }
+}
+
+fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
+    let disk = &SystemDisk;
+    let done = match step {
+        Step::WriteDescriptor(descriptor) => replace(
+            disk,
+            &layout.top(),
+            DATASET_TOML,
+            descriptor.to_toml()?.as_bytes(),
+        ),
+        Step::Complete(id) => disk
+            .sync_dir(&layout.pending(id))
+            .and_then(|()| disk.rename_new(&layout.pending(id), &layout.grasp(id)))
+            .and_then(|()| disk.sync_dir(&layout.grasps())),
+        Step::Rename { from, to } => disk
+            .rename_new(from, &layout.grasp(to))
+            .and_then(|()| disk.sync_dir(&layout.grasps())),
+        Step::Rebuild(record) => replace(
+            disk,
+            &layout.grasp(&record.id),
+            GRASP_JSON,
+            &to_json(record.as_ref())?,
+        ),
+        Step::SetAside(path) => set_aside(disk, layout, path, &action.detail).map(|_slot| ()),
+        Step::Reindex => return index::rewrite(disk, layout).map(|_report| ()),
+        Step::Nothing => Ok(()),
+    };
+    done.map_err(|e| failed(layout, &format!("cannot put {} in order", action.item), e))
+}
+
+/// A description for a dataset that lost its own.
+fn new_descriptor(layout: &Layout) -> Descriptor {
+    let rig = grasp_ids(layout)
+        .into_iter()
+        .flatten()
+        .find_map(|id| read_grasp(&layout.grasp(&id)).ok())
+        .map_or_else(|| "unknown".to_owned(), |record| record.rig);
+    let root = fs::canonicalize(layout.root()).unwrap_or_else(|_| layout.root().to_owned());
+    Descriptor::new(&NewDataset {
+        name: root.file_name().map_or_else(
+            || "dataset".to_owned(),
+            |name| name.to_string_lossy().into_owned(),
+        ),
+        rig,
+        licence: "unknown".to_owned(),
+        label_definition: "unknown".to_owned(),
+    })
+}

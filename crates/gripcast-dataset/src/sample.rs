@@ -1,0 +1,126 @@
+//! Small captures for tests.
+
+#![allow(clippy::unwrap_used)]
+
+use std::collections::BTreeMap;
+
+use jiff::{SignedDuration, Timestamp};
+
+use super::capture::{CapturedCamera, GraspMeta, StageCapture};
+use super::descriptor::NewDataset;
+use super::grasp::PredictionRecord;
+use gripcast_imaging::{Frame, PixelFormat, Role};
+
+/// What a new dataset is told about itself.
+pub fn new_dataset() -> NewDataset {
+    NewDataset {
+        name: "sample".into(),
+        rig: "bench".into(),
+        licence: "CC-BY-4.0".into(),
+        label_definition: "stable = still held 3 s after the lift".into(),
+    }
+}
+
+/// A grey JPEG whose brightness depends on `shade`.
+pub fn jpeg(width: usize, height: usize, shade: u8) -> Vec<u8> {
+    let pixels: Vec<u8> = (0..width * height)
+        .map(|i| (i as u8).wrapping_mul(shade | 1).wrapping_add(shade))
+        .collect();
+    let image = turbojpeg::Image {
+        pixels: pixels.as_slice(),
+        width,
+        pitch: width,
+        height,
+        format: turbojpeg::PixelFormat::GRAY,
+    };
+    turbojpeg::compress(image, 90, turbojpeg::Subsamp::Gray)
+        .unwrap()
+        .to_vec()
+}
+
+fn camera(role: Role, format: PixelFormat, data: Vec<u8>, number: u32) -> CapturedCamera {
+    CapturedCamera {
+        frame: Frame {
+            format,
+            width: 16,
+            height: 8,
+            data: data.into(),
+            sequence: number,
+            driver_time_ns: 1_000_000_000
+                + u64::from(number) * 40_000_000
+                + role as u64 * 1_000_000,
+            received_ns: 0,
+        },
+        product: "Sample".into(),
+        serial: format!("S-{role}"),
+        interface: 0,
+        port: "1-1".into(),
+        controls: BTreeMap::from([("exposure_time_absolute".into(), 100)]),
+        age_ms: 5.5,
+        crop_profile: role.is_tactile().then(|| "gsmini-seventh-v1".into()),
+        depth_unit_m: (role == Role::Depth).then_some(0.001),
+    }
+}
+
+/// Frames of both gels (MJPG), colour (YUYV) and depth (Z16), different for each `number`.
+pub fn capture(number: u32) -> StageCapture {
+    let shade = number as u8;
+    let begin: Timestamp = "2026-11-20T10:15:00Z".parse().unwrap();
+    let raw = |salt: u8| (0..=255_u8).map(|i| i.wrapping_mul(salt) ^ shade).collect();
+    StageCapture {
+        captured_at: begin + SignedDuration::from_secs(i64::from(number)),
+        trigger_time_ns: 1_010_000_000 + u64::from(number) * 40_000_000,
+        trigger: "script".into(),
+        truth: None,
+        approach: Vec::new(),
+        pose: None,
+        cameras: BTreeMap::from([
+            (
+                Role::Left,
+                camera(
+                    Role::Left,
+                    PixelFormat::Mjpg,
+                    jpeg(16, 8, shade.wrapping_mul(2)),
+                    number,
+                ),
+            ),
+            (
+                Role::Right,
+                camera(
+                    Role::Right,
+                    PixelFormat::Mjpg,
+                    jpeg(16, 8, shade.wrapping_mul(2) + 1),
+                    number,
+                ),
+            ),
+            (
+                Role::Rgb,
+                camera(Role::Rgb, PixelFormat::Yuyv, raw(3), number),
+            ),
+            (
+                Role::Depth,
+                camera(Role::Depth, PixelFormat::Z16, raw(5), number),
+            ),
+        ]),
+    }
+}
+
+/// What is known of a grasp of an object.
+pub fn meta(object: &str) -> GraspMeta {
+    GraspMeta {
+        object: object.parse().unwrap(),
+        scene: "table".parse().unwrap(),
+        operator: "Ada".parse().unwrap(),
+        rig: "bench".into(),
+        prediction: Some(PredictionRecord {
+            p_stable: 0.75,
+            novelty: None,
+            threshold: 0.5,
+            model_sha256: "0".repeat(64),
+            model: "baseline".into(),
+            latency_ms: 20.5,
+            engine_ms: 3.25,
+        }),
+        ..GraspMeta::default()
+    }
+}

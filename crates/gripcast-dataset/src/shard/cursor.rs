@@ -1,0 +1,281 @@
+//! Reads a row group some rows at a time, column by column.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use parquet::basic::Type;
+use parquet::column::reader::ColumnReaderImpl;
+use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type};
+use parquet::errors::ParquetError;
+use parquet::file::metadata::{ColumnChunkMetaData, RowGroupMetaData};
+
+use super::cell::{Cell, wrong};
+use super::columns::{Column, Kind, columns};
+use super::layout::Layout;
+use super::page::ChunkPages;
+use super::source::Source;
+use gripcast_base::error::{Error, Result};
+
+/// Most bytes of rows that are in memory at once.
+const MAX_BYTES: usize = 1 << 30;
+/// Definition level of an element where list and element may be null, so that 0 is a null list.
+const LIST_LEVELS: i16 = 3;
+
+/// The next rows of a row group.
+pub(super) struct GroupCursor {
+    columns: Vec<(&'static Column, ColumnCursor)>,
+}
+
+/// Cells of some rows, by column.
+pub(super) struct Batch {
+    pub(super) columns: Vec<(&'static str, std::vec::IntoIter<Cell<'static>>)>,
+    /// Bytes of them.
+    pub(super) size: usize,
+}
+
+enum ColumnCursor {
+    /// Null in every row.
+    Absent,
+    Text(Leaf<ByteArrayType>),
+    Integer(Leaf<Int64Type>),
+    ShortInteger(Leaf<Int32Type>),
+    Number(Leaf<DoubleType>),
+    Numbers(Leaf<DoubleType>, usize),
+    Picture(Leaf<ByteArrayType>),
+}
+
+struct Leaf<D: DataType> {
+    reader: ColumnReaderImpl<D>,
+    /// Definition level of a value that is there.
+    defined: i16,
+    repeated: bool,
+}
+
+/// Values of some rows with their levels.
+struct Levels<T> {
+    values: Vec<T>,
+    definition: Vec<i16>,
+    repetition: Vec<i16>,
+}
+
+impl GroupCursor {
+    /// The first `count` columns of a row group.
+    ///
+    /// # Errors
+    /// `Input`: a column is not in the file or compressed in an unknown way.
+    pub(super) fn open(
+        source: &Arc<Source>,
+        group: &RowGroupMetaData,
+        layout: &Layout,
+        count: usize,
+    ) -> Result<Self> {
+        let open = |(column, leaf): (&'static Column, &Option<usize>)| {
+            let chunk = leaf.map(|leaf| group.column(leaf));
+            let cursor = ColumnCursor::open(source, chunk, column);
+            let cursor = cursor.map_err(|e| read_error(column.name, e))?;
+            Ok((column, cursor))
+        };
+        let columns = columns().zip(&layout.leaves).take(count);
+        Ok(Self {
+            columns: columns.map(open).collect::<Result<_>>()?,
+        })
+    }
+
+    /// Reads `rows` rows, which there must be.
+    ///
+    /// # Errors
+    /// `Input`: they cannot be read, or take more than `MAX_BYTES` with what is in memory.
+    pub(super) fn read(&mut self, rows: usize, in_memory: usize) -> Result<Batch> {
+        let mut size = 0;
+        let mut read = Vec::new();
+        for (column, cursor) in &mut self.columns {
+            let cells = cursor.read(rows, column, MAX_BYTES.saturating_sub(in_memory + size))?;
+            size += cells.iter().map(Cell::size).sum::<usize>();
+            read.push((column.name, cells.into_iter()));
+        }
+        Ok(Batch {
+            columns: read,
+            size,
+        })
+    }
+}
+
+impl ColumnCursor {
+    fn open(
+        source: &Arc<Source>,
+        chunk: Option<&ColumnChunkMetaData>,
+        column: &Column,
+    ) -> Result<Self, ParquetError> {
+        let Some(chunk) = chunk else {
+            return Ok(Self::Absent);
+        };
+        Ok(match column.kind {
+            Kind::Text => Self::Text(Leaf::open(source, chunk)?),
+            Kind::Integer if chunk.column_type() == Type::INT32 => {
+                Self::ShortInteger(Leaf::open(source, chunk)?)
+            }
+            Kind::Integer => Self::Integer(Leaf::open(source, chunk)?),
+            Kind::Number => Self::Number(Leaf::open(source, chunk)?),
+            Kind::Numbers(length) => Self::Numbers(Leaf::open(source, chunk)?, length),
+            Kind::Picture => Self::Picture(Leaf::open(source, chunk)?),
+        })
+    }
+
+    fn read(&mut self, rows: usize, column: &Column, budget: usize) -> Result<Vec<Cell<'static>>> {
+        let cell_or_null = |cell: Option<Cell<'static>>| cell.unwrap_or(Cell::Null);
+        Ok(match self {
+            Self::Absent => (0..rows).map(|_| Cell::Null).collect(),
+            Self::Text(leaf) => {
+                let values = leaf.read(rows, column)?;
+                check_budget(&values, column, budget)?;
+                let text = |value: Option<ByteArray>| value.map(|v| text(&v, column)).transpose();
+                let cells = values.into_iter().map(|v| text(v).map(cell_or_null));
+                cells.collect::<Result<_>>()?
+            }
+            Self::Picture(leaf) => {
+                let values = leaf.read(rows, column)?;
+                check_budget(&values, column, budget)?;
+                let picture = |v: ByteArray| Cell::Picture(Cow::Owned(v.data().to_vec()));
+                let cells = values.into_iter().map(|v| cell_or_null(v.map(picture)));
+                cells.collect()
+            }
+            Self::Integer(leaf) => {
+                let values = leaf.read(rows, column)?.into_iter();
+                values.map(|v| cell_or_null(v.map(Cell::Integer))).collect()
+            }
+            Self::ShortInteger(leaf) => {
+                let values = leaf.read(rows, column)?.into_iter();
+                let long = |v| Cell::Integer(i64::from(v));
+                values.map(|v| cell_or_null(v.map(long))).collect()
+            }
+            Self::Number(leaf) => {
+                let values = leaf.read(rows, column)?.into_iter();
+                values.map(|v| cell_or_null(v.map(Cell::Number))).collect()
+            }
+            Self::Numbers(leaf, length) => leaf.read_lists(rows, *length, column)?,
+        })
+    }
+}
+
+impl<D: DataType> Leaf<D> {
+    fn open(source: &Arc<Source>, chunk: &ColumnChunkMetaData) -> Result<Self, ParquetError> {
+        let pages = ChunkPages::new(Arc::clone(source), chunk)?;
+        let descriptor = chunk.column_descr_ptr();
+        Ok(Self {
+            defined: descriptor.max_def_level(),
+            repeated: descriptor.max_rep_level() > 0,
+            reader: ColumnReaderImpl::new(descriptor, Box::new(pages)),
+        })
+    }
+
+    /// One value a row, none where it is null.
+    fn read(&mut self, rows: usize, column: &Column) -> Result<Vec<Option<D::T>>> {
+        let Levels {
+            values, definition, ..
+        } = self.read_levels(rows, column)?;
+        if self.defined == 0 {
+            return Ok(values.into_iter().map(Some).collect());
+        }
+        let mut values = values.into_iter();
+        let value = |level: i16| (level == self.defined).then(|| values.next()).flatten();
+        Ok(definition.into_iter().map(value).collect())
+    }
+
+    /// Values, definition and repetition levels of so many rows.
+    fn read_levels(&mut self, rows: usize, column: &Column) -> Result<Levels<D::T>> {
+        let (mut values, mut definition, mut repetition) = (Vec::new(), Vec::new(), Vec::new());
+        let mut read = 0;
+        while read < rows {
+            let levels = (self.defined > 0).then_some(&mut definition);
+            let repeats = self.repeated.then_some(&mut repetition);
+            let records = self
+                .reader
+                .read_records(rows - read, levels, repeats, &mut values);
+            let (records, _, _) = records.map_err(|e| read_error(column.name, e))?;
+            if records == 0 {
+                return Err(wrong(
+                    column.name,
+                    "has fewer rows than it should".to_owned(),
+                ));
+            }
+            read += records;
+        }
+        Ok(Levels {
+            values,
+            definition,
+            repetition,
+        })
+    }
+}
+
+impl Leaf<DoubleType> {
+    /// One list of `length` values a row, or null.
+    fn read_lists(
+        &mut self,
+        rows: usize,
+        length: usize,
+        column: &Column,
+    ) -> Result<Vec<Cell<'static>>> {
+        let Levels {
+            values,
+            definition,
+            repetition,
+        } = self.read_levels(rows, column)?;
+        let misshapen = || {
+            let what = format!("has a row that is no list of {length} numbers");
+            wrong(column.name, what)
+        };
+        let mut lists = Vec::with_capacity(rows);
+        let (mut values, mut at) = (values.chunks(length), 0);
+        while at < repetition.len() {
+            let next = repetition[at + 1..].iter().position(|&level| level == 0);
+            let end = next.map_or(repetition.len(), |next| at + 1 + next);
+            let levels = definition.get(at..end).ok_or_else(misshapen)?;
+            let is_whole =
+                levels.len() == length && levels.iter().all(|&level| level == self.defined);
+            lists.push(if levels == [0] && self.defined == LIST_LEVELS {
+                Cell::Null
+            } else if is_whole && let Some(list) = values.next() {
+                Cell::Numbers(list.to_vec())
+            } else {
+                return Err(misshapen());
+            });
+            at = end;
+        }
+        if lists.len() != rows {
+            return Err(misshapen());
+        }
+        Ok(lists)
+    }
+}
+
+fn text(value: &ByteArray, column: &Column) -> Result<Cell<'static>> {
+    let text = std::str::from_utf8(value.data());
+    let text = text.map_err(|e| wrong(column.name, format!("holds no UTF-8: {e}")))?;
+    Ok(Cell::Text(Cow::Owned(text.to_owned())))
+}
+
+/// Values are parts of their pages until they are copied.
+fn check_budget(values: &[Option<ByteArray>], column: &Column, budget: usize) -> Result<()> {
+    let mut sum = 0_usize;
+    for value in values.iter().flatten() {
+        sum = sum.saturating_add(value.len());
+    }
+    if sum > budget {
+        let what = format!("takes more than {MAX_BYTES} bytes at once");
+        let remedy = "write the file again with smaller row groups";
+        return Err(wrong(column.name, what).remedy(remedy));
+    }
+    Ok(())
+}
+
+fn read_error(column: &str, error: ParquetError) -> Error {
+    match error {
+        ParquetError::External(cause) => match cause.downcast::<std::io::Error>() {
+            Ok(cause) => Error::io("cannot read the shard", *cause).at(format!("column {column}")),
+            Err(cause) => wrong(column, cause.to_string()),
+        },
+        ParquetError::General(what) => wrong(column, format!("is damaged: {what}")),
+        other => wrong(column, format!("is damaged: {other}")),
+    }
+}

@@ -1,0 +1,372 @@
+//! One sample.
+
+use std::fmt;
+
+use glam::DQuat;
+
+use super::cell::{Cell, Cells, wrong};
+use gripcast_base::error::Result;
+use gripcast_geometry::Pose;
+
+/// Largest deviation of a quaternion's norm from 1 that is taken as rounding.
+const UNIT_TOLERANCE: f64 = 1e-3;
+/// The least number above 0.
+const ABOVE_0: f64 = f64::MIN_POSITIVE;
+/// Begin of every PNG file.
+const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
+/// Begin of every JPEG file.
+const JPEG: &[u8] = b"\xff\xd8\xff";
+
+/// One grasp, real or a rendering of a simulated one: what is known of it, and its pictures.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShardRow {
+    /// The scalars.
+    pub facts: ShardFacts,
+    /// The pictures.
+    pub images: ShardImages,
+}
+
+/// A sample without its pictures. Columns have the names of the fields, except where said. What a
+/// real grasp leaves unknown is none.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShardFacts {
+    /// Key of the sample, not empty, unique in its dataset.
+    pub id: String,
+    /// The simulation that is rendered; its renderings share it. Of a real grasp its id. Not empty.
+    pub simulation: String,
+    /// What is grasped. Not empty.
+    pub object: String,
+    /// Its category.
+    pub category: String,
+    /// Which simulator decided, or reality.
+    pub engine: ShardEngine,
+    /// Outcome of the lift; also the column `label`: 0 slip, 1 stable.
+    pub outcome: ShardOutcome,
+    /// What is said more precisely: `success`, `slip`, `eject`, ….
+    pub outcome_detail: String,
+    /// Mean normal force at which the fingers stop closing, N, > 0.
+    pub stop_force_n: Option<f64>,
+    /// Coefficient of friction between gel and object, ≥ 0.
+    pub friction: Option<f64>,
+    /// Mass of the object, kg, > 0.
+    pub mass_kg: Option<f64>,
+    /// Rise of the object's centre of mass from the ground to the end of the lift, m.
+    pub lifted_m: Option<f64>,
+    /// Normal force on the left finger in the grasp, N, ≥ 0.
+    pub force_left_n: Option<f64>,
+    /// Normal force on the right finger in the grasp, N, ≥ 0.
+    pub force_right_n: Option<f64>,
+    /// Distance of the gels' front faces in the grasp, m.
+    pub opening_m: Option<f64>,
+    /// Maps gripper coordinates into the object frame; columns `pose_t_m` (m) and `pose_q_wxyz`
+    /// (unit quaternion, w ≥ 0).
+    pub t_object_gripper: Option<Pose>,
+    /// How the grasp departs from two opposite places: `none`, `off_centre`, `tilted`, …; none for a
+    /// grasp that was given.
+    pub fault: Option<String>,
+    /// Which look of object and scene was drawn.
+    pub appearance: String,
+    /// Number of the rendering of its simulation, from 0.
+    pub rendering: u32,
+    /// Seed of the rendering, below 2⁶³: readers have signed integers.
+    pub seed: u64,
+    /// Crop profile of the tactile pictures.
+    pub crop_profile: String,
+}
+
+/// Encoded pictures of a sample, PNG or JPEG, of the two stages of the cycle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShardImages {
+    /// Left tactile sensor (−x of the gripper frame) before the fingers close.
+    pub initial_left: Vec<u8>,
+    /// Right tactile sensor (+x of the gripper frame) before the fingers close.
+    pub initial_right: Vec<u8>,
+    /// Left tactile sensor in the grasp, before the lift.
+    pub grasp_left: Vec<u8>,
+    /// Right tactile sensor in the grasp, before the lift.
+    pub grasp_right: Vec<u8>,
+    /// Colour camera between the fingers in the grasp.
+    pub grasp_rgb: Vec<u8>,
+    /// Colour camera between the fingers before the fingers close.
+    pub initial_rgb: Option<Vec<u8>>,
+    /// Depth camera between the fingers in the grasp: 16-bit PNG, mm.
+    pub grasp_depth: Option<Vec<u8>>,
+}
+
+/// What decided the outcome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ShardEngine {
+    /// Finite-element gels.
+    Fem,
+    /// Rigid fingers.
+    Rigid,
+    /// No simulator: a real lift.
+    Real,
+}
+
+/// Outcome of a lift; the number is the label.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ShardOutcome {
+    /// It slipped, fell or was squeezed out.
+    Slip = 0,
+    /// It held.
+    Stable = 1,
+}
+
+impl ShardEngine {
+    /// All.
+    pub const ALL: [Self; 3] = [Self::Fem, Self::Rigid, Self::Real];
+
+    /// Name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fem => "fem",
+            Self::Rigid => "rigid",
+            Self::Real => "real",
+        }
+    }
+}
+
+impl ShardOutcome {
+    /// Both, in the order of the labels.
+    pub const ALL: [Self; 2] = [Self::Slip, Self::Stable];
+
+    /// Name in files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Slip => "slip",
+            Self::Stable => "stable",
+        }
+    }
+
+    /// 0 slip, 1 stable.
+    #[must_use]
+    pub fn label(self) -> i64 {
+        self as i64
+    }
+}
+
+impl fmt::Display for ShardEngine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl fmt::Display for ShardOutcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl ShardFacts {
+    /// In the order of the columns.
+    pub(super) fn cells(&self) -> Vec<Cell<'_>> {
+        let [t_m, q_wxyz] = match &self.t_object_gripper {
+            None => [Cell::Null, Cell::Null],
+            Some(pose) => {
+                let (t_m, q_wxyz) = pose_numbers(pose);
+                [Cell::Numbers(t_m.to_vec()), Cell::Numbers(q_wxyz.to_vec())]
+            }
+        };
+        vec![
+            Cell::text(&self.id),
+            Cell::text(&self.simulation),
+            Cell::text(&self.object),
+            Cell::text(&self.category),
+            Cell::text(self.engine.name()),
+            Cell::text(self.outcome.name()),
+            Cell::text(&self.outcome_detail),
+            Cell::Integer(self.outcome.label()),
+            Cell::optional_number(self.stop_force_n),
+            Cell::optional_number(self.friction),
+            Cell::optional_number(self.mass_kg),
+            Cell::optional_number(self.lifted_m),
+            Cell::optional_number(self.force_left_n),
+            Cell::optional_number(self.force_right_n),
+            Cell::optional_number(self.opening_m),
+            t_m,
+            q_wxyz,
+            Cell::optional_text(self.fault.as_deref()),
+            Cell::text(&self.appearance),
+            Cell::Integer(i64::from(self.rendering)),
+            Cell::Integer(self.seed.cast_signed()),
+            Cell::text(&self.crop_profile),
+        ]
+    }
+
+    /// From cells in the order of the columns, which have the kinds of the columns.
+    pub(super) fn from_cells(cells: &mut Cells<'_>) -> Result<Self> {
+        let [id, simulation, object, category] =
+            [cells.text()?, cells.text()?, cells.text()?, cells.text()?];
+        let engine = cells.named(&ShardEngine::ALL.map(|e| (e.name(), e)))?;
+        let outcome = cells.named(&ShardOutcome::ALL.map(|o| (o.name(), o)))?;
+        let outcome_detail = cells.text()?;
+        let label = cells.integer()?;
+        if label != outcome.label() {
+            let expected = outcome.label();
+            let what = format!("is {label}; for the outcome {outcome} it is {expected}");
+            return Err(wrong("label", what));
+        }
+        Ok(Self {
+            id,
+            simulation,
+            object,
+            category,
+            engine,
+            outcome,
+            outcome_detail,
+            stop_force_n: cells.optional_number()?,
+            friction: cells.optional_number()?,
+            mass_kg: cells.optional_number()?,
+            lifted_m: cells.optional_number()?,
+            force_left_n: cells.optional_number()?,
+            force_right_n: cells.optional_number()?,
+            opening_m: cells.optional_number()?,
+            t_object_gripper: optional_pose(cells)?,
+            fault: cells.optional_text()?,
+            appearance: cells.text()?,
+            rendering: cells.natural()?,
+            seed: cells.natural()?,
+            crop_profile: cells.text()?,
+        })
+    }
+
+    /// # Errors
+    /// `Input`: the first field that no sample can have.
+    pub(super) fn check(&self) -> Result<()> {
+        for (name, text) in [
+            ("id", &self.id),
+            ("simulation", &self.simulation),
+            ("object", &self.object),
+        ] {
+            if text.is_empty() {
+                return Err(wrong(name, "is empty".to_owned()));
+            }
+        }
+        // The least that each may be.
+        let bounds = [
+            ("stop_force_n", self.stop_force_n, ABOVE_0),
+            ("friction", self.friction, 0.0),
+            ("mass_kg", self.mass_kg, ABOVE_0),
+            ("lifted_m", self.lifted_m, f64::MIN),
+            ("force_left_n", self.force_left_n, 0.0),
+            ("force_right_n", self.force_right_n, 0.0),
+            ("opening_m", self.opening_m, f64::MIN),
+        ];
+        for (name, value, least) in bounds {
+            if let Some(value) = value.filter(|v| !(least..=f64::MAX).contains(v)) {
+                let expected = match least {
+                    ABOVE_0 => ", above 0",
+                    0.0 => ", not negative",
+                    _ => "",
+                };
+                let what = format!("is {value}; it must be a finite number{expected}");
+                return Err(wrong(name, what));
+            }
+        }
+        if i64::try_from(self.seed).is_err() {
+            return Err(wrong(
+                "seed",
+                format!("is {}; it must be below 2^63", self.seed),
+            ));
+        }
+        let Some(known) = &self.t_object_gripper else {
+            return Ok(());
+        };
+        let (t_m, q_wxyz) = pose_numbers(known);
+        pose(&t_m, &q_wxyz).map(|_| ())
+    }
+}
+
+impl ShardImages {
+    /// In the order of the columns.
+    pub(super) fn cells(&self) -> Vec<Cell<'_>> {
+        vec![
+            Cell::picture(&self.initial_left),
+            Cell::picture(&self.initial_right),
+            Cell::picture(&self.grasp_left),
+            Cell::picture(&self.grasp_right),
+            Cell::picture(&self.grasp_rgb),
+            Cell::optional_picture(self.initial_rgb.as_deref()),
+            Cell::optional_picture(self.grasp_depth.as_deref()),
+        ]
+    }
+
+    /// From cells in the order of the columns, which have the kinds of the columns.
+    pub(super) fn from_cells(cells: &mut Cells<'_>) -> Result<Self> {
+        Ok(Self {
+            initial_left: cells.picture()?,
+            initial_right: cells.picture()?,
+            grasp_left: cells.picture()?,
+            grasp_right: cells.picture()?,
+            grasp_rgb: cells.picture()?,
+            initial_rgb: cells.optional_picture()?,
+            grasp_depth: cells.optional_picture()?,
+        })
+    }
+}
+
+impl ShardRow {
+    /// Bytes that it has in a shard, nearly.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.cells().iter().map(Cell::size).sum()
+    }
+
+    /// In the order of the columns.
+    pub(super) fn cells(&self) -> Vec<Cell<'_>> {
+        let mut cells = self.facts.cells();
+        cells.extend(self.images.cells());
+        cells
+    }
+}
+
+/// Ending of the file name of an encoded picture; none when it is neither PNG nor JPEG.
+pub(super) fn picture_extension(bytes: &[u8]) -> Option<&'static str> {
+    match bytes {
+        _ if bytes.starts_with(PNG) => Some("png"),
+        _ if bytes.starts_with(JPEG) => Some("jpg"),
+        _ => None,
+    }
+}
+
+/// Translation, and rotation as w, x, y, z.
+fn pose_numbers(pose: &Pose) -> ([f64; 3], [f64; 4]) {
+    let q = pose.rotation;
+    (pose.translation_m.to_array(), [q.w, q.x, q.y, q.z])
+}
+
+/// None where both columns are null.
+fn optional_pose(cells: &mut Cells<'_>) -> Result<Option<Pose>> {
+    match (cells.optional_numbers()?, cells.optional_numbers()?) {
+        (None, None) => Ok(None),
+        (Some(t_m), Some(q_wxyz)) => pose(&t_m, &q_wxyz).map(Some),
+        (None, Some(_)) => Err(wrong("pose_t_m", "is null, pose_q_wxyz is not".to_owned())),
+        (Some(_), None) => Err(wrong("pose_q_wxyz", "is null, pose_t_m is not".to_owned())),
+    }
+}
+
+fn pose(t_m: &[f64], q_wxyz: &[f64]) -> Result<Pose> {
+    let (&[x, y, z], &[qw, qx, qy, qz]) = (t_m, q_wxyz) else {
+        return Err(wrong(
+            "pose_t_m",
+            "and pose_q_wxyz need 3 and 4 numbers".to_owned(),
+        ));
+    };
+    let translation_m = glam::DVec3::new(x, y, z);
+    if !translation_m.is_finite() {
+        return Err(wrong("pose_t_m", format!("is {t_m:?}; it must be finite")));
+    }
+    let rotation = DQuat::from_xyzw(qx, qy, qz, qw);
+    // Written so that NaN is refused as well.
+    let is_unit = (rotation.length() - 1.0).abs() <= UNIT_TOLERANCE;
+    if !is_unit {
+        return Err(wrong(
+            "pose_q_wxyz",
+            format!("is {q_wxyz:?}; it must be a unit quaternion"),
+        ));
+    }
+    Ok(Pose::new(rotation, translation_m))
+}

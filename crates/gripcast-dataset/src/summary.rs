@@ -1,0 +1,179 @@
+//! Numbers about a dataset.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use jiff::Timestamp;
+use serde::Serialize;
+
+use super::grasp::Outcome;
+use super::reader::{Dataset, entries};
+use gripcast_base::error::Result;
+use gripcast_base::files::{BeneathPath, Label, ObjectName};
+
+/// What is in a dataset.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Summary {
+    /// Name.
+    pub name: String,
+    /// Rigs that it was collected with.
+    pub rigs: BTreeSet<String>,
+    /// Licence.
+    pub licence: String,
+    /// What `stable` and `slip` mean.
+    pub label_definition: String,
+    /// Complete grasps whose record can be read.
+    pub grasps: usize,
+    /// Grasps whose record cannot be read.
+    pub unreadable: usize,
+    /// Grasps by outcome.
+    pub outcomes: BTreeMap<Outcome, usize>,
+    /// Grasps by object and outcome.
+    pub objects: BTreeMap<ObjectName, BTreeMap<Outcome, usize>>,
+    /// Grasps by scene.
+    pub scenes: BTreeMap<Label, usize>,
+    /// Grasps by operator.
+    pub operators: BTreeMap<Label, usize>,
+    /// Share of stable among the labelled grasps.
+    pub stable_share: Option<f64>,
+    /// When the first grasp was taken, RFC 3339 UTC.
+    pub first_captured_at: Option<String>,
+    /// When the last grasp was taken, RFC 3339 UTC.
+    pub last_captured_at: Option<String>,
+    /// Size of all complete grasps, bytes.
+    pub bytes: u64,
+    /// Size of `trash/`, bytes.
+    pub trash_bytes: u64,
+    /// Predictions held against labels, by model.
+    pub predictions: BTreeMap<String, Agreement>,
+}
+
+/// How the predictions before the lift agree with the labels after it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Agreement {
+    /// Predicted and labelled stable.
+    pub stable_as_predicted: usize,
+    /// Predicted and labelled slip.
+    pub slip_as_predicted: usize,
+    /// Predicted stable, labelled slip.
+    pub slipped_unexpectedly: usize,
+    /// Predicted slip, labelled stable.
+    pub held_unexpectedly: usize,
+}
+
+impl Agreement {
+    /// Grasps with a prediction and a label.
+    #[must_use]
+    pub fn total(&self) -> usize {
+        self.agreed() + self.slipped_unexpectedly + self.held_unexpectedly
+    }
+
+    /// Grasps where both agree.
+    #[must_use]
+    pub fn agreed(&self) -> usize {
+        self.stable_as_predicted + self.slip_as_predicted
+    }
+}
+
+/// Counts what is in a dataset; reads all records, no image.
+///
+/// # Errors
+/// When the directory of the grasps cannot be read.
+pub fn summary(dataset: &Dataset) -> Result<Summary> {
+    let descriptor = dataset.descriptor();
+    let layout = dataset.layout();
+    let mut summary = Summary {
+        name: descriptor.name.clone(),
+        licence: descriptor.licence.clone(),
+        label_definition: descriptor.label_definition.clone(),
+        trash_bytes: directory_bytes(&layout.trash()),
+        ..Summary::default()
+    };
+    let mut times = Vec::new();
+    for id in dataset.ids()? {
+        summary.bytes += directory_bytes(&layout.grasp(&id));
+        let Ok(record) = dataset.grasp(&id) else {
+            summary.unreadable += 1;
+            continue;
+        };
+        summary.grasps += 1;
+        *summary.outcomes.entry(record.outcome).or_default() += 1;
+        let outcomes = summary.objects.entry(record.object).or_default();
+        *outcomes.entry(record.outcome).or_default() += 1;
+        *summary.scenes.entry(record.scene).or_default() += 1;
+        *summary.operators.entry(record.operator).or_default() += 1;
+        summary.rigs.insert(record.rig);
+        times.extend(record.grasp.captured_at.parse::<Timestamp>().ok());
+        if let Some(prediction) = record.prediction {
+            let agreement = summary.predictions.entry(prediction.model).or_default();
+            let predicted_stable = prediction.p_stable >= prediction.threshold;
+            match (predicted_stable, record.outcome) {
+                (true, Outcome::Stable) => agreement.stable_as_predicted += 1,
+                (false, Outcome::Slip) => agreement.slip_as_predicted += 1,
+                (true, Outcome::Slip) => agreement.slipped_unexpectedly += 1,
+                (false, Outcome::Stable) => agreement.held_unexpectedly += 1,
+                (_, Outcome::Unlabelled) => {}
+            }
+        }
+    }
+    summary.first_captured_at = times.iter().min().map(Timestamp::to_string);
+    summary.last_captured_at = times.iter().max().map(Timestamp::to_string);
+    let count = |outcome| summary.outcomes.get(&outcome).copied().unwrap_or(0);
+    let (stable, slip) = (count(Outcome::Stable), count(Outcome::Slip));
+    summary.stable_share = (stable + slip > 0).then(|| stable as f64 / (stable + slip) as f64);
+    Ok(summary)
+}
+
+/// Size of the files below a directory; what cannot be read counts as nothing.
+fn directory_bytes(path: &BeneathPath) -> u64 {
+    let entries = entries(path).into_iter().flatten();
+    // Links could lead round in a circle.
+    entries
+        .filter(|entry| !entry.is_link())
+        .map(|entry| match entry.metadata() {
+            Ok(found) if found.is_dir => directory_bytes(&entry),
+            found => found.map_or(0, |file| file.bytes),
+        })
+        .sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::DatasetWriter;
+    use crate::sample::{capture, meta, new_dataset};
+
+    #[test]
+    fn predictions_are_held_against_labels() {
+        let dir = tempfile::tempdir().unwrap();
+        let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
+        let outcomes = [Outcome::Stable, Outcome::Slip, Outcome::Unlabelled];
+        for (number, outcome) in (0..).zip(outcomes) {
+            let pending = writer
+                .save_initial(&capture(2 * number + 1), Vec::new())
+                .unwrap();
+            let id = writer
+                .save_grasp(&pending, &capture(2 * number + 2), meta("mug"))
+                .unwrap()
+                .id;
+            let at = "2026-11-20T11:00:00Z".parse().unwrap();
+            writer.set_outcome(&id, outcome, at).unwrap();
+        }
+        drop(writer);
+        let summary = summary(&Dataset::open(dir.path()).unwrap()).unwrap();
+        assert_eq!(summary.grasps, 3);
+        assert_eq!(summary.stable_share, Some(0.5));
+        assert_eq!(
+            summary.predictions["baseline"],
+            Agreement {
+                stable_as_predicted: 1,
+                slipped_unexpectedly: 1,
+                ..Agreement::default()
+            }
+        );
+        assert_eq!(
+            summary.first_captured_at.as_deref(),
+            Some("2026-11-20T10:15:02Z")
+        );
+        assert!(summary.bytes > 1000);
+    }
+}

@@ -1,0 +1,612 @@
+//! Finds everything that is wrong with a dataset.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::descriptor::Descriptor;
+use super::disk::is_partial;
+use super::grasp::{CameraRecord, GraspId, GraspRecord, Outcome};
+use super::index::{IndexRow, to_jsonl};
+use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, digest, pending_id};
+use super::lock::DatasetLock;
+use super::picture;
+use super::reader::{entries, grasp_ids};
+use super::record_file::{Pending, read_grasp};
+use super::split::{SplitFile, check_name};
+use gripcast_base::error::{ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, ContentKey, FileKind};
+
+/// Class of a problem.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum ProblemKind {
+    /// `dataset.toml` is missing or unreadable.
+    Descriptor,
+    /// A save that was not finished.
+    Torn,
+    /// A record that cannot be read.
+    UnreadableRecord,
+    /// The record's id is not the directory's name.
+    IdMismatch,
+    /// Two directories hold the same grasp.
+    DuplicateId,
+    /// A file that the record names is not there.
+    MissingFile,
+    /// A file that no record names.
+    ExtraFile,
+    /// A file is not what was stored.
+    Altered,
+    /// A picture is incomplete or not of the recorded size.
+    DamagedPicture,
+    /// Two files of the dataset are identical: a frozen camera or a copied grasp.
+    DuplicateContent,
+    /// A calibration is missing or altered.
+    Calibration,
+    /// A model card is altered.
+    Model,
+    /// `metadata.jsonl` does not say what the records say.
+    Index,
+    /// A split file is unreadable or names what is not there.
+    Split,
+    /// An object is in two parts of a split.
+    Leak,
+}
+
+impl fmt::Display for ProblemKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(match self {
+            Self::Descriptor => "descriptor",
+            Self::Torn => "torn",
+            Self::UnreadableRecord => "unreadable-record",
+            Self::IdMismatch => "id-mismatch",
+            Self::DuplicateId => "duplicate-id",
+            Self::MissingFile => "missing-file",
+            Self::ExtraFile => "extra-file",
+            Self::Altered => "altered",
+            Self::DamagedPicture => "damaged-picture",
+            Self::DuplicateContent => "duplicate-content",
+            Self::Calibration => "calibration",
+            Self::Model => "model",
+            Self::Index => "index",
+            Self::Split => "split",
+            Self::Leak => "leak",
+        })
+    }
+}
+
+/// Something that is wrong.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Problem {
+    /// Class.
+    pub kind: ProblemKind,
+    /// The grasp, where it is one's.
+    pub grasp: Option<GraspId>,
+    /// The file, relative to the dataset.
+    pub file: Option<String>,
+    /// What is wrong.
+    pub detail: String,
+    /// What to do about it.
+    pub remedy: String,
+}
+
+/// What verification found.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct VerifyReport {
+    /// Complete grasps looked at.
+    pub grasps: usize,
+    /// Grasps without a label.
+    pub unlabelled: usize,
+    /// Durable initial frames that wait for their grasp.
+    pub pending: usize,
+    /// What is worth knowing and not wrong.
+    pub notes: Vec<String>,
+    /// What is wrong, sorted.
+    pub problems: Vec<Problem>,
+}
+
+/// Checks a dataset; reads every file of it. `progress` gets the grasps done and the number of all.
+///
+/// # Errors
+/// `NotFound` or `Input` when there is no dataset or it is of a newer version. What is wrong inside
+/// is in the report, not an error.
+pub fn verify(
+    path: impl AsRef<Path>,
+    progress: &(dyn Fn(usize, usize) + Sync),
+) -> Result<VerifyReport> {
+    let layout = Layout::new(path.as_ref());
+    let mut found = Findings::default();
+    if let Err(error) = Descriptor::read(&layout) {
+        if error.kind() != ErrorKind::NotFound || !layout.grasps().is_dir() {
+            return Err(error);
+        }
+        found.add(
+            ProblemKind::Descriptor,
+            None,
+            Some("dataset.toml"),
+            "the file is missing",
+            RECOVER,
+        );
+    }
+    if let Some(holder) = DatasetLock::holder(&layout) {
+        found.notes.push(format!(
+            "{holder} writes the dataset now: a save under way may look torn"
+        ));
+    }
+    check_root(&layout, &mut found)?;
+    let pending = check_grasps_directory(&layout, &mut found)?;
+    let ids = grasp_ids(&layout)?;
+    let done = AtomicUsize::new(0);
+    let grasps: Vec<CheckedGrasp> = ids
+        .par_iter()
+        .map(|id| {
+            let checked = check_grasp(&layout, id);
+            progress(done.fetch_add(1, Ordering::Relaxed) + 1, ids.len());
+            checked
+        })
+        .collect();
+    check_identity(&grasps, &mut found);
+    check_duplicates(&grasps, &mut found);
+    check_references(&layout, &grasps, &mut found)?;
+    check_index(&layout, &grasps, &mut found);
+    check_splits(&layout, &grasps, &mut found)?;
+    let unlabelled = grasps
+        .iter()
+        .filter_map(|grasp| grasp.record.as_ref())
+        .filter(|record| record.outcome == Outcome::Unlabelled)
+        .count();
+    for grasp in &grasps {
+        found.problems.extend(grasp.problems.iter().cloned());
+    }
+    found.problems.sort();
+    Ok(VerifyReport {
+        grasps: grasps.len(),
+        unlabelled,
+        pending,
+        notes: found.notes,
+        problems: found.problems,
+    })
+}
+
+const RECOVER: &str = "run `gripcast dataset recover`";
+const REINDEX: &str = "run `gripcast dataset reindex`";
+const SPLIT_AGAIN: &str = "make the split again with `gripcast dataset split`";
+
+#[derive(Default)]
+struct Findings {
+    problems: Vec<Problem>,
+    notes: Vec<String>,
+}
+
+impl Findings {
+    fn add(
+        &mut self,
+        kind: ProblemKind,
+        grasp: Option<&GraspId>,
+        file: Option<&str>,
+        detail: impl Into<String>,
+        remedy: &str,
+    ) {
+        self.problems.push(Problem {
+            kind,
+            grasp: grasp.cloned(),
+            file: file.map(str::to_owned),
+            detail: detail.into(),
+            remedy: remedy.to_owned(),
+        });
+    }
+}
+
+/// One grasp's directory, read and checked by itself.
+struct CheckedGrasp {
+    /// Name of the directory.
+    id: GraspId,
+    record: Option<GraspRecord>,
+    problems: Vec<Problem>,
+    /// sha256 → file, of what is really there.
+    contents: Vec<(String, String)>,
+}
+
+fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
+    let dir = layout.grasp(id);
+    let mut found = Findings::default();
+    let mut contents = Vec::new();
+    let at = |name: &str| format!("grasps/{id}/{name}");
+    let record = match read_grasp(&dir) {
+        Ok(record) => Some(record),
+        Err(error) => {
+            let (kind, file) = if error.kind() == ErrorKind::NotFound {
+                (ProblemKind::MissingFile, GRASP_JSON)
+            } else {
+                (ProblemKind::UnreadableRecord, GRASP_JSON)
+            };
+            found.add(kind, Some(id), Some(&at(file)), error.to_string(), RECOVER);
+            None
+        }
+    };
+    if let Some(record) = &record {
+        let cameras: BTreeMap<&str, &CameraRecord> = record
+            .stages()
+            .into_iter()
+            .flat_map(|(_, stage)| stage.cameras.values())
+            .chain(&record.approach)
+            .map(|camera| (camera.file.as_str(), camera))
+            .collect();
+        for name in cameras
+            .keys()
+            .filter(|name| !record.files.contains_key(**name))
+        {
+            found.add(
+                ProblemKind::UnreadableRecord,
+                Some(id),
+                Some(&at(name)),
+                "the record has no digest of the file",
+                RECOVER,
+            );
+        }
+        for (name, expected) in &record.files {
+            let bytes = match dir.join(name).read(FileKind::Image) {
+                Ok(bytes) => bytes,
+                Err(error) => {
+                    found.add(
+                        ProblemKind::MissingFile,
+                        Some(id),
+                        Some(&at(name)),
+                        format!("the record names the file, but it cannot be read: {error}"),
+                        "restore it from a copy, or run `gripcast dataset recover`",
+                    );
+                    continue;
+                }
+            };
+            let digest = digest(&bytes);
+            if digest != *expected {
+                found.add(
+                    ProblemKind::Altered,
+                    Some(id),
+                    Some(&at(name)),
+                    format!(
+                        "stored were {} bytes with sha256 {}, found are {} bytes with {}",
+                        expected.bytes, expected.sha256, digest.bytes, digest.sha256
+                    ),
+                    "restore it from a copy, or run `gripcast dataset recover`",
+                );
+            } else if let Some(fault) = cameras
+                .get(name.as_str())
+                .and_then(|camera| picture::fault(&bytes, camera))
+            {
+                found.add(
+                    ProblemKind::DamagedPicture,
+                    Some(id),
+                    Some(&at(name)),
+                    format!("{fault}; it was stored so"),
+                    "the camera sent it damaged: leave the grasp out by moving it to trash/",
+                );
+            }
+            contents.push((digest.sha256, at(name)));
+        }
+        extra_files(&dir, id, record, &mut found);
+    }
+    CheckedGrasp {
+        id: id.clone(),
+        record,
+        problems: found.problems,
+        contents,
+    }
+}
+
+fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mut Findings) {
+    for entry in entries(dir).into_iter().flatten() {
+        let name = entry.name();
+        let at = format!("grasps/{id}/{name}");
+        // A crash right after a save leaves the initial frame's record for the next opening.
+        if name == GRASP_JSON || name == INITIAL_JSON || record.files.contains_key(name.as_str()) {
+            continue;
+        }
+        let (kind, detail) = if is_partial(&name) {
+            (ProblemKind::Torn, "a change of the record was interrupted")
+        } else {
+            (ProblemKind::ExtraFile, "no record names the file")
+        };
+        found.add(kind, Some(id), Some(&at), detail, RECOVER);
+    }
+}
+
+fn check_root(layout: &Layout, found: &mut Findings) -> Result<()> {
+    for entry in entries(&layout.top())? {
+        let name = entry.name();
+        if is_partial(&name) {
+            found.notes.push(format!(
+                "{name} is left of an interrupted save and will be replaced"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Looks at what is no complete grasp; returns the number of pending initial frames.
+fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize> {
+    let mut pending = 0;
+    for entry in entries(&layout.grasps())? {
+        let name = entry.name();
+        let at = format!("grasps/{name}");
+        if !entry.is_dir() {
+            found.add(
+                ProblemKind::ExtraFile,
+                None,
+                Some(&at),
+                "only directories of grasps belong here",
+                RECOVER,
+            );
+            continue;
+        }
+        if !name.starts_with('.') {
+            if let Err(error) = GraspId::parse(&name) {
+                found.add(
+                    ProblemKind::IdMismatch,
+                    None,
+                    Some(&at),
+                    format!("the folder is not named after a grasp: {}", error.what()),
+                    RECOVER,
+                );
+            }
+            continue;
+        }
+        let Some(id) = pending_id(&name) else {
+            found.add(
+                ProblemKind::ExtraFile,
+                None,
+                Some(&at),
+                "only directories of grasps belong here",
+                RECOVER,
+            );
+            continue;
+        };
+        let detail = match Pending::inspect(&entry, &id) {
+            Pending::Initial(initial) => match &initial.reopened_from {
+                Some(grasp) if layout.grasp(grasp).is_taken() => {
+                    format!("undoing {grasp} was interrupted")
+                }
+                _ => {
+                    pending += 1;
+                    found
+                        .notes
+                        .push(format!("an initial frame waits for its grasp: {id}"));
+                    continue;
+                }
+            },
+            Pending::Grasp => "the grasp is whole, but was not renamed".to_owned(),
+            Pending::Torn(reason) => format!("was not written to its end: {reason}"),
+        };
+        found.add(ProblemKind::Torn, Some(&id), Some(&at), detail, RECOVER);
+    }
+    Ok(pending)
+}
+
+fn check_identity(grasps: &[CheckedGrasp], found: &mut Findings) {
+    let names: BTreeSet<&GraspId> = grasps.iter().map(|grasp| &grasp.id).collect();
+    let mut owners: BTreeMap<&GraspId, Vec<&GraspId>> = BTreeMap::new();
+    for grasp in grasps {
+        if let Some(record) = &grasp.record {
+            owners.entry(&record.id).or_default().push(&grasp.id);
+        }
+    }
+    for (id, dirs) in owners {
+        for dir in dirs.iter().copied().filter(|dir| *dir != id) {
+            let at = format!("grasps/{dir}/{GRASP_JSON}");
+            if dirs.len() > 1 || names.contains(id) {
+                found.add(
+                    ProblemKind::DuplicateId,
+                    Some(dir),
+                    Some(&at),
+                    format!("the record is that of {id}, which is there as well"),
+                    RECOVER,
+                );
+            } else {
+                found.add(
+                    ProblemKind::IdMismatch,
+                    Some(dir),
+                    Some(&at),
+                    format!("the record is that of {id}"),
+                    RECOVER,
+                );
+            }
+        }
+    }
+}
+
+fn check_duplicates(grasps: &[CheckedGrasp], found: &mut Findings) {
+    let mut places: BTreeMap<&str, Vec<(&GraspId, &str)>> = BTreeMap::new();
+    for grasp in grasps {
+        for (sha256, file) in &grasp.contents {
+            places
+                .entry(sha256)
+                .or_default()
+                .push((&grasp.id, file.as_str()));
+        }
+    }
+    for files in places.values().filter(|files| files.len() > 1) {
+        let (_, first) = files[0];
+        for (id, file) in &files[1..] {
+            found.add(
+                ProblemKind::DuplicateContent,
+                Some(id),
+                Some(file),
+                format!("the same bytes as {first}: a frozen camera or a copied grasp"),
+                "look at both, and move the grasp that is not real to trash/",
+            );
+        }
+    }
+}
+
+fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) -> Result<()> {
+    let mut calibrations = BTreeSet::new();
+    for (name, at) in immutable_files(
+        &layout.calibration(),
+        ".toml",
+        found,
+        ProblemKind::Calibration,
+    )? {
+        let used = grasps.iter().any(|grasp| {
+            grasp
+                .record
+                .as_ref()
+                .is_some_and(|record| record.calibration_keys().any(|key| **key == *name))
+        });
+        if !used {
+            found.notes.push(format!("no grasp refers to {at}"));
+        }
+        calibrations.extend(ContentKey::parse(&name));
+    }
+    for grasp in grasps {
+        let keys: BTreeSet<&ContentKey> = grasp
+            .record
+            .iter()
+            .flat_map(|record| record.calibration_keys())
+            .collect();
+        for key in keys {
+            if !calibrations.contains(key) {
+                found.add(
+                    ProblemKind::Calibration,
+                    Some(&grasp.id),
+                    Some(&format!("calibration/{key}.toml")),
+                    "the grasp refers to the calibration, but it is not there",
+                    "restore it from a copy: its name is the beginning of its sha256",
+                );
+            }
+        }
+    }
+    immutable_files(&layout.models(), ".json", found, ProblemKind::Model)?;
+    Ok(())
+}
+
+/// Keys and places of the files in a directory where each is named after its own hash.
+fn immutable_files(
+    dir: &BeneathPath,
+    extension: &str,
+    found: &mut Findings,
+    kind: ProblemKind,
+) -> Result<Vec<(String, String)>> {
+    if !dir.is_dir() {
+        return Ok(Vec::new());
+    }
+    let folder = dir.name();
+    let mut files = Vec::new();
+    for entry in entries(dir)? {
+        let name = entry.name();
+        let at = format!("{folder}/{name}");
+        if is_partial(&name) {
+            found
+                .notes
+                .push(format!("{at} is left of an interrupted save"));
+            continue;
+        }
+        let Some(key) = name.strip_suffix(extension) else {
+            found.add(
+                ProblemKind::ExtraFile,
+                None,
+                Some(&at),
+                format!("only *{extension} files belong here"),
+                "move it elsewhere",
+            );
+            continue;
+        };
+        match entry.read(FileKind::Record) {
+            Ok(bytes) if ContentKey::of(&bytes) == key => {}
+            Ok(_) => found.add(
+                kind,
+                None,
+                Some(&at),
+                "the contents are not those the name was made from",
+                "restore it from a copy: its name is the beginning of its sha256",
+            ),
+            Err(error) => found.add(
+                kind,
+                None,
+                Some(&at),
+                format!("cannot be read: {error}"),
+                "restore it from a copy",
+            ),
+        }
+        files.push((key.to_owned(), at));
+    }
+    Ok(files)
+}
+
+fn check_index(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) {
+    let rows = grasps
+        .iter()
+        .filter_map(|grasp| Some((grasp.id.clone(), IndexRow::of(grasp.record.as_ref()?))))
+        .collect();
+    let detail = match layout.index().read(FileKind::List) {
+        Err(_) => "the index cannot be read",
+        Ok(bytes) if bytes == to_jsonl(&rows).as_bytes() => return,
+        Ok(bytes) if !bytes.is_empty() && bytes.last() != Some(&b'\n') => {
+            "the index breaks off in the middle of a line"
+        }
+        Ok(_) => "the index does not say what the records say",
+    };
+    found.add(
+        ProblemKind::Index,
+        None,
+        Some("metadata.jsonl"),
+        detail,
+        REINDEX,
+    );
+}
+
+fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) -> Result<()> {
+    if !layout.splits().is_dir() {
+        return Ok(());
+    }
+    let records: BTreeMap<&GraspId, &GraspRecord> = grasps
+        .iter()
+        .filter_map(|grasp| Some((&grasp.id, grasp.record.as_ref()?)))
+        .collect();
+    for entry in entries(&layout.splits())? {
+        let name = entry.name();
+        if is_partial(&name) {
+            continue;
+        }
+        let at = format!("splits/{name}");
+        if let Err(error) = check_name(name.trim_end_matches(".json")) {
+            found.add(
+                ProblemKind::Split,
+                None,
+                Some(&at),
+                error.to_string(),
+                "give the file another name",
+            );
+        }
+        let split = match SplitFile::read_beneath(&entry) {
+            Ok(split) => split,
+            Err(error) => {
+                found.add(
+                    ProblemKind::Split,
+                    None,
+                    Some(&at),
+                    error.to_string(),
+                    SPLIT_AGAIN,
+                );
+                continue;
+            }
+        };
+        for id in split.grasps().filter(|id| !records.contains_key(id)) {
+            found.add(
+                ProblemKind::Split,
+                Some(id),
+                Some(&at),
+                "the split names a grasp that is not there",
+                SPLIT_AGAIN,
+            );
+        }
+        for leak in split.leaks(|id| records.get(id).copied()) {
+            found.add(ProblemKind::Leak, None, Some(&at), leak, SPLIT_AGAIN);
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,460 @@
+use super::*;
+use crate::{BUILTIN_NAMES, LengthUnit, MassProperties, MeshQuery, Pose, builtin, load_mesh};
+use gripcast_testing::shared;
+use proptest::prelude::*;
+
+fn run(mesh: &TriangleMesh) -> Result<Prepared> {
+    prepare(mesh, &PrepareOptions::default())
+}
+
+fn refused(mesh: &TriangleMesh) -> String {
+    let error = run(mesh).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    assert!(error.remedy_text().is_some(), "{error}");
+    error.to_string()
+}
+
+fn only_warning(prepared: &Prepared) -> &str {
+    assert_eq!(prepared.warnings.len(), 1, "{:?}", prepared.warnings);
+    &prepared.warnings[0]
+}
+
+fn moved(mesh: &TriangleMesh, by: DVec3) -> TriangleMesh {
+    mesh.transformed(&Pose::from_translation(by))
+}
+
+/// Corner tetrahedron with sides of 20 mm.
+fn tetrahedron() -> TriangleMesh {
+    TriangleMesh {
+        vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+    }
+    .scaled(0.02)
+}
+
+/// Copy mirrored in the plane x = 0 or another, facing outwards.
+fn mirrored(mesh: &TriangleMesh, factor: DVec3) -> TriangleMesh {
+    let mut copy = mesh.clone();
+    copy.vertices.iter_mut().for_each(|v| *v *= factor);
+    if factor.x * factor.y * factor.z < 0.0 {
+        copy.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+    }
+    copy
+}
+
+fn volume(mesh: &TriangleMesh) -> f64 {
+    MassProperties::of(mesh).unwrap().volume_m3
+}
+
+#[test]
+fn sound_meshes_pass_unchanged() {
+    for name in BUILTIN_NAMES {
+        let mesh = builtin(name).unwrap();
+        let prepared = run(&mesh).unwrap();
+        assert!(
+            prepared.warnings.is_empty(),
+            "{name}: {:?}",
+            prepared.warnings
+        );
+        assert_eq!(prepared.mesh, mesh, "{name}");
+    }
+}
+
+#[test]
+fn broken_meshes_are_refused_before_anything_else() {
+    let mut mesh = tetrahedron();
+    mesh.vertices[2].x = f64::INFINITY;
+    assert!(refused(&mesh).contains("finite"));
+    let mut mesh = tetrahedron();
+    mesh.triangles[0][0] = 4;
+    assert!(refused(&mesh).contains("only 4"));
+    assert!(refused(&TriangleMesh::default()).contains("no triangles"));
+}
+
+#[test]
+fn unlikely_sizes_name_the_likely_unit() {
+    let mesh = builtin("box").unwrap();
+    let text = refused(&mesh.scaled(1e3));
+    assert!(
+        text.contains("60000 mm long") && text.contains("pass --unit mm"),
+        "{text}"
+    );
+    assert!(text.contains("1000 mm"), "{text}");
+    let text = refused(&mesh.scaled(1e-3));
+    assert!(text.contains("pass --unit m,"), "{text}");
+}
+
+#[test]
+fn degenerate_triangles_are_dropped() {
+    let mut mesh = tetrahedron();
+    mesh.vertices.push(mesh.vertices[3]);
+    mesh.triangles.push([3, 4, 1]);
+    let prepared = run(&mesh).unwrap();
+    assert!(only_warning(&prepared).contains("1 degenerate"));
+    assert_eq!(prepared.mesh, tetrahedron());
+}
+
+#[test]
+fn duplicates_and_fins_are_dropped() {
+    for twin in [[0, 2, 1], [1, 2, 0]] {
+        let mut mesh = tetrahedron();
+        mesh.triangles.push(twin);
+        let prepared = run(&mesh).unwrap();
+        assert!(only_warning(&prepared).contains("1 duplicate"));
+        assert_eq!(prepared.mesh, tetrahedron());
+    }
+    // A sheet of two opposite triangles on one edge, as in EGAD's B4.
+    let mut mesh = tetrahedron();
+    mesh.vertices.push(DVec3::new(0.01, -0.01, 0.0));
+    mesh.triangles.extend([[0, 1, 4], [1, 0, 4]]);
+    let prepared = run(&mesh).unwrap();
+    assert!(only_warning(&prepared).contains("2 duplicate"));
+    assert_eq!(prepared.mesh, tetrahedron());
+}
+
+#[test]
+fn solids_that_share_an_edge_are_parted() {
+    // Corner tetrahedra opposite at the z axis, with a common edge along it.
+    let mesh = tetrahedron().joined(&mirrored(&tetrahedron(), DVec3::new(-1.0, -1.0, 1.0)));
+    let prepared = run(&mesh).unwrap();
+    assert!(only_warning(&prepared).contains("split 1 edge(s)"));
+    assert!(prepared.mesh.edges().is_closed());
+    assert_eq!(prepared.mesh.vertices.len(), 8);
+    assert!((volume(&prepared.mesh) - 2.0 * volume(&tetrahedron())).abs() < 1e-20);
+}
+
+#[test]
+fn solids_that_share_a_vertex_are_parted() {
+    let mesh = tetrahedron().joined(&mirrored(&tetrahedron(), DVec3::NEG_ONE));
+    let prepared = run(&mesh).unwrap();
+    assert!(only_warning(&prepared).contains("doubled 1 vertices"));
+    assert_eq!(prepared.mesh.vertices.len(), 8);
+}
+
+/// A block of unit cells (10 mm) given by their lattice places, with the outer faces only.
+fn cells(places: &[[i32; 3]]) -> TriangleMesh {
+    let mut mesh = TriangleMesh::default();
+    for place in places {
+        for axis in 0..3 {
+            for step in [-1, 1] {
+                let mut beside = *place;
+                beside[axis] += step;
+                if places.contains(&beside) {
+                    continue;
+                }
+                let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+                let corner = |du: i32, dv: i32| {
+                    let mut at = *place;
+                    at[axis] += i32::from(step > 0);
+                    at[u] += du;
+                    at[v] += dv;
+                    DVec3::from_array(at.map(f64::from)) * 0.01
+                };
+                let first = mesh.vertices.len() as u32;
+                mesh.vertices
+                    .extend([corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)]);
+                let [a, b, c, d] = [first, first + 1, first + 2, first + 3];
+                let faces = if step > 0 {
+                    [[a, b, c], [a, c, d]]
+                } else {
+                    [[c, b, a], [d, c, a]]
+                };
+                mesh.triangles.extend(faces);
+            }
+        }
+    }
+    mesh
+}
+
+#[test]
+fn a_ring_that_closes_on_an_edge_is_parted() {
+    // A ring of cells whose ends share an edge but no face: one component on both sides.
+    let mesh = cells(&[
+        [0, 0, 0],
+        [1, 0, 0],
+        [2, 0, 0],
+        [2, 1, 0],
+        [2, 2, 0],
+        [1, 2, 0],
+        [0, 1, 1],
+        [0, 2, 0],
+        [0, 1, 2],
+        [0, 0, 2],
+        [0, 0, 1],
+    ]);
+    let prepared = run(&mesh).unwrap();
+    assert!(prepared.mesh.edges().is_closed());
+    assert!((volume(&prepared.mesh) - 11e-6).abs() < 1e-15);
+    let text = only_warning(&prepared);
+    assert!(text.contains("split 1 edge(s)"), "{text}");
+}
+
+#[test]
+fn an_edge_whose_ends_hang_together_gets_a_middle() {
+    // Two cells share an edge; bridges around both of its ends join the fans there.
+    let mesh = cells(&[
+        [0, 0, 1],
+        [1, 1, 1],
+        [0, 0, 0],
+        [1, 1, 0],
+        [0, 1, 0],
+        [0, 0, 2],
+        [1, 1, 2],
+        [1, 0, 2],
+    ]);
+    let corners = mesh.vertices.clone();
+    let prepared = run(&mesh).unwrap();
+    assert!(prepared.mesh.edges().is_closed());
+    assert!((volume(&prepared.mesh) - 8e-6).abs() < 1e-15);
+    let added = prepared
+        .mesh
+        .vertices
+        .iter()
+        .filter(|v| !corners.contains(v));
+    assert_eq!(added.collect::<Vec<_>>(), [&DVec3::new(0.01, 0.01, 0.015)]);
+    assert!(only_warning(&prepared).contains("split 1 edge(s)"));
+}
+
+#[test]
+fn inner_walls_are_refused() {
+    // Three triangles at an edge: a wall through the solid.
+    let mut mesh = cells(&[[0, 0, 0], [1, 0, 0]]);
+    let wall = [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]];
+    let first = mesh.vertices.len() as u32;
+    mesh.vertices
+        .extend(wall.map(|p: [i32; 3]| DVec3::from_array(p.map(f64::from)) * 0.01));
+    mesh.triangles
+        .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
+    let text = refused(&mesh);
+    assert!(
+        text.contains("two triangles, found 3 near (10.00,"),
+        "{text}"
+    );
+}
+
+#[test]
+fn winding_is_mended() {
+    let mesh = builtin("wedge").unwrap();
+    let mut mixed = mesh.clone();
+    for triangle in mixed.triangles.iter_mut().step_by(5) {
+        triangle.swap(0, 1);
+    }
+    let prepared = run(&mixed).unwrap();
+    assert!(only_warning(&prepared).contains("turned 663 triangle(s)"));
+    assert!((volume(&prepared.mesh) - volume(&mesh)).abs() < 1e-18);
+
+    let mut inside_out = mesh.clone();
+    inside_out.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+    let prepared = run(&inside_out).unwrap();
+    assert!(only_warning(&prepared).contains("1 of 1 component(s)"));
+    assert!((volume(&prepared.mesh) - volume(&mesh)).abs() < 1e-18);
+}
+
+#[test]
+fn components_and_cavities() {
+    let outer = builtin("sphere").unwrap();
+    let apart = outer.joined(&moved(&outer, DVec3::X * 0.06));
+    assert!(run(&apart).unwrap().warnings.is_empty());
+
+    let inner = outer.scaled(0.5);
+    let prepared = run(&outer.joined(&inner)).unwrap();
+    assert!(only_warning(&prepared).contains("1 of 2 component(s)"));
+    assert!((volume(&prepared.mesh) / volume(&outer) - 0.875).abs() < 1e-12);
+    let again = run(&prepared.mesh).unwrap();
+    assert!(again.warnings.is_empty());
+
+    let mut open = apart.clone();
+    open.triangles.pop();
+    assert!(refused(&open).contains("3 boundary edges"));
+}
+
+#[test]
+fn holes_are_counted_and_placed() {
+    let mut mesh = builtin("box").unwrap();
+    let at_top = |c: [DVec3; 3]| c.iter().all(|v| v.z > 0.0299 && v.x > 0.0 && v.y > 0.0);
+    let kept = |t: &[u32; 3]| !at_top(mesh.corners(*t));
+    mesh.triangles = mesh.triangles.iter().copied().filter(kept).collect();
+    mesh.triangles.remove(0);
+    let text = refused(&mesh);
+    assert!(text.contains("31 boundary edges in 2 hole(s)"), "{text}");
+    assert!(
+        text.contains("17.5 mm wide around (11.25, 11.25, 30.00) mm"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_klein_bottle_is_refused() {
+    // A torus grid glued with a mirrored seam (embedded with a crossing, as it must be).
+    let (n, m) = (24u32, 12u32);
+    let at = |i: u32, j: u32| {
+        let flip = i == n;
+        let j = if flip { (m - j % m) % m } else { j % m };
+        (i % n) * m + j
+    };
+    let mut mesh = TriangleMesh::default();
+    for i in 0..n {
+        for j in 0..m {
+            let u = std::f64::consts::TAU * f64::from(i) / f64::from(n);
+            let v = std::f64::consts::TAU * f64::from(j) / f64::from(m);
+            let r = 0.03 + 0.01 * ((0.5 * u).cos() * v.sin() - (0.5 * u).sin() * (2.0 * v).sin());
+            let z = 0.01 * ((0.5 * u).sin() * v.sin() + (0.5 * u).cos() * (2.0 * v).sin());
+            mesh.vertices.push(DVec3::new(
+                r * u.cos(),
+                r * u.sin(),
+                z + 1e-3 * f64::from(j),
+            ));
+            let quad = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+            mesh.triangles
+                .extend([[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
+        }
+    }
+    let text = refused(&mesh);
+    assert!(text.contains("one-sided"), "{text}");
+}
+
+#[test]
+fn flat_bodies_are_refused() {
+    let mesh = builtin("bar").unwrap();
+    let flat = mirrored(&mesh, DVec3::new(1e-7, 1.0, 1.0));
+    let options = PrepareOptions {
+        weld_tolerance_m: 0.0,
+        ..PrepareOptions::default()
+    };
+    let text = prepare(&flat, &options).unwrap_err().to_string();
+    assert!(text.contains("enclose a volume"), "{text}");
+}
+
+#[test]
+fn slivers_are_flipped_away() {
+    // A tetrahedron with an extra vertex on an edge and a triangle without area beside it.
+    let mut mesh = tetrahedron();
+    let middle = 0.5 * (mesh.vertices[1] + mesh.vertices[2]);
+    mesh.vertices.push(middle);
+    mesh.triangles[0] = [0, 4, 1];
+    mesh.triangles.extend([[0, 2, 4], [2, 1, 4]]);
+    assert!(mesh.edges().is_closed());
+    let prepared = run(&mesh).unwrap();
+    assert!(only_warning(&prepared).contains("flipped 1"));
+    assert!(prepared.mesh.edges().is_closed());
+    assert!(prepared.mesh.triangle_areas().iter().all(|a| *a > 1e-5));
+    assert!((volume(&prepared.mesh) - volume(&tetrahedron())).abs() < 1e-20);
+}
+
+#[test]
+fn crossing_surfaces_are_refused_and_touching_ones_are_not() {
+    let cube = builtin("box").unwrap();
+    let overlapping = cube.joined(&moved(&cube, DVec3::new(0.011, 0.007, 0.013)));
+    let text = refused(&overlapping);
+    assert!(text.contains("passes through itself"), "{text}");
+    let allowed = PrepareOptions {
+        allow_self_intersection: true,
+        ..PrepareOptions::default()
+    };
+    let prepared = prepare(&overlapping, &allowed).unwrap();
+    assert!(only_warning(&prepared).contains("pair(s) of triangles"));
+
+    // On the same lattice, so that sides pass through sides and corners.
+    let lattice = cube.joined(&moved(&cube, DVec3::new(0.01, 0.01, 0.01)));
+    assert!(run(&lattice).is_err());
+    // Beside one another with a gap, and one through the other without any corner inside.
+    assert!(run(&cube.joined(&moved(&cube, DVec3::X * 0.0401))).is_ok());
+    let needle = mirrored(&builtin("bar").unwrap(), DVec3::new(0.9, 0.45, 1.03));
+    assert!(refused(&cube.joined(&needle)).contains("passes through itself"));
+}
+
+#[test]
+fn shallow_crossings_are_tolerated_with_a_warning() {
+    let spike = builtin("spike").unwrap();
+    // The tip of one body just through the side of another.
+    let cube = builtin("box").unwrap();
+    let pricked = |depth: f64| {
+        let at = DVec3::new(1e-4, 2e-4, 0.03 + 0.035 - depth);
+        run(&cube.joined(&moved(&spike, at)))
+    };
+    let prepared = pricked(5e-7).unwrap();
+    assert!(only_warning(&prepared).contains("cross by less than 0.001 mm"));
+    assert!(pricked(5e-6).is_err());
+}
+
+#[test]
+fn the_place_of_a_crossing_lies_on_the_surface() {
+    let mesh = builtin("sphere").unwrap();
+    let both = mesh.joined(&moved(&mesh, DVec3::X * 0.03));
+    let found = self_intersection::find(&both, 0.0);
+    let place = found.first_place.unwrap();
+    assert!((place.x - 0.015).abs() < 1e-3, "{place}");
+    let query = MeshQuery::new(&mesh);
+    assert!(query.closest_point(place).unwrap().distance_m < 1e-12);
+    assert!(found.pairs > 50 && found.pairs < 1000, "{}", found.pairs);
+}
+
+#[test]
+fn a_fold_is_a_crossing_and_a_flat_neighbour_is_not() {
+    let pair = |far: DVec3| TriangleMesh {
+        vertices: vec![DVec3::ZERO, DVec3::X, DVec3::new(0.3, 0.5, 0.0), far],
+        triangles: vec![[0, 1, 2], [1, 0, 3]],
+    };
+    let crossings = |far| self_intersection::find(&pair(far), 0.0).pairs;
+    assert_eq!(crossings(DVec3::new(0.5, 0.4, 0.0)), 1);
+    assert_eq!(crossings(DVec3::new(0.5, -0.4, 0.0)), 0);
+    assert_eq!(crossings(DVec3::new(0.5, 0.4, 1e-9)), 0);
+}
+
+#[test]
+fn egad_meshes_can_be_used() {
+    let Some(folder) = shared("data/egad_eval") else {
+        return;
+    };
+    for (name, warning) in [
+        ("B1", None),
+        ("B4", Some("2 duplicate")),
+        ("C2", None),
+        ("C4", None),
+    ] {
+        let path = folder.join(format!("{name}.obj"));
+        let unscaled = load_mesh(&path, LengthUnit::Metre).unwrap();
+        assert!(refused(&unscaled).contains("--unit mm"), "{name}");
+        let mesh = load_mesh(&path, LengthUnit::Millimetre).unwrap();
+        let prepared = run(&mesh).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let volume_cm3 = volume(&prepared.mesh) * 1e6;
+        println!("{name}: {volume_cm3:.1} cm3, {:?}", prepared.warnings);
+        let told = prepared
+            .warnings
+            .iter()
+            .any(|w| warning.is_some_and(|t| w.contains(t)));
+        assert_eq!(told, warning.is_some(), "{name}: {:?}", prepared.warnings);
+        assert!(prepared.mesh.edges().is_closed());
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Cells of a lattice touch at edges and corners and leave cavities in all possible ways.
+    #[test]
+    fn every_body_of_cells_is_made_manifold(
+        filled in prop::collection::btree_set([0..4i32, 0..4, 0..4], 1..40)
+    ) {
+        let places: Vec<[i32; 3]> = filled.into_iter().collect();
+        let prepared = run(&cells(&places)).unwrap();
+        let found = volume(&prepared.mesh);
+        prop_assert!((found - 1e-6 * places.len() as f64).abs() < 1e-14, "{found}");
+        prop_assert!(prepared.mesh.edges().is_closed());
+        let again = run(&prepared.mesh).unwrap();
+        prop_assert!((volume(&again.mesh) - found).abs() < 1e-14);
+    }
+
+    #[test]
+    fn soups_of_triangles_never_panic(
+        corners in prop::collection::vec([0..3i32, 0..3, 0..3], 4..12),
+        triangles in prop::collection::vec([0..4u32, 0..4, 0..4], 1..24),
+    ) {
+        let vertices = corners.iter().map(|c| DVec3::from_array(c.map(f64::from)) * 0.01);
+        let mesh = TriangleMesh { vertices: vertices.collect(), triangles };
+        match run(&mesh) {
+            Ok(prepared) => prop_assert!(prepared.mesh.edges().is_closed()),
+            Err(error) => prop_assert!(error.remedy_text().is_some(), "{error}"),
+        }
+    }
+}

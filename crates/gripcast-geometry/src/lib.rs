@@ -1,0 +1,39 @@
+//! Shapes and poses: rigid transforms, triangle meshes and their files, mass properties, stable
+//! poses, bounding volumes.
+//!
+//! Lengths are metres, coordinates `f64`; `t_a_b` maps coordinates of frame b into frame a.
+
+mod aabb;
+mod builtin;
+mod bvh;
+mod check;
+mod convex_hull;
+mod corner_normals;
+mod curved;
+mod mass_properties;
+mod mesh;
+mod mesh_file;
+mod mesh_query;
+mod object_mesh;
+mod pose;
+mod stable_poses;
+mod weld;
+
+pub use aabb::Aabb;
+pub use builtin::implicit;
+pub use builtin::{BUILTIN_NAMES, builtin};
+pub use bvh::Bvh;
+pub use check::{PrepareOptions, Prepared, prepare};
+pub use convex_hull::convex_hull;
+pub use corner_normals::{CREASE_RAD, corner_normals};
+pub use curved::curved;
+pub use mass_properties::MassProperties;
+pub use mesh::{MeshEdges, TriangleMesh};
+pub use mesh_file::{
+    LengthUnit, MeshFormat, MeshMaterial, MeshPart, PictureSource, TexturedMesh, load_mesh,
+    load_textured_mesh, ply_bytes, read_mesh, read_textured_mesh, save_mesh,
+};
+pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};
+pub use object_mesh::{load_object_mesh, load_object_mesh_below};
+pub use pose::Pose;
+pub use stable_poses::{StablePose, likely_poses, stable_poses};

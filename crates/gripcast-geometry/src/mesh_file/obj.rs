@@ -1,0 +1,205 @@
+//! Wavefront OBJ: positions and faces, with their texture coordinates, normals and materials.
+//!
+//! Read line by line here, not by a crate, so that errors name the line and vertices keep their
+//! order.
+
+use std::fmt::Write as _;
+
+use glam::DVec3;
+
+use super::{malformed, push_polygon};
+use crate::mesh::TriangleMesh;
+use gripcast_base::error::{Error, Result};
+
+/// A corner of a face: its position, and its texture coordinate and normal where it names valid
+/// ones.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) struct Corner {
+    pub(super) position: u32,
+    pub(super) uv: Option<u32>,
+    pub(super) normal: Option<u32>,
+}
+
+/// Everything of the file that matters for shape and looks.
+#[derive(Default)]
+pub(super) struct ObjFile {
+    pub(super) positions: Vec<DVec3>,
+    /// u to the right, v upwards; not finite where the line could not be read.
+    pub(super) uvs: Vec<[f64; 2]>,
+    /// Not finite where the line could not be read.
+    pub(super) normals: Vec<DVec3>,
+    pub(super) triangles: Vec<[Corner; 3]>,
+    /// Index into `material_names` of each triangle.
+    pub(super) materials: Vec<Option<u32>>,
+    /// As `usemtl` names them, in the order of their first use.
+    pub(super) material_names: Vec<String>,
+    /// As `mtllib` names them.
+    pub(super) libraries: Vec<String>,
+    /// Corners that name a texture coordinate or normal that does not exist.
+    pub(super) dangling: usize,
+    material: Option<u32>,
+}
+
+/// The shape alone: `v` and `f` statements.
+pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
+    let file = parse(bytes)?;
+    Ok(TriangleMesh {
+        triangles: file
+            .triangles
+            .iter()
+            .map(|corners| corners.map(|c| c.position))
+            .collect(),
+        vertices: file.positions,
+    })
+}
+
+/// All statements; those that concern only the looks never make the file an error.
+pub(super) fn parse(bytes: &[u8]) -> Result<ObjFile> {
+    // Names and comments may be in any encoding.
+    let text = String::from_utf8_lossy(bytes);
+    let mut file = ObjFile::default();
+    let mut lines = text.lines().enumerate();
+    while let Some((index, line)) = lines.next() {
+        let mut statement = line.to_string();
+        while let Some(continued) = statement.trim_end().strip_suffix('\\') {
+            let next = lines.next().map_or("", |(_, next)| next);
+            statement = format!("{continued} {next}");
+        }
+        file.read_statement(&statement)
+            .map_err(|e| e.at(format!("line {}", index + 1)))?;
+    }
+    Ok(file)
+}
+
+impl ObjFile {
+    fn read_statement(&mut self, statement: &str) -> Result<()> {
+        let content = statement.split('#').next().unwrap_or_default().trim();
+        let (keyword, rest) = content
+            .split_once(char::is_whitespace)
+            .unwrap_or((content, ""));
+        match keyword {
+            "v" => self.positions.push(position(rest.split_whitespace())?),
+            "vt" => {
+                let [u, v, _] = numbers(rest);
+                self.uvs.push([u, if v.is_nan() { 0.0 } else { v }]);
+            }
+            "vn" => self.normals.push(DVec3::from_array(numbers(rest))),
+            "f" => self.face(rest)?,
+            "usemtl" => self.use_material(rest.trim()),
+            "mtllib" => self.libraries.push(rest.trim().to_string()),
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn face(&mut self, words: &str) -> Result<()> {
+        let corners = words
+            .split_whitespace()
+            .map(|word| self.corner(word))
+            .collect::<Result<Vec<_>>>()?;
+        push_polygon(&mut self.triangles, &corners)?;
+        self.materials.resize(self.triangles.len(), self.material);
+        Ok(())
+    }
+
+    /// `7`, `7/1`, `7//3` or `7/1/3`, each from 1; −1 is the one defined last.
+    fn corner(&mut self, word: &str) -> Result<Corner> {
+        let mut parts = word.split('/');
+        let number: i64 = parts
+            .next()
+            .unwrap_or_default()
+            .parse()
+            .map_err(|_| bad_number(word))?;
+        let count = self.positions.len();
+        let position = index_of(number, count).ok_or_else(|| {
+            malformed(format!(
+                "the face names vertex {number}, but {count} are defined before it"
+            ))
+        })?;
+        let mut optional = |count: usize, is_usable: &dyn Fn(u32) -> bool| {
+            let part = parts.next().filter(|part| !part.is_empty())?;
+            let found = part.parse().ok().and_then(|n| index_of(n, count));
+            let usable = found.filter(|&index| is_usable(index));
+            self.dangling += usize::from(usable.is_none());
+            usable
+        };
+        let uv = optional(self.uvs.len(), &|i| {
+            self.uvs[i as usize].iter().all(|c| c.is_finite())
+        });
+        let normal = optional(self.normals.len(), &|i| {
+            self.normals[i as usize].try_normalize().is_some()
+        });
+        Ok(Corner {
+            position,
+            uv,
+            normal,
+        })
+    }
+
+    fn use_material(&mut self, name: &str) {
+        let known = self.material_names.iter().position(|known| known == name);
+        let index = known.unwrap_or_else(|| {
+            self.material_names.push(name.to_string());
+            self.material_names.len() - 1
+        });
+        self.material = Some(index as u32);
+    }
+}
+
+/// Index from 0 of an index from 1 or from the end, if it is within `count`.
+fn index_of(number: i64, count: usize) -> Option<u32> {
+    let from_zero = if number < 0 {
+        number.checked_add(count as i64)?
+    } else {
+        number - 1
+    };
+    u32::try_from(from_zero)
+        .ok()
+        .filter(|&index| (index as usize) < count)
+}
+
+/// The first three numbers; NaN for what is missing or no number.
+fn numbers(words: &str) -> [f64; 3] {
+    let mut words = words.split_whitespace();
+    std::array::from_fn(|_| {
+        words
+            .next()
+            .and_then(|w| w.parse().ok())
+            .unwrap_or(f64::NAN)
+    })
+}
+
+/// The first three numbers; a weight or a colour may follow.
+fn position<'a>(mut words: impl Iterator<Item = &'a str>) -> Result<DVec3> {
+    let mut number = || -> Result<f64> {
+        let word = words.next().ok_or_else(|| {
+            malformed("a vertex must have 3 coordinates, the line ends before the third")
+        })?;
+        word.parse().map_err(|_| bad_number(word))
+    };
+    let place = DVec3::new(number()?, number()?, number()?);
+    if !place.is_finite() {
+        let found = place.to_array();
+        return Err(malformed(format!(
+            "a vertex must have finite coordinates, found {found:?}"
+        )));
+    }
+    Ok(place)
+}
+
+fn bad_number(word: &str) -> Error {
+    malformed(format!("{word:?} is not a number"))
+}
+
+/// Text of the mesh with as many digits as reading back bit for bit takes.
+pub(super) fn write(mesh: &TriangleMesh) -> Vec<u8> {
+    let mut text = String::from("# unit: metre\n");
+    for v in &mesh.vertices {
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "v {} {} {}", v.x, v.y, v.z);
+    }
+    for [a, b, c] in &mesh.triangles {
+        let _ = writeln!(text, "f {} {} {}", a + 1, b + 1, c + 1);
+    }
+    text.into_bytes()
+}

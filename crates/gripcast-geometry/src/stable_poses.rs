@@ -1,0 +1,308 @@
+//! The poses in which a body rests on a plane.
+
+use std::f64::consts::PI;
+
+use glam::{DQuat, DVec3};
+
+use super::convex_hull::convex_hull;
+use super::mass_properties::MassProperties;
+use super::mesh::TriangleMesh;
+use super::mesh_query::closest_on_triangle;
+use super::pose::Pose;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Corners this far from the plane of a facet, relative to the body's diagonal, still rest on it.
+const FLATNESS: f64 = 1e-6;
+
+/// A pose in which a body rests on the plane z = 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StablePose {
+    /// Lowest point at z = 0, centre of mass at x = y = 0. Turns about z are equivalent; this is
+    /// the one that turns the object the least.
+    pub t_world_object: Pose,
+    /// Probability that a body let down slowly, in an orientation drawn uniformly, comes to rest
+    /// in it; all sum to 1.
+    pub probability: f64,
+    /// Smallest tilt after which the body falls over, rad.
+    pub tip_angle_rad: f64,
+}
+
+/// The poses that a body is put into: those that survive a tilt of `min_tip_rad` and that it falls
+/// into with at least `least_probability`, by falling probability. A body that has none of them, as
+/// round ones, gets its likeliest poses all the same; there is at least one.
+///
+/// # Errors
+/// As [`stable_poses`] with a tilt of 0.
+pub fn likely_poses(
+    mesh: &TriangleMesh,
+    min_tip_rad: f64,
+    least_probability: f64,
+) -> Result<Vec<StablePose>> {
+    let mut poses = stable_poses(mesh, min_tip_rad).or_else(|_| stable_poses(mesh, 0.0))?;
+    let is_likely = |pose: &&StablePose| pose.probability >= least_probability;
+    let likely = poses.iter().take_while(is_likely).count();
+    poses.truncate(likely.max(1));
+    Ok(poses)
+}
+
+/// All poses in which a closed mesh (m, unit density) rests on a plane, by falling probability.
+///
+/// Each facet of the convex hull is a candidate; it is seen from the centre of mass under the
+/// solid angle that is its share of landings (Goldberg et al., Part pose statistics, IJRR 1999,
+/// without dynamics). A facet whose polygon the centre of mass is not above tumbles over its
+/// nearest side, to where that neighbour comes to rest. So does a facet that is left after a tilt
+/// of less than `min_tip_rad`: 0 keeps all that are stable, 0.02 those that survive a nudge.
+///
+/// # Errors
+/// `Input` if the mesh encloses no volume, or if it tips over from each facet.
+///
+/// ```
+/// use gripcast::geometry::{builtin, stable_poses};
+/// let poses = stable_poses(&builtin("bar")?, 0.0)?;
+/// assert_eq!(poses.len(), 6);
+/// # Ok::<(), gripcast::error::Error>(())
+/// ```
+pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StablePose>> {
+    let center = MassProperties::of(mesh)?.center_of_mass_m;
+    let hull = convex_hull(&mesh.without_unused_vertices().vertices)?;
+    let facets = facets(&hull, center);
+    let mut probability = vec![0.0; facets.len()];
+    for (index, facet) in facets.iter().enumerate() {
+        if let Some(rest) = resting_facet(&facets, index, min_tip_rad) {
+            probability[rest] += facet.solid_angle;
+        }
+    }
+    let total: f64 = probability.iter().sum();
+    let mut poses: Vec<StablePose> = facets
+        .iter()
+        .zip(&probability)
+        .filter(|(_, share)| **share > 0.0)
+        .map(|(facet, share)| StablePose {
+            t_world_object: resting_pose(&hull, center, facet.normal),
+            probability: share / total,
+            tip_angle_rad: facet.tip_angle,
+        })
+        .collect();
+    if poses.is_empty() {
+        return Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "the body must rest on some facet, found that it tips over from each within \
+                 {:.3} degrees",
+                min_tip_rad.to_degrees()
+            ),
+        )
+        .remedy("allow a smaller tip angle"));
+    }
+    poses.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+    Ok(poses)
+}
+
+/// Triangles of the hull that lie in one plane.
+struct Facet {
+    /// Outward unit normal.
+    normal: DVec3,
+    /// Solid angle under which the centre of mass sees it, as a share of the sphere.
+    solid_angle: f64,
+    /// Tilt after which the body leaves the facet, rad; negative if it does so by itself.
+    tip_angle: f64,
+    /// The facet that it tips over to.
+    falls_to: usize,
+}
+
+/// Where a body set down on a facet comes to rest; none if it never does.
+fn resting_facet(facets: &[Facet], start: usize, min_tip_rad: f64) -> Option<usize> {
+    let mut at = start;
+    // Each fall lowers the centre of mass, unless the tip angle asked for forbids a minimum.
+    for _ in 0..=facets.len() {
+        if facets[at].tip_angle > 0.0 && facets[at].tip_angle >= min_tip_rad {
+            return Some(at);
+        }
+        at = facets[at].falls_to;
+    }
+    None
+}
+
+/// Pose with the given direction of the object downwards.
+fn resting_pose(hull: &TriangleMesh, center: DVec3, down: DVec3) -> Pose {
+    // The shortest turn is not defined for a direction that points up.
+    let rotation = if down.z > 1.0 - 1e-12 {
+        DQuat::from_rotation_x(PI)
+    } else {
+        DQuat::from_rotation_arc(down, DVec3::NEG_Z)
+    };
+    let turned = Pose::from_rotation(rotation);
+    let heights = hull.vertices.iter().map(|&v| turned.transform_point(v).z);
+    let lowest = heights.fold(f64::INFINITY, f64::min);
+    let above = turned.transform_point(center);
+    Pose::new(rotation, DVec3::new(-above.x, -above.y, -lowest))
+}
+
+fn facets(hull: &TriangleMesh, center: DVec3) -> Vec<Facet> {
+    let (facet_of, planes) = group_by_plane(hull);
+    let mut triangles: Vec<Vec<[DVec3; 3]>> = vec![Vec::new(); planes.len()];
+    for (corners, &facet) in hull.all_corners().zip(&facet_of) {
+        triangles[facet].push(corners);
+    }
+    let mut sides: Vec<Vec<Side>> = vec![Vec::new(); planes.len()];
+    let edges = hull.edges();
+    for edge in 0..edges.len() {
+        if let &[s, t] = edges.triangles(edge) {
+            let ends = edges.vertices[edge].map(|v| hull.vertices[v as usize]);
+            let pair = [facet_of[s as usize], facet_of[t as usize]];
+            if pair[0] != pair[1] {
+                sides[pair[0]].push((ends, pair[1]));
+                sides[pair[1]].push((ends, pair[0]));
+            }
+        }
+    }
+    (0..planes.len())
+        .map(|f| facet(&planes[f], &triangles[f], &sides[f], center))
+        .collect()
+}
+
+/// Ends of a side of a facet and the facet beyond.
+type Side = ([DVec3; 2], usize);
+
+/// A plane by a point of it and its unit normal.
+struct Plane {
+    point: DVec3,
+    normal: DVec3,
+}
+
+impl Plane {
+    /// Height of a point over the plane, m.
+    fn height(&self, p: DVec3) -> f64 {
+        (p - self.point).dot(self.normal)
+    }
+
+    /// The point of the plane below `p`.
+    fn foot(&self, p: DVec3) -> DVec3 {
+        p - self.normal * self.height(p)
+    }
+}
+
+fn facet(plane: &Plane, triangles: &[[DVec3; 3]], sides: &[Side], center: DVec3) -> Facet {
+    let height = -plane.height(center);
+    let foot = plane.foot(center);
+    let reach = |corners: &[DVec3; 3]| {
+        let flat = corners.map(|c| plane.foot(c));
+        closest_on_triangle(foot, &flat).1.distance(foot)
+    };
+    let outside_by = triangles.iter().map(reach).fold(f64::INFINITY, f64::min);
+    // A foot on the corner between two sides falls over the one that it is farther beyond.
+    let middle = middle_of(triangles);
+    let beyond = |[a, b]: &[DVec3; 2]| {
+        let across = (*b - *a).cross(plane.normal).normalize_or_zero();
+        (foot - *a).dot(across) * (*a - middle).dot(across).signum()
+    };
+    let distance = |(ends, _): &Side| distance_to_segment(foot, &ends.map(|p| plane.foot(p)));
+    let shortest = sides.iter().map(distance).fold(f64::INFINITY, f64::min);
+    let nearest = sides
+        .iter()
+        .filter(|side| distance(side) <= shortest * (1.0 + 1e-9))
+        .max_by(|x, y| beyond(&x.0).total_cmp(&beyond(&y.0)));
+    let is_above = outside_by <= 1e-9 * height;
+    let margin = if is_above { shortest } else { -shortest };
+    let seen: f64 = triangles.iter().map(|t| solid_angle(t, center)).sum();
+    Facet {
+        normal: plane.normal,
+        solid_angle: seen / (4.0 * PI),
+        tip_angle: margin.atan2(height),
+        falls_to: nearest.map_or(0, |(_, facet)| *facet),
+    }
+}
+
+/// A point within a facet.
+fn middle_of(triangles: &[[DVec3; 3]]) -> DVec3 {
+    let count = triangles.len().max(1) as f64;
+    triangles.iter().flatten().sum::<DVec3>() / (3.0 * count)
+}
+
+fn distance_to_segment(point: DVec3, &[a, b]: &[DVec3; 2]) -> f64 {
+    let along = b - a;
+    let t = (point - a).dot(along) / along.length_squared();
+    point.distance(a + along * t.clamp(0.0, 1.0))
+}
+
+/// Solid angle of a triangle, sr (Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 1983).
+fn solid_angle(corners: &[DVec3; 3], eye: DVec3) -> f64 {
+    let [a, b, c] = corners.map(|corner| corner - eye);
+    let (la, lb, lc) = (a.length(), b.length(), c.length());
+    let numerator = a.dot(b.cross(c));
+    let denominator = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+    2.0 * numerator.atan2(denominator)
+}
+
+/// Number of the facet of each triangle, and the plane of each facet. The largest
+/// triangle that is left begins a facet and takes all that lie in its plane; slivers, whose own
+/// plane is rounding, join a neighbour.
+fn group_by_plane(hull: &TriangleMesh) -> (Vec<usize>, Vec<Plane>) {
+    let tolerance = FLATNESS * hull.bounds().diagonal();
+    let areas = hull.triangle_areas();
+    let is_sliver = |t: usize| {
+        let [a, b, c] = hull.corners(hull.triangles[t]);
+        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        2.0 * areas[t] <= tolerance * longest
+    };
+    let mut seeds: Vec<usize> = (0..areas.len()).filter(|&t| !is_sliver(t)).collect();
+    seeds.sort_by(|&a, &b| areas[b].total_cmp(&areas[a]).then(a.cmp(&b)));
+    let neighbours = neighbours(hull);
+    let mut facet_of: Vec<Option<usize>> = vec![None; areas.len()];
+    let mut planes = Vec::new();
+    for seed in seeds {
+        if facet_of[seed].is_some() {
+            continue;
+        }
+        let [a, b, c] = hull.corners(hull.triangles[seed]);
+        let plane = Plane {
+            point: a,
+            normal: (b - a).cross(c - a).normalize_or_zero(),
+        };
+        let is_flat = |t: u32| {
+            let corners = hull.corners(hull.triangles[t as usize]);
+            corners.iter().all(|&p| plane.height(p).abs() <= tolerance)
+        };
+        facet_of[seed] = Some(planes.len());
+        let mut open = vec![seed];
+        while let Some(t) = open.pop() {
+            for &next in &neighbours[t] {
+                if facet_of[next as usize].is_none() && is_flat(next) {
+                    facet_of[next as usize] = Some(planes.len());
+                    open.push(next as usize);
+                }
+            }
+        }
+        planes.push(plane);
+    }
+    let mut open: Vec<usize> = (0..areas.len())
+        .filter(|&t| facet_of[t].is_some())
+        .collect();
+    while let Some(t) = open.pop() {
+        for &next in &neighbours[t] {
+            if facet_of[next as usize].is_none() {
+                facet_of[next as usize] = facet_of[t];
+                open.push(next as usize);
+            }
+        }
+    }
+    let facet_of = facet_of.into_iter().map(|f| f.unwrap_or(0)).collect();
+    (facet_of, planes)
+}
+
+/// Triangles across the sides of each triangle.
+fn neighbours(hull: &TriangleMesh) -> Vec<Vec<u32>> {
+    let mut neighbours = vec![Vec::with_capacity(3); hull.triangles.len()];
+    let edges = hull.edges();
+    for edge in 0..edges.len() {
+        if let &[s, t] = edges.triangles(edge) {
+            neighbours[s as usize].push(t);
+            neighbours[t as usize].push(s);
+        }
+    }
+    neighbours
+}
+
+#[cfg(test)]
+#[path = "stable_poses_test.rs"]
+mod tests;

@@ -1,0 +1,246 @@
+use super::*;
+use crate::{BUILTIN_NAMES, LengthUnit, PrepareOptions, builtin, load_mesh, prepare};
+use gripcast_testing::shared;
+use std::path::Path;
+
+/// Direction of the object that points down in a pose.
+fn down(pose: &StablePose) -> DVec3 {
+    pose.t_world_object.rotation.conjugate() * DVec3::NEG_Z
+}
+
+fn total(poses: &[StablePose]) -> f64 {
+    poses.iter().map(|p| p.probability).sum()
+}
+
+/// Height of the centre of mass above the lowest point, m.
+fn height(mesh: &TriangleMesh, center: DVec3, rotation: DQuat) -> f64 {
+    let lowest = mesh.vertices.iter().map(|&v| (rotation * v).z);
+    (rotation * center).z - lowest.fold(f64::INFINITY, f64::min)
+}
+
+/// Vertices closer than this to the lowest one surely touch the ground, those beyond the second
+/// surely do not, m; between them rounding and facets nearly in one plane decide.
+const CONTACT_M: [f64; 2] = [1e-9, 1e-7];
+
+/// How far the foot of the centre of mass lies within the polygon of the contacts (negative:
+/// outside), m. Of all directions across two contacts, the support in the weakest.
+fn support_margin(mesh: &TriangleMesh, center: DVec3, down: DVec3, contact_m: f64) -> f64 {
+    let depth = |v: &DVec3| (*v - center).dot(down);
+    let lowest = mesh.vertices.iter().map(depth).fold(f64::MIN, f64::max);
+    let contacts: Vec<DVec3> = mesh
+        .vertices
+        .iter()
+        .filter(|v| depth(v) > lowest - contact_m)
+        .map(|v| (*v - center).reject_from_normalized(down))
+        .collect();
+    let mut margin = f64::INFINITY;
+    for a in &contacts {
+        for b in contacts.iter().filter(|b| a.distance(**b) > 1e-6) {
+            let across = (*b - *a).cross(down).normalize();
+            let support = contacts.iter().map(|c| c.dot(across));
+            margin = margin.min(support.fold(f64::MIN, f64::max));
+        }
+    }
+    margin
+}
+
+/// Checks that a mesh stands on z = 0 under its centre of mass, and that each small tilt lifts it.
+fn assert_rests(mesh: &TriangleMesh, pose: &StablePose) {
+    let center = MassProperties::of(mesh).unwrap().center_of_mass_m;
+    let placed = mesh.transformed(&pose.t_world_object);
+    assert!(placed.bounds().min.z.abs() < 1e-12);
+    let above = pose.t_world_object.transform_point(center);
+    assert!(above.truncate().length() < 1e-12);
+    let rotation = pose.t_world_object.rotation;
+    let at_rest = height(mesh, center, rotation);
+    assert!((above.z - at_rest).abs() < 1e-12);
+    let tilt = (0.5 * pose.tip_angle_rad).min(1e-3);
+    for step in 0..16 {
+        let (sin, cos) = (PI * f64::from(step) / 8.0).sin_cos();
+        let axis = DVec3::new(cos, sin, 0.0);
+        let tilted = height(mesh, center, DQuat::from_axis_angle(axis, tilt) * rotation);
+        assert!(
+            tilted > at_rest,
+            "tilt {tilt} about {axis}: {tilted} {at_rest}"
+        );
+    }
+    let [least, most] = CONTACT_M
+        .map(|contact_m| (support_margin(mesh, center, down(pose), contact_m) / at_rest).atan());
+    let tip = pose.tip_angle_rad;
+    assert!(
+        (least - 1e-3..=most + 1e-3).contains(&tip),
+        "{least} {most} {pose:?}"
+    );
+}
+
+#[test]
+fn a_box_rests_on_its_six_sides() {
+    let mesh = builtin("box").unwrap();
+    let poses = stable_poses(&mesh, 0.0).unwrap();
+    assert_eq!(poses.len(), 6);
+    assert!((total(&poses) - 1.0).abs() < 1e-12);
+    // Solid angle of a side b × c at distance a/2: 4 asin(bc / sqrt((a²+b²)(a²+c²))).
+    let share =
+        |a: f64, b: f64, c: f64| (b * c / ((a * a + b * b) * (a * a + c * c)).sqrt()).asin() / PI;
+    for pose in &poses[..4] {
+        assert!((pose.probability - share(0.04, 0.04, 0.06)).abs() < 1e-12);
+        assert!((pose.tip_angle_rad - PI / 4.0).abs() < 1e-12);
+        assert!(down(pose).z.abs() < 1e-12);
+    }
+    for pose in &poses[4..] {
+        assert!((pose.probability - share(0.06, 0.04, 0.04)).abs() < 1e-12);
+        assert!((pose.tip_angle_rad - (2.0f64 / 3.0).atan()).abs() < 1e-12);
+        assert!((pose.t_world_object.translation_m.z - 0.03).abs() < 1e-15);
+    }
+}
+
+#[test]
+fn every_pose_of_every_shape_rests() {
+    for name in BUILTIN_NAMES {
+        let mesh = builtin(name).unwrap();
+        let poses = stable_poses(&mesh, 0.0).unwrap();
+        assert!((total(&poses) - 1.0).abs() < 1e-12, "{name}");
+        assert!(poses.is_sorted_by(|a, b| a.probability >= b.probability));
+        for pose in &poses {
+            assert_rests(&mesh, pose);
+        }
+        assert_eq!(poses, stable_poses(&mesh, 0.0).unwrap(), "{name}");
+    }
+    let count = |name| stable_poses(&builtin(name).unwrap(), 0.0).unwrap().len();
+    assert_eq!(count("spike"), 8);
+    assert_eq!(count("cylinder"), 58);
+    assert_eq!(count("sphere"), 36 * 19);
+}
+
+#[test]
+fn poses_turn_with_the_mesh() {
+    let mesh = builtin("mug").unwrap();
+    let t = Pose::new(
+        DQuat::from_xyzw(0.2, -0.4, 0.1, 0.8),
+        DVec3::new(0.1, 0.2, 0.3),
+    );
+    let poses = stable_poses(&mesh, 0.0).unwrap();
+    let turned = stable_poses(&mesh.transformed(&t), 0.0).unwrap();
+    assert_eq!(poses.len(), turned.len());
+    for pose in &poses {
+        let wanted = t.transform_vector(down(pose));
+        let same = turned.iter().find(|p| down(p).distance(wanted) < 1e-6);
+        let same = same.unwrap_or_else(|| panic!("no pose has {wanted} downwards"));
+        assert!((same.probability - pose.probability).abs() < 1e-9);
+        assert!((same.tip_angle_rad - pose.tip_angle_rad).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn an_oblique_body_tumbles_to_its_neighbour() {
+    // A prism that leans over its base: its centre of mass lies beyond the edge of the base.
+    let mut mesh = builtin("box").unwrap();
+    for v in &mut mesh.vertices {
+        v.x += 0.8 * v.z;
+    }
+    let poses = stable_poses(&mesh, 0.0).unwrap();
+    assert!(poses.iter().all(|p| down(p).z.abs() < 0.99));
+    assert!((total(&poses) - 1.0).abs() < 1e-12);
+    let leaning = poses.iter().filter(|p| down(p).y.abs() < 1e-9);
+    let direct: f64 = leaning.map(|p| p.probability).sum();
+    assert!(direct > 0.5, "{direct}");
+    poses.iter().for_each(|p| assert_rests(&mesh, p));
+}
+
+#[test]
+fn a_tip_angle_removes_wobbly_poses() {
+    let mesh = builtin("cylinder").unwrap();
+    // A polygon of 56 sides tips after 3.2 degrees.
+    let poses = stable_poses(&mesh, 4f64.to_radians()).unwrap();
+    assert_eq!(poses.len(), 2);
+    assert!((total(&poses) - 1.0).abs() < 1e-12);
+    let ball = builtin("sphere").unwrap();
+    let text = stable_poses(&ball, 0.2).unwrap_err().to_string();
+    assert!(text.contains("11.459 degrees"), "{text}");
+    assert!(stable_poses(&TriangleMesh::default(), 0.0).is_err());
+}
+
+/// Numbers of a `.npy` file of little-endian doubles in C order.
+fn read_npy(path: &Path) -> Vec<f64> {
+    let bytes = std::fs::read(path).unwrap();
+    let header = usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let text = String::from_utf8_lossy(&bytes[10..10 + header]).into_owned();
+    assert!(
+        text.contains("'<f8'") && text.contains("'fortran_order': False"),
+        "{text}"
+    );
+    let values = bytes[10 + header..].chunks_exact(8);
+    values
+        .map(|v| f64::from_le_bytes(v.try_into().unwrap()))
+        .collect()
+}
+
+/// trimesh has the same solid angles, but lets each triangle topple across the side that faces the
+/// centre of mass seen from its centroid, not across the nearest side, and joins no coplanar
+/// triangles. So the poses must agree, and the probabilities within caps of 0.2 rad.
+#[test]
+fn poses_agree_with_trimesh() {
+    let Some(folder) = shared("data/egad_eval") else {
+        return;
+    };
+    for name in ["B1", "B4", "C2", "C4"] {
+        let file = |suffix: &str| folder.join(format!("{name}{suffix}"));
+        let mesh = load_mesh(&file(".obj"), LengthUnit::Millimetre).unwrap();
+        let mesh = prepare(&mesh, &PrepareOptions::default()).unwrap().mesh;
+        let center = MassProperties::of(&mesh).unwrap().center_of_mass_m;
+        let ours = stable_poses(&mesh, 0.0).unwrap();
+        ours.iter().for_each(|pose| assert_rests(&mesh, pose));
+        let matrices = read_npy(&file("_stable_poses.npy"));
+        let theirs: Vec<(DVec3, f64)> = matrices
+            .chunks_exact(16)
+            .map(|m| -DVec3::new(m[8], m[9], m[10]))
+            .zip(read_npy(&file("_stable_prob.npy")))
+            .collect();
+
+        for pose in &ours {
+            let near = |(d, _): &&(DVec3, f64)| d.angle_between(down(pose)) < 1e-3;
+            assert!(
+                theirs.iter().any(|t| near(&t)),
+                "{name}: only ours {pose:?}"
+            );
+        }
+        let missed = theirs
+            .iter()
+            .filter(|(d, _)| ours.iter().all(|pose| down(pose).angle_between(*d) > 2e-3));
+        let largest = missed
+            .map(|(d, _)| support_margin(&mesh, center, *d, CONTACT_M[1]))
+            .fold(f64::MIN, f64::max);
+        let cap = |d: DVec3| {
+            let inside = |other: DVec3| other.angle_between(d) < 0.2;
+            let ours = ours.iter().filter(|p| inside(down(p)));
+            let theirs = theirs.iter().filter(|t| inside(t.0));
+            let ours: f64 = ours.map(|p| p.probability).sum();
+            (ours - theirs.map(|t| t.1).sum::<f64>()).abs()
+        };
+        let worst = ours.iter().map(|p| cap(down(p))).fold(0.0, f64::max);
+        println!(
+            "{name}: {} poses, trimesh {}; those that only trimesh has are off the support by \
+             {largest:.1e} m or more; caps differ by up to {worst:.4}",
+            ours.len(),
+            theirs.len(),
+        );
+        assert!(
+            largest < 1e-6,
+            "{name}: a pose with margin {largest} m was missed"
+        );
+        assert!(worst < 0.03, "{name}: {worst}");
+    }
+}
+
+#[test]
+fn a_round_body_gets_its_likeliest_poses() {
+    let ball = builtin("ball").unwrap();
+    assert!(stable_poses(&ball, 0.2).is_err());
+    let poses = likely_poses(&ball, 0.2, 0.5).unwrap();
+    assert_eq!(poses.len(), 1);
+    assert_eq!(poses[0], stable_poses(&ball, 0.0).unwrap()[0]);
+    let bar = builtin("bar").unwrap();
+    let all = stable_poses(&bar, 0.05).unwrap();
+    let likely = likely_poses(&bar, 0.05, 0.3).unwrap();
+    assert_eq!(likely, all[..2], "on its two large sides");
+}

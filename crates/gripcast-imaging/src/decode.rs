@@ -1,0 +1,296 @@
+//! Frames to pictures.
+
+use fast_image_resize::Resizer;
+use image::RgbImage;
+
+use super::crop::{CropProfile, CropWindow};
+use super::damage::FrameDamage;
+use super::frame::{Frame, PixelFormat};
+use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
+use super::png::decode_png_rgb;
+use super::resample::{
+    LARGEST_SIDE, Source, check_stored, check_target, crop_and_resize, resample, window_of,
+};
+use super::yuyv::yuyv_to_rgb;
+use super::z16::{self, DepthImage};
+use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
+
+/// Turns frames into pictures; one per thread, it keeps its buffers between frames.
+///
+/// A damaged frame gives an error, never a picture.
+///
+/// ```
+/// use gripcast::imaging::{CropProfile, Decoder, Frame, PixelFormat, encode_jpeg, synthetic_gel};
+///
+/// let gel = synthetic_gel(640, 480, 1, 0.5);
+/// let frame = Frame {
+///     format: PixelFormat::Mjpg,
+///     width: 640,
+///     height: 480,
+///     data: encode_jpeg(&gel, 90)?.into(),
+///     sequence: 0,
+///     driver_time_ns: 0,
+///     received_ns: 0,
+/// };
+/// let mut decoder = Decoder::new()?;
+/// let input = decoder.decode(&frame, Some(&CropProfile::GSMINI_SEVENTH), 320, 240)?;
+/// assert_eq!(input.dimensions(), (320, 240));
+/// # Ok::<(), gripcast::error::Error>(())
+/// ```
+pub struct Decoder {
+    jpeg: JpegDecoder,
+    resizer: Resizer,
+    rgb: Vec<u8>,
+}
+
+impl Decoder {
+    /// A decoder with empty buffers.
+    ///
+    /// # Errors
+    /// When libjpeg-turbo cannot be set up.
+    pub fn new() -> CrateResult<Self> {
+        Ok(Self {
+            jpeg: JpegDecoder::new()?,
+            resizer: Resizer::new(),
+            rgb: Vec::new(),
+        })
+    }
+
+    /// A stored picture, JPEG or PNG, as it is.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Input`] for a damaged or foreign file.
+    pub fn stored_picture(&mut self, bytes: &[u8]) -> CrateResult<RgbImage> {
+        if bytes.starts_with(&[0xff, 0xd8]) {
+            let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
+            return self.decode_file(bytes, None, width, height);
+        }
+        decode_png_rgb(bytes)
+    }
+
+    /// The frame, cropped (`None`: whole) and resized to `width` × `height`, RGB.
+    ///
+    /// A JPEG is decoded at the smallest of 1/8, 1/4, 1/2 and 1 that still has the pixels asked
+    /// for inside the crop. Depth comes in false colour for previews: black where unknown, red
+    /// (100 units) over yellow and green to blue (1500 units), nearest neighbour.
+    ///
+    /// # Errors
+    /// [`FrameDamage`] says what is wrong with the frame or with the size asked for.
+    pub fn decode(
+        &mut self,
+        frame: &Frame,
+        crop: Option<&CropProfile>,
+        width: u32,
+        height: u32,
+    ) -> Result<RgbImage, FrameDamage> {
+        let crop = crop.unwrap_or(&CropProfile::FULL);
+        if let Some(header) = check(frame)? {
+            return self.decode_jpeg(&frame.data, &header, crop, width, height);
+        }
+        check_target(width, height)?;
+        let window = window_of(crop, frame.width, frame.height)?;
+        if frame.format == PixelFormat::Z16 {
+            return Ok(depth_preview(frame, window, width, height));
+        }
+        raw_to_rgb(frame, &mut self.rgb);
+        let source = Source {
+            width: frame.width,
+            height: frame.height,
+            rgb: &self.rgb,
+            reduction: 1,
+        };
+        resample(&mut self.resizer, &source, window, width, height)
+    }
+
+    fn decode_jpeg(
+        &mut self,
+        bytes: &[u8],
+        header: &JpegHeader,
+        crop: &CropProfile,
+        width: u32,
+        height: u32,
+    ) -> Result<RgbImage, FrameDamage> {
+        check_target(width, height)?;
+        let window = window_of(crop, header.width, header.height)?;
+        let scale = JpegScale::smallest_for((window.width, window.height), (width, height));
+        let pixels = self.jpeg.decode_inspected(bytes, header, scale)?;
+        let source = Source {
+            width: pixels.width,
+            height: pixels.height,
+            rgb: pixels.rgb,
+            reduction: scale.denominator(),
+        };
+        resample(&mut self.resizer, &source, window, width, height)
+    }
+
+    /// The whole frame at its own size, RGB; depth in false colour as in [`Decoder::decode`].
+    ///
+    /// # Errors
+    /// [`FrameDamage`] says what is wrong with the frame.
+    pub fn decode_full(&mut self, frame: &Frame) -> Result<RgbImage, FrameDamage> {
+        let rgb = match check(frame)? {
+            Some(header) => self
+                .jpeg
+                .decode_inspected(&frame.data, &header, JpegScale::Whole)?
+                .rgb
+                .to_vec(),
+            None => {
+                let mut rgb = Vec::new();
+                raw_to_rgb(frame, &mut rgb);
+                rgb
+            }
+        };
+        RgbImage::from_raw(frame.width, frame.height, rgb).ok_or(FrameDamage::TargetSize {
+            width: frame.width,
+            height: frame.height,
+        })
+    }
+
+    /// A stored JPEG or PNG, cropped and resized exactly as [`Decoder::decode`] does with frames;
+    /// this is how training reads what the live path saw.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Input`] when the file is neither or is damaged, or the size is impossible.
+    pub fn decode_file(
+        &mut self,
+        bytes: &[u8],
+        crop: Option<&CropProfile>,
+        width: u32,
+        height: u32,
+    ) -> CrateResult<RgbImage> {
+        const PNG: &[u8] = b"\x89PNG";
+        let crop = crop.unwrap_or(&CropProfile::FULL);
+        match bytes {
+            [0xff, 0xd8, ..] => {
+                let header = jpeg::inspect(bytes)?;
+                let pixels = u64::from(header.width) * u64::from(header.height);
+                check_stored(header.width, header.height, 3 * pixels)?;
+                Ok(self.decode_jpeg(bytes, &header, crop, width, height)?)
+            }
+            _ if bytes.starts_with(PNG) => {
+                let picture = decode_png_rgb(bytes)?;
+                Ok(crop_and_resize(&picture, crop, width, height)?)
+            }
+            _ => Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "expected a JPEG or PNG picture, found {} bytes that start with {:02X?}",
+                    bytes.len(),
+                    &bytes[..bytes.len().min(4)]
+                ),
+            )),
+        }
+    }
+
+    /// Depth in the camera's units, 0 where nothing was measured.
+    ///
+    /// # Errors
+    /// [`FrameDamage::NoDepth`] for other formats, or what is wrong with the frame.
+    pub fn depth(&self, frame: &Frame) -> Result<DepthImage, FrameDamage> {
+        check(frame)?;
+        let no_depth = FrameDamage::NoDepth {
+            format: frame.format,
+        };
+        if frame.format != PixelFormat::Z16 {
+            return Err(no_depth);
+        }
+        DepthImage::from_raw(frame.width, frame.height, z16::values(&frame.data)).ok_or(no_depth)
+    }
+
+    /// Whether the frame decodes, at the least cost: all entropy-coded data of a JPEG is decoded
+    /// but hardly any pixel is made; raw formats have only their size to check.
+    ///
+    /// # Errors
+    /// Exactly the damage for which [`Decoder::decode`] would refuse the frame.
+    pub fn verify(&mut self, frame: &Frame) -> Result<(), FrameDamage> {
+        if let Some(header) = check(frame)? {
+            self.jpeg.verify_inspected(&frame.data, &header)?;
+        }
+        Ok(())
+    }
+}
+
+/// Whether the frame is plausible, without decoding: sizes, and the marker structure of a JPEG.
+///
+/// # Errors
+/// [`FrameDamage`] says what is wrong with the frame.
+pub fn check_structure(frame: &Frame) -> Result<(), FrameDamage> {
+    check(frame).map(|_| ())
+}
+
+/// [`check_structure`], with the header of a JPEG.
+fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
+    let Frame {
+        format,
+        width,
+        height,
+        ref data,
+        ..
+    } = *frame;
+    let impossible = |expected| FrameDamage::FrameSize {
+        format,
+        width,
+        height,
+        expected,
+    };
+    if !(1..=LARGEST_SIDE).contains(&width) || !(1..=LARGEST_SIDE).contains(&height) {
+        return Err(impossible("1 to 16384 pixels a side"));
+    }
+    if format == PixelFormat::Yuyv && width % 2 != 0 {
+        return Err(impossible("an even width"));
+    }
+    if let Some(expected) = format.frame_bytes(width, height) {
+        let found = data.len();
+        if found != expected {
+            return Err(FrameDamage::ByteCount {
+                format,
+                width,
+                height,
+                expected,
+                found,
+            });
+        }
+        return Ok(None);
+    }
+    let header = jpeg::inspect(data)?;
+    let (expected, found) = ((width, height), (header.width, header.height));
+    if expected != found {
+        return Err(FrameDamage::PictureSize { expected, found });
+    }
+    Ok(Some(header))
+}
+
+/// Depth in false colour; neighbours are not mixed, which would invent depths.
+fn depth_preview(frame: &Frame, window: CropWindow, width: u32, height: u32) -> RgbImage {
+    let nearest = |index: u32, target: u32, first: u32, count: u32| {
+        let centre = (2 * u64::from(index) + 1) * u64::from(count);
+        first as usize + (centre / (2 * u64::from(target))) as usize
+    };
+    RgbImage::from_fn(width, height, |x, y| {
+        let x = nearest(x, width, window.left, window.width);
+        let y = nearest(y, height, window.top, window.height);
+        let at = (y * frame.width as usize + x) * 2;
+        let depth = u16::from_le_bytes([frame.data[at], frame.data[at + 1]]);
+        image::Rgb(z16::preview_colour(depth))
+    })
+}
+
+/// Converts a raw frame whose byte count has been checked; `rgb` takes its size.
+fn raw_to_rgb(frame: &Frame, rgb: &mut Vec<u8>) {
+    rgb.resize(frame.width as usize * frame.height as usize * 3, 0);
+    match frame.format {
+        PixelFormat::Yuyv => yuyv_to_rgb(&frame.data, rgb),
+        PixelFormat::Grey => {
+            for (pixel, level) in rgb.chunks_exact_mut(3).zip(frame.data.iter()) {
+                pixel.fill(*level);
+            }
+        }
+        PixelFormat::Z16 => {
+            for (pixel, depth) in rgb.chunks_exact_mut(3).zip(frame.data.chunks_exact(2)) {
+                let depth = u16::from_le_bytes([depth[0], depth[1]]);
+                pixel.copy_from_slice(&z16::preview_colour(depth));
+            }
+        }
+        PixelFormat::Mjpg => {}
+    }
+}

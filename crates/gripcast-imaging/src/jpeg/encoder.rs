@@ -1,0 +1,45 @@
+//! Pictures to JPEG, for virtual cameras and tests.
+
+use image::RgbImage;
+use turbojpeg::{Compressor, Image, PixelFormat, Subsamp};
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Encodes a picture as a baseline 4:2:2 JPEG with the standard Huffman tables, the form in
+/// which UVC cameras send theirs. `quality` is 1 (worst) to 100.
+///
+/// # Errors
+/// [`ErrorKind::Input`] for an empty or too large picture or a quality outside 1–100.
+pub fn encode_jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
+    let (width, height) = picture.dimensions();
+    let refused = |cause| {
+        Error::new(
+            ErrorKind::Input,
+            format!("cannot encode a {width}×{height} picture as JPEG of quality {quality}"),
+        )
+        .because(cause)
+    };
+    if width == 0 || height == 0 || !(1..=100).contains(&quality) {
+        return Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "cannot encode a {width}×{height} picture as JPEG of quality {quality}: \
+                 expected at least one pixel and a quality of 1 to 100"
+            ),
+        ));
+    }
+    let mut compressor = Compressor::new().map_err(refused)?;
+    compressor
+        .set_quality(i32::from(quality))
+        .map_err(refused)?;
+    compressor.set_subsamp(Subsamp::Sub2x1).map_err(refused)?;
+    compressor
+        .compress_to_vec(Image {
+            pixels: picture.as_raw().as_slice(),
+            width: width as usize,
+            pitch: width as usize * 3,
+            height: height as usize,
+            format: PixelFormat::RGB,
+        })
+        .map_err(refused)
+}

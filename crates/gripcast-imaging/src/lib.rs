@@ -1,0 +1,38 @@
+//! Frames and pictures: pixel formats, decoding, crops, differences.
+//!
+//! Colour order is RGB in memory and in files. Pixel (0,0) is the centre of the top-left pixel.
+//! A [`Frame`] is what a camera sent; a [`Decoder`] makes pictures of frames, all through one
+//! crop-and-resize; [`TactileDifference`] is what a contact changed between two of them.
+
+pub mod caption;
+mod crop;
+mod damage;
+mod decode;
+mod difference;
+mod frame;
+mod gel_pattern;
+mod intrinsics;
+pub mod jpeg;
+mod png;
+mod resample;
+mod srgb;
+mod yuyv;
+mod z16;
+
+pub use crop::{CropProfile, CropWindow};
+pub use damage::FrameDamage;
+pub use decode::{Decoder, check_structure};
+pub use difference::TactileDifference;
+pub use frame::{Frame, FrameBytes, FramePool, PixelFormat, Role};
+pub use gel_pattern::{GelContact, gel_picture, synthetic_gel};
+pub use intrinsics::{DistortionModel, Intrinsics};
+pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};
+pub use png::{
+    decode_png, decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16,
+    encode_png_rgb,
+};
+pub use resample::crop_and_resize;
+pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};
+pub use z16::DepthImage;
+
+use resample::LARGEST_SIDE;

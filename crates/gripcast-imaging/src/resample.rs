@@ -1,0 +1,122 @@
+//! Crop and resize: the one way in which every picture reaches a model or a screen.
+
+use fast_image_resize::images::{Image, ImageRef};
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use image::RgbImage;
+
+use super::crop::{CropProfile, CropWindow};
+use super::damage::FrameDamage;
+use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
+
+/// Largest side of a picture that is decoded or produced, in pixels.
+pub(super) const LARGEST_SIDE: u32 = 16_384;
+
+/// Most that the pixels of a stored picture may take, bytes; a camera of 20 Mpx needs half of it.
+pub(super) const MOST_STORED_BYTES: u64 = 128 << 20;
+
+/// Whether a stored picture may be decoded.
+///
+/// # Errors
+/// `Input` for one that would take too much memory.
+pub(super) fn check_stored(width: u32, height: u32, bytes: u64) -> CrateResult<()> {
+    let is_possible = width <= LARGEST_SIDE && height <= LARGEST_SIDE;
+    if is_possible && bytes <= MOST_STORED_BYTES {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Input,
+        format!(
+            "expected a picture of at most {LARGEST_SIDE} pixels a side and {} MiB, found \
+             {width}×{height} pixels that take {} MiB",
+            MOST_STORED_BYTES >> 20,
+            bytes >> 20
+        ),
+    ))
+}
+
+/// RGB pixels of a picture that may have been decoded at a reduced scale.
+pub(super) struct Source<'a> {
+    /// Width of `rgb` in pixels.
+    pub(super) width: u32,
+    /// Height of `rgb` in pixels.
+    pub(super) height: u32,
+    /// `height × width × 3` bytes.
+    pub(super) rgb: &'a [u8],
+    /// Pixels of the original to one pixel of `rgb` along each axis.
+    pub(super) reduction: u32,
+}
+
+/// Crops a picture and resizes it to `width` × `height` with an antialiased bilinear filter.
+///
+/// Pixels just outside the crop contribute to its edge, as far as the filter reaches.
+///
+/// # Errors
+/// [`FrameDamage`] when the crop leaves nothing or a side is 0 or beyond 16384.
+pub fn crop_and_resize(
+    picture: &RgbImage,
+    crop: &CropProfile,
+    width: u32,
+    height: u32,
+) -> Result<RgbImage, FrameDamage> {
+    let window = window_of(crop, picture.width(), picture.height())?;
+    let source = Source {
+        width: picture.width(),
+        height: picture.height(),
+        rgb: picture.as_raw(),
+        reduction: 1,
+    };
+    resample(&mut Resizer::new(), &source, window, width, height)
+}
+
+/// The crop's window, or why there is none.
+pub(super) fn window_of(
+    crop: &CropProfile,
+    width: u32,
+    height: u32,
+) -> Result<CropWindow, FrameDamage> {
+    crop.window(width, height).ok_or(FrameDamage::NothingLeft {
+        crop: crop.name(),
+        width,
+        height,
+    })
+}
+
+/// Whether a picture of this size may be produced.
+pub(super) fn check_target(width: u32, height: u32) -> Result<(), FrameDamage> {
+    let possible = 1..=LARGEST_SIDE;
+    if possible.contains(&width) && possible.contains(&height) {
+        Ok(())
+    } else {
+        Err(FrameDamage::TargetSize { width, height })
+    }
+}
+
+/// Resizes `window`, given in pixels of the original picture, to `width` × `height`.
+pub(super) fn resample(
+    resizer: &mut Resizer,
+    source: &Source<'_>,
+    window: CropWindow,
+    width: u32,
+    height: u32,
+) -> Result<RgbImage, FrameDamage> {
+    check_target(width, height)?;
+    let refused = || FrameDamage::TargetSize { width, height };
+    let mut out = RgbImage::new(width, height);
+    let scaled = |pixels: u32| f64::from(pixels) / f64::from(source.reduction);
+    let options = ResizeOptions::new()
+        .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
+        .crop(
+            scaled(window.left),
+            scaled(window.top),
+            scaled(window.width),
+            scaled(window.height),
+        );
+    let from = ImageRef::new(source.width, source.height, source.rgb, PixelType::U8x3)
+        .map_err(|_| refused())?;
+    let mut to =
+        Image::from_slice_u8(width, height, &mut out, PixelType::U8x3).map_err(|_| refused())?;
+    resizer
+        .resize(&from, &mut to, &options)
+        .map_err(|_| refused())?;
+    Ok(out)
+}

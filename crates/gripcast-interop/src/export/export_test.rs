@@ -1,0 +1,624 @@
+//! Exports a small dataset in every format and reads the files with what wrote none of them.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use flate2::read::ZlibDecoder;
+use parquet::file::reader::{FileReader as _, SerializedFileReader};
+use parquet::record::{Row, RowAccessor as _};
+use serde_json::Value;
+
+use super::{ExportFormat, ExportPlan, ExportReport, export};
+use gripcast_base::error::{ErrorKind, Result};
+use gripcast_dataset::sample::{capture, meta, new_dataset};
+use gripcast_dataset::shard::{ShardEngine, ShardOutcome, ShardRow, ShardSet};
+use gripcast_dataset::{
+    Dataset, DatasetWriter, GraspId, Outcome, PoseRecord, SplitBy, SplitPlan, Stage, StageCapture,
+    split,
+};
+use gripcast_imaging::{CropProfile, Decoder, Role, jpeg::inspect};
+
+const FORMATS: [ExportFormat; 5] = [
+    ExportFormat::Parquet,
+    ExportFormat::WebDataset,
+    ExportFormat::LeRobot,
+    ExportFormat::Zarr,
+    ExportFormat::Training,
+];
+
+/// A mug that held, with a pose and padded pictures without Huffman tables; a bottle that slipped;
+/// a sponge without label, depth and prediction.
+fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut writer, _) =
+        DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
+    let mut ids = Vec::new();
+    for (number, object) in (0..).zip(["mug", "bottle", "sponge"]) {
+        let mut stages = [capture(2 * number + 1), capture(2 * number + 2)];
+        let mut meta = meta(object);
+        if number == 0 {
+            for stage in &mut stages {
+                let left = &mut stage.cameras.get_mut(&Role::Left).unwrap().frame;
+                left.data = bare(&left.data).into();
+            }
+        }
+        if number == 2 {
+            stages
+                .iter_mut()
+                .for_each(|s| drop(s.cameras.remove(&Role::Depth)));
+            meta.prediction = None;
+        }
+        let pending = writer.save_initial(&stages[0], Vec::new()).unwrap();
+        let record = writer.save_grasp(&pending, &stages[1], meta).unwrap();
+        let at = "2026-11-20T11:00:00Z".parse().unwrap();
+        match number {
+            0 => {
+                writer.set_outcome(&record.id, Outcome::Stable, at).unwrap();
+                writer.set_pose(&record.id, pose()).unwrap();
+            }
+            1 => drop(writer.set_outcome(&record.id, Outcome::Slip, at).unwrap()),
+            _ => {}
+        }
+        ids.push(record.id);
+    }
+    (dir, ids)
+}
+
+fn pose() -> PoseRecord {
+    PoseRecord {
+        t_m: [0.5, -0.25, 0.125],
+        q_wxyz: [1.0, 0.0, 0.0, 0.0],
+        frame: "t_object_gripper".into(),
+        covariance: None,
+        reprojection_px: None,
+        corrected_by_hand: true,
+        quality: None,
+    }
+}
+
+/// As a camera may send it: without Huffman tables, with padding.
+fn bare(jpeg: &[u8]) -> Vec<u8> {
+    let mut out = jpeg[..2].to_vec();
+    let mut at = 2;
+    while jpeg[at + 1] != 0xda {
+        let end = at + 2 + usize::from(u16::from_be_bytes([jpeg[at + 2], jpeg[at + 3]]));
+        if jpeg[at + 1] != 0xc4 {
+            out.extend_from_slice(&jpeg[at..end]);
+        }
+        at = end;
+    }
+    out.extend_from_slice(&jpeg[at..]);
+    out.extend([0; 40]);
+    out
+}
+
+fn run(root: &Path, out: &Path, plan: &ExportPlan) -> Result<ExportReport> {
+    let dataset = Dataset::open(root.join("d"))?;
+    export(&dataset, out, plan, &|done, all| {
+        assert!(done <= all);
+        assert!(!out.exists(), "it has its name before it is whole");
+    })
+}
+
+/// Contents of all files by their names, or of the one file.
+fn contents(out: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut places = vec![out.to_owned()];
+    while let Some(place) = places.pop() {
+        if place.is_dir() {
+            places.extend(fs::read_dir(place).unwrap().map(|e| e.unwrap().path()));
+        } else {
+            let name = place.strip_prefix(out).unwrap().to_owned();
+            files.insert(name, fs::read(place).unwrap());
+        }
+    }
+    files
+}
+
+fn names(out: &Path) -> Vec<String> {
+    let name = |path: PathBuf| path.to_string_lossy().into_owned();
+    contents(out).into_keys().map(name).collect()
+}
+
+fn rows(path: &Path) -> Vec<Row> {
+    let file = SerializedFileReader::new(fs::File::open(path).unwrap()).unwrap();
+    let rows = file.get_row_iter(None).unwrap();
+    rows.map(std::result::Result::unwrap).collect()
+}
+
+/// Number of a column.
+fn at(row: &Row, column: &str) -> usize {
+    row.get_column_iter()
+        .position(|(name, _)| name == column)
+        .unwrap()
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn the_same_dataset_makes_the_same_bytes() {
+    let (dir, _) = dataset();
+    for format in FORMATS {
+        let plan = ExportPlan::new(format);
+        let [a, b] = ["a", "b"].map(|name| dir.path().join(format!("{name}-{format}.zip")));
+        let report = run(dir.path(), &a, &plan).unwrap();
+        run(dir.path(), &b, &plan).unwrap();
+        assert_eq!(contents(&a), contents(&b), "{format}");
+        assert_eq!(report.files, contents(&a).len());
+        assert_eq!(
+            report.bytes,
+            contents(&a).values().map(|f| f.len() as u64).sum::<u64>()
+        );
+        assert!(report.left_out.is_empty());
+    }
+}
+
+#[test]
+fn parquet_has_a_row_a_grasp_and_nulls_where_nothing_is_known() {
+    let (dir, ids) = dataset();
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Parquet)).unwrap();
+    assert_eq!(report.grasps, 3);
+    assert_eq!(names(&out), ["data/train-00000-of-00001.parquet"]);
+    let rows = rows(&out.join("data/train-00000-of-00001.parquet"));
+    for (row, id) in rows.iter().zip(&ids) {
+        assert_eq!(row.get_string(at(row, "id")).unwrap(), id.as_str());
+        let record: Value =
+            serde_json::from_str(row.get_string(at(row, "record")).unwrap()).unwrap();
+        assert_eq!(record["id"], id.as_str());
+    }
+    let labels = rows.iter().map(|row| row.get_long(at(row, "label")).ok());
+    assert_eq!(labels.collect::<Vec<_>>(), [Some(1), Some(0), None]);
+    let is_null = |row: usize, column: &str| {
+        let field = rows[row]
+            .get_column_iter()
+            .find(|(name, _)| *name == column);
+        *field.unwrap().1 == parquet::record::Field::Null
+    };
+    assert!(!is_null(0, "pose_t_m") && is_null(1, "pose_t_m"));
+    assert!(!is_null(1, "predicted_p_stable") && is_null(2, "predicted_p_stable"));
+    let left = rows[0].get_group(at(&rows[0], "grasp_left")).unwrap();
+    assert_eq!(left.get_string(1).unwrap(), "grasp.left.jpg");
+    let header = inspect(left.get_bytes(0).unwrap().data()).unwrap();
+    assert!(header.has_huffman_tables);
+    let depth = rows[2].get_group(at(&rows[2], "grasp_depth"));
+    assert!(depth.is_err() || depth.unwrap().get_bytes(0).is_err());
+}
+
+#[test]
+fn shards_are_bounded_and_say_how_many_they_are() {
+    let (dir, ids) = dataset();
+    let mut plan = ExportPlan::new(ExportFormat::Parquet);
+    plan.shard_bytes = 1;
+    let out = dir.path().join("parquet");
+    run(dir.path(), &out, &plan).unwrap();
+    let shard = |i: usize| format!("data/train-{i:05}-of-00003.parquet");
+    assert_eq!(names(&out), [shard(0), shard(1), shard(2)]);
+    let row = &rows(&out.join(shard(2)))[0];
+    assert_eq!(row.get_string(0).unwrap(), ids[2].as_str());
+    plan.format = ExportFormat::WebDataset;
+    let out = dir.path().join("tar");
+    run(dir.path(), &out, &plan).unwrap();
+    assert_eq!(names(&out).len(), 3);
+}
+
+#[test]
+fn a_sample_of_webdataset_is_neighbouring_files_of_nobody() {
+    let (dir, ids) = dataset();
+    let out = dir.path().join("out");
+    run(dir.path(), &out, &ExportPlan::new(ExportFormat::WebDataset)).unwrap();
+    let file = fs::File::open(out.join("train-000000.tar")).unwrap();
+    let mut keys: Vec<(String, Vec<String>)> = Vec::new();
+    for entry in tar::Archive::new(file).entries().unwrap() {
+        let mut entry = entry.unwrap();
+        let header = entry.header();
+        assert_eq!((header.mtime().unwrap(), header.uid().unwrap()), (0, 0));
+        let name = entry.path().unwrap().to_string_lossy().into_owned();
+        let (key, rest) = name.split_once('.').unwrap();
+        let mut bytes = Vec::new();
+        entry.read_to_end(&mut bytes).unwrap();
+        if rest == "json" {
+            let stored = dir.path().join(format!("d/grasps/{key}/grasp.json"));
+            assert_eq!(bytes, fs::read(stored).unwrap());
+        } else if rest.ends_with("jpg") {
+            let header = inspect(&bytes).unwrap();
+            assert!(
+                header.has_huffman_tables && header.length == bytes.len(),
+                "{name}"
+            );
+        }
+        match keys.last_mut().filter(|(last, _)| last == key) {
+            Some((_, files)) => files.push(rest.to_owned()),
+            None => keys.push((key.to_owned(), vec![rest.to_owned()])),
+        }
+    }
+    let found: Vec<&str> = keys.iter().map(|(key, _)| key.as_str()).collect();
+    assert_eq!(found, ids.iter().map(GraspId::as_str).collect::<Vec<_>>());
+    let with_depth = [
+        "json",
+        "initial_left.jpg",
+        "initial_right.jpg",
+        "initial_rgb.png",
+        "grasp_left.jpg",
+        "grasp_right.jpg",
+        "grasp_rgb.png",
+        "grasp_depth.png",
+    ];
+    assert_eq!(keys[0].1, with_depth);
+    assert_eq!(keys[2].1, with_depth[..7]);
+}
+
+#[test]
+fn an_episode_of_lerobot_is_two_frames_of_a_labelled_grasp() {
+    let (dir, ids) = dataset();
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::LeRobot)).unwrap();
+    assert_eq!((report.grasps, report.unlabelled), (2, 1));
+    assert!(report.notes.is_empty() && report.left_out.is_empty());
+    let info = json(&out.join("meta/info.json"));
+    assert_eq!(info["codebase_version"], "v3.0");
+    assert_eq!(
+        (&info["total_episodes"], &info["total_frames"]),
+        (&2.into(), &4.into())
+    );
+    assert_eq!(info["splits"]["train"], "0:2");
+    let left = &info["features"]["observation.images.left"];
+    assert_eq!(left["shape"], serde_json::json!([8, 16, 3]));
+    let frames = rows(&out.join("data/chunk-000/file-000.parquet"));
+    let rewards = frames
+        .iter()
+        .map(|f| f.get_float(at(f, "next.reward")).unwrap());
+    assert_eq!(rewards.collect::<Vec<_>>(), [0.0, 1.0, 0.0, 0.0]);
+    let done = frames
+        .iter()
+        .map(|f| f.get_bool(at(f, "next.done")).unwrap());
+    assert_eq!(done.collect::<Vec<_>>(), [false, true, false, true]);
+    let poses = frames.iter().map(|f| {
+        let pose = f.get_list(at(f, "observation.pose")).unwrap().elements();
+        pose[0].clone()
+    });
+    let poses: Vec<_> = poses.map(|x| format!("{x}")).collect();
+    assert_eq!(poses, ["0.5", "0.5", "NaN", "NaN"]);
+    // Three channels, though the sensors of the sample are grey.
+    let picture = frames[0]
+        .get_group(at(&frames[0], "observation.images.left"))
+        .unwrap();
+    let picture = image::load_from_memory(picture.get_bytes(0).unwrap().data()).unwrap();
+    assert_eq!(picture.color(), image::ColorType::Rgb8);
+    let episodes = rows(&out.join("meta/episodes/chunk-000/file-000.parquet"));
+    let last = &episodes[1];
+    assert_eq!(
+        last.get_string(at(last, "gripcast/id")).unwrap(),
+        ids[1].as_str()
+    );
+    assert_eq!(last.get_long(at(last, "dataset_from_index")).unwrap(), 2);
+    let stats = json(&out.join("meta/stats.json"));
+    assert_eq!(stats["next.success"]["mean"], serde_json::json!([0.25]));
+    assert_eq!(stats["observation.pose"]["count"], serde_json::json!([2]));
+    assert_eq!(
+        stats["observation.images.rgb"]["mean"]
+            .as_array()
+            .unwrap()
+            .len(),
+        3
+    );
+}
+
+#[test]
+fn a_chunk_of_zarr_is_the_cropped_and_resized_picture() {
+    let (dir, ids) = dataset();
+    let out = dir.path().join("out.zarr");
+    let mut plan = ExportPlan::new(ExportFormat::Zarr);
+    plan.size = (6, 4);
+    let report = run(dir.path(), &out, &plan).unwrap();
+    assert_eq!(report.notes, ["depth left out: pictures of 2 grasps"]);
+    let array = json(&out.join("data/left/.zarray"));
+    assert_eq!(array["shape"], serde_json::json!([6, 4, 6, 3]));
+    let inflate = |name: &str| {
+        let mut bytes = Vec::new();
+        let mut stream = ZlibDecoder::new(fs::File::open(out.join(name)).unwrap());
+        stream.read_to_end(&mut bytes).unwrap();
+        bytes
+    };
+    let stored = dir
+        .path()
+        .join(format!("d/grasps/{}/grasp.left.jpg", ids[1]));
+    let picture = Decoder::new()
+        .unwrap()
+        .decode_file(
+            &fs::read(stored).unwrap(),
+            Some(&CropProfile::GSMINI_SEVENTH),
+            6,
+            4,
+        )
+        .unwrap();
+    assert_eq!(inflate("data/left/3.0.0.0"), picture.into_raw());
+    let ends: Vec<i64> = inflate("meta/episode_ends/0")[..24]
+        .chunks(8)
+        .map(|b| i64::from_le_bytes(b.try_into().unwrap()))
+        .collect();
+    assert_eq!(ends, [2, 4, 6]);
+    assert_eq!(inflate("meta/outcome/0")[..3], [1, 0, 255]);
+    assert_eq!(json(&out.join("meta/object/.zarray"))["dtype"], "<U6");
+    let bottle = &inflate("meta/object/0")[24..48];
+    assert_eq!(
+        bottle.iter().copied().step_by(4).collect::<Vec<u8>>(),
+        b"bottle"
+    );
+    plan.size = (0, 4);
+    let error = run(dir.path(), &dir.path().join("no"), &plan).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Usage);
+}
+
+#[test]
+fn a_sample_for_training_has_the_pixels_of_the_live_path() {
+    let (dir, ids) = dataset();
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Training)).unwrap();
+    assert_eq!((report.grasps, report.unlabelled), (2, 1));
+    assert!(report.left_out.is_empty() && report.notes.is_empty());
+    let set = ShardSet::open(&out).unwrap();
+    let rows: Vec<ShardRow> = set.rows("test").unwrap().map(Result::unwrap).collect();
+    let [mug, bottle] = &rows[..] else {
+        panic!("{} rows", rows.len());
+    };
+    let facts = |row: &ShardRow| {
+        let f = &row.facts;
+        (f.id.clone(), f.object.clone(), f.outcome, f.engine)
+    };
+    let real = ShardEngine::Real;
+    let held = (ids[0].to_string(), "mug".into(), ShardOutcome::Stable, real);
+    let lost = (
+        ids[1].to_string(),
+        "bottle".into(),
+        ShardOutcome::Slip,
+        real,
+    );
+    assert_eq!((facts(mug), facts(bottle)), (held, lost));
+    let pose = mug.facts.t_object_gripper.unwrap();
+    assert_eq!(pose.translation_m.to_array(), [0.5, -0.25, 0.125]);
+    assert!(bottle.facts.t_object_gripper.is_none() && bottle.facts.mass_kg.is_none());
+    assert_eq!(mug.facts.crop_profile, "gsmini-seventh-v1");
+    let dataset = Dataset::open(dir.path().join("d")).unwrap();
+    let record = dataset.grasp(&ids[1]).unwrap();
+    let mut decoder = Decoder::new().unwrap();
+    for (role, stored) in [
+        (Role::Left, &bottle.images.grasp_left),
+        (Role::Right, &bottle.images.grasp_right),
+    ] {
+        let frame = dataset.load_frame(&record, Stage::Grasp, role).unwrap();
+        let live = decoder.decode(&frame, Some(&CropProfile::GSMINI_SEVENTH), 320, 240);
+        assert_eq!(decoder.stored_picture(stored).unwrap(), live.unwrap());
+    }
+    assert_ne!(bottle.images.initial_left, bottle.images.grasp_left);
+    let colour = decoder.stored_picture(&bottle.images.grasp_rgb).unwrap();
+    assert_eq!(colour.dimensions(), (320, 240));
+}
+
+#[test]
+fn grasps_that_no_sample_can_be_made_of_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut writer, _) =
+        DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
+    let at = "2026-11-20T11:00:00Z".parse().unwrap();
+    let mut save = |number: u32, spoil: &dyn Fn(&mut StageCapture)| {
+        let mut stages = [capture(2 * number + 1), capture(2 * number + 2)];
+        stages.iter_mut().for_each(spoil);
+        let pending = writer.save_initial(&stages[0], Vec::new()).unwrap();
+        let saved = writer.save_grasp(&pending, &stages[1], meta(" Blue  MUG"));
+        let id = saved.unwrap().id;
+        writer.set_outcome(&id, Outcome::Slip, at).unwrap();
+        id
+    };
+    let whole = save(0, &|_| {});
+    let blind = save(1, &|stage| drop(stage.cameras.remove(&Role::Rgb)));
+    let numb = save(2, &|stage| drop(stage.cameras.remove(&Role::Right)));
+    let otherwise = save(3, &|stage| {
+        let left = stage.cameras.get_mut(&Role::Left).unwrap();
+        left.crop_profile = Some("gsmini-fifteen-v1".into());
+    });
+    let out = dir.path().join("out");
+    let report = run(dir.path(), &out, &ExportPlan::new(ExportFormat::Training)).unwrap();
+    let named: Vec<(&str, &str)> = report
+        .left_out
+        .iter()
+        .map(|one| (&*one.id, &*one.why))
+        .collect();
+    let [(a, no_colour), (b, no_touch), (c, other_crop)] = named[..] else {
+        panic!("{named:?}");
+    };
+    assert_eq!(
+        [a, b, c],
+        [blind.as_str(), numb.as_str(), otherwise.as_str()]
+    );
+    assert!(no_colour.contains("grasp rgb"), "{no_colour}");
+    assert!(no_touch.contains("initial right"), "{no_touch}");
+    assert!(other_crop.contains("gsmini-fifteen-v1") && other_crop.contains("gsmini-seventh-v1"));
+    let set = ShardSet::open(&out).unwrap();
+    let facts: Vec<_> = set.facts("test").unwrap().map(Result::unwrap).collect();
+    assert_eq!(facts.len(), 1);
+    assert_eq!(facts[0].object, "blue mug");
+    fs::remove_dir_all(dir.path().join("d/grasps").join(whole.as_str())).unwrap();
+    let nothing = dir.path().join("nothing");
+    let plan = ExportPlan::new(ExportFormat::Training);
+    let error = run(dir.path(), &nothing, &plan).unwrap_err();
+    assert!(
+        error.remedy_text().unwrap().contains("the format needs"),
+        "{error}"
+    );
+}
+
+#[test]
+fn damaged_grasps_are_left_out_and_named() {
+    let (dir, ids) = dataset();
+    let picture = dir
+        .path()
+        .join(format!("d/grasps/{}/grasp.left.jpg", ids[0]));
+    // As large as before, and a whole picture: only the hash tells.
+    let mut bytes = fs::read(&picture).unwrap();
+    let at = bytes.len() - 20;
+    bytes[at] ^= 1;
+    fs::write(&picture, bytes).unwrap();
+    let record = dir.path().join(format!("d/grasps/{}/grasp.json", ids[1]));
+    let text = fs::read(&record).unwrap();
+    fs::write(&record, &text[..text.len() / 2]).unwrap();
+    for format in [
+        ExportFormat::Parquet,
+        ExportFormat::WebDataset,
+        ExportFormat::Zarr,
+    ] {
+        let out = dir.path().join(format.name());
+        let report = run(dir.path(), &out, &ExportPlan::new(format)).unwrap();
+        assert_eq!(report.grasps, 1, "{format}");
+        let named: Vec<&String> = report.left_out.iter().map(|one| &one.id).collect();
+        assert_eq!(named, [ids[0].as_str(), ids[1].as_str()]);
+        assert!(
+            report.left_out[0].why.contains("grasp.left.jpg"),
+            "{report:?}"
+        );
+        assert!(report.left_out[1].why.contains("grasp.json"), "{report:?}");
+    }
+    fs::remove_file(
+        dir.path()
+            .join(format!("d/grasps/{}/grasp.rgb.png", ids[2])),
+    )
+    .unwrap();
+    let before = fs::read_dir(dir.path()).unwrap().count();
+    for format in FORMATS {
+        let out = dir.path().join("nothing");
+        let error = run(dir.path(), &out, &ExportPlan::new(format)).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{format}");
+        assert!(error.remedy_text().is_some(), "{format}");
+    }
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), before);
+}
+
+#[test]
+fn parts_of_a_split_stay_apart() {
+    let (dir, _) = dataset();
+    let root = dir.path().join("d");
+    let plan = SplitPlan {
+        name: "halves".into(),
+        by: SplitBy::Object,
+        seed: 1,
+        fractions: BTreeMap::from([("train".into(), 0.5), ("test".into(), 0.5)]),
+    };
+    let asked = ExportPlan {
+        part: Some("test".into()),
+        ..ExportPlan::new(ExportFormat::Parquet)
+    };
+    let error = run(dir.path(), &dir.path().join("early"), &asked).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Usage);
+    let file = split(&Dataset::open(&root).unwrap(), &plan).unwrap();
+    let test = file.parts["test"].grasps.len();
+    let report = run(dir.path(), &dir.path().join("test"), &asked).unwrap();
+    assert_eq!(report.parts, BTreeMap::from([("test".to_owned(), test)]));
+    assert_eq!(
+        names(&dir.path().join("test")),
+        ["data/test-00000-of-00001.parquet"]
+    );
+    let all = ExportPlan {
+        split: Some("halves".into()),
+        ..ExportPlan::new(ExportFormat::Zarr)
+    };
+    let report = run(dir.path(), &dir.path().join("all"), &all).unwrap();
+    assert_eq!(
+        (report.grasps, report.not_in_split, report.parts.len()),
+        (3, 0, 2)
+    );
+    let plan = SplitPlan {
+        name: "thirds".into(),
+        fractions: BTreeMap::from([("train".into(), 0.5), ("val".into(), 0.5)]),
+        ..plan
+    };
+    split(&Dataset::open(&root).unwrap(), &plan).unwrap();
+    let training = ExportPlan {
+        split: Some("thirds".into()),
+        ..ExportPlan::new(ExportFormat::Training)
+    };
+    let report = run(dir.path(), &dir.path().join("thirds"), &training).unwrap();
+    let parts: Vec<&str> = report.parts.keys().map(String::as_str).collect();
+    assert!(!parts.contains(&"val"), "{parts:?}");
+    assert_eq!(report.grasps, 2);
+    let known = ShardSet::open(dir.path().join("thirds")).unwrap();
+    assert!(
+        known
+            .splits()
+            .all(|part| ["train", "validation"].contains(&part))
+    );
+    for (split, part) in [("halve", None), ("../d", None), ("halves", Some("trian"))] {
+        let wrong = ExportPlan {
+            split: Some(split.into()),
+            part: part.map(str::to_owned),
+            ..ExportPlan::new(ExportFormat::Zarr)
+        };
+        let error = run(dir.path(), &dir.path().join("no"), &wrong).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Usage, "{split}");
+    }
+}
+
+#[test]
+fn parts_whose_names_are_paths_are_refused_in_every_format() {
+    let (dir, _) = dataset();
+    let root = dir.path().join("d");
+    let plan = SplitPlan {
+        name: "halves".into(),
+        by: SplitBy::Object,
+        seed: 1,
+        fractions: BTreeMap::from([("train".into(), 0.5), ("test".into(), 0.5)]),
+    };
+    split(&Dataset::open(&root).unwrap(), &plan).unwrap();
+    let path = root.join("splits/halves.json");
+    let text = fs::read_to_string(&path).unwrap();
+    let absolute = dir.path().join("planted").display().to_string();
+    for part in ["../../planted", "a/b", "..", &absolute] {
+        fs::write(&path, text.replace("\"test\"", &format!("{part:?}"))).unwrap();
+        for format in FORMATS {
+            let asked = ExportPlan {
+                split: Some("halves".into()),
+                ..ExportPlan::new(format)
+            };
+            let error = run(dir.path(), &dir.path().join("out"), &asked).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{part} {format}: {error}");
+        }
+        let mut found: Vec<_> = fs::read_dir(dir.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name())
+            .collect();
+        found.sort();
+        assert_eq!(found, ["d"], "{part}");
+    }
+}
+
+#[test]
+fn nothing_to_export_and_no_place_for_it_are_explained() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut writer, _) =
+        DatasetWriter::open_or_create(dir.path().join("d"), &new_dataset()).unwrap();
+    let out = dir.path().join("out");
+    for format in FORMATS {
+        let error = run(dir.path(), &out, &ExportPlan::new(format)).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input);
+        assert!(error.what().contains("no grasps"), "{error}");
+    }
+    let pending = writer.save_initial(&capture(1), Vec::new()).unwrap();
+    writer
+        .save_grasp(&pending, &capture(2), meta("mug"))
+        .unwrap();
+    let mut plan = ExportPlan::new(ExportFormat::Parquet);
+    plan.only_labelled = true;
+    let error = run(dir.path(), &out, &plan).unwrap_err();
+    assert!(error.what().contains("has a label"), "{error}");
+    plan.only_labelled = false;
+    let error = run(dir.path(), &dir.path().join("d/grasps/x"), &plan).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Usage);
+    fs::write(&out, b"mine").unwrap();
+    let dataset = Dataset::open(dir.path().join("d")).unwrap();
+    let error = export(&dataset, &out, &plan, &|_, _| {}).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    assert_eq!(fs::read(&out).unwrap(), b"mine");
+}

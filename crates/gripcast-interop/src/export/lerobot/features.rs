@@ -1,0 +1,213 @@
+//! Which features the frames have. LeRobot's batches need each in every frame, in one shape.
+
+use serde_json::{Map, Value, json};
+
+use super::super::choice::Survey;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_dataset::Stage;
+use gripcast_dataset::shard::TableKind;
+use gripcast_imaging::Role;
+
+/// Roles whose frames are colour pictures.
+const COLOUR: [Role; 4] = [Role::Left, Role::Right, Role::Rgb, Role::External];
+/// Name of the depth feature.
+pub(super) const DEPTH: &str = "observation.depth";
+/// Name of the pose.
+pub(super) const POSE: &str = "observation.pose";
+/// Name of the prediction.
+pub(super) const P_STABLE: &str = "prediction.p_stable";
+/// Features of every frame, after the others: name, kind, and what LeRobot calls the kind.
+pub(super) const ALWAYS: [(&str, TableKind, &str); 8] = [
+    ("next.reward", TableKind::Single, "float32"),
+    ("next.done", TableKind::Flag, "bool"),
+    ("next.success", TableKind::Flag, "bool"),
+    ("timestamp", TableKind::Single, "float32"),
+    ("frame_index", TableKind::Integer, "int64"),
+    ("episode_index", TableKind::Integer, "int64"),
+    ("index", TableKind::Integer, "int64"),
+    ("task_index", TableKind::Integer, "int64"),
+];
+
+/// The features that depend on the dataset.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Features {
+    /// Colour cameras with width and height in pixels.
+    pub(super) colour: Vec<(Role, (u32, u32))>,
+    /// Width and height of depth.
+    pub(super) depth: Option<(u32, u32)>,
+    pub(super) has_pose: bool,
+    pub(super) has_prediction: bool,
+}
+
+/// Name of a colour camera's feature.
+pub(super) fn colour_name(role: Role) -> String {
+    format!("observation.images.{role}")
+}
+
+impl Features {
+    /// What all grasps have in one size, and a sentence for everything else that some have.
+    ///
+    /// # Errors
+    /// `Input`: there is no such camera.
+    pub(super) fn choose(survey: &Survey) -> Result<(Self, Vec<String>)> {
+        let mut notes = Vec::new();
+        let mut size = |role: Role, stages: &[Stage]| {
+            let name = if role == Role::Depth {
+                DEPTH.to_owned()
+            } else {
+                colour_name(role)
+            };
+            let seen: Vec<_> = stages
+                .iter()
+                .map(|stage| survey.cameras.get(&(*stage, role)))
+                .collect();
+            let least = seen.iter().map(|s| s.map_or(0, |s| s.grasps)).min()?;
+            if seen.iter().all(Option::is_none) {
+                return None;
+            }
+            if least < survey.grasps {
+                let all = survey.grasps;
+                notes.push(format!("{name} left out: {least} of {all} grasps have it"));
+                return None;
+            }
+            let mut sizes = seen.iter().flatten().flat_map(|s| &s.sizes);
+            let first = *sizes.next()?;
+            if sizes.any(|other| *other != first) {
+                notes.push(format!("{name} left out: its pictures have several sizes"));
+                return None;
+            }
+            Some(first)
+        };
+        let colour: Vec<_> = COLOUR
+            .into_iter()
+            .filter_map(|role| Some((role, size(role, &Stage::ALL)?)))
+            .collect();
+        let depth = size(Role::Depth, &[Stage::Grasp]);
+        if colour.is_empty() {
+            let what = "there is no camera that every grasp has in one size";
+            let remedy = "choose grasps of one rig with `--split` and `--part`, or another format";
+            return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
+        }
+        let features = Self {
+            colour,
+            depth,
+            has_pose: survey.has_pose,
+            has_prediction: survey.has_prediction,
+        };
+        Ok((features, notes))
+    }
+
+    /// Columns of the data files, in the order of the cells of a frame.
+    pub(super) fn columns(&self) -> Vec<(String, TableKind)> {
+        let colour = self.colour.iter().map(|(role, _)| colour_name(*role));
+        let depth = self.depth.map(|_| DEPTH.to_owned());
+        let mut columns: Vec<_> = colour
+            .chain(depth)
+            .map(|name| (name, TableKind::Picture))
+            .collect();
+        if self.has_pose {
+            columns.push((POSE.to_owned(), TableKind::Singles(7)));
+        }
+        if self.has_prediction {
+            columns.push((P_STABLE.to_owned(), TableKind::Single));
+        }
+        columns.extend(ALWAYS.map(|(name, kind, _)| (name.to_owned(), kind)));
+        columns
+    }
+
+    /// As `info.json` has them.
+    pub(super) fn to_json(&self) -> Value {
+        let mut features = Map::new();
+        let picture = |(width, height): (u32, u32), channels: u32| {
+            json!({
+                "dtype": "image",
+                "shape": [height, width, channels],
+                "names": ["height", "width", "channels"],
+            })
+        };
+        for (role, size) in &self.colour {
+            features.insert(colour_name(*role), picture(*size, 3));
+        }
+        if let Some(size) = self.depth {
+            features.insert(DEPTH.to_owned(), picture(size, 1));
+        }
+        if self.has_pose {
+            let names = ["x_m", "y_m", "z_m", "q_w", "q_x", "q_y", "q_z"];
+            let pose = json!({"dtype": "float32", "shape": [7], "names": names});
+            features.insert(POSE.to_owned(), pose);
+        }
+        let scalar = |dtype: &str| json!({"dtype": dtype, "shape": [1], "names": null});
+        if self.has_prediction {
+            features.insert(P_STABLE.to_owned(), scalar("float32"));
+        }
+        for (name, _, dtype) in ALWAYS {
+            features.insert(name.to_owned(), scalar(dtype));
+        }
+        Value::Object(features)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::choice::Seen;
+    use super::*;
+
+    /// Stage, role, grasps that have it, sizes.
+    type SeenCamera<'a> = (Stage, Role, usize, &'a [(u32, u32)]);
+
+    fn survey(cameras: &[SeenCamera<'_>]) -> Survey {
+        let cameras = cameras.iter().map(|(stage, role, grasps, sizes)| {
+            let seen = Seen {
+                grasps: *grasps,
+                sizes: sizes.iter().copied().collect(),
+            };
+            ((*stage, *role), seen)
+        });
+        Survey {
+            grasps: 3,
+            cameras: cameras.collect(),
+            ..Survey::default()
+        }
+    }
+
+    #[test]
+    fn what_some_grasps_lack_is_left_out_and_told() {
+        const VGA: &[(u32, u32)] = &[(640, 480)];
+        let survey = survey(&[
+            (Stage::Initial, Role::Left, 3, VGA),
+            (Stage::Grasp, Role::Left, 3, VGA),
+            (Stage::Initial, Role::Right, 3, VGA),
+            (Stage::Grasp, Role::Right, 3, &[(640, 480), (3280, 2464)]),
+            (Stage::Grasp, Role::Rgb, 3, VGA),
+            (Stage::Grasp, Role::Depth, 2, VGA),
+        ]);
+        let (features, notes) = Features::choose(&survey).unwrap();
+        assert_eq!(features.colour, [(Role::Left, (640, 480))]);
+        assert_eq!(features.depth, None);
+        assert_eq!(
+            notes,
+            [
+                "observation.images.right left out: its pictures have several sizes",
+                "observation.images.rgb left out: 0 of 3 grasps have it",
+                "observation.depth left out: 2 of 3 grasps have it",
+            ]
+        );
+        let names: Vec<String> = features
+            .columns()
+            .into_iter()
+            .map(|(name, _)| name)
+            .collect();
+        let json = features.to_json();
+        let declared: Vec<&String> = json.as_object().unwrap().keys().collect();
+        assert_eq!(declared.len(), names.len());
+        assert!(names.iter().all(|name| declared.contains(&name)));
+    }
+
+    #[test]
+    fn without_a_common_camera_there_is_no_dataset() {
+        let survey = survey(&[(Stage::Grasp, Role::Left, 3, &[(640, 480)])]);
+        let error = Features::choose(&survey).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input);
+        assert!(error.remedy_text().is_some());
+    }
+}

@@ -1,0 +1,206 @@
+//! The two frames of a grasp.
+
+use std::borrow::Cow;
+
+use image::RgbImage;
+
+use super::super::source::{Grasp, Picture};
+use super::FRAMES;
+use super::features::Features;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_dataset::Stage;
+use gripcast_dataset::shard::TableCell;
+use gripcast_imaging::{
+    Decoder, DepthImage, Role, decode_png_grey16, encode_png_grey16, encode_png_rgb,
+};
+
+/// Makes frames of grasps.
+pub(super) struct Frames {
+    features: Features,
+    decoder: Decoder,
+    /// Depth of the initial frame, where none is measured.
+    no_depth: Option<Depth>,
+}
+
+/// An encoded colour picture and its pixels.
+struct Colour {
+    bytes: Vec<u8>,
+    pixels: RgbImage,
+}
+
+/// The same of depth.
+#[derive(Clone)]
+struct Depth {
+    bytes: Vec<u8>,
+    counts: DepthImage,
+}
+
+/// Pictures of both frames.
+pub(super) struct Pictures {
+    frames: [FramePictures; FRAMES],
+    pose: Option<Vec<f64>>,
+    p_stable: Option<f64>,
+}
+
+struct FramePictures {
+    colour: Vec<Colour>,
+    depth: Option<Depth>,
+}
+
+/// One frame: its pictures, then its numbers in the order of the columns.
+pub(super) struct FrameRow {
+    pictures: FramePictures,
+    pub numbers: Vec<Vec<f64>>,
+    cells: Vec<TableCell<'static>>,
+}
+
+impl Pictures {
+    pub(super) fn bytes(&self) -> usize {
+        let colour = self.frames.iter().flat_map(|frame| &frame.colour);
+        let depth = self.frames.iter().flat_map(|frame| &frame.depth);
+        colour.map(|c| c.bytes.len()).sum::<usize>() + depth.map(|d| d.bytes.len()).sum::<usize>()
+    }
+}
+
+impl FrameRow {
+    /// Pixels of the colour cameras.
+    pub(super) fn colour(&self) -> impl Iterator<Item = &RgbImage> {
+        self.pictures.colour.iter().map(|colour| &colour.pixels)
+    }
+
+    /// Counts of the depth camera.
+    pub(super) fn depth(&self) -> Option<&DepthImage> {
+        self.pictures.depth.as_ref().map(|depth| &depth.counts)
+    }
+
+    pub(super) fn into_cells(self) -> Vec<TableCell<'static>> {
+        let picture = |bytes| TableCell::Picture(Cow::Owned(bytes));
+        let colour = self.pictures.colour.into_iter().map(|c| picture(c.bytes));
+        let depth = self.pictures.depth.map(|d| picture(d.bytes));
+        colour.chain(depth).chain(self.cells).collect()
+    }
+}
+
+impl Frames {
+    pub(super) fn new(features: Features) -> Result<Self> {
+        let no_depth = features.depth.map(|(width, height)| {
+            let counts = DepthImage::new(width, height);
+            encode_png_grey16(&counts).map(|bytes| Depth { bytes, counts })
+        });
+        Ok(Self {
+            decoder: Decoder::new()?,
+            no_depth: no_depth.transpose()?,
+            features,
+        })
+    }
+
+    pub(super) fn features(&self) -> &Features {
+        &self.features
+    }
+
+    /// Pictures of both frames, decoded.
+    ///
+    /// # Errors
+    /// One is not there or does not decode.
+    pub(super) fn pictures(&mut self, grasp: &Grasp) -> Result<Pictures> {
+        let [initial, closed] = Stage::ALL;
+        let mut first = self.frame(grasp, initial)?;
+        first.depth.clone_from(&self.no_depth);
+        let mut second = self.frame(grasp, closed)?;
+        if self.features.depth.is_some() {
+            let picture = found(grasp, Stage::Grasp, Role::Depth)?;
+            second.depth = Some(Depth {
+                bytes: picture.bytes.clone(),
+                counts: decode_png_grey16(&picture.bytes)?,
+            });
+        }
+        let record = &grasp.record;
+        let pose = self.features.has_pose.then(|| match &record.pose {
+            Some(pose) => [&pose.t_m[..], &pose.q_wxyz[..]].concat(),
+            None => vec![f64::NAN; 7],
+        });
+        let p_stable = self.features.has_prediction.then(|| {
+            let prediction = record.prediction.as_ref();
+            prediction.map_or(f64::NAN, |prediction| prediction.p_stable)
+        });
+        Ok(Pictures {
+            frames: [first, second],
+            pose,
+            p_stable,
+        })
+    }
+
+    fn frame(&mut self, grasp: &Grasp, stage: Stage) -> Result<FramePictures> {
+        let mut colour = Vec::new();
+        for (role, _) in &self.features.colour {
+            let picture = found(grasp, stage, *role)?;
+            let pixels = self.decoder.stored_picture(&picture.bytes)?;
+            // LeRobot wants three channels.
+            let bytes = if picture.is_grey {
+                encode_png_rgb(&pixels)?
+            } else {
+                picture.bytes.clone()
+            };
+            colour.push(Colour { bytes, pixels });
+        }
+        Ok(FramePictures {
+            colour,
+            depth: None,
+        })
+    }
+}
+
+fn found(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Picture> {
+    grasp.pictures.get(&(stage, role)).ok_or_else(|| {
+        let what = format!("the grasp has no {} frame of {role}", stage.name());
+        Error::new(ErrorKind::Input, what)
+    })
+}
+
+/// Both frames. `episode` and `task` are the numbers of the grasp and of its task.
+pub(super) fn rows(
+    is_stable: bool,
+    episode: usize,
+    task: usize,
+    pictures: Pictures,
+) -> [FrameRow; FRAMES] {
+    let Pictures {
+        frames: [first, second],
+        pose,
+        p_stable,
+    } = pictures;
+    let row = |frame: usize, pictures: FramePictures| {
+        let is_last = frame + 1 == FRAMES;
+        let succeeds = is_last && is_stable;
+        let flags = [is_last, succeeds].map(i64::from);
+        let indices = [frame, episode, episode * FRAMES + frame, task].map(|i| i as i64);
+        let reward = f64::from(u8::from(succeeds));
+        let timestamp = frame as f64;
+        let mut cells = Vec::new();
+        let mut numbers = Vec::new();
+        if let Some(pose) = &pose {
+            cells.push(TableCell::Numbers(pose.clone()));
+            numbers.push(pose.clone());
+        }
+        if let Some(p_stable) = p_stable {
+            cells.push(TableCell::Number(p_stable));
+            numbers.push(vec![p_stable]);
+        }
+        cells.push(TableCell::Number(reward));
+        cells.extend(flags.map(TableCell::Integer));
+        cells.push(TableCell::Number(timestamp));
+        cells.extend(indices.map(TableCell::Integer));
+        let scalars = [reward]
+            .into_iter()
+            .chain(flags.map(|flag| flag as f64))
+            .chain([timestamp])
+            .chain(indices.map(|index| index as f64));
+        numbers.extend(scalars.map(|number| vec![number]));
+        FrameRow {
+            pictures,
+            numbers,
+            cells,
+        }
+    };
+    [row(0, first), row(1, second)]
+}

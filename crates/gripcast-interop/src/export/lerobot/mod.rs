@@ -1,0 +1,205 @@
+//! LeRobot's format, version 3: a grasp is an episode of two frames, initial and grasp.
+//!
+//! Written from the layout that the package `lerobot` 0.4 reads: `meta/info.json`,
+//! `meta/stats.json`, `meta/tasks.parquet`, `meta/episodes/` and `data/` in files of bounded size.
+//! Pictures are embedded, there are no videos.
+
+mod features;
+mod frames;
+mod info;
+mod stats;
+
+use super::run::{Setting, Writer};
+use super::source::Grasp;
+use features::Features;
+use frames::Frames;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, FileName};
+use gripcast_dataset::Outcome;
+use gripcast_dataset::shard::{TableCell, TableKind, TableWriter};
+use info::{Totals, info, tasks_metadata};
+use stats::Stats;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
+/// Size of a data file, bytes; LeRobot's own default.
+const DATA_FILE_BYTES: usize = 100 << 20;
+/// Files in a folder; LeRobot's own default.
+const FILES_PER_CHUNK: usize = 1000;
+/// Frames of an episode.
+const FRAMES: usize = 2;
+/// Columns of the episodes; those with `gripcast/` are ours.
+const EPISODES: [(&str, TableKind); 11] = [
+    ("episode_index", TableKind::Integer),
+    ("tasks", TableKind::OneText),
+    ("length", TableKind::Integer),
+    ("dataset_from_index", TableKind::Integer),
+    ("dataset_to_index", TableKind::Integer),
+    ("data/chunk_index", TableKind::Integer),
+    ("data/file_index", TableKind::Integer),
+    ("meta/episodes/chunk_index", TableKind::Integer),
+    ("meta/episodes/file_index", TableKind::Integer),
+    ("gripcast/id", TableKind::Text),
+    ("gripcast/record", TableKind::Text),
+];
+
+/// Writes the dataset.
+pub(super) struct LeRobot<'a> {
+    setting: Setting<'a>,
+    frames: Frames,
+    stats: Stats,
+    notes: Vec<String>,
+    tasks: BTreeMap<String, usize>,
+    episodes: TableWriter,
+    data: TableWriter,
+    /// Number of the open data file.
+    file: usize,
+    grasps: usize,
+    /// Parts with their first episodes.
+    parts: Vec<(String, usize)>,
+}
+
+impl<'a> LeRobot<'a> {
+    /// # Errors
+    /// `Input`: there is no camera that every grasp has in one size. The files.
+    pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
+        let (features, notes) = Features::choose(setting.survey)?;
+        let episodes = EPISODES.map(|(name, kind)| (name.to_owned(), kind));
+        let path = place(setting, &["meta", "episodes"], 0)?;
+        let episodes = TableWriter::create(path, episodes.to_vec(), &[])?;
+        let path = place(setting, &["data"], 0)?;
+        let data = TableWriter::create(path, features.columns(), &[])?;
+        Ok(Self {
+            setting,
+            stats: Stats::new(&features),
+            frames: Frames::new(features)?,
+            notes,
+            tasks: BTreeMap::new(),
+            episodes,
+            data,
+            file: 0,
+            grasps: 0,
+            parts: Vec::new(),
+        })
+    }
+
+    /// A further data file where the open one is full.
+    fn make_room(&mut self, size: usize) -> Result<()> {
+        if self.data.rows() == 0 || self.data.bytes() + size <= DATA_FILE_BYTES {
+            return Ok(());
+        }
+        self.file += 1;
+        let path = place(self.setting, &["data"], self.file)?;
+        let next = TableWriter::create(path, self.frames.features().columns(), &[])?;
+        std::mem::replace(&mut self.data, next).finish()
+    }
+
+    fn task(&mut self, object: &str) -> usize {
+        let next = self.tasks.len();
+        let task = task_text(object);
+        *self.tasks.entry(task).or_insert(next)
+    }
+
+    fn episode(&self, grasp: &Grasp) -> Vec<TableCell<'static>> {
+        let text = |text: String| TableCell::Text(Cow::Owned(text));
+        let first = self.grasps * FRAMES;
+        vec![
+            integer(self.grasps),
+            text(task_text(&grasp.record.object)),
+            integer(FRAMES),
+            integer(first),
+            integer(first + FRAMES),
+            integer(self.file / FILES_PER_CHUNK),
+            integer(self.file % FILES_PER_CHUNK),
+            integer(0),
+            integer(0),
+            text(grasp.record.id.to_string()),
+            text(String::from_utf8_lossy(&grasp.json).into_owned()),
+        ]
+    }
+
+    fn write_tasks(&self) -> Result<()> {
+        let meta = self.setting.folder.root().top().join("meta");
+        let path = meta.join("tasks.parquet");
+        let columns = [
+            ("task_index", TableKind::Integer),
+            ("task", TableKind::Text),
+        ];
+        let columns = columns.map(|(name, kind)| (name.to_owned(), kind)).to_vec();
+        let metadata = [("pandas", tasks_metadata())];
+        let mut table = TableWriter::create(path, columns, &metadata)?;
+        let mut tasks: Vec<(&String, &usize)> = self.tasks.iter().collect();
+        tasks.sort_by_key(|(_, index)| **index);
+        for (task, index) in tasks {
+            let task = TableCell::Text(Cow::Owned(task.clone()));
+            table.push(vec![integer(*index), task])?;
+        }
+        table.finish()
+    }
+}
+
+impl Writer for LeRobot<'_> {
+    fn begin_part(&mut self, part: &str) -> Result<()> {
+        self.parts.push((part.to_owned(), self.grasps));
+        Ok(())
+    }
+
+    fn push(&mut self, grasp: Grasp) -> Result<Option<Error>> {
+        let is_stable = match grasp.record.outcome {
+            Outcome::Stable => true,
+            Outcome::Slip => false,
+            Outcome::Unlabelled => {
+                let what = "the grasp lost its label during the export";
+                return Ok(Some(Error::new(ErrorKind::Input, what)));
+            }
+        };
+        let pictures = match self.frames.pictures(&grasp) {
+            Ok(pictures) => pictures,
+            Err(error) => return Ok(Some(error)),
+        };
+        self.make_room(pictures.bytes())?;
+        let task = self.task(&grasp.record.object);
+        self.episodes.push(self.episode(&grasp))?;
+        for frame in frames::rows(is_stable, self.grasps, task, pictures) {
+            self.stats.add(&frame);
+            self.data.push(frame.into_cells())?;
+        }
+        self.grasps += 1;
+        Ok(None)
+    }
+
+    fn finish(self: Box<Self>) -> Result<Vec<String>> {
+        self.write_tasks()?;
+        let totals = Totals {
+            grasps: self.grasps,
+            tasks: self.tasks.len(),
+            parts: &self.parts,
+        };
+        let info = info(self.setting.descriptor, self.frames.features(), &totals)?;
+        let folder = self.setting.folder;
+        folder.write("meta/info.json", &info)?;
+        folder.write("meta/stats.json", &self.stats.to_json()?)?;
+        self.episodes.finish()?;
+        self.data.finish()?;
+        Ok(self.notes)
+    }
+}
+
+/// What the operator was to do, in words, as LeRobot has it.
+fn task_text(object: &str) -> String {
+    format!("grasp the {object}")
+}
+
+fn integer(value: usize) -> TableCell<'static> {
+    TableCell::Integer(value as i64)
+}
+
+/// Place of a numbered file below a folder of the export, which is made.
+fn place(setting: Setting<'_>, folder: &[&'static str], file: usize) -> Result<BeneathPath> {
+    let top = setting.folder.root().top();
+    let folder = folder.iter().fold(top, |place, name| place.join(*name));
+    let chunk = FileName::parse(&format!("chunk-{:03}", file / FILES_PER_CHUNK))?;
+    let folder = setting.folder.folder(folder.join(&chunk))?;
+    let name = FileName::parse(&format!("file-{:03}.parquet", file % FILES_PER_CHUNK))?;
+    Ok(folder.join(&name))
+}

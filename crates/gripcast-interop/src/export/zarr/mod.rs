@@ -1,0 +1,268 @@
+//! Zarr arrays, laid out as the replay buffer of UMI and Diffusion Policy: `data/` has a row a
+//! frame, `meta/` a row a grasp, `meta/episode_ends` says where each grasp ends in `data/`.
+//!
+//! Version 2 of the format, which every release of Python's `zarr` reads; a few kinds of arrays
+//! are written, in chunks compressed by zlib. That is little, and a Zarr library brings a hundred
+//! crates.
+
+mod array;
+mod store;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use image::RgbImage;
+use serde_json::json;
+
+use super::run::{Setting, Writer};
+use super::source::Grasp;
+use array::{Kind, Pictures, Rows};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_dataset::{Outcome, Stage};
+use gripcast_imaging::{CropProfile, Decoder, Role};
+use store::Store;
+
+/// Cameras that are exported, in one size.
+const ROLES: [Role; 3] = [Role::Left, Role::Right, Role::Rgb];
+/// Largest side of a picture, pixels.
+const LARGEST_SIDE: u32 = 8192;
+/// Name of a zip file until it gets its own.
+pub(super) const ZIP_NAME: &str = "export.zip";
+
+/// Whether the export is one file.
+pub(super) fn is_zip(out: &Path) -> bool {
+    out.extension().is_some_and(|ending| ending == "zip")
+}
+
+/// Writes the arrays.
+pub(super) struct ReplayBuffer<'a> {
+    setting: Setting<'a>,
+    decoder: Decoder,
+    store: Store<'a>,
+    cameras: Vec<Camera>,
+    stage: Rows,
+    grasps: PerGrasp,
+    part: String,
+    frames: usize,
+}
+
+/// Frames of one role.
+struct Camera {
+    role: Role,
+    pictures: Pictures,
+    /// Whether the grasp has the picture; black stands for one that it lacks.
+    is_there: Rows,
+}
+
+/// Arrays with a row a grasp.
+struct PerGrasp {
+    episode_ends: Rows,
+    outcome: Rows,
+    p_stable: Rows,
+    pose_t_m: Rows,
+    pose_q_wxyz: Rows,
+    id: Rows,
+    object: Rows,
+    part: Rows,
+}
+
+impl PerGrasp {
+    fn new(setting: Setting<'_>) -> Self {
+        let survey = setting.survey;
+        let longest_part = setting.parts.iter().map(|(name, _)| name.chars().count());
+        let text = |length: usize| Kind::Text(length.max(1));
+        Self {
+            episode_ends: Rows::new("meta/episode_ends", Kind::I8, &[]),
+            outcome: Rows::new("meta/outcome", Kind::I1, &[]),
+            p_stable: Rows::new("meta/p_stable", Kind::F8, &[]),
+            pose_t_m: Rows::new("meta/pose_t_m", Kind::F8, &[3]),
+            pose_q_wxyz: Rows::new("meta/pose_q_wxyz", Kind::F8, &[4]),
+            id: Rows::new("meta/id", text(survey.longest_id), &[]),
+            object: Rows::new("meta/object", text(survey.longest_object), &[]),
+            part: Rows::new("meta/part", text(longest_part.max().unwrap_or(1)), &[]),
+        }
+    }
+
+    fn push(&mut self, store: &mut Store<'_>, grasp: &Grasp, part: &str, end: usize) -> Result<()> {
+        let record = &grasp.record;
+        let outcome: i8 = match record.outcome {
+            Outcome::Stable => 1,
+            Outcome::Slip => 0,
+            Outcome::Unlabelled => -1,
+        };
+        let p_stable = record.prediction.as_ref().map_or(f64::NAN, |p| p.p_stable);
+        let pose = record.pose.as_ref();
+        let t_m = pose.map_or([f64::NAN; 3], |pose| pose.t_m);
+        let q_wxyz = pose.map_or([f64::NAN; 4], |pose| pose.q_wxyz);
+        self.episode_ends.push(store, &(end as i64).to_le_bytes())?;
+        self.outcome.push(store, &outcome.to_le_bytes())?;
+        self.p_stable.push(store, &p_stable.to_le_bytes())?;
+        self.pose_t_m.push(store, &le_bytes(&t_m))?;
+        self.pose_q_wxyz.push(store, &le_bytes(&q_wxyz))?;
+        self.id.push_text(store, &record.id)?;
+        self.object.push_text(store, &record.object)?;
+        self.part.push_text(store, part)
+    }
+
+    fn finish(self, store: &mut Store<'_>) -> Result<()> {
+        let numbers = [
+            self.episode_ends,
+            self.outcome,
+            self.p_stable,
+            self.pose_t_m,
+            self.pose_q_wxyz,
+        ];
+        let texts = [self.id, self.object, self.part];
+        numbers
+            .into_iter()
+            .chain(texts)
+            .try_for_each(|rows| rows.finish(store))
+    }
+}
+
+impl<'a> ReplayBuffer<'a> {
+    /// # Errors
+    /// `Usage`: a size that cannot be. `Input`: no grasp has one of the cameras. The files.
+    pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
+        let (width, height) = setting.plan.size;
+        let possible = 1..=LARGEST_SIDE;
+        if !possible.contains(&width) || !possible.contains(&height) {
+            let what = format!("pictures of {width}×{height} pixels cannot be");
+            return Err(Error::new(ErrorKind::Usage, what).remedy(format!(
+                "give 1 to {LARGEST_SIDE} pixels a side, as 320x240"
+            )));
+        }
+        let has = |role: &Role| {
+            let seen = &setting.survey.cameras;
+            Stage::ALL
+                .iter()
+                .any(|stage| seen.contains_key(&(*stage, *role)))
+        };
+        let cameras: Vec<Camera> = ROLES
+            .into_iter()
+            .filter(has)
+            .map(|role| Camera {
+                role,
+                pictures: Pictures::new(format!("data/{role}"), setting.plan.size),
+                is_there: Rows::new(format!("data/{role}_is_there"), Kind::Bool, &[]),
+            })
+            .collect();
+        if cameras.is_empty() {
+            let what = "no grasp has a picture of left, right or rgb";
+            return Err(Error::new(ErrorKind::Input, what));
+        }
+        let mut store = Store::create(setting.folder, is_zip(setting.folder.target()))?;
+        store.put_json(".zattrs", &attributes(setting))?;
+        for group in ["", "data/", "meta/"] {
+            store.put_json(&format!("{group}.zgroup"), &json!({"zarr_format": 2}))?;
+        }
+        Ok(Self {
+            decoder: Decoder::new()?,
+            store,
+            cameras,
+            stage: Rows::new("data/stage", Kind::U1, &[]),
+            grasps: PerGrasp::new(setting),
+            part: String::new(),
+            frames: 0,
+            setting,
+        })
+    }
+
+    /// Pictures of both frames, by camera; all of them before one is written.
+    fn decode(&mut self, grasp: &Grasp) -> Result<Vec<Vec<Option<RgbImage>>>> {
+        let (width, height) = self.setting.plan.size;
+        let mut frames = Vec::new();
+        for stage in Stage::ALL {
+            let mut pictures = Vec::new();
+            for camera in &self.cameras {
+                let Some(picture) = grasp.pictures.get(&(stage, camera.role)) else {
+                    pictures.push(None);
+                    continue;
+                };
+                let crop = picture.crop_profile.as_deref();
+                let crop = crop.map(CropProfile::by_name).transpose()?;
+                let bytes = &picture.bytes;
+                let decoded = self
+                    .decoder
+                    .decode_file(bytes, crop.as_ref(), width, height)?;
+                pictures.push(Some(decoded));
+            }
+            frames.push(pictures);
+        }
+        Ok(frames)
+    }
+}
+
+impl Writer for ReplayBuffer<'_> {
+    fn begin_part(&mut self, part: &str) -> Result<()> {
+        part.clone_into(&mut self.part);
+        Ok(())
+    }
+
+    fn push(&mut self, grasp: Grasp) -> Result<Option<Error>> {
+        let frames = match self.decode(&grasp) {
+            Ok(frames) => frames,
+            Err(error) => return Ok(Some(error)),
+        };
+        let store = &mut self.store;
+        for (stage, pictures) in (0_u8..).zip(frames) {
+            for (camera, picture) in self.cameras.iter_mut().zip(pictures) {
+                let is_there = [u8::from(picture.is_some())];
+                camera.is_there.push(store, &is_there)?;
+                let pixels = picture.as_ref().map(|picture| picture.as_raw().as_slice());
+                camera.pictures.push(store, pixels)?;
+            }
+            self.stage.push(store, &[stage])?;
+            self.frames += 1;
+        }
+        self.grasps.push(store, &grasp, &self.part, self.frames)?;
+        Ok(None)
+    }
+
+    fn finish(self: Box<Self>) -> Result<Vec<String>> {
+        let mut store = self.store;
+        for camera in self.cameras {
+            camera.pictures.finish(&mut store)?;
+            camera.is_there.finish(&mut store)?;
+        }
+        self.stage.finish(&mut store)?;
+        self.grasps.finish(&mut store)?;
+        store.finish()?;
+        Ok(not_exported(self.setting))
+    }
+}
+
+/// What the arrays mean.
+fn attributes(setting: Setting<'_>) -> serde_json::Value {
+    let (width, height) = setting.plan.size;
+    let descriptor = setting.descriptor;
+    json!({
+        "dataset": descriptor.name,
+        "licence": descriptor.licence,
+        "label_definition": descriptor.label_definition,
+        "outcome": {"-1": "unlabelled", "0": "slip", "1": "stable"},
+        "stage": {"0": "initial", "1": "grasp"},
+        "width": width,
+        "height": height,
+    })
+}
+
+/// A note for every other kind of picture.
+fn not_exported(setting: Setting<'_>) -> Vec<String> {
+    let mut others: BTreeMap<Role, usize> = BTreeMap::new();
+    for ((_, role), seen) in &setting.survey.cameras {
+        if !ROLES.contains(role) {
+            let most = others.entry(*role).or_default();
+            *most = seen.grasps.max(*most);
+        }
+    }
+    let note = |(role, grasps)| format!("{role} left out: pictures of {grasps} grasps");
+    others.into_iter().map(note).collect()
+}
+
+fn le_bytes(numbers: &[f64]) -> Vec<u8> {
+    numbers
+        .iter()
+        .flat_map(|number| number.to_le_bytes())
+        .collect()
+}

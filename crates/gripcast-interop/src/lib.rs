@@ -1,0 +1,5 @@
+//! Datasets of other programs: import, export, HDF5.
+
+pub mod export;
+pub mod hdf5;
+pub mod import;

@@ -1,0 +1,103 @@
+//! Adam (Kingma and Ba, 2015) with decoupled weight decay (Loshchilov and Hutter, 2019).
+
+use super::architecture::Layout;
+
+const BETA: [f32; 2] = [0.9, 0.999];
+const EPSILON: f32 = 1e-8;
+
+/// The optimiser's memory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Adam {
+    /// Running means of the gradient.
+    pub first: Vec<f32>,
+    /// Running means of its square.
+    pub second: Vec<f32>,
+    /// Steps taken.
+    pub steps: u64,
+}
+
+impl Adam {
+    /// For so many parameters.
+    pub fn new(parameters: usize) -> Self {
+        Self {
+            first: vec![0.0; parameters],
+            second: vec![0.0; parameters],
+            steps: 0,
+        }
+    }
+
+    /// Moves the parameters along their gradient; weights shrink by `rate·decay` of themselves,
+    /// biases and scales do not.
+    pub fn step(
+        &mut self,
+        layout: &Layout,
+        parameters: &mut [f32],
+        gradient: &[f32],
+        rate: f32,
+        decay: f32,
+    ) {
+        self.steps += 1;
+        let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
+        let [first_share, second_share] = BETA.map(|beta| 1.0 - beta.powi(steps));
+        for part in layout.parts() {
+            let shrink = if part.is_weight() { rate * decay } else { 0.0 };
+            let range = part.range();
+            let means = self.first[range.clone()]
+                .iter_mut()
+                .zip(&mut self.second[range.clone()]);
+            let moved = parameters[range.clone()].iter_mut().zip(&gradient[range]);
+            for ((first, second), (parameter, gradient)) in means.zip(moved) {
+                *first += (1.0 - BETA[0]) * (gradient - *first);
+                *second += (1.0 - BETA[1]) * (gradient * gradient - *second);
+                let slope = *first / first_share / ((*second / second_share).sqrt() + EPSILON);
+                *parameter -= rate * slope + shrink * *parameter;
+            }
+        }
+    }
+}
+
+/// The share of the learning rate at a step: rising over the first `warm_up` steps, then falling
+/// linearly to zero after `all`.
+pub fn linear_schedule(step: u64, warm_up: u64, all: u64) -> f32 {
+    let rising = (step + 1) as f32 / warm_up.max(1) as f32;
+    let falling = 1.0 - step as f32 / all.max(1) as f32;
+    rising.min(falling).clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Architecture, Senses};
+
+    #[test]
+    fn it_finds_the_lowest_point_and_weights_shrink() {
+        let senses = Senses {
+            touch: true,
+            vision: false,
+        };
+        let layout = Layout::of(&Architecture::gripcast(), senses, 0);
+        let mut parameters = vec![1.0; layout.len()];
+        let mut adam = Adam::new(layout.len());
+        for _ in 0..400 {
+            let gradient: Vec<f32> = parameters.iter().map(|p| 2.0 * (p - 0.25)).collect();
+            adam.step(&layout, &mut parameters, &gradient, 0.01, 0.0);
+        }
+        assert!(parameters.iter().all(|p| (p - 0.25).abs() < 1e-3));
+        let gradient = vec![0.0; layout.len()];
+        let mut adam = Adam::new(layout.len());
+        adam.step(&layout, &mut parameters, &gradient, 0.1, 0.5);
+        for part in layout.parts() {
+            let expected = if part.is_weight() { 0.95 } else { 1.0 };
+            let found = parameters[part.first] / 0.25;
+            assert!((found - expected).abs() < 5e-3, "{}: {found}", part.name);
+        }
+    }
+
+    #[test]
+    fn the_rate_rises_then_falls_to_nothing() {
+        assert_eq!(linear_schedule(0, 10, 100), 0.1);
+        assert_eq!(linear_schedule(50, 10, 100), 0.5);
+        assert_eq!(linear_schedule(100, 10, 100), 0.0);
+        assert_eq!(linear_schedule(500, 10, 100), 0.0);
+    }
+}

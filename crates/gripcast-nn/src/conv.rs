@@ -1,0 +1,339 @@
+//! Convolution of one picture, forwards and backwards.
+//!
+//! Pictures are HWC (channels of a pixel side by side), weights are KH·KW·C rows of as many columns
+//! as there are output channels.
+
+use super::lanes::{Isa, Lanes, WithLanes};
+use super::product::{Finish, Output, Packed, Rows, multiply, multiply_transposed};
+
+/// Output pixels whose gradients are spread at once; their products stay in the cache.
+const SPREAD_PIXELS: usize = 80;
+
+/// Sizes of a convolution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ConvShape {
+    /// Height, width and channels of the input.
+    pub input: [usize; 3],
+    /// Channels of the output.
+    pub channels: usize,
+    /// Side of the window, pixels.
+    pub kernel: usize,
+    /// Distance of windows, pixels.
+    pub stride: usize,
+    /// Zeros around the input, pixels.
+    pub pad: usize,
+}
+
+impl ConvShape {
+    /// Height, width and channels of the output.
+    pub fn output(&self) -> [usize; 3] {
+        let [height, width, _] = self.input;
+        let side = |side: usize| (side + 2 * self.pad - self.kernel) / self.stride + 1;
+        [side(height), side(width), self.channels]
+    }
+
+    /// Rows of the weights.
+    pub fn fan_in(&self) -> usize {
+        self.kernel * self.kernel * self.input[2]
+    }
+
+    /// Multiplications of a picture.
+    pub fn products(&self) -> usize {
+        let [height, width, channels] = self.output();
+        height * width * channels * self.fan_in()
+    }
+
+    /// Height and width of the input with the zeros that windows reach.
+    fn padded(&self) -> [usize; 2] {
+        let [height, width, _] = self.output();
+        [height, width].map(|side| (side - 1) * self.stride + self.kernel)
+    }
+
+    /// Whether windows read zeros around the input, or skip rows or columns at its end.
+    fn is_padded(&self) -> bool {
+        self.padded() != [self.input[0], self.input[1]]
+    }
+
+    /// Where windows lie in the padded input.
+    pub(super) fn rows(&self) -> (Rows, [usize; 3]) {
+        let [height, width, _] = self.output();
+        let row = self.padded()[1] * self.input[2];
+        let rows = Rows {
+            step: self.stride * self.input[2],
+            runs: self.kernel,
+            run: self.kernel * self.input[2],
+            run_step: row,
+        };
+        (rows, [height, self.stride * row, width])
+    }
+
+    /// Weights packed for [`forward`].
+    pub(super) fn pack(&self, weights: &[f32], packed: &mut Packed) {
+        packed.pack_rows([self.fan_in(), self.channels], weights);
+    }
+
+    /// Weights packed for [`backward_input`].
+    pub(super) fn pack_transposed(&self, weights: &[f32], packed: &mut Packed) {
+        packed.pack_columns([self.channels, self.fan_in()], weights);
+    }
+
+    /// The input with its zeros; `x` itself where there are none.
+    fn pad<'a>(&self, x: &'a [f32], padded: &'a mut Vec<f32>) -> &'a [f32] {
+        if !self.is_padded() {
+            return x;
+        }
+        let [height, width, channels] = self.input;
+        let [padded_height, padded_width] = self.padded();
+        padded.clear();
+        padded.resize(padded_height * padded_width * channels, 0.0);
+        let width = width.min(padded_width - self.pad);
+        for row in 0..height.min(padded_height - self.pad) {
+            let to = ((row + self.pad) * padded_width + self.pad) * channels;
+            padded[to..to + width * channels]
+                .copy_from_slice(&x[row * self.input[1] * channels..][..width * channels]);
+        }
+        padded
+    }
+
+    /// Takes from a padded gradient what belongs to the input.
+    fn unpad(&self, padded: &[f32], dx: &mut [f32]) {
+        let [height, width, channels] = self.input;
+        let [padded_height, padded_width] = self.padded();
+        let inside = width.min(padded_width - self.pad);
+        for row in 0..height {
+            let dx = &mut dx[row * width * channels..][..width * channels];
+            if row + self.pad < padded_height {
+                let from = ((row + self.pad) * padded_width + self.pad) * channels;
+                dx[..inside * channels].copy_from_slice(&padded[from..][..inside * channels]);
+                dx[inside * channels..].fill(0.0);
+            } else {
+                dx.fill(0.0);
+            }
+        }
+    }
+}
+
+/// Memory that a thread uses again.
+#[derive(Debug, Default)]
+pub(super) struct Scratch {
+    padded: Vec<f32>,
+    spread: Vec<f32>,
+}
+
+/// `y = finish(x ∗ weights)`, one picture.
+pub(super) fn forward(
+    shape: &ConvShape,
+    x: &[f32],
+    weights: &Packed,
+    y: &mut [f32],
+    finish: Finish<'_>,
+    scratch: &mut Scratch,
+) {
+    let (rows, lines) = shape.rows();
+    Isa::best().run(Multiply {
+        a: shape.pad(x, &mut scratch.padded),
+        rows,
+        lines,
+        b: weights,
+        c: Output {
+            line_step: lines[2] * shape.channels,
+            values: y,
+            finish,
+        },
+    });
+}
+
+/// Adds to `dweights` what one picture contributes.
+pub(super) fn backward_weights(
+    shape: &ConvShape,
+    x: &[f32],
+    dy: &[f32],
+    dweights: &mut [f32],
+    scratch: &mut Scratch,
+) {
+    let (rows, lines) = shape.rows();
+    Isa::best().run(MultiplyTransposed {
+        a: shape.pad(x, &mut scratch.padded),
+        rows,
+        lines,
+        b: dy,
+        columns: shape.channels,
+        c: dweights,
+    });
+}
+
+/// Gradient of the input of one picture.
+pub(super) fn backward_input(
+    shape: &ConvShape,
+    dy: &[f32],
+    weights: &Packed,
+    dx: &mut [f32],
+    scratch: &mut Scratch,
+) {
+    let (rows, [height, line_step, width]) = shape.rows();
+    let [padded_height, padded_width] = shape.padded();
+    let Scratch { padded, spread } = scratch;
+    padded.clear();
+    padded.resize(padded_height * padded_width * shape.input[2], 0.0);
+    let lines_at_once = (SPREAD_PIXELS / width).max(1);
+    spread.resize(lines_at_once * width * shape.fan_in(), 0.0);
+    let mut line = 0;
+    while line < height {
+        let lines = lines_at_once.min(height - line);
+        let pixels = lines * width;
+        Isa::best().run(Multiply {
+            a: &dy[line * width * shape.channels..],
+            rows: Rows {
+                step: shape.channels,
+                runs: 1,
+                run: shape.channels,
+                run_step: 0,
+            },
+            lines: [1, 0, pixels],
+            b: weights,
+            c: Output {
+                values: &mut spread[..pixels * shape.fan_in()],
+                line_step: 0,
+                finish: Finish::default(),
+            },
+        });
+        Isa::best().run(Spread {
+            spread,
+            rows,
+            lines: [lines, line_step, width],
+            dx: &mut padded[line * line_step..],
+        });
+        line += lines;
+    }
+    shape.unpad(padded, dx);
+}
+
+/// `y = finish(x·weights)` for rows of `x`; a convolution with windows of one pixel.
+pub(super) fn linear_forward(
+    x: &[f32],
+    weights: &Packed,
+    inputs: usize,
+    y: &mut [f32],
+    finish: Finish<'_>,
+) {
+    let count = y.len() / weights.columns();
+    Isa::best().run(Multiply {
+        a: x,
+        rows: rows_of(inputs),
+        lines: [1, 0, count],
+        b: weights,
+        c: Output {
+            values: y,
+            line_step: 0,
+            finish,
+        },
+    });
+}
+
+/// Adds `xᵀ·dy` to `dweights`.
+pub(super) fn linear_backward_weights(
+    x: &[f32],
+    dy: &[f32],
+    [inputs, outputs]: [usize; 2],
+    dweights: &mut [f32],
+) {
+    Isa::best().run(MultiplyTransposed {
+        a: x,
+        rows: rows_of(inputs),
+        lines: [1, 0, x.len() / inputs],
+        b: dy,
+        columns: outputs,
+        c: dweights,
+    });
+}
+
+fn rows_of(length: usize) -> Rows {
+    Rows {
+        step: length,
+        runs: 1,
+        run: length,
+        run_step: 0,
+    }
+}
+
+pub(super) struct Multiply<'a> {
+    pub(super) a: &'a [f32],
+    pub rows: Rows,
+    pub(super) lines: [usize; 3],
+    pub(super) b: &'a Packed,
+    pub(super) c: Output<'a>,
+}
+
+impl WithLanes for Multiply<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_lanes<S: Lanes>(self, lanes: S) -> Self::Output {
+        multiply(lanes, self.a, self.rows, self.lines, self.b, self.c);
+    }
+}
+
+struct MultiplyTransposed<'a> {
+    a: &'a [f32],
+    rows: Rows,
+    lines: [usize; 3],
+    b: &'a [f32],
+    columns: usize,
+    c: &'a mut [f32],
+}
+
+impl WithLanes for MultiplyTransposed<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_lanes<S: Lanes>(self, lanes: S) {
+        let Self {
+            a,
+            rows,
+            lines,
+            b,
+            columns,
+            c,
+        } = self;
+        multiply_transposed(lanes, a, rows, lines, b, columns, c);
+    }
+}
+
+/// Adds the products of each window to the pixels that it covers.
+struct Spread<'a> {
+    spread: &'a [f32],
+    rows: Rows,
+    lines: [usize; 3],
+    dx: &'a mut [f32],
+}
+
+impl WithLanes for Spread<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_lanes<S: Lanes>(self, _: S) {
+        let Self {
+            spread,
+            rows,
+            lines: [lines, line_step, count],
+            dx,
+        } = self;
+        let mut windows = spread.chunks_exact(rows.len());
+        for line in 0..lines {
+            for pixel in 0..count {
+                let Some(window) = windows.next() else { return };
+                let dx = &mut dx[line * line_step + pixel * rows.step..];
+                for (run, values) in window.chunks_exact(rows.run).enumerate() {
+                    let dx = &mut dx[run * rows.run_step..][..rows.run];
+                    for (dx, value) in dx.iter_mut().zip(values) {
+                        *dx += value;
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "conv_test.rs"]
+mod tests;

@@ -1,0 +1,23 @@
+//! The classifier's network and the arithmetic that trains and runs it, on the processor's widest
+//! vectors.
+//!
+//! Convolutions gather their windows where they lie (no matrix of windows is made) and keep sums in
+//! registers. Results do not depend on the number of threads, nor on the width of vectors where
+//! they have fused multiply-add.
+
+mod adam;
+mod architecture;
+mod batch_norm;
+mod conv;
+mod inference;
+mod lanes;
+mod network;
+pub mod predict;
+mod product;
+
+pub use adam::{Adam, linear_schedule};
+pub use architecture::{Architecture, ConvSpec, Layout, PICTURE, Part, Senses};
+pub use conv::ConvShape;
+pub use inference::{Convolution, Dense, Padded};
+pub use lanes::vector_bits;
+pub use network::{Batch, FoldedConvolution, Losses, Network, Sense, Step};

@@ -1,0 +1,244 @@
+//! From pictures to the model's input tensors.
+
+use std::sync::Arc;
+
+use image::RgbImage;
+use tract_onnx::prelude::{TValue, Tensor};
+
+use super::contract::{
+    IMAGE_HEIGHT, IMAGE_WIDTH, InputName, InputSpec, ModelContract, RgbNormalisation,
+};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_imaging::TactileDifference;
+
+const PIXELS: usize = IMAGE_WIDTH as usize * IMAGE_HEIGHT as usize;
+
+/// The input tensors of one prediction, each `[1, 3, 240, 320]` NCHW f32, channels red green blue.
+///
+/// Kept between predictions, the memory is written again; the engine reads it without a copy.
+#[derive(Clone, Debug)]
+pub struct ModelInput {
+    planes: Vec<(InputName, InputTensor)>,
+    normalisation: Option<RgbNormalisation>,
+}
+
+impl ModelInput {
+    /// Zeros for every input of the model: no tactile change, the mean colour.
+    ///
+    /// # Errors
+    /// When the memory cannot be had.
+    pub fn zeros(contract: &ModelContract) -> Result<Self> {
+        Ok(Self {
+            planes: contract
+                .variant
+                .inputs()
+                .iter()
+                .map(|&name| Ok((name, InputTensor::zeros()?)))
+                .collect::<Result<_>>()?,
+            normalisation: contract
+                .input(InputName::Rgb)
+                .and_then(InputSpec::normalisation),
+        })
+    }
+
+    /// Writes a tactile difference, (grasp − initial) / 255. A model without touch ignores it.
+    ///
+    /// # Errors
+    /// When the pictures were not 320×240.
+    pub fn set_tactile(&mut self, name: InputName, difference: &TactileDifference) -> Result<()> {
+        check_size(name, difference.width(), difference.height())?;
+        match self.tensor_mut(name) {
+            Some(tensor) => tensor.write(|planes| difference.write_chw(planes)),
+            None => Ok(()),
+        }
+    }
+
+    /// Writes the colour picture, (x / 255 − mean) / std. A model without vision ignores it.
+    ///
+    /// # Errors
+    /// When the picture is not 320×240.
+    pub fn set_rgb(&mut self, picture: &RgbImage) -> Result<()> {
+        check_size(InputName::Rgb, picture.width(), picture.height())?;
+        match (self.normalisation, self.tensor_mut(InputName::Rgb)) {
+            (Some(normalisation), Some(tensor)) => tensor.write(|planes| {
+                write_normalised(picture.as_raw(), normalisation, planes);
+                Ok(())
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Values of an input, 3·240·320 of them; `None` where the model does not use it.
+    pub fn values(&self, name: InputName) -> Option<&[f32]> {
+        self.tensor(name)?.values()
+    }
+
+    pub(super) fn tensor(&self, name: InputName) -> Option<&InputTensor> {
+        self.planes
+            .iter()
+            .find_map(|(n, tensor)| (*n == name).then_some(tensor))
+    }
+
+    fn tensor_mut(&mut self, name: InputName) -> Option<&mut InputTensor> {
+        self.planes
+            .iter_mut()
+            .find_map(|(n, tensor)| (*n == name).then_some(tensor))
+    }
+}
+
+/// One tensor, shared with the engine while it runs.
+#[derive(Clone, Debug)]
+pub(super) struct InputTensor(Arc<Tensor>);
+
+impl InputTensor {
+    fn zeros() -> Result<Self> {
+        let shape = [1, 3, IMAGE_HEIGHT as usize, IMAGE_WIDTH as usize];
+        let tensor = Tensor::zero::<f32>(&shape).map_err(defect)?;
+        Ok(Self(Arc::new(tensor)))
+    }
+
+    pub(super) fn share(&self) -> TValue {
+        TValue::from_const(self.0.clone())
+    }
+
+    fn values(&self) -> Option<&[f32]> {
+        self.0.try_as_plain_ram().ok()?.as_slice().ok()
+    }
+
+    /// Writes the memory; copied first if the engine still holds it.
+    fn write(&mut self, fill: impl FnOnce(&mut [f32]) -> Result<()>) -> Result<()> {
+        let tensor = Arc::make_mut(&mut self.0);
+        let mut view = tensor.try_as_plain_ram_mut().map_err(defect)?;
+        fill(view.as_slice_mut().map_err(defect)?)
+    }
+}
+
+fn defect(cause: impl std::fmt::Display) -> Error {
+    Error::new(
+        ErrorKind::Internal,
+        format!("cannot hold an input tensor: {cause}"),
+    )
+}
+
+fn check_size(name: InputName, width: u32, height: u32) -> Result<()> {
+    if (width, height) == (IMAGE_WIDTH, IMAGE_HEIGHT) {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Input,
+        format!(
+            "picture for `{name}`: expected {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
+             {width}×{height}"
+        ),
+    )
+    .remedy("crop and resize the picture with the model's crop profile first"))
+}
+
+/// Interleaved 8-bit RGB → standardised planes.
+fn write_normalised(pixels: &[u8], normalisation: RgbNormalisation, planes: &mut [f32]) {
+    for (channel, plane) in planes.chunks_exact_mut(PIXELS).enumerate() {
+        let (mean, std) = (normalisation.mean[channel], normalisation.std[channel]);
+        let table: [f32; 256] = std::array::from_fn(|x| (x as f32 / 255.0 - mean) / std);
+        for (value, pixel) in plane.iter_mut().zip(pixels.as_chunks::<3>().0) {
+            *value = table[usize::from(pixel[channel])];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Rgb;
+
+    use super::*;
+    use crate::predict::baseline;
+    use crate::predict::contract::Variant;
+
+    fn picture(colour: [u8; 3]) -> RgbImage {
+        RgbImage::from_pixel(IMAGE_WIDTH, IMAGE_HEIGHT, Rgb(colour))
+    }
+
+    fn touch_and_vision() -> ModelContract {
+        let normalisation = RgbNormalisation {
+            mean: [0.5, 0.25, 0.125],
+            std: [0.5, 0.25, 2.0],
+        };
+        let mut contract = baseline::contract();
+        contract.variant = Variant::Vt;
+        contract.inputs.push(InputSpec::rgb(normalisation));
+        contract
+    }
+
+    #[test]
+    fn a_known_pixel_lands_where_the_contract_says() {
+        let mut initial = picture([100, 100, 100]);
+        let mut grasp = initial.clone();
+        initial.put_pixel(7, 3, Rgb([0, 255, 10]));
+        grasp.put_pixel(7, 3, Rgb([255, 0, 61]));
+        let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
+        let difference = TactileDifference::between(&initial, &grasp).unwrap();
+        input
+            .set_tactile(InputName::TactileRight, &difference)
+            .unwrap();
+        let values = input.values(InputName::TactileRight).unwrap();
+        let at = 3 * IMAGE_WIDTH as usize + 7;
+        assert_eq!(values[at], 1.0, "red, grasp minus initial");
+        assert_eq!(values[PIXELS + at], -1.0, "green is the second plane");
+        assert_eq!(values[2 * PIXELS + at], 51.0 / 255.0, "blue is the third");
+        assert_eq!(values.iter().filter(|&&v| v != 0.0).count(), 3);
+        let left = input.values(InputName::TactileLeft).unwrap();
+        assert!(left.iter().all(|&v| v == 0.0), "the other sensor stays");
+    }
+
+    #[test]
+    fn swapped_channels_do_not_pass() {
+        let mut input = ModelInput::zeros(&touch_and_vision()).unwrap();
+        input.set_rgb(&picture([255, 0, 51])).unwrap();
+        let values = input.values(InputName::Rgb).unwrap();
+        let expected = [
+            (1.0 - 0.5) / 0.5,
+            (0.0 - 0.25) / 0.25,
+            (51.0 / 255.0 - 0.125) / 2.0,
+        ];
+        for (plane, expected) in values.chunks_exact(PIXELS).zip(expected) {
+            assert!(plane.iter().all(|&v| v == expected), "{expected}");
+        }
+    }
+
+    #[test]
+    fn pictures_of_another_size_are_refused() {
+        let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
+        let turned = RgbImage::new(240, 320);
+        let difference = TactileDifference::between(&turned, &turned).unwrap();
+        let error = input
+            .set_tactile(InputName::TactileLeft, &difference)
+            .unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("`tactile_left`: expected 320×240 pixels, found 240×320"),
+            "{error}"
+        );
+        assert!(input.set_rgb(&turned).is_err());
+    }
+
+    #[test]
+    fn a_model_without_vision_ignores_the_colour_picture() {
+        let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
+        input.set_rgb(&picture([9; 3])).unwrap();
+        assert_eq!(input.values(InputName::Rgb), None);
+    }
+
+    #[test]
+    fn memory_held_by_the_engine_is_not_written() {
+        let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
+        let held = input.tensor(InputName::TactileLeft).unwrap().share();
+        let difference = TactileDifference::between(&picture([0; 3]), &picture([255; 3]));
+        input
+            .set_tactile(InputName::TactileLeft, &difference.unwrap())
+            .unwrap();
+        let held = held.try_as_plain_ram().unwrap();
+        assert!(held.as_slice::<f32>().unwrap().iter().all(|&v| v == 0.0));
+        let written = input.values(InputName::TactileLeft).unwrap();
+        assert!(written.iter().all(|&v| v == 1.0));
+    }
+}

@@ -1,0 +1,253 @@
+//! Prediction from live pictures.
+
+use std::time::Instant;
+
+use image::RgbImage;
+
+use super::contract::{InputName, Variant};
+use super::engine::Model;
+use super::input::ModelInput;
+use gripcast_base::error::Result;
+use gripcast_imaging::{Role, TactileDifference};
+
+/// Holds the model, the initial pictures and the newest picture of each role.
+///
+/// All pictures are 320×240, already cropped with the model's crop profile. The probability is the
+/// model's raw answer, not smoothed.
+#[derive(Debug)]
+pub struct LivePredictor {
+    model: Model,
+    input: ModelInput,
+    left: Tactile,
+    right: Tactile,
+    rgb: Option<Picture>,
+}
+
+#[derive(Debug, Default)]
+struct Tactile {
+    initial: Option<RgbImage>,
+    newest: Option<Picture>,
+}
+
+#[derive(Debug)]
+struct Picture {
+    image: RgbImage,
+    driver_time_ns: u64,
+}
+
+/// A prediction and the frames it was made from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LivePrediction {
+    /// Probability that the grasp is stable.
+    pub p_stable: f64,
+    /// How far the tactile pictures are from those of the training, over what counts as known (see
+    /// [`Verdict`](super::Verdict)). None where the model does not say, or has no touch.
+    pub novelty: Option<f64>,
+    /// Time of the model alone, ms.
+    pub engine_ms: f64,
+    /// Time from pictures to tensors, ms.
+    pub preprocess_ms: f64,
+    /// Driver time of the newest frame that was used, `CLOCK_MONOTONIC`, ns.
+    pub newest_frame_ns: u64,
+    /// Driver time of the oldest frame that was used, `CLOCK_MONOTONIC`, ns.
+    pub oldest_frame_ns: u64,
+}
+
+impl LivePredictor {
+    /// A predictor without pictures.
+    ///
+    /// # Errors
+    /// When the input tensors cannot be had.
+    pub fn new(model: Model) -> Result<Self> {
+        Ok(Self {
+            input: ModelInput::zeros(model.contract())?,
+            model,
+            left: Tactile::default(),
+            right: Tactile::default(),
+            rgb: None,
+        })
+    }
+
+    /// The model.
+    #[must_use]
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Sets the pictures of the open gripper that differences refer to.
+    pub fn set_initial(&mut self, left: RgbImage, right: RgbImage) {
+        self.left.initial = Some(left);
+        self.right.initial = Some(right);
+    }
+
+    /// Forgets the initial pictures; a model with touch predicts nothing until the next.
+    pub fn clear_initial(&mut self) {
+        self.left.initial = None;
+        self.right.initial = None;
+    }
+
+    /// Sets the newest picture of a camera. Roles that no model uses are ignored.
+    pub fn update(&mut self, role: Role, image: RgbImage, driver_time_ns: u64) {
+        let picture = Some(Picture {
+            image,
+            driver_time_ns,
+        });
+        match role {
+            Role::Left => self.left.newest = picture,
+            Role::Right => self.right.newest = picture,
+            Role::Rgb => self.rgb = picture,
+            Role::Depth | Role::External => {}
+        }
+    }
+
+    /// Forgets the newest picture of a camera that is lost, so that no stale one is used.
+    pub fn forget(&mut self, role: Role) {
+        match role {
+            Role::Left => self.left.newest = None,
+            Role::Right => self.right.newest = None,
+            Role::Rgb => self.rgb = None,
+            Role::Depth | Role::External => {}
+        }
+    }
+
+    /// What is missing for a prediction, in a few words.
+    #[must_use]
+    pub fn waiting_for(&self) -> Option<&'static str> {
+        let variant = self.model.contract().variant;
+        if variant != Variant::V {
+            if self.left.initial.is_none() || self.right.initial.is_none() {
+                return Some("no initial frame");
+            }
+            if self.left.newest.is_none() {
+                return Some("no left frame");
+            }
+            if self.right.newest.is_none() {
+                return Some("no right frame");
+            }
+        }
+        if variant != Variant::T && self.rgb.is_none() {
+            return Some("no rgb frame");
+        }
+        None
+    }
+
+    /// Predicts from the newest pictures; `None` while [`LivePredictor::waiting_for`] says what is
+    /// missing.
+    pub fn predict(&mut self) -> Option<Result<LivePrediction>> {
+        self.waiting_for().is_none().then(|| self.predict_newest())
+    }
+
+    fn predict_newest(&mut self) -> Result<LivePrediction> {
+        let started = Instant::now();
+        let (mut newest_frame_ns, mut oldest_frame_ns) = (0, u64::MAX);
+        let mut used = |picture: &Picture| {
+            newest_frame_ns = picture.driver_time_ns.max(newest_frame_ns);
+            oldest_frame_ns = picture.driver_time_ns.min(oldest_frame_ns);
+        };
+        let mut differences = Vec::with_capacity(2);
+        let uses = self.model.contract().variant.inputs();
+        for (name, tactile) in [
+            (InputName::TactileLeft, &self.left),
+            (InputName::TactileRight, &self.right),
+        ] {
+            if let (true, Some(initial), Some(picture)) =
+                (uses.contains(&name), &tactile.initial, &tactile.newest)
+            {
+                let difference = TactileDifference::between(initial, &picture.image)?;
+                self.input.set_tactile(name, &difference)?;
+                differences.push(difference);
+                used(picture);
+            }
+        }
+        let known = self.model.novelty();
+        let novelty = known.and_then(|known| known.of_touch(&differences));
+        if let (true, Some(picture)) = (uses.contains(&InputName::Rgb), &self.rgb) {
+            self.input.set_rgb(&picture.image)?;
+            used(picture);
+        }
+        let preprocess_ms = started.elapsed().as_secs_f64() * 1e3;
+        let prediction = self.model.predict(&self.input)?;
+        Ok(LivePrediction {
+            p_stable: prediction.p_stable,
+            novelty,
+            engine_ms: prediction.engine_ms,
+            preprocess_ms,
+            newest_frame_ns,
+            oldest_frame_ns,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use image::Rgb;
+
+    use super::*;
+    use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
+
+    /// Stripes that are `contrast` grey levels from the gel's grey.
+    fn picture(contrast: u8) -> RgbImage {
+        RgbImage::from_fn(IMAGE_WIDTH, IMAGE_HEIGHT, |x, _| {
+            Rgb([100 + if x / 32 % 2 == 0 { contrast } else { 0 }; 3])
+        })
+    }
+
+    fn predictor() -> LivePredictor {
+        LivePredictor::new(Model::baseline().unwrap()).unwrap()
+    }
+
+    #[test]
+    fn says_what_it_waits_for() {
+        let mut live = predictor();
+        assert!(live.predict().is_none());
+        assert_eq!(live.waiting_for(), Some("no initial frame"));
+        live.set_initial(picture(0), picture(0));
+        assert_eq!(live.waiting_for(), Some("no left frame"));
+        live.update(Role::Left, picture(0), 10);
+        live.update(Role::External, picture(0), 11);
+        assert_eq!(live.waiting_for(), Some("no right frame"));
+        live.update(Role::Right, picture(0), 12);
+        assert_eq!(live.waiting_for(), None, "touch alone needs no colour");
+        live.clear_initial();
+        assert_eq!(live.waiting_for(), Some("no initial frame"));
+    }
+
+    #[test]
+    fn follows_the_newest_pictures_and_names_their_times() {
+        let mut live = predictor();
+        live.set_initial(picture(0), picture(0));
+        live.update(Role::Left, picture(0), 40);
+        live.update(Role::Right, picture(0), 50);
+        let open = live.predict().unwrap().unwrap();
+        live.update(Role::Left, picture(60), 80);
+        live.update(Role::Right, picture(60), 70);
+        live.update(Role::Rgb, picture(60), 900);
+        let closed = live.predict().unwrap().unwrap();
+        assert!(open.p_stable < 0.2 && closed.p_stable > 0.6);
+        assert_eq!((closed.newest_frame_ns, closed.oldest_frame_ns), (80, 70));
+        live.set_initial(picture(60), picture(60));
+        let again = live.predict().unwrap().unwrap();
+        assert_eq!(
+            again.p_stable, open.p_stable,
+            "difference to the new initial"
+        );
+        live.forget(Role::Right);
+        assert!(live.predict().is_none());
+    }
+
+    #[test]
+    fn a_picture_of_another_size_is_an_error() {
+        let mut live = predictor();
+        live.set_initial(picture(0), picture(0));
+        live.update(Role::Left, picture(0), 1);
+        live.update(Role::Right, RgbImage::new(640, 480), 2);
+        let error = live.predict().unwrap().unwrap_err();
+        assert!(error.to_string().contains("640×480"), "{error}");
+    }
+
+    #[test]
+    fn it_can_live_on_another_thread() {
+        fn assert_send<T: Send>() {}
+        assert_send::<LivePredictor>();
+    }
+}

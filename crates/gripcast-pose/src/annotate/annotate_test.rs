@@ -1,0 +1,324 @@
+//! Annotation of rendered pictures whose poses are known.
+
+use glam::{DQuat, DVec3};
+use image::{GrayImage, Luma, imageops};
+
+use super::*;
+use crate::synthetic::{PictureConditions, Placed, render, ring_board, test_camera};
+use crate::{BoardFile, Dictionary, Part};
+use gripcast_imaging::Intrinsics;
+
+const WIDTH: u32 = 960;
+
+fn tags() -> BoardFile {
+    BoardFile::gripper_umi().unwrap()
+}
+
+fn sheet(dictionary: &str) -> BoardFile {
+    let dictionary = Dictionary::by_name(dictionary).unwrap();
+    BoardFile::new(ring_board(&dictionary), dictionary, None).unwrap()
+}
+
+fn camera() -> Intrinsics {
+    test_camera(WIDTH, WIDTH * 9 / 16)
+}
+
+/// A gripper that points down over the middle of the sheet.
+fn t_object_gripper() -> Pose {
+    let down = DQuat::from_rotation_x(std::f64::consts::PI);
+    Pose::new(
+        DQuat::from_rotation_z(0.1) * down,
+        DVec3::new(0.004, -0.003, 0.03),
+    )
+}
+
+/// The camera in front of the gripper, 30° above the table.
+fn t_camera_object() -> Pose {
+    // The gripper's −y side is the sheet's +y side.
+    let eye = DVec3::new(0.05, 0.58, 0.42);
+    let target = DVec3::new(0.0, 0.0, 0.1);
+    let forward = (target - eye).normalize();
+    let right = forward.cross(DVec3::Z).normalize();
+    let axes = glam::DMat3::from_cols(right, forward.cross(right), forward);
+    Pose::new(DQuat::from_mat3(&axes), eye).inverse()
+}
+
+struct Shot {
+    opening_m: f64,
+    moved_m: f64,
+    blur_px: f64,
+    seed: u64,
+}
+
+impl Default for Shot {
+    fn default() -> Self {
+        Self {
+            opening_m: 0.08,
+            moved_m: 0.0,
+            blur_px: 0.7,
+            seed: 1,
+        }
+    }
+}
+
+impl Shot {
+    fn picture(&self, sheet: &BoardFile) -> GrayImage {
+        let tags = tags();
+        let t_camera_object = t_camera_object();
+        let lift = Pose::from_translation(DVec3::Z * self.moved_m);
+        let t_camera_gripper = t_camera_object * lift * t_object_gripper();
+        let part = |part: Part, slide: f64| Placed {
+            board: &tags.board,
+            part,
+            dictionary: &tags.dictionary,
+            t_camera_part: t_camera_gripper * Pose::from_translation(DVec3::X * slide),
+        };
+        let placed = [
+            Placed {
+                board: &sheet.board,
+                part: Part::Object,
+                dictionary: &sheet.dictionary,
+                t_camera_part: t_camera_object,
+            },
+            part(Part::Body, 0.0),
+            part(Part::FingerLeft, -0.5 * self.opening_m),
+            part(Part::FingerRight, 0.5 * self.opening_m),
+        ];
+        let conditions = PictureConditions {
+            psf_px: self.blur_px,
+            ..PictureConditions::default()
+        };
+        render(&camera(), &placed, &conditions, self.seed).picture
+    }
+}
+
+fn annotator() -> Annotator {
+    Annotator::new(sheet("DICT_6X6_250"), tags(), camera()).unwrap()
+}
+
+fn shots(shots: &[Shot]) -> Vec<(String, GrayImage)> {
+    let sheet = sheet("DICT_6X6_250");
+    let picture = |(i, shot): (usize, &Shot)| (format!("{i}"), shot.picture(&sheet));
+    shots.iter().enumerate().map(picture).collect()
+}
+
+fn annotated(pictures: &[(String, GrayImage)]) -> Result<Annotation> {
+    annotator().annotate(
+        pictures
+            .iter()
+            .map(|(name, picture)| (name.clone(), picture)),
+    )
+}
+
+fn frames(annotation: &Annotation) -> &[String] {
+    &annotation.record.quality.as_ref().unwrap().frames
+}
+
+fn off_mm(record: &PoseRecord) -> f64 {
+    1e3 * DVec3::from_array(record.t_m).distance(t_object_gripper().translation_m)
+}
+
+#[test]
+fn a_picture_gives_the_pose_its_covariance_and_its_quality() {
+    let found = annotated(&shots(&[Shot::default()])).unwrap();
+    let record = &found.record;
+    assert!(off_mm(record) < 0.2, "{} mm", off_mm(record));
+    let [w, x, y, z] = record.q_wxyz;
+    let found = Pose::from_rotation(DQuat::from_xyzw(x, y, z, w));
+    assert!(w >= 0.0 && found.turn_from(&t_object_gripper()).length() < 0.003);
+    let covariance = record.covariance.as_ref().unwrap();
+    assert_eq!(covariance.len(), 36);
+    let sigma_mm = 1e3 * (covariance[0] + covariance[7] + covariance[14]).sqrt();
+    assert!((0.01..0.5).contains(&sigma_mm), "{sigma_mm}");
+    let quality = record.quality.as_ref().unwrap();
+    assert!(
+        quality.markers[0] >= 12 && quality.markers[1] == 6,
+        "{quality:?}"
+    );
+    assert!(
+        !quality.ambiguous && quality.notes.is_empty(),
+        "{quality:?}"
+    );
+    assert!(
+        (quality.opening_m.unwrap() - 0.08).abs() < 3e-4,
+        "{quality:?}"
+    );
+    assert!(quality.tags_reprojection_px < 0.2 && record.reprojection_px.unwrap() < 0.2);
+}
+
+#[test]
+fn the_last_sharp_pictures_before_the_fingers_close_count() {
+    let shot = |seed: u64| Shot {
+        seed,
+        ..Shot::default()
+    };
+    let pictures = shots(&[
+        // Before the gripper came to rest.
+        Shot {
+            moved_m: 0.01,
+            ..shot(1)
+        },
+        shot(2),
+        Shot {
+            blur_px: 1.4,
+            ..shot(3)
+        },
+        shot(4),
+        // Closing.
+        Shot {
+            opening_m: 0.076,
+            ..shot(5)
+        },
+        Shot {
+            opening_m: 0.06,
+            moved_m: 0.002,
+            ..shot(6)
+        },
+    ]);
+    let found = annotated(&pictures).unwrap();
+    assert_eq!(frames(&found), ["1", "3"]);
+    assert_eq!(found.shown_picture, "3");
+    let quality = found.record.quality.as_ref().unwrap();
+    assert!(
+        quality.spread_m > 0.0 && quality.spread_m < 3e-4,
+        "{quality:?}"
+    );
+    assert!(off_mm(&found.record) < 0.2);
+}
+
+#[test]
+fn what_is_wrong_is_explained() {
+    let fails = |picture: &GrayImage| annotator().observe(picture).unwrap_err().to_string();
+    let whole = Shot::default().picture(&sheet("DICT_6X6_250"));
+    let empty = GrayImage::from_pixel(whole.width(), whole.height(), Luma([90]));
+    assert!(fails(&empty).contains("the sheet"), "{}", fails(&empty));
+    let small = imageops::crop_imm(&whole, 0, 0, 640, 360).to_image();
+    assert!(fails(&small).contains("640×360"), "{}", fails(&small));
+    let mirrored = imageops::flip_horizontal(&whole);
+    assert!(
+        fails(&mirrored).contains("mirrored"),
+        "{}",
+        fails(&mirrored)
+    );
+    let other = Shot::default().picture(&sheet("36h11"));
+    let text = fails(&other);
+    assert!(text.contains("36h11"), "{text}");
+    // Without the upper part there is no tag of the body; without the lower no sheet.
+    let mut no_tags = whole.clone();
+    let mut no_sheet = whole.clone();
+    for (x, y, level) in whole.enumerate_pixels() {
+        let hidden = if y < 315 { &mut no_tags } else { &mut no_sheet };
+        hidden.put_pixel(x, y, Luma([level[0] / 255 * 90 + 90]));
+    }
+    let text = fails(&no_tags);
+    assert!(
+        text.contains("the gripper's tags") || text.contains("one finger"),
+        "{text}"
+    );
+    assert!(
+        fails(&no_sheet).contains("the sheet"),
+        "{}",
+        fails(&no_sheet)
+    );
+    let none: [(String, GrayImage); 0] = [];
+    assert!(
+        annotated(&none)
+            .unwrap_err()
+            .to_string()
+            .contains("no picture")
+    );
+}
+
+/// The picture with everything but the markers in `kept` covered.
+fn with_only(picture: &GrayImage, kept: &[u32]) -> GrayImage {
+    let seen = annotator().observe(picture).unwrap();
+    let mut covered = picture.clone();
+    for detection in seen.detections.iter().filter(|d| !kept.contains(&d.id)) {
+        let [x, y] = (detection.corners_px.iter().sum::<glam::DVec2>() / 4.0)
+            .to_array()
+            .map(|c| c as u32);
+        for (dx, dy) in (0..7).flat_map(|dx| (0..7).map(move |dy| (dx, dy))) {
+            covered.put_pixel(x + dx - 3, y + dy - 3, Luma([90]));
+        }
+        // Through the border, so that no square is left.
+        for dx in 0..40 {
+            let column = (x + dx).saturating_sub(20).min(picture.width() - 1);
+            (0..3).for_each(|dy| covered.put_pixel(column, y + dy - 1, Luma([205])));
+        }
+    }
+    covered
+}
+
+#[test]
+fn what_few_markers_leave_open_is_told() {
+    let picture = Shot::default().picture(&sheet("DICT_6X6_250"));
+    let tags: Vec<u32> = (240..246).collect();
+    let half = with_only(&picture, &[&[9, 10, 11][..], &tags].concat());
+    let found = annotated(&[("half".to_owned(), half)]).unwrap();
+    let notes = &found.record.quality.as_ref().unwrap().notes;
+    assert!(notes.iter().any(|n| n.contains("of 14")), "{notes:?}");
+    assert!(off_mm(&found.record) < 5.0);
+
+    let sheet_ids: Vec<u32> = (0..14).collect();
+    let single = with_only(&picture, &[&sheet_ids[..], &[242]].concat());
+    let found = annotated(&[("single".to_owned(), single)]).unwrap();
+    let quality = found.record.quality.as_ref().unwrap();
+    assert_eq!(quality.markers[1], 1);
+    let notes = quality.notes.join("; ");
+    assert!(notes.contains("one tag"), "{notes}");
+    assert_eq!(quality.ambiguous, notes.contains("ambiguous"), "{notes}");
+}
+
+#[test]
+fn boards_that_do_not_go_together_are_refused() {
+    let text = |sheet: BoardFile, tags: BoardFile| {
+        Annotator::new(sheet, tags, camera())
+            .map(|_| ())
+            .unwrap_err()
+            .to_string()
+    };
+    let sheet = sheet("DICT_6X6_250");
+    assert!(text(tags(), tags()).contains("no sheet"));
+    assert!(text(sheet.clone(), sheet.clone()).contains("gripper's part"));
+    let mut clashing = sheet;
+    clashing.board.markers[0].id = 240;
+    assert!(text(clashing, tags()).contains("240"));
+}
+
+#[test]
+fn the_overlay_shows_axes_markers_and_the_mesh() {
+    let picture = Shot::default().picture(&sheet("DICT_6X6_250"));
+    let mut annotator = annotator();
+    let seen = annotator.observe(&picture).unwrap();
+    let grey = image::DynamicImage::ImageLuma8(picture).to_rgb8();
+    let mut drawn = grey.clone();
+    let mesh = gripcast_geometry::builtin("box").unwrap();
+    let content = OverlayContent {
+        mesh: Some(&mesh),
+        lines: vec!["BOX".to_owned()],
+    };
+    overlay(&mut drawn, &seen, annotator.intrinsics(), &content);
+    let coloured = |is: fn(&[u8; 3]) -> bool| drawn.pixels().filter(|p| is(&p.0)).count();
+    assert!(
+        coloured(|[r, g, b]| *r > 200 && *g < 90 && *b < 90) > 50,
+        "x axes"
+    );
+    assert!(
+        coloured(|[r, g, b]| *r > 200 && *g > 180 && *b < 90) > 100,
+        "mesh"
+    );
+    assert!(
+        coloured(|[r, g, b]| *r < 90 && *g > 180 && *b > 180) > 300,
+        "markers"
+    );
+    let changed = grey
+        .pixels()
+        .zip(drawn.pixels())
+        .filter(|(a, b)| a != b)
+        .count();
+    assert!(changed < grey.pixels().len() / 4, "{changed}");
+    // A pose behind the camera or far to the side draws nothing and does not fail.
+    let mut behind = seen;
+    behind.object.t_camera_part.translation_m = DVec3::new(50.0, 0.0, -0.2);
+    overlay(&mut drawn, &behind, annotator.intrinsics(), &content);
+}

@@ -1,0 +1,163 @@
+//! What was found, drawn over the picture that it was found in.
+
+use glam::{DVec2, DVec3};
+use image::{Rgb, RgbImage};
+
+use super::observation::Observation;
+use crate::camera::project;
+use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_imaging::Intrinsics;
+use gripcast_imaging::caption::{HEIGHT, write_text};
+
+/// Length of drawn axes, m.
+const AXIS_M: f64 = 0.04;
+/// Edges between faces that meet at less than this angle are not drawn, rad.
+const CREASE_RAD: f64 = 0.5;
+/// Nearest that is drawn, m.
+const NEAR_M: f64 = 0.01;
+const AXES: [(DVec3, Rgb<u8>); 3] = [
+    (DVec3::X, Rgb([235, 50, 50])),
+    (DVec3::Y, Rgb([60, 200, 70])),
+    (DVec3::Z, Rgb([70, 120, 255])),
+];
+const MESH: Rgb<u8> = Rgb([255, 220, 0]);
+const USED: Rgb<u8> = Rgb([0, 230, 230]);
+const LEFT_OUT: Rgb<u8> = Rgb([255, 0, 200]);
+const TEXT: Rgb<u8> = Rgb([255, 255, 255]);
+
+/// What is drawn besides axes and markers.
+#[derive(Clone, Debug, Default)]
+pub struct OverlayContent<'a> {
+    /// Mesh of the object in its own frame, m.
+    pub mesh: Option<&'a TriangleMesh>,
+    /// Lines of text.
+    pub lines: Vec<String>,
+}
+
+/// Draws over `picture`: the markers that were found (cyan, those left out magenta), the frames of
+/// object and gripper (x red, y green, z blue), and the object's mesh (yellow: its outline and
+/// sharp edges that face the camera).
+pub fn overlay(
+    picture: &mut RgbImage,
+    seen: &Observation,
+    intrinsics: &Intrinsics,
+    content: &OverlayContent<'_>,
+) {
+    if let Some(mesh) = content.mesh {
+        for [a, b] in visible_edges(mesh, &seen.object.t_camera_part) {
+            segment(picture, intrinsics, a, b, 1.0, MESH);
+        }
+    }
+    let residuals = seen.object.markers.iter().chain(&seen.gripper.body.markers);
+    let left_out: Vec<u32> = residuals.filter(|m| !m.used).map(|m| m.id).collect();
+    for detection in &seen.detections {
+        let colour = if left_out.contains(&detection.id) {
+            LEFT_OUT
+        } else {
+            USED
+        };
+        let corners = detection.corners_px;
+        for i in 0..4 {
+            line(picture, corners[i], corners[(i + 1) % 4], 1.0, colour);
+        }
+    }
+    for pose in [&seen.object.t_camera_part, &seen.gripper.body.t_camera_part] {
+        for (axis, colour) in AXES {
+            let tip = pose.transform_point(AXIS_M * axis);
+            segment(picture, intrinsics, pose.translation_m, tip, 2.5, colour);
+        }
+    }
+    let step = 2 * HEIGHT;
+    for (row, text) in content.lines.iter().enumerate() {
+        let y = HEIGHT + row as u32 * step;
+        shade(picture, y.saturating_sub(4), step);
+        write_text(picture, 8, y, text, TEXT);
+    }
+}
+
+/// Edges in the camera's frame where a face that is seen meets one that is not, or another
+/// direction.
+fn visible_edges(mesh: &TriangleMesh, t_camera_object: &Pose) -> Vec<[DVec3; 2]> {
+    let placed = mesh.transformed(t_camera_object);
+    let normals: Vec<DVec3> = placed
+        .all_corners()
+        .map(|[a, b, c]| (b - a).cross(c - a).normalize_or_zero())
+        .collect();
+    let faces_us = |triangle: &u32| {
+        let corner = placed.vertices[placed.triangles[*triangle as usize][0] as usize];
+        normals[*triangle as usize].dot(corner) < 0.0
+    };
+    let edges = placed.edges();
+    let drawn = (0..edges.len()).filter(|edge| {
+        let triangles = edges.triangles(*edge);
+        let seen = triangles.iter().filter(|t| faces_us(t)).count();
+        let is_sharp = || match triangles {
+            [a, b] => normals[*a as usize].angle_between(normals[*b as usize]) > CREASE_RAD,
+            _ => true,
+        };
+        seen > 0 && (seen < triangles.len() || is_sharp())
+    });
+    drawn
+        .map(|edge| edges.vertices[edge].map(|v| placed.vertices[v as usize]))
+        .collect()
+}
+
+/// A straight line in space, in short pieces as the lens bends it.
+fn segment(
+    picture: &mut RgbImage,
+    intrinsics: &Intrinsics,
+    a: DVec3,
+    b: DVec3,
+    width: f64,
+    colour: Rgb<u8>,
+) {
+    const PIECES: usize = 8;
+    let place = |i: usize| {
+        let point = a.lerp(b, i as f64 / PIECES as f64);
+        (point.z > NEAR_M).then(|| project(intrinsics, point))?
+    };
+    for i in 0..PIECES {
+        if let (Some(from), Some(to)) = (place(i), place(i + 1)) {
+            line(picture, from, to, width, colour);
+        }
+    }
+}
+
+/// A line with soft borders; what lies outside of the picture is cut.
+fn line(picture: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>) {
+    let size = DVec2::new(f64::from(picture.width()), f64::from(picture.height()));
+    let reach = DVec2::splat(0.5 * width + 1.0);
+    let low = (a.min(b) - reach).max(DVec2::ZERO);
+    let high = (a.max(b) + reach).min(size - 1.0);
+    // Also false where a coordinate is no number.
+    if !(low.cmple(high).all() && a.is_finite() && b.is_finite()) {
+        return;
+    }
+    let along = b - a;
+    let length_squared = along.length_squared().max(1e-12);
+    for y in low.y as u32..=high.y as u32 {
+        for x in low.x as u32..=high.x as u32 {
+            let off = DVec2::new(f64::from(x), f64::from(y)) - a;
+            let nearest = along * (off.dot(along) / length_squared).clamp(0.0, 1.0);
+            let cover = (0.5 * width + 0.5 - off.distance(nearest)).clamp(0.0, 1.0);
+            if cover > 0.0 {
+                let pixel = picture.get_pixel_mut(x, y);
+                for (level, wanted) in pixel.0.iter_mut().zip(colour.0) {
+                    let (old, new) = (f64::from(*level), f64::from(wanted));
+                    *level = (old + cover * (new - old)).round() as u8;
+                }
+            }
+        }
+    }
+}
+
+/// Darkens rows, so that text can be read.
+fn shade(picture: &mut RgbImage, from: u32, rows: u32) {
+    let (width, height) = picture.dimensions();
+    for y in from..(from + rows).min(height) {
+        for x in 0..width {
+            let pixel = picture.get_pixel_mut(x, y);
+            pixel.0 = pixel.0.map(|level| level / 3);
+        }
+    }
+}

@@ -1,0 +1,403 @@
+//! The file that describes a board.
+//!
+//! TOML; corners in mm because that is what a ruler reads, everything else in SI units:
+//!
+//! ```toml
+//! schema = 1
+//! name = "mug"
+//! dictionary = "DICT_6X6_250"
+//!
+//! [[marker]]
+//! id = 0
+//! part = "object"
+//! corners_mm = [[-130.5, 90.0, -40.0], [-100.5, 90.0, -40.0], [-100.5, 60.0, -40.0], [-130.5, 60.0, -40.0]]
+//! ```
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use glam::DVec3;
+use serde::Deserialize;
+use sha2::{Digest as _, Sha256};
+
+use super::board::{Board, BoardMarker};
+use super::chessboard::Chessboard;
+use super::dictionary::Dictionary;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{FileKind, Root, read_text};
+use gripcast_geometry::Pose;
+
+/// Version of the format.
+const SCHEMA: i64 = 1;
+/// Digits of a board's hash: enough to tell the boards of a laboratory apart.
+const HASH_DIGITS: usize = 12;
+
+/// What is known of the printed sheet that an object stands on.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PrintedSheet {
+    /// The mesh that it was drawn for: a file or `builtin:NAME`.
+    pub object: String,
+    /// Content hash of that mesh as it was drawn, in metres.
+    pub object_sha256: String,
+    /// Name of the paper.
+    pub paper: String,
+    /// Hash that is printed on the sheet: that of the board as it was drawn.
+    pub printed_hash: String,
+    /// What the rulers of 100 mm measure on the paper, x and y, mm; the corners are corrected by
+    /// it.
+    pub measured_mm: [f64; 2],
+    /// Pose of the object on the sheet: z up, z = 0 the sheet, x to the right of the sheet.
+    pub t_world_object: Pose,
+}
+
+/// A board with its dictionary and what is known of its sheet.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BoardFile {
+    /// The markers.
+    pub board: Board,
+    /// Their dictionary.
+    pub dictionary: Dictionary,
+    /// The sheet, for a board that was drawn for an object.
+    pub sheet: Option<PrintedSheet>,
+    /// The squares, for markers that are on a chessboard.
+    pub chessboard: Option<Chessboard>,
+}
+
+impl Board {
+    /// Hash of dictionary, ids, parts and corners (to 1 nm), 12 hexadecimal digits of a SHA-256.
+    /// The name and the order of the markers do not count.
+    pub fn hash(&self) -> String {
+        let mut markers: Vec<&BoardMarker> = self.markers.iter().collect();
+        markers.sort_by_key(|m| m.id);
+        let mut text = format!("{}\n", self.dictionary);
+        for marker in markers {
+            text += &marker_text(marker);
+        }
+        let digest = Sha256::digest(text);
+        let digits: String = digest.iter().map(|b| format!("{b:02x}")).collect();
+        digits[..HASH_DIGITS].to_owned()
+    }
+}
+
+impl BoardFile {
+    /// A board that was checked against its dictionary and sheet.
+    ///
+    /// # Errors
+    /// Those of [`Board::check`].
+    pub fn new(board: Board, dictionary: Dictionary, sheet: Option<PrintedSheet>) -> Result<Self> {
+        let up = sheet.as_ref().map(|sheet| {
+            let t_object_world = sheet.t_world_object.inverse();
+            t_object_world.transform_vector(DVec3::Z)
+        });
+        board.check(&dictionary, up)?;
+        Ok(Self {
+            board,
+            dictionary,
+            sheet,
+            chessboard: None,
+        })
+    }
+
+    /// The tags of a UMI gripper as they are printed by default:
+    /// `calib/boards/gripper-umi.toml`.
+    ///
+    /// # Errors
+    /// None; a test reads the file.
+    pub fn gripper_umi() -> Result<Self> {
+        let text = include_str!("../../../calib/boards/gripper-umi.toml");
+        Self::parse(text, Path::new(""))
+    }
+
+    /// The board as one on a chessboard.
+    ///
+    /// # Errors
+    /// `Input` if the markers are not in the chessboard's white squares.
+    pub fn with_chessboard(mut self, chessboard: Chessboard) -> Result<Self> {
+        chessboard.check(&self.board)?;
+        self.chessboard = Some(chessboard);
+        Ok(self)
+    }
+
+    /// Reads and checks a file. A dictionary of one's own is looked for beside it.
+    ///
+    /// # Errors
+    /// That of the operating system, or `Input` with the line or the marker that is wrong.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = read_text(path, FileKind::Record)
+            .map_err(|e| Error::io("cannot read the board", e).at(path.display()))?;
+        Self::parse(&text, Root::beside(path).root().path()).map_err(|e| e.at(path.display()))
+    }
+
+    /// Reads and checks the text of a file in `folder`.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn parse(text: &str, folder: &Path) -> Result<Self> {
+        let read: Record = toml::from_str(text).map_err(|e| malformed(text, &e))?;
+        if read.schema != SCHEMA {
+            let what = format!("the board has schema {}, known is {SCHEMA}", read.schema);
+            return Err(Error::new(ErrorKind::Input, what)
+                .remedy("read it with the release of gripcast that wrote it"));
+        }
+        let dictionary = Dictionary::open(&read.dictionary, folder)?;
+        let markers: Result<Vec<BoardMarker>> = read.marker.iter().map(marker).collect();
+        let board = Board {
+            name: read.name,
+            dictionary: dictionary.name().to_owned(),
+            markers: markers?,
+        };
+        if let Some(sheet) = &read.sheet {
+            check_sheet(sheet)?;
+        }
+        let file = Self::new(board, dictionary, read.sheet)?;
+        match read.chessboard {
+            Some(chessboard) => file.with_chessboard(chessboard),
+            None => Ok(file),
+        }
+    }
+
+    /// The text of the file.
+    pub fn to_toml(&self) -> String {
+        let board = &self.board;
+        let quoted = |text: &str| toml::Value::from(text).to_string();
+        let mut text = format!(
+            "schema = {SCHEMA}\nname = {}\ndictionary = {}\n",
+            quoted(&board.name),
+            quoted(&board.dictionary)
+        );
+        if let Some(sheet) = &self.sheet {
+            let t = sheet.t_world_object;
+            let q = t.rotation;
+            let _ = write!(
+                text,
+                "\n[sheet]\nobject = {}\nobject_sha256 = {}\npaper = {}\nprinted_hash = {}\n\
+                 measured_mm = {:?}\n\
+                 t_world_object = {{ t_m = {:?}, q_wxyz = {:?} }}\n",
+                quoted(&sheet.object),
+                quoted(&sheet.object_sha256),
+                quoted(&sheet.paper),
+                quoted(&sheet.printed_hash),
+                sheet.measured_mm,
+                t.translation_m.to_array(),
+                [q.w, q.x, q.y, q.z],
+            );
+        }
+        if let Some(chessboard) = &self.chessboard {
+            text += &chessboard_text(chessboard);
+        }
+        for marker in &board.markers {
+            text += &marker_text(marker);
+        }
+        text
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Record {
+    schema: i64,
+    name: String,
+    dictionary: String,
+    sheet: Option<PrintedSheet>,
+    chessboard: Option<Chessboard>,
+    #[serde(default)]
+    marker: Vec<MarkerRecord>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MarkerRecord {
+    id: u32,
+    part: String,
+    corners_mm: [[f64; 3]; 4],
+}
+
+fn marker(record: &MarkerRecord) -> Result<BoardMarker> {
+    let at = || format!("marker {}", record.id);
+    Ok(BoardMarker {
+        id: record.id,
+        part: record.part.parse().map_err(|e: Error| {
+            Error::new(ErrorKind::Input, e.what().to_owned())
+                .remedy(e.remedy_text().unwrap_or_default())
+                .at(at())
+        })?,
+        corners_m: record.corners_mm.map(|c| 1e-3 * DVec3::from_array(c)),
+    })
+}
+
+/// A marker in the file, and in the hash.
+fn marker_text(marker: &BoardMarker) -> String {
+    let corners = marker.corners_m.map(|corner| {
+        let [x, y, z] = corner.to_array().map(millimetres);
+        format!("[{x}, {y}, {z}]")
+    });
+    format!(
+        "\n[[marker]]\nid = {}\npart = \"{}\"\ncorners_mm = [{}]\n",
+        marker.id,
+        marker.part,
+        corners.join(", ")
+    )
+}
+
+fn chessboard_text(chessboard: &Chessboard) -> String {
+    let [width, height] = chessboard.square_mm.map(|mm| millimetres(1e-3 * mm));
+    let printed = chessboard.printed_hash.as_ref().map_or(String::new(), |h| {
+        format!("printed_hash = {}\n", toml::Value::from(&**h))
+    });
+    format!(
+        "\n[chessboard]\nsquares = {:?}\nsquare_mm = [{width}, {height}]\nlegacy = {}\n{printed}",
+        chessboard.squares, chessboard.legacy
+    )
+}
+
+/// A length in mm to 1 nm, without zeros at the end but one.
+fn millimetres(length_m: f64) -> String {
+    let rounded = (1e9 * length_m).round() / 1e6;
+    // Adding zero turns −0 into 0.
+    format!("{:?}", rounded + 0.0)
+}
+
+fn malformed(text: &str, error: &toml::de::Error) -> Error {
+    let what = error.message().trim().to_owned();
+    let line = error.span().map(|span| {
+        let before = text.get(..span.start).unwrap_or_default();
+        before.matches('\n').count() + 1
+    });
+    let error = Error::new(ErrorKind::Input, what);
+    match line {
+        Some(line) => error.at(format!("line {line}")),
+        None => error,
+    }
+}
+
+fn check_sheet(sheet: &PrintedSheet) -> Result<()> {
+    super::print::check_measured(sheet.measured_mm)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::board::Part;
+    use std::fs;
+
+    use super::*;
+
+    fn file() -> BoardFile {
+        let marker = |id: u32, part: Part| BoardMarker {
+            id,
+            part,
+            corners_m: BoardMarker::square(
+                DVec3::new(0.07 * f64::from(id), 1.0 / 3.0, -0.0123456789),
+                DVec3::X,
+                DVec3::Y,
+                0.03,
+            ),
+        };
+        let board = Board {
+            name: "two \"parts\" ü".into(),
+            dictionary: "DICT_6X6_250".into(),
+            markers: vec![marker(7, Part::Object), marker(3, Part::FingerLeft)],
+        };
+        let sheet = PrintedSheet {
+            object: "builtin:mug".into(),
+            object_sha256: "00ff".into(),
+            paper: "A4".into(),
+            printed_hash: "0123456789ab".into(),
+            measured_mm: [100.0, 99.75],
+            t_world_object: Pose::from_translation(DVec3::new(0.1, 0.2, 0.3)),
+        };
+        let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
+        BoardFile::new(board, dictionary, Some(sheet)).unwrap()
+    }
+
+    fn parse(text: &str) -> Result<BoardFile> {
+        BoardFile::parse(text, Path::new(""))
+    }
+
+    #[test]
+    fn a_board_survives_its_file() {
+        let first = file();
+        let text = first.to_toml();
+        let read = parse(&text).unwrap();
+        assert_eq!(read.to_toml(), text);
+        assert_eq!(read.sheet, first.sheet);
+        assert_eq!(read.board.hash(), first.board.hash());
+        for (a, b) in read.board.markers.iter().zip(&first.board.markers) {
+            assert_eq!((a.id, a.part), (b.id, b.part));
+            for (p, q) in a.corners_m.iter().zip(&b.corners_m) {
+                assert!(p.distance(*q) < 1e-9);
+            }
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("board.toml");
+        fs::write(&path, &text).unwrap();
+        assert_eq!(BoardFile::load(&path).unwrap(), read);
+    }
+
+    #[test]
+    fn a_chessboard_survives_its_file() {
+        let chessboard = Chessboard {
+            squares: [8, 6],
+            square_mm: [30.1, 29.9],
+            legacy: true,
+            printed_hash: Some("0123".into()),
+        };
+        let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
+        let board = chessboard.board("c", &dictionary, 0, [21.07, 20.93]);
+        let file = BoardFile::new(board.unwrap(), dictionary, None).unwrap();
+        let text = file.with_chessboard(chessboard.clone()).unwrap().to_toml();
+        assert_eq!(parse(&text).unwrap().chessboard, Some(chessboard));
+        assert_eq!(parse(&text).unwrap().to_toml(), text);
+        let wrong = text.replace("legacy = true", "legacy = false");
+        let said = parse(&wrong).unwrap_err().to_string();
+        assert!(said.contains("black square"), "{said}");
+    }
+
+    #[test]
+    fn the_hash_is_of_what_is_seen() {
+        let board = file().board;
+        let mut other = board.clone();
+        other.name = "else".into();
+        other.markers.reverse();
+        assert_eq!(other.hash(), board.hash());
+        assert_eq!(board.hash().len(), 12);
+        let mut moved = board.clone();
+        moved.markers[0].corners_m[0].x += 1e-6;
+        assert_ne!(moved.hash(), board.hash());
+        let mut renamed = board.clone();
+        renamed.dictionary = "DICT_6X6_100".into();
+        assert_ne!(renamed.hash(), board.hash());
+    }
+
+    #[test]
+    fn mistakes_are_explained() {
+        let text = file().to_toml();
+        for (from, to, expected) in [
+            ("schema = 1", "schema = 2", "schema 2, known is 1"),
+            (
+                "part = \"object\"",
+                "part = \"hand\"",
+                "marker 7: there is no part named \"hand\"",
+            ),
+            (
+                "DICT_6X6_250",
+                "DICT_6X6_2500",
+                "did you mean DICT_6X6_250?",
+            ),
+            ("id = 3", "id = -3", "line 19"),
+            ("id = 3", "number = 3", "unknown field `number`"),
+            ("id = 3", "id = 7", "marker 7 is there twice"),
+            ("measured_mm = [100.0", "measured_mm = [10.0", "100 mm"),
+            ("corners_mm = [[", "corners_mm = [[[", "line "),
+            ("q_wxyz = [1.0", "q_wxyz = [2.0", "unit quaternion"),
+        ] {
+            assert!(text.contains(from), "{from}\n{text}");
+            let said = parse(&text.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(said.contains(expected), "{said}");
+        }
+        let said = parse("").unwrap_err().to_string();
+        assert!(said.contains("schema"), "{said}");
+        let missing = BoardFile::load(Path::new("/proc/nonexistent/b.toml")).unwrap_err();
+        assert_eq!(missing.kind(), ErrorKind::NotFound);
+    }
+}

@@ -1,0 +1,246 @@
+//! Joint Levenberg–Marquardt over the intrinsics and the poses of all views.
+//!
+//! The poses are eliminated view by view (Schur complement; B. Triggs et al., *Bundle adjustment —
+//! a modern synthesis*, 2000), which leaves nine equations.
+
+use glam::{DQuat, DVec2, DVec3};
+
+use super::board_points::BoardPoint;
+use crate::camera::{intrinsics_jacobian, project, project_with_jacobian};
+use crate::solve::normal_equations::{NormalEquations, inverse};
+use gripcast_geometry::Pose;
+use gripcast_imaging::Intrinsics;
+
+/// Number of a lens's parameters: fx, fy, cx, cy, k1, k2, p1, p2, k3.
+pub(super) const LENS: usize = 9;
+const MOST_ITERATIONS: usize = 80;
+/// Relative decrease of the cost that ends the search.
+const LEAST_DECREASE: f64 = 1e-11;
+const LARGEST_DAMPING: f64 = 1e12;
+
+/// Which parameters of the lens are searched.
+pub(super) type Fitted = [bool; LENS];
+
+/// Lens and poses `t_camera_plane`, by view.
+#[derive(Clone, Debug)]
+pub(super) struct Bundle {
+    pub(super) lens: Intrinsics,
+    pub(super) poses: Vec<Pose>,
+}
+
+/// A minimum.
+#[derive(Clone, Debug)]
+pub(super) struct BundleFit {
+    pub(super) bundle: Bundle,
+    /// Robust cost, px².
+    pub(super) cost: f64,
+    /// Inverse of the lens's information with all poses free; zero where a parameter is fixed.
+    pub(super) inverse_information: [[f64; LENS]; LENS],
+}
+
+/// Distance of a point from where the bundle predicts it, px; infinite behind the camera.
+pub(super) fn error_px(lens: &Intrinsics, pose: &Pose, point: &BoardPoint) -> f64 {
+    let predicted = project(lens, pose.transform_point(point.place_m));
+    predicted.map_or(f64::INFINITY, |pixel| pixel.distance(point.pixel))
+}
+
+/// Searches the nearest minimum of the Huber loss: squared up to `loss_px`, linear beyond. None
+/// where the views do not determine the parameters.
+pub(super) fn minimise(
+    views: &[Vec<BoardPoint>],
+    start: Bundle,
+    fitted: &Fitted,
+    loss_px: f64,
+) -> Option<BundleFit> {
+    let mut bundle = start;
+    let mut equations = linearise(views, &bundle, fitted, loss_px)?;
+    let mut damping = 1e-4;
+    for _ in 0..MOST_ITERATIONS {
+        let step = equations.step(damping);
+        let trial = step.map(|step| stepped(&bundle, &step));
+        let next = trial.and_then(|trial| {
+            let next = linearise(views, &trial, fitted, loss_px)?;
+            (next.cost <= equations.cost).then_some((trial, next))
+        });
+        if let Some((trial, next)) = next {
+            let decrease = equations.cost - next.cost;
+            let is_done = decrease <= LEAST_DECREASE * equations.cost;
+            (bundle, equations) = (trial, next);
+            damping = (0.1 * damping).max(1e-12);
+            if is_done {
+                break;
+            }
+        } else {
+            damping *= 10.0;
+            if damping > LARGEST_DAMPING {
+                break;
+            }
+        }
+    }
+    let (reduced, _) = equations.reduced(0.0)?;
+    let mut inverse_information = inverse(&reduced.matrix)?;
+    for (i, row) in inverse_information.iter_mut().enumerate() {
+        for (j, value) in row.iter_mut().enumerate() {
+            if !(fitted[i] && fitted[j]) {
+                *value = 0.0;
+            }
+        }
+    }
+    Some(BundleFit {
+        bundle,
+        cost: equations.cost,
+        inverse_information,
+    })
+}
+
+/// Steps of the lens and of every pose.
+struct Step {
+    lens: [f64; LENS],
+    poses: Vec<[f64; 6]>,
+}
+
+fn stepped(bundle: &Bundle, step: &Step) -> Bundle {
+    let mut lens = bundle.lens;
+    let [fx, fy, cx, cy, coefficients @ ..] = step.lens;
+    lens.fx += fx;
+    lens.fy += fy;
+    lens.cx += cx;
+    lens.cy += cy;
+    for (value, step) in lens.coefficients.iter_mut().zip(coefficients) {
+        *value += step;
+    }
+    let poses = bundle.poses.iter().zip(&step.poses).map(|(pose, step)| {
+        let turn = DQuat::from_scaled_axis(DVec3::new(step[3], step[4], step[5]));
+        let shift = DVec3::new(step[0], step[1], step[2]);
+        Pose::new(turn * pose.rotation, pose.translation_m + shift)
+    });
+    Bundle {
+        lens,
+        poses: poses.collect(),
+    }
+}
+
+/// Normal equations in blocks.
+struct Equations {
+    lens: NormalEquations<LENS>,
+    poses: Vec<NormalEquations<6>>,
+    /// By view: lens × pose.
+    mixed: Vec<[[f64; 6]; LENS]>,
+    fitted: Fitted,
+    cost: f64,
+}
+
+/// What eliminates the pose of a view: the inverse of its block.
+type Eliminated = Vec<[[f64; 6]; 6]>;
+
+impl Equations {
+    /// The lens's equations without the poses; fixed parameters have a step of 0.
+    fn reduced(&self, damping: f64) -> Option<(NormalEquations<LENS>, Eliminated)> {
+        let mut reduced = self.lens.clone();
+        for i in 0..LENS {
+            reduced.matrix[i][i] *= 1.0 + damping;
+            if !self.fitted[i] {
+                reduced.matrix[i][i] = 1.0;
+            }
+        }
+        let mut eliminated = Vec::with_capacity(self.poses.len());
+        for (pose, mixed) in self.poses.iter().zip(&self.mixed) {
+            let mut block = pose.matrix;
+            for (i, row) in block.iter_mut().enumerate() {
+                row[i] *= 1.0 + damping;
+            }
+            let inverse = inverse(&block)?;
+            for i in 0..LENS {
+                let row = times(&inverse, &mixed[i]);
+                for (entry, other) in reduced.matrix[i].iter_mut().zip(mixed) {
+                    *entry -= dot(&row, other);
+                }
+                reduced.vector[i] -= dot(&row, &pose.vector);
+            }
+            eliminated.push(inverse);
+        }
+        Some((reduced, eliminated))
+    }
+
+    fn step(&self, damping: f64) -> Option<Step> {
+        let (reduced, eliminated) = self.reduced(damping)?;
+        let lens = reduced.solve()?;
+        let blocks = self.poses.iter().zip(&self.mixed).zip(&eliminated);
+        let poses = blocks.map(|((pose, mixed), inverse)| {
+            let mut rest = pose.vector;
+            for (value, row) in lens.iter().zip(mixed) {
+                for (rest, entry) in rest.iter_mut().zip(row) {
+                    *rest -= value * entry;
+                }
+            }
+            times(inverse, &rest)
+        });
+        Some(Step {
+            lens,
+            poses: poses.collect(),
+        })
+    }
+}
+
+fn times(matrix: &[[f64; 6]; 6], vector: &[f64; 6]) -> [f64; 6] {
+    std::array::from_fn(|i| dot(&matrix[i], vector))
+}
+
+fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// Equations of the step; none if a point falls behind the camera or the lens folds over.
+fn linearise(
+    views: &[Vec<BoardPoint>],
+    bundle: &Bundle,
+    fitted: &Fitted,
+    loss_px: f64,
+) -> Option<Equations> {
+    let mut equations = Equations {
+        lens: NormalEquations::zero(),
+        poses: Vec::with_capacity(views.len()),
+        mixed: Vec::with_capacity(views.len()),
+        fitted: *fitted,
+        cost: 0.0,
+    };
+    for (points, pose) in views.iter().zip(&bundle.poses) {
+        let mut own = NormalEquations::<6>::zero();
+        let mut mixed = [[0.0; 6]; LENS];
+        for point in points {
+            let arm = pose.transform_vector(point.place_m);
+            let at = arm + pose.translation_m;
+            let (pixel, gradients) = project_with_jacobian(&bundle.lens, at)?;
+            let mut by_lens = intrinsics_jacobian(&bundle.lens, at);
+            let residual: DVec2 = point.pixel - pixel;
+            let length = residual.length();
+            let is_far = length > loss_px;
+            let weight = if is_far { loss_px / length } else { 1.0 };
+            equations.cost += if is_far {
+                loss_px * (2.0 * length - loss_px)
+            } else {
+                length * length
+            };
+            for (axis, value) in residual.to_array().into_iter().enumerate() {
+                let gradient = gradients[axis];
+                let turn = arm.cross(gradient);
+                let row = [gradient.x, gradient.y, gradient.z, turn.x, turn.y, turn.z];
+                for (entry, is_fitted) in by_lens[axis].iter_mut().zip(fitted) {
+                    if !is_fitted {
+                        *entry = 0.0;
+                    }
+                }
+                own.add(&row, value, weight);
+                equations.lens.add(&by_lens[axis], value, weight);
+                for (sums, entry) in mixed.iter_mut().zip(by_lens[axis]) {
+                    for (sum, other) in sums.iter_mut().zip(row) {
+                        *sum += weight * entry * other;
+                    }
+                }
+            }
+        }
+        equations.poses.push(own);
+        equations.mixed.push(mixed);
+    }
+    equations.cost.is_finite().then_some(equations)
+}

@@ -1,0 +1,265 @@
+//! Which sightings take part, and where the search begins.
+
+use glam::{DMat3, DQuat, DVec3};
+
+use super::gripper::GripperPicture;
+use super::gripper_bundle::{Bundle, Marker, Sight, View};
+use crate::solve::{solve_gripper, solve_part};
+use crate::{Board, BoardMarker, Detection, Part};
+use gripcast_geometry::Pose;
+use gripcast_imaging::Intrinsics;
+
+/// Fewest pictures in which a marker is seen together with others.
+pub(super) const LEAST_SIGHTS: usize = 4;
+/// Error beyond which a corner tells nothing but that it is wrong, px.
+const WRONG_PX: f64 = 30.0;
+/// Openings that searches start from, m.
+const OPENINGS_M: [f64; 4] = [0.0, 0.03, 0.06, 0.09];
+
+/// What becomes of the board's markers.
+pub(super) struct Selection {
+    /// The markers that take part, and the pictures with at least two of them.
+    pub(super) bundle: Bundle,
+    /// Ids that no picture shows.
+    pub(super) unseen: Vec<u32>,
+    /// Ids with too few pictures.
+    pub(super) rare: Vec<u32>,
+    /// Ids that no picture shows together with those that take part.
+    pub(super) apart: Vec<u32>,
+    /// Pictures that take no part, with the reason.
+    pub(super) left_out: Vec<(usize, &'static str)>,
+}
+
+/// How far a part moves along x per metre of opening.
+fn slide(part: Part) -> f64 {
+    match part {
+        Part::FingerLeft => -0.5,
+        Part::FingerRight => 0.5,
+        Part::Object | Part::Body => 0.0,
+    }
+}
+
+/// A marker of the board with a frame of its own.
+pub(super) fn framed(marker: &BoardMarker) -> Marker {
+    let [a, b, c, d] = marker.corners_m;
+    let right = (b - a + c - d).normalize_or(DVec3::X);
+    let front = right.cross(a - d + b - c).normalize_or(DVec3::Z);
+    let axes = DMat3::from_cols(right, front.cross(right), front);
+    let pose = Pose::new(DQuat::from_mat3(&axes), marker.center_m());
+    let back = pose.inverse();
+    Marker {
+        id: marker.id,
+        part: marker.part,
+        local: marker.corners_m.map(|c| back.transform_point(c)),
+        nominal: pose,
+        pose,
+        slide: slide(marker.part),
+    }
+}
+
+/// Chooses markers and pictures, without poses of the views.
+pub(super) fn select(board: &Board, camera: &Intrinsics, pictures: &[GripperPicture]) -> Selection {
+    let all: Vec<Marker> = board
+        .markers
+        .iter()
+        .filter(|m| m.part != Part::Object)
+        .map(framed)
+        .collect();
+    let seen: Vec<Vec<(usize, &Detection)>> = pictures.iter().map(|p| sightings(&all, p)).collect();
+    let mut taken: Vec<bool> = vec![true; all.len()];
+    let shown = |taken: &[bool], sights: &[(usize, &Detection)]| -> Vec<usize> {
+        let here = sights.iter().map(|(m, _)| *m).filter(|m| taken[*m]);
+        here.collect()
+    };
+    let counts = |taken: &[bool]| -> Vec<usize> {
+        let mut counts = vec![0; all.len()];
+        for sights in &seen {
+            let here = shown(taken, sights);
+            if here.len() >= 2 {
+                here.into_iter().for_each(|m| counts[m] += 1);
+            }
+        }
+        counts
+    };
+    let (mut unseen, mut rare, mut apart) = (Vec::new(), Vec::new(), Vec::new());
+    for (m, marker) in all.iter().enumerate() {
+        if !seen.iter().flatten().any(|(i, _)| *i == m) {
+            taken[m] = false;
+            unseen.push(marker.id);
+        }
+    }
+    loop {
+        let counts = counts(&taken);
+        let few = (0..all.len()).find(|m| taken[*m] && counts[*m] < LEAST_SIGHTS);
+        let Some(few) = few else { break };
+        taken[few] = false;
+        rare.push(all[few].id);
+    }
+    let groups = groups(all.len(), seen.iter().map(|s| shown(&taken, s)));
+    let size = |group: usize| {
+        (0..all.len())
+            .filter(|m| taken[*m] && groups[*m] == group)
+            .count()
+    };
+    let best = (0..all.len())
+        .filter(|m| taken[*m])
+        .map(|m| groups[m])
+        .max_by_key(|g| size(*g));
+    for m in 0..all.len() {
+        if taken[m] && Some(groups[m]) != best {
+            taken[m] = false;
+            apart.push(all[m].id);
+        }
+    }
+    rare.sort_unstable();
+    let place = |m: usize| (0..m).filter(|k| taken[*k]).count();
+    let mut left_out = Vec::new();
+    let mut views = Vec::new();
+    for (picture, sights) in seen.iter().enumerate() {
+        let here = sights.iter().filter(|(m, _)| taken[*m]);
+        let here: Vec<Sight> = here
+            .map(|(m, d)| Sight {
+                marker: place(*m),
+                pixels: d.corners_px,
+                used: true,
+            })
+            .collect();
+        match (sights.len(), here.len()) {
+            (0, _) => left_out.push((picture, "no marker of the gripper was found")),
+            (_, 0 | 1) => left_out.push((picture, "only one marker that takes part was found")),
+            _ => views.push(View {
+                picture,
+                pose: Pose::IDENTITY,
+                opening_m: 0.0,
+                frees_opening: false,
+                sights: here,
+            }),
+        }
+    }
+    let markers: Vec<Marker> = (0..all.len())
+        .filter(|m| taken[*m])
+        .map(|m| all[m].clone())
+        .collect();
+    for view in &mut views {
+        let slides: Vec<f64> = view
+            .sights
+            .iter()
+            .map(|s| markers[s.marker].slide)
+            .collect();
+        let differ = slides.windows(2).any(|pair| pair[0] != pair[1]);
+        view.frees_opening = differ && !pictures[view.picture].closed;
+    }
+    Selection {
+        bundle: Bundle {
+            camera: *camera,
+            markers,
+            slide: DVec3::X,
+            views,
+        },
+        unseen,
+        rare,
+        apart,
+        left_out,
+    }
+}
+
+/// A picture's detections of the gripper's markers; one that is found twice is neither.
+fn sightings<'a>(all: &[Marker], picture: &'a GripperPicture) -> Vec<(usize, &'a Detection)> {
+    let is_sound = |d: &Detection| {
+        let twice = picture.detections.iter().filter(|o| o.id == d.id).count() > 1;
+        !twice && d.corners_px.iter().all(|c| c.is_finite())
+    };
+    let place = |d: &Detection| all.iter().position(|m| m.id == d.id);
+    let sound = picture.detections.iter().filter(|d| is_sound(d));
+    sound.filter_map(|d| place(d).map(|m| (m, d))).collect()
+}
+
+/// Number of the group that each marker belongs to: those that some picture shows together.
+fn groups(count: usize, shown: impl Iterator<Item = Vec<usize>>) -> Vec<usize> {
+    let mut group: Vec<usize> = (0..count).collect();
+    for here in shown {
+        let Some(first) = here.first().map(|m| group[*m]) else {
+            continue;
+        };
+        for m in here {
+            let old = group[m];
+            group
+                .iter_mut()
+                .filter(|g| **g == old)
+                .for_each(|g| *g = first);
+        }
+    }
+    group
+}
+
+/// Gives each view the pose that fits best with markers where they are described: of all markers
+/// together, or of one of them alone where they are too far off for that.
+pub(super) fn start(bundle: &mut Bundle, board: &Board, pictures: &[GripperPicture]) {
+    for i in 0..bundle.views.len() {
+        let picture = &pictures[bundle.views[i].picture];
+        let candidates = candidates(bundle, &bundle.views[i], board, picture);
+        let scored = candidates.into_iter().map(|(pose, opening_m)| {
+            let view = View {
+                pose,
+                opening_m,
+                ..bundle.views[i].clone()
+            };
+            (score(bundle, &view), view)
+        });
+        if let Some((_, view)) = scored.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            bundle.views[i] = view;
+        }
+    }
+}
+
+/// Possible poses `t_camera_gripper` with openings (m).
+fn candidates(
+    bundle: &Bundle,
+    view: &View,
+    board: &Board,
+    picture: &GripperPicture,
+) -> Vec<(Pose, f64)> {
+    let camera = &bundle.camera;
+    let mut result = Vec::new();
+    let known = (!view.frees_opening).then_some(0.0);
+    if let Ok(found) = solve_gripper(board, &picture.detections, camera, known) {
+        let opening_m = found.opening.map_or(0.0, |o| o.opening_m);
+        result.push((found.body.t_camera_part, opening_m));
+    }
+    let openings = if view.frees_opening {
+        &OPENINGS_M[..]
+    } else {
+        &[0.0]
+    };
+    for sight in &view.sights {
+        let marker = &bundle.markers[sight.marker];
+        let alone = Board {
+            markers: board
+                .markers
+                .iter()
+                .filter(|m| m.id == marker.id)
+                .cloned()
+                .collect(),
+            ..board.clone()
+        };
+        let Ok(found) = solve_part(&alone, marker.part, &picture.detections, camera) else {
+            continue;
+        };
+        for pose in [Some(found.t_camera_part), found.runner_up]
+            .into_iter()
+            .flatten()
+        {
+            for opening_m in openings {
+                let slid = DVec3::X * (marker.slide * opening_m);
+                result.push((pose * Pose::from_translation(-slid), *opening_m));
+            }
+        }
+    }
+    result
+}
+
+/// Sum of squared errors, each at most that of a wrong corner, px².
+fn score(bundle: &Bundle, view: &View) -> f64 {
+    let errors = view.sights.iter().flat_map(|s| bundle.errors_px(view, s));
+    errors.map(|e| e.min(WRONG_PX).powi(2)).sum()
+}

@@ -1,0 +1,219 @@
+use glam::DVec2;
+use image::GrayImage;
+use image::imageops::flip_horizontal;
+use rand::SeedableRng as _;
+use rand_pcg::Pcg64;
+
+use super::intrinsics_test::{poses, truth};
+use super::{Collector, CollectorSettings, PointFinder, Refusal};
+use crate::camera::project;
+use crate::detect::{ApriltagDetector, ApriltagSettings};
+use crate::synthetic::{PictureConditions, render_board, ring_board};
+use crate::{BoardFile, Chessboard, Dictionary, MarkerDetector as _};
+use gripcast_geometry::Pose;
+use gripcast_imaging::Intrinsics;
+use gripcast_testing::{Needs, skip};
+
+fn charuco() -> BoardFile {
+    let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
+    let chessboard = Chessboard {
+        squares: [9, 6],
+        square_mm: [26.0, 26.0],
+        legacy: false,
+        printed_hash: None,
+    };
+    let board = chessboard.board("c", &dictionary, 0, [18.0; 2]).unwrap();
+    let file = BoardFile::new(board, dictionary, None).unwrap();
+    file.with_chessboard(chessboard).unwrap()
+}
+
+fn small_lens() -> Intrinsics {
+    let lens = truth();
+    Intrinsics {
+        width: 640,
+        height: 480,
+        fx: 0.62 * lens.fx,
+        fy: 0.62 * lens.fy,
+        cx: 325.0,
+        cy: 236.0,
+        ..lens
+    }
+}
+
+fn picture(lens: &Intrinsics, file: &BoardFile, pose: &Pose, seed: u64) -> GrayImage {
+    let conditions = PictureConditions {
+        psf_px: 0.6,
+        noise: 2.0,
+        ..PictureConditions::default()
+    };
+    render_board(lens, file, pose, &conditions, seed).picture
+}
+
+#[test]
+fn chessboard_corners_are_found_without_bias() {
+    let (lens, file) = (truth(), charuco());
+    let finder = PointFinder::new(&file).unwrap();
+    let mut detector = ApriltagDetector::new(
+        &file.dictionary,
+        &file.board.ids(),
+        ApriltagSettings::default(),
+    )
+    .unwrap();
+    let mut random = Pcg64::seed_from_u64(2);
+    let mut errors: Vec<DVec2> = Vec::new();
+    let mut visible = 0;
+    for (seed, pose) in poses(4, &mut random, 0.6).iter().enumerate() {
+        let picture = picture(&lens, &file, pose, seed as u64);
+        let detections = detector.detect(&picture).unwrap();
+        let found = finder.find(&picture, &detections);
+        let corners = file.chessboard.as_ref().unwrap().corners_m();
+        for corner in &corners {
+            let pixel = project(&lens, pose.transform_point(corner.extend(0.0))).unwrap();
+            let inside = pixel.cmpgt(DVec2::splat(40.0)).all()
+                && pixel.cmplt(DVec2::new(1240.0, 680.0)).all();
+            visible += usize::from(inside);
+        }
+        for point in found.points {
+            let corner = corners[point.number as usize];
+            let pixel = project(&lens, pose.transform_point(corner.extend(0.0))).unwrap();
+            errors.push(point.pixel - pixel);
+        }
+    }
+    let mean = errors.iter().sum::<DVec2>() / errors.len() as f64;
+    let mut lengths: Vec<f64> = errors.iter().map(|e| e.length()).collect();
+    lengths.sort_by(f64::total_cmp);
+    let (median, worst) = (lengths[lengths.len() / 2], lengths[lengths.len() - 1]);
+    println!(
+        "{} of {visible}: bias {mean:.4}, median {median:.4}, worst {worst:.3}",
+        errors.len()
+    );
+    assert!(errors.len() * 10 > visible * 9);
+    assert!(median < 0.04 && worst < 0.3 && mean.length() < 0.01);
+}
+
+#[test]
+fn pictures_of_a_charuco_board_give_the_lens() {
+    let (lens, file) = (small_lens(), charuco());
+    let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
+    let mut random = Pcg64::seed_from_u64(3);
+    for (seed, pose) in poses(14, &mut random, 0.6).iter().enumerate() {
+        let offer = collector
+            .offer(&picture(&lens, &file, pose, seed as u64))
+            .unwrap();
+        println!("{offer:?}");
+    }
+    let report = collector.finish().unwrap();
+    println!("{report:#?}");
+    assert!(report.rms_px < 0.1);
+    let found = report.intrinsics;
+    assert!((found.fx / lens.fx - 1.0).abs() < 1e-3 && (found.fy / lens.fy - 1.0).abs() < 1e-3);
+    assert!((found.cx - lens.cx).abs() < 1.0 && (found.cy - lens.cy).abs() < 1.0);
+}
+
+#[test]
+fn pictures_of_markers_alone_give_the_lens() {
+    let lens = small_lens();
+    let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
+    let file = BoardFile::new(ring_board(&dictionary), dictionary, None).unwrap();
+    let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
+    let mut random = Pcg64::seed_from_u64(4);
+    for (seed, pose) in poses(12, &mut random, 0.6).iter().enumerate() {
+        let picture = picture(&lens, &file, pose, seed as u64);
+        collector.offer(&picture).unwrap();
+    }
+    let report = collector.finish().unwrap();
+    println!("{report:#?}");
+    let found = report.intrinsics;
+    assert!(report.rms_px < 0.15);
+    assert!((found.fx / lens.fx - 1.0).abs() < 2e-3 && (found.fy / lens.fy - 1.0).abs() < 2e-3);
+    assert!((found.cx - lens.cx).abs() < 1.0 && (found.cy - lens.cy).abs() < 1.0);
+}
+
+#[test]
+fn pictures_of_no_use_are_refused() {
+    let (lens, file) = (small_lens(), charuco());
+    let settings = CollectorSettings::default();
+    let mut collector = Collector::new(&file, settings).unwrap();
+    let mut random = Pcg64::seed_from_u64(5);
+    let poses = poses(4, &mut random, 0.6);
+    let first = picture(&lens, &file, &poses[1], 0);
+    let refused =
+        |collector: &mut Collector, picture: &GrayImage| collector.offer(picture).unwrap().refused;
+    assert_eq!(refused(&mut collector, &first), None);
+    let again = picture(&lens, &file, &poses[1], 1);
+    assert_eq!(refused(&mut collector, &again), Some(Refusal::Duplicate(0)));
+    assert_eq!(
+        refused(&mut collector, &flip_horizontal(&first)),
+        Some(Refusal::NoBoard)
+    );
+    let other = GrayImage::new(320, 240);
+    assert_eq!(
+        refused(&mut collector, &other),
+        Some(Refusal::Size([320, 240], [640, 480]))
+    );
+    let blurred = PictureConditions {
+        psf_px: 2.6,
+        ..PictureConditions::default()
+    };
+    let blurred = render_board(&lens, &file, &poses[2], &blurred, 2).picture;
+    let said = refused(&mut collector, &blurred);
+    assert!(
+        matches!(said, Some(Refusal::Blurred(_) | Refusal::NoBoard)),
+        "{said:?}"
+    );
+    assert_eq!(collector.views().len(), 1);
+    assert!(collector.offer(&GrayImage::new(4, 4)).is_err());
+    // Live, the board has to be still.
+    let still = CollectorSettings {
+        still: true,
+        ..settings
+    };
+    let mut live = Collector::new(&file, still).unwrap();
+    assert!(matches!(
+        refused(&mut live, &first),
+        Some(Refusal::Moving(_))
+    ));
+    assert_eq!(refused(&mut live, &again), None);
+    let said = live.finish().unwrap_err().to_string();
+    assert!(said.contains("at least 3 usable views"), "{said}");
+}
+
+/// OpenCV's tutorial pictures of a board of 5 × 7 squares of 40 mm with markers of 20 mm, in a
+/// folder that `GRIPCAST_CHARUCO` names.
+#[test]
+fn real_pictures_fit() {
+    let Some(folder) = std::env::var_os("GRIPCAST_CHARUCO") else {
+        return skip(
+            Needs::Charuco,
+            "set GRIPCAST_CHARUCO to a folder with img_00.jpg to img_03.jpg of OpenCV's ChArUco \
+             tutorial",
+        );
+    };
+    let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
+    let chessboard = Chessboard {
+        squares: [5, 7],
+        square_mm: [40.0, 40.0],
+        legacy: true,
+        printed_hash: None,
+    };
+    let board = chessboard
+        .board("tutorial", &dictionary, 0, [20.0; 2])
+        .unwrap();
+    let file = BoardFile::new(board, dictionary, None).unwrap();
+    let file = file.with_chessboard(chessboard).unwrap();
+    let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
+    let mut decoder = gripcast_imaging::Decoder::new().unwrap();
+    for k in 0..4 {
+        let path = std::path::Path::new(&folder).join(format!("img_0{k}.jpg"));
+        let bytes = std::fs::read(&path).unwrap();
+        let picture = decoder.decode_file(&bytes, None, 640, 480).unwrap();
+        let offer = collector
+            .offer(&image::imageops::grayscale(&picture))
+            .unwrap();
+        println!("{}: {offer:?}", path.display());
+    }
+    let report = collector.finish().unwrap();
+    println!("{report:#?}");
+    assert!(report.rms_px <= 0.20, "{}", report.rms_px);
+    assert!((440.0..475.0).contains(&report.intrinsics.fx));
+}

@@ -1,0 +1,102 @@
+//! Where the search for intrinsics starts.
+
+use glam::{DMat3, DQuat, DVec2};
+
+use super::board_points::BoardPoint;
+use crate::solve::homography::plane_to_image;
+use crate::solve::normal_equations::NormalEquations;
+use gripcast_geometry::Pose;
+use gripcast_imaging::{DistortionModel, Intrinsics};
+
+/// Focal lengths that a lens has, relative to the picture's longer side.
+const FOCAL: [f64; 2] = [0.1, 30.0];
+
+/// Homography from the board's plane to pixels; none where the points do not span the plane.
+pub(super) fn homography(points: &[BoardPoint]) -> Option<DMat3> {
+    let plane: Vec<DVec2> = points.iter().map(|p| p.place_m.truncate()).collect();
+    let pixels: Vec<DVec2> = points.iter().map(|p| p.pixel).collect();
+    plane_to_image(&plane, &pixels)
+}
+
+/// A lens without distortion whose principal point is the picture's middle.
+pub(super) fn plain_lens([width, height]: [u32; 2], fx: f64, fy: f64) -> Intrinsics {
+    Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx: 0.5 * (f64::from(width) - 1.0),
+        cy: 0.5 * (f64::from(height) - 1.0),
+        model: DistortionModel::BrownConrady,
+        coefficients: [0.0; 5],
+    }
+}
+
+/// Lenses that fit the homographies: Z. Zhang, *A flexible new technique for camera calibration*,
+/// 2000, §3.1, with the principal point in the picture's middle, which leaves two unknowns (or one,
+/// for square pixels) and makes it hold for few and noisy pictures. The last one is a guess.
+pub(super) fn lenses(size: [u32; 2], homographies: &[DMat3]) -> Vec<Intrinsics> {
+    let side = f64::from(size[0].max(size[1]));
+    let middle = plain_lens(size, 1.0, 1.0);
+    let mut both = NormalEquations::<2>::zero();
+    let mut one = NormalEquations::<1>::zero();
+    for h in homographies {
+        // Orthogonal axes of equal length, in pixels from the middle and relative to the side.
+        let ray = |column: glam::DVec3| {
+            let x = (column.x - middle.cx * column.z) / side;
+            let y = (column.y - middle.cy * column.z) / side;
+            glam::DVec3::new(x, y, column.z)
+        };
+        let (a, b) = (ray(h.x_axis), ray(h.y_axis));
+        let scale = (a.length() * b.length()).recip();
+        let products = a * b * scale;
+        let squares = 0.5 * (a * a - b * b) * scale;
+        for row in [products, squares] {
+            both.add(&[row.x, row.y], -row.z, 1.0);
+            one.add(&[row.x + row.y], -row.z, 1.0);
+        }
+    }
+    let focal = |inverse_square: f64| {
+        let focal = inverse_square.sqrt().recip();
+        (FOCAL[0]..=FOCAL[1])
+            .contains(&focal)
+            .then_some(focal * side)
+    };
+    let mut found = Vec::new();
+    if let Some([x, y]) = both.solve()
+        && let (Some(fx), Some(fy)) = (focal(x), focal(y))
+        && (0.7..1.4).contains(&(fx / fy))
+    {
+        found.push(plain_lens(size, fx, fy));
+    }
+    if let Some([x]) = one.solve()
+        && let Some(f) = focal(x)
+    {
+        found.push(plain_lens(size, f, f));
+    }
+    found.push(plain_lens(size, side, side));
+    found
+}
+
+/// The pose of a plane that a homography to pixels shows through a lens without distortion; none
+/// if it shows the plane's back.
+pub(super) fn pose(lens: &Intrinsics, homography: &DMat3) -> Option<Pose> {
+    let to_ideal = DMat3::from_cols(
+        glam::DVec3::new(lens.fx.recip(), 0.0, 0.0),
+        glam::DVec3::new(0.0, lens.fy.recip(), 0.0),
+        glam::DVec3::new(-lens.cx / lens.fx, -lens.cy / lens.fy, 1.0),
+    );
+    let h = to_ideal * *homography;
+    let scale = (h.x_axis.length() * h.y_axis.length()).sqrt().recip();
+    let h = h * (scale * h.z_axis.z.signum());
+    // The nearest right angle between the two axes, spread evenly.
+    let (sum, difference) = (
+        (h.x_axis.normalize() + h.y_axis.normalize()).try_normalize()?,
+        (h.x_axis.normalize() - h.y_axis.normalize()).try_normalize()?,
+    );
+    let x = (sum + difference).try_normalize()?;
+    let y = (sum - difference).try_normalize()?;
+    let z = x.cross(y);
+    let is_front = z.dot(h.z_axis) < 0.0 && h.z_axis.is_finite();
+    is_front.then(|| Pose::new(DQuat::from_mat3(&DMat3::from_cols(x, y, z)), h.z_axis))
+}

@@ -1,0 +1,337 @@
+//! Files of every format there and back, and everything that can be wrong with them.
+
+use super::*;
+use gripcast_imaging::DistortionModel;
+
+const ROS: &str = "\
+image_width: 1280
+image_height: 720
+camera_name: external
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [915.25, 0, 642.8, 0, 911, 357.4, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [915.25, 0, 642.8, 0, 0, 911, 357.4, 0, 0, 0, 1, 0]
+";
+
+const OPENCV: &str = "\
+%YAML:1.0
+---
+calibration_time: \"Mon 03 Aug 2026\"
+image_width: 1280
+image_height: 720
+flags: 0
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 9.1525000000000000e+02, 0., 6.4280000000000000e+02, 0.,
+       9.1100000000000000e+02, 3.5740000000000000e+02, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ 1.2000000000000000e-01, -2.5000000000000000e-01,
+       7.0000000000000000e-04, -4.0000000000000000e-04,
+       8.0000000000000000e-02 ]
+avg_reprojection_error: 1.8750000000000000e-01
+";
+
+const KALIBR: &str = "\
+cam0:
+  cam_overlaps: [1]
+  camera_model: pinhole
+  distortion_coeffs: [0.12, -0.25, 0.0007, -0.0004]
+  distortion_model: radtan
+  intrinsics: [915.25, 911, 642.8, 357.4]
+  resolution: [1280, 720]
+  rostopic: /cam0/image_raw
+cam1:
+  T_cn_cnm1:
+  - [1.0, 0.0, 0.0, -0.1]
+  - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
+  camera_model: pinhole
+  distortion_coeffs: [0.01, 0.02, 0.0, 0.0]
+  distortion_model: equidistant
+  intrinsics: [900, 901, 640, 360]
+  resolution: [1280, 720]
+";
+
+fn camera() -> Intrinsics {
+    Intrinsics {
+        width: 1280,
+        height: 720,
+        fx: 915.25,
+        fy: 911.0,
+        cx: 642.8,
+        cy: 357.4,
+        model: DistortionModel::BrownConrady,
+        coefficients: [0.12, -0.25, 0.0007, -0.0004, 0.08],
+    }
+}
+
+fn read(text: &str) -> Result<CameraFile> {
+    CameraFile::parse(text, CameraChoice::default())
+}
+
+fn chosen(camera: &str) -> CameraChoice<'_> {
+    CameraChoice {
+        camera: Some(camera),
+        ..CameraChoice::default()
+    }
+}
+
+#[test]
+fn files_of_all_formats_are_read() {
+    let ros = read(ROS).unwrap();
+    assert_eq!((ros.format, ros.intrinsics), (CameraFormat::Ros, camera()));
+    assert_eq!(ros.camera_name.as_deref(), Some("external"));
+    assert!(ros.notes.is_empty());
+    let opencv = read(OPENCV).unwrap();
+    assert_eq!(opencv.format, CameraFormat::Opencv);
+    assert_eq!((opencv.intrinsics, opencv.rms_px), (camera(), Some(0.1875)));
+    let kalibr = CameraFile::parse(KALIBR, chosen("cam0")).unwrap();
+    assert_eq!(kalibr.format, CameraFormat::Kalibr);
+    let mut four = camera();
+    four.coefficients[4] = 0.0;
+    assert_eq!(kalibr.intrinsics, four);
+    let toml = toml::to_string(&camera()).unwrap();
+    assert_eq!(read(&toml).unwrap().intrinsics, camera());
+}
+
+#[test]
+fn what_is_written_reads_back_exactly() {
+    let mut awkward = camera();
+    awkward.fx = 915.123_456_789_012_3;
+    awkward.coefficients = [1e-7, -1.0 / 3.0, 1.5e-17, -0.0, 2.5e-3];
+    for intrinsics in [camera(), awkward] {
+        let ros = read(&to_ros(&intrinsics, "left_2").unwrap()).unwrap();
+        assert_eq!(ros.intrinsics, intrinsics);
+        assert_eq!(ros.camera_name.as_deref(), Some("left_2"));
+        assert!(ros.notes.is_empty());
+        let opencv = read(&to_opencv(&intrinsics, Some(0.1)).unwrap()).unwrap();
+        assert_eq!((opencv.intrinsics, opencv.rms_px), (intrinsics, Some(0.1)));
+    }
+    // YAML 1.1 reads 1e-7 as a word.
+    assert!(to_ros(&awkward, "c").unwrap().contains("[1.0e-7, "));
+    let straight = Intrinsics {
+        model: DistortionModel::None,
+        coefficients: [0.0; 5],
+        ..camera()
+    };
+    let back = read(&to_opencv(&straight, None).unwrap()).unwrap();
+    assert_eq!((back.intrinsics, back.rms_px), (straight, None));
+}
+
+#[test]
+fn lenses_that_cannot_be_said_are_not_written() {
+    let inverse = Intrinsics {
+        model: DistortionModel::InverseBrownConrady,
+        ..camera()
+    };
+    let said = to_ros(&inverse, "c").unwrap_err().to_string();
+    assert!(
+        said.contains("inverse-brown-conrady") && said.contains("ROS"),
+        "{said}"
+    );
+    assert!(to_opencv(&inverse, None).is_err());
+    let straight = Intrinsics {
+        coefficients: [0.0; 5],
+        ..inverse
+    };
+    assert!(to_opencv(&straight, None).is_ok());
+    for name in ["", "a b", "ü", "a:b"] {
+        assert_eq!(
+            to_ros(&camera(), name).unwrap_err().kind(),
+            ErrorKind::Usage
+        );
+    }
+}
+
+#[test]
+fn a_file_without_a_size_needs_one() {
+    let text = OPENCV.replace("image_width: 1280\nimage_height: 720\n", "");
+    let said = read(&text).unwrap_err().to_string();
+    assert!(said.contains("--size 1280x720"), "{said}");
+    let sized = |size| CameraChoice {
+        size: Some(size),
+        camera: None,
+    };
+    let file = CameraFile::parse(&text, sized([1280, 720])).unwrap();
+    assert_eq!(file.intrinsics, camera());
+    let said = CameraFile::parse(OPENCV, sized([640, 480])).unwrap_err();
+    assert!(said.to_string().contains("1280×720"), "{said}");
+    let said = CameraFile::parse(&text, sized([64, 48])).unwrap_err();
+    assert!(said.to_string().contains("implausible"), "{said}");
+}
+
+#[test]
+fn another_picture_size_is_refused() {
+    assert!(require_size(&camera(), 1280, 720).is_ok());
+    let error = require_size(&camera(), 1920, 1080).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    let said = error.to_string();
+    assert!(
+        said.contains("1280×720") && said.contains("1920×1080"),
+        "{said}"
+    );
+    assert!(said.contains("calibrate at 1920×1080"), "{said}");
+}
+
+#[test]
+fn wrong_ros_files_are_explained() {
+    for (from, to, expected) in [
+        ("plumb_bob", "equidistant", "\"equidistant\""),
+        (
+            "distortion_model: plumb_bob\n",
+            "",
+            "without a distortion_model",
+        ),
+        (
+            "[915.25, 0, 642.8, 0, 911",
+            "[915.25, 0.5, 642.8, 0, 911",
+            "skew of 0.5",
+        ),
+        (
+            "357.4, 0, 0, 1]\ndist",
+            "357.4, 0, 0, 2]\ndist",
+            "row by row",
+        ),
+        (
+            "data: [1, 0, 0, 0, 1, 0, 0, 0, 1]",
+            "data: [0.9, 0.1, 0, 0, 1, 0, 0, 0, 1]",
+            "stereo",
+        ),
+        ("  cols: 5", "  cols: 4", "1 × 4 numbers, found 5"),
+        ("0.08]", ".nan]", "entry NaN"),
+        ("image_width: 1280", "image_width: wide", "cannot be read"),
+        ("image_width: 1280\n", "", "picture size"),
+        ("[915.25", "[0.91525", "implausible"),
+        (
+            "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
+            "cols: 8\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08, 0, 0.3, 0]",
+            "the rational model",
+        ),
+        (
+            "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
+            "cols: 12\n  data: [0, 0, 0, 0, 0, 0, 0, 0, 0, 0.1, 0, 0]",
+            "the thin prism model",
+        ),
+        (
+            "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
+            "cols: 3\n  data: [0.12, -0.25, 0.0007]",
+            "there are 3 distortion coefficients",
+        ),
+        ("rows: 3\n  cols: 4", "rows: 4\n  cols: 3", "must be 3 × 4"),
+        (
+            "  data: [915.25, 0, 642.8, 0, 911, 357.4, 0, 0, 1]\n",
+            "",
+            "cannot be read",
+        ),
+    ] {
+        assert!(ROS.contains(from), "{from}");
+        let said = read(&ROS.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(said.contains(expected), "{from} → {to}: {said}");
+    }
+    let zeros = ROS.replace("plumb_bob", "rational_polynomial").replace(
+        "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
+        "cols: 8\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08, 0, 0, 0]",
+    );
+    assert_eq!(read(&zeros).unwrap().intrinsics, camera());
+    let rectified = ROS.replace(
+        "data: [915.25, 0, 642.8, 0, 0,",
+        "data: [900, 0, 642.8, 0, 0,",
+    );
+    assert!(read(&rectified).unwrap().notes[0].contains("image_raw"));
+}
+
+#[test]
+fn wrong_opencv_and_kalibr_files_are_explained() {
+    for (from, to, expected) in [
+        ("flags: 0", "fisheye_model: 1", "fisheye"),
+        ("camera_matrix:", "M1:", "stereo pair"),
+        ("camera_matrix:", "matrix:", "no camera_matrix"),
+        ("distortion_coefficients:", "coefficients:", "five zeros"),
+        ("rows: 5", "rows: 6", "6 × 1 numbers, found 5"),
+    ] {
+        assert!(OPENCV.contains(from), "{from}");
+        let said = read(&OPENCV.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(said.contains(expected), "{from} → {to}: {said}");
+    }
+    let said = read(KALIBR).unwrap_err().to_string();
+    assert!(
+        said.contains("2 cameras") && said.contains("cam0, cam1"),
+        "{said}"
+    );
+    let said = CameraFile::parse(KALIBR, chosen("cam1"))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        said.contains("cam1: ") && said.contains("equidistant"),
+        "{said}"
+    );
+    assert!(CameraFile::parse(KALIBR, chosen("cam7")).is_err());
+    for (from, to, expected) in [
+        ("pinhole", "omni", "\"omni\""),
+        ("[915.25, 911, 642.8, 357.4]", "[915.25, 911]", "4 numbers"),
+        ("  resolution: [1280, 720]\n", "", "picture size"),
+    ] {
+        let text = KALIBR.replacen(from, to, 1);
+        let said = CameraFile::parse(&text, chosen("cam0"))
+            .unwrap_err()
+            .to_string();
+        assert!(said.contains(expected), "{from} → {to}: {said}");
+    }
+}
+
+#[test]
+fn what_is_no_camera_file_is_said() {
+    for (text, expected) in [
+        ("<?xml version=\"1.0\"?><opencv_storage/>", "YAML"),
+        ("{\"camera_matrix\": 1}", "JSON"),
+        ("", "no camera file"),
+        ("hello\n", "no camera file"),
+        ("width = 3\n", "missing field"),
+        ("camera_matrix: 3\n", "cannot be read"),
+    ] {
+        let said = read(text).unwrap_err().to_string();
+        assert!(said.contains(expected), "{text}: {said}");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("c.yaml");
+    std::fs::write(&path, [0xff, 0xfe, 0x00]).unwrap();
+    let said = load_intrinsics(&path).unwrap_err().to_string();
+    assert!(
+        said.contains("c.yaml") && said.contains("no text"),
+        "{said}"
+    );
+    let missing = load_intrinsics(Path::new("/proc/nonexistent/c.yaml")).unwrap_err();
+    assert_eq!(missing.kind(), ErrorKind::NotFound);
+}
+
+#[test]
+fn damaged_files_never_panic() {
+    for text in [ROS, OPENCV, KALIBR] {
+        for at in (0..text.len()).step_by(7) {
+            let _ = read(&text[..at]);
+            for put in ["[", ":", "-", "9", "&a", "*a", "\0"] {
+                let damaged = format!("{}{put}{}", &text[..at], &text[at + 1..]);
+                let _ = CameraFile::parse(&damaged, chosen("cam0"));
+            }
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! `camchain.yaml` of Kalibr.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+use super::lens::{self, bad, unknown_lens};
+use super::{CameraChoice, CameraFile, CameraFormat, size_of};
+use crate::yaml;
+use gripcast_base::error::{Result, unknown_name};
+
+#[derive(Deserialize)]
+struct Camera {
+    camera_model: String,
+    intrinsics: Vec<f64>,
+    distortion_model: String,
+    #[serde(default)]
+    distortion_coeffs: Vec<f64>,
+    resolution: Option<[u32; 2]>,
+}
+
+pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+    let mut cameras: BTreeMap<String, Camera> = yaml::read(text, "the camchain")?;
+    let names: Vec<String> = cameras.keys().cloned().collect();
+    let known: Vec<&str> = names.iter().map(|name| &**name).collect();
+    let name =
+        match (choice.camera, &known[..]) {
+            (_, [only]) => *only,
+            (Some(name), _) => name,
+            (None, _) => {
+                return Err(bad(format!("the camchain has {} cameras", known.len())).remedy(format!(
+                "choose one: `gripcast calibrate convert FILE --camera-name {} --to toml --out \
+                 FILE.toml`; there are {}",
+                known.first().unwrap_or(&"cam0"),
+                known.join(", ")
+            )));
+            }
+        };
+    let camera = cameras
+        .remove(name)
+        .ok_or_else(|| unknown_name("camera", name, &known))?;
+    let file = camera.file(name, choice);
+    file.map_err(|e| e.at(name))
+}
+
+impl Camera {
+    fn file(&self, name: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+        if self.camera_model != "pinhole" {
+            return Err(unknown_lens(&format!(
+                "the camera model {:?}",
+                self.camera_model
+            )));
+        }
+        let is_straight = self.distortion_model == "none";
+        if self.distortion_model != "radtan" && !is_straight {
+            return Err(unknown_lens(&format!(
+                "the model {:?}",
+                self.distortion_model
+            )));
+        }
+        let [fx, fy, cx, cy] = self.intrinsics[..] else {
+            return Err(bad(format!(
+                "intrinsics of a pinhole camera are 4 numbers, found {}",
+                self.intrinsics.len()
+            )));
+        };
+        let coefficients = if is_straight {
+            &[]
+        } else {
+            &self.distortion_coeffs[..]
+        };
+        let [width, height] = self
+            .resolution
+            .map_or([None; 2], |[width, height]| [Some(width), Some(height)]);
+        let size = size_of(width, height, choice)?;
+        let matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
+        Ok(CameraFile {
+            format: CameraFormat::Kalibr,
+            intrinsics: lens::intrinsics(size, &matrix, coefficients)?,
+            camera_name: Some(name.to_owned()),
+            rms_px: None,
+            notes: Vec::new(),
+        })
+    }
+}

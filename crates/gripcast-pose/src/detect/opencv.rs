@@ -1,0 +1,214 @@
+//! Detection with the system's OpenCV, for comparison: contrib module `aruco` up to 4.6, main
+//! module `objdetect` from 4.7 on.
+//!
+//! S. Garrido-Jurado et al., *Automatic generation and detection of highly reliable fiducial
+//! markers under occlusion*, Pattern Recognition 47 (2014). OpenCV's corners are biased by their
+//! own refinement, which is left out: they go through [`refine_all`].
+
+use glam::DVec2;
+use image::GrayImage;
+use opencv::core::{CV_8UC1, Mat, Point2f, Vector};
+use opencv::prelude::*;
+
+use super::check_size;
+use crate::refine::refine_all;
+use crate::{Detection, Dictionary, MarkerDetector};
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Searches for the markers of one of OpenCV's predefined dictionaries.
+pub struct OpencvDetector {
+    dictionary: Predefined,
+    /// Ascending.
+    whitelist: Vec<u32>,
+}
+
+/// What OpenCV calls a dictionary.
+#[derive(Clone, Copy)]
+struct Predefined {
+    number: i32,
+    /// Half turns from OpenCV's upright marker to ours.
+    half_turned: bool,
+}
+
+/// OpenCV's numbers of its dictionaries, the same in both modules.
+fn predefined(name: &str) -> Option<Predefined> {
+    const NAMES: [&str; 17] = [
+        "DICT_4X4_50",
+        "DICT_4X4_100",
+        "DICT_4X4_250",
+        "DICT_4X4_1000",
+        "DICT_5X5_50",
+        "DICT_5X5_100",
+        "DICT_5X5_250",
+        "DICT_5X5_1000",
+        "DICT_6X6_50",
+        "DICT_6X6_100",
+        "DICT_6X6_250",
+        "DICT_6X6_1000",
+        "DICT_7X7_50",
+        "DICT_7X7_100",
+        "DICT_7X7_250",
+        "DICT_7X7_1000",
+        "DICT_ARUCO_ORIGINAL",
+    ];
+    const APRILTAG_36H11: i32 = 20;
+    let upright = |number| Predefined {
+        number,
+        half_turned: false,
+    };
+    match name {
+        "DICT_APRILTAG_36h11" => Some(upright(APRILTAG_36H11)),
+        "36h11" => Some(Predefined {
+            number: APRILTAG_36H11,
+            half_turned: true,
+        }),
+        _ => {
+            let at = NAMES.iter().position(|known| *known == name)?;
+            i32::try_from(at).ok().map(upright)
+        }
+    }
+}
+
+impl OpencvDetector {
+    /// A detector for the markers of `dictionary` whose ids are in `whitelist`.
+    ///
+    /// # Errors
+    /// `Input` for a dictionary that OpenCV has not built in, or an empty whitelist.
+    pub fn new(dictionary: &Dictionary, whitelist: &[u32]) -> Result<Self> {
+        let Some(predefined) = predefined(dictionary.name()) else {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("OpenCV has no dictionary {} built in", dictionary.name()),
+            )
+            .remedy("take the detector apriltag, which reads any dictionary"));
+        };
+        let mut whitelist = whitelist.to_vec();
+        whitelist.sort_unstable();
+        if whitelist.is_empty() {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("no marker of {} to search for", dictionary.name()),
+            ));
+        }
+        Ok(Self {
+            dictionary: predefined,
+            whitelist,
+        })
+    }
+}
+
+impl MarkerDetector for OpencvDetector {
+    fn name(&self) -> &'static str {
+        "opencv"
+    }
+
+    fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
+        check_size(picture)?;
+        let (corners, ids) = search(picture, self.dictionary.number).map_err(|e| {
+            Error::new(ErrorKind::Internal, "OpenCV's marker detection failed").because(e)
+        })?;
+        let mut found = Vec::new();
+        for (id, corners) in ids.iter().zip(corners.iter()) {
+            let Ok([a, b, c, d]) = corners.data_typed::<Point2f>() else {
+                continue;
+            };
+            let Ok(id) = u32::try_from(id) else { continue };
+            if self.whitelist.binary_search(&id).is_err() {
+                continue;
+            }
+            let mut corners_px = [a, b, c, d].map(|p| DVec2::new(f64::from(p.x), f64::from(p.y)));
+            if self.dictionary.half_turned {
+                corners_px.rotate_left(2);
+            }
+            found.push(Detection {
+                id,
+                corners_px,
+                // OpenCV tells neither.
+                hamming: 0,
+                margin: 0.0,
+            });
+        }
+        found.sort_by_key(|d| d.id);
+        Ok(refine_all(picture, &found))
+    }
+}
+
+/// Four points a marker, and ids.
+type Found = (Vector<Mat>, Vector<i32>);
+
+#[cfg(aruco_contrib)]
+fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
+    use opencv::aruco;
+    let mut parameters = aruco::DetectorParameters::create()?;
+    parameters.set_corner_refinement_method(aruco::CornerRefineMethod::CORNER_REFINE_NONE as i32);
+    let dictionary = aruco::get_predefined_dictionary_i32(dictionary)?;
+    let (mut corners, mut ids) = (Vector::new(), Vector::new());
+    let mut rejected = Vector::<Mat>::new();
+    aruco::detect_markers(
+        &mat(picture)?,
+        &dictionary,
+        &mut corners,
+        &mut ids,
+        &parameters,
+        &mut rejected,
+    )?;
+    Ok((corners, ids))
+}
+
+#[cfg(not(aruco_contrib))]
+fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
+    use opencv::objdetect;
+    let mut parameters = objdetect::DetectorParameters::default()?;
+    parameters
+        .set_corner_refinement_method(objdetect::CornerRefineMethod::CORNER_REFINE_NONE as i32);
+    let dictionary = objdetect::get_predefined_dictionary_i32(dictionary)?;
+    let refine = objdetect::RefineParameters::new_def()?;
+    let detector = objdetect::ArucoDetector::new(&dictionary, &parameters, refine)?;
+    let (mut corners, mut ids) = (Vector::new(), Vector::new());
+    let mut rejected = Vector::<Mat>::new();
+    detector.detect_markers(&mat(picture)?, &mut corners, &mut ids, &mut rejected)?;
+    Ok((corners, ids))
+}
+
+/// A copy of the picture's pixels.
+fn mat(picture: &GrayImage) -> opencv::Result<Mat> {
+    let (width, height) = (picture.width() as i32, picture.height() as i32);
+    let mut mat = Mat::new_rows_cols_with_default(height, width, CV_8UC1, 0.into())?;
+    mat.data_bytes_mut()?.copy_from_slice(picture.as_raw());
+    Ok(mat)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Part;
+    use crate::synthetic::{
+        GraspScene, PictureConditions, gripper_markers, ring_board, test_camera,
+    };
+
+    #[test]
+    fn opencv_finds_the_same_corners_in_our_convention() {
+        for name in ["DICT_6X6_250", "DICT_APRILTAG_36h11", "36h11"] {
+            let dictionary = Dictionary::by_name(name).unwrap();
+            let board = ring_board(&dictionary);
+            let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
+            let scene = GraspScene::random(&board, &gripper, &dictionary, 3, 1);
+            let camera = test_camera(1280, 720);
+            let seen = scene.render(&camera, &PictureConditions::default(), 1);
+            let ids: Vec<u32> = (0..50).collect();
+            let found = OpencvDetector::new(&dictionary, &ids)
+                .unwrap()
+                .detect(&seen.picture)
+                .unwrap();
+            assert!(found.len() >= 12, "{name}: {}", found.len());
+            for detection in &found {
+                let Some(truth) = seen.truth.iter().find(|t| t.id == detection.id) else {
+                    continue;
+                };
+                for (a, b) in detection.corners_px.iter().zip(&truth.corners_px) {
+                    assert!(a.distance(*b) < 0.4, "{name} {}: {a} {b}", detection.id);
+                }
+            }
+        }
+    }
+}

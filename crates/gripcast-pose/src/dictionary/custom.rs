@@ -1,0 +1,54 @@
+//! OpenCV's file of a dictionary of one's own.
+
+use std::collections::BTreeMap;
+
+use crate::yaml;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+fn bad(what: String) -> Error {
+    Error::new(ErrorKind::Input, what).remedy(
+        "an OpenCV dictionary has nmarkers, markersize, and marker_0 … with a string of \
+         markersize² digits 0 and 1",
+    )
+}
+
+/// Cells along a side, and codes.
+pub(super) fn read(text: &str) -> Result<(usize, Vec<u64>)> {
+    let entries: BTreeMap<String, String> = yaml::read(text, "the dictionary")?;
+    let number = |key: &str| -> Result<usize> {
+        let value = entries
+            .get(key)
+            .ok_or_else(|| bad(format!("the dictionary has no {key}")))?;
+        let parsed = value.trim().parse().ok();
+        parsed.ok_or_else(|| bad(format!("{key} must be a whole number, found {value:?}")))
+    };
+    let side = number("markersize")?;
+    let count = number("nmarkers")?;
+    let present = entries.keys().filter(|k| k.starts_with("marker_")).count();
+    if count != present {
+        return Err(bad(format!(
+            "nmarkers says {count} markers, but the file has {present}"
+        )));
+    }
+    let codes: Result<Vec<u64>> = (0..count)
+        .map(|id| {
+            let cells = entries.get(&format!("marker_{id}"));
+            let cells = cells.ok_or_else(|| bad(format!("the dictionary has no marker_{id}")))?;
+            code(cells, side).ok_or_else(|| {
+                bad(format!(
+                    "marker_{id} must have {side} × {side} digits 0 and 1, found {cells:?}"
+                ))
+            })
+        })
+        .collect();
+    Ok((side, codes?))
+}
+
+/// The code of a string of digits, one a cell; none if it is not one.
+fn code(cells: &str, side: usize) -> Option<u64> {
+    let is_binary = cells.bytes().all(|b| matches!(b, b'0' | b'1'));
+    if !is_binary || Some(cells.len()) != side.checked_mul(side) {
+        return None;
+    }
+    u64::from_str_radix(cells, 2).ok()
+}

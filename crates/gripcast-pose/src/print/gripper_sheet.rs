@@ -1,0 +1,237 @@
+//! The sheet of the gripper's tags, to cut out and fold.
+
+use glam::DVec2;
+
+use super::drawing::{Drawing, TextAnchor};
+use super::furniture::{LABEL_MM, MARGIN_MM, notes, ruler};
+use super::gripper_board::{GripperTags, fold_rad, gripper_board};
+use super::layout::NOTES_MM;
+use super::paper::Paper;
+use gripcast_base::error::Result;
+
+/// Width of a tab for glue, mm.
+const TAB_MM: f64 = 8.0;
+/// Distance between cards, mm.
+const GAP_MM: f64 = 12.0;
+
+/// Draws the tags of a gripper on paper in portrait: the roof as a strip that is folded into a
+/// prism, so that its angle comes by itself, two cards for the rail's ends, and a flag for each
+/// finger. Cut along solid lines, fold along dashed ones.
+///
+/// # Errors
+/// Those of [`gripper_board`].
+pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
+    let nominal = GripperTags {
+        measured_mm: [super::RULER_MM; 2],
+        ..tags.clone()
+    };
+    let board = gripper_board(&nominal)?.board;
+    let title = format!("{} {}", board.name, board.hash());
+    let mut pen = Pen {
+        drawing: Drawing::new(paper.portrait_mm(), &title),
+        tags,
+    };
+    let [width, height] = paper.portrait_mm();
+    let body = tags.card_mm(tags.body_m);
+    let finger = tags.card_mm(tags.finger_m);
+    let left = MARGIN_MM + 14.0;
+    let mut at = DVec2::new(left, MARGIN_MM + 6.0);
+    let [plus, minus] = [1, 0].map(|k| tags.first_id + k);
+    let roof = format!(
+        "{plus} (+x) and {minus} (-x), on top of the camera: fold backwards to a prism, glue the \
+         tab inside"
+    );
+    pen.label(at, &roof);
+    pen.roof(at, body);
+    at.y += body + GAP_MM;
+    pen.label(at, "in front of the rail's ends");
+    for k in [0, 1] {
+        let corner = at + DVec2::new(f64::from(k) * (body + GAP_MM), 0.0);
+        pen.card(corner, body, tags.body_m, 2 + k);
+    }
+    at.y += body + GAP_MM;
+    pen.label(
+        at,
+        "flags at the fingers' plates: fold the tab backwards, glue it to the outer side",
+    );
+    // The left finger (−x) is at the right hand of whoever looks at the gripper's front, and its
+    // tab is at the left hand of its flag.
+    pen.flag(at, finger, 4, true);
+    pen.flag(
+        at + DVec2::new(2.0 * finger + GAP_MM, 0.0),
+        finger,
+        5,
+        false,
+    );
+    let floor = height - MARGIN_MM;
+    let mut drawing = pen.drawing;
+    ruler(&mut drawing, DVec2::new(MARGIN_MM, floor), false);
+    ruler(&mut drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
+    let lines = [
+        format!(
+            "gripper tags {}, hash {}, {}, {}",
+            board.name,
+            board.hash(),
+            board.dictionary,
+            paper
+        ),
+        "cut solid lines, fold dashed lines".to_owned(),
+        "print at 100 %: both rulers must measure 100 mm, else give --measured-mm X,Y".to_owned(),
+    ];
+    let start = DVec2::new(MARGIN_MM + 116.0, floor - NOTES_MM - 2.0);
+    notes(&mut drawing, start, width - MARGIN_MM - start.x, &lines);
+    Ok(drawing)
+}
+
+struct Pen<'a> {
+    drawing: Drawing,
+    tags: &'a GripperTags,
+}
+
+impl Pen<'_> {
+    fn label(&mut self, at: DVec2, text: &str) {
+        let above = at - DVec2::new(0.0, 2.0);
+        self.drawing.text(above, LABEL_MM, TextAnchor::Start, text);
+    }
+
+    /// A strip of two faces, the prism's back and a tab. The roof's −x face is at the right hand
+    /// of whoever looks at the gripper's front.
+    fn roof(&mut self, at: DVec2, card: f64) {
+        let back = 2.0 * card * (0.5 * (std::f64::consts::PI - fold_rad())).sin();
+        let folds = [card, 2.0 * card, 2.0 * card + back];
+        self.outline(at, DVec2::new(folds[2] + TAB_MM, card));
+        for x in folds {
+            self.fold(at + DVec2::new(x, 0.0), card);
+        }
+        self.marker(at, card, self.tags.body_m, 1);
+        self.marker(at + DVec2::new(card, 0.0), card, self.tags.body_m, 0);
+        let middle = at + DVec2::new(2.0 * card + 0.5 * back, 0.5 * card);
+        self.drawing
+            .text(middle, LABEL_MM, TextAnchor::Middle, "back");
+    }
+
+    fn card(&mut self, at: DVec2, card: f64, side_m: f64, number: u32) {
+        self.outline(at, DVec2::splat(card));
+        self.marker(at, card, side_m, number);
+        let side = if number.is_multiple_of(2) { "-x" } else { "+x" };
+        self.number(at, card, number, side);
+    }
+
+    fn flag(&mut self, at: DVec2, card: f64, number: u32, tab_at_left: bool) {
+        let (tab, face) = if tab_at_left {
+            (at, at + DVec2::new(TAB_MM, 0.0))
+        } else {
+            (at + DVec2::new(card, 0.0), at)
+        };
+        self.outline(at, DVec2::new(card + TAB_MM, card));
+        self.fold(if tab_at_left { face } else { tab }, card);
+        self.marker(face, card, self.tags.finger_m, number);
+        let side = if number.is_multiple_of(2) {
+            "left, -x"
+        } else {
+            "right, +x"
+        };
+        self.number(face, card, number, side);
+    }
+
+    /// Number and place below a card.
+    fn number(&mut self, at: DVec2, card: f64, number: u32, place: &str) {
+        let below = at + DVec2::new(0.5 * card, card + 1.3 * LABEL_MM);
+        let text = format!("{} ({place})", self.tags.first_id + number);
+        self.drawing
+            .text(below, LABEL_MM, TextAnchor::Middle, &text);
+    }
+
+    fn marker(&mut self, at: DVec2, card: f64, side_m: f64, number: u32) {
+        let side = 1e3 * side_m;
+        let corner = at + 0.5 * (card - side);
+        let dictionary = &self.tags.dictionary;
+        if let Some(cells) = dictionary.marker(self.tags.first_id + number) {
+            self.drawing.marker(dictionary, &cells, corner, side);
+        }
+    }
+
+    /// The line to cut along.
+    fn outline(&mut self, at: DVec2, size: DVec2) {
+        let corners = [
+            at,
+            at + DVec2::new(size.x, 0.0),
+            at + size,
+            at + DVec2::new(0.0, size.y),
+        ];
+        for k in 0..4 {
+            self.drawing.thin(corners[k], corners[(k + 1) % 4]);
+        }
+    }
+
+    fn fold(&mut self, top: DVec2, length: f64) {
+        let bottom = top + DVec2::new(0.0, length);
+        self.drawing.dashed(vec![top, bottom], false);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::drawing::Shape;
+    use super::super::layout::keeps_quiet;
+    use super::*;
+    use crate::Dictionary;
+
+    fn tags(dictionary: &str) -> GripperTags {
+        GripperTags {
+            name: "g".into(),
+            dictionary: Dictionary::by_name(dictionary).unwrap(),
+            first_id: 40,
+            body_m: 0.03,
+            finger_m: 0.018,
+            measured_mm: [100.0; 2],
+        }
+    }
+
+    #[test]
+    fn every_paper_has_room_and_quiet_zones_are_kept() {
+        for paper in Paper::ALL {
+            for dictionary in ["DICT_4X4_50", "36h11"] {
+                let tags = tags(dictionary);
+                let sheet = gripper_sheet(&tags, paper).unwrap();
+                assert_eq!(sheet.markers().count(), 6);
+                let [width, height] = paper.portrait_mm();
+                for shape in &sheet.shapes {
+                    let (low, high) = match shape {
+                        Shape::Marker { outer, .. } => {
+                            let low = DVec2::new(outer[0], outer[1]);
+                            (low, low + DVec2::new(outer[2], outer[3]))
+                        }
+                        Shape::Line { points, .. } => {
+                            let (low, high) = (points[0].min(points[1]), points[0].max(points[1]));
+                            let cell = 30.0 / tags.dictionary.cells_per_side() as f64;
+                            let of = |m: [f64; 4]| m[2] / 30.0 * cell;
+                            for marker in sheet.markers() {
+                                let mut one = Drawing::new([width, height], "");
+                                one.shapes.push(Shape::Marker {
+                                    outer: marker,
+                                    holes: Vec::new(),
+                                });
+                                assert!(keeps_quiet(&one, low, high, of(marker)), "{shape:?}");
+                            }
+                            (low, high)
+                        }
+                        Shape::Text { at, .. } => (*at, *at),
+                    };
+                    assert!(low.min_element() >= MARGIN_MM - 1e-9, "{paper}: {shape:?}");
+                    let page = DVec2::new(width, height) - MARGIN_MM + 1e-9;
+                    assert!(high.cmple(page).all(), "{paper}: {shape:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_prism_closes_at_the_angle_of_the_faces() {
+        // Two sides and the back of the triangle whose apex is 180° less the fold.
+        let card = 39.0;
+        let back = 2.0 * card * (0.5 * (std::f64::consts::PI - fold_rad())).sin();
+        let apex = (1.0 - back * back / (2.0 * card * card)).acos();
+        assert!((apex + fold_rad() - std::f64::consts::PI).abs() < 1e-12);
+    }
+}

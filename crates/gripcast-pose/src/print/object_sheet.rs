@@ -1,0 +1,390 @@
+//! The sheet that an object stands on.
+
+use glam::{DVec2, DVec3};
+
+use super::contour::{Outline, section, simplified};
+use super::drawing::{BLACK, Colour, Drawing, Shape, TextAnchor};
+use super::furniture::{LABEL_MM, MARGIN_MM, notes, ruler};
+use super::layout::{Layout, MarkerSize, NOTES_MM, keeps_quiet, layout};
+use super::paper::Paper;
+use super::silhouette::Silhouette;
+use super::{RULER_MM, check_measured};
+use crate::{Board, BoardFile, BoardMarker, Dictionary, Part, PrintedSheet};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{Pose, TriangleMesh};
+
+/// Height above the table of the section that is drawn as the bottom, m: above the roundings of
+/// scanned and printed bodies' lowest edges.
+const SECTION_M: f64 = 0.3e-3;
+/// Largest distance of an object's lowest point from the sheet, m.
+const ON_SHEET_M: f64 = 1e-4;
+/// Width of the line that the object is aligned with, mm.
+const CONTOUR_MM: f64 = 0.35;
+/// Length of a drawn axis, mm.
+const AXIS_MM: f64 = 20.0;
+/// Axes in red, green and blue, dark enough for a grey printer.
+const AXES: [(&str, Colour); 3] = [
+    ("x", [190, 20, 20]),
+    ("y", [20, 120, 20]),
+    ("z", [30, 30, 190]),
+];
+
+/// The object that a sheet is made for.
+#[derive(Clone, Debug)]
+pub struct ObjectOnSheet<'a> {
+    /// Its mesh, m, in its own frame: the frame of the board.
+    pub mesh: &'a TriangleMesh,
+    /// Where the mesh comes from, as the board file says it.
+    pub source: &'a str,
+    /// Its stable pose on the sheet: z up, z = 0 the sheet, x to the right of the sheet.
+    pub t_world_object: Pose,
+}
+
+/// What a sheet is made of.
+#[derive(Clone, Debug)]
+pub struct SheetSettings {
+    /// Name of the board.
+    pub name: String,
+    /// Dictionary of the markers.
+    pub dictionary: Dictionary,
+    /// Id of the first marker; the others follow it.
+    pub first_id: u32,
+    /// Side of a marker, m.
+    pub marker_m: f64,
+    /// Paper.
+    pub paper: Paper,
+    /// What the rulers of 100 mm measure on the printed sheet, x and y, mm. It corrects the board,
+    /// not the drawing.
+    pub measured_mm: [f64; 2],
+}
+
+/// A sheet with the usual markers, of 30 mm from `DICT_6X6_250`, on the smallest of A4 and A3 that
+/// is large enough.
+///
+/// # Errors
+/// Those of [`object_sheet`] on A3.
+pub fn usual_object_sheet(name: &str, object: &ObjectOnSheet<'_>) -> Result<ObjectSheet> {
+    let on = |paper: Paper| {
+        let settings = SheetSettings {
+            name: name.to_owned(),
+            dictionary: Dictionary::by_name("DICT_6X6_250")?,
+            first_id: 0,
+            marker_m: 0.030,
+            paper,
+            measured_mm: [RULER_MM; 2],
+        };
+        object_sheet(object, &settings)
+    };
+    on(Paper::A4).or_else(|_| on(Paper::A3))
+}
+
+/// A sheet and its board.
+#[derive(Clone, Debug)]
+pub struct ObjectSheet {
+    /// What is printed.
+    pub drawing: Drawing,
+    /// The markers in the object's frame.
+    pub file: BoardFile,
+    /// The world's origin on the drawing, mm.
+    origin_mm: DVec2,
+}
+
+impl ObjectSheet {
+    /// Where a point of the drawing, mm, lies in the world of the object's pose, m, if it is
+    /// printed as it is drawn.
+    #[must_use]
+    pub fn to_world(&self, drawn_mm: DVec2) -> DVec3 {
+        let off = 1e-3 * (drawn_mm - self.origin_mm);
+        DVec3::new(off.x, -off.y, 0.0)
+    }
+}
+
+/// Draws the sheet of an object: markers in a ring around its silhouette (dashed), the outline of
+/// its bottom (solid), its frame's axes, rulers, and the board's hash.
+///
+/// The board's frame is the frame of the mesh; a place (x, y) of the sheet, y up, is (x, y, 0) in
+/// the pose's world. A printer's scale is taken out about the middle of the bottom's outline, to
+/// which the object is aligned.
+///
+/// # Errors
+/// `Input` if the object does not stand on the sheet, a size is implausible, the ids run out of the
+/// dictionary, or the object does not fit; the remedy then names the paper that is large enough.
+pub fn object_sheet(object: &ObjectOnSheet<'_>, settings: &SheetSettings) -> Result<ObjectSheet> {
+    check_measured(settings.measured_mm)?;
+    let t_world_object = object.t_world_object;
+    let standing = object.mesh.transformed(&t_world_object);
+    check_standing(&standing)?;
+    let silhouette = Silhouette::of(&standing);
+    let marker = MarkerSize {
+        side: 1e3 * settings.marker_m,
+        cell: 1e3 * settings.marker_m / settings.dictionary.cells_per_side() as f64,
+    };
+    crate::board_check::check_side(settings.marker_m)?;
+    let layout = layout(settings.paper, marker, &silhouette)
+        .ok_or_else(|| does_not_fit(settings.paper, marker, &silhouette))?;
+    check_ids(settings, layout.corners.len())?;
+    let bottom: Vec<Outline> = section(&standing, SECTION_M)
+        .iter()
+        .map(millimetres)
+        .map(|outline| simplified(&outline, 0.01))
+        .collect();
+    let placed = Placed {
+        layout,
+        marker,
+        object_middle: 0.5 * (silhouette.low + silhouette.high),
+        aligned_middle: middle(&bottom).unwrap_or(0.5 * (silhouette.low + silhouette.high)),
+        t_world_object,
+    };
+    let nominal = placed.board(settings, [RULER_MM; 2]);
+    let sheet = PrintedSheet {
+        object: object.source.to_owned(),
+        object_sha256: object.mesh.content_hash(),
+        paper: settings.paper.name().to_owned(),
+        printed_hash: nominal.hash(),
+        measured_mm: settings.measured_mm,
+        t_world_object,
+    };
+    let drawing = placed.draw(&nominal, settings, object, &silhouette, &bottom);
+    let board = placed.board(settings, settings.measured_mm);
+    let file = BoardFile::new(board, settings.dictionary.clone(), Some(sheet))?;
+    Ok(ObjectSheet {
+        drawing,
+        file,
+        origin_mm: placed.to_sheet(DVec2::ZERO),
+    })
+}
+
+/// Refuses an object that floats above the sheet or is sunk into it.
+fn check_standing(standing: &TriangleMesh) -> Result<()> {
+    standing.validate()?;
+    let lowest = standing.bounds().min.z;
+    if lowest.abs() <= ON_SHEET_M {
+        return Ok(());
+    }
+    let what = format!(
+        "the object must stand on the sheet, its lowest point is at {:.3} mm",
+        1e3 * lowest
+    );
+    Err(Error::new(ErrorKind::Input, what).remedy("give one of its stable poses"))
+}
+
+fn check_ids(settings: &SheetSettings, count: usize) -> Result<()> {
+    let dictionary = &settings.dictionary;
+    if settings.first_id as usize + count <= dictionary.len() {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Input,
+        format!(
+            "the sheet needs {count} markers from id {}, but {} ends with id {}",
+            settings.first_id,
+            dictionary.name(),
+            dictionary.len() - 1
+        ),
+    )
+    .remedy("choose a smaller first id, larger markers or a larger dictionary"))
+}
+
+fn millimetres(outline: &Outline) -> Outline {
+    Outline {
+        points: outline.points.iter().map(|p| 1e3 * *p).collect(),
+        closed: outline.closed,
+    }
+}
+
+/// Middle of the box around outlines.
+fn middle(outlines: &[Outline]) -> Option<DVec2> {
+    let points = || outlines.iter().flat_map(|o| &o.points).copied();
+    let low = points().reduce(DVec2::min)?;
+    let high = points().reduce(DVec2::max)?;
+    Some(0.5 * (low + high))
+}
+
+fn does_not_fit(paper: Paper, marker: MarkerSize, silhouette: &Silhouette) -> Error {
+    let size = silhouette.high - silhouette.low;
+    let fits = |other: &Paper| layout(*other, marker, silhouette).is_some();
+    let other = Paper::ALL.into_iter().find(fits);
+    let remedy = other.map_or_else(
+        || {
+            "no paper that is known is large enough: choose smaller markers, turn the object, or \
+            take another stable pose"
+                .to_owned()
+        },
+        |paper| format!("{paper} is large enough; smaller markers or a turn may help as well"),
+    );
+    Error::new(
+        ErrorKind::Input,
+        format!(
+            "the object covers {:.0} × {:.0} mm: on {paper} no ring of markers of {} mm fits around \
+             it",
+            size.x, size.y, marker.side
+        ),
+    )
+    .remedy(remedy)
+}
+
+/// Object and markers on the sheet.
+struct Placed {
+    layout: Layout,
+    marker: MarkerSize,
+    /// The point of the world's table plane, mm, that lies at the layout's middle.
+    object_middle: DVec2,
+    /// The point that stays where it is when the printer's scale is taken out, mm.
+    aligned_middle: DVec2,
+    t_world_object: Pose,
+}
+
+impl Placed {
+    /// Point of the sheet, mm, to which a point of the table plane belongs.
+    fn to_sheet(&self, table: DVec2) -> DVec2 {
+        let off = table - self.object_middle;
+        self.layout.middle + DVec2::new(off.x, -off.y)
+    }
+
+    /// The reverse.
+    fn to_table(&self, sheet: DVec2) -> DVec2 {
+        let off = sheet - self.layout.middle;
+        self.object_middle + DVec2::new(off.x, -off.y)
+    }
+
+    fn board(&self, settings: &SheetSettings, measured_mm: [f64; 2]) -> Board {
+        let scale = DVec2::from_array(measured_mm) / RULER_MM;
+        let t_object_world = self.t_world_object.inverse();
+        let place = |sheet: DVec2| {
+            let drawn = self.to_table(sheet) - self.aligned_middle;
+            let printed = self.aligned_middle + drawn * scale;
+            t_object_world.transform_point(1e-3 * printed.extend(0.0))
+        };
+        let side = self.marker.side;
+        let square = [
+            DVec2::ZERO,
+            DVec2::new(side, 0.0),
+            DVec2::splat(side),
+            DVec2::new(0.0, side),
+        ];
+        let marker = |(corner, id): (&DVec2, u32)| BoardMarker {
+            id,
+            part: Part::Object,
+            corners_m: square.map(|off| place(*corner + off)),
+        };
+        let corners = self.layout.corners.iter();
+        Board {
+            name: settings.name.clone(),
+            dictionary: settings.dictionary.name().to_owned(),
+            markers: corners.zip(settings.first_id..).map(marker).collect(),
+        }
+    }
+
+    fn draw(
+        &self,
+        board: &Board,
+        settings: &SheetSettings,
+        object: &ObjectOnSheet<'_>,
+        silhouette: &Silhouette,
+        bottom: &[Outline],
+    ) -> Drawing {
+        let title = format!("{} {}", board.name, board.hash());
+        let mut drawing = Drawing::new(self.layout.size_mm, &title);
+        self.draw_markers(&mut drawing, board, &settings.dictionary);
+        for outline in silhouette.outlines() {
+            drawing.dashed(self.on_sheet(&outline), true);
+        }
+        for outline in bottom {
+            drawing.shapes.push(Shape::Line {
+                points: self.on_sheet(outline),
+                closed: outline.closed,
+                width_mm: CONTOUR_MM,
+                dash_mm: None,
+                colour: BLACK,
+            });
+        }
+        self.draw_axes(&mut drawing);
+        self.draw_notes(&mut drawing, board, settings, object);
+        drawing
+    }
+
+    fn on_sheet(&self, outline: &Outline) -> Vec<DVec2> {
+        outline.points.iter().map(|p| self.to_sheet(*p)).collect()
+    }
+
+    fn draw_markers(&self, drawing: &mut Drawing, board: &Board, dictionary: &Dictionary) {
+        let MarkerSize { side, cell } = self.marker;
+        for (corner, marker) in self.layout.corners.iter().zip(&board.markers) {
+            if let Some(cells) = dictionary.marker(marker.id) {
+                drawing.marker(dictionary, &cells, *corner, side);
+            }
+            let below = *corner + DVec2::new(0.5 * side, side + cell + LABEL_MM);
+            let number = marker.id.to_string();
+            drawing.text(below, LABEL_MM, TextAnchor::Middle, &number);
+        }
+    }
+
+    /// Cross and axes of the object's frame as they appear from above, where they leave the
+    /// markers alone.
+    fn draw_axes(&self, drawing: &mut Drawing) {
+        let origin = self.to_sheet(1e3 * self.t_world_object.translation_m.truncate());
+        let reach = DVec2::splat(AXIS_MM + 4.0);
+        let [width, height] = drawing.size_mm;
+        let page = DVec2::new(width, height);
+        let is_inside = (origin - reach).min_element() > 0.0 && (origin + reach).cmplt(page).all();
+        if !is_inside || !keeps_quiet(drawing, origin - reach, origin + reach, self.marker.cell) {
+            return;
+        }
+        for arm in [DVec2::X, DVec2::Y] {
+            drawing.thin(origin - 3.0 * arm, origin + 3.0 * arm);
+        }
+        let axes = [DVec3::X, DVec3::Y, DVec3::Z];
+        for (axis, (name, colour)) in axes.into_iter().zip(AXES) {
+            let seen = self.t_world_object.transform_vector(axis);
+            let along = DVec2::new(seen.x, -seen.y);
+            if along.length() < 0.2 {
+                continue;
+            }
+            let tip = origin + AXIS_MM * along;
+            let barb = along.normalize() * 2.0;
+            drawing.line(vec![origin, tip], 0.4, colour);
+            let side = barb.perp() * 0.5;
+            drawing.line(vec![tip - barb + side, tip, tip - barb - side], 0.4, colour);
+            let label = tip + barb + DVec2::new(0.0, 0.35 * LABEL_MM);
+            drawing.text(label, LABEL_MM, TextAnchor::Middle, name);
+        }
+    }
+
+    fn draw_notes(
+        &self,
+        drawing: &mut Drawing,
+        board: &Board,
+        settings: &SheetSettings,
+        object: &ObjectOnSheet<'_>,
+    ) {
+        let [width, height] = drawing.size_mm;
+        let floor = height - MARGIN_MM;
+        ruler(drawing, DVec2::new(MARGIN_MM, floor), false);
+        ruler(drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
+        let ids = board.ids();
+        let lines = [
+            format!(
+                "board {}, hash {}, {}, ids {}-{}, markers {} mm, {}",
+                board.name,
+                board.hash(),
+                board.dictionary,
+                ids.first().copied().unwrap_or_default(),
+                ids.last().copied().unwrap_or_default(),
+                (1e3 * settings.marker_m * 1e4).round() / 1e4,
+                settings.paper,
+            ),
+            format!(
+                "object {}: stand it on the solid line; dashed is all it covers",
+                object.source
+            ),
+            "print at 100 %: both rulers must measure 100 mm, else give --measured-mm X,Y"
+                .to_owned(),
+        ];
+        let start = DVec2::new(MARGIN_MM + RULER_MM + 16.0, floor - NOTES_MM + 1.0);
+        notes(drawing, start, width - MARGIN_MM - start.x, &lines);
+    }
+}
+
+#[cfg(test)]
+#[path = "object_sheet_test.rs"]
+mod tests;

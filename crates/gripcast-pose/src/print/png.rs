@@ -1,0 +1,315 @@
+//! A drawing as a grey PNG of known resolution.
+//!
+//! Cells are drawn by the share of each pixel that they cover, so that their edges keep their
+//! place to a hundredth of a pixel. A point at x mm lies at x · dpi / 25.4 − ½ px, pixel (0, 0)
+//! being the centre of the top-left pixel.
+
+use glam::DVec2;
+use image::GrayImage;
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
+
+use super::drawing::{Drawing, Shape, TextAnchor};
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Resolutions that are drawn, dots per inch.
+const DPI: std::ops::RangeInclusive<f64> = 72.0..=1200.0;
+/// Width of a letter, relative to the size of the font: that of Helvetica's digits.
+const LETTER: f64 = 0.556;
+/// Height of the font's raster, px, with the parts below the baseline.
+const RASTER: usize = 32;
+/// Row of the raster on which letters stand.
+const BASELINE: f64 = 25.0;
+/// Size of the font that the raster shows, px.
+const RASTER_EM: f64 = 27.0;
+
+/// The PNG file of a drawing, grey, with its resolution in the chunk `pHYs`.
+///
+/// # Errors
+/// `Input` for a resolution that is not from 72 to 1200 dots per inch.
+pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
+    let picture = raster(drawing, dpi)?;
+    let failed = |e: png::EncodingError| {
+        Error::new(ErrorKind::Internal, "cannot write the sheet as PNG").because(e)
+    };
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, picture.width(), picture.height());
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    let per_metre = (dpi / 0.0254).round() as u32;
+    encoder.set_pixel_dims(Some(png::PixelDimensions {
+        xppu: per_metre,
+        yppu: per_metre,
+        unit: png::Unit::Meter,
+    }));
+    let mut writer = encoder.write_header().map_err(failed)?;
+    writer.write_image_data(picture.as_raw()).map_err(failed)?;
+    writer.finish().map_err(failed)?;
+    Ok(out)
+}
+
+/// The pixels of a drawing: the share of each that is bare paper, 255 all of it.
+///
+/// # Errors
+/// As [`png`].
+pub fn raster(drawing: &Drawing, dpi: f64) -> Result<GrayImage> {
+    if !DPI.contains(&dpi) {
+        return Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "the resolution must be from {} to {} dots per inch, found {dpi}",
+                DPI.start(),
+                DPI.end()
+            ),
+        ));
+    }
+    let scale = dpi / 25.4;
+    let [width, height] = drawing.size_mm.map(|mm| (mm * scale).round() as u32);
+    let mut film = Film {
+        picture: GrayImage::from_pixel(width, height, image::Luma([255])),
+        scale,
+    };
+    for shape in &drawing.shapes {
+        film.draw(shape);
+    }
+    Ok(film.picture)
+}
+
+struct Film {
+    picture: GrayImage,
+    /// Pixels in a millimetre.
+    scale: f64,
+}
+
+impl Film {
+    fn draw(&mut self, shape: &Shape) {
+        match shape {
+            Shape::Marker { outer, holes } => self.marker(outer, holes),
+            Shape::Line {
+                points,
+                closed,
+                width_mm,
+                dash_mm,
+                colour,
+            } => {
+                let [r, g, b] = colour.map(f64::from);
+                let grey = 0.299 * r + 0.587 * g + 0.114 * b;
+                let mut ends = points.clone();
+                if *closed {
+                    ends.extend(points.first());
+                }
+                let pieces = match dash_mm {
+                    Some(dash) => dashes(&ends, *dash),
+                    None => ends.windows(2).map(|w| [w[0], w[1]]).collect(),
+                };
+                for piece in pieces {
+                    self.segment(piece, *width_mm, grey);
+                }
+            }
+            Shape::Text {
+                at,
+                size_mm,
+                anchor,
+                text,
+            } => self.text(*at, *size_mm, *anchor, text),
+        }
+    }
+
+    /// Columns or rows that an interval in px touches, cut off at the picture.
+    fn touched(from: f64, to: f64, count: u32) -> std::ops::Range<u32> {
+        let clamp = |v: f64| v.clamp(0.0, f64::from(count)) as u32;
+        clamp(from.floor())..clamp(to.ceil())
+    }
+
+    fn marker(&mut self, outer: &[f64; 4], holes: &[[f64; 4]]) {
+        let scaled = |r: &[f64; 4]| r.map(|v| v * self.scale);
+        let outer = scaled(outer);
+        let holes: Vec<[f64; 4]> = holes.iter().map(scaled).collect();
+        let columns = Self::touched(outer[0], outer[0] + outer[2], self.picture.width());
+        let rows = Self::touched(outer[1], outer[1] + outer[3], self.picture.height());
+        for y in rows {
+            for x in columns.clone() {
+                let white: f64 = holes.iter().map(|hole| covered(hole, x, y)).sum();
+                self.darken(x, y, covered(&outer, x, y) - white, 0.0);
+            }
+        }
+    }
+
+    /// A line with butt ends.
+    fn segment(&mut self, [a, b]: [DVec2; 2], width_mm: f64, grey: f64) {
+        let (a, b) = (a * self.scale, b * self.scale);
+        let half = 0.5 * width_mm * self.scale;
+        let length = a.distance(b);
+        let along = (b - a).normalize_or_zero();
+        let (low, high) = (a.min(b) - half - 1.0, a.max(b) + half + 1.0);
+        let ramp = |inside: f64| (inside + 0.5).clamp(0.0, 1.0);
+        for y in Self::touched(low.y, high.y, self.picture.height()) {
+            for x in Self::touched(low.x, high.x, self.picture.width()) {
+                let p = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5) - a;
+                let (u, v) = (p.dot(along), p.perp_dot(along).abs());
+                let ends = ramp(u).min(ramp(length - u));
+                // Thinner than a pixel, it is paler, not narrower.
+                let across = (ramp(half - v) - ramp(-half - v)).max(0.0);
+                self.darken(x, y, ends * across, grey);
+            }
+        }
+    }
+
+    fn text(&mut self, at: DVec2, size_mm: f64, anchor: TextAnchor, text: &str) {
+        let advance = LETTER * size_mm;
+        let start = match anchor {
+            TextAnchor::Start => at.x,
+            TextAnchor::Middle => at.x - 0.5 * advance * text.len() as f64,
+        };
+        for (k, letter) in text.chars().enumerate() {
+            let x = start + advance * k as f64;
+            self.letter(DVec2::new(x, at.y), size_mm, letter);
+        }
+    }
+
+    fn letter(&mut self, at: DVec2, size_mm: f64, letter: char) {
+        let Some(glyph) = get_raster(letter, FontWeight::Regular, RasterHeight::Size32) else {
+            return;
+        };
+        let columns = get_raster_width(FontWeight::Regular, RasterHeight::Size32);
+        let at = at * self.scale;
+        // Pixels of the picture in one of the glyph, along x and y.
+        let step = DVec2::new(
+            LETTER * size_mm * self.scale / columns as f64,
+            size_mm * self.scale / RASTER_EM,
+        );
+        let top = at.y - BASELINE * step.y;
+        let right = at.x + columns as f64 * step.x;
+        let bottom = top + RASTER as f64 * step.y;
+        let ink =
+            |column: usize, row: usize| f64::from(glyph.pixel(column, row).unwrap_or(0)) / 255.0;
+        for y in Self::touched(top, bottom, self.picture.height()) {
+            for x in Self::touched(at.x, right, self.picture.width()) {
+                let column = (f64::from(x) + 0.5 - at.x) / step.x;
+                let row = (f64::from(y) + 0.5 - top) / step.y;
+                if column < 0.0 || row < 0.0 {
+                    continue;
+                }
+                self.darken(x, y, ink(column as usize, row as usize), 0.0);
+            }
+        }
+    }
+
+    fn darken(&mut self, x: u32, y: u32, share: f64, grey: f64) {
+        let value = 255.0 - share.clamp(0.0, 1.0) * (255.0 - grey);
+        let pixel = &mut self.picture.get_pixel_mut(x, y).0[0];
+        *pixel = (*pixel).min(value.round() as u8);
+    }
+}
+
+/// Share of a pixel that a rectangle in px covers; pixel 0 reaches from 0 to 1.
+fn covered([left, top, width, height]: &[f64; 4], x: u32, y: u32) -> f64 {
+    let overlap = |from: f64, length: f64, pixel: u32| {
+        let pixel = f64::from(pixel);
+        ((from + length).min(pixel + 1.0) - from.max(pixel)).max(0.0)
+    };
+    overlap(*left, *width, x) * overlap(*top, *height, y)
+}
+
+/// The dashes of a line.
+fn dashes(points: &[DVec2], [on, off]: [f64; 2]) -> Vec<[DVec2; 2]> {
+    let mut pieces = Vec::new();
+    let mut is_on = true;
+    let mut left = on;
+    for pair in points.windows(2) {
+        let (mut from, to) = (pair[0], pair[1]);
+        loop {
+            let length = from.distance(to);
+            let step = left.min(length);
+            let next = from + (to - from).normalize_or_zero() * step;
+            if is_on && step > 0.0 {
+                pieces.push([from, next]);
+            }
+            left -= step;
+            from = next;
+            if left > 1e-9 {
+                break;
+            }
+            is_on = !is_on;
+            left = if is_on { on } else { off };
+        }
+    }
+    pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_file_tells_its_resolution() {
+        let drawing = Drawing::new([50.8, 25.4], "t");
+        let bytes = png(&drawing, 300.0).unwrap();
+        let decoder = png::Decoder::new(std::io::Cursor::new(bytes));
+        let reader = decoder.read_info().unwrap();
+        let info = reader.info();
+        assert_eq!((info.width, info.height), (600, 300));
+        let dims = info.pixel_dims.unwrap();
+        assert_eq!(
+            (dims.xppu, dims.yppu, dims.unit),
+            (11811, 11811, png::Unit::Meter)
+        );
+        for bad in [0.0, 20.0, 5000.0, f64::NAN] {
+            assert!(png(&drawing, bad).unwrap_err().to_string().contains("72"));
+        }
+    }
+
+    #[test]
+    fn a_hundred_millimetres_are_counted_in_pixels() {
+        let mut drawing = Drawing::new([120.0, 20.0], "t");
+        let y = 10.0;
+        for x in [10.0, 110.0] {
+            drawing.thin(DVec2::new(x, y - 3.0), DVec2::new(x, y + 3.0));
+        }
+        let picture = raster(&drawing, 300.0).unwrap();
+        let row = (y * 300.0 / 25.4) as u32;
+        let dark: Vec<(f64, f64)> = (0..picture.width())
+            .map(|x| {
+                (
+                    f64::from(x),
+                    255.0 - f64::from(picture.get_pixel(x, row).0[0]),
+                )
+            })
+            .collect();
+        let middle = |range: std::ops::Range<usize>| {
+            let part = &dark[range];
+            let weight: f64 = part.iter().map(|(_, w)| w).sum();
+            part.iter().map(|(x, w)| x * w).sum::<f64>() / weight
+        };
+        let half = dark.len() / 2;
+        let (first, last) = (middle(0..half), middle(half..dark.len()));
+        assert!((last - first - 100.0 * 300.0 / 25.4).abs() < 0.02);
+        assert!((first - (10.0 * 300.0 / 25.4 - 0.5)).abs() < 0.02);
+    }
+
+    #[test]
+    fn edges_of_cells_keep_their_place_below_a_pixel() {
+        let mut drawing = Drawing::new([20.0, 20.0], "t");
+        drawing.shapes.push(Shape::Marker {
+            outer: [2.03, 3.07, 10.0, 10.0],
+            holes: vec![[4.01, 5.0, 2.0, 2.0]],
+        });
+        let scale = 100.0 / 25.4;
+        let picture = raster(&drawing, 100.0).unwrap();
+        let ink: f64 = picture.iter().map(|v| 1.0 - f64::from(*v) / 255.0).sum();
+        assert!((ink / (scale * scale) - 96.0).abs() < 0.05, "{ink}");
+        let middle: f64 = picture.iter().copied().map(f64::from).sum();
+        assert!(middle > 0.0);
+        let column = |x: f64| (x * scale) as u32;
+        assert_eq!(picture.get_pixel(column(3.0), column(4.0)).0, [0]);
+        assert_eq!(picture.get_pixel(column(5.0), column(6.0)).0, [255]);
+    }
+
+    #[test]
+    fn dashes_carry_over_corners() {
+        let points = [DVec2::ZERO, DVec2::new(3.0, 0.0), DVec2::new(3.0, 4.0)];
+        let pieces = dashes(&points, [2.0, 2.0]);
+        let length: f64 = pieces.iter().map(|[a, b]| a.distance(*b)).sum();
+        assert!((length - 4.0).abs() < 1e-12, "{pieces:?}");
+        assert_eq!(pieces[1][0], DVec2::new(3.0, 1.0));
+    }
+}

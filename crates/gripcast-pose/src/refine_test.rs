@@ -1,0 +1,124 @@
+//! Refined corners against exact ones.
+
+use glam::DVec2;
+use image::{GrayImage, Luma};
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg64;
+
+use super::refine::*;
+use crate::synthetic::{
+    GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera,
+};
+use crate::{Detection, Dictionary, Part};
+
+fn picture(index: u64, conditions: &PictureConditions) -> SyntheticPicture {
+    let dictionary = Dictionary::by_name("36h11").unwrap();
+    let board = ring_board(&dictionary);
+    let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
+    let scene = GraspScene::random(&board, &gripper, &dictionary, 21, index);
+    scene.render(&test_camera(1280, 720), conditions, index)
+}
+
+/// Errors of corners refined from places up to 1.2 px off the truth.
+fn errors(index: u64, conditions: &PictureConditions) -> Vec<DVec2> {
+    let seen = picture(index, conditions);
+    let mut random = Pcg64::seed_from_u64(index);
+    let mut errors = Vec::new();
+    for truth in &seen.truth {
+        let mut rough = truth.clone();
+        for corner in &mut rough.corners_px {
+            let mut off = || random.random_range(-0.85..0.85);
+            *corner += DVec2::new(off(), off());
+        }
+        let found = refine_corners(&seen.picture, &rough);
+        errors.extend((0..4).map(|i| found.corners_px[i] - truth.corners_px[i]));
+    }
+    errors
+}
+
+fn quantile(errors: &[DVec2], part: f64) -> f64 {
+    let mut lengths: Vec<f64> = errors.iter().map(|e| e.length()).collect();
+    lengths.sort_by(f64::total_cmp);
+    lengths[((lengths.len() - 1) as f64 * part) as usize]
+}
+
+#[test]
+fn corners_are_exact_to_hundredths_of_a_pixel_and_not_biased() {
+    let errors: Vec<DVec2> = (0..4)
+        .flat_map(|index| errors(index, &PictureConditions::default()))
+        .collect();
+    assert!(errors.len() > 150, "{}", errors.len());
+    let bias = errors.iter().sum::<DVec2>() / errors.len() as f64;
+    assert!(bias.length() < 0.01, "{bias}");
+    let (median, p95) = (quantile(&errors, 0.5), quantile(&errors, 0.95));
+    assert!(median < 0.04 && p95 < 0.1, "{median} {p95}");
+}
+
+#[test]
+fn motion_blurs_without_shifting() {
+    let moving = PictureConditions {
+        motion_px: DVec2::new(2.5, 1.7),
+        ..PictureConditions::default()
+    };
+    let errors = errors(1, &moving);
+    assert!(quantile(&errors, 0.5) < 0.08, "{}", quantile(&errors, 0.5));
+}
+
+#[test]
+fn sharpness_orders_pictures_by_their_blur() {
+    let blur = |psf_px: f64, motion_px: DVec2| {
+        let conditions = PictureConditions {
+            psf_px,
+            motion_px,
+            ..PictureConditions::default()
+        };
+        let seen = picture(2, &conditions);
+        sharpness(&seen.picture, &seen.truth).unwrap()
+    };
+    let sharp = blur(0.7, DVec2::ZERO);
+    assert!((0.6..1.0).contains(&sharp.blur_px), "{sharp:?}");
+    assert!((0.5..0.7).contains(&sharp.contrast), "{sharp:?}");
+    let soft = blur(1.2, DVec2::ZERO);
+    let along_x = blur(0.7, DVec2::new(3.0, 0.0));
+    let along_y = blur(0.7, DVec2::new(0.0, 3.0));
+    for other in [soft, along_x, along_y] {
+        assert!(other.blur_px > 1.2 * sharp.blur_px, "{other:?} {sharp:?}");
+    }
+    assert_eq!(
+        sharpness(&picture(2, &PictureConditions::default()).picture, &[]),
+        None
+    );
+}
+
+#[test]
+fn where_no_border_is_the_detection_stays() {
+    let mut random = Pcg64::seed_from_u64(4);
+    let noise = GrayImage::from_fn(200, 100, |_, _| Luma([random.random::<u8>()]));
+    let flat = GrayImage::from_pixel(200, 100, Luma([80]));
+    let square = |at: f64, side: f64| Detection {
+        id: 1,
+        corners_px: [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
+            .map(|(x, y)| DVec2::new(at + side * x, at + side * y)),
+        hamming: 0,
+        margin: 1.0,
+    };
+    for detection in [
+        square(30.0, 40.0),
+        square(-20.0, 60.0),
+        square(500.0, 40.0),
+        square(30.0, 0.0),
+        square(30.0, f64::NAN),
+        square(1e300, 1e300),
+    ] {
+        assert_eq!(
+            format!("{:?}", refine_corners(&flat, &detection)),
+            format!("{detection:?}")
+        );
+        let moved = refine_corners(&noise, &detection);
+        for (a, b) in moved.corners_px.iter().zip(&detection.corners_px) {
+            assert!(a.distance(*b) < 4.0 || !b.is_finite());
+        }
+        let blur = sharpness(&noise, &[detection]).map_or(0.0, |s| s.blur_px);
+        assert!(blur.is_finite());
+    }
+}

@@ -1,0 +1,144 @@
+//! Builds the demo data.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::object::{DemoObject, objects};
+use super::pictures::Stand;
+use super::plan::{DemoSettings, DemoStage, DemoWatch};
+use super::reality::Class;
+use super::recording::{Recorder, film};
+use super::selection::{Chosen, Selection, choose};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::Root;
+
+/// How this reality differs from its replay.
+fn how(is_quick: bool) -> String {
+    let meshes = if is_quick {
+        "19 × 16 × 4 nodes (the replay's are 1 MPa, 0.3 and 13 × 11 × 3)"
+    } else {
+        "26 × 21 × 5 nodes (the replay's are 1 MPa, 0.3 and 19 × 16 × 4)"
+    };
+    format!(
+        "gels of 0.435 MPa and Poisson's ratio 0.45 on a mesh of {meshes}, friction within 10 % of \
+         0.4 and a squeeze between 25 and 50 N that the replay is not told, a shorter hold and a \
+         faster lift, other tactile sensors, and poses that were measured in rendered pictures"
+    )
+}
+
+/// Grasps of one object.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DemoObjectCounts {
+    /// Object.
+    pub object: String,
+    /// Grasps that hold.
+    pub stable: usize,
+    /// Grasps that are lost.
+    pub lost: usize,
+    /// Grasps in whose pictures no pose was found.
+    pub without_pose: usize,
+    /// Candidates that were drawn.
+    pub drawn: usize,
+    /// Candidates that were simulated as reality.
+    pub simulated: usize,
+}
+
+/// Demo data that was built.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DemoData {
+    /// The dataset.
+    pub dataset: PathBuf,
+    /// The folder of object files.
+    pub objects: PathBuf,
+    /// One sentence: how its reality differs from the default replay.
+    pub how: String,
+    /// What is in it, by object.
+    pub counts: Vec<DemoObjectCounts>,
+    /// CPU time of all simulations, also those of earlier runs, s.
+    pub simulation_cpu_s: f64,
+}
+
+/// Builds the dataset `OUT/dataset` and the object files `OUT/objects`; simulations are kept in
+/// `OUT/simulated`, so that a build that was stopped goes on. The same settings give the same
+/// bytes, on any number of threads.
+///
+/// # Errors
+/// `Input` where the folder holds grasps of another plan; `Stopped` once the watch is cancelled;
+/// `Io`, `DiskFull`, ….
+pub fn build_demo(settings: &DemoSettings, out: &Path, watch: &DemoWatch<'_>) -> Result<DemoData> {
+    let all = objects(settings)?;
+    fs::create_dir_all(out)
+        .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
+    let top = Root::new(out).top();
+    let [dataset, object_files, simulated] =
+        ["dataset", "objects", "simulated"].map(|name| top.join(name));
+    for folder in [&object_files, &simulated] {
+        folder
+            .create_dir_all()
+            .map_err(|e| Error::io("cannot make the folder", e).at(folder.display()))?;
+    }
+    let dataset = dataset.shown();
+    for object in &all {
+        object.save(&object_files)?;
+    }
+    let selection = choose(&all, settings, &simulated, watch)?;
+    let with_pose = record(settings, &all, &selection.grasps, &dataset, watch)?;
+    Ok(DemoData {
+        dataset,
+        objects: object_files.shown(),
+        how: how(settings.quick),
+        counts: counts(&all, &selection, &with_pose),
+        simulation_cpu_s: selection.cpu_s,
+    })
+}
+
+/// Records the grasps; tells which have a pose.
+fn record(
+    settings: &DemoSettings,
+    all: &[DemoObject],
+    grasps: &[Chosen],
+    dataset: &Path,
+    watch: &DemoWatch<'_>,
+) -> Result<Vec<bool>> {
+    let recorder = Recorder::open(dataset, settings.seed, settings.quick)?;
+    let names: BTreeSet<String> = grasps.iter().map(|g| film(&all[g.object], g)).collect();
+    if let Some(foreign) = recorder.foreign(&names) {
+        let what = format!("the dataset holds `{foreign}`, which is no grasp of this demo");
+        return Err(Error::new(ErrorKind::Input, what)
+            .at(dataset.display())
+            .remedy("give an empty folder, or the seed and size that the data was begun with"));
+    }
+    let stands: Vec<Stand> = all
+        .iter()
+        .map(|object| Stand::new(object, settings.seed))
+        .collect::<Result<_>>()?;
+    let work = |chosen: &Chosen| {
+        let at = chosen.object;
+        recorder.record(&all[at], &stands[at], chosen, watch)
+    };
+    let with_pose = watch.for_each(settings.jobs, DemoStage::Recording, grasps, &work)?;
+    recorder.finish()?;
+    Ok(with_pose)
+}
+
+fn counts(all: &[DemoObject], selection: &Selection, with_pose: &[bool]) -> Vec<DemoObjectCounts> {
+    let of_object = |(at, object): (usize, &DemoObject)| {
+        let count = |is: &dyn Fn(&Chosen, bool) -> bool| {
+            let grasps = selection.grasps.iter().zip(with_pose);
+            grasps
+                .filter(|(g, pose)| g.object == at && is(g, **pose))
+                .count()
+        };
+        let of_class = |class| count(&|g: &Chosen, _| g.simulated.class() == Some(class));
+        DemoObjectCounts {
+            object: object.name.clone(),
+            stable: of_class(Class::Stable),
+            lost: of_class(Class::Lost),
+            without_pose: count(&|_, with_pose| !with_pose),
+            drawn: selection.drawn[at],
+            simulated: selection.simulated[at],
+        }
+    };
+    all.iter().enumerate().map(of_object).collect()
+}

@@ -1,0 +1,161 @@
+//! What the colour cameras of the demo data see: the one on the gripper, and the one beside the table
+//! that sees the object's printed sheet and the gripper's tags.
+
+use super::object::DemoObject;
+use super::plan::DemoWatch;
+use gripcast_base::error::Result;
+use gripcast_geometry::Pose;
+use gripcast_imaging::{Intrinsics, encode_jpeg};
+use gripcast_pose::BoardFile;
+use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
+use gripcast_sim::fem::GelGrid;
+use gripcast_sim::grasp::{Placed, Snapshot};
+use gripcast_visual::{
+    Camera, ColourSettings, DenoiseSettings, GraspPrints, GraspState, Model, RenderSettings,
+    Renderer, Scene, SeedStream, View, VisualConditions, VisualRandomisation, Watch,
+    annotation_camera, annotation_scene, denoise, develop, drawn_finish, grasp_scene,
+};
+
+/// Columns and rows of the pictures between the fingers, and their paths for each pixel.
+pub(super) const HAND: [usize; 2] = [320, 240];
+const HAND_SAMPLES: u32 = 8;
+/// The same beside the table.
+pub(super) const BESIDE: [usize; 2] = [1280, 720];
+const BESIDE_SAMPLES: u32 = 8;
+/// Neighbourhood of its denoiser, px: the usual one takes longer than the paths.
+const BESIDE_DENOISE_PX: usize = 3;
+/// Its number among the pictures of a grasp.
+const BESIDE_NUMBER: u64 = 3;
+/// JPEG quality of all.
+const QUALITY: u8 = 92;
+
+/// An object on its sheet, as cameras see it.
+pub(super) struct Stand {
+    model: Model,
+    /// The sheet that it stands on.
+    pub(super) sheet: ObjectSheet,
+    /// The gripper's tags.
+    pub(super) tags: BoardFile,
+    prints: GraspPrints,
+    t_world_object: Pose,
+    conditions: VisualConditions,
+}
+
+/// JPEGs of a grasp.
+pub(super) struct Pictures {
+    /// From between the fingers, before closing and before the lift.
+    pub(super) hand: [Vec<u8>; 2],
+    /// From beside the table, before closing.
+    pub(super) beside: Vec<u8>,
+    /// The camera beside the table.
+    pub(super) intrinsics: Intrinsics,
+}
+
+impl Stand {
+    /// Prints the sheet and paints the object; the light and the table are those of the seed.
+    ///
+    /// # Errors
+    /// `Input` for an object that no paper is large enough for.
+    pub(super) fn new(object: &DemoObject, seed: u64) -> Result<Self> {
+        let looks = SeedStream::named(seed, &format!("looks {}", object.name)).bits();
+        let lying = ObjectOnSheet {
+            mesh: &object.mesh,
+            source: &object.source,
+            t_world_object: object.t_world_object,
+        };
+        let sheet = usual_object_sheet(&object.name, &lying)?;
+        let tags = BoardFile::gripper_umi()?;
+        Ok(Self {
+            model: Model::plain(&object.mesh, drawn_finish(looks), looks)?,
+            prints: GraspPrints::new(&sheet, &tags)?,
+            sheet,
+            tags,
+            t_world_object: object.t_world_object,
+            conditions: VisualRandomisation::default().sample(seed),
+        })
+    }
+
+    /// The camera beside the table, which is the same wherever it stands.
+    pub(super) fn intrinsics(&self) -> Intrinsics {
+        let state = GraspState {
+            t_world_object: self.t_world_object,
+            t_world_gripper: self.t_world_object,
+            opening_m: 0.08,
+            gels: None,
+        };
+        annotation_camera(&state, BESIDE, 0).intrinsics()
+    }
+
+    /// Takes the pictures of a grasp; the seed moves the camera beside the table and draws noise.
+    ///
+    /// # Errors
+    /// `Interrupted` once the watch is cancelled; `Input` where a camera would be in the ground.
+    pub(super) fn photograph(
+        &self,
+        placed: &Placed,
+        grasped: &Snapshot,
+        grid: &GelGrid,
+        seed: u64,
+        watch: &DemoWatch<'_>,
+    ) -> Result<Pictures> {
+        let before = GraspState {
+            t_world_object: self.t_world_object,
+            t_world_gripper: placed.t_world_gripper,
+            opening_m: placed.opening_m,
+            gels: None,
+        };
+        let after = GraspState::at(grasped, Some(grid))?;
+        let shoot = |scene: &Scene, camera: &Camera, samples, number: u64| {
+            let settings = RenderSettings {
+                samples,
+                seed: seed ^ number,
+                ..RenderSettings::default()
+            };
+            let watch = Watch {
+                progress: None,
+                cancel: watch.cancel,
+            };
+            let rendering = Renderer::new(scene)?.render(camera, &settings, &watch)?;
+            let light = denoise(&rendering, &cleaning(number));
+            let picture = develop(&light, &colour(number), seed ^ number);
+            encode_jpeg(&picture, QUALITY)
+        };
+        let hand = |state: &GraspState, number: u64| {
+            let scene = grasp_scene(&self.model, state, &self.conditions, View::EyeInHand(HAND))?;
+            shoot(&scene, &scene.camera, HAND_SAMPLES, number)
+        };
+        let camera = annotation_camera(&before, BESIDE, seed);
+        let scene = annotation_scene(&self.model, &before, &self.conditions, camera, &self.prints)?;
+        Ok(Pictures {
+            hand: [hand(&before, 1)?, hand(&after, 2)?],
+            beside: shoot(&scene, &camera, BESIDE_SAMPLES, BESIDE_NUMBER)?,
+            intrinsics: camera.intrinsics(),
+        })
+    }
+}
+
+/// The denoiser of a picture.
+fn cleaning(number: u64) -> DenoiseSettings {
+    let usual = DenoiseSettings::default();
+    DenoiseSettings {
+        radius: if number == BESIDE_NUMBER {
+            BESIDE_DENOISE_PX
+        } else {
+            usual.radius
+        },
+        ..usual
+    }
+}
+
+/// The sensor of a picture; that beside the table is sharper and not shrunk from 3 × 3 pixels.
+fn colour(number: u64) -> ColourSettings {
+    let usual = ColourSettings::default();
+    match number {
+        BESIDE_NUMBER => ColourSettings {
+            full_well_e: 5000.0,
+            read_noise_e: 4.0,
+            ..usual
+        },
+        _ => usual,
+    }
+}

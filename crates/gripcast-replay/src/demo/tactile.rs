@@ -1,0 +1,135 @@
+//! Frames of the demo data's tactile sensors: GelSight Minis that are not the one the project was
+//! calibrated on.
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::TriangleMesh;
+use gripcast_imaging::encode_jpeg;
+use gripcast_sim::grasp::{Finger, Placed, Snapshot};
+use gripcast_tactile::{
+    ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SensorVariation,
+    SimulatedGel, TactileScene, WholeFrame,
+};
+
+/// Size of the cameras' frames, px: a stream of the Mini.
+pub(super) const FRAME: [u32; 2] = [640, 480];
+/// JPEG quality of the frames.
+const QUALITY: u8 = 92;
+
+/// How the left and the right sensor differ from the shipped profile.
+const VARIATIONS: [SensorVariation; 2] = [
+    SensorVariation {
+        light: [1.10, 0.93, 0.96],
+        response: [0.85, 1.12, 0.95],
+        noise: 1.6,
+        smoothing: 1.2,
+        is_mirrored: true,
+        ..SensorVariation::NONE
+    },
+    SensorVariation {
+        light: [0.92, 1.06, 1.03],
+        response: [1.10, 0.88, 1.08],
+        noise: 1.5,
+        smoothing: 1.1,
+        is_mirrored: true,
+        ..SensorVariation::NONE
+    },
+];
+
+/// The sensor of a finger: the untouched gel is the shipped one's, mirrored left to right and of
+/// another brightness for each colour; slopes change the light by another amount; noise and
+/// smoothing are larger. By how much is a choice, not a measurement.
+///
+/// # Errors
+/// None; a test makes them.
+pub(super) fn sensor(finger: Finger) -> Result<SensorProfile> {
+    let variation = &VARIATIONS[finger as usize];
+    let mut profile = variation.of(&SensorProfile::gelsight_mini()?);
+    profile.name = format!("demo-{}", ["left", "right"][finger as usize]);
+    profile.provenance = format!(
+        "Not a real sensor: the shipped gelsight-mini profile with its background mirrored and \
+         scaled by {:?}, its shading scaled by {:?}, its noise by {} and its smoothing by {}.",
+        variation.light, variation.response, variation.noise, variation.smoothing
+    );
+    profile.validate()?;
+    Ok(profile)
+}
+
+/// The cameras of both sensors.
+pub(super) struct Sensors {
+    profiles: [SensorProfile; 2],
+}
+
+/// What both sensors meet in a grasp.
+pub(super) struct Contact<'a> {
+    /// The object in its own frame, m.
+    pub(super) mesh: &'a TriangleMesh,
+    /// The gels that were simulated.
+    pub(super) gel: &'a SimulatedGel,
+    /// The object and the gripper before the fingers close.
+    pub(super) t_world_object: gripcast_geometry::Pose,
+    /// See `t_world_object`.
+    pub(super) placed: &'a Placed,
+    /// Before the lift.
+    pub(super) grasped: &'a Snapshot,
+}
+
+impl Sensors {
+    pub(super) fn new() -> Result<Self> {
+        Ok(Self {
+            profiles: [sensor(Finger::Left)?, sensor(Finger::Right)?],
+        })
+    }
+
+    /// The profile of a finger's sensor.
+    pub(super) fn profile(&self, finger: Finger) -> &SensorProfile {
+        &self.profiles[finger as usize]
+    }
+
+    /// JPEGs of a finger's camera before closing and before the lift; the seeds draw their noise.
+    ///
+    /// # Errors
+    /// `Input` where the snapshot is not of the gel.
+    pub(super) fn frames(
+        &self,
+        contact: &Contact<'_>,
+        finger: Finger,
+        seeds: [u64; 2],
+    ) -> Result<[Vec<u8>; 2]> {
+        let profile = self.profile(finger);
+        let mut renderer = ObjectDepthRenderer::new(profile)?;
+        let place = SensorPlace::on(finger);
+        let poses = [&contact.t_world_object, &contact.placed.t_world_gripper];
+        let opening = contact.placed.opening_m;
+        let before = TactileScene::at_start(contact.mesh, contact.gel, poses, opening, place)?;
+        let after = TactileScene::of_snapshot(contact.mesh, contact.gel, contact.grasped, place)?;
+        let full = (FRAME[0], FRAME[1]);
+        let window = profile.crop_profile.window(full.0, full.1).ok_or_else(|| {
+            Error::new(ErrorKind::Internal, "the crop leaves nothing of the frame")
+        })?;
+        let whole = WholeFrame::new(profile, window, full, full);
+        let untouched = renderer.render(&before.untouched(), None)?;
+        let mut frame = |scene: &TactileScene<'_>, seed| -> Result<Vec<u8>> {
+            let picture = renderer.render(scene, Some(seed))?;
+            encode_jpeg(&whole.place(&picture, &untouched)?, QUALITY)
+        };
+        Ok([frame(&before, seeds[0])?, frame(&after, seeds[1])?])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_testing::mean_difference;
+
+    #[test]
+    fn sensors_differ_from_the_shipped_one_and_from_each_other() {
+        let shipped = SensorProfile::gelsight_mini().unwrap();
+        let [left, right] = Finger::BOTH.map(|finger| sensor(finger).unwrap());
+        let picture = |p: &SensorProfile| p.background.picture.clone().unwrap();
+        assert!(mean_difference(&picture(&left), &picture(&shipped)) > 5.0);
+        assert!(mean_difference(&picture(&left), &picture(&right)) > 5.0);
+        assert_ne!(left.shading, shipped.shading);
+        assert!(left.noise_std[0] > 1.4 * shipped.noise_std[0]);
+        assert!(left.provenance.starts_with("Not a real sensor"));
+    }
+}

@@ -1,0 +1,222 @@
+use std::collections::BTreeSet;
+
+use super::page;
+use crate::report::{Curves, Reality, Report, Setting};
+use crate::sample_report::{HOSTILE, PICTURE, sample_report};
+
+const STATEMENT: &str = "Reality is simulated here";
+
+fn drawn(report: &Report) -> String {
+    page(report).unwrap()
+}
+
+fn count(page: &str, text: &str) -> usize {
+    page.matches(text).count()
+}
+
+#[test]
+fn every_string_is_escaped() {
+    let page = drawn(&sample_report());
+    assert!(!page.contains("<script>alert"));
+    assert!(!page.contains("alert(\""));
+    let escaped = "&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;&#39;";
+    assert!(count(&page, escaped) > 100);
+    assert!(!page.contains(HOSTILE));
+    assert_eq!(count(&page, "<script>"), 1);
+}
+
+#[test]
+fn every_tag_is_closed() {
+    let page = drawn(&sample_report());
+    for tag in [
+        "section", "article", "table", "thead", "tbody", "tr", "td", "th", "div", "svg", "g", "dl",
+        "dt", "dd", "p", "figure", "text", "ol", "ul", "li", "small", "span", "h3", "details",
+    ] {
+        let opened = count(&page, &format!("<{tag} ")) + count(&page, &format!("<{tag}>"));
+        assert_eq!(opened, count(&page, &format!("</{tag}>")), "{tag}");
+    }
+}
+
+#[test]
+fn simulated_reality_is_said_in_every_section_and_only_then() {
+    let mut report = sample_report();
+    let page = drawn(&report);
+    assert_eq!(count(&page, STATEMENT), count(&page, "<section "));
+    assert!(page.contains("class=\"spine\"") && page.contains("class=\"flag\""));
+    assert!(!page.contains(">real: <b>"));
+    report.dataset.reality = Reality::Real;
+    let page = drawn(&report);
+    assert_eq!(count(&page, STATEMENT), 0);
+    for word in [
+        "class=\"spine\"",
+        "class=\"flag\"",
+        "as if real",
+        "simulated reality",
+    ] {
+        assert!(!page.contains(word), "{word}");
+    }
+}
+
+#[test]
+fn the_heat_map_has_one_cell_for_each_setting() {
+    let mut report = sample_report();
+    let page = drawn(&report);
+    assert_eq!(count(&page, "<g class=\"cell\""), 2 * 2 * 9);
+    assert_eq!(count(&page, "<rect class=\"chosen\""), 4);
+    assert_eq!(count(&page, "<rect class=\"one\""), 4);
+    // A setting that only the scores know gets its row and column.
+    let scores = &mut report.engines[0].scores;
+    scores.cells[0].setting = Setting {
+        friction: 1.6,
+        force_n: 20.0,
+    };
+    assert_eq!(count(&drawn(&report), "<g class=\"cell\""), 2 * 12 + 2 * 9);
+}
+
+#[test]
+fn curves_without_points_or_numbers_draw_no_nonsense() {
+    let mut report = sample_report();
+    for (i, grasp) in report.grasps.iter_mut().enumerate() {
+        for replay in &mut grasp.replays {
+            replay.case.cpu_s = f64::NAN;
+            replay.disagreement = f64::NAN;
+            let bad = [f64::NAN, f64::INFINITY, -1e300, 0.0];
+            replay.curves = match i {
+                0 => Some(Curves::default()),
+                1 => Some(Curves {
+                    t_s: vec![f64::NAN],
+                    ..Curves::default()
+                }),
+                2 => Some(Curves {
+                    t_s: bad.to_vec(),
+                    left_n: bad.to_vec(),
+                    right_n: vec![1.0],
+                    lifted_m: bad.to_vec(),
+                    min_height_m: Vec::new(),
+                    stages_s: [f64::NAN, -3.0],
+                    success_height_m: f64::NAN,
+                }),
+                _ => continue,
+            };
+        }
+    }
+    report.engines[0].scores.paper.mean = f64::NAN;
+    report.engines[0].scores.paper.all.low = f64::NAN;
+    let page = drawn(&report);
+    assert!(!page.contains("NaN"));
+    assert!(!page.contains(">inf") && !page.contains("\"inf") && !page.contains("-inf"));
+    assert!(page.contains("No forces recorded."));
+}
+
+#[test]
+fn nothing_is_fetched() {
+    let mut report = sample_report();
+    report.objects[0].picture = Some("https://example.org/a.jpg".to_owned());
+    let page = drawn(&report);
+    for word in [
+        "http://", "https://", "@import", "url(\"", "<link", "<iframe", "src=",
+    ] {
+        assert!(!page.contains(word), "{word}");
+    }
+    assert!(page.contains("default-src 'none'"));
+    for (at, _) in page.match_indices("href=\"") {
+        let target = &page[at + 6..];
+        assert!(target.starts_with('#') || target.starts_with("data:image/"));
+    }
+}
+
+#[test]
+fn every_link_and_picture_that_is_named_exists() {
+    let page = drawn(&sample_report());
+    let after = |mark: &str| -> Vec<String> {
+        page.match_indices(mark)
+            .filter_map(|(at, _)| page[at + mark.len()..].split('"').next())
+            .map(str::to_owned)
+            .collect()
+    };
+    let ids = after(" id=\"");
+    let unique: BTreeSet<&String> = ids.iter().collect();
+    assert_eq!(ids.len(), unique.len(), "an id twice");
+    for target in after("href=\"#") {
+        assert!(unique.contains(&target), "{target}");
+    }
+}
+
+#[test]
+fn pictures_are_there_once() {
+    let page = drawn(&sample_report());
+    // Two objects; of five grasps two views and two sensors of three.
+    assert_eq!(count(&page, PICTURE), 2 + 5 * 8);
+}
+
+#[test]
+fn the_gallery_begins_with_the_most_certain_failure() {
+    let page = drawn(&sample_report());
+    let gallery = page.split("<section id=\"failures\">").nth(1).unwrap();
+    let gallery = gallery.split("</section>").next().unwrap();
+    let links: Vec<&str> = gallery
+        .match_indices("href=\"#g")
+        .map(|(at, mark)| &gallery[at + mark.len()..at + mark.len() + 2])
+        .filter(|id| id.ends_with('"'))
+        .collect();
+    assert_eq!(links, ["3\"", "2\""]);
+    assert!(page.contains("7 of 10 drawn poses held: the pose error explains the disagreement"));
+}
+
+#[test]
+fn the_verdict_has_its_numbers() {
+    let page = drawn(&sample_report());
+    assert!(page.contains("<b>6 of 6</b> grasps (1.00"), "fem");
+    assert!(page.contains("<b>4 of 6</b> grasps (0.67"), "rigid");
+    assert!(page.contains("exact McNemar p = 0.50"));
+}
+
+#[test]
+fn a_report_without_anything_is_a_page() {
+    let mut report = sample_report();
+    report.engines.clear();
+    report.objects.clear();
+    report.grasps.clear();
+    report.left_out.clear();
+    report.duel = None;
+    report.changes = None;
+    let page = drawn(&report);
+    assert!(page.contains("No engine was run.") && !page.contains("NaN"));
+    assert!(!page.contains("id=\"changes\""));
+}
+
+#[test]
+fn same_report_same_bytes_other_version_refused() {
+    let mut report = sample_report();
+    assert_eq!(drawn(&report), drawn(&report));
+    report.version += 1;
+    let error = page(&report).unwrap_err().to_string();
+    assert!(
+        error.contains("expected gripcast-replay-report version 1"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_hundred_grasps_take_less_than_four_megabytes_besides_pictures() {
+    let mut report = sample_report();
+    let wavy = |k: usize| 40.0 + 3.0 * (0.7 * k as f64).sin() * (0.11 * k as f64).cos();
+    let mut grasp = report.grasps[2].clone();
+    for replay in &mut grasp.replays {
+        let n = 250;
+        replay.curves = Some(Curves {
+            t_s: (0..n).map(|k| 0.01 * k as f64).collect(),
+            left_n: (0..n).map(wavy).collect(),
+            right_n: (0..n).map(|k| wavy(k + 9)).collect(),
+            lifted_m: (0..n).map(|k| 2e-4 * k as f64).collect(),
+            min_height_m: (0..n).map(|k| 1e-3 * wavy(k)).collect(),
+            stages_s: [0.5, 1.0],
+            success_height_m: 0.02,
+        });
+    }
+    report.grasps = vec![grasp; 100];
+    let page = drawn(&report);
+    let pictures = count(&page, PICTURE) * PICTURE.len();
+    let own = page.len() - pictures;
+    assert!(own < 4_000_000, "{own} bytes");
+}

@@ -1,0 +1,109 @@
+//! Words and numbers of the page.
+
+use crate::report::Proportion;
+pub(super) use gripcast_report::{
+    Esc, MISSING, duration, engine_name, fixed, label_name, optional, outcome_name, trimmed,
+};
+
+/// `p = 0.0012`, `p < 0.0001`.
+pub(super) fn p_value(p: f64) -> String {
+    if !p.is_finite() {
+        return format!("p = {MISSING}");
+    }
+    if p < 1e-4 {
+        return "p &lt; 0.0001".to_owned();
+    }
+    let digits = if p >= 0.1 { 2 } else { 1 + leading_zeros(p) };
+    format!("p = {}", fixed(p, digits))
+}
+
+fn leading_zeros(p: f64) -> usize {
+    (-p.log10().floor()).clamp(0.0, 6.0) as usize
+}
+
+/// The share of a proportion; [`MISSING`] where nothing was counted.
+pub(super) fn share(of: &Proportion) -> String {
+    if of.n == 0 {
+        MISSING.to_owned()
+    } else {
+        fixed(of.share, 2)
+    }
+}
+
+/// The 95 % interval of a proportion.
+pub(super) fn interval(of: &Proportion) -> String {
+    if of.n == 0 {
+        MISSING.to_owned()
+    } else {
+        format!("{}–{}", fixed(of.low, 2), fixed(of.high, 2))
+    }
+}
+
+/// What its force is called, HTML.
+pub(super) fn force_name(engine: &str) -> &'static str {
+    match engine {
+        "fem" => "<i>F</i><sub>stop</sub>",
+        _ => "closing force",
+    }
+}
+
+/// Whether an outcome agrees with reality: a sign and a word, so that colour is never alone.
+pub(super) struct Agreement(pub(super) Option<bool>);
+
+impl Agreement {
+    pub(super) fn class(&self) -> &'static str {
+        match self.0 {
+            Some(true) => "yes",
+            Some(false) => "no",
+            None => "none",
+        }
+    }
+
+    pub(super) fn sign(&self) -> &'static str {
+        match self.0 {
+            Some(true) => "✓",
+            Some(false) => "✗",
+            None => MISSING,
+        }
+    }
+
+    pub(super) fn word(&self) -> &'static str {
+        match self.0 {
+            Some(true) => "agrees",
+            Some(false) => "disagrees",
+            None => "no outcome",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn p_values_are_short() {
+        let p = [0.62, 0.031, 0.0012, 1e-9, 1.0].map(p_value);
+        assert_eq!(
+            p,
+            [
+                "p = 0.62",
+                "p = 0.031",
+                "p = 0.0012",
+                "p &lt; 0.0001",
+                "p = 1.00"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_share_of_nothing_is_missing() {
+        let none = Proportion {
+            agree: 0,
+            n: 0,
+            share: 0.0,
+            low: 0.0,
+            high: 1.0,
+        };
+        assert_eq!((share(&none), interval(&none)), ("–".into(), "–".into()));
+    }
+}

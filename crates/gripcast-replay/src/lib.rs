@@ -1,0 +1,49 @@
+//! Replays annotated grasps in the simulators and says where simulation and reality agree (the
+//! paper's §5.1, Tables 1 and 2).
+//!
+//! An [`ObjectFile`] says what was grasped; a [`Recording`] has the grasps of a dataset that can be
+//! replayed; [`replay`] simulates each as many [`Case`]s, keeps them in a [`CaseStore`], scores
+//! them ([`Outcomes`]) and makes the [`Report`]. It is written as JSON; the [`page`] is drawn from
+//! it. [`build_demo`] makes a dataset whose reality is simulated.
+
+mod case;
+mod compare;
+mod curves;
+mod demo;
+mod grasp_plot;
+mod html;
+mod object_file;
+mod picture;
+mod recording;
+#[cfg(test)]
+mod replay_test;
+mod report;
+mod run;
+#[cfg(test)]
+mod sample_report;
+mod schema;
+mod score;
+mod statistic;
+mod sweep;
+mod tactile_pair;
+
+pub use case::{Case, CaseRecord, CaseStore};
+pub use compare::{compare, read_report};
+pub use demo::{
+    DemoData, DemoObjectCounts, DemoProgress, DemoSettings, DemoStage, DemoWatch, build_demo,
+};
+pub use grasp_plot::plot;
+pub use html::page;
+pub use object_file::{ObjectFile, ReplayObject, load_objects};
+pub use recording::{RecordedGrasp, Recording};
+pub use report::{
+    CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
+    EngineFacts, GraspCell, GraspFacts, GraspReplay, LeftOut, ObjectFacts, PicturePair,
+    PoseSamples, Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores,
+    Setting, TactilePair,
+};
+pub use run::{EngineSweep, ReplayInput, ReplayProgress, ReplaySettings, replay};
+pub use schema::report_schema;
+pub use score::{Outcomes, Scored};
+pub use statistic::mcnemar_p;
+pub use sweep::{SweepProgress, Swept, sweep};

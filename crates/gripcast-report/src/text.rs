@@ -1,0 +1,147 @@
+//! Words and numbers of pages.
+
+use std::fmt;
+
+/// What stands where a number is missing.
+pub const MISSING: &str = "–";
+
+/// Text of the report, safe between tags and in quoted attributes.
+pub struct Esc<'a>(pub &'a str);
+
+impl fmt::Display for Esc<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for c in self.0.chars() {
+            match c {
+                '&' => f.write_str("&amp;")?,
+                '<' => f.write_str("&lt;")?,
+                '>' => f.write_str("&gt;")?,
+                '"' => f.write_str("&quot;")?,
+                '\'' => f.write_str("&#39;")?,
+                '\n' => f.write_str("\n")?,
+                c if c.is_control() || is_bidi_control(c) => f.write_str(" ")?,
+                c => fmt::Write::write_char(f, c)?,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Characters that reorder the text around them: a name must not change what stands beside it.
+fn is_bidi_control(c: char) -> bool {
+    matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// `value` with `digits` decimals and a true minus sign; [`MISSING`] where it is no number.
+pub fn fixed(value: f64, digits: usize) -> String {
+    if !value.is_finite() {
+        return MISSING.to_owned();
+    }
+    let text = format!("{:.digits$}", value.abs());
+    let is_zero = text.bytes().all(|b| matches!(b, b'0' | b'.'));
+    if value < 0.0 && !is_zero {
+        format!("−{text}")
+    } else {
+        text
+    }
+}
+
+/// [`fixed`], or [`MISSING`].
+pub fn optional(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| MISSING.to_owned(), |value| fixed(value, digits))
+}
+
+/// At most `digits` decimals, without zeros at the end.
+pub fn trimmed(value: f64, digits: usize) -> String {
+    let text = fixed(value, digits);
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
+}
+
+/// A time span in the units that people use.
+pub fn duration(seconds: f64) -> String {
+    if !seconds.is_finite() || seconds < 0.0 {
+        return MISSING.to_owned();
+    }
+    if seconds < 0.995 {
+        return format!("{:.0} ms", 1e3 * seconds);
+    }
+    if seconds < 9.95 {
+        return format!("{seconds:.1} s");
+    }
+    let whole = seconds.round() as u64;
+    let (hours, minutes, rest) = (whole / 3600, whole / 60 % 60, whole % 60);
+    match (hours, minutes) {
+        (0, 0) => format!("{rest} s"),
+        (0, _) => format!("{minutes} min {rest:02} s"),
+        _ => format!("{hours} h {minutes:02} min"),
+    }
+}
+
+/// What an engine is called, not escaped.
+pub fn engine_name(engine: &str) -> &str {
+    match engine {
+        "fem" => "Finite elements",
+        "rigid" => "Rigid bodies",
+        other => other,
+    }
+}
+
+/// What an outcome is called, not escaped.
+pub fn outcome_name(outcome: &str) -> &str {
+    match outcome {
+        "success" => "held",
+        "slip" => "slipped",
+        "eject" => "squeezed out",
+        "miss" => "missed",
+        "closed" => "fingers met",
+        "penetrating_start" => "collision at start",
+        "not_converged" => "not converged",
+        other => other,
+    }
+}
+
+/// What the outcome in the dataset is called.
+pub fn label_name(stable: bool) -> &'static str {
+    if stable { "held" } else { "lost" }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn strings_are_escaped() {
+        let text = Esc("<b a=\"'\">&\u{0}\u{202e}é").to_string();
+        assert_eq!(text, "&lt;b a=&quot;&#39;&quot;&gt;&amp;  é");
+    }
+
+    #[test]
+    fn numbers_have_their_digits() {
+        assert_eq!(fixed(-1.25, 1), "−1.2");
+        assert_eq!(fixed(-0.001, 2), "0.00");
+        assert_eq!(fixed(f64::NAN, 2), MISSING);
+        assert_eq!(optional(None, 2), MISSING);
+        assert_eq!(trimmed(40.0, 2), "40");
+        assert_eq!(trimmed(0.25, 3), "0.25");
+        assert_eq!(trimmed(100.0, 0), "100");
+    }
+
+    #[test]
+    fn times_are_short() {
+        let times = [0.02, 4.2, 59.6, 61.0, 4500.0, f64::NAN].map(duration);
+        assert_eq!(
+            times,
+            [
+                "20 ms",
+                "4.2 s",
+                "1 min 00 s",
+                "1 min 01 s",
+                "1 h 15 min",
+                "–"
+            ]
+        );
+    }
+}

@@ -1,0 +1,460 @@
+//! The session against a dataset in memory.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+
+use super::machine::*;
+use super::{CameraCondition, Command, Conditions, Guard, GuardLimits, Step, Tone};
+use gripcast_base::files::ObjectName;
+use gripcast_dataset::{GraspId, Outcome};
+use gripcast_imaging::Role;
+
+/// A dataset in memory that refuses whatever a real one would refuse.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Store {
+    next: u32,
+    pending: BTreeMap<String, ()>,
+    grasps: BTreeMap<String, (ObjectName, Outcome)>,
+    trashed_pending: BTreeMap<String, ()>,
+    trashed_grasps: BTreeMap<String, (ObjectName, Outcome)>,
+    /// Undone grasp → the pending frame that the undo made.
+    reopened: BTreeMap<String, String>,
+}
+
+impl Store {
+    fn new_id(&mut self) -> GraspId {
+        self.next += 1;
+        GraspId::parse(&format!("2026-11-20T10-15-03Z-{:04x}", self.next)).unwrap()
+    }
+
+    fn frame(id: GraspId) -> PendingFrame {
+        PendingFrame {
+            id,
+            captured_at: "2026-11-20T10:15:03Z".into(),
+            trigger_time_ns: 1,
+            controls: BTreeMap::new(),
+            external: None,
+        }
+    }
+
+    fn grasp(&self, id: GraspId) -> StoreReply {
+        let (object, outcome) = self.grasps[id.as_str()].clone();
+        StoreReply::Grasp {
+            id,
+            object,
+            outcome,
+            predicted: None,
+        }
+    }
+
+    fn carry_out(&mut self, request: StoreRequest) -> StoreReply {
+        match request {
+            StoreRequest::SaveInitial { .. } => {
+                let id = self.new_id();
+                self.pending.insert(id.to_string(), ());
+                StoreReply::Initial(Self::frame(id))
+            }
+            StoreRequest::SaveGrasp {
+                initial, labels, ..
+            } => {
+                self.pending
+                    .remove(initial.as_str())
+                    .expect("pending initial");
+                self.grasps
+                    .insert(initial.to_string(), (labels.object, Outcome::Unlabelled));
+                self.grasp(initial)
+            }
+            StoreRequest::SetOutcome { id, outcome } => {
+                let Some(grasp) = self.grasps.get_mut(id.as_str()) else {
+                    return Self::missing(&id);
+                };
+                let before = std::mem::replace(&mut grasp.1, outcome);
+                StoreReply::Labelled {
+                    object: grasp.0.clone(),
+                    before,
+                }
+            }
+            StoreRequest::TrashGrasp { id } => {
+                let Some((object, outcome)) = self.grasps.remove(id.as_str()) else {
+                    return Self::missing(&id);
+                };
+                self.trashed_grasps
+                    .insert(id.to_string(), (object.clone(), outcome));
+                StoreReply::Trashed { object, outcome }
+            }
+            StoreRequest::RestoreGrasp { id } => {
+                let reopened = self.reopened.get(id.as_str());
+                if reopened.is_some_and(|pending| self.pending.contains_key(pending)) {
+                    let message = "its initial frame is pending again".into();
+                    return StoreReply::Failed { message };
+                }
+                let Some(grasp) = self.trashed_grasps.remove(id.as_str()) else {
+                    return Self::missing(&id);
+                };
+                self.grasps.insert(id.to_string(), grasp);
+                self.grasp(id)
+            }
+            StoreRequest::DiscardInitial { id } => {
+                self.pending
+                    .remove(id.as_str())
+                    .expect("initial to discard");
+                self.trashed_pending.insert(id.to_string(), ());
+                StoreReply::Done
+            }
+            StoreRequest::RestoreInitial { id } => {
+                self.trashed_pending
+                    .remove(id.as_str())
+                    .expect("initial in trash");
+                self.pending.insert(id.to_string(), ());
+                StoreReply::Initial(Self::frame(id))
+            }
+            StoreRequest::UndoGrasp { id } => {
+                let grasp = self.grasps.remove(id.as_str()).expect("grasp to undo");
+                self.trashed_grasps.insert(id.to_string(), grasp);
+                let undone = id.to_string();
+                let id = self.new_id();
+                self.reopened.insert(undone, id.to_string());
+                self.pending.insert(id.to_string(), ());
+                StoreReply::Initial(Self::frame(id))
+            }
+            StoreRequest::RedoGrasp { id, reopened } => {
+                let reopened = reopened.expect("reopened initial");
+                self.pending
+                    .remove(reopened.as_str())
+                    .expect("reopened is pending");
+                let grasp = self
+                    .trashed_grasps
+                    .remove(id.as_str())
+                    .expect("grasp in trash");
+                self.grasps.insert(id.to_string(), grasp);
+                self.grasp(id)
+            }
+        }
+    }
+
+    fn missing(id: &GraspId) -> StoreReply {
+        StoreReply::Failed {
+            message: format!("there is no grasp {id}"),
+        }
+    }
+
+    /// The id of a grasp or of one in the trash, by a number.
+    fn any_id(&self, number: usize) -> GraspId {
+        let all: Vec<&String> = self
+            .grasps
+            .keys()
+            .chain(self.trashed_grasps.keys())
+            .collect();
+        let id = all.get(number % all.len().max(1));
+        GraspId::parse(id.map_or("nobody", |id| id.as_str())).unwrap()
+    }
+
+    fn count(&self, outcome: Outcome) -> usize {
+        self.grasps.values().filter(|g| g.1 == outcome).count()
+    }
+}
+
+fn good() -> Conditions {
+    let camera = |role| CameraCondition {
+        role,
+        age_ms: Some(20.0),
+        frame_time_ns: 2,
+        fault: None,
+        controls: BTreeMap::new(),
+        contact_fraction: Some(0.2),
+    };
+    Conditions {
+        now_ns: 0,
+        cameras: vec![camera(Role::Left), camera(Role::Right)],
+        skew_ms: 5.0,
+        disk_free_bytes: Some(10_000_000_000),
+    }
+}
+
+fn session() -> Session {
+    let labels = Labels {
+        object: "mug".parse().unwrap(),
+        ..Labels::default()
+    };
+    Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None)
+}
+
+/// Handles a command and carries out all that follows from it.
+fn play(session: &mut Session, store: &mut Store, command: Command, now: &Conditions) -> Vec<Tone> {
+    let mut effects = session.handle(command, now);
+    let mut tones = Vec::new();
+    while !effects.is_empty() {
+        let mut next = Vec::new();
+        for effect in effects {
+            match effect {
+                Effect::Store(request) => {
+                    let reply = store.carry_out(request);
+                    next.extend(session.completed(reply));
+                }
+                Effect::Tone(tone) => tones.push(tone),
+                Effect::UseInitial(_) | Effect::Quit => {}
+            }
+        }
+        effects = next;
+    }
+    assert!(!session.is_storing(), "a request stayed unanswered");
+    tones
+}
+
+#[test]
+fn the_plain_cycle_ends_with_a_label() {
+    let (mut session, mut store) = (session(), Store::default());
+    assert_eq!(session.step(), Step::Initial);
+    let tones = play(&mut session, &mut store, Command::Trigger, &good());
+    assert_eq!(
+        (tones, session.step()),
+        (vec![Tone::InitialSaved], Step::Grasp)
+    );
+    let tones = play(&mut session, &mut store, Command::Trigger, &good());
+    assert_eq!(
+        (tones, session.step()),
+        (vec![Tone::GraspSaved], Step::Label)
+    );
+    let stable = Command::Label(Outcome::Stable);
+    let tones = play(&mut session, &mut store, stable, &good());
+    assert_eq!((tones, session.step()), (vec![Tone::Stable], Step::Initial));
+    let counts = session.view(0).counts;
+    assert_eq!((counts.stable, counts.object_stable), (1, 1));
+}
+
+#[test]
+fn every_guard_refuses_and_override_records_it() {
+    type Spoil = fn(&mut Conditions);
+    let cases: [(Guard, Spoil); 4] = [
+        (Guard::StaleFrame, |c| c.cameras[0].age_ms = Some(500.0)),
+        (Guard::Skew, |c| c.skew_ms = 90.0),
+        (Guard::DiskLow, |c| c.disk_free_bytes = Some(5)),
+        (Guard::NoContact, |c| {
+            for camera in &mut c.cameras {
+                camera.contact_fraction = Some(0.0);
+            }
+        }),
+    ];
+    for (guard, spoil) in cases {
+        let (mut session, mut store) = (session(), Store::default());
+        play(&mut session, &mut store, Command::Initial, &good());
+        let mut bad = good();
+        spoil(&mut bad);
+        assert_eq!(
+            session.handle(Command::Grasp, &bad),
+            [Effect::Tone(Tone::Refused)]
+        );
+        assert!(session.view(0).refusal.unwrap().can_override, "{guard:?}");
+        let effects = session.handle(Command::Override, &bad);
+        let [Effect::Store(StoreRequest::SaveGrasp { overridden, .. })] = &effects[..] else {
+            panic!("{guard:?}: {effects:?}");
+        };
+        assert_eq!(overridden.len(), 1);
+        assert_eq!(overridden[0].guard, guard.name());
+        assert_eq!(overridden[0].stage, "grasp");
+    }
+}
+
+#[test]
+fn changed_exposure_is_refused_with_both_values() {
+    let mut initial = Store::frame(GraspId::parse("x").unwrap());
+    let controls = |exposure| BTreeMap::from([("exposure_time_absolute".to_owned(), exposure)]);
+    initial.controls.insert(Role::Left, controls(180));
+    let labels = Labels::default();
+    let mut session = Session::new(
+        GuardLimits::default(),
+        labels,
+        OutcomeCounts::new(),
+        Some(initial),
+    );
+    let mut now = good();
+    now.cameras[0].controls = controls(220);
+    session.handle(Command::Grasp, &now);
+    let reasons = session.view(0).refusal.unwrap().reasons;
+    assert!(
+        reasons[0].contains("exposure_time_absolute 180 → 220"),
+        "{reasons:?}"
+    );
+}
+
+#[test]
+fn a_missing_gel_and_a_missing_initial_cannot_be_overridden() {
+    let (mut session, mut store) = (session(), Store::default());
+    assert_eq!(
+        session.handle(Command::Grasp, &good()),
+        [Effect::Tone(Tone::Refused)]
+    );
+    assert_eq!(
+        session.handle(Command::Override, &good()),
+        [Effect::Tone(Tone::Refused)]
+    );
+    play(&mut session, &mut store, Command::Initial, &good());
+    let mut bad = good();
+    bad.cameras[1].age_ms = None;
+    bad.cameras[1].fault = Some("unplugged".into());
+    session.handle(Command::Grasp, &bad);
+    assert!(!session.view(0).refusal.unwrap().can_override);
+    session.handle(Command::Override, &bad);
+    assert_eq!(store.grasps.len(), 0);
+    assert_eq!(session.step(), Step::Grasp);
+}
+
+#[test]
+fn the_initial_frame_is_never_saved_as_the_grasp() {
+    let (mut session, mut store) = (session(), Store::default());
+    let mut now = good();
+    now.now_ns = 1_000;
+    for camera in &mut now.cameras {
+        camera.frame_time_ns = 990;
+    }
+    play(&mut session, &mut store, Command::Initial, &now);
+    now.now_ns = 1_010;
+    session.handle(Command::Grasp, &now);
+    let refusal = session.view(0).refusal.unwrap();
+    assert!(!refusal.can_override && refusal.reasons[0].contains("since the last capture"));
+    for camera in &mut now.cameras {
+        camera.frame_time_ns = 1_005;
+    }
+    play(&mut session, &mut store, Command::Grasp, &now);
+    assert_eq!(session.step(), Step::Label);
+}
+
+#[test]
+fn unknown_contact_is_refused() {
+    let (mut session, mut store) = (session(), Store::default());
+    play(&mut session, &mut store, Command::Initial, &good());
+    let mut now = good();
+    for camera in &mut now.cameras {
+        camera.contact_fraction = None;
+    }
+    session.handle(Command::Grasp, &now);
+    assert!(session.view(0).refusal.unwrap().reasons[0].contains("not known"));
+}
+
+#[test]
+fn a_failed_save_keeps_the_step_and_says_so() {
+    let (mut session, mut store) = (session(), Store::default());
+    play(&mut session, &mut store, Command::Trigger, &good());
+    session.handle(Command::Trigger, &good());
+    let message = "no storage space".to_owned();
+    let effects = session.completed(StoreReply::Failed { message });
+    assert!(effects.contains(&Effect::Tone(Tone::Fault)));
+    assert_eq!(session.step(), Step::Grasp);
+    assert!(
+        session
+            .view(0)
+            .message
+            .unwrap()
+            .text
+            .contains("no storage space")
+    );
+    play(&mut session, &mut store, Command::Trigger, &good());
+    assert_eq!(session.step(), Step::Label);
+}
+
+#[test]
+fn an_initial_from_before_is_resumed() {
+    let frame = Store::frame(GraspId::parse("2026-11-20T10-15-03Z-00ff").unwrap());
+    let session = Session::new(
+        GuardLimits::default(),
+        Labels::default(),
+        OutcomeCounts::new(),
+        Some(frame),
+    );
+    assert_eq!(session.step(), Step::Grasp);
+    assert!(session.view(0).message.unwrap().text.contains("going on"));
+}
+
+/// A command; those that name a grasp come with its number among those that are there.
+fn any_command() -> impl Strategy<Value = (Command, usize)> {
+    let nobody = || GraspId::parse("nobody").unwrap();
+    let command = prop_oneof![
+        4 => Just(Command::Trigger),
+        2 => Just(Command::Initial),
+        2 => Just(Command::Grasp),
+        2 => Just(Command::Label(Outcome::Stable)),
+        2 => Just(Command::Label(Outcome::Slip)),
+        1 => Just(Command::Label(Outcome::Unlabelled)),
+        5 => Just(Command::Undo),
+        4 => Just(Command::Redo),
+        1 => Just(Command::Override),
+        1 => Just(Command::Object("cup".parse().unwrap())),
+        2 => Just(Command::Relabel(nobody(), Outcome::Slip)),
+        3 => Just(Command::Trash(nobody())),
+        3 => Just(Command::Restore(nobody())),
+    ];
+    (command, 0..6_usize)
+}
+
+/// The command with the id that its number stands for.
+fn aimed((command, number): (Command, usize), store: &Store) -> Command {
+    match command {
+        Command::Relabel(_, outcome) => Command::Relabel(store.any_id(number), outcome),
+        Command::Trash(_) => Command::Trash(store.any_id(number)),
+        Command::Restore(_) => Command::Restore(store.any_id(number)),
+        other => other,
+    }
+}
+
+#[test]
+fn a_grasp_in_the_trash_is_not_the_last_one_until_it_is_back() {
+    let (mut session, mut store) = (session(), Store::default());
+    for command in [Command::Trigger, Command::Trigger] {
+        play(&mut session, &mut store, command, &good());
+    }
+    let id = session.view(0).last.unwrap().id;
+    play(
+        &mut session,
+        &mut store,
+        Command::Trash(id.clone()),
+        &good(),
+    );
+    assert_eq!(session.step(), Step::Initial);
+    assert_eq!(session.view(0).counts.unlabelled, 0);
+    play(&mut session, &mut store, Command::Undo, &good());
+    assert_eq!(session.view(0).last.unwrap().id, id);
+    assert_eq!(session.step(), Step::Label);
+    play(&mut session, &mut store, Command::Undo, &good());
+    let tones = play(&mut session, &mut store, Command::Restore(id), &good());
+    assert_eq!(tones, [Tone::Fault], "its initial frame is pending again");
+    assert_eq!(session.step(), Step::Grasp);
+}
+
+proptest! {
+    /// Whatever is pressed, the session and the dataset agree, every request is valid, and
+    /// undoing everything leaves nothing but trash.
+    #[test]
+    fn session_and_dataset_never_disagree(
+        commands in proptest::collection::vec((any_command(), any::<bool>()), 0..60)
+    ) {
+        let (mut session, mut store) = (session(), Store::default());
+        for (command, contact) in commands {
+            let mut now = good();
+            if !contact {
+                for camera in &mut now.cameras {
+                    camera.contact_fraction = Some(0.0);
+                }
+            }
+            let command = aimed(command, &store);
+            play(&mut session, &mut store, command, &now);
+            let view = session.view(0);
+            prop_assert_eq!(view.counts.stable, store.count(Outcome::Stable));
+            prop_assert_eq!(view.counts.slip, store.count(Outcome::Slip));
+            prop_assert_eq!(view.counts.unlabelled, store.count(Outcome::Unlabelled));
+            prop_assert_eq!(store.pending.len(), usize::from(view.step == Step::Grasp));
+            if let Some(last) = &view.last {
+                prop_assert_eq!(store.grasps[&last.id.to_string()].1, last.outcome);
+            }
+        }
+        while session.view(0).undo.is_some() {
+            play(&mut session, &mut store, Command::Undo, &good());
+        }
+        prop_assert_eq!((store.pending.len(), store.grasps.len()), (0, 0));
+        while session.view(0).redo.is_some() {
+            play(&mut session, &mut store, Command::Redo, &good());
+        }
+        let view = session.view(0);
+        prop_assert_eq!(view.counts.stable, store.count(Outcome::Stable));
+    }
+}

@@ -1,0 +1,138 @@
+//! What a screen shows of the session.
+
+use serde::Serialize;
+
+use gripcast_base::files::{Label, ObjectName};
+use gripcast_dataset::{GraspId, Outcome};
+
+/// Step of the cycle that comes next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Gripper open: take the initial frame.
+    Initial,
+    /// Close the gripper, then take the grasp frame.
+    Grasp,
+    /// Lift, then say whether it held.
+    Label,
+}
+
+/// Sounds; distinct enough to work with eyes on the object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    /// The initial frame is on disk.
+    InitialSaved,
+    /// The grasp is on disk.
+    GraspSaved,
+    /// Labelled stable, on disk.
+    Stable,
+    /// Labelled slip, on disk.
+    Slip,
+    /// A step was taken back or done again.
+    Undone,
+    /// A guard refused.
+    Refused,
+    /// A camera failed or a save failed.
+    Fault,
+}
+
+/// Weight of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MessageLevel {
+    /// Something happened as asked.
+    Info,
+    /// Something deserves a look.
+    Warning,
+    /// Something failed.
+    Error,
+}
+
+/// The line under the gauge.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// Weight.
+    pub level: MessageLevel,
+    /// One sentence.
+    pub text: String,
+}
+
+/// A refused trigger; `!` overrides it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    /// `initial` or `grasp`.
+    pub stage: String,
+    /// Reasons, one a guard.
+    pub reasons: Vec<String>,
+    /// Whether an override can help (a missing camera cannot be overridden).
+    pub can_override: bool,
+}
+
+/// Labels so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Labelled stable in the dataset.
+    pub stable: usize,
+    /// Labelled slip in the dataset.
+    pub slip: usize,
+    /// Not labelled in the dataset.
+    pub unlabelled: usize,
+    /// Stable with the present object.
+    pub object_stable: usize,
+    /// Slip with the present object.
+    pub object_slip: usize,
+}
+
+/// What the model said of a grasp before the lift.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Predicted {
+    /// Probability that it holds.
+    pub p_stable: f64,
+    /// Decision threshold of the model.
+    pub threshold: f64,
+    /// Distance of the tactile pictures from those of the training, over what counts as known;
+    /// none where the model does not say.
+    pub novelty: Option<f64>,
+}
+
+/// The newest grasp.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LastGrasp {
+    /// Its key.
+    pub id: GraspId,
+    /// Object.
+    pub object: ObjectName,
+    /// Label.
+    pub outcome: Outcome,
+    /// What was predicted before the lift.
+    pub predicted: Option<Predicted>,
+}
+
+/// State of the session, complete for a screen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SessionView {
+    /// Step that comes next.
+    pub step: Step,
+    /// Present object.
+    pub object: ObjectName,
+    /// Present scene.
+    pub scene: Label,
+    /// Present operator.
+    pub operator: Label,
+    /// When the pending initial frame was taken, RFC 3339 UTC.
+    pub initial_at: Option<String>,
+    /// Age of the pending initial frame, s.
+    pub initial_age_s: Option<f64>,
+    /// Labels so far.
+    pub counts: Counts,
+    /// The newest grasp.
+    pub last: Option<LastGrasp>,
+    /// What undo would take back.
+    pub undo: Option<String>,
+    /// What redo would do again.
+    pub redo: Option<String>,
+    /// The latest message.
+    pub message: Option<Message>,
+    /// The refused trigger, until the next command.
+    pub refusal: Option<Refusal>,
+    /// Whether a save is under way.
+    pub saving: bool,
+}

@@ -1,0 +1,130 @@
+//! What finite elements and rigid bodies have in common: a grasp goes in, its trace comes out.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::fem::GelGrid;
+use super::grasp::{GraspResult, GraspSettings, Scene, simulate};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{Pose, TriangleMesh};
+
+/// Which simulator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EngineKind {
+    /// Finite-element gels, incremental potential contact.
+    Fem,
+    /// Rigid fingers and convex pieces, as in Taxim's set-up.
+    Rigid,
+}
+
+impl EngineKind {
+    /// Both, in the order of tables.
+    pub const ALL: [Self; 2] = [Self::Fem, Self::Rigid];
+
+    /// Its name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fem => "fem",
+            Self::Rigid => "rigid",
+        }
+    }
+}
+
+/// What is known of a grasp before the fingers close; friction and force are not.
+#[derive(Clone, Debug)]
+pub struct GraspSetup {
+    /// Closed surface of the object in its own frame, m.
+    pub mesh: Arc<TriangleMesh>,
+    /// Mass of the object, kg.
+    pub mass_kg: f64,
+    /// The object on the ground (z = 0).
+    pub t_world_object: Pose,
+    /// The gripper; the fingers close along its x axis.
+    pub t_world_gripper: Pose,
+    /// Distance between the gels' faces at the start, m.
+    pub opening_m: f64,
+}
+
+/// A simulator of grasps. The same input gives the same bits, on any number of threads.
+pub trait Engine: Send + Sync {
+    /// Which one.
+    fn kind(&self) -> EngineKind;
+
+    /// Every parameter that a result depends on besides setup, friction and force, as a JSON
+    /// object.
+    ///
+    /// # Errors
+    /// `Internal` where a number has no JSON form.
+    fn parameters(&self) -> Result<Value>;
+
+    /// Height above its start that the object must reach for success, or that its lowest point must
+    /// be above, m.
+    fn success_height_m(&self) -> f64;
+
+    /// Mesh of the gels at rest, and the distance at which contact begins, m; none without gels.
+    ///
+    /// # Errors
+    /// None for the built-in meshes.
+    fn gel(&self) -> Result<Option<(GelGrid, f64)>> {
+        Ok(None)
+    }
+
+    /// Simulates a grasp with a Coulomb friction coefficient and a grasping force (N).
+    ///
+    /// # Errors
+    /// Where the setup or a parameter cannot be simulated. A grasp that starts inside something
+    /// or does not converge is no error but an outcome.
+    fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult>;
+}
+
+/// The finite-element simulator; the force is the paper's F_stop.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FemEngine {
+    /// Everything but the stopping force, which each grasp brings along.
+    pub settings: GraspSettings,
+}
+
+impl Engine for FemEngine {
+    fn kind(&self) -> EngineKind {
+        EngineKind::Fem
+    }
+
+    fn parameters(&self) -> Result<Value> {
+        let mut value = serde_json::to_value(self.settings).map_err(|e| {
+            Error::new(ErrorKind::Internal, "cannot write the parameters").because(e)
+        })?;
+        if let Some(protocol) = value.get_mut("protocol").and_then(Value::as_object_mut) {
+            protocol.remove("stop_force_n");
+        }
+        Ok(value)
+    }
+
+    fn success_height_m(&self) -> f64 {
+        self.settings.protocol.success_height_m
+    }
+
+    fn gel(&self) -> Result<Option<(GelGrid, f64)>> {
+        Ok(Some((
+            self.settings.gel()?.grid,
+            self.settings.solver.d_hat_m,
+        )))
+    }
+
+    fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult> {
+        let scene = Scene {
+            mesh: setup.mesh.as_ref().clone(),
+            mass_kg: setup.mass_kg,
+            friction,
+            t_world_object: setup.t_world_object,
+            t_world_gripper: setup.t_world_gripper,
+            opening_m: setup.opening_m,
+            gel: self.settings.gel()?,
+        };
+        let mut protocol = self.settings.protocol;
+        protocol.stop_force_n = force_n;
+        simulate(&scene, &protocol, &self.settings.solver)
+    }
+}

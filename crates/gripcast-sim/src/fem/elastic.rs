@@ -1,0 +1,159 @@
+//! Elastic energy of a gel: mesh, law, and the sums over its elements.
+
+use glam::{DMat3, DVec3};
+use pulp::Arch;
+
+use super::assembly::{Elements, EnergyGradientSum, EnergySum, GradientSum, HessianSum};
+use super::batch::Batch;
+use super::neo_hookean::{NeoHookean, Projection};
+use super::pattern::StiffnessPattern;
+use super::safe_step::SafeStep;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Elastic energy of linear tetrahedra as a function of the node positions.
+///
+/// Positions are in m, one per node; energies in J, gradients in N, Hessians in N/m. Element sums
+/// run in a fixed order on one thread, so results do not depend on the machine's load.
+#[derive(Clone, Debug)]
+pub struct Elastic {
+    law: NeoHookean,
+    nodes: usize,
+    batches: Vec<Batch>,
+    pattern: StiffnessPattern,
+}
+
+impl Elastic {
+    /// From rest positions in m and positively oriented tetrahedra.
+    ///
+    /// # Errors
+    /// `Input` when there is no tetrahedron, one names a node that does not exist or has no
+    /// positive finite volume at rest, or the stiffness matrix has 2^32 entries or more.
+    pub fn new(rest: &[DVec3], tets: &[[u32; 4]], law: NeoHookean) -> Result<Self> {
+        if tets.is_empty() {
+            return Err(bad_mesh("no tetrahedra".to_owned()));
+        }
+        for (t, tet) in tets.iter().enumerate() {
+            if let Some(v) = tet.iter().find(|v| **v as usize >= rest.len()) {
+                let nodes = rest.len();
+                return Err(bad_mesh(format!(
+                    "tetrahedron {t} names node {v} of {nodes}"
+                )));
+            }
+            let [a, b, c, d] = tet.map(|v| rest[v as usize]);
+            let volume = (b - a).cross(c - a).dot(d - a) / 6.0;
+            if !(volume > 0.0 && volume.is_finite()) {
+                return Err(bad_mesh(format!(
+                    "tetrahedron {t} has volume {volume} m3, expected a positive one"
+                )));
+            }
+        }
+        let pattern = StiffnessPattern::new(rest.len(), tets);
+        if pattern.entries() > u32::MAX as usize {
+            return Err(bad_mesh("2^32 matrix entries or more".to_owned()));
+        }
+        Ok(Self {
+            law,
+            nodes: rest.len(),
+            batches: Batch::group(tets, rest, &pattern),
+            pattern,
+        })
+    }
+
+    /// The law of the material.
+    #[must_use]
+    pub fn law(&self) -> &NeoHookean {
+        &self.law
+    }
+
+    /// Number of nodes: the length of every position and gradient slice.
+    #[must_use]
+    pub fn nodes(&self) -> usize {
+        self.nodes
+    }
+
+    /// Sparsity of the Hessian.
+    #[must_use]
+    pub fn pattern(&self) -> &StiffnessPattern {
+        &self.pattern
+    }
+
+    /// Energy in J; infinite when an element is flat or inverted, or a position is not finite.
+    #[must_use]
+    pub fn energy(&self, x: &[DVec3]) -> f64 {
+        Arch::new().dispatch(EnergySum {
+            elements: self.elements(),
+            x,
+        })
+    }
+
+    /// Adds the gradient in N at a state of finite energy to `gradient`.
+    pub fn gradient(&self, x: &[DVec3], gradient: &mut [DVec3]) {
+        Arch::new().dispatch(GradientSum {
+            elements: self.elements(),
+            x,
+            gradient,
+        });
+    }
+
+    /// [`Elastic::energy`] and [`Elastic::gradient`] at once; what is added for an infinite
+    /// energy means nothing.
+    pub fn energy_gradient(&self, x: &[DVec3], gradient: &mut [DVec3]) -> f64 {
+        Arch::new().dispatch(EnergyGradientSum {
+            elements: self.elements(),
+            x,
+            gradient,
+        })
+    }
+
+    /// Adds the Hessian in N/m at a state of finite energy to `values`, which are laid out by
+    /// [`Elastic::pattern`]. Projection acts on each element, so the sum is positive semidefinite.
+    pub fn hessian(&self, x: &[DVec3], projection: Projection, values: &mut [f64]) {
+        let elements = self.elements();
+        Arch::new().dispatch(HessianSum {
+            elements,
+            x,
+            projection,
+            values,
+        });
+    }
+
+    fn elements(&self) -> Elements<'_> {
+        Elements {
+            law: &self.law,
+            batches: &self.batches,
+        }
+    }
+
+    /// Largest step a in (0, 1] such that no element on the way from x to x + a dx falls below a
+    /// tenth of its volume at x; zero when a position or `dx` is not finite.
+    ///
+    /// `x` is a state of finite energy. A slightly smaller step than the largest may be returned,
+    /// never a larger one.
+    #[must_use]
+    pub fn inversion_free_step(&self, x: &[DVec3], dx: &[DVec3]) -> f64 {
+        Arch::new().dispatch(SafeStep {
+            batches: &self.batches,
+            x,
+            dx,
+        })
+    }
+
+    /// Adds a symmetric block on the diagonal of the Hessian; only its lower triangle is read.
+    pub fn add_diagonal_block(&self, node: usize, block: &DMat3, values: &mut [f64]) {
+        self.pattern.add_diagonal_block(node, block, values);
+    }
+
+    /// Adds a block and its transpose for two nodes of one element; see
+    /// [`StiffnessPattern::add_pair_block`].
+    pub fn add_pair_block(&self, i: usize, j: usize, block: &DMat3, values: &mut [f64]) -> bool {
+        self.pattern.add_pair_block(i, j, block, values)
+    }
+}
+
+fn bad_mesh(what: String) -> Error {
+    Error::new(ErrorKind::Input, format!("tetrahedral mesh: {what}"))
+}
+
+#[cfg(test)]
+#[path = "elastic_test.rs"]
+mod tests;

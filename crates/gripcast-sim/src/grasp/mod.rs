@@ -1,0 +1,30 @@
+//! The grasp of the paper: closure, force adjustment, lift.
+
+mod cases;
+#[cfg(test)]
+mod not_converged_test;
+mod placement;
+mod protocol;
+mod run;
+#[cfg(any(test, feature = "testing"))]
+mod sample_trace;
+mod scene;
+mod settings;
+mod start_check;
+mod summary;
+pub mod trace;
+mod trace_file;
+
+pub use cases::{CaseClass, CaseObject, GraspCase, cases};
+pub use placement::{GraspPose, Placed, Placement, resting_pose};
+pub use protocol::{ForceRule, Protocol};
+pub use run::{GraspOutcome, GraspResult, simulate};
+#[cfg(any(test, feature = "testing"))]
+pub use sample_trace::sample_trace;
+pub use scene::{Finger, GelSpec, Scene};
+pub use settings::{
+    GraspSettings, Preset, TACCEL_DRIVE_WEIGHT, resolution_by_name, resolution_name,
+};
+pub use summary::{GraspSummary, PerGel, STEADY_STEPS, StageWork, is_steady};
+pub use trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
+pub use trace_file::TraceFile;

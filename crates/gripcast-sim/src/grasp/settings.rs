@@ -1,0 +1,210 @@
+//! All parameters of a grasp besides the scene, and the presets they start from.
+
+use serde::ser::SerializeStruct as _;
+use serde::{Deserialize, Serialize, Serializer};
+
+use super::protocol::Protocol;
+use super::scene::GelSpec;
+use crate::fem::GelResolution;
+use crate::solver::{Drive, GelMaterial, SolverParameters};
+use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+
+/// A named set of parameters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// The paper's §3.1: E = 1 MPa, ν = 0.3.
+    #[default]
+    Paper,
+    /// The paper's protocol with the gel stiffness of FEATS (arXiv 2411.03315).
+    Feats,
+}
+
+/// Young's modulus of [`Preset::Feats`], Pa: 6 C10 of an incompressible neo-Hookean gel with
+/// C10 = 0.0725 MPa, the material template of FEATS' finite-element model of the GelSight Mini.
+const FEATS_YOUNG_PA: f64 = 0.435e6;
+
+/// Poisson's ratio of [`Preset::Feats`]. FEATS gives no compressibility, for which its solver
+/// takes 0.475. Linear tetrahedra lock towards 0.5, so 0.45 is used with the same modulus; its
+/// shear modulus is then 3 % above 2 C10.
+const FEATS_POISSON: f64 = 0.45;
+
+impl Preset {
+    /// All, in the order of the docs.
+    pub const ALL: [Self; 2] = [Self::Paper, Self::Feats];
+
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Feats => "feats",
+        }
+    }
+
+    /// Material of the gels.
+    pub fn material(self) -> GelMaterial {
+        match self {
+            Self::Paper => GelMaterial::default(),
+            Self::Feats => GelMaterial {
+                young_pa: FEATS_YOUNG_PA,
+                poisson: FEATS_POISSON,
+                ..GelMaterial::default()
+            },
+        }
+    }
+}
+
+/// Name of a gel mesh on the command line.
+pub fn resolution_name(resolution: GelResolution) -> &'static str {
+    match resolution {
+        GelResolution::Coarse => "coarse",
+        GelResolution::Default => "default",
+        GelResolution::Fine => "fine",
+    }
+}
+
+/// A gel mesh by its name.
+///
+/// # Errors
+/// `Usage` for another name, with the nearest.
+pub fn resolution_by_name(name: &str) -> Result<GelResolution> {
+    let all = [
+        GelResolution::Coarse,
+        GelResolution::Default,
+        GelResolution::Fine,
+    ];
+    let known = all.into_iter().find(|r| resolution_name(*r) == name);
+    known.ok_or_else(|| {
+        let nearest = nearest_name(name, all.map(resolution_name));
+        let hint = nearest.map_or(String::new(), |n| format!("did you mean {n}? "));
+        Error::new(
+            ErrorKind::Usage,
+            format!("there is no gel mesh named {name:?}"),
+        )
+        .remedy(format!("{hint}known are: coarse, default, fine"))
+    })
+}
+
+/// The weight of the paper's drive by nodal mass.
+pub const TACCEL_DRIVE_WEIGHT: f64 = 5e4;
+
+/// All parameters of a grasp besides the scene.
+///
+/// As JSON: `{"preset", "gel": {"mesh", "nodes"}, "material", "drive", "protocol", "solver"}`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GraspSettings {
+    /// What the parameters started from.
+    pub preset: Preset,
+    /// Mesh of the gels.
+    pub resolution: GelResolution,
+    /// Material of the gels.
+    pub material: GelMaterial,
+    /// What moves their back faces.
+    pub drive: Drive,
+    /// Stages and forces.
+    pub protocol: Protocol,
+    /// Parameters of the solver.
+    pub solver: SolverParameters,
+}
+
+impl Default for GraspSettings {
+    fn default() -> Self {
+        Self::new(Preset::default())
+    }
+}
+
+impl GraspSettings {
+    /// The parameters of a preset.
+    pub fn new(preset: Preset) -> Self {
+        Self {
+            preset,
+            resolution: GelResolution::default(),
+            material: preset.material(),
+            drive: Drive::default(),
+            protocol: Protocol::default(),
+            solver: SolverParameters::default(),
+        }
+    }
+
+    /// Mesh, material and drive of the gels.
+    ///
+    /// # Errors
+    /// None for the built-in meshes.
+    pub fn gel(&self) -> Result<GelSpec> {
+        Ok(GelSpec {
+            material: self.material,
+            drive: self.drive,
+            ..GelSpec::standard(self.resolution)?
+        })
+    }
+}
+
+impl Serialize for GraspSettings {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let gel = serde_json::json!({
+            "mesh": resolution_name(self.resolution),
+            "nodes": self.resolution.nodes(),
+        });
+        let material = serde_json::json!({
+            "young_pa": self.material.young_pa,
+            "poisson": self.material.poisson,
+            "density_kg_m3": self.material.density_kg_m3,
+        });
+        let drive = match self.drive {
+            Drive::PerArea(stiffness) => {
+                serde_json::json!({"kind": "area", "stiffness_n_m3": stiffness})
+            }
+            Drive::PerMass(weight) => serde_json::json!({"kind": "taccel", "weight": weight}),
+        };
+        let mut out = serializer.serialize_struct("GraspSettings", 6)?;
+        out.serialize_field("preset", &self.preset)?;
+        out.serialize_field("gel", &gel)?;
+        out.serialize_field("material", &material)?;
+        out.serialize_field("drive", &drive)?;
+        out.serialize_field("protocol", &self.protocol)?;
+        out.serialize_field("solver", &self.solver)?;
+        out.end()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn presets_have_the_documented_stiffness() {
+        let paper = GraspSettings::new(Preset::Paper);
+        assert_eq!(
+            (paper.material.young_pa, paper.material.poisson),
+            (1e6, 0.3)
+        );
+        assert_eq!(paper.protocol.stop_force_n, 40.0);
+        let feats = GraspSettings::new(Preset::Feats);
+        assert_eq!(feats.protocol, paper.protocol);
+        let shear = feats.material.young_pa / (2.0 * (1.0 + feats.material.poisson));
+        assert!((shear / (2.0 * 0.0725e6) - 1.0345).abs() < 1e-3, "{shear}");
+        assert_eq!(feats.gel().unwrap().material, feats.material);
+    }
+
+    #[test]
+    fn settings_tell_all_parameters() {
+        let settings = GraspSettings {
+            drive: Drive::PerMass(TACCEL_DRIVE_WEIGHT),
+            resolution: GelResolution::Coarse,
+            ..GraspSettings::new(Preset::Feats)
+        };
+        let value = serde_json::to_value(settings).unwrap();
+        assert_eq!(value["preset"], "feats");
+        assert_eq!(value["gel"]["nodes"], serde_json::json!([13, 11, 3]));
+        assert_eq!(value["drive"]["kind"], "taccel");
+        assert_eq!(value["material"]["young_pa"], 435_000.0);
+        assert_eq!(value["solver"]["d_hat_m"], 5e-4);
+    }
+
+    #[test]
+    fn gel_meshes_have_names() {
+        assert_eq!(resolution_by_name("fine").unwrap(), GelResolution::Fine);
+        let text = resolution_by_name("corse").unwrap_err().to_string();
+        assert!(text.contains("did you mean coarse"), "{text}");
+    }
+}

@@ -1,0 +1,287 @@
+//! What a grasp came to, in figures.
+
+use serde::Serialize;
+
+use super::protocol::Protocol;
+use super::run::{GraspOutcome, GraspResult};
+use super::trace::{StageName, Trace, TraceStep};
+
+/// Adjustment steps at the end that the force is judged by.
+pub const STEADY_STEPS: usize = 20;
+/// The mean may be off the threshold by this share and still count as steady.
+const STEADY_SHARE: f64 = 0.02;
+/// Steps may change the force by this much more than the fingers' stiffness explains.
+const STEP_ALLOWANCE: f64 = 1.1;
+/// Changes below this share of the threshold are no restlessness.
+const REST_SHARE: f64 = 1e-3;
+/// The gels' forces in the lift may differ by this share.
+const LOPSIDED_SHARE: f64 = 0.05;
+
+/// A number for each gel.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PerGel {
+    /// Left gel.
+    pub left: f64,
+    /// Right gel.
+    pub right: f64,
+}
+
+/// Work of the solver in one stage.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct StageWork {
+    /// Stage.
+    pub stage: StageName,
+    /// Time steps, flight included.
+    pub steps: usize,
+    /// Newton iterations for each step that was solved.
+    pub newton_per_step: f64,
+}
+
+/// A grasp in figures.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GraspSummary {
+    /// How it ended.
+    pub outcome: GraspOutcome,
+    /// Why, where there is more to say.
+    pub detail: Option<String>,
+    /// Rise of the object's centre of mass, m.
+    pub lifted_m: f64,
+    /// Normal force of each gel at the end of the adjustment, or at the end where it was not
+    /// reached, N.
+    pub force_n: PerGel,
+    /// Threshold of the force, N.
+    pub stop_force_n: f64,
+    /// Mean of both gels' forces over the last [`STEADY_STEPS`] adjustment steps, N.
+    pub mean_force_n: Option<f64>,
+    /// Standard deviation of the same, N.
+    pub std_force_n: Option<f64>,
+    /// Whether the force was steady at the end of the adjustment, see [`is_steady`].
+    pub steady: Option<bool>,
+    /// Time steps, flight included.
+    pub steps: usize,
+    /// Time that was simulated, s.
+    pub simulated_s: f64,
+    /// Newton iterations for each step that was solved.
+    pub newton_per_step: f64,
+    /// Most iterations of one step.
+    pub newton_max: u32,
+    /// Steps that did not converge.
+    pub unconverged_steps: usize,
+    /// The stages that were reached.
+    pub stages: Vec<StageWork>,
+    /// What the user should know before believing it.
+    pub warnings: Vec<String>,
+}
+
+impl GraspSummary {
+    /// Summarises a grasp; `dt_s` is its time step.
+    pub fn of(result: &GraspResult, protocol: &Protocol, dt_s: f64) -> Self {
+        let trace = &result.trace;
+        let judged = trace
+            .stage(StageName::Adjustment)
+            .next_back()
+            .or(trace.steps.last());
+        let forces = last_forces(trace);
+        let mean = mean(&forces);
+        let force = |gel: usize| judged.map_or(0.0, |step| step.force[gel].normal_n);
+        let mut warnings = Vec::new();
+        if result.unconverged_steps > 0 && result.outcome != GraspOutcome::NotConverged {
+            warnings.push(format!(
+                "{} of {} steps did not converge",
+                result.unconverged_steps,
+                trace.steps.len()
+            ));
+        }
+        warnings.extend(lopsided(trace));
+        let stages = [StageName::Closure, StageName::Adjustment, StageName::Lift];
+        Self {
+            outcome: result.outcome,
+            detail: result.detail.clone(),
+            lifted_m: result.lifted_m,
+            force_n: PerGel {
+                left: force(0),
+                right: force(1),
+            },
+            stop_force_n: protocol.stop_force_n,
+            mean_force_n: mean,
+            std_force_n: mean.map(|mean| deviation(&forces, mean)),
+            steady: is_steady(trace, protocol, dt_s),
+            steps: trace.steps.len(),
+            simulated_s: trace.steps.last().map_or(0.0, |step| step.t_s),
+            newton_per_step: newton_per_step(trace.steps.iter()),
+            newton_max: iterations(trace.steps.iter()).max().unwrap_or(0),
+            unconverged_steps: result.unconverged_steps,
+            stages: stages
+                .into_iter()
+                .filter_map(|stage| work(trace, stage))
+                .collect(),
+            warnings,
+        }
+    }
+}
+
+/// Once the object is off the ground both gels must push alike. Where they do not, nodes that are
+/// driven carry a part of the contact, which the force per gel leaves out.
+fn lopsided(trace: &Trace) -> Option<String> {
+    let last: Vec<&TraceStep> = trace
+        .stage(StageName::Lift)
+        .rev()
+        .take(STEADY_STEPS)
+        .collect();
+    let force = |gel: usize| -> Vec<f64> {
+        let steps = last.iter();
+        steps.map(|step| step.force[gel].normal_n).collect()
+    };
+    let (left, right) = (mean(&force(0))?, mean(&force(1))?);
+    ((left - right).abs() > LOPSIDED_SHARE * left.max(right).max(1.0)).then(|| {
+        format!(
+            "in the lift the left gel feels {left:.1} N and the right {right:.1} N: the object \
+             also touches driven nodes at the edge of a gel's back, which the force leaves out"
+        )
+    })
+}
+
+fn work(trace: &Trace, stage: StageName) -> Option<StageWork> {
+    let steps = trace.stage(stage).count();
+    (steps > 0).then(|| StageWork {
+        stage,
+        steps,
+        newton_per_step: newton_per_step(trace.stage(stage)),
+    })
+}
+
+fn iterations<'a>(steps: impl Iterator<Item = &'a TraceStep>) -> impl Iterator<Item = u32> {
+    steps.filter_map(|step| step.solver.map(|report| report.iterations))
+}
+
+fn newton_per_step<'a>(steps: impl Iterator<Item = &'a TraceStep>) -> f64 {
+    let (mut count, mut sum) = (0u32, 0u32);
+    for iterations in iterations(steps) {
+        count += 1;
+        sum += iterations;
+    }
+    f64::from(sum) / f64::from(count.max(1))
+}
+
+/// Mean forces of both gels in the last adjustment steps, N.
+fn last_forces(trace: &Trace) -> Vec<f64> {
+    let mut forces: Vec<f64> = trace
+        .stage(StageName::Adjustment)
+        .rev()
+        .take(STEADY_STEPS)
+        .map(TraceStep::mean_force_n)
+        .collect();
+    forces.reverse();
+    forces
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+fn deviation(values: &[f64], mean: f64) -> f64 {
+    let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    (squares / values.len().max(1) as f64).sqrt()
+}
+
+/// Whether the force is steady at the end of the adjustment; `None` without an adjustment.
+///
+/// With k the change of force for each metre that the fingers move (the median over the
+/// adjustment) and s = k · adjustment speed · dt the force of one step of the rule, it is steady
+/// when over the last [`STEADY_STEPS`] steps the mean lies within max(2 % F_stop, s/2) of F_stop
+/// and no step changes it by more than max(1.1 s, 0.1 % F_stop).
+pub fn is_steady(trace: &Trace, protocol: &Protocol, dt_s: f64) -> Option<bool> {
+    let forces = last_forces(trace);
+    let mean = mean(&forces)?;
+    let step_n = stiffness(trace) * protocol.adjust_speed_m_s * dt_s;
+    let band = (STEADY_SHARE * protocol.stop_force_n).max(0.5 * step_n);
+    let most = (STEP_ALLOWANCE * step_n).max(REST_SHARE * protocol.stop_force_n);
+    let is_calm = forces.windows(2).all(|w| (w[1] - w[0]).abs() <= most);
+    Some((mean - protocol.stop_force_n).abs() <= band && is_calm)
+}
+
+/// Median change of force for each metre of finger motion over the adjustment, N/m.
+fn stiffness(trace: &Trace) -> f64 {
+    let steps: Vec<&TraceStep> = trace.stage(StageName::Adjustment).collect();
+    let moved = |w: &[&TraceStep]| 0.5 * (w[0].opening_m - w[1].opening_m);
+    let longest = steps.windows(2).map(|w| moved(w).abs()).fold(0.0, f64::max);
+    let mut slopes: Vec<f64> = steps
+        .windows(2)
+        .filter(|w| moved(w).abs() > 0.01 * longest)
+        .map(|w| ((w[1].mean_force_n() - w[0].mean_force_n()) / moved(w)).abs())
+        .collect();
+    slopes.sort_unstable_by(f64::total_cmp);
+    slopes.get(slopes.len() / 2).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grasp::sample_trace;
+    use crate::solver::PhaseTimes;
+
+    fn result() -> GraspResult {
+        GraspResult {
+            outcome: GraspOutcome::Success,
+            detail: None,
+            lifted_m: 0.05,
+            unconverged_steps: 1,
+            times: PhaseTimes::default(),
+            trace: sample_trace(),
+        }
+    }
+
+    #[test]
+    fn figures_of_a_cycling_force() {
+        let summary = GraspSummary::of(&result(), &Protocol::default(), 0.01);
+        assert!((summary.mean_force_n.unwrap() - 40.005).abs() < 1e-9);
+        assert!((summary.std_force_n.unwrap() - 0.5).abs() < 1e-9);
+        assert_eq!(summary.force_n.left, 40.5);
+        assert_eq!(summary.steady, Some(true));
+        assert_eq!((summary.steps, summary.newton_max), (62, 3));
+        assert_eq!(summary.newton_per_step, 3.0);
+        let counts: Vec<usize> = summary.stages.iter().map(|s| s.steps).collect();
+        assert_eq!(counts, [12, 30, 20]);
+        assert_eq!(summary.warnings, ["1 of 62 steps did not converge"]);
+    }
+
+    #[test]
+    fn a_jump_or_an_offset_is_not_steady() {
+        let protocol = Protocol::default();
+        let mut trace = sample_trace();
+        assert_eq!(is_steady(&trace, &protocol, 0.01), Some(true));
+        let at = trace.steps.len() - 25;
+        for force in &mut trace.steps[at].force {
+            force.normal_n += 1.5;
+        }
+        assert_eq!(is_steady(&trace, &protocol, 0.01), Some(false));
+        let other = Protocol {
+            stop_force_n: 42.0,
+            ..protocol
+        };
+        assert_eq!(is_steady(&sample_trace(), &other, 0.01), Some(false));
+        assert_eq!(is_steady(&Trace::default(), &protocol, 0.01), None);
+    }
+
+    #[test]
+    fn forces_that_do_not_balance_are_told() {
+        let mut result = result();
+        for step in &mut result.trace.steps {
+            step.force[1].normal_n *= 0.8;
+        }
+        let summary = GraspSummary::of(&result, &Protocol::default(), 0.01);
+        let told = &summary.warnings[1];
+        assert!(told.contains("40.0 N") && told.contains("32.0 N"), "{told}");
+    }
+
+    #[test]
+    fn a_grasp_without_steps_has_no_force() {
+        let result = GraspResult::penetrating_start("the left gel is inside the object".into());
+        let summary = GraspSummary::of(&result, &Protocol::default(), 0.01);
+        assert_eq!((summary.steps, summary.mean_force_n), (0, None));
+        let value = serde_json::to_value(summary).unwrap();
+        assert_eq!(value["outcome"], "penetrating_start");
+        assert_eq!(value["force_n"]["left"], 0.0);
+        assert_eq!(value["newton_per_step"], 0.0);
+    }
+}

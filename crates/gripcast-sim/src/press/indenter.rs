@@ -1,0 +1,280 @@
+//! Rigid indenters as fine triangle surfaces, tip at the origin, pointing along -z.
+//!
+//! Only the part that can meet a pad is meshed. A polyhedron with its vertices on a curved surface
+//! lies inside it; the vertices are moved out by the mean of that, so that the surface is right on
+//! average.
+
+use std::f64::consts::{FRAC_PI_4, TAU};
+
+use glam::{DVec2, DVec3};
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::TriangleMesh;
+
+/// What is pressed into a gel. Long indenters lie along the gel's y axis.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Indenter {
+    /// A sphere.
+    Sphere {
+        /// Radius, m.
+        radius_m: f64,
+    },
+    /// A lying cylinder, longer than the gel.
+    Cylinder {
+        /// Radius, m.
+        radius_m: f64,
+    },
+    /// A flat plate, larger than the gel.
+    Plate,
+    /// A straight edge of 90 degrees with a rounded tip, longer than the gel.
+    Edge {
+        /// Radius of the tip, m.
+        radius_m: f64,
+    },
+    /// Any surface, in the gel's frame: its lowest point (least z) touches first, wherever it is in
+    /// x and y.
+    Mesh(TriangleMesh),
+}
+
+/// What the surface is meshed for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Fineness {
+    /// Size of the faces across the contact, m.
+    pub(super) face_m: f64,
+    /// Size of the faces along y, where the indenter is the same everywhere, m.
+    pub(super) along_m: f64,
+    /// Half the extent of the gel, m.
+    pub(super) half: DVec2,
+    /// Largest depth, m.
+    pub(super) depth_m: f64,
+}
+
+/// Margin beyond the gel, m.
+const BEYOND_M: f64 = 5e-4;
+
+impl Indenter {
+    /// Checks the radius.
+    ///
+    /// # Errors
+    /// `Input` where it is not a positive number, or the mesh is broken.
+    pub(super) fn validate(&self) -> Result<()> {
+        match self {
+            Self::Sphere { radius_m } | Self::Cylinder { radius_m } | Self::Edge { radius_m } => {
+                if radius_m.is_finite() && *radius_m > 0.0 {
+                    return Ok(());
+                }
+                let what = format!("the indenter's radius must be above 0 m, found {radius_m}");
+                Err(Error::new(ErrorKind::Input, what))
+            }
+            Self::Plate => Ok(()),
+            Self::Mesh(mesh) => mesh.validate(),
+        }
+    }
+
+    /// The surface with its lowest point at z = 0, smaller by `inset_m` where its shape is known.
+    pub(super) fn surface(&self, fineness: &Fineness, inset_m: f64) -> TriangleMesh {
+        match self {
+            Self::Sphere { radius_m } => cap(shrunk(*radius_m, inset_m), fineness),
+            Self::Cylinder { radius_m } => {
+                let radius = shrunk(*radius_m, inset_m);
+                let angle = arc_angle(radius, fineness).min(1.4);
+                extrude(&arc(radius, angle, fineness.face_m), fineness)
+            }
+            Self::Plate => plate(fineness),
+            Self::Edge { radius_m } => {
+                let radius = shrunk(*radius_m, inset_m);
+                extrude(&wedge(radius, fineness), fineness)
+            }
+            Self::Mesh(mesh) => {
+                let lowest = mesh.bounds().min.z;
+                let mut mesh = mesh.clone();
+                for vertex in &mut mesh.vertices {
+                    vertex.z -= lowest;
+                }
+                mesh
+            }
+        }
+    }
+}
+
+fn shrunk(radius: f64, inset: f64) -> f64 {
+    (radius - inset).max(0.5 * radius)
+}
+
+/// Polar angle beyond which a round indenter can't touch: the undeformed face lies deeper there.
+/// A pad's free surface sinks around the contact, so a part more than the overlap is ample.
+fn arc_angle(radius: f64, fineness: &Fineness) -> f64 {
+    let cosine = 1.0 - 1.1 * fineness.depth_m / radius;
+    (cosine.max(0.0).acos() + 2.0 * fineness.face_m / radius).min(1.5)
+}
+
+/// The lower cap of a sphere: rings of faces around the pole.
+fn cap(radius: f64, fineness: &Fineness) -> TriangleMesh {
+    let angle = arc_angle(radius, fineness);
+    let rings = (angle * radius / fineness.face_m).ceil().max(2.0) as u32;
+    let face = angle * radius / f64::from(rings);
+    // A triangle with sides a, b, c lies (a² + b² + c²) / 24 R inside, on average; the sides'
+    // squares add up to 3.72 face² here.
+    let raised = radius + 3.72 * face * face / (24.0 * radius);
+    let at = |ring: u32, part: u32| {
+        let (sine, cosine) = (angle * f64::from(ring) / f64::from(rings)).sin_cos();
+        let turn = TAU * f64::from(part) / f64::from(6 * ring.max(1));
+        let out = DVec2::from_angle(turn) * sine;
+        DVec3::new(out.x, out.y, -cosine) * raised + DVec3::Z * radius
+    };
+    let mut mesh = TriangleMesh {
+        vertices: vec![at(0, 0)],
+        triangles: Vec::new(),
+    };
+    let start = |ring: u32| {
+        if ring == 0 {
+            0
+        } else {
+            1 + 3 * ring * (ring - 1)
+        }
+    };
+    for ring in 1..=rings {
+        mesh.vertices
+            .extend((0..6 * ring).map(|part| at(ring, part)));
+        for sector in 0..6 {
+            // Along one sector the outer ring has `ring` faces, the inner one less by one.
+            let outer = |k: u32| start(ring) + (sector * ring + k) % (6 * ring);
+            let inner = |k: u32| match ring {
+                1 => 0,
+                _ => start(ring - 1) + (sector * (ring - 1) + k) % (6 * (ring - 1)),
+            };
+            for k in 0..ring {
+                mesh.triangles.push([inner(k), outer(k + 1), outer(k)]);
+                if k + 1 < ring {
+                    mesh.triangles.push([inner(k), inner(k + 1), outer(k + 1)]);
+                }
+            }
+        }
+    }
+    mesh
+}
+
+/// Profile (x, z) of a lying cylinder around its lowest line, x rising.
+fn arc(radius: f64, angle: f64, face: f64) -> Vec<DVec2> {
+    let parts = (2.0 * angle * radius / face).ceil().max(4.0) as u32;
+    let face = 2.0 * angle * radius / f64::from(parts);
+    let raised = radius + face * face / (12.0 * radius);
+    (0..=parts)
+        .map(|k| {
+            let (sine, cosine) = (angle * (2.0 * f64::from(k) / f64::from(parts) - 1.0)).sin_cos();
+            DVec2::new(sine * raised, radius - cosine * raised)
+        })
+        .collect()
+}
+
+/// Profile of a 90 degree edge with a rounded tip.
+fn wedge(radius: f64, fineness: &Fineness) -> Vec<DVec2> {
+    let tip = arc(radius, FRAC_PI_4, fineness.face_m);
+    // The flanks rise with the distance from the tip; the free surface does not follow far.
+    let length = (1.5 * fineness.depth_m).max(2.0 * radius);
+    let parts = (length / fineness.face_m).ceil().min(200.0) as u32;
+    let flank = |sign: f64, from: DVec2, k: u32| {
+        from + DVec2::new(sign, 1.0) * (length * f64::from(k) / f64::from(parts))
+    };
+    let (first, last) = (tip[0], tip[tip.len() - 1]);
+    let left = (1..=parts).rev().map(|k| flank(-1.0, first, k));
+    let right = (1..=parts).map(|k| flank(1.0, last, k));
+    left.chain(tip.iter().copied()).chain(right).collect()
+}
+
+/// A profile drawn along y beyond the gel.
+fn extrude(profile: &[DVec2], fineness: &Fineness) -> TriangleMesh {
+    let half = fineness.half.y + BEYOND_M;
+    let rows = (2.0 * half / fineness.along_m).ceil() as u32;
+    let width = profile.len() as u32;
+    let mut mesh = TriangleMesh::default();
+    for row in 0..=rows {
+        let y = half * (2.0 * f64::from(row) / f64::from(rows) - 1.0);
+        let points = profile.iter().map(|p| DVec3::new(p.x, y, p.y));
+        mesh.vertices.extend(points);
+    }
+    push_cells(&mut mesh, width, rows);
+    mesh
+}
+
+fn plate(fineness: &Fineness) -> TriangleMesh {
+    let half = fineness.half + BEYOND_M;
+    let cells = (2.0 * half / fineness.along_m).ceil().max(DVec2::ONE);
+    let (columns, rows) = (cells.x as u32, cells.y as u32);
+    let mut mesh = TriangleMesh::default();
+    for row in 0..=rows {
+        let y = half.y * (2.0 * f64::from(row) / cells.y - 1.0);
+        let x = |k: u32| half.x * (2.0 * f64::from(k) / cells.x - 1.0);
+        let points = (0..=columns).map(|k| DVec3::new(x(k), y, 0.0));
+        mesh.vertices.extend(points);
+    }
+    push_cells(&mut mesh, columns + 1, rows);
+    mesh
+}
+
+/// Two triangles a cell of a grid of `width` points a row, seen from below counter-clockwise; the
+/// diagonals alternate.
+fn push_cells(mesh: &mut TriangleMesh, width: u32, rows: u32) {
+    for row in 0..rows {
+        for k in 0..width - 1 {
+            let a = row * width + k;
+            let (b, c, d) = (a + 1, a + width + 1, a + width);
+            if (row + k) % 2 == 0 {
+                mesh.triangles.extend([[a, c, b], [a, d, c]]);
+            } else {
+                mesh.triangles.extend([[a, d, b], [b, d, c]]);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FINENESS: Fineness = Fineness {
+        face_m: 2e-4,
+        along_m: 5e-4,
+        half: DVec2::new(0.0125, 0.01),
+        depth_m: 1e-3,
+    };
+
+    #[test]
+    fn surfaces_face_down_and_begin_at_zero() {
+        let indenters = [
+            Indenter::Sphere { radius_m: 0.01 },
+            Indenter::Cylinder { radius_m: 0.005 },
+            Indenter::Plate,
+            Indenter::Edge { radius_m: 5e-4 },
+        ];
+        for indenter in indenters {
+            let mesh = indenter.surface(&FINENESS, 0.0);
+            mesh.validate().unwrap();
+            for [a, b, c] in mesh.all_corners() {
+                assert!((b - a).cross(c - a).z < 0.0, "{indenter:?}");
+            }
+            let lowest = mesh.bounds().min.z;
+            assert!(lowest.abs() < 1e-5, "{indenter:?}: {lowest}");
+            let boundary = mesh.edges();
+            let inner = (0..boundary.len()).filter(|&e| boundary.triangles(e).len() > 2);
+            assert_eq!(inner.count(), 0);
+        }
+    }
+
+    #[test]
+    fn a_polyhedron_is_as_large_as_its_sphere_on_average() {
+        let radius = 0.01;
+        let mesh = cap(radius, &FINENESS);
+        let center = DVec3::Z * radius;
+        let (mut area, mut moment) = (0.0, 0.0);
+        for ([a, b, c], face) in mesh.all_corners().zip(mesh.triangle_areas()) {
+            // Exact to third order in the corners and edge middles.
+            let middles = [(a + b) * 0.5, (b + c) * 0.5, (c + a) * 0.5];
+            let mean: f64 = middles.iter().map(|m| m.distance(center)).sum::<f64>() / 3.0;
+            area += face;
+            moment += face * (mean - radius);
+        }
+        let error = moment / area;
+        assert!(error.abs() < 1e-8, "{error:e}");
+    }
+}

@@ -1,0 +1,247 @@
+//! Convex pieces of an object.
+
+use glam::DVec3;
+use rapier3d_f64::geometry::SharedShape;
+use rapier3d_f64::parry::transformation::vhacd::{VHACD, VHACDParameters};
+use rapier3d_f64::parry::transformation::voxelization::FillMode;
+
+use super::settings::DecompositionSettings;
+use super::{convert, merge};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{MassProperties, TriangleMesh, convex_hull};
+
+/// An object as convex pieces, in the frame of its mesh.
+pub struct Decomposition {
+    pieces: Vec<TriangleMesh>,
+    shapes: Vec<SharedShape>,
+}
+
+impl std::fmt::Debug for Decomposition {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Decomposition of {} pieces", self.pieces.len())
+    }
+}
+
+impl Decomposition {
+    /// Cuts a closed mesh (m) into convex pieces: V-HACD on voxels, the hull of the part of the mesh
+    /// in each piece with its most telling corners, and merging of pieces that are convex
+    /// together. Same input, same bits.
+    ///
+    /// # Errors
+    /// `Input` where the mesh is not valid or encloses nothing.
+    pub fn of(mesh: &TriangleMesh, settings: &DecompositionSettings) -> Result<Self> {
+        mesh.validate()?;
+        let points: Vec<_> = mesh.vertices.iter().map(|v| convert::vector(*v)).collect();
+        let parameters = VHACDParameters {
+            concavity: settings.concavity,
+            alpha: settings.alpha,
+            beta: settings.beta,
+            resolution: settings.resolution,
+            max_convex_hulls: settings.max_pieces,
+            fill_mode: FillMode::FloodFill {
+                detect_cavities: false,
+            },
+            ..VHACDParameters::default()
+        };
+        // What has no volume cannot be cut, nor simulated.
+        let whole = convex_hull(&mesh.vertices)?;
+        let hull_m3 = MassProperties::of(&whole)?.volume_m3;
+        let most_m3 = settings.concavity * hull_m3;
+        let mut pieces = Vec::new();
+        // The voxels of a convex object are less convex than it is.
+        if hull_m3 - MassProperties::of(mesh)?.volume_m3 > most_m3 {
+            let parts = VHACD::decompose(&parameters, &points, &mesh.triangles, true);
+            for part in parts.voxel_parts() {
+                let inside = part.compute_primitive_intersections(&points, &mesh.triangles);
+                let inside: Vec<_> = inside.into_iter().map(convert::from_vector).collect();
+                pieces.extend(hull_of_few(&inside, settings));
+            }
+            pieces = merge::merged(pieces, most_m3);
+            let fewer = |piece: TriangleMesh| hull_of_few(&piece.vertices, settings);
+            pieces = pieces.into_iter().filter_map(fewer).collect();
+        }
+        if pieces.is_empty() {
+            pieces.extend(hull_of_few(&whole.vertices, settings));
+        }
+        Self::from_pieces(pieces)
+    }
+
+    /// Of pieces that are convex already.
+    ///
+    /// # Errors
+    /// `Input` where a piece is no solid, or there is none.
+    pub(super) fn from_pieces(pieces: Vec<TriangleMesh>) -> Result<Self> {
+        let refused = |what: &str| {
+            Error::new(ErrorKind::Input, what.to_owned())
+                .remedy("give the object a closed mesh with some thickness")
+        };
+        if pieces.is_empty() {
+            return Err(refused("the mesh has no convex pieces"));
+        }
+        let mut shapes = Vec::with_capacity(pieces.len());
+        for piece in &pieces {
+            piece.validate()?;
+            let corners: Vec<_> = piece.vertices.iter().map(|v| convert::vector(*v)).collect();
+            let shape = SharedShape::convex_mesh(corners.clone(), &piece.triangles)
+                .or_else(|| SharedShape::convex_hull(&corners))
+                .ok_or_else(|| refused("a convex piece of the mesh is no solid"))?;
+            shapes.push(shape);
+        }
+        Ok(Self { pieces, shapes })
+    }
+
+    /// The pieces: closed convex meshes, m. They may overlap where they were cut.
+    pub fn pieces(&self) -> &[TriangleMesh] {
+        &self.pieces
+    }
+
+    pub(super) fn shapes(&self) -> &[SharedShape] {
+        &self.shapes
+    }
+}
+
+/// Hull of the corners that add most to it, one after the other; none of points in a plane.
+fn hull_of_few(points: &[DVec3], settings: &DecompositionSettings) -> Option<TriangleMesh> {
+    let whole = convex_hull(points).ok()?;
+    let whole = whole.without_unused_vertices();
+    let most = settings.max_corners as usize;
+    let candidates = &whole.vertices;
+    let mut chosen = first_corners(candidates);
+    loop {
+        let corners: Vec<DVec3> = chosen.iter().map(|&i| candidates[i]).collect();
+        let hull = convex_hull(&corners).ok()?;
+        if chosen.len() >= most {
+            return Some(hull.without_unused_vertices());
+        }
+        match farthest(&hull, candidates) {
+            Some((index, distance)) if distance > settings.corner_tolerance_m => {
+                chosen.push(index);
+            }
+            _ => return Some(hull.without_unused_vertices()),
+        }
+    }
+}
+
+/// Four corners that span a volume: the two ends along x, and those farthest from their line and
+/// from the plane of the three.
+fn first_corners(points: &[DVec3]) -> Vec<usize> {
+    let best = |score: &dyn Fn(DVec3) -> f64| {
+        let all = points.iter().map(|p| score(*p)).enumerate();
+        // The first of equals, so that the order of the points decides.
+        all.fold((0, f64::NEG_INFINITY), |best, next| {
+            if next.1 > best.1 { next } else { best }
+        })
+        .0
+    };
+    let a = best(&|p| -p.x);
+    let b = best(&|p| p.distance_squared(points[a]));
+    let line = points[b] - points[a];
+    let c = best(&|p| (p - points[a]).cross(line).length_squared());
+    let normal = (points[c] - points[a]).cross(line);
+    let d = best(&|p| (p - points[a]).dot(normal).abs());
+    vec![a, b, c, d]
+}
+
+/// The point farthest outside a hull and its distance from the nearest plane that it sees.
+fn farthest(hull: &TriangleMesh, points: &[DVec3]) -> Option<(usize, f64)> {
+    let planes: Vec<(DVec3, f64)> = hull
+        .all_corners()
+        .filter_map(|[a, b, c]| {
+            let normal = (b - a).cross(c - a).try_normalize()?;
+            Some((normal, normal.dot(a)))
+        })
+        .collect();
+    let outside = |p: &DVec3| {
+        let distances = planes
+            .iter()
+            .map(|(normal, offset)| normal.dot(*p) - offset);
+        distances.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let distances = points.iter().map(outside).enumerate();
+    distances.fold(None, |best: Option<(usize, f64)>, next| match best {
+        Some(best) if best.1 >= next.1 => Some(best),
+        _ => Some(next),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_geometry::builtin;
+
+    fn coarse() -> DecompositionSettings {
+        DecompositionSettings {
+            resolution: 32,
+            ..DecompositionSettings::default()
+        }
+    }
+
+    /// How far a point is outside the union of the pieces, m.
+    fn outside(pieces: &Decomposition, point: DVec3) -> f64 {
+        let distance = |piece: &TriangleMesh| farthest(piece, &[point]).unwrap().1;
+        pieces
+            .pieces()
+            .iter()
+            .map(distance)
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn a_box_is_one_piece_of_eight_corners() {
+        let found = Decomposition::of(&builtin("box").unwrap(), &coarse()).unwrap();
+        assert_eq!(found.pieces().len(), 1);
+        assert_eq!(found.pieces()[0].vertices.len(), 8);
+        let volume = MassProperties::of(&found.pieces()[0]).unwrap().volume_m3;
+        assert!((volume - 0.04 * 0.04 * 0.06).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_pieces_of_a_mug_cover_it_and_leave_it_hollow() {
+        let mug = builtin("mug").unwrap();
+        let found = Decomposition::of(&mug, &coarse()).unwrap();
+        let count = found.pieces().len();
+        assert!((6..=32).contains(&count), "{count} pieces");
+        let worst = mug
+            .vertices
+            .iter()
+            .map(|v| outside(&found, *v))
+            .fold(0.0, f64::max);
+        assert!(worst < 1e-3, "{worst} m of the mug stand out");
+        let inside = outside(&found, DVec3::new(0.0, 0.0, 0.02));
+        assert!(inside > 5e-3, "the mug is filled: {inside}");
+        let volume: f64 = found
+            .pieces()
+            .iter()
+            .map(|piece| MassProperties::of(piece).unwrap().volume_m3)
+            .sum();
+        let exact = MassProperties::of(&mug).unwrap().volume_m3;
+        assert!(volume < 1.8 * exact, "{volume} of {exact}");
+    }
+
+    #[test]
+    fn round_pieces_keep_few_corners_and_their_size() {
+        let ball = builtin("ball").unwrap();
+        let found = Decomposition::of(&ball, &coarse()).unwrap();
+        assert_eq!(found.pieces().len(), 1);
+        assert_eq!(found.pieces()[0].vertices.len(), 64);
+        let worst = ball
+            .vertices
+            .iter()
+            .map(|v| outside(&found, *v))
+            .fold(0.0, f64::max);
+        assert!(worst < 1.6e-3, "{worst}");
+    }
+
+    #[test]
+    fn flat_and_broken_meshes_are_refused() {
+        let mut flat = builtin("box").unwrap();
+        for v in &mut flat.vertices {
+            v.z = 0.0;
+        }
+        let error = Decomposition::of(&flat, &coarse()).unwrap_err();
+        assert!(error.to_string().contains("thickness"), "{error}");
+        assert!(Decomposition::of(&TriangleMesh::default(), &coarse()).is_err());
+        flat.vertices[0].x = f64::NAN;
+        assert!(Decomposition::of(&flat, &coarse()).is_err());
+    }
+}

@@ -1,0 +1,283 @@
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use super::*;
+use crate::grasp::{GraspOutcome, Placement, StageName};
+use gripcast_geometry::{Pose, builtin};
+
+/// A built-in mesh as it stands, gripped from above in the middle.
+fn setup(name: &str) -> GraspSetup {
+    let mesh = builtin(name).unwrap();
+    let t_world_object = Pose::from_translation(DVec3::Z * -mesh.bounds().min.z);
+    let placed = Placement::default().place(&mesh, &t_world_object).unwrap();
+    GraspSetup {
+        mesh: Arc::new(mesh),
+        mass_kg: 0.05,
+        t_world_object,
+        t_world_gripper: placed.t_world_gripper,
+        opening_m: placed.opening_m,
+    }
+}
+
+fn engine() -> RigidEngine {
+    let mut settings = RigidSettings::default();
+    settings.decomposition.resolution = 32;
+    RigidEngine::new(settings)
+}
+
+fn world(setup: &GraspSetup, engine: &RigidEngine, friction: f64, force_n: f64) -> World {
+    let pieces = engine.decomposition(&setup.mesh).unwrap();
+    let world = WorldSetup {
+        grasp: setup,
+        pieces: &pieces,
+        opening_m: setup.opening_m,
+        friction,
+        force_n,
+    };
+    World::new(&world, &engine.settings).unwrap()
+}
+
+/// Rotation (rad) and shift (m) between two poses.
+fn moved(a: &Pose, b: &Pose) -> (f64, f64) {
+    (
+        a.turn_from(b).length(),
+        a.translation_m.distance(b.translation_m),
+    )
+}
+
+#[test]
+fn a_box_pinched_with_40_n_neither_creeps_nor_jitters() {
+    let engine = engine();
+    let setup = setup("box");
+    let mut world = world(&setup, &engine, 0.4, 40.0);
+    for _ in 0..120 {
+        world.tick(0.0);
+    }
+    // Lifted off the ground, so that only the fingers hold it.
+    for _ in 0..60 {
+        world.tick(0.18);
+    }
+    for _ in 0..120 {
+        world.tick(0.0);
+    }
+    let start = world.t_world_object();
+    let (mut fastest, mut fastest_turn) = (0.0_f64, 0.0_f64);
+    for _ in 0..10 * 240 {
+        world.tick(0.0);
+        let (speed, turn) = world.object_speed();
+        fastest = fastest.max(speed);
+        fastest_turn = fastest_turn.max(turn);
+        for force in world.forces() {
+            assert!((force.normal_n - 40.0).abs() < 0.4, "{force:?}");
+        }
+    }
+    let (turned, shifted) = moved(&world.t_world_object(), &start);
+    let shift = world.t_world_object().translation_m - start.translation_m;
+    println!("drift {shift} m, {turned:e} rad; speed {fastest:e} m/s, {fastest_turn:e} rad/s");
+    assert!(shifted < 1e-4, "it crept by {shifted} m");
+    assert!(turned < 1e-3, "it turned by {turned} rad");
+    assert!(fastest < 1e-4, "it moved at {fastest} m/s");
+    assert!(fastest_turn < 1e-2, "it turned at {fastest_turn} rad/s");
+    // Both fingers carry the weight together.
+    let shear: f64 = world.forces().iter().map(|f| f.shear_n[1]).sum();
+    let weight = 0.05 * 9.81;
+    // The gripper looks down: the object pulls the fingers along its z axis.
+    assert!(
+        (shear - weight).abs() < 0.02 * weight,
+        "{shear} N of {weight} N"
+    );
+    let gaps = world.gaps_m();
+    assert!(gaps.iter().all(|gap| gap.unwrap() > -3e-4), "{gaps:?}");
+}
+
+#[test]
+fn free_objects_rest() {
+    let engine = engine();
+    for shape in ["box", "cylinder"] {
+        let mut setup = setup(shape);
+        setup.opening_m = 0.2;
+        let mut world = world(&setup, &engine, 0.4, 1e-6);
+        let start = world.t_world_object();
+        for _ in 0..480 {
+            world.tick(0.0);
+        }
+        let (turned, shifted) = moved(&world.t_world_object(), &start);
+        assert!(
+            shifted < 1e-4 && turned < 1e-3,
+            "{shape}: {shifted} m, {turned} rad"
+        );
+        let (speed, turn) = world.object_speed();
+        assert!(
+            speed < 1e-5 && turn < 1e-4,
+            "{shape}: {speed} m/s, {turn} rad/s"
+        );
+    }
+}
+
+#[test]
+fn friction_and_force_decide_what_is_lifted() {
+    let engine = engine();
+    let setup = setup("box");
+    let held = engine.simulate(&setup, 0.4, 10.0).unwrap();
+    assert_eq!(held.outcome, GraspOutcome::Success);
+    assert!((held.lifted_m - 0.18).abs() < 2e-3, "{}", held.lifted_m);
+    let force = held.trace.mean_force(StageName::Adjustment, 20).unwrap();
+    assert!((force - 10.0).abs() < 0.1, "{force}");
+    // 2 · 0.05 · 2 N of friction against 0.49 N.
+    let dropped = engine.simulate(&setup, 0.05, 2.0).unwrap();
+    assert_eq!(dropped.outcome, GraspOutcome::Slip);
+    assert!(dropped.lifted_m < 0.01, "{}", dropped.lifted_m);
+}
+
+#[test]
+fn the_trace_has_all_stages() {
+    let result = engine().simulate(&setup("box"), 0.4, 20.0).unwrap();
+    let trace = &result.trace;
+    let steps = |stage| trace.stage(stage).count();
+    assert_eq!(
+        [StageName::Closure, StageName::Adjustment, StageName::Lift].map(steps),
+        [130, 20, 60]
+    );
+    let stages: Vec<StageName> = trace.snapshots.iter().map(|s| s.stage).collect();
+    assert_eq!(
+        stages,
+        [StageName::Closure, StageName::Adjustment, StageName::Lift]
+    );
+    assert!(
+        trace
+            .snapshots
+            .iter()
+            .all(|s| s.gels.iter().all(Vec::is_empty))
+    );
+    let last = &trace.snapshots[2];
+    assert!((last.opening_m - 0.04).abs() < 5e-4, "{}", last.opening_m);
+    assert!((last.t_s - (150.0 + 240.0) / 240.0).abs() < 1e-9);
+    let raised =
+        last.t_world_gripper.translation_m.z - trace.snapshots[0].t_world_gripper.translation_m.z;
+    assert!((raised - 0.18).abs() < 1e-9);
+    let first = &trace.steps[0];
+    assert!(first.opening_m < 0.09 && first.opening_m > 0.09 - 0.2 / 240.0);
+    assert_eq!(first.min_gap_m, [None, None]);
+}
+
+#[test]
+fn a_gripper_beside_the_object_misses() {
+    let mut setup = setup("box");
+    setup.t_world_gripper.translation_m.y += 0.05;
+    let result = engine().simulate(&setup, 0.4, 10.0).unwrap();
+    assert_eq!(result.outcome, GraspOutcome::Miss);
+    assert_eq!(result.trace.stage(StageName::Lift).count(), 0);
+    let last = result.trace.steps.last().unwrap();
+    assert!(last.opening_m.abs() < 5e-4, "{}", last.opening_m);
+}
+
+#[test]
+fn a_sphere_gripped_far_off_its_middle_is_squeezed_out() {
+    let mut setup = setup("sphere");
+    setup.t_world_gripper.translation_m.y += 0.03;
+    let result = engine().simulate(&setup, 0.1, 10.0).unwrap();
+    assert_eq!(result.outcome, GraspOutcome::Eject);
+}
+
+#[test]
+fn a_finger_inside_something_cannot_start() {
+    let engine = engine();
+    let mut narrow = setup("box");
+    narrow.t_world_gripper.translation_m.x += 0.045;
+    narrow.opening_m = 0.1;
+    let result = engine.simulate(&narrow, 0.4, 10.0).unwrap();
+    assert_eq!(result.outcome, GraspOutcome::PenetratingStart);
+    assert_eq!(
+        result.detail.as_deref(),
+        Some("the left finger is inside the object")
+    );
+    let mut low = setup("box");
+    low.t_world_gripper.translation_m.z = 0.01;
+    let result = engine.simulate(&low, 0.4, 10.0).unwrap();
+    assert_eq!(result.outcome, GraspOutcome::PenetratingStart);
+    assert!(result.detail.unwrap().contains("2.5 mm below the ground"));
+    assert!(result.trace.steps.is_empty());
+}
+
+#[test]
+fn fingers_without_room_further_out_start_where_the_grasp_says() {
+    let mut setup = setup("box");
+    // 17 degrees: at 90 mm the lower finger would be in the ground.
+    setup.t_world_gripper.rotation *= glam::DQuat::from_rotation_y(0.3);
+    setup.t_world_gripper.translation_m.z = 0.022;
+    setup.opening_m = 0.055;
+    let result = engine().simulate(&setup, 0.4, 10.0).unwrap();
+    assert_ne!(result.outcome, GraspOutcome::PenetratingStart);
+    assert!(result.trace.steps[0].opening_m < 0.055);
+}
+
+#[test]
+fn a_tilted_gripper_lifts_as_high() {
+    let mut setup = setup("box");
+    setup.t_world_gripper.rotation *= glam::DQuat::from_rotation_y(0.1);
+    let result = engine().simulate(&setup, 0.4, 20.0).unwrap();
+    assert_eq!(result.outcome, GraspOutcome::Success);
+    assert!((result.lifted_m - 0.18).abs() < 5e-3, "{}", result.lifted_m);
+}
+
+#[test]
+fn the_same_grasp_gives_the_same_bits_on_any_thread() {
+    let engine = engine();
+    let mut setup = setup("mug");
+    setup.t_world_gripper.rotation *= glam::DQuat::from_rotation_y(0.1);
+    let run = || serde_json::to_string(&engine.simulate(&setup, 0.25, 10.0).unwrap()).unwrap();
+    let first = run();
+    let others = std::thread::scope(|scope| {
+        let threads = [scope.spawn(run), scope.spawn(run)];
+        threads.map(|t| t.join().unwrap())
+    });
+    assert!(others.iter().all(|other| *other == first));
+    let fresh = super::super::engine::RigidEngine::new(engine.settings);
+    let again = fresh.simulate(&setup, 0.25, 10.0).unwrap();
+    assert_eq!(serde_json::to_string(&again).unwrap(), first);
+}
+
+#[test]
+fn bad_input_is_explained() {
+    let engine = engine();
+    let good = setup("box");
+    let refused = |setup: &GraspSetup, friction: f64, force_n: f64| {
+        engine
+            .simulate(setup, friction, force_n)
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(refused(&good, -0.1, 10.0).contains("friction"));
+    assert!(refused(&good, 0.4, f64::NAN).contains("force"));
+    let weightless = GraspSetup {
+        mass_kg: 0.0,
+        ..good.clone()
+    };
+    assert!(refused(&weightless, 0.4, 10.0).contains("mass"));
+    let wide = GraspSetup {
+        opening_m: 90.0,
+        ..good.clone()
+    };
+    assert!(refused(&wide, 0.4, 10.0).contains("opening"));
+    let mut lost = good.clone();
+    lost.t_world_object.translation_m.x = f64::INFINITY;
+    assert!(refused(&lost, 0.4, 10.0).contains("finite"));
+    let settings = RigidSettings {
+        dt_s: -1.0,
+        ..RigidSettings::default()
+    };
+    let error = RigidEngine::new(settings)
+        .simulate(&good, 0.4, 10.0)
+        .unwrap_err();
+    assert!(error.to_string().contains("dt_s"), "{error}");
+}
+
+#[test]
+fn every_parameter_is_told() {
+    let value = engine().parameters().unwrap();
+    assert_eq!(value["closing_steps"], 150);
+    assert_eq!(value["decomposition"]["resolution"], 32);
+    let back: RigidSettings = serde_json::from_value(value).unwrap();
+    assert_eq!(back, engine().settings);
+}

@@ -1,0 +1,235 @@
+//! Parameters of the rigid-body simulator.
+
+use serde::{Deserialize, Serialize};
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Parameters of a grasp of rigid bodies. The default is Taxim's set-up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RigidSettings {
+    /// Distance between the faces from which the fingers close, m. Taxim: 0.09. A wider set-up
+    /// keeps its own, and so does one whose fingers have no room further out.
+    pub opening_m: f64,
+    /// Time steps of closing. Taxim: at most 150.
+    pub closing_steps: u32,
+    /// The last steps of closing, recorded as the adjustment: the force has settled by then.
+    pub settle_steps: u32,
+    /// Fastest motion of a finger relative to the gripper, m/s. 0.1: from 45 mm to the middle in
+    /// 108 of the 150 steps.
+    pub closing_speed_m_s: f64,
+    /// Speed for each metre that a finger's face is away from the gripper's middle, 1/s. 24: the
+    /// position gain of a PyBullet motor, 0.1 in a step of 1/240 s.
+    pub position_gain_per_s: f64,
+    /// Time in which the fingers' common motion along the closing direction dies away, s. Two
+    /// independent motors of the same force would let the gripped object float between them; the
+    /// drive of a real gripper couples its fingers. 0.05: well within the settling.
+    pub centring_s: f64,
+    /// Mass that moves with a finger, kg. 0.2: guide and finger of Taxim's WSG 50.
+    pub finger_mass_kg: f64,
+    /// Control steps of the lift. Taxim: 60.
+    pub lift_steps: u32,
+    /// Rise of the gripper in a control step of the lift, m. Taxim: 0.003.
+    pub lift_step_m: f64,
+    /// Time steps in a control step of the lift: 4, which is 0.18 m/s. The arm that lags behind
+    /// Taxim's commands is not simulated.
+    pub lift_ticks: u32,
+    /// A grasp succeeds if the object rises by this share of the lift. Taxim: 0.8.
+    pub success_share: f64,
+    /// Time step, s. 1/240: PyBullet's.
+    pub dt_s: f64,
+    /// Gravity, m/s².
+    pub gravity_m_s2: f64,
+    /// Parts of a time step that the solver integrates one by one. 8: small enough for the
+    /// stiffness of the contacts.
+    pub solver_substeps: u32,
+    /// Natural frequency of a contact's spring, Hz. 480, a quarter of the substeps' rate: at 40 N a
+    /// finger sinks 0.1 mm into an object of 50 g; with rapier's 30 Hz it would be 20 mm.
+    pub contact_frequency_hz: f64,
+    /// Damping ratio of a contact's spring; above 1 it does not bounce.
+    pub contact_damping_ratio: f64,
+    /// Contacts are looked for up to this distance, m. 2 mm: more than two bodies approach in a
+    /// step.
+    pub prediction_m: f64,
+    /// How the object is cut into convex pieces.
+    pub decomposition: DecompositionSettings,
+}
+
+impl Default for RigidSettings {
+    fn default() -> Self {
+        Self {
+            opening_m: 0.09,
+            closing_steps: 150,
+            settle_steps: 20,
+            closing_speed_m_s: 0.1,
+            position_gain_per_s: 24.0,
+            centring_s: 0.05,
+            finger_mass_kg: 0.2,
+            lift_steps: 60,
+            lift_step_m: 0.003,
+            lift_ticks: 4,
+            success_share: 0.8,
+            dt_s: 1.0 / 240.0,
+            gravity_m_s2: 9.81,
+            solver_substeps: 8,
+            contact_frequency_hz: 480.0,
+            contact_damping_ratio: 5.0,
+            prediction_m: 2e-3,
+            decomposition: DecompositionSettings::default(),
+        }
+    }
+}
+
+/// Parameters of the volumetric hierarchical approximate convex decomposition (Mamou, V-HACD).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DecompositionSettings {
+    /// Bias towards cuts along planes of symmetry. Taxim: 0.06.
+    pub alpha: f64,
+    /// Bias towards cuts along axes of revolution. 0.05: the usual one.
+    pub beta: f64,
+    /// Pieces are cut until their hull exceeds their volume by less than this share of the whole
+    /// hull, and joined again where that costs less. 0.01: finer cuts of voxels only follow their
+    /// steps.
+    pub concavity: f64,
+    /// Voxels along the longest side. 64: as many voxels as V-HACD's resolution of some 1e5; the
+    /// paper's 1e7 (215) takes minutes.
+    pub resolution: u32,
+    /// Most pieces.
+    pub max_pieces: u32,
+    /// Most corners of a piece. 64: PyBullet's.
+    pub max_corners: u32,
+    /// Corners are left out of a piece that would lie closer than this to its surface, m.
+    pub corner_tolerance_m: f64,
+}
+
+impl Default for DecompositionSettings {
+    fn default() -> Self {
+        Self {
+            alpha: 0.06,
+            beta: 0.05,
+            concavity: 0.01,
+            resolution: 64,
+            max_pieces: 32,
+            max_corners: 64,
+            corner_tolerance_m: 2e-5,
+        }
+    }
+}
+
+impl RigidSettings {
+    /// Height by which the gripper is lifted, m.
+    pub fn lift_m(&self) -> f64 {
+        f64::from(self.lift_steps) * self.lift_step_m
+    }
+
+    /// Rise of the object from which on a grasp succeeds, m.
+    pub fn success_rise_m(&self) -> f64 {
+        self.success_share * self.lift_m()
+    }
+
+    /// Speed of the lift, m/s.
+    pub(super) fn lift_speed_m_s(&self) -> f64 {
+        self.lift_step_m / (f64::from(self.lift_ticks) * self.dt_s)
+    }
+
+    /// Checks every parameter.
+    ///
+    /// # Errors
+    /// `Input`, with the parameter that cannot be simulated and what it may be.
+    pub fn validate(&self) -> Result<()> {
+        let d = &self.decomposition;
+        let numbers = [
+            ("opening_m", self.opening_m, 0.0, 0.5),
+            ("closing_speed_m_s", self.closing_speed_m_s, 1e-4, 2.0),
+            ("position_gain_per_s", self.position_gain_per_s, 1e-3, 1e4),
+            ("centring_s", self.centring_s, 1e-6, 1e9),
+            ("finger_mass_kg", self.finger_mass_kg, 1e-3, 100.0),
+            ("lift_step_m", self.lift_step_m, 0.0, 0.1),
+            ("success_share", self.success_share, 0.0, 1.0),
+            ("dt_s", self.dt_s, 1e-5, 0.02),
+            ("gravity_m_s2", self.gravity_m_s2, 0.0, 100.0),
+            ("contact_frequency_hz", self.contact_frequency_hz, 1.0, 1e6),
+            (
+                "contact_damping_ratio",
+                self.contact_damping_ratio,
+                0.1,
+                1e3,
+            ),
+            ("prediction_m", self.prediction_m, 1e-5, 0.02),
+            ("decomposition.alpha", d.alpha, 0.0, 1.0),
+            ("decomposition.beta", d.beta, 0.0, 1.0),
+            ("decomposition.concavity", d.concavity, 1e-4, 1.0),
+            (
+                "decomposition.corner_tolerance_m",
+                d.corner_tolerance_m,
+                0.0,
+                0.01,
+            ),
+        ];
+        for (name, found, least, most) in numbers {
+            // Written so that NaN is refused as well.
+            if !(found >= least && found <= most) {
+                return Err(outside(name, &found, &least, &most));
+            }
+        }
+        let counts = [
+            ("closing_steps", self.closing_steps, 1, 100_000),
+            ("settle_steps", self.settle_steps, 0, self.closing_steps),
+            ("lift_steps", self.lift_steps, 1, 100_000),
+            ("lift_ticks", self.lift_ticks, 1, 1000),
+            ("solver_substeps", self.solver_substeps, 1, 1000),
+            ("decomposition.resolution", d.resolution, 8, 512),
+            ("decomposition.max_pieces", d.max_pieces, 1, 1024),
+            ("decomposition.max_corners", d.max_corners, 4, 4096),
+        ];
+        for (name, found, least, most) in counts {
+            if !(least..=most).contains(&found) {
+                return Err(outside(name, &found, &least, &most));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn outside<T: std::fmt::Display>(name: &str, found: &T, least: &T, most: &T) -> Error {
+    Error::new(
+        ErrorKind::Input,
+        format!("the rigid simulator's `{name}` must be from {least} to {most}, found {found}"),
+    )
+    .remedy("leave it out for the default")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_is_taxims_and_valid() {
+        let settings = RigidSettings::default();
+        settings.validate().unwrap();
+        assert!((settings.lift_m() - 0.18).abs() < 1e-12);
+        assert!((settings.lift_speed_m_s() - 0.18).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_cannot_be_simulated_is_named() {
+        let refused = |change: fn(&mut RigidSettings)| {
+            let mut settings = RigidSettings::default();
+            change(&mut settings);
+            settings.validate().unwrap_err().to_string()
+        };
+        assert!(refused(|s| s.dt_s = f64::NAN).contains("dt_s"));
+        assert!(refused(|s| s.settle_steps = 151).contains("0 to 150"));
+        assert!(refused(|s| s.decomposition.resolution = 0).contains("resolution"));
+        assert!(refused(|s| s.finger_mass_kg = 0.0).contains("finger_mass_kg"));
+    }
+
+    #[test]
+    fn a_settings_file_may_leave_out_anything_but_not_misspell_it() {
+        let settings: RigidSettings = serde_json::from_str(r#"{"lift_ticks": 8}"#).unwrap();
+        assert_eq!(settings.lift_ticks, 8);
+        assert_eq!(settings.closing_steps, 150);
+        assert!(serde_json::from_str::<RigidSettings>(r#"{"lift_tick": 8}"#).is_err());
+    }
+}

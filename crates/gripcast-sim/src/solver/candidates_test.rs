@@ -1,0 +1,96 @@
+//! The candidates miss no pair that acts.
+
+use glam::{DMat3, DQuat, DVec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::super::test_scene::{centred, near_distances, random_point, small_pad};
+use super::super::{Collider, Drive, Gel, GelMaterial, SolverParameters};
+use crate::affine::AffineState;
+use crate::contact::barrier::Barrier;
+
+const PARAMETERS: fn() -> SolverParameters = SolverParameters::default;
+
+fn turn(rng: &mut Pcg64, angle: f64) -> DMat3 {
+    DMat3::from_quat(DQuat::from_scaled_axis(random_point(rng, angle)))
+}
+
+/// A pad whose face is near a vertex of the object.
+fn pad_near(collider: &Collider, object: &AffineState, rng: &mut Pcg64) -> Gel {
+    let vertex = rng.random_range(0..collider.vertices.len());
+    let rotation = turn(rng, 3.0);
+    let at = object.point(collider.vertices[vertex]) + random_point(rng, 4e-4);
+    let shift = DVec3::new(
+        rng.random_range(-4e-3..4e-3),
+        rng.random_range(-3e-3..3e-3),
+        -4e-3,
+    );
+    let place = |p: DVec3| at + rotation * (p + shift);
+    let material = GelMaterial::default();
+    Gel::new(
+        &small_pad(),
+        &material,
+        Drive::default(),
+        &PARAMETERS(),
+        place,
+    )
+    .unwrap()
+}
+
+#[test]
+fn every_active_pair_is_a_candidate_within_the_covered_radius() {
+    let parameters = PARAMETERS();
+    let barrier = Barrier {
+        kappa: parameters.kappa_pa,
+        d_hat: parameters.d_hat_m,
+    };
+    let radius = parameters.candidate_margin_m;
+    let mut rng = Pcg64::seed_from_u64(4);
+    let mut totals = [0; 3];
+    for name in ["mug", "wedge", "spike", "sphere"] {
+        let mesh = centred(name, DMat3::IDENTITY);
+        let collider = Collider::new(&mesh);
+        for _ in 0..4 {
+            let object = AffineState::rigid(random_point(&mut rng, 0.1), turn(&mut rng, 3.0));
+            let mut gel = pad_near(&collider, &object, &mut rng);
+            assert!(gel.ensure_candidates(&object, &collider, &parameters));
+            // Gel and object turn and shift together, the gel's nodes move by most of the radius.
+            let (together, shift) = (turn(&mut rng, 1.0), random_point(&mut rng, 0.05));
+            let moved = object.moved(together, shift);
+            for x in &mut gel.x {
+                let share = rng.random_range(0.0..0.99);
+                let by = random_point(&mut rng, 1.0).normalize() * (share * radius);
+                *x = together * (*x + by) + shift;
+            }
+            assert!(
+                !gel.ensure_candidates(&moved, &collider, &parameters),
+                "still covered"
+            );
+            gel.find_contacts(&moved, &barrier);
+            let found = gel.contact.distances();
+            let wanted = near_distances(&gel, &moved, &collider, barrier.d_hat);
+            for (kind, (mut found, mut wanted)) in found.into_iter().zip(wanted).enumerate() {
+                totals[kind] += wanted.len();
+                found.sort_by(f64::total_cmp);
+                wanted.sort_by(f64::total_cmp);
+                assert_eq!(found.len(), wanted.len(), "{name}, kind {kind}");
+                for (found, wanted) in found.iter().zip(&wanted) {
+                    assert!((found - wanted).abs() < 1e-14, "{name}: {found} {wanted}");
+                }
+            }
+        }
+    }
+    assert!(totals.iter().all(|n| *n > 30), "{totals:?}");
+}
+
+#[test]
+fn motion_beyond_the_radius_gathers_anew() {
+    let parameters = PARAMETERS();
+    let collider = Collider::new(&centred("sphere", DMat3::IDENTITY));
+    let object = AffineState::rigid(DVec3::ZERO, DMat3::IDENTITY);
+    let mut gel = pad_near(&collider, &object, &mut Pcg64::seed_from_u64(5));
+    assert!(gel.ensure_candidates(&object, &collider, &parameters));
+    let node = gel.surface().vertices()[0] as usize;
+    gel.x[node] += DVec3::X * (1.01 * parameters.candidate_margin_m);
+    assert!(gel.ensure_candidates(&object, &collider, &parameters));
+}

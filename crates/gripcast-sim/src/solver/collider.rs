@@ -1,0 +1,138 @@
+//! The object's surface as contact sees it, fixed in the material frame (origin: centre of mass).
+
+use glam::DVec3;
+
+use gripcast_geometry::{Aabb, Bvh, TriangleMesh};
+
+/// Edges whose faces open by less than this angle (rad) cannot be touched before a face is: flat
+/// or concave ones. On a 2 mm edge a gel edge would dip 50 nm, far below any contact gap.
+const FLAT: f64 = 1e-4;
+
+/// Triangles, convex edges and convex vertices of a closed surface, each with its hierarchy.
+#[derive(Clone, Debug)]
+pub struct Collider {
+    pub(super) vertices: Vec<DVec3>,
+    pub(super) vertex_areas: Vec<f64>,
+    pub(super) triangles: Vec<[u32; 3]>,
+    pub(super) triangle_tree: Bvh,
+    /// Vertices at the end of at least one convex edge.
+    pub(super) corners: Vec<u32>,
+    pub(super) corner_tree: Bvh,
+    pub(super) edges: Vec<[u32; 2]>,
+    pub(super) edge_areas: Vec<f64>,
+    pub(super) edge_tree: Bvh,
+    pub(super) bounds: Aabb,
+}
+
+impl Collider {
+    /// Collision surface of a closed mesh whose origin is its centre of mass (m).
+    pub fn new(mesh: &TriangleMesh) -> Self {
+        let all_edges = mesh.edges();
+        let all_areas = mesh.edge_areas(&all_edges);
+        let mut edges = Vec::new();
+        let mut edge_areas = Vec::new();
+        let mut is_corner = vec![false; mesh.vertices.len()];
+        for (index, &edge) in all_edges.vertices.iter().enumerate() {
+            if is_convex(mesh, edge, all_edges.triangles(index)) {
+                edges.push(edge);
+                edge_areas.push(all_areas[index]);
+                for vertex in edge {
+                    is_corner[vertex as usize] = true;
+                }
+            }
+        }
+        let corners: Vec<u32> = (0..mesh.vertices.len() as u32)
+            .filter(|&vertex| is_corner[vertex as usize])
+            .collect();
+        let position = |vertex: u32| mesh.vertices[vertex as usize];
+        let corner_boxes: Vec<Aabb> = corners
+            .iter()
+            .map(|&vertex| Aabb::from_points([position(vertex)]))
+            .collect();
+        let edge_boxes: Vec<Aabb> = edges
+            .iter()
+            .map(|edge| Aabb::from_points(edge.map(position)))
+            .collect();
+        Self {
+            vertex_areas: mesh.vertex_areas(),
+            triangle_tree: Bvh::build(&mesh.triangle_bounds()),
+            corner_tree: Bvh::build(&corner_boxes),
+            edge_tree: Bvh::build(&edge_boxes),
+            bounds: mesh.bounds(),
+            vertices: mesh.vertices.clone(),
+            triangles: mesh.triangles.clone(),
+            corners,
+            edges,
+            edge_areas,
+        }
+    }
+
+    /// Vertices in the material frame, m.
+    pub fn vertices(&self) -> &[DVec3] {
+        &self.vertices
+    }
+
+    /// Bounding box in the material frame, m.
+    pub fn bounds(&self) -> Aabb {
+        self.bounds
+    }
+
+    /// Numbers of triangles, of edges and of vertices that can touch first.
+    pub fn sizes(&self) -> [usize; 3] {
+        [self.triangles.len(), self.edges.len(), self.corners.len()]
+    }
+}
+
+/// Whether the two faces at an edge open outwards by more than [`FLAT`]. Edges without exactly two
+/// faces count as convex.
+fn is_convex(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32]) -> bool {
+    let &[first, second] = faces else { return true };
+    let corners = |face: u32| mesh.triangles[face as usize].map(|v| mesh.vertices[v as usize]);
+    let normal = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).normalize_or_zero();
+    let opposite = mesh.triangles[second as usize]
+        .into_iter()
+        .find(|vertex| !edge.contains(vertex));
+    let Some(opposite) = opposite else {
+        return true;
+    };
+    let (n1, n2) = (normal(corners(first)), normal(corners(second)));
+    let start = mesh.vertices[edge[0] as usize];
+    let below = n1.dot(mesh.vertices[opposite as usize] - start) < 0.0;
+    below && n1.cross(n2).length().atan2(n1.dot(n2)) > FLAT
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_geometry::builtin;
+
+    #[test]
+    fn of_a_box_only_the_twelve_ridges_can_touch_first() {
+        let mesh = builtin("box").unwrap();
+        let collider = Collider::new(&mesh);
+        let edge_length: f64 = collider
+            .edges
+            .iter()
+            .map(|e| {
+                let [a, b] = e.map(|v| mesh.vertices[v as usize]);
+                a.distance(b)
+            })
+            .sum();
+        assert!((edge_length - 4.0 * (0.04 + 0.04 + 0.06)).abs() < 1e-12);
+        assert!(collider.corners.len() < mesh.vertices.len());
+    }
+
+    #[test]
+    fn of_a_sphere_all_but_the_diagonals_of_its_flat_quads_can_touch_first() {
+        let mesh = builtin("sphere").unwrap();
+        let collider = Collider::new(&mesh);
+        let [triangles, edges, corners] = collider.sizes();
+        assert_eq!(corners, mesh.vertices.len());
+        // A quad has two triangles and one diagonal; the caps have triangles without one.
+        let all = mesh.edges().len();
+        assert!(
+            edges < all && edges > all - triangles / 2,
+            "{edges} of {all}"
+        );
+    }
+}

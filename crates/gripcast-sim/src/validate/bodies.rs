@@ -1,0 +1,205 @@
+//! Cases of the object alone: free fall, momentum, sliding on an incline.
+
+use glam::{DMat3, DVec3};
+
+use super::pinch::{GRAVITY, solid};
+use super::report::{Recorder, Tolerance};
+use crate::affine::{AffineRate, AffineState};
+use crate::contact::barrier::Barrier;
+use crate::solver::{Object, SolverParameters, StepStart, System};
+use gripcast_base::error::Result;
+use gripcast_geometry::{Pose, builtin};
+
+/// Object without gels; the object itself is made by `place` and put at z = 1 m.
+fn alone(gravity: f64, make: impl FnOnce(Object) -> Object) -> Result<System> {
+    let parameters = SolverParameters {
+        gravity_m_s2: gravity,
+        newton_tolerance_m_s: 1e-10,
+        ..SolverParameters::default()
+    };
+    let (body, collider) = solid(&builtin("box")?, 0.06, &parameters)?;
+    let state = AffineState::rigid(DVec3::Z, DMat3::IDENTITY);
+    let object = make(Object::new(body, state, &collider));
+    System::new(Vec::new(), object, collider, 0.4, parameters)
+}
+
+/// Implicit Euler falls by g dt² n (n + 1) / 2 in n steps.
+pub(super) fn free_fall(recorder: &mut Recorder) -> Result<()> {
+    let mut system = alone(-GRAVITY, |object| object)?;
+    let dt = system.parameters().dt_s;
+    for n in 1..=50_u32 {
+        system.step(&StepStart::default());
+        if n % 25 == 0 {
+            let steps = f64::from(n);
+            let expected = -0.5 * GRAVITY * dt * dt * steps * (steps + 1.0);
+            let found = system.object().state().p.z - 1.0;
+            let tolerance = Tolerance::Absolute(1e-9);
+            recorder.check(format!("{n} steps"), (expected, found), "m", tolerance);
+        }
+    }
+    Ok(())
+}
+
+/// Linear momentum stays; rotation loses speed as implicit Euler's does: the angle a step turns by
+/// shrinks to φ - φ³, so after n steps it is φ / sqrt(1 + 2 n φ²).
+pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
+    let velocity = DVec3::new(0.1, -0.05, 0.02);
+    let spin = 2.0;
+    let rate = AffineRate {
+        p: velocity,
+        a: DMat3::from_cols(DVec3::Y * spin, DVec3::X * -spin, DVec3::ZERO),
+    };
+    let mut system = alone(0.0, |object| object.moving(rate))?;
+    let dt = system.parameters().dt_s;
+    let mass = system.object().body().mass_kg();
+    let angular = |system: &System| {
+        // L = Σ m x × v = axial part of Ȧ S Aᵀ.
+        let object = system.object();
+        let moment =
+            object.rate().a * *object.body().second_moment() * object.state().a.transpose();
+        moment.x_axis.y - moment.y_axis.x
+    };
+    system.step(&StepStart::default());
+    let first = angular(&system);
+    let steps = 100_u32;
+    for _ in 0..steps {
+        system.step(&StepStart::default());
+    }
+    let found = system.object().rate().p * mass;
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let pair = (velocity[axis] * mass, found[axis]);
+        recorder.check(
+            format!("linear {name}"),
+            pair,
+            "kg m/s",
+            Tolerance::Absolute(1e-12),
+        );
+    }
+    let angle = spin * dt;
+    let after = |n: f64| (1.0 + 2.0 * n * angle * angle).sqrt().recip();
+    let expected = after(f64::from(steps) + 1.0) / after(1.0);
+    let pair = (expected, angular(&system) / first);
+    recorder.check("angular, kept", pair, "", Tolerance::Relative(1e-3));
+    Ok(())
+}
+
+/// An incline and what a block does on it.
+struct Incline {
+    mu: f64,
+    degrees: f64,
+}
+
+const INCLINES: [Incline; 10] = [
+    Incline {
+        mu: 0.4,
+        degrees: 15.0,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 20.0,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 21.5,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 22.1,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 23.0,
+    },
+    Incline {
+        mu: 0.4,
+        degrees: 30.0,
+    },
+    Incline {
+        mu: 0.2,
+        degrees: 11.0,
+    },
+    Incline {
+        mu: 0.2,
+        degrees: 12.0,
+    },
+    Incline {
+        mu: 0.8,
+        degrees: 38.0,
+    },
+    Incline {
+        mu: 0.8,
+        degrees: 39.0,
+    },
+];
+
+/// Below tan θ = µ a block creeps at eps_v (1 - sqrt(1 - tan θ / µ)); above, it speeds up by
+/// g (sin θ - µ cos θ).
+pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
+    for case in &INCLINES {
+        let angle = case.degrees.to_radians();
+        let mut system = block(case.mu, angle)?;
+        let dt = system.parameters().dt_s;
+        let speed = |system: &System| system.object().rate().p.x;
+        for _ in 0..60 {
+            system.step(&StepStart::default());
+        }
+        let before = speed(&system);
+        for _ in 0..20 {
+            system.step(&StepStart::default());
+        }
+        let now = speed(&system);
+        let name = format!("mu {}, {} deg", case.mu, case.degrees);
+        let acceleration = (now - before) / (20.0 * dt);
+        if angle.tan() < case.mu {
+            let eps_v = system.parameters().eps_v_m_s;
+            let expected = eps_v * (1.0 - (1.0 - angle.tan() / case.mu).sqrt());
+            let tolerance = Tolerance::Relative(0.005);
+            recorder.check(format!("{name}: creep"), (expected, now), "m/s", tolerance);
+            let tolerance = Tolerance::Absolute(1e-5);
+            recorder.check(
+                format!("{name}: no slip"),
+                (0.0, acceleration),
+                "m/s2",
+                tolerance,
+            );
+        } else {
+            let expected = GRAVITY * (angle.sin() - case.mu * angle.cos());
+            let tolerance = Tolerance::Relative(0.005);
+            recorder.check(
+                format!("{name}: slip"),
+                (expected, acceleration),
+                "m/s2",
+                tolerance,
+            );
+        }
+    }
+    Ok(())
+}
+
+/// A flat bar (20 x 120 mm on the ground, 10 mm high) on ground tilted by `angle` about y: gravity
+/// is tilted instead.
+fn block(mu: f64, angle: f64) -> Result<System> {
+    let parameters = SolverParameters {
+        gravity_m_s2: -GRAVITY * angle.cos(),
+        newton_tolerance_m_s: 1e-8,
+        ..SolverParameters::default()
+    };
+    // The bar stands along z; its 120 mm are laid along x and its 10 mm upright.
+    let rotation = DMat3::from_cols(DVec3::Z, DVec3::Y, DVec3::NEG_X);
+    let lay = Pose::new(glam::DQuat::from_mat3(&rotation), DVec3::ZERO);
+    let mesh = builtin("bar")?.transformed(&lay);
+    let mass = 0.06;
+    let (body, collider) = solid(&mesh, mass, &parameters)?;
+    let state = AffineState::rigid(DVec3::ZERO, DMat3::IDENTITY);
+    let mut object = Object::new(body, state, &collider)
+        .on_ground(mu)
+        .pulled(DVec3::X * GRAVITY * angle.sin());
+    let barrier = Barrier {
+        kappa: parameters.kappa_pa,
+        d_hat: parameters.d_hat_m,
+    };
+    let weight = mass * GRAVITY * angle.cos();
+    let rise = object.resting_height(&collider, &barrier, weight) - object.lowest(&collider);
+    object.raise(rise);
+    System::new(Vec::new(), object, collider, mu, parameters)
+}

@@ -1,0 +1,283 @@
+//! Force-depth curves against the converged finite-element reference.
+
+use serde::Deserialize;
+
+use super::report::{Recorder, Tolerance};
+use crate::press::{Goal, Indenter, Press, half_pad, quarter_pad};
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+const REFERENCE: &str = include_str!("../../../../tests/data/press_reference.json");
+
+/// One row of the reference.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub(super) struct Row {
+    pub(super) depth_m: f64,
+    pub(super) force_n: f64,
+    #[serde(default)]
+    pub(super) shift_m: f64,
+    #[serde(default)]
+    pub(super) shear_n: f64,
+}
+
+/// Rows of a case of the reference: A and B spheres of radius 10 and 3 mm, C cylinder, D plate,
+/// E rounded edge, F the sphere of A with friction.
+///
+/// # Errors
+/// `Internal` where the built-in file has no such case.
+pub(super) fn reference(case: &str) -> Result<Vec<Row>> {
+    #[derive(Deserialize)]
+    struct Case {
+        rows: Vec<Row>,
+    }
+    #[derive(Deserialize)]
+    struct File {
+        cases: std::collections::BTreeMap<String, Case>,
+    }
+    let broken = |what: String| Error::new(ErrorKind::Internal, what);
+    let mut file: File = serde_json::from_str(REFERENCE)
+        .map_err(|e| broken("the press reference cannot be read".to_owned()).because(e))?;
+    let case = file.cases.remove(case);
+    Ok(case
+        .ok_or_else(|| broken("the press reference lacks a case".to_owned()))?
+        .rows)
+}
+
+/// A mesh and the depths that it is used for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Meshing {
+    /// Depths up to this one, m.
+    pub(super) up_to_m: f64,
+    /// Cells along x, y, z of a quarter.
+    pub(super) cells: [usize; 3],
+    /// Growth from cell to cell, away from the middle of the face.
+    pub(super) growth: [f64; 3],
+    /// Faces of the indenter, m.
+    pub(super) face_m: f64,
+    /// Distance at which contact acts, m.
+    pub(super) d_hat_m: f64,
+    /// Longest step, m.
+    pub(super) step_m: f64,
+}
+
+/// A curve without friction.
+pub(super) struct Curve {
+    pub(super) case: &'static str,
+    pub(super) indenter: Indenter,
+    /// Meshes for the full validation, by rising depth.
+    pub(super) fine: Vec<Meshing>,
+    /// Mesh of the quick one.
+    pub(super) quick: Vec<Meshing>,
+    /// Tolerances: depth up to, share with the fine mesh, share with the quick one.
+    pub(super) tolerances: Vec<(f64, f64, f64)>,
+}
+
+const fn meshing(
+    up_to_mm: f64,
+    cells: [usize; 3],
+    growth: [f64; 3],
+    face_mm: f64,
+    d_hat_um: f64,
+    step_mm: f64,
+) -> Meshing {
+    Meshing {
+        up_to_m: up_to_mm * 1e-3,
+        cells,
+        growth,
+        face_m: face_mm * 1e-3,
+        d_hat_m: d_hat_um * 1e-6,
+        step_m: step_mm * 1e-3,
+    }
+}
+
+/// Depths of the reference are compared with this room, m.
+const ROOM: f64 = 1e-9;
+/// The coarse meshes of the quick runs have no business with smaller depths, m.
+const QUICK_FROM_M: f64 = 1e-4;
+
+impl Curve {
+    pub(super) fn run(&self, recorder: &mut Recorder, is_quick: bool) -> Result<()> {
+        let rows = reference(self.case)?;
+        let meshes = if is_quick { &self.quick } else { &self.fine };
+        let mut from = 0.0;
+        for mesh in meshes {
+            let part: Vec<&Row> = rows
+                .iter()
+                .filter(|row| row.depth_m > from + ROOM && row.depth_m < mesh.up_to_m + ROOM)
+                .filter(|row| !is_quick || row.depth_m > QUICK_FROM_M - ROOM)
+                .collect();
+            from = mesh.up_to_m;
+            let goals: Vec<Goal> = part
+                .iter()
+                .map(|row| Goal {
+                    depth_m: row.depth_m,
+                    shift_m: 0.0,
+                })
+                .collect();
+            let mut press = mesh.press(&self.indenter)?;
+            press.grid = quarter_pad(mesh.cells, mesh.growth)?;
+            press.symmetric = [true, true];
+            for (point, row) in press.run(&goals)?.iter().zip(part) {
+                let share = self.tolerance(row.depth_m, is_quick);
+                let name = format!("{} mm", rounded(1e3 * row.depth_m));
+                let found = if point.converged {
+                    point.normal_n
+                } else {
+                    f64::NAN
+                };
+                let pair = (row.force_n, found);
+                recorder.check(name, pair, "N", Tolerance::Relative(share));
+            }
+        }
+        Ok(())
+    }
+
+    fn tolerance(&self, depth: f64, is_quick: bool) -> f64 {
+        let found = self.tolerances.iter().find(|t| depth < t.0 + ROOM);
+        found.map_or(0.0, |t| if is_quick { t.2 } else { t.1 })
+    }
+}
+
+/// A number of millimetres without the noise of its last digits.
+fn rounded(mm: f64) -> f64 {
+    (mm * 1e6).round() / 1e6
+}
+
+impl Meshing {
+    /// A press of this fineness; the grid is the caller's.
+    fn press(&self, indenter: &Indenter) -> Result<Press> {
+        let mut press = Press::new(quarter_pad([1, 1, 1], [1.0; 3])?, indenter.clone());
+        press.face_m = self.face_m;
+        press.d_hat_m = self.d_hat_m;
+        press.step_m = self.step_m;
+        Ok(press)
+    }
+}
+
+/// Sphere of radius 10 mm.
+pub(super) fn sphere_10() -> Curve {
+    Curve {
+        case: "A",
+        indenter: Indenter::Sphere { radius_m: 0.01 },
+        fine: vec![
+            meshing(0.1, [36, 34, 20], [1.1, 1.1, 1.13], 0.08, 10.0, 0.05),
+            meshing(1.5, [29, 27, 15], [1.08, 1.08, 1.12], 0.15, 20.0, 0.1),
+        ],
+        quick: vec![meshing(
+            0.6,
+            [15, 13, 8],
+            [1.13, 1.13, 1.15],
+            0.2,
+            20.0,
+            0.1,
+        )],
+        tolerances: vec![(1e-4, 0.03, 0.12), (1.5e-3, 0.02, 0.06)],
+    }
+}
+
+/// Sphere of radius 3 mm.
+pub(super) fn sphere_3() -> Curve {
+    Curve {
+        case: "B",
+        indenter: Indenter::Sphere { radius_m: 0.003 },
+        fine: vec![
+            meshing(0.2, [42, 40, 24], [1.1, 1.1, 1.13], 0.05, 10.0, 0.05),
+            meshing(1.0, [30, 28, 16], [1.1, 1.1, 1.12], 0.12, 20.0, 0.1),
+        ],
+        quick: vec![meshing(0.6, [14, 12, 8], [1.2, 1.2, 1.2], 0.15, 20.0, 0.1)],
+        tolerances: vec![(1e-4, 0.03, 0.18), (2e-4, 0.03, 0.13), (1e-3, 0.02, 0.09)],
+    }
+}
+
+/// Cylinder of radius 5 mm.
+pub(super) fn cylinder() -> Curve {
+    Curve {
+        case: "C",
+        indenter: Indenter::Cylinder { radius_m: 0.005 },
+        fine: vec![
+            meshing(0.05, [30, 10, 14], [1.12, 1.0, 1.18], 0.06, 10.0, 0.05),
+            meshing(1.0, [26, 10, 13], [1.1, 1.0, 1.15], 0.1, 20.0, 0.1),
+        ],
+        quick: vec![meshing(0.4, [15, 5, 8], [1.15, 1.0, 1.15], 0.2, 20.0, 0.1)],
+        tolerances: vec![(5e-5, 0.03, 0.1), (1e-3, 0.02, 0.06)],
+    }
+}
+
+/// Flat plate.
+pub(super) fn plate() -> Curve {
+    const MESH: Meshing = meshing(0.8, [14, 12, 10], [0.88, 0.88, 0.92], 1.0, 20.0, 0.1);
+    const QUICK: Meshing = meshing(0.4, [8, 7, 6], [0.8, 0.8, 0.85], 1.0, 20.0, 0.1);
+    Curve {
+        case: "D",
+        indenter: Indenter::Plate,
+        fine: vec![MESH],
+        quick: vec![QUICK],
+        tolerances: vec![(8e-4, 0.01, 0.015)],
+    }
+}
+
+/// Straight edge of 90 degrees, rounded with 0.5 mm.
+pub(super) fn edge() -> Curve {
+    Curve {
+        case: "E",
+        indenter: Indenter::Edge { radius_m: 5e-4 },
+        fine: vec![meshing(
+            0.6,
+            [32, 10, 17],
+            [1.12, 1.0, 1.18],
+            0.03,
+            10.0,
+            0.05,
+        )],
+        quick: vec![meshing(0.2, [18, 4, 9], [1.25, 1.0, 1.3], 0.06, 10.0, 0.05)],
+        tolerances: vec![(6e-4, 0.03, 0.08)],
+    }
+}
+
+/// Sphere of radius 10 mm, friction 0.4: pressed to 0.6 mm, then shifted by 1 mm.
+pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
+    let (mesh, shares) = if is_quick {
+        let mesh = meshing(0.6, [9, 8, 6], [1.2, 1.2, 1.25], 0.3, 20.0, 0.1);
+        (mesh, [0.12, 0.12])
+    } else {
+        let mesh = meshing(0.6, [25, 23, 14], [1.09, 1.09, 1.14], 0.15, 20.0, 0.025);
+        (mesh, [0.03, 0.04])
+    };
+    let keep = |row: &Row| !is_quick || row.depth_m > 5e-4 && row.shift_m < 5.5e-4;
+    let rows: Vec<Row> = reference("F")?.into_iter().filter(keep).collect();
+    let goals: Vec<Goal> = rows
+        .iter()
+        .map(|row| Goal {
+            depth_m: row.depth_m,
+            shift_m: row.shift_m,
+        })
+        .collect();
+    let mut press = mesh.press(&Indenter::Sphere { radius_m: 0.01 })?;
+    press.grid = half_pad(mesh.cells, mesh.growth)?;
+    press.symmetric = [false, true];
+    press.friction = 0.4;
+    press.slip_m = 2e-7;
+    for (point, row) in press.run(&goals)?.iter().zip(&rows) {
+        let name = format!(
+            "{} mm, shift {} mm",
+            rounded(1e3 * row.depth_m),
+            rounded(1e3 * row.shift_m)
+        );
+        let pair = (row.force_n, point.normal_n);
+        let tolerance = Tolerance::Relative(shares[0]);
+        recorder.check(format!("{name}: N"), pair, "N", tolerance);
+        if row.shift_m > 4.5e-4 {
+            let ratio = point.shear_n / point.normal_n;
+            let tolerance = Tolerance::Absolute(0.005);
+            recorder.check(format!("{name}: T/N"), (0.405, ratio), "", tolerance);
+        } else if row.shift_m > 0.0 {
+            let tolerance = Tolerance::Relative(shares[1]);
+            recorder.check(
+                format!("{name}: T"),
+                (row.shear_n, point.shear_n),
+                "N",
+                tolerance,
+            );
+        }
+    }
+    Ok(())
+}

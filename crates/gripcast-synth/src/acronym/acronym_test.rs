@@ -1,0 +1,297 @@
+//! Files made up in the form of ACRONYM's.
+
+use std::fs;
+use std::path::Path;
+
+use glam::DVec3;
+use hdf5_pure::FileBuilder;
+use tempfile::TempDir;
+
+use super::*;
+use gripcast_base::error::{Error, ErrorKind};
+use gripcast_base::files::Root;
+use gripcast_geometry::{builtin, save_mesh};
+
+/// What is to be in a file; none leaves the key out.
+struct Sketch {
+    transforms: Option<(Vec<f64>, Vec<u64>)>,
+    held: Option<Vec<i64>>,
+    mesh_file: Option<&'static str>,
+    scale: Option<f64>,
+    mass: f64,
+    com: Vec<f64>,
+    gripper: &'static str,
+}
+
+/// Hand 0.2 m above the object, pointing down, closing along x.
+fn matrix(x: f64) -> [f64; 16] {
+    #[rustfmt::skip]
+    let rows = [
+        1.0, 0.0, 0.0, x,
+        0.0, -1.0, 0.0, 0.0,
+        0.0, 0.0, -1.0, 0.2,
+        0.0, 0.0, 0.0, 1.0,
+    ];
+    rows
+}
+
+impl Sketch {
+    fn new() -> Self {
+        let transforms = [matrix(0.0), matrix(0.01), matrix(0.02)].concat();
+        Self {
+            transforms: Some((transforms, vec![3, 4, 4])),
+            held: Some(vec![1, 0, 1]),
+            mesh_file: Some("meshes/Mug/10f6.obj"),
+            scale: Some(0.5),
+            mass: 0.0131,
+            com: vec![0.0, 0.001, 0.03],
+            gripper: "panda",
+        }
+    }
+
+    fn write(&self) -> Vec<u8> {
+        let mut file = FileBuilder::new();
+        let mut object = file.create_group("object");
+        let number = |group: &mut hdf5_pure::GroupBuilder, key, value| {
+            group
+                .create_dataset(key)
+                .with_f64_data(&[value])
+                .with_shape(&[]);
+        };
+        if let Some(name) = self.mesh_file {
+            object
+                .create_dataset("file")
+                .with_vlen_strings(&[name])
+                .with_shape(&[]);
+        }
+        if let Some(scale) = self.scale {
+            number(&mut object, "scale", scale);
+        }
+        number(&mut object, "mass", self.mass);
+        number(&mut object, "volume", 8.7e-5);
+        number(&mut object, "density", 150.0);
+        number(&mut object, "friction", 1.0);
+        object.create_dataset("com").with_f64_data(&self.com);
+        let inertia: Vec<f64> = (1..=9).map(f64::from).collect();
+        object
+            .create_dataset("inertia")
+            .with_f64_data(&inertia)
+            .with_shape(&[3, 3]);
+        file.add_group(object.finish());
+        let mut gripper = file.create_group("gripper");
+        gripper
+            .create_dataset("type")
+            .with_strings(&[self.gripper])
+            .unwrap()
+            .with_shape(&[]);
+        number(&mut gripper, "configuration", 0.04);
+        file.add_group(gripper.finish());
+        let mut grasps = file.create_group("grasps");
+        if let Some((values, shape)) = &self.transforms {
+            grasps
+                .create_dataset("transforms")
+                .with_f64_data(values)
+                .with_shape(shape);
+        }
+        if let Some(held) = &self.held {
+            let mut qualities = grasps.create_group("qualities");
+            let mut flex = qualities.create_group("flex");
+            flex.create_dataset("object_in_gripper").with_i64_data(held);
+            qualities.add_group(flex.finish());
+            grasps.add_group(qualities.finish());
+        }
+        file.add_group(grasps.finish());
+        file.finish().unwrap()
+    }
+
+    fn read(&self) -> gripcast_base::error::Result<AcronymSet> {
+        read_bytes(&self.write())
+    }
+}
+
+fn read_bytes(bytes: &[u8]) -> gripcast_base::error::Result<AcronymSet> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("Mug_10f6_0.5.h5");
+    fs::write(&path, bytes).unwrap();
+    read_acronym(&path)
+}
+
+#[track_caller]
+fn refused(sketch: &Sketch, told: &str) -> Error {
+    let error = sketch.read().unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+    let text = error.to_string();
+    assert!(
+        text.contains(told) && text.contains("Mug_10f6_0.5.h5"),
+        "{text}"
+    );
+    error
+}
+
+#[test]
+fn an_object_and_its_grasps_are_read() {
+    let set = Sketch::new().read().unwrap();
+    assert_eq!(set.name, "Mug_10f6_0.5");
+    let object = &set.object;
+    assert_eq!(object.mesh_file, "meshes/Mug/10f6.obj");
+    assert_eq!(object.category.as_deref(), Some("Mug"));
+    assert_eq!((object.scale, object.mass_kg), (0.5, Some(0.0131)));
+    assert_eq!(object.com_m, Some(DVec3::new(0.0, 0.001, 0.03)));
+    assert_eq!(
+        (object.volume_m3, object.density_kg_m3),
+        (Some(8.7e-5), Some(150.0))
+    );
+    assert_eq!(object.friction, Some(1.0));
+    // Row by row.
+    let inertia = object.inertia_kg_m2.unwrap();
+    assert_eq!(inertia.row(1), DVec3::new(4.0, 5.0, 6.0));
+    assert_eq!(set.finger_opening_m, Some(0.04));
+    let held: Vec<_> = set.grasps.iter().map(|g| (g.number, g.held)).collect();
+    assert_eq!(held, [(0, true), (1, false), (2, true)]);
+    assert!(set.skipped.is_empty());
+    let pose = set.grasps[1].t_object_gripper;
+    let expected = DVec3::new(0.01, 0.0, 0.2 - PANDA_GEL_MIDDLE_M);
+    assert!(pose.translation_m.distance(expected) < 1e-12, "{pose:?}");
+    assert!(pose.transform_vector(DVec3::Z).distance(-DVec3::Z) < 1e-12);
+    assert!(pose.transform_vector(DVec3::X).distance(DVec3::X) < 1e-12);
+}
+
+#[test]
+fn single_bad_grasps_are_skipped_and_told() {
+    let mut sketch = Sketch::new();
+    let mut bad = matrix(0.0);
+    bad[5] = f64::NAN;
+    let mut skewed = matrix(0.0);
+    skewed[1] = 0.5;
+    let transforms = [bad, matrix(0.01), skewed].concat();
+    sketch.transforms = Some((transforms, vec![3, 4, 4]));
+    let set = sketch.read().unwrap();
+    assert_eq!(set.grasps.len(), 1);
+    assert_eq!(set.grasps[0].number, 1);
+    let skipped: Vec<_> = set.skipped.iter().map(|s| s.number).collect();
+    assert_eq!(skipped, [0, 2]);
+    assert!(
+        set.skipped[1].why.contains("orthonormal"),
+        "{:?}",
+        set.skipped
+    );
+    sketch.held = Some(vec![1, 7, 1]);
+    refused(
+        &sketch,
+        "none of the 3 grasps can be used; grasp 0: its matrix has NaN",
+    );
+}
+
+#[test]
+fn missing_keys_are_named() {
+    let without = |change: fn(&mut Sketch), told: &str| {
+        let mut sketch = Sketch::new();
+        change(&mut sketch);
+        let error = refused(&sketch, told);
+        assert!(error.remedy_text().is_some());
+    };
+    without(|s| s.transforms = None, "there is no `grasps/transforms`");
+    without(
+        |s| s.held = None,
+        "no `grasps/qualities/flex/object_in_gripper`",
+    );
+    without(|s| s.mesh_file = None, "there is no `object/file`");
+    without(|s| s.scale = None, "there is no `object/scale`");
+}
+
+#[test]
+fn wrong_shapes_and_numbers_are_told() {
+    let with = |change: fn(&mut Sketch), told: &str| {
+        let mut sketch = Sketch::new();
+        change(&mut sketch);
+        refused(&sketch, told);
+    };
+    with(
+        |s| s.transforms = Some((vec![0.0; 36], vec![3, 3, 4])),
+        "found the shape [3, 3, 4]",
+    );
+    with(
+        |s| s.transforms = Some((vec![0.0; 48], vec![48])),
+        "found the shape [48]",
+    );
+    with(
+        |s| s.held = Some(vec![1, 0]),
+        "must be [3] as the transforms, found the shape [2]",
+    );
+    with(|s| s.com = vec![0.0; 2], "`object/com` must be 3 numbers");
+    with(
+        |s| s.com = vec![0.0, f64::NAN, 0.0],
+        "`object/com` must be finite",
+    );
+    with(|s| s.mass = -1.0, "`object/mass` must be above 0");
+    with(|s| s.mass = f64::INFINITY, "`object/mass` must be finite");
+    with(|s| s.gripper = "robotiq", "the gripper \"robotiq\"");
+    for scale in [0.0, -1.0, f64::NAN, 1e-9, 1e4] {
+        let mut sketch = Sketch::new();
+        sketch.scale = Some(scale);
+        refused(&sketch, "`object/scale` must be");
+    }
+}
+
+#[test]
+fn what_is_no_hdf5_is_told() {
+    let error = read_bytes(b"{\"object\": \"meshes/Mug/10f6.obj\"}").unwrap_err();
+    assert!(error.to_string().contains("no HDF5 file"), "{error}");
+    assert!(
+        read_bytes(b"")
+            .unwrap_err()
+            .to_string()
+            .contains("no HDF5 file")
+    );
+    let gone = read_acronym(Path::new("/no/such/file.h5")).unwrap_err();
+    assert_eq!(gone.kind(), ErrorKind::NotFound);
+    assert!(read_acronym(&std::env::temp_dir()).is_err());
+}
+
+#[test]
+fn damaged_files_end_in_errors() {
+    let whole = Sketch::new().write();
+    for share in 1..16 {
+        let cut = &whole[..whole.len() * share / 16];
+        assert!(read_bytes(cut).is_err(), "{share}/16");
+    }
+    let mut stream = gripcast_visual::SeedStream::named(1, "damage");
+    for _ in 0..200 {
+        let mut damaged = whole.clone();
+        for _ in 0..4 {
+            let at = stream.index(damaged.len());
+            damaged[at] = stream.bits() as u8;
+        }
+        // Any result but a panic.
+        let _ = read_bytes(&damaged);
+    }
+}
+
+#[test]
+fn meshes_lie_below_their_root() {
+    let mut object = Sketch::new().read().unwrap().object;
+    let dir = TempDir::new().unwrap();
+    let root = Root::new(dir.path().join("meshes-root"));
+    let error = object.load_mesh(&root).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::NotFound);
+    let path = root.path().join("meshes/Mug/10f6.obj");
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let mesh = builtin("box").unwrap().scaled(2.0);
+    save_mesh(&path, &mesh).unwrap();
+    let size = object.load_mesh(&root).unwrap().mesh.bounds().extent();
+    assert!(size.distance(DVec3::new(0.04, 0.04, 0.06)) < 1e-9, "{size}");
+    let secret = dir.path().join("secret.obj");
+    save_mesh(&secret, &mesh).unwrap();
+    std::os::unix::fs::symlink(&secret, root.path().join("link.obj")).unwrap();
+    let absolute = secret.to_str().unwrap();
+    for outside in [
+        absolute,
+        "../secret.obj",
+        "meshes/../../secret.obj",
+        "link.obj",
+    ] {
+        outside.clone_into(&mut object.mesh_file);
+        let error = object.load_mesh(&root).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{outside:?}: {error}");
+    }
+}

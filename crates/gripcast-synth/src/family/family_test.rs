@@ -1,0 +1,131 @@
+use std::collections::BTreeSet;
+use std::sync::LazyLock;
+
+use super::shape::{MAX_SIDE_M, MAX_TRIANGLES, SIZE_M, slenderness};
+use super::*;
+use gripcast_geometry::{MassProperties, PrepareOptions, prepare};
+
+const SEEDS: u64 = 3;
+
+static SHAPES: LazyLock<Vec<FamilyShape>> = LazyLock::new(|| {
+    let all = Category::ALL.into_iter();
+    all.flat_map(|category| (0..SEEDS).map(move |seed| family_shape(category, seed).unwrap()))
+        .collect()
+});
+
+fn name(shape: &FamilyShape) -> String {
+    let record = &shape.record;
+    format!(
+        "{} {} ({})",
+        record.category.name(),
+        record.seed,
+        record.form
+    )
+}
+
+#[test]
+fn every_shape_can_be_simulated_as_it_is() {
+    for shape in SHAPES.iter() {
+        assert!(shape.mesh.edges().is_closed(), "{}", name(shape));
+        let prepared = prepare(&shape.mesh, &PrepareOptions::default()).unwrap();
+        assert!(
+            prepared.warnings.is_empty(),
+            "{}: {:?}",
+            name(shape),
+            prepared.warnings
+        );
+        assert_eq!(prepared.mesh, shape.mesh, "{}", name(shape));
+    }
+}
+
+#[test]
+fn sizes_and_faces_are_within_their_limits() {
+    for shape in SHAPES.iter() {
+        let bounds = shape.mesh.bounds();
+        let size = bounds.extent();
+        assert!(
+            (SIZE_M.0..=SIZE_M.1).contains(&size.max_element()),
+            "{}",
+            name(shape)
+        );
+        assert!(bounds.center().length() < 2e-7, "{}", name(shape));
+        assert!(
+            shape.mesh.triangles.len() <= MAX_TRIANGLES,
+            "{}",
+            name(shape)
+        );
+        assert!(shape.mesh.triangles.len() >= 150, "{}", name(shape));
+        let sides: Vec<f64> = shape
+            .mesh
+            .all_corners()
+            .flat_map(|[a, b, c]| [a.distance(b), b.distance(c), c.distance(a)])
+            .collect();
+        let longest = sides.iter().copied().fold(0.0, f64::max);
+        assert!(longest <= MAX_SIDE_M, "{}: {longest}", name(shape));
+        let mean = sides.iter().sum::<f64>() / sides.len() as f64;
+        assert!((1.2e-3..4.5e-3).contains(&mean), "{}: {mean}", name(shape));
+        let least = shape
+            .mesh
+            .all_corners()
+            .map(slenderness)
+            .fold(1.0, f64::min);
+        assert!(least > 0.02, "{}: {least}", name(shape));
+    }
+}
+
+#[test]
+fn most_shapes_fit_between_the_fingers() {
+    let fit = |shape: &&FamilyShape| shape.mesh.bounds().extent().min_element() < 0.08;
+    let share = SHAPES.iter().filter(fit).count() as f64 / SHAPES.len() as f64;
+    assert!(share > 0.95, "{share}");
+}
+
+#[test]
+fn masses_are_sane() {
+    for shape in SHAPES.iter() {
+        let solid = MassProperties::of(&shape.mesh).unwrap();
+        let bounds = shape.mesh.bounds();
+        let share = solid.volume_m3 / bounds.extent().element_product();
+        assert!((0.02..=1.0).contains(&share), "{}: {share}", name(shape));
+        let inside = (solid.center_of_mass_m.abs() - 0.5 * bounds.extent()).max_element();
+        assert!(inside < 0.0, "{}", name(shape));
+        let inertia = solid.inertia_m5();
+        assert!(inertia.determinant() > 0.0, "{}", name(shape));
+    }
+}
+
+#[test]
+fn a_shape_is_the_same_each_time_and_unlike_all_others() {
+    let again = family_shape(Category::Tool, 1).unwrap();
+    let known = SHAPES.iter().find(|s| s.record == again.record).unwrap();
+    assert_eq!(known, &again);
+    let hashes: BTreeSet<String> = SHAPES.iter().map(|s| s.mesh.content_hash()).collect();
+    assert_eq!(hashes.len(), SHAPES.len());
+    for (k, shape) in SHAPES.iter().enumerate() {
+        for other in &SHAPES[..k] {
+            let [a, b] = [shape, other].map(|s| s.mesh.bounds().extent());
+            assert!(a.distance(b) > 1e-5, "{} {}", name(shape), name(other));
+        }
+    }
+}
+
+#[test]
+fn the_record_of_a_shape_can_be_written_and_read() {
+    let record = &SHAPES[0].record;
+    assert!(!record.parameters.is_empty() && !record.form.is_empty());
+    let text = serde_json::to_string(record).unwrap();
+    assert!(text.contains("\"category\":\"box\""), "{text}");
+    assert_eq!(&serde_json::from_str::<ShapeRecord>(&text).unwrap(), record);
+}
+
+#[test]
+fn categories_are_found_by_name() {
+    for category in Category::ALL {
+        assert_eq!(Category::parse(category.name()).unwrap(), category);
+        let (low, high) = category.fill();
+        assert!(0.0 < low && low <= high && high <= 1.0);
+        assert!(category.materials().len() >= 3);
+    }
+    let text = Category::parse("bracet").unwrap_err().to_string();
+    assert!(text.contains("did you mean bracket"), "{text}");
+}

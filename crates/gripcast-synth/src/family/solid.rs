@@ -1,0 +1,384 @@
+//! Bodies of blended parts, given by their signed distance, and their meshes.
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+use super::shape::{rounded_to_grid, slenderness};
+use gripcast_geometry::implicit::{Field, QuadMesh, even_out, gradient, neighbours, net_of_sheets};
+use gripcast_geometry::{Aabb, TriangleMesh};
+
+/// Rounds that even the mesh out.
+const ROUNDS: usize = 6;
+/// Lattices that are tried.
+const LATTICES: u32 = 8;
+/// Quadrilaterals that a body is meant to have.
+const QUADS: f64 = 1900.0;
+/// Quadrilaterals in the square of a cell, on average over directions.
+const DENSITY: f64 = 1.4;
+/// Widths of cells, m.
+const CELL_M: (f64, f64) = (2.4e-3, 4.0e-3);
+/// Normals around a vertex that differ by more (cosine) belong to an edge of the body.
+const EDGE_COSINE: f64 = 0.8;
+/// Height over the longest side of a triangle that is wide enough.
+const SOUND: f64 = 0.15;
+
+/// Signed distance and bounds of a part in its own frame.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Form {
+    /// Half axes, m.
+    Ellipsoid(DVec3),
+    /// Half sizes and radius of the edges, m.
+    Block(DVec3, f64),
+    /// About z: radii at the bottom and the top, half height, radius of the edges, m.
+    Drum([f64; 2], f64, f64),
+    /// About z: radius of the middle line and of the tube, m.
+    Hoop(f64, f64),
+    /// From the origin along z: length, radii at both round ends, m.
+    Limb(f64, [f64; 2]),
+}
+
+/// What a part does to the parts before it; edges between them are rounded over a width, m.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Role {
+    Add(f64),
+    Cut(f64),
+}
+
+/// A body, part by part.
+#[derive(Default)]
+pub(super) struct Solid {
+    parts: Vec<Part>,
+    /// Thinnest wall or limb, m.
+    thinnest: f64,
+}
+
+struct Part {
+    form: Form,
+    role: Role,
+    center: DVec3,
+    /// Turns from the body's axes to those of the part.
+    turn: DMat3,
+}
+
+impl Solid {
+    /// An empty body whose walls and limbs are at least so thick (m).
+    pub(super) fn new(thinnest: f64) -> Self {
+        Self {
+            parts: Vec::new(),
+            thinnest,
+        }
+    }
+
+    /// Adds a part at a place (m), turned.
+    pub(super) fn put(&mut self, form: Form, center: DVec3, turn: DQuat, role: Role) {
+        self.parts.push(Part {
+            form,
+            role,
+            center,
+            turn: DMat3::from_quat(turn).transpose(),
+        });
+    }
+
+    /// Adds a limb from one place to another (m) with a radius (m) at each.
+    pub(super) fn limb(&mut self, [from, to]: [DVec3; 2], radii: [f64; 2], width: f64) {
+        let along = to - from;
+        let turn = DQuat::from_rotation_arc(DVec3::Z, along.normalize_or(DVec3::Z));
+        let form = Form::Limb(along.length(), radii);
+        self.put(form, from, turn, Role::Add(width));
+    }
+
+    /// Adds an ellipsoid.
+    pub(super) fn ball(&mut self, center: DVec3, half: DVec3, width: f64) {
+        let role = Role::Add(width);
+        self.put(Form::Ellipsoid(half), center, DQuat::IDENTITY, role);
+    }
+
+    /// Signed distance (m), negative inside; a lower bound off the surface.
+    pub(super) fn distance(&self, p: DVec3) -> f64 {
+        self.parts.iter().fold(1.0, |body, part| {
+            let own = part.form.distance(part.turn * (p - part.center));
+            match part.role {
+                Role::Add(width) => smooth_union(body, own, width),
+                Role::Cut(width) => -smooth_union(-body, own, width),
+            }
+        })
+    }
+
+    /// Box around the parts that add.
+    fn bounds(&self) -> Aabb {
+        Aabb::from_points(
+            self.parts
+                .iter()
+                .filter(|part| matches!(part.role, Role::Add(_)))
+                .flat_map(|part| {
+                    let (center, half) = part.form.bounds();
+                    let back = part.turn.transpose();
+                    let abs =
+                        DMat3::from_cols(back.x_axis.abs(), back.y_axis.abs(), back.z_axis.abs());
+                    let (center, half) = (part.center + back * center, abs * half);
+                    [center - half, center + half]
+                }),
+        )
+    }
+
+    /// Mesh of the surface; edges of the body stay sharp.
+    pub(super) fn mesh(&self) -> TriangleMesh {
+        let bounds = self.bounds();
+        let center = bounds.center();
+        let half = 0.5 * bounds.extent() + 1e-3;
+        mesh_of(&|p| self.distance(p + center), half, self.thinnest)
+    }
+}
+
+impl Form {
+    fn distance(&self, p: DVec3) -> f64 {
+        match *self {
+            Self::Ellipsoid(half) => {
+                let near = (p / half).length();
+                let slope = (p / (half * half)).length();
+                if slope > 1e-6 {
+                    near * (near - 1.0) / slope
+                } else {
+                    -half.min_element()
+                }
+            }
+            Self::Block(half, round) => {
+                let off = p.abs() - half + round;
+                off.max(DVec3::ZERO).length() + off.max_element().min(0.0) - round
+            }
+            Self::Drum([bottom, top], half, round) => {
+                let share = (0.5 + 0.5 * p.z / half).clamp(0.0, 1.0);
+                let slope = (0.5 * (top - bottom) / half).hypot(1.0);
+                let radius = bottom + (top - bottom) * share;
+                let side = (p.truncate().length() - radius) / slope;
+                let off = DVec2::new(side, p.z.abs() - half) + round;
+                off.max(DVec2::ZERO).length() + off.max_element().min(0.0) - round
+            }
+            Self::Hoop(radius, tube) => {
+                DVec2::new(p.truncate().length() - radius, p.z).length() - tube
+            }
+            Self::Limb(length, [from, to]) => {
+                let share = (p.z / length.max(1e-9)).clamp(0.0, 1.0);
+                p.distance(DVec3::Z * (length * share)) - (from + (to - from) * share)
+            }
+        }
+    }
+
+    /// Centre and half sizes of a box around it.
+    fn bounds(&self) -> (DVec3, DVec3) {
+        match *self {
+            Self::Ellipsoid(half) | Self::Block(half, _) => (DVec3::ZERO, half),
+            Self::Drum([bottom, top], half, _) => {
+                let radius = bottom.max(top);
+                (DVec3::ZERO, DVec3::new(radius, radius, half))
+            }
+            Self::Hoop(radius, tube) => {
+                let wide = radius + tube;
+                (DVec3::ZERO, DVec3::new(wide, wide, tube))
+            }
+            Self::Limb(length, [from, to]) => {
+                let wide = from.max(to);
+                let half = DVec3::new(wide, wide, 0.5 * length + wide);
+                (DVec3::Z * (0.5 * length), half)
+            }
+        }
+    }
+}
+
+/// Smooth minimum (the quadratic one of Quilez, *Smooth minimum*).
+pub(super) fn smooth_union(a: f64, b: f64, width: f64) -> f64 {
+    if width <= 0.0 {
+        return a.min(b);
+    }
+    let overlap = (width - (a - b).abs()).max(0.0) / width;
+    a.min(b) - 0.25 * width * overlap * overlap
+}
+
+/// Mesh of the zero surface of a field within ±`half` (m); walls are at least `thinnest` (m).
+pub(super) fn mesh_of(field: Field<'_>, half: DVec3, thinnest: f64) -> TriangleMesh {
+    let cell = (DENSITY * area(field, half) / QUADS).sqrt();
+    let cell = cell.clamp(CELL_M.0, CELL_M.1).min(thinnest / 1.1);
+    let mut mesh = TriangleMesh::default();
+    for lattice in 0..LATTICES {
+        let shift = f64::from(lattice) / f64::from(LATTICES);
+        let net = net_of_sheets(field, half, cell, shift);
+        if is_closed(&net) {
+            return triangles(field, net, cell);
+        }
+        mesh.vertices = net.vertices;
+    }
+    mesh
+}
+
+/// Area of the zero surface, m²: of the layer about it, by counting the cells of a coarse lattice.
+fn area(field: Field<'_>, half: DVec3) -> f64 {
+    const STEP_M: f64 = 5e-3;
+    let counts = (half / STEP_M).ceil() + 1.0;
+    let [nx, ny, nz] = counts.to_array().map(|c| c as i32);
+    let mut near = 0;
+    for z in -nz..=nz {
+        for y in -ny..=ny {
+            for x in -nx..=nx {
+                let p = DVec3::new(f64::from(x), f64::from(y), f64::from(z)) * STEP_M;
+                near += u32::from(field(p).abs() < 0.5 * STEP_M);
+            }
+        }
+    }
+    f64::from(near) * STEP_M * STEP_M
+}
+
+/// Whether each side belongs to two quadrilaterals.
+fn is_closed(net: &QuadMesh) -> bool {
+    let mut sides: Vec<[u32; 2]> = net
+        .quads
+        .iter()
+        .flat_map(|&[a, b, c, d]| [[a, b], [b, c], [c, d], [d, a]])
+        .map(|[a, b]| [a.min(b), a.max(b)])
+        .collect();
+    sides.sort_unstable();
+    !sides.is_empty() && sides.chunk_by(|a, b| a == b).all(|same| same.len() == 2)
+}
+
+fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
+    even_out(field, &mut net, ROUNDS);
+    sharpen(field, &mut net, cell);
+    for v in &mut net.vertices {
+        *v = rounded_to_grid(*v);
+    }
+    let mut mesh = TriangleMesh {
+        vertices: net.vertices,
+        triangles: Vec::new(),
+    };
+    for quad in net.quads {
+        let [a, b, c, d] = along_surface(field, quad, &mesh.vertices);
+        mesh.triangles.push([a, b, c]);
+        mesh.triangles.push([a, c, d]);
+    }
+    mesh
+}
+
+/// Moves vertices near an edge of the body onto it: to the place that is least off the tangent
+/// planes around (the error function of Ju et al., *Dual contouring of Hermite data*, 2002).
+fn sharpen(field: Field<'_>, net: &mut QuadMesh, cell: f64) {
+    let normals: Vec<DVec3> = net
+        .vertices
+        .iter()
+        .map(|&v| gradient(field, v).normalize_or_zero())
+        .collect();
+    let before = net.vertices.clone();
+    let mut faces = vec![Vec::new(); before.len()];
+    for (face, quad) in net.quads.iter().enumerate() {
+        quad.iter().for_each(|&v| faces[v as usize].push(face));
+    }
+    for (v, around) in neighbours(&net.quads, before.len()).iter().enumerate() {
+        let planes: Vec<usize> = around.iter().map(|&n| n as usize).chain([v]).collect();
+        let spread = planes
+            .iter()
+            .flat_map(|&m| planes.iter().map(move |&n| (m, n)));
+        let least = spread.fold(1.0, |c, (m, n)| f64::min(c, normals[m].dot(normals[n])));
+        if least > EDGE_COSINE {
+            continue;
+        }
+        let step = towards_planes(before[v], planes.iter().map(|&n| (before[n], normals[n])));
+        let place = before[v] + step.clamp_length_max(0.45 * cell);
+        // Where parts blend smoothly, planes far around say little about the place.
+        if field(place).abs() > field(before[v]).abs() + 0.12 * cell {
+            continue;
+        }
+        let kept = std::mem::replace(&mut net.vertices[v], place);
+        let sound = |&face: &usize| {
+            let quad = net.quads[face];
+            let turned = [quad[1], quad[2], quad[3], quad[0]];
+            quality(quad, &net.vertices).max(quality(turned, &net.vertices)) > SOUND
+        };
+        if !faces[v].iter().all(sound) {
+            net.vertices[v] = kept;
+        }
+    }
+}
+
+/// Step from a place to the least sum of squared distances from planes (point, normal).
+fn towards_planes(at: DVec3, planes: impl Iterator<Item = (DVec3, DVec3)>) -> DVec3 {
+    /// Weight of staying in place.
+    const STAY: f64 = 0.05;
+    let mut matrix = DMat3::from_diagonal(DVec3::splat(STAY));
+    let mut right = DVec3::ZERO;
+    for (point, normal) in planes {
+        matrix += DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
+        right += normal * normal.dot(point - at);
+    }
+    matrix.inverse() * right
+}
+
+/// How good the two triangles are into which the first diagonal cuts a quadrilateral: the height
+/// of the narrower over its longest side, negative if they are folded onto one another.
+fn quality([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> f64 {
+    let [a, b, c, d] = [a, b, c, d].map(|v| vertices[v as usize]);
+    let narrower = slenderness([a, b, c]).min(slenderness([a, c, d]));
+    let folded = (b - a).cross(c - a).dot((c - a).cross(d - a)) < 0.0;
+    if folded { narrower - 1.0 } else { narrower }
+}
+
+/// The quadrilateral, turned so that it is cut along the diagonal that is nearer to the surface,
+/// unless the triangles are bad.
+fn along_surface(field: Field<'_>, quad: [u32; 4], vertices: &[DVec3]) -> [u32; 4] {
+    /// Differences that could be rounding, m.
+    const TIE_M: f64 = 2e-5;
+    let [a, b, c, d] = quad;
+    let turned = [b, c, d, a];
+    let [straight, across] = [quad, turned].map(|q| quality(q, vertices));
+    if straight.min(across) < SOUND && (straight - across).abs() > 1e-3 {
+        return if straight > across { quad } else { turned };
+    }
+    let at = |i: u32| vertices[i as usize];
+    let off = |i, j| field(at(i).midpoint(at(j))).abs();
+    let longer = at(a).distance(at(c)) - at(b).distance(at(d));
+    let further = off(a, c) - off(b, d);
+    let turn = if further.abs() > TIE_M {
+        further > 0.0
+    } else {
+        longer > TIE_M
+    };
+    if turn { turned } else { quad }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_geometry::MassProperties;
+    use std::f64::consts::PI;
+
+    #[test]
+    fn a_block_keeps_its_edges() {
+        let mut solid = Solid::new(0.02);
+        let half = DVec3::new(0.02, 0.015, 0.01);
+        let turn = DQuat::from_rotation_z(0.3) * DQuat::from_rotation_x(0.2);
+        solid.put(
+            Form::Block(half, 0.0),
+            DVec3::ONE * 0.01,
+            turn,
+            Role::Add(0.0),
+        );
+        let mesh = solid.mesh();
+        assert!(mesh.edges().is_closed());
+        let volume = MassProperties::of(&mesh).unwrap().volume_m3;
+        let expected = 8.0 * half.element_product();
+        assert!(
+            (volume / expected - 1.0).abs() < 0.02,
+            "{volume} {expected}"
+        );
+    }
+
+    #[test]
+    fn a_cut_ball_is_a_shell() {
+        let mut solid = Solid::new(0.004);
+        solid.ball(DVec3::ZERO, DVec3::splat(0.02), 0.0);
+        let hollow = Form::Ellipsoid(DVec3::splat(0.016));
+        solid.put(hollow, DVec3::ZERO, DQuat::IDENTITY, Role::Cut(0.0));
+        let volume = MassProperties::of(&solid.mesh()).unwrap().volume_m3;
+        let expected = 4.0 / 3.0 * PI * (8e-6 - 4.096e-6);
+        assert!(
+            (volume / expected - 1.0).abs() < 0.03,
+            "{volume} {expected}"
+        );
+    }
+}

@@ -1,0 +1,71 @@
+//! Random bodies of graded complexity, from a ball with a bump to a tangle, in the spirit of
+//! EGAD (Morrison et al., RA-L 2020).
+
+use glam::{DQuat, DVec3};
+
+use super::draw::Draw;
+use super::solid::{Form, Role, Solid};
+use gripcast_base::error::Result;
+use gripcast_geometry::TriangleMesh;
+
+/// Thinnest limb that is drawn, m.
+const THINNEST_M: f64 = 0.005;
+
+pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
+    draw.form(["random body"]);
+    let complexity = draw.count("complexity", 1, 6);
+    let size = draw.between("size_m", 0.02, 0.042);
+    let blend = draw.between("blend", 0.08, 0.3) * size;
+    let cuts = draw.count("cuts", 0, complexity.div_ceil(2));
+    let spread = draw.between("spread", 0.5, 0.85);
+    let mut solid = Solid::new(THINNEST_M);
+    let core = form(draw, 0.55 * size);
+    solid.put(core, DVec3::ZERO, turn(draw), Role::Add(0.0));
+    let mut ends = vec![DVec3::ZERO];
+    for _ in 0..complexity {
+        // Each part hangs on an earlier one, held by a limb between both.
+        let from = ends[(draw.quiet(0.0, 0.999) * ends.len() as f64) as usize];
+        let out = (from.normalize_or_zero() * 0.6 + direction(draw)).normalize_or(DVec3::X);
+        let end = from + out * (spread * size * draw.quiet(0.7, 1.15));
+        let end = end.clamp_length_max(1.2 * size);
+        let half = size * draw.quiet(0.22, 0.42);
+        let part = form(draw, half);
+        let limb = size * draw.quiet(0.13, 0.24);
+        let radius = limb.max(0.5 * THINNEST_M);
+        solid.limb([from, end], [radius; 2], blend);
+        solid.put(part, end, turn(draw), Role::Add(blend));
+        ends.push(end);
+    }
+    for _ in 0..cuts {
+        let at = direction(draw) * (size * draw.quiet(0.55, 0.75));
+        let half = size * draw.quiet(0.2, 0.35);
+        let dent = form(draw, half);
+        solid.put(dent, at, turn(draw), Role::Cut(blend.max(0.004)));
+    }
+    Ok(solid.mesh())
+}
+
+/// A part of about the given half size (m).
+fn form(draw: &mut Draw, size: f64) -> Form {
+    let [a, b, c] = [0.7, 0.7, 0.7].map(|low| size * draw.quiet(low, 1.15));
+    match (draw.quiet(0.0, 4.999)) as usize {
+        0 => Form::Ellipsoid(DVec3::new(a, b, c)),
+        1 => Form::Block(DVec3::new(a, b, c) * 0.85, 0.1 * size),
+        2 => Form::Drum([a, 0.8 * b], c, 0.08 * size),
+        3 => Form::Hoop(a.max(0.5 * size), (0.4 * size).max(0.5 * THINNEST_M)),
+        _ => Form::Ellipsoid(DVec3::splat(a)),
+    }
+}
+
+fn direction(draw: &mut Draw) -> DVec3 {
+    let z = draw.quiet(-1.0, 1.0);
+    let angle = draw.quiet(0.0, std::f64::consts::TAU);
+    let (sin, cos) = angle.sin_cos();
+    let flat = (1.0 - z * z).max(0.0).sqrt();
+    DVec3::new(flat * cos, flat * sin, z)
+}
+
+fn turn(draw: &mut Draw) -> DQuat {
+    let axis = direction(draw);
+    DQuat::from_axis_angle(axis.normalize_or(DVec3::X), draw.quiet(0.0, 3.0))
+}

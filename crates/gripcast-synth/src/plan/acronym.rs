@@ -1,0 +1,175 @@
+//! Objects and grasps of ACRONYM.
+
+use std::path::Path;
+
+use super::{Drafts, MeshSource, ObjectDraft};
+use crate::acronym::read_acronym;
+use crate::family::Category;
+use crate::properties::Material;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, FileKind, Root, SimulationId};
+use gripcast_visual::SeedStream;
+
+/// Ending of the files.
+const ENDING: &str = ".h5";
+/// What things are of whose category says nothing about it.
+const MATERIALS: [&str; 6] = ["abs", "wood", "polypropylene", "steel", "ceramic", "rubber"];
+
+/// The objects of a folder of ACRONYM's `.h5` files, with their grasps; `most` of them, drawn by
+/// the seed. Meshes are below `mesh_root`. What cannot be read is left out.
+///
+/// # Errors
+/// Those of reading the folder; `Input` for one without `.h5` files.
+pub fn acronym_drafts(
+    folder: &Path,
+    mesh_root: &Path,
+    most: Option<usize>,
+    seed: u64,
+) -> Result<Drafts> {
+    let mut files = h5_files(folder)?;
+    if let Some(most) = most {
+        files.sort_by_key(|file| SeedStream::named(seed, &stem(file)).bits());
+        files.truncate(most);
+        files.sort_by_key(BeneathPath::name);
+    }
+    let meshes = Root::new(mesh_root);
+    let mut drafts = Drafts::default();
+    for file in files {
+        drafts.note(&stem(&file), draft(&file, &meshes, seed))?;
+    }
+    Ok(drafts)
+}
+
+fn stem(file: &BeneathPath) -> String {
+    let name = file.name();
+    name.strip_suffix(ENDING).unwrap_or(&name).to_owned()
+}
+
+fn h5_files(folder: &Path) -> Result<Vec<BeneathPath>> {
+    let mut files = Root::new(folder)
+        .top()
+        .entries()
+        .map_err(|e| Error::io("cannot read the folder of grasps", e).at(folder.display()))?;
+    files.retain(|file| file.name().ends_with(ENDING));
+    if files.is_empty() {
+        return Err(Error::new(ErrorKind::Input, "the folder has no .h5 files")
+            .at(folder.display())
+            .remedy("give the folder `grasps` of ACRONYM"));
+    }
+    Ok(files)
+}
+
+fn draft(file: &BeneathPath, meshes: &Root, seed: u64) -> Result<ObjectDraft> {
+    // Refuses what leads out of the folder and what is no file.
+    file.open_file(FileKind::Bulk)
+        .map_err(|e| Error::io("cannot read the file", e).at(file.display()))?;
+    let set = read_acronym(&file.shown())?;
+    let name = SimulationId::parse(&set.name)?;
+    let mesh = set.object.load_mesh(meshes)?.mesh;
+    let category = match &set.object.category {
+        Some(category) => category.to_lowercase(),
+        None => "thing".to_owned(),
+    };
+    let mut draw = SeedStream::named(seed, &format!("material {}", set.name));
+    let known = Category::parse(&category).map(Category::materials);
+    let materials = known.unwrap_or(&MATERIALS);
+    let material = materials[draw.index(materials.len())];
+    Ok(ObjectDraft {
+        source: MeshSource::stored(&name)?,
+        name,
+        category,
+        mesh,
+        material: Material::named(material)?,
+        // ACRONYM states masses for one density, and friction of its own simulator.
+        fill: None,
+        mass_kg: None,
+        friction: None,
+        looks: Vec::new(),
+        textures: Vec::new(),
+        grasps: Some(set.grasps.iter().map(|g| g.t_object_gripper).collect()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use hdf5_pure::{FileBuilder, GroupBuilder};
+
+    use super::*;
+    use gripcast_geometry::{builtin, save_mesh};
+
+    /// Two grasps of a mesh, from above and 10 mm aside.
+    fn h5(mesh: &str) -> Vec<u8> {
+        #[rustfmt::skip]
+        let matrix = |x: f64| [
+            1.0, 0.0, 0.0, x,
+            0.0, -1.0, 0.0, 0.0,
+            0.0, 0.0, -1.0, 0.12,
+            0.0, 0.0, 0.0, 1.0,
+        ];
+        let mut file = FileBuilder::new();
+        let scalar = |group: &mut GroupBuilder, key, value| {
+            let data = group.create_dataset(key);
+            data.with_f64_data(&[value]).with_shape(&[]);
+        };
+        let mut object = file.create_group("object");
+        object
+            .create_dataset("file")
+            .with_vlen_strings(&[mesh])
+            .with_shape(&[]);
+        scalar(&mut object, "scale", 0.5);
+        file.add_group(object.finish());
+        let mut gripper = file.create_group("gripper");
+        scalar(&mut gripper, "configuration", 0.04);
+        file.add_group(gripper.finish());
+        let mut grasps = file.create_group("grasps");
+        grasps
+            .create_dataset("transforms")
+            .with_f64_data(&[matrix(0.0), matrix(0.01)].concat())
+            .with_shape(&[2, 4, 4]);
+        let mut qualities = grasps.create_group("qualities");
+        let mut flex = qualities.create_group("flex");
+        flex.create_dataset("object_in_gripper")
+            .with_i64_data(&[1, 0]);
+        qualities.add_group(flex.finish());
+        grasps.add_group(qualities.finish());
+        file.add_group(grasps.finish());
+        file.finish().unwrap()
+    }
+
+    #[test]
+    fn objects_have_their_scale_category_and_grasps() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir_all(at("meshes/Box")).unwrap();
+        fs::create_dir(at("grasps")).unwrap();
+        let mesh = builtin("box").unwrap();
+        save_mesh(&at("meshes/Box/a.obj"), &mesh.scaled(2.0)).unwrap();
+        for (name, mesh) in [("Box_a", "meshes/Box/a.obj"), ("Box_b", "meshes/Box/b.obj")] {
+            fs::write(at("grasps").join(format!("{name}_0.5.h5")), h5(mesh)).unwrap();
+        }
+        fs::write(at("grasps/broken.h5"), "no hdf5").unwrap();
+        let read = |most| acronym_drafts(&at("grasps"), folder.path(), most, 1);
+        let found = read(None).unwrap();
+        let [object] = found.drafts.as_slice() else {
+            panic!("one object, found {:?}", found.left_out);
+        };
+        assert_eq!(
+            (object.name.as_str(), object.category.as_str()),
+            ("Box_a_0.5", "box")
+        );
+        let materials = Category::parse("box").unwrap().materials();
+        assert!(materials.contains(&object.material.name));
+        assert_eq!(object.grasps.as_ref().unwrap().len(), 2);
+        let sizes = [&object.mesh, &mesh].map(|mesh| mesh.bounds().extent());
+        assert!((sizes[0] - sizes[1]).length() < 1e-6, "{sizes:?}");
+        let names: Vec<&str> = found.left_out.iter().map(|l| l.name.as_str()).collect();
+        assert_eq!(names, ["Box_b_0.5", "broken"]);
+        assert!(found.left_out[0].reason.contains("b.obj"));
+        let one = read(Some(1)).unwrap();
+        assert_eq!(one.drafts.len() + one.left_out.len(), 1);
+        let error = acronym_drafts(&at("meshes"), folder.path(), None, 1);
+        assert!(error.unwrap_err().to_string().contains(".h5"));
+    }
+}

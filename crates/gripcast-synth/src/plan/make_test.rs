@@ -1,0 +1,153 @@
+use super::*;
+use crate::plan::MeshSource;
+use crate::properties::Material;
+use gripcast_geometry::builtin;
+use gripcast_sim::rigid::{RigidEngine, RigidSettings};
+
+fn settings(jobs: usize) -> PlanSettings {
+    PlanSettings {
+        preset: "test".to_owned(),
+        seed: 5,
+        grasps: 2,
+        stop_forces_n: vec![10.0, 40.0],
+        rendering: RenderingPlan {
+            renderings: 1,
+            samples: 1,
+            sensor_spread: 1.0,
+            visual_spread: 1.0,
+        },
+        textures: Vec::new(),
+        mass_map: MassMap::None,
+        least_friction_share: LEAST_FRICTION_SHARE,
+        jobs,
+    }
+}
+
+fn draft(name: &str, size: f64) -> ObjectDraft {
+    ObjectDraft {
+        name: SimulationId::parse(name).unwrap(),
+        category: "box".to_owned(),
+        source: MeshSource::stored(&SimulationId::parse(name).unwrap()).unwrap(),
+        mesh: builtin("box").unwrap().scaled(size),
+        material: Material::named("wood").unwrap(),
+        fill: Some(1.0),
+        mass_kg: None,
+        friction: None,
+        looks: Vec::new(),
+        textures: Vec::new(),
+        grasps: None,
+    }
+}
+
+fn made(drafts: Vec<ObjectDraft>, settings: &PlanSettings) -> Result<MadePlan> {
+    let engine = RigidEngine::new(RigidSettings::default());
+    make_plan(settings, drafts.into(), &engine, None, &|_| ())
+}
+
+#[test]
+fn the_plan_is_the_same_on_any_number_of_threads_and_leaves_out_what_does_not_fit() {
+    let drafts = || vec![draft("a", 1.0), draft("b", 0.8), draft("huge", 9.0)];
+    let one = made(drafts(), &settings(1)).unwrap();
+    assert_eq!(one, made(drafts(), &settings(3)).unwrap());
+    assert_eq!(one.left_out.len(), 1);
+    assert!(one.left_out[0].reason.contains("unit and scale"));
+    assert_eq!(one.plan.simulations.len(), 2 * 2 * 2);
+    let other = PlanSettings {
+        seed: 6,
+        ..settings(1)
+    };
+    assert_ne!(made(drafts(), &other).unwrap().plan.sha256, one.plan.sha256);
+    let forces = one.plan.simulations.iter().map(|s| s.stop_force_n);
+    assert_eq!(forces.filter(|force| *force == 10.0).count(), 4);
+    let folder = tempfile::tempdir().unwrap();
+    one.write(folder.path()).unwrap();
+    let file = std::fs::read(folder.path().join("plan.jsonl")).unwrap();
+    assert_eq!(one.plan.sha256, gripcast_base::files::sha256_hex(file));
+    assert_eq!(Plan::read(folder.path()).unwrap(), one.plan);
+}
+
+#[test]
+fn a_plan_has_what_its_objects_need_beside_it() {
+    use crate::planned_mesh;
+    use gripcast_base::files::Root;
+    let dir = tempfile::tempdir().unwrap();
+    let picture = dir.path().join("red label.png");
+    image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]))
+        .save(&picture)
+        .unwrap();
+    let texture = TextureDraft::of_file(BeneathPath::given(&picture), 0.05).unwrap();
+    let mut labelled = draft("a", 1.0);
+    labelled.textures = vec![texture];
+    let made = made(vec![labelled, draft("b", 0.8)], &settings(1)).unwrap();
+    let [first, second] = ["first", "second"].map(|name| dir.path().join(name));
+    made.write(&first).unwrap();
+    made.write(&first).unwrap();
+    std::fs::remove_file(&picture).unwrap();
+    // Another folder, as on a cluster.
+    std::fs::rename(&first, &second).unwrap();
+    let root = Root::new(&second);
+    let plan = Plan::read(&second).unwrap();
+    for object in plan.objects.values() {
+        planned_mesh(object, &root).unwrap();
+    }
+    let texture = &plan.objects["a"].textures[0];
+    assert_eq!(texture.words, "red label");
+    assert_eq!(texture.load(&root).unwrap().size(), [8, 4]);
+    // A folder in it that leads elsewhere.
+    let elsewhere = dir.path().join("elsewhere");
+    std::fs::create_dir_all(&elsewhere).unwrap();
+    std::fs::create_dir(dir.path().join("third")).unwrap();
+    std::os::unix::fs::symlink(&elsewhere, dir.path().join("third/meshes")).unwrap();
+    made.write(&dir.path().join("third")).unwrap_err();
+    assert_eq!(std::fs::read_dir(&elsewhere).unwrap().count(), 0);
+}
+
+#[test]
+fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
+    let mut given = draft("given", 1.0);
+    (given.mass_kg, given.friction) = (Some(0.42), Some(1.4));
+    let mut drafts = vec![given];
+    drafts.extend((0..12).map(|number| draft(&format!("n{number}"), 1.0)));
+    let mapped = PlanSettings {
+        mass_map: MassMap::Logarithmic,
+        grasps: 1,
+        ..settings(2)
+    };
+    let plan = made(drafts, &mapped).unwrap().plan;
+    let given = &plan.objects["given"];
+    assert_eq!((given.mass_kg, given.friction), (0.42, 1.4));
+    let wood = Material::named("wood").unwrap().friction;
+    let others = plan
+        .objects
+        .values()
+        .filter(|object| object.name != "given");
+    let friction: Vec<f64> = others.map(|object| object.friction).collect();
+    let possible = LEAST_FRICTION_SHARE * wood[0] - 1e-4..wood[1] + 1e-4;
+    assert!(
+        friction.iter().all(|f| possible.contains(f)),
+        "{friction:?}"
+    );
+    assert!(friction.iter().any(|f| *f < wood[0]), "{friction:?}");
+}
+
+#[test]
+fn names_that_cannot_be_and_nothing_to_grasp_are_explained() {
+    let text = |drafts| made(drafts, &settings(1)).unwrap_err().to_string();
+    assert!(text(vec![draft("a", 1.0), draft("a", 0.8)]).contains("two objects"));
+    assert!(text(vec![draft(&"n".repeat(75), 1.0)]).contains("shorter name"));
+    assert!(text(vec![draft("huge", 9.0)]).contains("unit and scale"));
+    assert!(text(Vec::new()).contains("no object was given"));
+}
+
+#[test]
+fn other_parameters_than_those_of_the_plan_are_named() {
+    let plan = made(vec![draft("a", 1.0)], &settings(1)).unwrap().plan;
+    let same = RigidEngine::new(RigidSettings::default());
+    check_parameters(&plan, &same).unwrap();
+    let mut changed = plan;
+    let parameters = changed.header.parameters.as_object_mut().unwrap();
+    let name = parameters.keys().next().unwrap().clone();
+    parameters.insert(name.clone(), Value::from("other"));
+    let error = check_parameters(&changed, &same).unwrap_err().to_string();
+    assert!(error.contains(&name), "{error}");
+}

@@ -1,0 +1,392 @@
+//! What is to be simulated, fixed before anything is: objects, grasps, forces and seeds.
+//!
+//! A plan is a folder with `plan.jsonl`: a header, then objects, then simulations, a JSON object
+//! each, and `plan.sha256`. What the objects need is stored beside it, in `meshes/` and `textures/`,
+//! so that the folder can be moved to another machine; results are kept in `results/`.
+
+mod acronym;
+mod draft;
+mod file;
+mod make;
+mod preset;
+mod shard;
+mod table;
+mod texture;
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+pub(super) use file::replace;
+
+pub use acronym::acronym_drafts;
+pub use draft::{Drafts, LeftOutObject, ObjectDraft};
+pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
+pub use make::{LEAST_FRICTION_SHARE, MadePlan, PlanSettings, check_parameters, make_plan};
+pub use preset::{PlanPreset, family_drafts};
+pub use shard::{INDEX_VARIABLES, Shard};
+pub use table::table_drafts;
+pub use texture::{PictureTexture, TextureDraft, texture_folder};
+
+use super::grasp::GraspFault;
+use super::properties::{Modifier, PropertySource};
+use gripcast_base::error::Result;
+use gripcast_base::files::{FileName, SimulationId};
+use gripcast_geometry::Pose;
+use gripcast_sim::EngineKind;
+
+/// Folder of the meshes in that of the plan.
+pub(super) const MESHES: &str = "meshes";
+/// Folder of the pictures in that of the plan.
+pub(super) const TEXTURES: &str = "textures";
+
+/// What all simulations of a plan share.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanHeader {
+    /// [`PLAN_FORMAT`].
+    pub format: String,
+    /// [`PLAN_VERSION`].
+    pub version: u32,
+    /// `gripcast <version>` that made it.
+    pub software: String,
+    /// Name of the preset it began with.
+    pub preset: String,
+    /// Everything that is drawn follows from it.
+    pub seed: u64,
+    /// Simulator.
+    pub engine: EngineKind,
+    /// All its parameters besides friction and force.
+    pub parameters: Value,
+    /// How a simulation becomes pictures.
+    pub rendering: RenderingPlan,
+}
+
+/// How a simulation becomes pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RenderingPlan {
+    /// Renderings of each simulation with other light, ground, camera, texture and sensors.
+    pub renderings: u32,
+    /// Paths for each pixel of a colour picture.
+    pub samples: u32,
+    /// Spread of the sensors: 0 for the shipped profile, 1 for what is found between real ones.
+    pub sensor_spread: f64,
+    /// Spread of the colour camera's place and lens and of the light's brightness: 0 for the nominal
+    /// ones, 1 for the usual one.
+    #[serde(default = "usual_spread", skip_serializing_if = "is_usual_spread")]
+    pub visual_spread: f64,
+}
+
+fn usual_spread() -> f64 {
+    1.0
+}
+
+fn is_usual_spread(spread: &f64) -> bool {
+    *spread == usual_spread()
+}
+
+/// Where an object's mesh comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "from", rename_all = "snake_case", deny_unknown_fields)]
+pub enum MeshSource {
+    /// A built-in family.
+    Family {
+        /// Its category.
+        category: String,
+        /// Which of its shapes.
+        seed: u64,
+    },
+    /// A file in the plan's folder [`MESHES`]: binary PLY, metres, fit for simulation.
+    File {
+        /// Its name.
+        file: FileName,
+    },
+}
+
+impl MeshSource {
+    /// The file of an object's mesh.
+    ///
+    /// # Errors
+    /// None for an object's name.
+    pub(super) fn stored(object: &SimulationId) -> Result<Self> {
+        let file = FileName::parse(&format!("{object}.ply"))?;
+        Ok(Self::File { file })
+    }
+}
+
+/// An object of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannedObject {
+    /// Name; a key, and begin of file names.
+    pub name: SimulationId,
+    /// Kind of thing.
+    pub category: String,
+    /// Where its mesh comes from.
+    pub mesh: MeshSource,
+    /// Hash of the mesh in metres, as [`gripcast_geometry::TriangleMesh::content_hash`] gives it.
+    pub mesh_sha256: String,
+    /// What it is made of.
+    pub material: String,
+    /// Mass, kg.
+    pub mass_kg: f64,
+    /// Coulomb friction coefficient of gel and object.
+    pub friction: f64,
+    /// Where mass and friction come from.
+    pub properties: PropertySource,
+    /// What it may look like.
+    pub looks: Vec<Modifier>,
+    /// Pictures that may be on it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub textures: Vec<PictureTexture>,
+}
+
+/// A simulation of a plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannedSimulation {
+    /// `<object>-<grasp>-<force>n`; a key and a file name.
+    pub id: SimulationId,
+    /// Name of the object.
+    pub object: SimulationId,
+    /// Number of the grasp among those of the object.
+    pub grasp: u32,
+    /// How it departs from a pair of opposite places; none for one that was given.
+    pub fault: Option<GraspFault>,
+    /// Simulator.
+    pub engine: EngineKind,
+    /// Stopping force of finite elements, closing force of rigid bodies, N.
+    pub stop_force_n: f64,
+    /// How the object lies on the ground z = 0.
+    pub t_world_object: Pose,
+    /// The gripper before the fingers close.
+    pub t_world_gripper: Pose,
+    /// Distance between the gels' faces at the start, m.
+    pub opening_m: f64,
+    /// Seed of its pictures; below 2⁵³, so that every JSON reader keeps it.
+    pub seed: u64,
+    /// Estimated CPU time, s.
+    pub cost_s: f64,
+}
+
+/// A plan of `count` simulations of two objects with uneven costs.
+#[cfg(test)]
+pub(crate) fn sample_plan(count: usize) -> Plan {
+    tests::plan(count)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use glam::DVec3;
+
+    use super::*;
+    use gripcast_base::error::ErrorKind;
+    use gripcast_base::files::{Label, Root};
+
+    fn object(name: &str) -> PlannedObject {
+        PlannedObject {
+            name: SimulationId::parse(name).unwrap(),
+            category: "box".to_owned(),
+            mesh: MeshSource::Family {
+                category: "box".to_owned(),
+                seed: 7,
+            },
+            mesh_sha256: "00".to_owned(),
+            material: "wood".to_owned(),
+            mass_kg: 0.05,
+            friction: 0.4,
+            properties: PropertySource::Table,
+            looks: Vec::new(),
+            textures: Vec::new(),
+        }
+    }
+
+    fn simulation(number: usize) -> PlannedSimulation {
+        let object = ["box-0000", "box-0001"][number % 2];
+        PlannedSimulation {
+            id: SimulationId::parse(&format!("{object}-{number:02}-10n")).unwrap(),
+            object: SimulationId::parse(object).unwrap(),
+            grasp: number as u32,
+            fault: Some(GraspFault::Tilted),
+            engine: EngineKind::Fem,
+            stop_force_n: 10.0,
+            t_world_object: Pose::IDENTITY,
+            t_world_gripper: Pose::from_translation(DVec3::Z * 0.04),
+            opening_m: 0.05,
+            seed: number as u64,
+            cost_s: 1.0 + (number % 7) as f64,
+        }
+    }
+
+    pub(super) fn plan(count: usize) -> Plan {
+        let header = PlanHeader {
+            format: PLAN_FORMAT.to_owned(),
+            version: PLAN_VERSION,
+            software: "gripcast 0".to_owned(),
+            preset: "tiny".to_owned(),
+            seed: 3,
+            engine: EngineKind::Fem,
+            parameters: serde_json::json!({"preset": "paper"}),
+            rendering: RenderingPlan {
+                renderings: 3,
+                samples: 8,
+                sensor_spread: 1.0,
+                visual_spread: 1.0,
+            },
+        };
+        let objects = ["box-0000", "box-0001"].map(object).to_vec();
+        Plan::new(header, objects, (0..count).map(simulation).collect()).unwrap()
+    }
+
+    #[test]
+    fn a_plan_is_read_back_as_it_was_written_and_stays_the_only_one() {
+        let folder = tempfile::tempdir().unwrap();
+        plan(5).write(&Root::new(folder.path())).unwrap();
+        assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
+        plan(5).write(&Root::new(folder.path())).unwrap();
+        let other = plan(6).write(&Root::new(folder.path())).unwrap_err();
+        assert_eq!(other.kind(), ErrorKind::Input);
+        assert_eq!(Plan::read(folder.path()).unwrap(), plan(5));
+        assert_ne!(plan(5).sha256, plan(6).sha256);
+    }
+
+    #[test]
+    fn the_usual_spread_of_the_colour_pictures_is_not_in_the_file() {
+        let mut rendering = plan(0).header.rendering;
+        let text = serde_json::to_string(&rendering).unwrap();
+        assert!(!text.contains("visual_spread"), "{text}");
+        assert_eq!(
+            serde_json::from_str::<RenderingPlan>(&text).unwrap(),
+            rendering
+        );
+        rendering.visual_spread = 2.0;
+        let text = serde_json::to_string(&rendering).unwrap();
+        assert_eq!(
+            serde_json::from_str::<RenderingPlan>(&text).unwrap(),
+            rendering
+        );
+    }
+
+    #[test]
+    fn what_was_altered_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        plan(5).write(&Root::new(folder.path())).unwrap();
+        let path = folder.path().join(PLAN_FILE);
+        let text = fs::read_to_string(&path).unwrap();
+        let check = |text: String, words: &str| {
+            fs::write(&path, text).unwrap();
+            let error = Plan::read(folder.path()).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        };
+        check(text.replace("0.4,", "0.9,"), "was altered");
+        fs::write(&path, &text).unwrap();
+        fs::remove_file(folder.path().join(HASH_FILE)).unwrap();
+        assert!(Plan::read(folder.path()).is_err());
+        assert!(Plan::read(&folder.path().join("nothing")).is_err());
+    }
+
+    /// The text of a small plan with a stored mesh and a picture.
+    fn stored_plan() -> String {
+        let Plan {
+            header,
+            mut objects,
+            simulations,
+            ..
+        } = plan(2);
+        for object in objects.values_mut() {
+            object.mesh = MeshSource::stored(&object.name).unwrap();
+            object.textures = vec![PictureTexture {
+                file: FileName::parse("0123456789ab.png").unwrap(),
+                words: Label::nearest("label"),
+                sha256: String::new(),
+                width_m: 0.1,
+            }];
+        }
+        let objects = objects.into_values().collect();
+        let folder = tempfile::tempdir().unwrap();
+        let plan = Plan::new(header, objects, simulations).unwrap();
+        plan.write(&Root::new(folder.path())).unwrap();
+        fs::read_to_string(folder.path().join(PLAN_FILE)).unwrap()
+    }
+
+    #[test]
+    fn a_plan_whose_names_are_paths_cannot_be_read() {
+        let text = stored_plan();
+        assert!(Plan::from_bytes(text.as_bytes()).is_ok());
+        for (key, sound) in [
+            ("id", "box-0001-01-10n"),
+            ("object", "box-0001"),
+            ("name", "box-0001"),
+            ("file", "box-0001.ply"),
+            ("file", "0123456789ab.png"),
+        ] {
+            for hostile in ["../../x", "/tmp/x", "a/b", "..", ".x", "", "a\u{1b}[2J"] {
+                let from = format!("\"{key}\":\"{sound}\"");
+                let to = format!("\"{key}\":{}", serde_json::to_string(hostile).unwrap());
+                assert!(text.contains(&from), "{from}");
+                let error = Plan::from_bytes(text.replace(&from, &to).as_bytes()).unwrap_err();
+                assert!(error.to_string().contains("invalid"), "{to}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_plan_that_names_meshes_by_paths_is_told_to_be_made_again() {
+        let text = stored_plan().replace("\"file\":\"box-0000.ply\"", "\"path\":\"/x.obj\"");
+        let error = Plan::from_bytes(text.as_bytes()).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        let remedy = error.remedy_text().unwrap();
+        assert!(remedy.contains("the same flags"), "{remedy}");
+    }
+
+    #[test]
+    fn a_plan_of_families_keeps_its_hash() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/plans/train-fem");
+        let plan = Plan::read(std::path::Path::new(folder)).unwrap();
+        assert_eq!(
+            plan.sha256,
+            Plan::new(
+                plan.header.clone(),
+                plan.objects.values().cloned().collect(),
+                plan.simulations.clone(),
+            )
+            .unwrap()
+            .sha256
+        );
+    }
+
+    #[test]
+    fn links_out_of_a_folder_are_neither_read_nor_overwritten() {
+        use std::os::unix::fs::symlink;
+        let dir = tempfile::tempdir().unwrap();
+        let [folder, secret] = ["plan", "secret"].map(|name| dir.path().join(name));
+        fs::create_dir(&folder).unwrap();
+        let root = Root::new(&folder);
+        plan(2).write(&root).unwrap();
+        for name in [PLAN_FILE, HASH_FILE] {
+            let path = folder.join(name);
+            fs::rename(&path, &secret).unwrap();
+            let kept = fs::read(&secret).unwrap();
+            symlink(&secret, &path).unwrap();
+            let error = Plan::read(&folder).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+            let _ = plan(2).write(&root);
+            assert_eq!(fs::read(&secret).unwrap(), kept, "{name}");
+            fs::remove_file(&path).unwrap();
+            plan(2).write(&root).unwrap();
+        }
+    }
+
+    #[test]
+    fn contradictions_are_refused() {
+        let mut twice = plan(2).simulations;
+        twice.push(twice[0].clone());
+        let objects = || plan(0).objects.into_values().collect::<Vec<_>>();
+        let error = Plan::new(plan(0).header, objects(), twice).unwrap_err();
+        assert!(error.to_string().contains("two simulations"));
+        let error = Plan::new(plan(0).header, Vec::new(), plan(1).simulations).unwrap_err();
+        assert!(error.to_string().contains("unknown object"));
+    }
+}

@@ -1,0 +1,164 @@
+//! Parts of a plan for processes that run at the same time.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::{Plan, PlannedSimulation};
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Environment variables in which schedulers tell the index of a task, from 0.
+pub const INDEX_VARIABLES: [&str; 4] = [
+    "SLURM_ARRAY_TASK_ID",
+    "JOB_COMPLETION_INDEX",
+    "AWS_BATCH_JOB_ARRAY_INDEX",
+    "PBS_ARRAY_INDEX",
+];
+
+/// Part `index` (from 0) of `count`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    index: usize,
+    count: usize,
+}
+
+impl Shard {
+    /// The whole plan.
+    pub const WHOLE: Self = Self { index: 0, count: 1 };
+
+    /// Part `index` of `count`.
+    ///
+    /// # Errors
+    /// `Usage` unless `index` is below `count`.
+    pub fn new(index: usize, count: usize) -> Result<Self> {
+        if index < count {
+            return Ok(Self { index, count });
+        }
+        Err(Error::new(
+            ErrorKind::Usage,
+            format!("shard {index}/{count} does not exist"),
+        )
+        .remedy(format!(
+            "shards are 0/{count} to {}/{count}",
+            count.max(1) - 1
+        )))
+    }
+
+    /// `INDEX/COUNT`, or `COUNT` alone (as `/COUNT`) with the index from `variable`, which reads
+    /// the environment.
+    ///
+    /// # Errors
+    /// `Usage` for other text, an index outside of the count, or an index that is nowhere.
+    pub fn parse(text: &str, variable: impl Fn(&str) -> Option<String>) -> Result<Self> {
+        let wrong = || {
+            Error::new(ErrorKind::Usage, format!("`{text}` is no shard"))
+                .remedy("write INDEX/COUNT such as 0/8, or /8 where a scheduler tells the index")
+        };
+        let (index, count) = text.split_once('/').ok_or_else(wrong)?;
+        let count = usize::from_str(count).map_err(|_| wrong())?;
+        if !index.is_empty() {
+            return Self::new(usize::from_str(index).map_err(|_| wrong())?, count);
+        }
+        let told = INDEX_VARIABLES
+            .iter()
+            .find_map(|name| Some((name, variable(name)?)));
+        let Some((name, told)) = told else {
+            return Err(
+                Error::new(ErrorKind::Usage, format!("shard {text} lacks its index")).remedy(
+                    format!(
+                        "write INDEX{text}, or run it where one of {} is set",
+                        INDEX_VARIABLES.join(", ")
+                    ),
+                ),
+            );
+        };
+        let index = usize::from_str(told.trim()).map_err(|_| {
+            Error::new(ErrorKind::Usage, format!("{name} is `{told}`, no index"))
+                .remedy("array tasks are numbered from 0")
+        })?;
+        Self::new(index, count)
+    }
+
+    /// The simulations of the part, in the order of the plan. Parts have equal estimated costs:
+    /// the costliest simulation goes to the part with least so far, and so on.
+    pub fn of(self, plan: &Plan) -> Vec<&PlannedSimulation> {
+        if self.count == 1 {
+            return plan.simulations.iter().collect();
+        }
+        let all = &plan.simulations;
+        let mut order: Vec<usize> = (0..all.len()).collect();
+        order.sort_by(|a, b| all[*b].cost_s.total_cmp(&all[*a].cost_s).then(a.cmp(b)));
+        let mut load = vec![0.0_f64; self.count];
+        let mut mine = Vec::new();
+        for at in order {
+            let least = (0..self.count).min_by(|a, b| load[*a].total_cmp(&load[*b]));
+            let Some(least) = least else { break };
+            load[least] += all[at].cost_s;
+            if least == self.index {
+                mine.push(at);
+            }
+        }
+        mine.sort_unstable();
+        mine.into_iter().map(|at| &all[at]).collect()
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.index, self.count)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::sample_plan;
+
+    fn nothing(_: &str) -> Option<String> {
+        None
+    }
+
+    #[test]
+    fn the_index_is_written_or_told_by_the_scheduler() {
+        assert_eq!(Shard::parse("2/8", nothing).unwrap().to_string(), "2/8");
+        let slurm = |name: &str| (name == "SLURM_ARRAY_TASK_ID").then(|| "3".to_owned());
+        assert_eq!(Shard::parse("/8", slurm).unwrap().to_string(), "3/8");
+        let text = |shard: &str, told: &str| {
+            let told = told.to_owned();
+            let variable = |name: &str| (name == "JOB_COMPLETION_INDEX").then(|| told.clone());
+            Shard::parse(shard, variable).unwrap_err().to_string()
+        };
+        assert!(text("/8", "eight").contains("JOB_COMPLETION_INDEX is `eight`"));
+        assert!(text("/8", "8").contains("8/8 does not exist"));
+        assert!(text("8/8", "0").contains("does not exist"));
+        assert!(text("0/0", "0").contains("does not exist"));
+        assert!(text("half", "0").contains("no shard"));
+        let error = Shard::parse("/8", nothing).unwrap_err().to_string();
+        assert!(error.contains("lacks its index"), "{error}");
+    }
+
+    #[test]
+    fn parts_are_disjoint_whole_and_of_equal_cost() {
+        let plan = sample_plan(40);
+        for count in [1, 3, 7, 64] {
+            let mut seen = Vec::new();
+            let mut costs = Vec::new();
+            for index in 0..count {
+                let part = Shard::new(index, count).unwrap().of(&plan);
+                costs.push(part.iter().map(|s| s.cost_s).sum::<f64>());
+                seen.extend(part.iter().map(|s| &s.id));
+            }
+            seen.sort();
+            let mut all: Vec<_> = plan.simulations.iter().map(|s| &s.id).collect();
+            all.sort();
+            assert_eq!(seen, all, "{count}");
+            let [least, most] =
+                [f64::min, f64::max].map(|pick| costs.iter().copied().reduce(pick).unwrap());
+            let largest = plan
+                .simulations
+                .iter()
+                .map(|s| s.cost_s)
+                .fold(0.0, f64::max);
+            assert!(most - least <= largest, "{count}: {costs:?}");
+        }
+    }
+}

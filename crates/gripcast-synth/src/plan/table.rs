@@ -1,0 +1,274 @@
+//! Objects of the user's: a table beside their meshes.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::{Drafts, MeshSource, ObjectDraft, TextureDraft};
+use crate::properties::{FRICTION_RANGE, Material, Modifier};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{FileKind, Root, SimulationId, read_text};
+use gripcast_geometry::load_object_mesh_below;
+use gripcast_visual::SeedStream;
+
+/// Version of the format.
+const SCHEMA: u32 = 1;
+/// Heaviest object that is believed, kg; more is mostly grams taken for kilograms.
+const MAX_MASS_KG: f64 = 10.0;
+/// Width of textures on objects where the table does not give it, m.
+const TEXTURE_WIDTH_M: f64 = 0.1;
+
+/// `objects.toml`.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Table {
+    schema: u32,
+    #[serde(default)]
+    object: Vec<toml::Table>,
+}
+
+/// A row of it.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Row {
+    name: SimulationId,
+    mesh: String,
+    unit: Option<String>,
+    scale: Option<f64>,
+    category: String,
+    material: String,
+    fill: Option<f64>,
+    mass_kg: Option<f64>,
+    friction: Option<f64>,
+    #[serde(default)]
+    appearances: Vec<String>,
+    #[serde(default)]
+    textures: Vec<String>,
+    texture_width_m: Option<f64>,
+}
+
+/// Reads a table of objects; an object that cannot be read is left out.
+///
+/// ```toml
+/// schema = 1
+///
+/// [[object]]
+/// name = "blue-mug"              # letters, digits, - _ .
+/// mesh = "mug.obj"               # below the table's folder, or builtin:NAME
+/// unit = "mm"                    # of the mesh's coordinates; not for builtin:NAME
+/// category = "mug"
+/// material = "ceramic"           # density, friction and appearances where they are not given
+/// # optional:
+/// scale = 1.0
+/// fill = 1.0                     # share of the mesh's volume that is material
+/// mass_kg = 0.21
+/// friction = 0.6                 # against the gel, 0.1 to 1.5
+/// appearances = ["glossy blue enamel", "chipped white enamel"]
+/// textures = ["label.png"]       # PNG or JPEG, below the table's folder
+/// texture_width_m = 0.08         # of the picture on the object
+/// ```
+///
+/// # Errors
+/// Those of reading the table; `Input` for what is no table or has no objects.
+pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
+    let at = |e: Error| e.at(table.display());
+    let text = read_text(table, FileKind::Record)
+        .map_err(|e| at(Error::io("cannot read the table of objects", e)))?;
+    let found: Table = toml::from_str(&text).map_err(|e| at(no_table().because(e)))?;
+    if found.schema != SCHEMA {
+        let what = format!("the table has schema {}, known is {SCHEMA}", found.schema);
+        let remedy = "read it with the release of gripcast that it was written for";
+        return Err(at(Error::new(ErrorKind::Input, what).remedy(remedy)));
+    }
+    if found.object.is_empty() {
+        return Err(at(no_table()));
+    }
+    let folder = Root::new(table.parent().unwrap_or(Path::new(".")));
+    let mut drafts = Drafts::default();
+    for (number, row) in found.object.into_iter().enumerate() {
+        let name = row.get("name").and_then(toml::Value::as_str);
+        let name = name.map_or_else(|| format!("object {}", number + 1), str::to_owned);
+        let read = row
+            .try_into()
+            .map_err(|e: toml::de::Error| no_table().because(e))
+            .and_then(|row: Row| draft(row, &folder, seed));
+        drafts.note(&name, read)?;
+    }
+    Ok(drafts)
+}
+
+fn no_table() -> Error {
+    Error::new(ErrorKind::Input, "this is no table of objects").remedy(
+        "write schema = 1 and, for each object, [[object]] with name, mesh, unit, category and \
+         material (docs/synth.md)",
+    )
+}
+
+fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
+    in_range("mass_kg", row.mass_kg, [0.0, MAX_MASS_KG])?;
+    in_range("fill", row.fill, [0.0, 1.0])?;
+    in_range("friction", row.friction, FRICTION_RANGE)?;
+    if row.category.trim().is_empty() {
+        return Err(Error::new(ErrorKind::Input, "`category` is empty"));
+    }
+    let material = Material::named(&row.material)?;
+    let is_builtin = row.mesh.starts_with("builtin:");
+    let unit = match (&row.unit, is_builtin) {
+        (Some(unit), _) => unit.as_str(),
+        (None, true) => "m",
+        (None, false) => {
+            return Err(Error::new(
+                ErrorKind::Input,
+                "`unit` is missing: mesh files do not tell what their numbers mean",
+            )
+            .remedy("write unit = \"mm\", \"cm\", \"m\" or \"in\""));
+        }
+    };
+    let scale = row.scale.unwrap_or(1.0);
+    let mesh = load_object_mesh_below(folder, &row.mesh, unit.parse()?, scale)?.mesh;
+    let own = SeedStream::named(seed, &format!("object {}", row.name)).bits();
+    let width_m = row.texture_width_m.unwrap_or(TEXTURE_WIDTH_M);
+    let texture = |file: &String| {
+        let place = folder.resolve_allowed(file).map_err(|_| {
+            let what = format!("the texture {file:?} is not below the folder of the table");
+            Error::new(ErrorKind::Input, what).remedy(
+                "copy the picture beside the table, or allow its folder with \
+                 GRIPCAST__FILES__LINKED_FOLDERS",
+            )
+        })?;
+        TextureDraft::of_file(place, width_m)
+    };
+    Ok(ObjectDraft {
+        category: row.category.trim().to_owned(),
+        source: MeshSource::stored(&row.name)?,
+        mesh,
+        material,
+        fill: row.fill,
+        mass_kg: row.mass_kg,
+        friction: row.friction,
+        looks: row
+            .appearances
+            .iter()
+            .map(|words| Modifier::of_words(words, material, own))
+            .collect(),
+        textures: row.textures.iter().map(texture).collect::<Result<_>>()?,
+        grasps: None,
+        name: row.name,
+    })
+}
+
+fn in_range(name: &str, value: Option<f64>, [low, high]: [f64; 2]) -> Result<()> {
+    match value {
+        Some(value) if !(value > 0.0 && value >= low && value <= high) => Err(Error::new(
+            ErrorKind::Input,
+            format!("`{name}` must be above 0, from {low} to {high}, found {value}"),
+        )),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    fn read(rows: &str) -> Result<Drafts> {
+        let folder = tempfile::tempdir().unwrap();
+        let table = folder.path().join("objects.toml");
+        fs::write(&table, format!("schema = 1\n{rows}")).unwrap();
+        let picture = image::RgbImage::new(4, 2);
+        picture.save(folder.path().join("label.png")).unwrap();
+        let mesh = "v 0 0 0\nv 40 0 0\nv 0 40 0\nv 0 0 40\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+        fs::write(folder.path().join("corner.obj"), mesh).unwrap();
+        let outside = tempfile::tempdir().unwrap();
+        fs::write(outside.path().join("corner.obj"), mesh).unwrap();
+        let link = folder.path().join("out.obj");
+        std::os::unix::fs::symlink(outside.path().join("corner.obj"), link).unwrap();
+        table_drafts(&table, 1)
+    }
+
+    const MUG: &str = "[[object]]\nname = \"mug\"\nmesh = \"builtin:mug\"\ncategory = \"mug\"\n\
+                       material = \"ceramic\"\n";
+    const CORNER: &str = "[[object]]\nname = \"corner\"\nmesh = \"corner.obj\"\nunit = \"mm\"\n\
+                          category = \"block\"\nmaterial = \"pine\"\n";
+
+    #[test]
+    fn objects_have_what_the_table_says() {
+        let more = "mass_kg = 0.05\nfriction = 0.7\nfill = 0.5\ntextures = [\"label.png\"]\n\
+                    appearances = [\"glossy blue paint\"]\nscale = 2.0\n";
+        let read = read(&format!("{MUG}{CORNER}{more}")).unwrap();
+        assert!(read.left_out.is_empty(), "{:?}", read.left_out);
+        let [mug, corner] = read.drafts.as_slice() else {
+            panic!("two objects");
+        };
+        assert_eq!(
+            (mug.mass_kg, mug.friction, mug.looks.len()),
+            (None, None, 0)
+        );
+        assert_eq!((corner.mass_kg, corner.friction), (Some(0.05), Some(0.7)));
+        assert_eq!(corner.looks[0].words, "glossy blue paint");
+        assert_eq!(corner.textures[0].planned.words, "label");
+        assert!((corner.mesh.bounds().extent().max_element() - 0.08).abs() < 1e-12);
+        let MeshSource::File { file } = &corner.source else {
+            panic!("a file");
+        };
+        assert_eq!(*file, "corner.ply");
+    }
+
+    #[test]
+    fn wrong_rows_are_left_out_with_their_reason() {
+        let wrong = [
+            ("mass_kg = 210", "from 0 to 10"),
+            ("friction = 0.01", "from 0.1 to 1.5"),
+            ("fill = nan", "fill"),
+            ("scale = -1", "scale"),
+            ("textures = [\"other.png\"]", "other.png"),
+            ("textures = [\"../label.png\"]", "../label.png"),
+            ("textures = [\"/label.png\"]", "/label.png"),
+            ("colour = \"red\"", "colour"),
+        ];
+        for (line, words) in wrong {
+            let read = read(&format!("{MUG}{CORNER}{line}\n")).unwrap();
+            assert_eq!(read.drafts.len(), 1, "{line}");
+            let left_out = &read.left_out[0];
+            assert_eq!(left_out.name, "corner");
+            assert!(
+                left_out.reason.contains(words),
+                "{line}: {}",
+                left_out.reason
+            );
+        }
+        for (from, to, words) in [
+            ("unit = \"mm\"\n", "", "unit"),
+            ("pine", "pyne", "pine"),
+            ("corner.obj", "other.obj", "other.obj"),
+            ("\"mm\"", "\"furlong\"", "furlong"),
+            ("\"corner\"", "\"a/b\"", "a/b"),
+            ("corner.obj", "../corner.obj", "beside"),
+            ("corner.obj", "/etc/hostname", "LINKED_FOLDERS"),
+            ("corner.obj", "out.obj", "out.obj"),
+        ] {
+            let read = read(&format!("{MUG}{}", CORNER.replace(from, to))).unwrap();
+            assert!(
+                read.left_out[0].reason.contains(words),
+                "{:?}",
+                read.left_out
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_no_table_is_explained() {
+        for text in ["", "[[objects]]\n", "object = 3"] {
+            let error = read(text).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input, "{text}");
+            assert!(
+                error
+                    .remedy_text()
+                    .is_some_and(|r| r.contains("[[object]]"))
+            );
+        }
+        assert!(table_drafts(Path::new("/nothing"), 0).is_err());
+    }
+}

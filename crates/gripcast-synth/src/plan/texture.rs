@@ -1,0 +1,200 @@
+//! Pictures of the user's as textures.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::TEXTURES;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, ContentKey, FileKind, FileName, Label, Root, sha256_hex};
+use gripcast_visual::{Bitmap, read_bitmap};
+
+/// Endings of files that are taken for pictures.
+const ENDINGS: [&str; 3] = [".png", ".jpg", ".jpeg"];
+
+/// A picture that may be on an object.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PictureTexture {
+    /// A PNG or JPEG file in the plan's folder `textures`.
+    pub file: FileName,
+    /// What it is called: the name of the original file without its ending.
+    pub words: Label,
+    /// SHA-256 of the file, 64 hex digits.
+    pub sha256: String,
+    /// Width of the picture on the object, m.
+    pub width_m: f64,
+}
+
+/// A picture before it is in a plan's folder.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TextureDraft {
+    /// As the plan names it.
+    pub planned: PictureTexture,
+    source: BeneathPath,
+}
+
+impl PictureTexture {
+    /// The picture; `root` is the folder of the plan.
+    ///
+    /// # Errors
+    /// Those of reading it; `Input` where it is not the planned one.
+    pub fn load(&self, root: &Root) -> Result<Bitmap> {
+        let place = root.top().join(TEXTURES).join(&self.file);
+        let bytes = read(&place)?;
+        self.check(&bytes)
+            .and_then(|()| read_bitmap(&bytes))
+            .map_err(|e| e.at(place.display()))
+    }
+
+    fn check(&self, bytes: &[u8]) -> Result<()> {
+        let found = sha256_hex(bytes);
+        if found == self.sha256 {
+            return Ok(());
+        }
+        Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "the texture changed: expected {}, found {found}",
+                self.sha256
+            ),
+        )
+        .remedy("restore the picture, or make the plan again in another folder"))
+    }
+}
+
+impl TextureDraft {
+    /// A picture by its file, `width_m` wide on the object.
+    ///
+    /// # Errors
+    /// Those of reading the picture; `Input` for a width that is not above 0.
+    pub fn of_file(source: BeneathPath, width_m: f64) -> Result<Self> {
+        if !(width_m > 0.0 && width_m.is_finite()) {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("the width of a texture must be above 0, found {width_m} m"),
+            )
+            .remedy("give the width that the picture has on the object, in metres"));
+        }
+        let bytes = read(&source)?;
+        read_bitmap(&bytes).map_err(|e| e.at(source.display()))?;
+        let ending = match bytes.starts_with(b"\x89PNG") {
+            true => ".png",
+            false => ".jpg",
+        };
+        let name = source.name();
+        let stem = Path::new(&name).file_stem().unwrap_or_default();
+        Ok(Self {
+            planned: PictureTexture {
+                file: ContentKey::of(&bytes).with_suffix(ending),
+                words: Label::nearest(&stem.to_string_lossy()),
+                sha256: sha256_hex(&bytes),
+                width_m,
+            },
+            source,
+        })
+    }
+
+    /// The bytes of the picture.
+    ///
+    /// # Errors
+    /// Those of reading it; `Input` where it changed since it was first read.
+    pub(super) fn read(&self) -> Result<Vec<u8>> {
+        let bytes = read(&self.source)?;
+        self.planned
+            .check(&bytes)
+            .map_err(|e| e.at(self.source.display()))?;
+        Ok(bytes)
+    }
+}
+
+/// The pictures of a folder, by name; each `width_m` wide on objects.
+///
+/// # Errors
+/// `Input` for a folder without pictures; those of reading them.
+pub fn texture_folder(folder: &Path, width_m: f64) -> Result<Vec<TextureDraft>> {
+    let mut files = Root::new(folder)
+        .top()
+        .entries()
+        .map_err(|e| Error::io("cannot read the folder of textures", e).at(folder.display()))?;
+    files.retain(|file| {
+        let name = file.name().to_lowercase();
+        ENDINGS.iter().any(|ending| name.ends_with(ending))
+    });
+    if files.is_empty() {
+        return Err(Error::new(ErrorKind::Input, "the folder has no pictures")
+            .at(folder.display())
+            .remedy("put PNG or JPEG files into it"));
+    }
+    let of_file = |file| TextureDraft::of_file(file, width_m);
+    files.into_iter().map(of_file).collect()
+}
+
+fn read(place: &BeneathPath) -> Result<Vec<u8>> {
+    place.read(FileKind::Image).map_err(|e| {
+        Error::io("cannot read the texture", e)
+            .at(place.display())
+            .remedy("check the path and its permissions")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn a_folder_of_pictures_is_read_and_a_changed_picture_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        for (name, level) in [("b.png", 9), ("a.PNG", 200)] {
+            let picture = image::RgbImage::from_pixel(4, 2, image::Rgb([level; 3]));
+            picture
+                .save_with_format(file(name), image::ImageFormat::Png)
+                .unwrap();
+        }
+        fs::write(file("notes.txt"), "").unwrap();
+        let textures = texture_folder(folder.path(), 0.05).unwrap();
+        let names: Vec<&str> = textures.iter().map(|t| &*t.planned.words).collect();
+        assert_eq!(names, ["a", "b"]);
+        let plan = tempfile::tempdir().unwrap();
+        let planned = &textures[0].planned;
+        let stored = plan.path().join(TEXTURES).join(planned.file.as_str());
+        fs::create_dir(plan.path().join(TEXTURES)).unwrap();
+        fs::write(&stored, textures[0].read().unwrap()).unwrap();
+        let root = Root::new(plan.path());
+        assert_eq!(planned.load(&root).unwrap().size(), [4, 2]);
+        fs::copy(file("b.png"), &stored).unwrap();
+        let error = planned.load(&root).unwrap_err().to_string();
+        assert!(error.contains("changed"), "{error}");
+        fs::copy(file("b.png"), file("a.PNG")).unwrap();
+        assert!(textures[0].read().is_err());
+        fs::write(file("b.png"), "no picture").unwrap();
+        assert!(texture_folder(folder.path(), 0.05).is_err());
+        let place = Root::new(folder.path()).top().join("a.PNG");
+        assert!(TextureDraft::of_file(place, f64::NAN).is_err());
+        let empty = tempfile::tempdir().unwrap();
+        let error = texture_folder(empty.path(), 0.05).unwrap_err();
+        assert!(error.to_string().contains("no pictures"));
+    }
+
+    #[test]
+    fn a_picture_outside_of_the_folder_is_not_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        fs::create_dir_all(at("plan/textures")).unwrap();
+        image::RgbImage::new(4, 2).save(at("secret.png")).unwrap();
+        std::os::unix::fs::symlink("../../secret.png", at("plan/textures/a.png")).unwrap();
+        let error = texture_folder(&at("plan/textures"), 0.05).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+        let planned = PictureTexture {
+            file: FileName::parse("a.png").unwrap(),
+            words: Label::default(),
+            sha256: sha256_hex(fs::read(at("secret.png")).unwrap()),
+            width_m: 0.1,
+        };
+        let error = planned.load(&Root::new(at("plan"))).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+    }
+}

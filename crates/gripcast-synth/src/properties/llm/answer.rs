@@ -1,0 +1,231 @@
+//! What a language model's answers say.
+
+use serde_json::{Deserializer, Map, Value};
+
+use crate::properties::appearance::APPEARANCES;
+use crate::properties::physical::{FRICTION_RANGE, is_mass};
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Longest answer that is read, bytes; the answers asked for have a hundred.
+const LONGEST_BYTES: usize = 64 << 10;
+/// Longest text of an answer that an error repeats, characters.
+const LONGEST_QUOTE: usize = 160;
+/// Longest appearance, characters.
+const LONGEST_MODIFIER: usize = 80;
+
+/// Mass in kg and friction: the last JSON object in the text that has both.
+///
+/// # Errors
+/// `Input` with what was found: no such object, a mass that is not positive, a friction outside
+/// [0.1, 1.5], numbers written as text.
+pub(super) fn mass_and_friction(text: &str) -> Result<(f64, f64)> {
+    let object = last_object(spoken(text)?).ok_or_else(|| {
+        unusable(format!(
+            "there is no JSON object with \"mass\" and \"friction\" in {}",
+            quote(text)
+        ))
+    })?;
+    let number = |key: &str| {
+        let value = object.get(key).unwrap_or(&Value::Null);
+        value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| {
+            unusable(format!(
+                "\"{key}\" must be a number, found {}",
+                quote(&value.to_string())
+            ))
+        })
+    };
+    let (mass, friction) = (number("mass")?, number("friction")?);
+    if !is_mass(mass) {
+        return Err(unusable(format!(
+            "the mass must be above 0 kg, found {mass}"
+        )));
+    }
+    let [low, high] = FRICTION_RANGE;
+    if !(low..=high).contains(&friction) {
+        return Err(unusable(format!(
+            "the friction must be from {low} to {high}, found {friction}"
+        )));
+    }
+    Ok((mass, friction))
+}
+
+/// The five appearances in a list: a JSON array, one per line, or separated by commas; bullets,
+/// numbers and quotation marks are taken off.
+///
+/// # Errors
+/// `Input` with what was found unless there are exactly five different ones.
+pub(super) fn appearances(text: &str) -> Result<Vec<String>> {
+    let spoken = spoken(text)?;
+    let mut found: Vec<String> = Vec::new();
+    for entry in entries(spoken) {
+        let entry = bare(&entry);
+        let known = found.iter().any(|f| f.eq_ignore_ascii_case(&entry));
+        if !entry.is_empty() && !known {
+            found.push(entry);
+        }
+    }
+    let fits = |m: &String| m.chars().count() <= LONGEST_MODIFIER;
+    if found.len() == APPEARANCES && found.iter().all(fits) {
+        return Ok(found);
+    }
+    Err(unusable(format!(
+        "expected {APPEARANCES} different appearances of at most {LONGEST_MODIFIER} characters, \
+         found {} in {}",
+        found.len(),
+        quote(text)
+    )))
+}
+
+/// The text without what a model thought before it spoke.
+fn spoken(text: &str) -> Result<&str> {
+    if text.len() > LONGEST_BYTES {
+        return Err(unusable(format!(
+            "the answer must have at most {LONGEST_BYTES} bytes, found {}",
+            text.len()
+        )));
+    }
+    let after = text
+        .rsplit_once("</think>")
+        .map_or(text, |(_, after)| after);
+    Ok(after)
+}
+
+fn last_object(text: &str) -> Option<Map<String, Value>> {
+    let starts = text.rmatch_indices('{');
+    starts.map(|(at, _)| &text[at..]).find_map(|rest| {
+        let first = Deserializer::from_str(rest).into_iter::<Value>().next();
+        match first {
+            Some(Ok(Value::Object(map)))
+                if map.contains_key("mass") && map.contains_key("friction") =>
+            {
+                Some(map)
+            }
+            _ => None,
+        }
+    })
+}
+
+fn entries(text: &str) -> Vec<String> {
+    let array = text.find('[').and_then(|at| {
+        let mut values = Deserializer::from_str(&text[at..]).into_iter::<Vec<String>>();
+        values.next().and_then(std::result::Result::ok)
+    });
+    if let Some(array) = array {
+        return array;
+    }
+    let said = |line: &&str| {
+        let line = line.trim();
+        // Fences, and a sentence before the list.
+        !line.is_empty() && !line.starts_with("```") && !line.ends_with(':')
+    };
+    let lines: Vec<&str> = text.lines().filter(said).collect();
+    match lines.as_slice() {
+        [one] => one.split([',', ';']).map(str::to_owned).collect(),
+        lines => lines.iter().map(|&l| l.to_owned()).collect(),
+    }
+}
+
+/// An entry on one line without bullet, number, quotation marks and full stop.
+fn bare(entry: &str) -> String {
+    let decoration = |c: char| {
+        c.is_whitespace() || c.is_control() || c.is_ascii_digit() || "-*•.,;)(\"'`_".contains(c)
+    };
+    let words: Vec<&str> = entry.trim_matches(decoration).split_whitespace().collect();
+    words.join(" ")
+}
+
+fn quote(text: &str) -> String {
+    let start: String = text.chars().take(LONGEST_QUOTE).collect();
+    let more = if start.len() < text.len() { " …" } else { "" };
+    format!("{start:?}{more}")
+}
+
+fn unusable(what: String) -> Error {
+    Error::new(
+        ErrorKind::Input,
+        format!("the answer cannot be used: {what}"),
+    )
+    .remedy("ask another model, or allow the table of materials in place of its answers (--llm-fallback)")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_is_found_wherever_it_stands() {
+        for text in [
+            r#"{"mass": 0.25, "friction": 0.8}"#,
+            "A mug of that size weighs …\n```json\n{ \"mass\": 0.25, \"friction\": 0.8}.\n```\n",
+            r#"Sure {not json}! {"result": {"friction": 0.8, "mass": 0.25, "unit": "kg"}} Bye}"#,
+            r#"As in {"mass": 0.1, "friction": 1.2}, so {"mass": 0.25, "friction": 0.8}."#,
+            r#"<think>{"mass": 9, "friction": 1}</think>{"mass": 2.5e-1, "friction": 0.80}"#,
+        ] {
+            assert_eq!(mass_and_friction(text).unwrap(), (0.25, 0.8), "{text}");
+        }
+    }
+
+    #[test]
+    fn unusable_numbers_are_told() {
+        for (text, found) in [
+            ("I cannot say.", "I cannot say."),
+            ("", "no JSON object"),
+            ("{\"mass\": 0.1", "no JSON object"),
+            ("{\"mass\": 0.1}", "no JSON object"),
+            ("[0.1, 1.2]", "no JSON object"),
+            (r#"{"mass": 0, "friction": 1}"#, "found 0"),
+            (r#"{"mass": -2, "friction": 1}"#, "found -2"),
+            (r#"{"mass": 1, "friction": 0.05}"#, "found 0.05"),
+            (r#"{"mass": 1, "friction": 1.6}"#, "found 1.6"),
+            (r#"{"mass": "1 kg", "friction": 1}"#, "1 kg"),
+            (r#"{"mass": null, "friction": 1}"#, "null"),
+            (r#"{"mass": 1e999, "friction": 1}"#, "no JSON object"),
+        ] {
+            let error = mass_and_friction(text).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input);
+            assert!(error.to_string().contains(found), "{text}: {error}");
+        }
+        let long = mass_and_friction(&"x".repeat(LONGEST_BYTES + 1)).unwrap_err();
+        assert!(long.to_string().contains("65537"), "{long}");
+        assert!(mass_and_friction(&"{".repeat(LONGEST_BYTES)).is_err());
+        assert!(mass_and_friction(&"{\"a\":[".repeat(9_000)).is_err());
+    }
+
+    #[test]
+    fn lists_of_appearances_are_read_in_any_form() {
+        let expected = [
+            "Glossy red",
+            "Matte black",
+            "Light oak",
+            "Brushed steel",
+            "Blue-white",
+        ];
+        for text in [
+            "Glossy red\nMatte black\nLight oak\nBrushed steel\nBlue-white\n",
+            "- Glossy red\n- Matte black\n- Light oak\n- Brushed steel\n- Blue-white",
+            "Here are five:\n\n1. Glossy red\n2. Matte black\n3) Light oak\n4. \"Brushed steel\",\n\
+             5. *Blue-white*.",
+            "Glossy red, Matte black, Light oak, Brushed steel, Blue-white",
+            "```json\n[\"Glossy red\", \"Matte black\",\n\"Light oak\", \"Brushed steel\",\
+             \"Blue-white\"]\n```",
+        ] {
+            assert_eq!(appearances(text).unwrap(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn other_lists_are_refused() {
+        let long = format!("a\nb\nc\nd\n{}", "e".repeat(81));
+        for text in [
+            "",
+            "Red",
+            "a\nb\nc\nd",
+            "a\nb\nc\nd\ne\nf",
+            "a\nA\nb\nc\nd",
+            &long,
+        ] {
+            let error = appearances(text).unwrap_err();
+            assert!(error.to_string().contains("expected 5"), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! The address of an OpenAI-compatible endpoint.
+
+use std::net::IpAddr;
+
+use ureq::http::Uri;
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+const PATH: &str = "/chat/completions";
+
+/// A checked address.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Endpoint {
+    /// Where questions are posted to.
+    pub url: String,
+    /// Whether it is on this machine.
+    pub local: bool,
+    /// Whether what is sent is encrypted.
+    pub encrypted: bool,
+}
+
+impl Endpoint {
+    /// Address from its base, as `https://api.openai.com/v1` or `http://localhost:11434/v1`.
+    ///
+    /// # Errors
+    /// `Usage` for what is no such address, or has credentials, a query or a fragment, which would
+    /// be printed with it. The text of such an address is not repeated.
+    pub(super) fn parse(base: &str) -> Result<Self> {
+        let wrong = |what: String, remedy: &str| {
+            Err(Error::new(ErrorKind::Usage, what).remedy(remedy.to_owned()))
+        };
+        let base = base.trim();
+        if base.contains(['@', '?', '#']) {
+            return wrong(
+                "the address of the endpoint has a user name, a query or a fragment".to_owned(),
+                "give it as https://HOST/v1, and the key in an environment variable",
+            );
+        }
+        let base = base.trim_end_matches('/');
+        let base = base.strip_suffix(PATH).unwrap_or(base);
+        let example = "give it as https://api.openai.com/v1 or http://localhost:11434/v1";
+        let uri: Uri = match base.parse() {
+            Ok(uri) => uri,
+            Err(_) => return wrong(format!("{base:?} is no address of an endpoint"), example),
+        };
+        let (Some(scheme), Some(host)) = (uri.scheme_str(), uri.host()) else {
+            return wrong(format!("{base:?} is no complete address"), example);
+        };
+        if host.is_empty() || !["http", "https"].contains(&scheme) {
+            return wrong(format!("{base:?} is no http or https address"), example);
+        }
+        Ok(Self {
+            url: format!("{base}{PATH}"),
+            local: is_local(host),
+            encrypted: scheme == "https",
+        })
+    }
+}
+
+fn is_local(host: &str) -> bool {
+    let bare = host.trim_start_matches('[').trim_end_matches(']');
+    let loopback = bare.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
+    loopback || bare.eq_ignore_ascii_case("localhost")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_get_the_path_once() {
+        for base in [
+            "https://api.openai.com/v1",
+            " https://api.openai.com/v1/ ",
+            "https://api.openai.com/v1/chat/completions",
+        ] {
+            let endpoint = Endpoint::parse(base).unwrap();
+            assert_eq!(endpoint.url, "https://api.openai.com/v1/chat/completions");
+            assert!(endpoint.encrypted && !endpoint.local);
+        }
+        for base in [
+            "http://localhost:11434/v1",
+            "http://127.0.0.1:8000",
+            "http://[::1]:8000/v1",
+        ] {
+            let endpoint = Endpoint::parse(base).unwrap();
+            assert!(endpoint.local && !endpoint.encrypted, "{base}");
+        }
+        assert!(
+            !Endpoint::parse("http://localhost.example.org/v1")
+                .unwrap()
+                .local
+        );
+    }
+
+    #[test]
+    fn wrong_addresses_are_refused_without_their_secrets() {
+        for base in [
+            "",
+            "api.openai.com/v1",
+            "ftp://host/v1",
+            "/v1",
+            "http://",
+            "http://a b",
+        ] {
+            let error = Endpoint::parse(base).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Usage, "{base:?}");
+            assert!(error.remedy_text().is_some());
+        }
+        for base in [
+            "https://me:secret@host/v1",
+            "https://host/v1?key=secret",
+            "https://h/#secret",
+        ] {
+            let error = Endpoint::parse(base).unwrap_err();
+            assert!(!error.to_string().contains("secret"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! An appearance in words and as the renderer draws it.
+
+use serde::{Deserialize, Serialize};
+
+use super::material::Material;
+use super::words::look_of_words;
+use gripcast_imaging::srgb_decode;
+pub use gripcast_visual::{FinishClass, Look, PatternWord};
+
+/// An appearance of an object: the words that come before its category, and the look.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Modifier {
+    /// For instance `scratched blue enamel`.
+    pub words: String,
+    /// What these words look like.
+    pub look: Look,
+}
+
+impl Modifier {
+    /// An appearance of a thing of `material` in English words; what they leave open is that of
+    /// the bare material, the colour one by chance.
+    pub fn of_words(words: &str, material: &Material, seed: u64) -> Self {
+        Self {
+            words: words.to_owned(),
+            look: look_of_words(words, material, seed),
+        }
+    }
+}
+
+/// Linear RGB of a colour written as 0xRRGGBB in sRGB.
+pub(super) fn linear_rgb(hex: u32) -> [f32; 3] {
+    let [_, r, g, b] = hex.to_be_bytes();
+    [r, g, b].map(srgb_decode)
+}

@@ -1,0 +1,125 @@
+//! The known shape of a calibration press: a ball in contact over a disc.
+
+use crate::membrane::sink_of_ball_m;
+use crate::{PressDepth, SensorGeometry};
+
+/// Largest contact radius that is taken, of the ball's radius: beyond it the slope at the border
+/// grows without bound.
+const LARGEST_CONTACT: f64 = 0.95;
+
+/// A ball pressed into the gel, in contact over a disc.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BallContact {
+    /// The sensor's grid.
+    pub geometry: SensorGeometry,
+    /// Centre of the disc: column and row, pixels.
+    pub centre_px: [f64; 2],
+    /// Radius of the disc, pixels.
+    pub radius_px: f64,
+    /// Radius of the ball, m.
+    pub ball_m: f64,
+}
+
+impl BallContact {
+    /// Depth of the ball below the border of its contact: the cap alone, 0 outside the disc.
+    pub fn cap(&self) -> PressDepth {
+        ball_press(
+            self.geometry,
+            self.centre_px,
+            self.radius_px,
+            self.ball_m,
+            0.0,
+        )
+    }
+
+    /// Depth of the ball below the untouched face of a gel that comes up again over
+    /// `sink_length_m` around the contact (see [`sink_of_ball_m`]); with 0 this is
+    /// [`BallContact::cap`].
+    pub fn press(&self, sink_length_m: f64) -> PressDepth {
+        let contact_m = self.contact_m();
+        let sink = sink_of_ball_m(contact_m, self.ball_m, sink_length_m);
+        ball_press(
+            self.geometry,
+            self.centre_px,
+            self.radius_px,
+            self.ball_m,
+            sink,
+        )
+    }
+
+    /// Radius of the contact, m, at most 0.95 of the ball's.
+    pub fn contact_m(&self) -> f64 {
+        (self.radius_px * self.geometry.pixel_m).min(LARGEST_CONTACT * self.ball_m)
+    }
+}
+
+/// Depth of a ball below the untouched face, m: at a distance ρ from the centre
+/// √(R² − ρ²) − √(R² − a²) + sink, where that is positive.
+///
+/// `radius_px` is the radius a of the contact (at most 0.95 R is taken), `ball_m` the radius R of
+/// the ball, `sink_m` how deep the border of the contact lies below the untouched face.
+pub fn ball_press(
+    geometry: SensorGeometry,
+    centre_px: [f64; 2],
+    radius_px: f64,
+    ball_m: f64,
+    sink_m: f64,
+) -> PressDepth {
+    let mut press = PressDepth::untouched(geometry);
+    let square = |x: f64| x * x;
+    let contact_m = (radius_px * geometry.pixel_m).min(LARGEST_CONTACT * ball_m);
+    let border = (square(ball_m) - square(contact_m)).max(0.0).sqrt();
+    for (i, depth) in press.depth_m.iter_mut().enumerate() {
+        let x = ((i % geometry.width) as f64 - centre_px[0]) * geometry.pixel_m;
+        let y = ((i / geometry.width) as f64 - centre_px[1]) * geometry.pixel_m;
+        let over = square(ball_m) - x * x - y * y;
+        if over > 0.0 {
+            let deep = (over.sqrt() - border + sink_m).max(0.0);
+            *depth = deep.min(geometry.gel_thickness_m) as f32;
+        }
+    }
+    press
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GEOMETRY: SensorGeometry = SensorGeometry {
+        width: 320,
+        height: 240,
+        pixel_m: 6e-5,
+        gel_thickness_m: 4e-3,
+    };
+
+    #[test]
+    fn a_cap_ends_at_the_contact_and_a_press_goes_beyond() {
+        let contact = BallContact {
+            geometry: GEOMETRY,
+            centre_px: [150.0, 100.0],
+            radius_px: 20.0,
+            ball_m: 2e-3,
+        };
+        let at = |press: &PressDepth, x: usize| press.depth_m[100 * 320 + x];
+        let cap = contact.cap();
+        assert!(at(&cap, 169) > 0.0 && at(&cap, 170) == 0.0);
+        let expected = 2e-3 - (4e-6f64 - 1.2e-3 * 1.2e-3).sqrt();
+        assert!((f64::from(at(&cap, 150)) - expected).abs() < 1e-9);
+        let press = contact.press(1e-3);
+        let sink = sink_of_ball_m(1.2e-3, 2e-3, 1e-3);
+        assert!((f64::from(at(&press, 170)) - sink).abs() < 1e-9);
+        assert!(at(&press, 172) > 0.0);
+    }
+
+    #[test]
+    fn a_contact_as_wide_as_the_ball_stays_finite() {
+        let contact = BallContact {
+            geometry: GEOMETRY,
+            centre_px: [0.0, 0.0],
+            radius_px: 60.0,
+            ball_m: 2e-3,
+        };
+        let press = contact.press(1e-3);
+        assert!(press.depth_m.iter().all(|d| d.is_finite() && *d <= 4e-3));
+    }
+}

@@ -1,0 +1,201 @@
+//! Fits lamps to presses: their places by downhill simplex, their strengths, which enter
+//! linearly and may not be negative, by coordinate descent inside.
+
+use super::press_set::PressSet;
+use super::score::{Distance, observe};
+use super::simplex::minimise;
+use super::sums::normals_of;
+use crate::led::Lamp;
+use crate::{Led, LedShading, Smoothing};
+
+/// About so many pixels of each press are used.
+const PIXELS_A_PRESS: usize = 400;
+/// Pixels up to this distance from the border of a contact are fitted.
+const FIT_PX: f64 = 30.0;
+/// Phong exponents that are tried.
+const SHININESS: [u32; 4] = [2, 4, 8, 16];
+/// Evaluations of the simplex for each exponent.
+const EVALUATIONS: usize = 220;
+/// Sweeps of the coordinate descent.
+const SWEEPS: usize = 60;
+/// Penalty on strengths, of the mean diagonal.
+const RIDGE: f64 = 1e-3;
+/// Distances of lamps from the middle and from the face that are believed, m.
+const REACH_M: std::ops::RangeInclusive<f64> = 4e-3..=60e-3;
+const ABOVE_M: std::ops::RangeInclusive<f64> = 1e-3..=40e-3;
+
+/// A pixel of a press: place (m), normal (nx, ny, nz − 1), change (grey levels).
+struct Sample {
+    place: [f32; 2],
+    normal: [f32; 3],
+    change: [f64; 3],
+}
+
+/// Fits three lamps to presses of a set, by index, for a given shape of the gel.
+pub(super) fn fit_leds(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> LedShading {
+    let samples = samples(set, train, smoothing);
+    let guess = LedShading::mini_guess();
+    let start: Vec<f64> = guess
+        .leds
+        .iter()
+        .flat_map(|led| {
+            let [x, y, z] = led.position_m;
+            [y.atan2(x), x.hypot(y) * 1e3, z * 1e3]
+        })
+        .collect();
+    let steps = [0.6, 4.0, 3.0].repeat(3);
+    let mut best: Option<(f64, LedShading)> = None;
+    for shininess in SHININESS {
+        let mut value = |unknowns: &[f64]| strengths(&samples, unknowns, shininess).0;
+        let (place, error) = minimise(&start, &steps, EVALUATIONS, 1e-9, &mut value);
+        if best.as_ref().is_none_or(|(least, _)| error < *least) {
+            best = Some((error, strengths(&samples, &place, shininess).1));
+        }
+    }
+    best.map_or(guess, |(_, shading)| shading)
+}
+
+fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample> {
+    let mut samples = Vec::new();
+    for index in train {
+        let press = &set.presses[*index];
+        let normals = normals_of(set, press, smoothing);
+        let observed = observe(set, press);
+        let distance = Distance::of(press);
+        let near: Vec<usize> = (0..normals.x.len())
+            .filter(|i| distance.at(*i) < press.radius_px + FIT_PX)
+            .collect();
+        // A stride without a factor in common with the picture's sides.
+        let stride = (near.len() / PIXELS_A_PRESS).max(1) | 1;
+        for i in near.into_iter().step_by(stride) {
+            let (x, y) = (i % set.geometry.width, i / set.geometry.width);
+            let [x, y] = set.geometry.pixel_to_gel_m(x as f64, y as f64);
+            samples.push(Sample {
+                place: [x as f32, y as f32],
+                normal: [normals.x[i], normals.y[i], normals.z_less_1[i]],
+                change: std::array::from_fn(|c| f64::from(observed.change[c][i])),
+            });
+        }
+    }
+    samples
+}
+
+/// Places of the lamps from the unknowns: azimuth (rad), distance and height (mm) of each.
+fn lamps(unknowns: &[f64]) -> Vec<Led> {
+    unknowns
+        .chunks_exact(3)
+        .map(|u| {
+            let (sin, cos) = u[0].sin_cos();
+            let reach = (u[1] * 1e-3).clamp(*REACH_M.start(), *REACH_M.end());
+            let above = (u[2] * 1e-3).clamp(*ABOVE_M.start(), *ABOVE_M.end());
+            Led {
+                position_m: [reach * cos, reach * sin, above],
+                diffuse: [0.0; 3],
+                specular: [0.0; 3],
+            }
+        })
+        .collect()
+}
+
+/// Best strengths of lamps at given places; squared error and the shading.
+fn strengths(samples: &[Sample], unknowns: &[f64], shininess: u32) -> (f64, LedShading) {
+    let mut leds = lamps(unknowns);
+    let unit: Vec<Lamp> = leds.iter().map(|led| Lamp::new(led, shininess)).collect();
+    let count = 2 * unit.len();
+    let mut gram = vec![0.0; count * count];
+    let mut cross = vec![[0.0; 3]; count];
+    let mut square = 0.0;
+    let mut terms = vec![0.0; count];
+    for sample in samples {
+        for (lamp, out) in unit.iter().zip(terms.chunks_exact_mut(2)) {
+            let [diffuse, specular] = lamp.change(sample.place, sample.normal);
+            out.copy_from_slice(&[f64::from(diffuse), f64::from(specular)]);
+        }
+        for (i, a) in terms.iter().enumerate() {
+            for (sum, b) in gram[i * count..].iter_mut().zip(&terms) {
+                *sum += a * b;
+            }
+            for (sum, value) in cross[i].iter_mut().zip(sample.change) {
+                *sum += a * value;
+            }
+        }
+        square += sample.change.iter().map(|v| v * v).sum::<f64>();
+    }
+    let mean = (0..count).map(|i| gram[i * count + i]).sum::<f64>() / count as f64;
+    for i in 0..count {
+        gram[i * count + i] += RIDGE * mean + 1e-12;
+    }
+    let mut error = square;
+    for channel in 0..3 {
+        let right: Vec<f64> = cross.iter().map(|row| row[channel]).collect();
+        let solution = not_negative(&gram, &right);
+        for (i, w) in solution.iter().enumerate() {
+            let image: f64 = (0..count).map(|j| gram[i * count + j] * solution[j]).sum();
+            error += w * (image - 2.0 * right[i]);
+        }
+        for (led, pair) in leds.iter_mut().zip(solution.chunks_exact(2)) {
+            (led.diffuse[channel], led.specular[channel]) = (pair[0], pair[1]);
+        }
+    }
+    (error / square.max(1e-12), LedShading { shininess, leds })
+}
+
+/// Least squares with solutions ≥ 0, by coordinate descent.
+fn not_negative(gram: &[f64], right: &[f64]) -> Vec<f64> {
+    let count = right.len();
+    let mut solution = vec![0.0f64; count];
+    for _ in 0..SWEEPS {
+        for i in 0..count {
+            let image: f64 = (0..count).map(|j| gram[i * count + j] * solution[j]).sum();
+            let step = (right[i] - image) / gram[i * count + i];
+            solution[i] = (solution[i] + step).max(0.0);
+        }
+    }
+    solution
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn solutions_stay_at_zero_where_the_free_one_is_negative() {
+        let solution = not_negative(&[2.0, 0.5, 0.5, 1.0], &[3.0, -1.0]);
+        assert!((solution[0] - 1.5).abs() < 1e-9 && solution[1] == 0.0);
+    }
+
+    #[test]
+    fn strengths_of_known_lamps_come_back() {
+        let unknowns = [0.3, 12.0, 5.0, 2.4, 14.0, 6.0, -1.8, 13.0, 4.0];
+        let mut truth = lamps(&unknowns);
+        for (i, led) in truth.iter_mut().enumerate() {
+            led.diffuse[i] = 100.0;
+            led.specular = [5.0, 10.0, 15.0];
+        }
+        let samples: Vec<Sample> = (0..900)
+            .map(|i| {
+                let (a, b) = ((i % 30) as f32 / 15.0 - 1.0, (i / 30) as f32 / 15.0 - 1.0);
+                let length = (1.0 + a * a + b * b).sqrt();
+                let place = [4e-3 * b, 3e-3 * a * b];
+                let normal = [a / length, b / length, 1.0 / length - 1.0];
+                let change = std::array::from_fn(|c| {
+                    truth
+                        .iter()
+                        .map(|led| {
+                            let [d, s] = Lamp::new(led, 8).change(place, normal);
+                            led.diffuse[c] * f64::from(d) + led.specular[c] * f64::from(s)
+                        })
+                        .sum()
+                });
+                Sample {
+                    place,
+                    normal,
+                    change,
+                }
+            })
+            .collect();
+        let (error, shading) = strengths(&samples, &unknowns, 8);
+        assert!(error < 1e-3, "{error}");
+        assert!((shading.leds[1].diffuse[1] - 100.0).abs() < 10.0);
+    }
+}

@@ -1,0 +1,365 @@
+//! The whole calibration.
+
+use image::RgbImage;
+
+use super::led_fit::fit_leds;
+use super::press_set::{PressSet, ReadOptions, ScaleSource, SkippedPress};
+use super::report::CalibrationReport;
+use super::score::{ChangePlanes, ObservedChange, Score, observe, score};
+use super::select::{ChosenModel, Terms, choose};
+use super::sheet::{Row, sheet};
+use crate::gaussian::{Gaussian, Region};
+use crate::{
+    Background, BackgroundFit, Drift, PolynomialShading, SensorProfile, ShadingModel,
+    TactileRenderer,
+};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_imaging::CropProfile;
+
+/// Factors on the size of a pixel that are tried.
+const SCALES: [f64; 7] = [0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15];
+/// Degree of the smooth fit of the background.
+const BACKGROUND_DEGREE: usize = 8;
+/// Presses in the picture of the calibration.
+const MOST_ROWS: usize = 6;
+/// Version of the profile.
+const SCHEMA: u32 = 1;
+
+/// What kind of shading is fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModelChoice {
+    /// Polynomial of normal and place; terms that are left open are chosen.
+    Polynomial(Terms),
+    /// Three near point lights.
+    Leds,
+}
+
+/// What to calibrate and how.
+#[derive(Clone, Debug)]
+pub struct CalibrateOptions {
+    /// The presses.
+    pub read: ReadOptions,
+    /// Fraction of the presses that is fitted, above 0, at most 1.
+    pub train_fraction: f64,
+    /// Most presses that are fitted; those of the fraction beyond them are not used.
+    pub most_fitted: Option<usize>,
+    /// Seed of the split.
+    pub seed: u64,
+    /// Kind of shading.
+    pub model: ModelChoice,
+    /// Chooses the size of a pixel too, within 15 % of the one given.
+    pub fit_scale: bool,
+    /// Name of the profile.
+    pub name: String,
+    /// Serial of the sensor; may be empty.
+    pub serial: String,
+    /// Crop that makes such pictures of the sensor's frames.
+    pub crop_profile: CropProfile,
+    /// Added to the profile's provenance: where the presses come from.
+    pub note: String,
+}
+
+impl CalibrateOptions {
+    /// Half of the presses of a folder, polynomial shading.
+    pub fn of_folder(folder: impl Into<std::path::PathBuf>) -> Self {
+        Self {
+            read: ReadOptions::of_folder(folder),
+            train_fraction: 0.5,
+            most_fitted: None,
+            seed: 0,
+            model: ModelChoice::Polynomial(Terms::default()),
+            fit_scale: false,
+            name: "sensor".to_owned(),
+            serial: String::new(),
+            crop_profile: CropProfile::GSMINI_SEVENTH,
+            note: String::new(),
+        }
+    }
+}
+
+/// A calibrated sensor.
+#[derive(Clone, Debug)]
+pub struct Calibration {
+    /// The profile.
+    pub profile: SensorProfile,
+    /// Scores and choices.
+    pub report: CalibrationReport,
+    /// Real, rendered and residual of presses that were scored.
+    pub picture: RgbImage,
+    /// Presses that could not be used; the caller tells of them.
+    pub skipped: Vec<SkippedPress>,
+}
+
+/// Calibrates a sensor.
+///
+/// # Errors
+/// Those of [`PressSet::read`]; `Usage` for a fraction out of range; `Input` if fewer than two
+/// presses are left to fit.
+pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
+    if !(options.train_fraction > 0.0 && options.train_fraction <= 1.0) {
+        return Err(Error::new(
+            ErrorKind::Usage,
+            format!(
+                "the fraction of presses to fit must be above 0 and at most 1, found {}",
+                options.train_fraction
+            ),
+        ));
+    }
+    let place = options.read.folder.display();
+    let mut set = PressSet::read(&options.read)?;
+    let (train, held_out) = set.split(options.train_fraction, options.most_fitted, options.seed);
+    let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&place))?;
+    let profile = profile(&set, &train, &fitted, options, held_out.len());
+    let scored = if held_out.is_empty() {
+        &train
+    } else {
+        &held_out
+    };
+    let mut renderer = TactileRenderer::new(&profile)?;
+    let mut render = |index: usize| rendered(&mut renderer, &set, index, &profile);
+    let mut changes = scored
+        .iter()
+        .map(|i| render(*i))
+        .collect::<Result<Vec<_>>>()?;
+    let mut next = changes.iter();
+    let scores = score(&set, scored, &mut |_| {
+        Ok(next.next().cloned().unwrap_or_default())
+    })?;
+    changes.truncate(MOST_ROWS);
+    let rows: Vec<Row<'_>> = changes
+        .into_iter()
+        .zip(scored.iter().zip(&scores.presses))
+        .map(|(change, (index, score))| Row {
+            index: *index,
+            change,
+            score,
+        })
+        .collect();
+    let picture = sheet(&set, &rows);
+    let report = report(&set, &train, &held_out, scores, &fitted, &profile, options);
+    Ok(Calibration {
+        profile,
+        report,
+        picture,
+        skipped: set.skipped,
+    })
+}
+
+/// What was fitted.
+struct Fitted {
+    model: ChosenModel,
+    shading: ShadingModel,
+    scale_scan: Vec<[f64; 2]>,
+    observed: Vec<ObservedChange>,
+}
+
+fn fit(set: &mut PressSet, train: &[usize], options: &CalibrateOptions) -> Result<Fitted> {
+    let terms = match options.model {
+        ModelChoice::Polynomial(terms) => terms,
+        ModelChoice::Leds => Terms::default(),
+    };
+    let (mut model, mut polynomial) = choose(set, train, terms)?;
+    let mut scale_scan = Vec::new();
+    if options.fit_scale {
+        (model, polynomial, scale_scan) = scan_scales(set, train, terms, (model, polynomial))?;
+    }
+    let shading = match options.model {
+        ModelChoice::Polynomial(_) => ShadingModel::Polynomial(polynomial),
+        ModelChoice::Leds => ShadingModel::Leds(fit_leds(set, train, &model.smoothing)),
+    };
+    Ok(Fitted {
+        model,
+        shading,
+        scale_scan,
+        observed: train
+            .iter()
+            .map(|i| observe(set, &set.presses[*i]))
+            .collect(),
+    })
+}
+
+type Choice = (ChosenModel, PolynomialShading);
+
+/// Tries sizes of a pixel around the one of the set; leaves the best in the set.
+fn scan_scales(
+    set: &mut PressSet,
+    train: &[usize],
+    terms: Terms,
+    start: Choice,
+) -> Result<(ChosenModel, PolynomialShading, Vec<[f64; 2]>)> {
+    let given = set.geometry.pixel_m;
+    let (mut best, mut best_pixel) = (start, given);
+    let mut scan = Vec::new();
+    for factor in SCALES {
+        let pixel_m = factor * given;
+        let mut trial = set.clone();
+        trial.geometry.pixel_m = pixel_m;
+        let found = if factor == 1.0 {
+            best.clone()
+        } else {
+            choose(&trial, train, terms)?
+        };
+        scan.push([pixel_m, found.0.cv_fve]);
+        if found.0.cv_fve > best.0.cv_fve {
+            (best, best_pixel) = (found, pixel_m);
+        }
+    }
+    set.geometry.pixel_m = best_pixel;
+    set.scale = ScaleSource::Fitted;
+    Ok((best.0, best.1, scan))
+}
+
+/// Change that the renderer makes of a labelled contact.
+fn rendered(
+    renderer: &mut TactileRenderer,
+    set: &PressSet,
+    index: usize,
+    profile: &SensorProfile,
+) -> Result<ChangePlanes> {
+    let contact = set.contact(&set.presses[index]);
+    let press = contact.press(profile.smoothing.sink_length_m);
+    renderer.change(&press).cloned()
+}
+
+fn profile(
+    set: &PressSet,
+    train: &[usize],
+    fitted: &Fitted,
+    options: &CalibrateOptions,
+    held_out: usize,
+) -> SensorProfile {
+    let pivot = pivot(set);
+    let spread =
+        |value: &dyn Fn(&ObservedChange) -> f64| standard_deviation(&fitted.observed, value);
+    SensorProfile {
+        schema: SCHEMA,
+        name: options.name.clone(),
+        serial: options.serial.clone(),
+        crop_profile: options.crop_profile,
+        provenance: provenance(set, train.len(), held_out, options),
+        noise_std: noise(set, fitted),
+        geometry: set.geometry,
+        smoothing: fitted.model.smoothing,
+        drift: Drift {
+            gain_std: std::array::from_fn(|c| spread(&|o| o.gain[c])),
+            offset_std: std::array::from_fn(|c| spread(&|o| offset_at(o, c, pivot[c]))),
+            pivot,
+        },
+        shading: fitted.shading.clone(),
+        background: Background {
+            file: None,
+            fit: BackgroundFit::of_picture(&set.no_contact, BACKGROUND_DEGREE),
+            picture: Some(set.no_contact.clone()),
+        },
+    }
+}
+
+fn provenance(
+    set: &PressSet,
+    fitted: usize,
+    held_out: usize,
+    options: &CalibrateOptions,
+) -> String {
+    let found = set.presses.iter().filter(|press| press.found).count();
+    let text = format!(
+        "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
+         {found} found in the pictures). {}",
+        set.ball_m * 2e3,
+        options.seed,
+        options.note
+    );
+    text.trim_end().to_owned()
+}
+
+/// Mean level of the untouched gel, per channel.
+fn pivot(set: &PressSet) -> [f64; 3] {
+    std::array::from_fn(|c| {
+        let plane = &set.untouched[c];
+        plane.iter().map(|v| f64::from(*v)).sum::<f64>() / plane.len() as f64
+    })
+}
+
+/// What the drift adds at a level, grey levels.
+fn offset_at(observed: &ObservedChange, channel: usize, pivot: f64) -> f64 {
+    observed.offset[channel] + (observed.gain[channel] - 1.0) * pivot
+}
+
+fn mean(observed: &[ObservedChange], value: &dyn Fn(&ObservedChange) -> f64) -> f64 {
+    observed.iter().map(value).sum::<f64>() / observed.len().max(1) as f64
+}
+
+fn standard_deviation(observed: &[ObservedChange], value: &dyn Fn(&ObservedChange) -> f64) -> f64 {
+    let middle = mean(observed, value);
+    mean(observed, &|o| (value(o) - middle).powi(2)).sqrt()
+}
+
+/// Noise of one frame: what is left of the difference of two frames far from the contact when
+/// its slow part is taken off, by √2.
+fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
+    let width = set.geometry.width;
+    std::array::from_fn(|c| {
+        let each: Vec<f64> = fitted
+            .observed
+            .iter()
+            .map(|seen| {
+                let plane = &seen.change[c];
+                let mut slow = plane.clone();
+                if let Some(region) = Region::of_nonzero(plane, width) {
+                    Gaussian::new(3.0).apply(&mut slow, width, region);
+                }
+                let mut sizes: Vec<f32> = plane
+                    .iter()
+                    .zip(&slow)
+                    .map(|(value, slow)| (value - slow).abs())
+                    .collect();
+                let middle = sizes.len() / 2;
+                let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
+                1.4826 * f64::from(median) / std::f64::consts::SQRT_2
+            })
+            .collect();
+        each.iter().sum::<f64>() / each.len().max(1) as f64
+    })
+}
+
+fn report(
+    set: &PressSet,
+    train: &[usize],
+    held_out: &[usize],
+    score: Score,
+    fitted: &Fitted,
+    profile: &SensorProfile,
+    options: &CalibrateOptions,
+) -> CalibrationReport {
+    let pivot = pivot(set);
+    CalibrationReport {
+        score,
+        scored_on: if held_out.is_empty() {
+            "fitted"
+        } else {
+            "held_out"
+        },
+        fitted: train.len(),
+        held_out: held_out.len(),
+        skipped: set.skipped.clone(),
+        contacts_found: set.presses.iter().filter(|press| press.found).count(),
+        seed: options.seed,
+        model: match profile.shading {
+            ShadingModel::Polynomial(_) => "polynomial",
+            ShadingModel::Leds(_) => "leds",
+        },
+        chosen: fitted.model,
+        ball_diameter_m: 2.0 * set.ball_m,
+        pixel_m: set.geometry.pixel_m,
+        scale: set.scale,
+        scale_scan: fitted.scale_scan.clone(),
+        gain_mean: std::array::from_fn(|c| mean(&fitted.observed, &|o| o.gain[c])),
+        offset_mean: std::array::from_fn(|c| {
+            mean(&fitted.observed, &|o| offset_at(o, c, pivot[c]))
+        }),
+        noise_std: profile.noise_std,
+    }
+}
+
+#[cfg(test)]
+#[path = "run_test.rs"]
+mod tests;

@@ -1,0 +1,271 @@
+//! Calibration on presses that were rendered: what went in has to come out.
+
+use std::fs;
+use std::path::Path;
+
+use image::{Rgb, RgbImage};
+use serde_json::{Value, json};
+
+use super::*;
+use crate::FrameLook;
+use crate::calibrate::{BallContact, LabelledPress, change_between};
+use crate::{NormalOrder, PositionOrder, SensorGeometry, Smoothing};
+use gripcast_base::error::ErrorKind;
+use gripcast_imaging::encode_png_rgb;
+
+const GEOMETRY: SensorGeometry = SensorGeometry {
+    width: 160,
+    height: 120,
+    pixel_m: 1e-4,
+    gel_thickness_m: 4e-3,
+};
+const BALL_M: f64 = 2.5e-3;
+
+/// A sensor with a known light that changes along x.
+fn truth() -> SensorProfile {
+    let no_contact = RgbImage::from_fn(160, 120, |x, y| {
+        Rgb([90 + (x / 4) as u8, 120 - (y / 4) as u8, 100 + (y / 5) as u8])
+    });
+    SensorProfile {
+        schema: SCHEMA,
+        name: "made up".to_owned(),
+        serial: String::new(),
+        crop_profile: CropProfile::FULL,
+        provenance: "made up".to_owned(),
+        noise_std: [1.0; 3],
+        geometry: GEOMETRY,
+        smoothing: Smoothing {
+            sink_length_m: 1e-3,
+            sigma_m: 1e-4,
+        },
+        drift: Drift::default(),
+        shading: ShadingModel::Polynomial(PolynomialShading {
+            normal: NormalOrder::Linear,
+            position: PositionOrder::Linear,
+            steepest: 1.0,
+            red: vec![0.0, 0.0, 0.0, -70.0, -20.0, 0.0, 10.0, 0.0, 0.0],
+            green: vec![60.0, 0.0, 10.0, 35.0, 0.0, 0.0, 10.0, 0.0, 0.0],
+            blue: vec![-60.0, 15.0, 0.0, 35.0, 0.0, 0.0, 10.0, 0.0, 0.0],
+        }),
+        background: Background {
+            file: None,
+            fit: BackgroundFit::of_picture(&no_contact, 2),
+            picture: Some(no_contact),
+        },
+    }
+}
+
+fn contact(i: usize) -> BallContact {
+    BallContact {
+        geometry: GEOMETRY,
+        centre_px: [45.0 + (i * 29 % 71) as f64, 40.0 + (i * 17 % 43) as f64],
+        radius_px: 11.0 + (i % 4) as f64,
+        ball_m: BALL_M,
+    }
+}
+
+fn picture(i: usize) -> RgbImage {
+    let look = FrameLook {
+        gain: [1.03, 0.98, 1.0],
+        offset: [-2.0, 1.0, 0.5],
+        noise_seed: Some(i as u64),
+    };
+    let press = contact(i).press(truth().smoothing.sink_length_m);
+    let mut renderer = TactileRenderer::new(&truth()).unwrap();
+    renderer.render(&press, &look).unwrap()
+}
+
+fn save(path: &Path, picture: &RgbImage) {
+    fs::write(path, encode_png_rgb(picture).unwrap()).unwrap();
+}
+
+/// A folder of `count` presses; `change` may alter the list before it is written.
+fn folder(count: usize, change: impl FnOnce(&Path, &mut Value)) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    save(
+        &folder.path().join("no_contact.png"),
+        truth().background.picture.as_ref().unwrap(),
+    );
+    let mut presses = Vec::new();
+    for i in 0..count {
+        let file = format!("press_{i}.png");
+        save(&folder.path().join(&file), &picture(i));
+        let contact = contact(i);
+        presses.push(json!({
+            "file": file, "center_px": contact.centre_px, "radius_px": contact.radius_px,
+        }));
+    }
+    let mut list = json!({
+        "no_contact": "no_contact.png", "ball_diameter_m": 2.0 * BALL_M, "m_per_px": 1e-4,
+        "presses": presses,
+    });
+    change(folder.path(), &mut list);
+    if !list.is_null() {
+        fs::write(folder.path().join("presses.json"), list.to_string()).unwrap();
+    }
+    folder
+}
+
+fn options(folder: &tempfile::TempDir) -> CalibrateOptions {
+    CalibrateOptions {
+        name: "made-up".to_owned(),
+        ..CalibrateOptions::of_folder(folder.path())
+    }
+}
+
+#[test]
+fn known_light_comes_back() {
+    let folder = folder(10, |_, _| ());
+    let result = run(&options(&folder)).unwrap();
+    let report = &result.report;
+    assert_eq!((report.fitted, report.held_out), (5, 5));
+    assert!(report.score.fve > 0.97, "{report:?}");
+    assert!(report.score.patch_psnr_db > 35.0, "{report:?}");
+    assert!(report.score.no_contact_psnr_db < 30.0);
+    assert!(result.skipped.is_empty());
+    // Gain and offset are those that were put in; the noise is that of a frame (the picture
+    // without contact has none, so the difference of both is divided by √2).
+    assert!((report.gain_mean[0] - 1.03).abs() < 0.02, "{report:?}");
+    assert!((report.noise_std[0] - 0.75).abs() < 0.2, "{report:?}");
+    assert_eq!(result.picture.width() % 4, 0);
+    result.profile.validate().unwrap();
+    // The same again, and another split.
+    assert_eq!(run(&options(&folder)).unwrap().profile, result.profile);
+    let other = CalibrateOptions {
+        seed: 5,
+        ..options(&folder)
+    };
+    assert_ne!(run(&other).unwrap().report.score, report.score);
+}
+
+#[test]
+fn contacts_are_found_without_labels() {
+    let folder = folder(4, |_, list| *list = Value::Null);
+    let mut read = ReadOptions::of_folder(folder.path());
+    let text = PressSet::read(&read).unwrap_err().to_string();
+    assert!(text.contains("ball"), "{text}");
+    read.ball_diameter_m = Some(2.0 * BALL_M);
+    read.pixel_m = Some(1e-4);
+    let set = PressSet::read(&read).unwrap();
+    assert_eq!(set.presses.len(), 4, "{:?}", set.skipped);
+    for (i, press) in set.presses.iter().enumerate() {
+        let known = contact(i);
+        let [x, y] = [0, 1].map(|k| press.centre_px[k] - known.centre_px[k]);
+        assert!(x.hypot(y) < 1.0, "{press:?}");
+        assert!((press.radius_px - known.radius_px).abs() < 2.0, "{press:?}");
+    }
+}
+
+#[test]
+fn lamps_are_fitted_too() {
+    let folder = folder(8, |_, _| ());
+    let options = CalibrateOptions {
+        model: ModelChoice::Leds,
+        ..options(&folder)
+    };
+    let result = run(&options).unwrap();
+    assert_eq!(result.report.model, "leds");
+    assert!(result.report.score.fve > 0.6, "{:?}", result.report.score);
+}
+
+#[test]
+fn bad_presses_are_skipped_with_a_reason() {
+    let folder = folder(9, |path, list| {
+        save(
+            &path.join("press_1.png"),
+            &RgbImage::from_pixel(160, 120, Rgb([255; 3])),
+        );
+        save(&path.join("press_2.png"), &RgbImage::new(80, 60));
+        save(
+            &path.join("press_3.png"),
+            &RgbImage::from_fn(160, 120, |x, y| {
+                Rgb([(x * 7 % 251) as u8, (y * 5 % 241) as u8, 9])
+            }),
+        );
+        save(
+            &path.join("press_4.png"),
+            truth().background.picture.as_ref().unwrap(),
+        );
+        fs::remove_file(path.join("press_5.png")).unwrap();
+        let presses = list["presses"].as_array_mut().unwrap();
+        presses[6]["center_px"] = json!([155.0, 400.0]);
+        presses[7]["radius_px"] = Value::Null;
+        presses[8]["radius_px"] = json!(40.0);
+    });
+    let read = ReadOptions::of_folder(folder.path());
+    let set = PressSet::read(&read).unwrap();
+    assert_eq!(set.presses.len(), 1);
+    let expected = [
+        "saturated",
+        "80×60",
+        "another sensor",
+        "nothing changes",
+        "cannot read",
+        "off the picture",
+        "label must be",
+        "ball's radius",
+    ];
+    for (skipped, expected) in set.skipped.iter().zip(expected) {
+        assert!(skipped.reason.contains(expected), "{skipped:?}");
+    }
+    let error = run(&options(&folder)).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Input);
+    assert!(error.to_string().contains("at least 2"), "{error}");
+}
+
+#[test]
+fn folders_that_cannot_be_used_are_explained() {
+    let empty = tempfile::tempdir().unwrap();
+    let missing = CalibrateOptions::of_folder(empty.path().join("nowhere"));
+    assert_eq!(run(&missing).unwrap_err().kind(), ErrorKind::NotFound);
+    let text = run(&options(&empty)).unwrap_err().to_string();
+    assert!(text.contains("no_contact.png"), "{text}");
+    fs::write(empty.path().join("presses.json"), "{\"presses\": [NaN]}").unwrap();
+    let text = run(&options(&empty)).unwrap_err().to_string();
+    assert!(text.contains("presses.json"), "{text}");
+    let none = folder(0, |_, _| ());
+    let text = run(&options(&none)).unwrap_err().to_string();
+    assert!(text.contains("none of 0"), "{text}");
+    let tiny = folder(1, |_, list| list["ball_diameter_m"] = json!(4.7));
+    let text = run(&options(&tiny)).unwrap_err().to_string();
+    assert!(text.contains("4.7"), "{text}");
+    for fraction in [0.0, -1.0, 1.5, f64::NAN] {
+        let options = CalibrateOptions {
+            train_fraction: fraction,
+            ..options(&tiny)
+        };
+        assert_eq!(run(&options).unwrap_err().kind(), ErrorKind::Usage);
+    }
+}
+
+#[test]
+fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
+    let mut renderer = TactileRenderer::new(&truth()).unwrap();
+    let free = truth().background.picture.unwrap();
+    let presses = (0..3)
+        .map(|i| LabelledPress {
+            file: i.to_string(),
+            picture: {
+                let press = contact(i).press(1e-3);
+                renderer.render(&press, &FrameLook::default()).unwrap()
+            },
+            centre_px: contact(i).centre_px,
+            radius_px: contact(i).radius_px,
+            found: false,
+        })
+        .collect();
+    let set = super::super::press_set::made_up(GEOMETRY, BALL_M, free.clone(), presses);
+    let nothing = score(&set, &[0, 1, 2], &mut |_| {
+        Ok(std::array::from_fn(|_| vec![0.0; 160 * 120]))
+    })
+    .unwrap();
+    assert_eq!(nothing.fve, 0.0);
+    assert_eq!(nothing.patch_l1, nothing.no_contact_l1);
+    let perfect = score(&set, &[0, 1, 2], &mut |contact| {
+        let press = contact.press(1e-3);
+        let picture = renderer.render(&press, &FrameLook::default())?;
+        Ok(change_between(&picture, &free))
+    })
+    .unwrap();
+    assert!(perfect.fve > 0.995, "{perfect:?}");
+}

@@ -1,0 +1,343 @@
+//! Shading from the geometry of the lamps: near point lights, diffuse and specular.
+//!
+//! For a lamp at p, a point of the face at q and the unit vector l from q to p,
+//! I = (d₀/|p − q|)² · (k_d max(n·l, 0) + k_s max(r_z, 0)^α), r = 2 (n·l) n − l (Phong), with the
+//! camera straight above the face and d₀ the lamp's distance from the face's middle. The change
+//! against the untouched gel is Σ I(n) − Σ I(0, 0, 1), so light that does not depend on the
+//! slope drops out.
+
+use serde::{Deserialize, Serialize};
+
+use super::normals::Normals;
+use super::press_depth::SensorGeometry;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// One near point light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Led {
+    /// Place: x along the columns and y along the rows from the picture's middle, z from the
+    /// face towards the camera, m.
+    pub position_m: [f64; 3],
+    /// Diffuse strength in red, green, blue, grey levels.
+    pub diffuse: [f64; 3],
+    /// Specular strength in red, green, blue, grey levels.
+    pub specular: [f64; 3],
+}
+
+/// Lamps and gloss of a sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LedShading {
+    /// Phong exponent, 1 to 64.
+    pub shininess: u32,
+    /// The lamps.
+    pub leds: Vec<Led>,
+}
+
+/// Most lamps.
+const MOST_LEDS: usize = 16;
+/// Largest Phong exponent.
+const MOST_SHININESS: u32 = 64;
+
+impl LedShading {
+    /// Three lamps, red, green and blue, a third of a turn apart beside the pad, as a Mini's
+    /// colours suggest: red from the top of the picture. Strengths are a guess to start a fit
+    /// from.
+    pub fn mini_guess() -> Self {
+        let lamp = |degrees: f64, channel: usize| {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            let mut diffuse = [15.0; 3];
+            diffuse[channel] = 120.0;
+            let mut specular = [2.0; 3];
+            specular[channel] = 25.0;
+            Led {
+                position_m: [13e-3 * cos, 13e-3 * sin, 5e-3],
+                diffuse,
+                specular,
+            }
+        };
+        Self {
+            shininess: 8,
+            leds: vec![lamp(-90.0, 0), lamp(30.0, 1), lamp(150.0, 2)],
+        }
+    }
+
+    /// Checks counts and values.
+    ///
+    /// # Errors
+    /// `Config` with what was expected and found.
+    pub fn validate(&self) -> Result<()> {
+        let refused = |what: String| Err(Error::new(ErrorKind::Config, what));
+        if self.leds.is_empty() || self.leds.len() > MOST_LEDS {
+            return refused(format!(
+                "shading.leds must hold 1 to {MOST_LEDS} lamps, found {}",
+                self.leds.len()
+            ));
+        }
+        if self.shininess == 0 || self.shininess > MOST_SHININESS {
+            return refused(format!(
+                "shading.shininess must be 1 to {MOST_SHININESS}, found {}",
+                self.shininess
+            ));
+        }
+        for (i, led) in self.leds.iter().enumerate() {
+            let values = [led.position_m, led.diffuse, led.specular];
+            if values.iter().flatten().any(|v| !v.is_finite()) {
+                return refused(format!("shading.leds[{i}] holds a value that is no number"));
+            }
+            if led.position_m[2] <= 0.0 {
+                return refused(format!(
+                    "shading.leds[{i}] must lie in front of the face (z > 0), found z = {} m",
+                    led.position_m[2]
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the change of every pixel, grey levels, to the planes of red, green and blue.
+    pub(super) fn add(
+        &self,
+        geometry: &SensorGeometry,
+        normals: &Normals,
+        planes: &mut [Vec<f32>; 3],
+    ) {
+        let Some(region) = normals.region else {
+            return;
+        };
+        let mut light = RowLight::default();
+        for led in &self.leds {
+            let lamp = Lamp::new(led, self.shininess);
+            for row in region.y0..region.y1 {
+                let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
+                let [first, y] = geometry.pixel_to_gel_m(region.x0 as f64, row as f64);
+                let start = [first as f32, y as f32];
+                light.fill(
+                    &lamp,
+                    start,
+                    geometry.pixel_m as f32,
+                    [
+                        &normals.x[span.clone()],
+                        &normals.y[span.clone()],
+                        &normals.z_less_1[span.clone()],
+                    ],
+                );
+                for (channel, plane) in planes.iter_mut().enumerate() {
+                    let (diffuse, specular) = (lamp.diffuse[channel], lamp.specular[channel]);
+                    let row = plane[span.clone()].iter_mut();
+                    for (out, (d, s)) in row.zip(light.diffuse.iter().zip(&light.shine)) {
+                        *out += diffuse * d + specular * s;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Change of a lamp's light along a row, as [`Lamp::change`] for each pixel, in loops that
+/// vectorise.
+#[derive(Default)]
+struct RowLight {
+    diffuse: Vec<f32>,
+    shine: Vec<f32>,
+    shine_flat: Vec<f32>,
+    falloff: Vec<f32>,
+}
+
+impl RowLight {
+    /// `start` is the place of the first pixel, m; the others follow along x.
+    fn fill(&mut self, lamp: &Lamp, start: [f32; 2], pixel_m: f32, normals: [&[f32]; 3]) {
+        let [nx, ny, nz] = normals;
+        for plane in [
+            &mut self.diffuse,
+            &mut self.shine,
+            &mut self.shine_flat,
+            &mut self.falloff,
+        ] {
+            plane.resize(nx.len(), 0.0);
+        }
+        let (y, z) = (lamp.position[1] - start[1], lamp.position[2]);
+        let across = y * y + z * z;
+        let out = self.diffuse.iter_mut().zip(self.falloff.iter_mut());
+        let out = out.zip(self.shine.iter_mut().zip(self.shine_flat.iter_mut()));
+        let normals = nx.iter().zip(ny.iter().zip(nz));
+        for (i, (((diffuse, falloff), (shine, flat)), (nx, (ny, nz)))) in
+            out.zip(normals).enumerate()
+        {
+            let x = lamp.position[0] - (start[0] + i as f32 * pixel_m);
+            let square = x * x + across;
+            let inverse = 1.0 / square.sqrt();
+            let upward = z * inverse;
+            let facing = (nx * x + ny * y) * inverse + (1.0 + nz) * upward;
+            *falloff = lamp.distance_square / square;
+            *diffuse = *falloff * (facing.max(0.0) - upward);
+            *shine = (2.0 * facing * (1.0 + nz) - upward).max(0.0);
+            *flat = upward.max(0.0);
+        }
+        raise_all(&mut self.shine, lamp.shininess);
+        raise_all(&mut self.shine_flat, lamp.shininess);
+        let flat = self.shine_flat.iter().zip(&self.falloff);
+        for (shine, (flat, falloff)) in self.shine.iter_mut().zip(flat) {
+            *shine = falloff * (*shine - flat);
+        }
+    }
+}
+
+/// Each value to the power of `exponent`, by squaring.
+fn raise_all(values: &mut [f32], exponent: u32) {
+    const BLOCK: usize = 16;
+    for block in values.chunks_mut(BLOCK) {
+        let mut square = [0.0f32; BLOCK];
+        square[..block.len()].copy_from_slice(block);
+        let mut result = [1.0f32; BLOCK];
+        let mut left = exponent;
+        while left > 0 {
+            for (result, square) in result.iter_mut().zip(&mut square) {
+                if left & 1 == 1 {
+                    *result *= *square;
+                }
+                *square *= *square;
+            }
+            left >>= 1;
+        }
+        block.copy_from_slice(&result[..block.len()]);
+    }
+}
+
+/// A lamp in single precision.
+#[derive(Clone, Debug)]
+pub(super) struct Lamp {
+    position: [f32; 3],
+    distance_square: f32,
+    diffuse: [f32; 3],
+    specular: [f32; 3],
+    shininess: u32,
+}
+
+impl Lamp {
+    pub(super) fn new(led: &Led, shininess: u32) -> Self {
+        let position = led.position_m.map(|v| v as f32);
+        Self {
+            position,
+            distance_square: position.iter().map(|v| v * v).sum(),
+            diffuse: led.diffuse.map(|v| v as f32),
+            specular: led.specular.map(|v| v as f32),
+            shininess,
+        }
+    }
+
+    /// Diffuse and specular light of unit strength at a place of the face (m) with a normal
+    /// (nx, ny, nz − 1), less that of the untouched face.
+    pub(super) fn change(&self, place: [f32; 2], normal: [f32; 3]) -> [f32; 2] {
+        let [x, y, z_less_1] = normal;
+        if x == 0.0 && y == 0.0 {
+            return [0.0; 2];
+        }
+        let to = [
+            self.position[0] - place[0],
+            self.position[1] - place[1],
+            self.position[2],
+        ];
+        let square: f32 = to.iter().map(|v| v * v).sum();
+        let falloff = self.distance_square / square;
+        let l = to.map(|v| v / square.sqrt());
+        let z = 1.0 + z_less_1;
+        let facing = x * l[0] + y * l[1] + z * l[2];
+        let shine = |r_z: f32| power(r_z.max(0.0), self.shininess);
+        [
+            falloff * (facing.max(0.0) - l[2]),
+            falloff * (shine(2.0 * facing * z - l[2]) - shine(l[2])),
+        ]
+    }
+}
+
+/// base^exponent by squaring.
+fn power(base: f32, exponent: u32) -> f32 {
+    let (mut result, mut square, mut left) = (1.0, base, exponent);
+    while left > 0 {
+        if left & 1 == 1 {
+            result *= square;
+        }
+        square *= square;
+        left >>= 1;
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slope_towards_the_lamp_is_brighter() {
+        let guess = LedShading::mini_guess();
+        guess.validate().unwrap();
+        let red = Lamp::new(&guess.leds[0], guess.shininess);
+        let tilt = |degrees: f32| {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            [0.0, sin, cos - 1.0]
+        };
+        assert!(red.change([0.0; 2], tilt(-20.0))[0] > 0.1);
+        assert!(red.change([0.0; 2], tilt(20.0))[0] < -0.1);
+        assert_eq!(red.change([0.0; 2], [0.0; 3]), [0.0; 2]);
+        // Light falls off with the square of the distance.
+        let near = red.change([0.0, -5e-3], tilt(-1.0))[0];
+        let far = red.change([0.0, 5e-3], tilt(-1.0))[0];
+        assert!(near > 2.0 * far);
+    }
+
+    #[test]
+    fn rows_give_the_light_of_their_pixels() {
+        let geometry = SensorGeometry {
+            width: 37,
+            height: 5,
+            pixel_m: 2e-4,
+            gel_thickness_m: 4e-3,
+        };
+        let map: Vec<f32> = (0..185)
+            .map(|i| 1e-4 * ((i % 37) as f32 * 0.6).sin() * (i / 37) as f32)
+            .collect();
+        let mut normals = Normals::default();
+        normals.take(&map, &geometry);
+        let shading = LedShading::mini_guess();
+        let mut planes = std::array::from_fn(|_| vec![0.0; 185]);
+        shading.add(&geometry, &normals, &mut planes);
+        for (i, found) in planes[1].iter().enumerate() {
+            let [x, y] = geometry.pixel_to_gel_m((i % 37) as f64, (i / 37) as f64);
+            let normal = [normals.x[i], normals.y[i], normals.z_less_1[i]];
+            let expected: f32 = shading
+                .leds
+                .iter()
+                .map(|led| {
+                    let [d, s] = Lamp::new(led, 8).change([x as f32, y as f32], normal);
+                    led.diffuse[1] as f32 * d + led.specular[1] as f32 * s
+                })
+                .sum();
+            assert!((found - expected).abs() < 2e-3, "{found} {expected}");
+        }
+    }
+
+    #[test]
+    fn powers_are_powers() {
+        for exponent in [1, 2, 7, 8, 33, 64] {
+            let expected = 0.93f32.powi(exponent as i32);
+            assert!((power(0.93, exponent) - expected).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn lamps_behind_the_face_are_refused() {
+        let mut shading = LedShading::mini_guess();
+        shading.leds[1].position_m[2] = 0.0;
+        assert!(
+            shading
+                .validate()
+                .unwrap_err()
+                .to_string()
+                .contains("leds[1]")
+        );
+        shading.leds.clear();
+        assert!(shading.validate().is_err());
+    }
+}

@@ -1,0 +1,280 @@
+//! The lookup-table renderer of Taxim (Si & Yuan 2022), to compare with: a pyramid of Gaussian
+//! filters for the gel around the contact, a table of polynomials for the colours, shadows marched
+//! over the height map instead of its shadow table.
+
+mod fit;
+mod height;
+mod npz;
+mod on_presses;
+mod shadow;
+mod table;
+
+pub use fit::BallPress;
+pub use height::TaximHeights;
+pub use on_presses::{fit_to_presses, score_on_presses};
+pub use shadow::{ShadowLamp, Shadows};
+pub use table::{ChannelOrder, TaximTable};
+
+use image::{Rgb, RgbImage};
+
+use super::depth::object_depth;
+use super::press_depth::{PressDepth, SensorGeometry};
+use super::rasteriser::Rasteriser;
+use super::scene::TactileScene;
+use super::scene_renderer::SceneRenderer;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Slope of a face up to which it counts as untouched.
+const FLAT_DEGREES: f64 = 0.1;
+/// Slope from which the table's change is shown whole. Larger ones cost likeness to real presses
+/// close around the contact.
+const SLOPED_DEGREES: f64 = 1.5;
+
+/// Taxim's renderer on the object's depth.
+#[derive(Clone, Debug)]
+pub struct LookupRenderer {
+    grid: SensorGeometry,
+    background: RgbImage,
+    table: TaximTable,
+    heights: TaximHeights,
+    shadows: Option<Shadows>,
+    rasteriser: Rasteriser,
+}
+
+impl LookupRenderer {
+    /// A renderer over a no-contact picture, without shadows.
+    ///
+    /// # Errors
+    /// `Input` where the picture has another size than the grid.
+    pub fn new(
+        grid: SensorGeometry,
+        background: RgbImage,
+        table: TaximTable,
+        heights: TaximHeights,
+    ) -> Result<Self> {
+        let found = (background.width() as usize, background.height() as usize);
+        if found != (grid.width, grid.height) {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the no-contact picture must be of {} × {} pixels, found {} × {}",
+                    grid.width, grid.height, found.0, found.1
+                ),
+            ));
+        }
+        Ok(Self {
+            grid,
+            background,
+            table,
+            heights,
+            shadows: None,
+            rasteriser: Rasteriser::new(),
+        })
+    }
+
+    /// The same with shadows.
+    #[must_use]
+    pub fn with_shadows(mut self, shadows: Shadows) -> Self {
+        self.shadows = Some(shadows);
+        self
+    }
+
+    /// What a press changes in the no-contact picture, grey levels: red, green, blue, row by row,
+    /// not rounded and not clipped.
+    ///
+    /// A flat face changes nothing, and up to a slope of 1.5 degrees the change grows in from
+    /// there; Taxim's own renderer adds its bin of no slope everywhere.
+    ///
+    /// # Errors
+    /// `Input` where the press was taken on another grid.
+    pub fn change(&self, press: &PressDepth) -> Result<Vec<[f32; 3]>> {
+        if press.geometry != self.grid {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the press must be on the grid {:?}, found {:?}",
+                    self.grid, press.geometry
+                ),
+            ));
+        }
+        let heights = self.heights.heights(press);
+        let light = self.shadows.as_ref().map(|s| s.light(&heights, &self.grid));
+        let SensorGeometry { width, height, .. } = self.grid;
+        // The polynomials count in pixels of the table's own picture.
+        let [columns, rows] = self.table.image_size();
+        let zoom = [columns as f64 / width as f64, rows as f64 / height as f64];
+        let untouched = self.background.pixels();
+        let change = |(pixel, Rgb(untouched)): (usize, &Rgb<u8>)| {
+            let at = [pixel % width, pixel / width];
+            let slope = slope(&heights, &self.grid, at);
+            let place = [0, 1].map(|axis| (at[axis] as f64 + 0.5) * zoom[axis] - 0.5);
+            let share = share_of_change(slope);
+            let change = if share == 0.0 {
+                [0.0; 3]
+            } else {
+                self.table.change(slope, place).map(|c| c * share)
+            };
+            [0, 1, 2].map(|channel| {
+                let change = change[channel] as f32;
+                let Some(light) = &light else { return change };
+                let untouched = f32::from(untouched[channel]);
+                (untouched + change) * light[channel][pixel] - untouched
+            })
+        };
+        Ok(untouched.enumerate().map(change).collect())
+    }
+
+    /// Picture of a press.
+    ///
+    /// # Errors
+    /// `Input` where the press was taken on another grid.
+    pub fn picture(&self, press: &PressDepth) -> Result<RgbImage> {
+        let mut picture = self.background.clone();
+        for (Rgb(pixel), change) in picture.pixels_mut().zip(self.change(press)?) {
+            for (value, change) in pixel.iter_mut().zip(change) {
+                // The cast saturates at 0 and 255.
+                *value = (f32::from(*value) + change).round() as u8;
+            }
+        }
+        Ok(picture)
+    }
+}
+
+impl SceneRenderer for LookupRenderer {
+    fn name(&self) -> &'static str {
+        "lookup"
+    }
+
+    fn grid(&self) -> SensorGeometry {
+        self.grid
+    }
+
+    fn render(&mut self, scene: &TactileScene<'_>, _seed: Option<u64>) -> Result<RgbImage> {
+        let press = object_depth(scene, &self.grid, &mut self.rasteriser);
+        self.picture(&press)
+    }
+}
+
+/// Share of the table's change that a slope shows. A table knows nothing of a face that is all
+/// but flat: of that a press of a ball holds a few pixels in its middle, deep in the gel. What is
+/// left of the filters far from a contact must not take their colour.
+fn share_of_change(slope: [f32; 2]) -> f64 {
+    let angle = f64::from(slope[0].hypot(slope[1])).atan().to_degrees();
+    ((angle - FLAT_DEGREES) / (SLOPED_DEGREES - FLAT_DEGREES)).clamp(0.0, 1.0)
+}
+
+/// Rise of a height map (m) along columns and rows, pixels per pixel, by central differences;
+/// border pixels take those of their neighbours further in.
+fn slope(heights_m: &[f32], grid: &SensorGeometry, [x, y]: [usize; 2]) -> [f32; 2] {
+    let SensorGeometry { width, height, .. } = *grid;
+    if width < 3 || height < 3 {
+        return [0.0; 2];
+    }
+    let (x, y) = (x.clamp(1, width - 2), y.clamp(1, height - 2));
+    let at = |x: usize, y: usize| heights_m[y * width + x];
+    let scale = (0.5 / grid.pixel_m) as f32;
+    [
+        (at(x + 1, y) - at(x - 1, y)) * scale,
+        (at(x, y + 1) - at(x, y - 1)) * scale,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: SensorGeometry = SensorGeometry {
+        width: 64,
+        height: 48,
+        pixel_m: 1e-4,
+        gel_thickness_m: 4e-3,
+    };
+
+    fn renderer(table: TaximTable) -> LookupRenderer {
+        let untouched = RgbImage::from_pixel(64, 48, Rgb([100, 110, 120]));
+        LookupRenderer::new(GRID, untouched, table, TaximHeights::default()).unwrap()
+    }
+
+    fn block() -> PressDepth {
+        let inside = |i: usize| (24..40).contains(&(i % 64)) && (16..32).contains(&(i / 64));
+        let depth = |i| if inside(i) { 8e-4 } else { 0.0 };
+        PressDepth {
+            geometry: GRID,
+            depth_m: (0..64 * 48).map(depth).collect(),
+        }
+    }
+
+    #[test]
+    fn slopes_take_the_tables_colours_and_saturate() {
+        let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 0.4]);
+        let picture = renderer(table).picture(&block()).unwrap();
+        assert_eq!(picture.get_pixel(24, 24), &Rgb([255, 90, 120]));
+    }
+
+    #[test]
+    fn places_are_scaled_to_the_tables_picture() {
+        // Ten times as large: pixel (24, 24) lies at (244.5, 244.5).
+        let table = TaximTable::linear_in_column(9, [640, 480]);
+        let change = renderer(table).change(&block()).unwrap();
+        assert!((change[24 * 64 + 24][0] - 244.5).abs() < 1e-4);
+    }
+
+    #[test]
+    fn what_is_far_from_a_small_contact_stays_as_it_is() {
+        let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 5.0]);
+        let renderer = renderer(table).with_shadows(Shadows::default());
+        let mut press = PressDepth::untouched(GRID);
+        assert!(
+            renderer
+                .change(&press)
+                .unwrap()
+                .iter()
+                .all(|c| *c == [0.0; 3])
+        );
+        let distance = |i: usize| ((i % 64) as f64 - 6.0).hypot((i / 64) as f64 - 6.0);
+        for (i, depth) in press.depth_m.iter_mut().enumerate() {
+            *depth = if distance(i) < 4.0 { 5e-4 } else { 0.0 };
+        }
+        let change = renderer.change(&press).unwrap();
+        assert!(change[6 * 64 + 10][0] > 100.0, "{:?}", change[6 * 64 + 10]);
+        // Filters as wide as 1 mm leave a slope everywhere within their reach.
+        let heights = renderer.heights.heights(&press);
+        let is_far = |i: &usize| distance(*i) > 34.0;
+        let far: Vec<usize> = (0..64 * 48).filter(is_far).collect();
+        assert!(far.iter().any(|i| heights[*i] > 0.0));
+        assert!(far.iter().all(|i| change[*i] == [0.0; 3]));
+    }
+
+    #[test]
+    fn the_change_grows_in_from_a_flat_face() {
+        let share = |degrees: f64| share_of_change([0.0, -degrees.to_radians().tan() as f32]);
+        assert_eq!([0.0, 0.09].map(share), [0.0; 2]);
+        assert!((share(0.8) - 0.5).abs() < 1e-4);
+        assert_eq!([1.51, 80.0].map(share), [1.0; 2]);
+    }
+
+    #[test]
+    fn shadows_only_darken() {
+        let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
+        let plain = renderer(table.clone()).picture(&block()).unwrap();
+        let shaded = renderer(table).with_shadows(Shadows::default());
+        let shaded = shaded.picture(&block()).unwrap();
+        assert!(shaded.iter().zip(plain.iter()).all(|(a, b)| a <= b));
+        assert!(shaded != plain);
+    }
+
+    #[test]
+    fn pictures_and_presses_of_another_size_are_explained() {
+        let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
+        let small = RgbImage::new(32, 48);
+        let text = LookupRenderer::new(GRID, small, table.clone(), TaximHeights::default());
+        let text = text.unwrap_err().to_string();
+        assert!(
+            text.contains("64 × 48") && text.contains("32 × 48"),
+            "{text}"
+        );
+        let mut press = block();
+        press.geometry.pixel_m = 2e-4;
+        assert!(renderer(table).picture(&press).is_err());
+    }
+}

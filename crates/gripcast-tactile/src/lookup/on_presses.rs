@@ -1,0 +1,54 @@
+//! The table fitted to and scored on the presses that sensor profiles are calibrated with.
+
+use super::{BallPress, LookupRenderer, TaximHeights, TaximTable};
+use crate::calibrate::{PressSet, Score, observe, score};
+use gripcast_base::error::Result;
+
+/// Bins of a table along each axis, as Taxim has them.
+const BINS: usize = 125;
+
+/// A renderer over the no-contact picture of a set, its table fitted to some of the presses.
+///
+/// # Errors
+/// `Input` where no index is given, or a contact lies outside the picture.
+pub fn fit_to_presses(
+    set: &PressSet,
+    indices: &[usize],
+    heights: TaximHeights,
+) -> Result<LookupRenderer> {
+    let changes: Vec<Vec<[f32; 3]>> = indices
+        .iter()
+        .map(|index| {
+            let [red, green, blue] = observe(set, &set.presses[*index]).change;
+            let pixels = red.iter().zip(&green).zip(&blue);
+            pixels.map(|((r, g), b)| [*r, *g, *b]).collect()
+        })
+        .collect();
+    let presses: Vec<BallPress<'_>> = indices
+        .iter()
+        .zip(&changes)
+        .map(|(index, change)| BallPress {
+            change,
+            center_px: set.presses[*index].centre_px,
+            contact_radius_px: set.presses[*index].radius_px,
+            ball_radius_px: set.ball_m / set.geometry.pixel_m,
+        })
+        .collect();
+    let table = TaximTable::fit(&presses, [set.geometry.width, set.geometry.height], BINS)?;
+    LookupRenderer::new(set.geometry, set.no_contact.clone(), table, heights)
+}
+
+/// Scores a table on some presses of a set, by the measures of the calibration.
+///
+/// # Errors
+/// `Input` where the renderer has another grid than the set.
+pub fn score_on_presses(
+    renderer: &LookupRenderer,
+    set: &PressSet,
+    indices: &[usize],
+) -> Result<Score> {
+    score(set, indices, &mut |contact| {
+        let change = renderer.change(&contact.cap())?;
+        Ok([0, 1, 2].map(|channel| change.iter().map(|pixel| pixel[channel]).collect()))
+    })
+}

@@ -1,0 +1,118 @@
+//! Noise of the camera and slow drift of its exposure, drawn from a seed.
+
+use gripcast_base::random::mix;
+use serde::{Deserialize, Serialize};
+
+/// What differs between two frames of the same sensor with the same contact.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameLook {
+    /// Factor on red, green, blue.
+    pub gain: [f32; 3],
+    /// Added to red, green, blue after the gain, grey levels.
+    pub offset: [f32; 3],
+    /// Seed of the noise; none for a picture without noise.
+    pub noise_seed: Option<u64>,
+}
+
+impl Default for FrameLook {
+    /// As calibrated, without noise.
+    fn default() -> Self {
+        Self {
+            gain: [1.0; 3],
+            offset: [0.0; 3],
+            noise_seed: None,
+        }
+    }
+}
+
+/// Drift of a sensor's exposure and white balance between frames:
+/// I = pivot + gain · (I₀ − pivot) + offset, per channel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drift {
+    /// Standard deviation of the gain of red, green, blue around 1.
+    pub gain_std: [f64; 3],
+    /// Standard deviation of the offset of red, green, blue, grey levels.
+    pub offset_std: [f64; 3],
+    /// Grey level that the gain leaves as it is: the mean of the untouched gel, where gain and
+    /// offset vary independently.
+    pub pivot: [f64; 3],
+}
+
+impl Drift {
+    /// A frame's look with gain and offset drawn from the spread, and noise, all from one seed.
+    pub fn draw(&self, seed: u64) -> FrameLook {
+        let draw = |stream: u64, std: f64| {
+            let bits = scramble(seed ^ scramble(stream.wrapping_add(0x6472_6966)));
+            std as f32 * deviate(bits)
+        };
+        let gain: [f32; 3] = std::array::from_fn(|c| 1.0 + draw(c as u64, self.gain_std[c]));
+        FrameLook {
+            gain,
+            offset: std::array::from_fn(|c| {
+                draw(3 + c as u64, self.offset_std[c]) + (1.0 - gain[c]) * self.pivot[c] as f32
+            }),
+            noise_seed: Some(scramble(seed ^ 0x6e6f_6973)),
+        }
+    }
+}
+
+/// Draws of the noise of one pixel's channels, of standard deviation 1.
+pub(super) fn pixel_noise(seed: u64, pixel: usize) -> [f32; 3] {
+    let bits = scramble(seed ^ (pixel as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    std::array::from_fn(|c| deviate(bits >> (21 * c)))
+}
+
+/// Nearly normal deviate of the lower 21 bits: 16 coins and a uniform of 5 bits that fills the
+/// steps between them.
+fn deviate(bits: u64) -> f32 {
+    /// 1/√(16/4 + 1/12).
+    const SCALE: f32 = 0.494_881_7;
+    let coins = (bits & 0xffff).count_ones() as f32 - 8.0;
+    let fill = (((bits >> 16) & 31) as f32 - 15.5) / 32.0;
+    (coins + fill) * SCALE
+}
+
+/// A bijective 64-bit mixer.
+pub(super) fn scramble(value: u64) -> u64 {
+    mix(value.wrapping_add(0x9e37_79b9_7f4a_7c15))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_is_white_with_unit_deviation() {
+        let draws: Vec<[f32; 3]> = (0..40_000).map(|i| pixel_noise(7, i)).collect();
+        for c in 0..3 {
+            let mean: f32 = draws.iter().map(|d| d[c]).sum::<f32>() / 40_000.0;
+            let square: f32 = draws.iter().map(|d| d[c] * d[c]).sum::<f32>() / 40_000.0;
+            let fourth: f32 = draws.iter().map(|d| d[c].powi(4)).sum::<f32>() / 40_000.0;
+            let lag: f32 = draws.windows(2).map(|w| w[0][c] * w[1][c]).sum::<f32>() / 40_000.0;
+            let cross: f32 = draws.iter().map(|d| d[c] * d[(c + 1) % 3]).sum::<f32>() / 40_000.0;
+            assert!(mean.abs() < 0.02 && (square - 1.0).abs() < 0.02);
+            assert!((fourth - 2.9).abs() < 0.15, "{fourth}");
+            assert!(lag.abs() < 0.02 && cross.abs() < 0.02);
+        }
+    }
+
+    #[test]
+    fn drift_follows_its_spread_and_its_seed() {
+        let drift = Drift {
+            gain_std: [0.05, 0.0, 0.02],
+            offset_std: [3.0, 1.0, 0.0],
+            pivot: [100.0; 3],
+        };
+        assert_eq!(drift.draw(3), drift.draw(3));
+        assert_ne!(drift.draw(3), drift.draw(4));
+        let looks: Vec<FrameLook> = (0..4000).map(|seed| drift.draw(seed)).collect();
+        let std = |value: &dyn Fn(&FrameLook) -> f32| {
+            (looks.iter().map(|l| value(l).powi(2)).sum::<f32>() / 4000.0).sqrt()
+        };
+        assert!((std(&|l| l.gain[0] - 1.0) - 0.05).abs() < 0.003);
+        // The pivot moves by the offset alone.
+        assert!((std(&|l| l.gain[0] * 100.0 + l.offset[0] - 100.0) - 3.0).abs() < 0.15);
+        assert!(looks.iter().all(|l| l.gain[1] == 1.0));
+    }
+}

@@ -1,0 +1,386 @@
+//! A sensor's profile: everything the tactile renderer has to know of one sensor.
+//!
+//! A profile is a TOML file (`calib/sensors/<serial>.toml`), written by the calibration. The
+//! picture of the untouched gel lies beside it as PNG; the file itself holds a smooth fit of that
+//! picture, so that it also works alone.
+
+use std::io;
+use std::path::Path;
+
+use image::RgbImage;
+use serde::{Deserialize, Serialize};
+
+use super::background::BackgroundFit;
+use super::led::LedShading;
+use super::noise::Drift;
+use super::press_depth::SensorGeometry;
+use super::shading::PolynomialShading;
+use super::smooth::Smoothing;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{FileKind, FileName, Root, StagedFile, read_text};
+use gripcast_imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
+
+/// Version of the file format.
+const SCHEMA: u32 = 1;
+/// Largest width or height of a picture, pixels.
+const LARGEST_SIDE: usize = 4096;
+/// Pixel sizes that are believed, m.
+const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
+/// Gel thicknesses that are believed, m.
+const THICKNESS_M: std::ops::RangeInclusive<f64> = 1e-4..=0.05;
+/// The generic profile, fitted on real presses; its text says on which.
+const MINI_TOML: &str = include_str!("../../../calib/sensors/gelsight-mini.toml");
+/// The untouched gel of the same sensor.
+const MINI_BACKGROUND: &[u8] =
+    include_bytes!("../../../calib/sensors/gelsight-mini.background.png");
+
+/// How slopes change the light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "model", rename_all = "snake_case")]
+pub enum ShadingModel {
+    /// Polynomial of normal and place.
+    Polynomial(PolynomialShading),
+    /// Near point lights.
+    Leds(LedShading),
+}
+
+impl ShadingModel {
+    fn validate(&self) -> Result<()> {
+        match self {
+            Self::Polynomial(shading) => shading.validate(),
+            Self::Leds(shading) => shading.validate(),
+        }
+    }
+}
+
+/// The untouched gel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Background {
+    /// Name of the picture (PNG) beside the profile; without one the fit is shown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub file: Option<FileName>,
+    /// Smooth fit of the picture.
+    pub fit: BackgroundFit,
+    /// The picture itself, once read.
+    #[serde(skip)]
+    pub picture: Option<RgbImage>,
+}
+
+/// Everything the renderer knows of a sensor.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorProfile {
+    /// Version of the format, 1.
+    pub schema: u32,
+    /// Name, as the file is called.
+    pub name: String,
+    /// USB serial of the sensor; empty for a generic profile.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub serial: String,
+    /// Named crop that makes such pictures of the camera's frames.
+    #[serde(with = "crop_name")]
+    pub crop_profile: CropProfile,
+    /// Where the numbers come from.
+    pub provenance: String,
+    /// Standard deviation of the camera's noise in red, green, blue, grey levels.
+    pub noise_std: [f64; 3],
+    /// Grid, scale and gel.
+    pub geometry: SensorGeometry,
+    /// Shape of the gel around a contact.
+    pub smoothing: Smoothing,
+    /// Drift between frames.
+    pub drift: Drift,
+    /// Light.
+    pub shading: ShadingModel,
+    /// The untouched gel.
+    pub background: Background,
+}
+
+impl SensorProfile {
+    /// The generic GelSight Mini, built into the program.
+    ///
+    /// # Errors
+    /// None; the shipped file is held by a test.
+    pub fn gelsight_mini() -> Result<Self> {
+        let mut profile = Self::from_toml(MINI_TOML)?;
+        profile.background.picture = Some(decode_png_rgb(MINI_BACKGROUND)?);
+        profile.check_picture()?;
+        Ok(profile)
+    }
+
+    /// Reads a profile's text; the untouched gel is its smooth fit.
+    ///
+    /// # Errors
+    /// `Config` for another format version, unknown or missing keys, values out of range.
+    pub fn from_toml(text: &str) -> Result<Self> {
+        let profile: Self = toml::from_str(text).map_err(|cause| {
+            Error::new(ErrorKind::Config, "the sensor profile cannot be read").because(cause)
+        })?;
+        profile.validate()?;
+        Ok(profile)
+    }
+
+    /// Reads a profile and the picture beside it.
+    ///
+    /// # Errors
+    /// `NotFound`, `Permission`, `Io` if a file cannot be read; `Config` as
+    /// [`SensorProfile::from_toml`]; `Input` if the picture is none or of another size.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = read_text(path, FileKind::Record).map_err(|e| {
+            Error::io("cannot read the sensor profile", e)
+                .at(path.display())
+                .remedy("check the path, or make a profile with `gripcast render calibrate`")
+        })?;
+        let mut profile = Self::from_toml(&text).map_err(|e| e.at(path.display()))?;
+        if let Some(name) = &profile.background.file {
+            let beside = Root::beside(path).join(name);
+            let bytes = beside.read(FileKind::Image).map_err(|e| {
+                Error::io("cannot read the picture of the untouched gel", e)
+                    .at(beside.display())
+                    .remedy(format!(
+                        "put it beside the profile, or delete the line `file = {:?}` there to use \
+                         the smooth fit",
+                        name.as_str()
+                    ))
+            })?;
+            profile.background.picture =
+                Some(decode_png_rgb(&bytes).map_err(|e| e.at(beside.display()))?);
+            profile
+                .check_picture()
+                .map_err(|e| e.at(beside.display()))?;
+        }
+        Ok(profile)
+    }
+
+    /// Writes the profile and, if it has one, the picture beside it as `<stem>.background.png`.
+    ///
+    /// # Errors
+    /// `Config` if the profile is not valid; the error of the operating system if a file cannot
+    /// be written, and then the old files stay.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let mut profile = self.clone();
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        profile.background.file = self
+            .background
+            .picture
+            .as_ref()
+            .map(|_| FileName::nearest(&format!("{stem}.background.png")));
+        profile.validate()?;
+        profile.check_picture()?;
+        let mut files = Vec::new();
+        if let (Some(name), Some(picture)) = (&profile.background.file, &self.background.picture) {
+            files.push((path.with_file_name(name.as_str()), encode_png_rgb(picture)?));
+        }
+        files.push((path.to_owned(), profile.to_toml()?.into_bytes()));
+        // All are on the disk before the first takes its name: they belong together.
+        let mut staged = Vec::new();
+        for (path, bytes) in files {
+            let file = StagedFile::write(&path, &bytes).map_err(|e| unwritten(&path, e))?;
+            staged.push((path, file));
+        }
+        for (path, file) in staged {
+            file.commit().map_err(|e| unwritten(&path, e))?;
+        }
+        Ok(())
+    }
+
+    /// The text of the file.
+    ///
+    /// # Errors
+    /// None for a profile that is valid.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).map_err(|cause| {
+            Error::new(ErrorKind::Internal, "the sensor profile cannot be written").because(cause)
+        })
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// `Config` with the key, what was expected and found.
+    pub fn validate(&self) -> Result<()> {
+        if self.schema != SCHEMA {
+            return Err(
+                wrong(format!("schema must be {SCHEMA}, found {}", self.schema))
+                    .remedy("calibrate the sensor again with this program"),
+            );
+        }
+        let grid = &self.geometry;
+        for (key, side) in [("width", grid.width), ("height", grid.height)] {
+            if !(2..=LARGEST_SIDE).contains(&side) {
+                return Err(wrong(format!(
+                    "geometry.{key} must be 2 to {LARGEST_SIDE} pixels, found {side}"
+                )));
+            }
+        }
+        in_range("geometry.pixel_m", grid.pixel_m, PIXEL_M)?;
+        in_range(
+            "geometry.gel_thickness_m",
+            grid.gel_thickness_m,
+            THICKNESS_M,
+        )?;
+        for (key, values) in [
+            ("noise_std", self.noise_std),
+            ("drift.gain_std", self.drift.gain_std),
+            ("drift.offset_std", self.drift.offset_std),
+            ("drift.pivot", self.drift.pivot),
+        ] {
+            for value in values {
+                in_range(key, value, 0.0..=255.0)?;
+            }
+        }
+        self.smoothing.validate(grid.pixel_m)?;
+        self.shading.validate()?;
+        self.background.fit.validate()
+    }
+
+    fn check_picture(&self) -> Result<()> {
+        let Some(picture) = &self.background.picture else {
+            return Ok(());
+        };
+        let expected = (self.geometry.width, self.geometry.height);
+        let found = (picture.width() as usize, picture.height() as usize);
+        if expected == found {
+            return Ok(());
+        }
+        Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "the picture of the untouched gel must be {}×{} as the profile's geometry, found \
+                 {}×{}",
+                expected.0, expected.1, found.0, found.1
+            ),
+        ))
+    }
+}
+
+fn wrong(what: String) -> Error {
+    Error::new(ErrorKind::Config, format!("sensor profile: {what}"))
+}
+
+fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<()> {
+    if range.contains(&value) {
+        return Ok(());
+    }
+    Err(wrong(format!(
+        "{key} must be {} to {}, found {value}",
+        range.start(),
+        range.end()
+    )))
+}
+
+fn unwritten(path: &Path, cause: io::Error) -> Error {
+    Error::io("cannot write the sensor profile", cause)
+        .at(path.display())
+        .remedy("name a file in a folder that exists and can be written")
+}
+
+/// A crop profile by its name.
+mod crop_name {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error as _};
+
+    use gripcast_imaging::CropProfile;
+
+    pub(super) fn serialize<S: Serializer>(crop: &CropProfile, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_str(crop.name())
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<CropProfile, D::Error> {
+        CropProfile::by_name(&String::deserialize(d)?).map_err(D::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn the_shipped_profile_is_valid_and_survives_a_file() {
+        let profile = SensorProfile::gelsight_mini().unwrap();
+        assert_eq!(
+            (profile.geometry.width, profile.geometry.height),
+            (320, 240)
+        );
+        assert!(!profile.provenance.is_empty());
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("2BNN-4ZE7.toml");
+        profile.save(&path).unwrap();
+        let back = SensorProfile::load(&path).unwrap();
+        assert_eq!(
+            back.background.file.as_deref(),
+            Some("2BNN-4ZE7.background.png")
+        );
+        assert_eq!(back.background.picture, profile.background.picture);
+        assert_eq!(back.shading, profile.shading);
+        assert_eq!(back.smoothing, profile.smoothing);
+    }
+
+    #[test]
+    fn lamps_survive_a_file_too() {
+        let mut profile = SensorProfile::gelsight_mini().unwrap();
+        profile.shading = ShadingModel::Leds(LedShading::mini_guess());
+        let back = SensorProfile::from_toml(&profile.to_toml().unwrap()).unwrap();
+        assert_eq!(back.shading, profile.shading);
+    }
+
+    #[test]
+    fn mistakes_are_explained() {
+        let good = SensorProfile::gelsight_mini().unwrap().to_toml().unwrap();
+        for (from, to, expected) in [
+            ("schema = 1", "schema = 2", "schema must be 1"),
+            ("noise_std", "noise_sdt", "noise_sdt"),
+            ("gsmini-seventh-v1", "gsmini-sevenths", "gsmini-seventh-v1"),
+            ("pixel_m = ", "pixel_m = 10", "pixel_m"),
+            ("width = 320", "width = 0", "width"),
+            ("model = \"polynomial\"", "model = \"neural\"", "neural"),
+            ("sigma_m = ", "sigma_m = -", "sigma_m"),
+        ] {
+            assert!(good.contains(from), "{from}");
+            let text = SensorProfile::from_toml(&good.replacen(from, to, 1))
+                .unwrap_err()
+                .to_string();
+            assert!(text.contains(expected), "{from}: {text}");
+        }
+    }
+
+    #[test]
+    fn missing_and_foreign_files_are_explained() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.toml");
+        assert_eq!(
+            SensorProfile::load(&path).unwrap_err().kind(),
+            ErrorKind::NotFound
+        );
+        let profile = SensorProfile::gelsight_mini().unwrap();
+        profile.save(&path).unwrap();
+        let picture = folder.path().join("a.background.png");
+        fs::write(&picture, b"no picture").unwrap();
+        let text = SensorProfile::load(&path).unwrap_err().to_string();
+        assert!(text.contains("a.background.png"), "{text}");
+        fs::write(&picture, encode_png_rgb(&RgbImage::new(10, 10)).unwrap()).unwrap();
+        let text = SensorProfile::load(&path).unwrap_err().to_string();
+        assert!(text.contains("found 10×10"), "{text}");
+        fs::remove_file(&picture).unwrap();
+        let text = SensorProfile::load(&path).unwrap_err().to_string();
+        assert!(text.contains("smooth fit"), "{text}");
+        let nowhere = folder.path().join("no/such/a.toml");
+        assert!(profile.save(&nowhere).is_err());
+    }
+
+    #[test]
+    fn a_profile_that_cannot_be_written_leaves_the_old_picture() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut profile = SensorProfile::gelsight_mini().unwrap();
+        let picture = folder.path().join("a.background.png");
+        fs::write(&picture, b"old").unwrap();
+        // No file can have this name, but the picture can have its own.
+        std::os::unix::fs::symlink("no/such/a.toml", folder.path().join("a.toml")).unwrap();
+        profile.background.picture = Some(RgbImage::new(320, 240));
+        assert!(profile.save(&folder.path().join("a.toml")).is_err());
+        assert_eq!(fs::read(&picture).unwrap(), b"old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+    }
+}

@@ -1,0 +1,291 @@
+//! Orthographic z-buffer: the surface of a mesh that is nearest to a sensor, pixel by pixel.
+//!
+//! Parallel rays from one plane need no tree: each triangle is projected and its spans are
+//! compared with what the pixels hold. A pixel belongs to a triangle when its centre lies inside,
+//! or on its left or upper border (columns to the right, rows downwards), so neighbours neither
+//! overlap nor leave a gap: a shared border is computed with the same operations for both.
+
+use glam::{DMat3, DVec3};
+
+use super::press_depth::SensorGeometry;
+use gripcast_geometry::{Pose, TriangleMesh};
+
+/// No triangle: what [`Rasteriser::triangles`] holds where nothing is seen.
+pub const NO_TRIANGLE: u32 = u32::MAX;
+
+/// A corner on the pixel grid: column, row (pixels), z (m).
+type Corner = [f64; 3];
+
+/// Buffers of the z-buffer, kept between frames.
+///
+/// The frame of a sensor has x along the columns and y along the rows of its picture and z from
+/// the gel's back to its face; its origin lies in the middle of the back.
+#[derive(Clone, Debug, Default)]
+pub struct Rasteriser {
+    corners: Vec<Corner>,
+    nearest_m: Vec<f32>,
+    triangles: Vec<u32>,
+}
+
+impl Rasteriser {
+    /// Without buffers yet.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Smallest z (m) of the mesh at or above `range_m[0]` under each pixel, row by row;
+    /// `range_m[1]` where nothing is below that.
+    ///
+    /// The mesh must be valid ([`TriangleMesh::validate`]).
+    pub fn nearest(
+        &mut self,
+        mesh: &TriangleMesh,
+        t_sensor_mesh: &Pose,
+        grid: &SensorGeometry,
+        range_m: [f64; 2],
+    ) -> &[f32] {
+        self.project(mesh, t_sensor_mesh, grid);
+        self.clear(grid, range_m[1]);
+        let mut target = Target {
+            grid: Grid::new(grid),
+            range_m,
+            nearest_m: &mut self.nearest_m,
+            triangles: &mut [],
+        };
+        for triangle in &mesh.triangles {
+            target.draw::<false>(triangle.map(|v| &self.corners[v as usize]), 0);
+        }
+        &self.nearest_m
+    }
+
+    /// As [`Rasteriser::nearest`], with the triangle seen in each pixel ([`NO_TRIANGLE`] where
+    /// none is); of triangles at equal distance the first.
+    pub fn nearest_with_triangles(
+        &mut self,
+        mesh: &TriangleMesh,
+        t_sensor_mesh: &Pose,
+        grid: &SensorGeometry,
+        range_m: [f64; 2],
+    ) -> (&[f32], &[u32]) {
+        self.project(mesh, t_sensor_mesh, grid);
+        self.clear(grid, range_m[1]);
+        self.triangles.clear();
+        self.triangles.resize(self.nearest_m.len(), NO_TRIANGLE);
+        let mut target = Target {
+            grid: Grid::new(grid),
+            range_m,
+            nearest_m: &mut self.nearest_m,
+            triangles: &mut self.triangles,
+        };
+        for (index, triangle) in mesh.triangles.iter().enumerate() {
+            let corners = triangle.map(|v| &self.corners[v as usize]);
+            target.draw::<true>(corners, index as u32);
+        }
+        (&self.nearest_m, &self.triangles)
+    }
+
+    /// Corners of the mesh on the pixel grid.
+    fn project(&mut self, mesh: &TriangleMesh, t_sensor_mesh: &Pose, grid: &SensorGeometry) {
+        let to_pixels = DVec3::new(1.0 / grid.pixel_m, 1.0 / grid.pixel_m, 1.0);
+        let turn = DMat3::from_diagonal(to_pixels) * t_sensor_mesh.rotation_matrix();
+        let middle = DVec3::new(
+            0.5 * (grid.width as f64 - 1.0),
+            0.5 * (grid.height as f64 - 1.0),
+            0.0,
+        );
+        let shift = to_pixels * t_sensor_mesh.translation_m + middle;
+        self.corners.clear();
+        let project = |v: &DVec3| (turn * *v + shift).to_array();
+        self.corners.extend(mesh.vertices.iter().map(project));
+    }
+
+    fn clear(&mut self, grid: &SensorGeometry, far_m: f64) {
+        self.nearest_m.clear();
+        self.nearest_m
+            .resize(grid.width * grid.height, far_m as f32);
+    }
+}
+
+/// Size of the picture.
+#[derive(Clone, Copy)]
+struct Grid {
+    width: f64,
+    height: f64,
+    stride: usize,
+}
+
+impl Grid {
+    fn new(grid: &SensorGeometry) -> Self {
+        Self {
+            width: grid.width as f64,
+            height: grid.height as f64,
+            stride: grid.width,
+        }
+    }
+}
+
+/// What is drawn into.
+struct Target<'a> {
+    grid: Grid,
+    range_m: [f64; 2],
+    nearest_m: &'a mut [f32],
+    triangles: &'a mut [u32],
+}
+
+/// z over a triangle's plane: at a corner, and its slopes along column and row (m per pixel).
+struct Plane {
+    at: Corner,
+    slope: [f64; 2],
+    bounds_m: [f32; 2],
+}
+
+impl Target<'_> {
+    #[inline]
+    fn draw<const TRIANGLES: bool>(&mut self, corners: [&Corner; 3], index: u32) {
+        let [a, b, c] = corners;
+        let [near, far] = self.range_m;
+        let (lowest, highest) = (least(a[2], b[2], c[2]), most(a[2], b[2], c[2]));
+        if lowest >= far || highest < near {
+            return;
+        }
+        let left = first_at_or_after(least(a[0], b[0], c[0]), self.grid.width);
+        let right = first_at_or_after(most(a[0], b[0], c[0]), self.grid.width);
+        let top = first_at_or_after(least(a[1], b[1], c[1]), self.grid.height);
+        let bottom = first_at_or_after(most(a[1], b[1], c[1]), self.grid.height);
+        if left >= right || top >= bottom {
+            return;
+        }
+        let Some(slope) = slopes(corners) else { return };
+        let plane = Plane {
+            at: *a,
+            slope,
+            bounds_m: [lowest as f32, highest as f32],
+        };
+        let [upper, middle, lower] = by_row(corners);
+        let long = Border::new(upper, lower);
+        let turn = first_at_or_after(middle[1], self.grid.height);
+        for (rows, from, to) in [(top..turn, upper, middle), (turn..bottom, middle, lower)] {
+            if rows.is_empty() {
+                continue;
+            }
+            let short = Border::new(from, to);
+            for row in rows {
+                let ends = [long.column(row), short.column(row)];
+                let start = first_at_or_after(ends[0].min(ends[1]), self.grid.width);
+                let end = first_at_or_after(ends[0].max(ends[1]), self.grid.width);
+                if start < end {
+                    self.span::<TRIANGLES>(row, start..end, &plane, index);
+                }
+            }
+        }
+    }
+
+    /// Compares the pixels of a part of a row with a triangle's plane.
+    #[inline]
+    fn span<const TRIANGLES: bool>(
+        &mut self,
+        row: usize,
+        columns: std::ops::Range<usize>,
+        plane: &Plane,
+        index: u32,
+    ) {
+        let [column_slope, row_slope] = plane.slope;
+        let from = plane.at[2]
+            + column_slope * (columns.start as f64 - plane.at[0])
+            + row_slope * (row as f64 - plane.at[1]);
+        let (from, step) = (from as f32, column_slope as f32);
+        // Rounding must not carry a triangle seen edge-on beyond its corners.
+        let [lowest, highest] = plane.bounds_m;
+        let near = self.range_m[0] as f32;
+        let at = row * self.grid.stride;
+        let pixels = at + columns.start..at + columns.end;
+        let ids = if TRIANGLES { pixels.clone() } else { 0..0 };
+        let held = &mut self.nearest_m[pixels];
+        let ids = &mut self.triangles[ids];
+        for (k, held) in held.iter_mut().enumerate() {
+            let z = (from + k as f32 * step).max(lowest).min(highest);
+            if z >= near && z < *held {
+                *held = z;
+                if TRIANGLES {
+                    ids[k] = index;
+                }
+            }
+        }
+    }
+}
+
+/// Slopes of z along column and row; none for a triangle seen exactly edge-on.
+#[inline]
+fn slopes([a, b, c]: [&Corner; 3]) -> Option<[f64; 2]> {
+    let (u, v) = (
+        [b[0] - a[0], b[1] - a[1], b[2] - a[2]],
+        [c[0] - a[0], c[1] - a[1], c[2] - a[2]],
+    );
+    let area = u[0] * v[1] - v[0] * u[1];
+    if area == 0.0 {
+        return None;
+    }
+    let scale = 1.0 / area;
+    Some([
+        (u[2] * v[1] - v[2] * u[1]) * scale,
+        (u[0] * v[2] - v[0] * u[2]) * scale,
+    ])
+}
+
+/// A side of a triangle, followed downwards.
+struct Border {
+    from: [f64; 2],
+    columns_per_row: f64,
+}
+
+impl Border {
+    #[inline]
+    fn new(upper: &Corner, lower: &Corner) -> Self {
+        Self {
+            from: [upper[0], upper[1]],
+            columns_per_row: (lower[0] - upper[0]) / (lower[1] - upper[1]),
+        }
+    }
+
+    #[inline]
+    fn column(&self, row: usize) -> f64 {
+        self.from[0] + (row as f64 - self.from[1]) * self.columns_per_row
+    }
+}
+
+#[inline]
+fn by_row([mut a, mut b, mut c]: [&Corner; 3]) -> [&Corner; 3] {
+    if b[1] < a[1] {
+        std::mem::swap(&mut a, &mut b);
+    }
+    if c[1] < b[1] {
+        std::mem::swap(&mut b, &mut c);
+    }
+    if b[1] < a[1] {
+        std::mem::swap(&mut a, &mut b);
+    }
+    [a, b, c]
+}
+
+/// First whole number from `place` on, within 0..=`limit`.
+#[inline]
+fn first_at_or_after(place: f64, limit: f64) -> usize {
+    let place = place.max(0.0).min(limit);
+    // A library call without SSE4.1 otherwise: `ceil` is the costliest step of a small triangle.
+    let below = place as u32;
+    (below + u32::from(f64::from(below) < place)) as usize
+}
+
+#[inline]
+fn least(a: f64, b: f64, c: f64) -> f64 {
+    a.min(b).min(c)
+}
+
+#[inline]
+fn most(a: f64, b: f64, c: f64) -> f64 {
+    a.max(b).max(c)
+}
+
+#[cfg(test)]
+#[path = "rasteriser_test.rs"]
+mod tests;

@@ -1,0 +1,153 @@
+//! From the depth of a press to the sensor's picture.
+
+use image::RgbImage;
+
+use super::background::planes_of;
+use super::noise::{FrameLook, pixel_noise};
+use super::normals::Normals;
+use super::press_depth::{PressDepth, SensorGeometry};
+use super::profile::{SensorProfile, ShadingModel};
+use super::smooth::Smoother;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Largest relative difference of pixel sizes that counts as the same.
+const SAME_PIXEL: f64 = 1e-6;
+
+/// Makes pictures of one sensor; keeps its buffers from frame to frame. One thread; several
+/// renderers work side by side.
+#[derive(Clone, Debug)]
+pub struct TactileRenderer {
+    geometry: SensorGeometry,
+    smoother: Smoother,
+    normals: Normals,
+    shading: ShadingModel,
+    noise_std: [f32; 3],
+    untouched: [Vec<f32>; 3],
+    change: [Vec<f32>; 3],
+}
+
+impl TactileRenderer {
+    /// Prepares a sensor.
+    ///
+    /// # Errors
+    /// `Config` if the profile is not valid.
+    pub fn new(profile: &SensorProfile) -> Result<Self> {
+        profile.validate()?;
+        let geometry = profile.geometry;
+        let untouched = match &profile.background.picture {
+            Some(picture) => planes_of(picture),
+            None => profile
+                .background
+                .fit
+                .planes(geometry.width, geometry.height),
+        };
+        Ok(Self {
+            geometry,
+            smoother: Smoother::new(&profile.smoothing, geometry.pixel_m),
+            normals: Normals::default(),
+            shading: profile.shading.clone(),
+            noise_std: profile.noise_std.map(|v| v as f32),
+            untouched,
+            change: std::array::from_fn(|_| Vec::new()),
+        })
+    }
+
+    /// Grid, scale and gel of the pictures.
+    pub fn geometry(&self) -> SensorGeometry {
+        self.geometry
+    }
+
+    /// What the press changes in the picture, grey levels: planes of red, green, blue, each
+    /// `width * height`, not rounded and not clipped.
+    ///
+    /// # Errors
+    /// `Input` if the press was taken on another grid.
+    pub fn change(&mut self, press: &PressDepth) -> Result<&[Vec<f32>; 3]> {
+        self.check(press)?;
+        let height_m = self.smoother.smooth(press);
+        self.normals.take(height_m, &self.geometry);
+        for plane in &mut self.change {
+            plane.clear();
+            plane.resize(press.depth_m.len(), 0.0);
+        }
+        match &self.shading {
+            ShadingModel::Polynomial(s) => {
+                self.normals.limit(s.steepest as f32);
+                s.add(&self.geometry, &self.normals, &mut self.change);
+            }
+            ShadingModel::Leds(s) => s.add(&self.geometry, &self.normals, &mut self.change),
+        }
+        Ok(&self.change)
+    }
+
+    /// The sensor's picture of the press, 8 bits a channel.
+    ///
+    /// # Errors
+    /// `Input` if the press was taken on another grid.
+    pub fn render(&mut self, press: &PressDepth, look: &FrameLook) -> Result<RgbImage> {
+        self.change(press)?;
+        let mut picture = RgbImage::new(self.geometry.width as u32, self.geometry.height as u32);
+        self.compose(look, &mut picture);
+        Ok(picture)
+    }
+
+    /// gain · (untouched + change) + offset + noise, rounded.
+    fn compose(&self, look: &FrameLook, picture: &mut RgbImage) {
+        let [red, green, blue] = &self.untouched;
+        let [d_red, d_green, d_blue] = &self.change;
+        let light = red.iter().zip(d_red);
+        let light = light.zip(green.iter().zip(d_green));
+        let light = light.zip(blue.iter().zip(d_blue));
+        // + 0.5 rounds; the cast saturates at 0 and 255.
+        let [o_red, o_green, o_blue] = look.offset.map(|v| v + 0.5);
+        let [g_red, g_green, g_blue] = look.gain;
+        let pixels = picture.chunks_exact_mut(3).zip(light);
+        let Some(seed) = look.noise_seed else {
+            for (pixel, (((r, dr), (g, dg)), (b, db))) in pixels {
+                pixel[0] = (g_red * (r + dr) + o_red) as u8;
+                pixel[1] = (g_green * (g + dg) + o_green) as u8;
+                pixel[2] = (g_blue * (b + db) + o_blue) as u8;
+            }
+            return;
+        };
+        let [s_red, s_green, s_blue] = self.noise_std;
+        for (i, (pixel, (((r, dr), (g, dg)), (b, db)))) in pixels.enumerate() {
+            let [n_red, n_green, n_blue] = pixel_noise(seed, i);
+            pixel[0] = (g_red * (r + dr) + o_red + s_red * n_red) as u8;
+            pixel[1] = (g_green * (g + dg) + o_green + s_green * n_green) as u8;
+            pixel[2] = (g_blue * (b + db) + o_blue + s_blue * n_blue) as u8;
+        }
+    }
+
+    fn check(&self, press: &PressDepth) -> Result<()> {
+        let (ours, theirs) = (&self.geometry, &press.geometry);
+        let same_pixel = (ours.pixel_m - theirs.pixel_m).abs() <= SAME_PIXEL * ours.pixel_m;
+        let pixels = ours.width * ours.height;
+        if ours.width == theirs.width
+            && ours.height == theirs.height
+            && same_pixel
+            && press.depth_m.len() == pixels
+        {
+            return Ok(());
+        }
+        Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "the press must be on the sensor's grid of {}×{} pixels of {} m, found {}×{} of {} \
+                 m with {} depths",
+                ours.width,
+                ours.height,
+                ours.pixel_m,
+                theirs.width,
+                theirs.height,
+                theirs.pixel_m,
+                press.depth_m.len()
+            ),
+        )
+        .remedy("take the depth with the geometry of the sensor's profile"))
+    }
+}
+
+#[cfg(test)]
+#[path = "renderer_test.rs"]
+mod tests;

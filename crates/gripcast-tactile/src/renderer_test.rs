@@ -1,0 +1,123 @@
+use super::*;
+use crate::calibrate::ball_press;
+
+fn mini() -> TactileRenderer {
+    TactileRenderer::new(&SensorProfile::gelsight_mini().unwrap()).unwrap()
+}
+
+fn ball(renderer: &TactileRenderer) -> PressDepth {
+    ball_press(renderer.geometry(), [170.0, 110.0], 15.0, 2e-3, 2e-4)
+}
+
+#[test]
+fn nothing_touches_and_the_untouched_gel_is_seen() {
+    let profile = SensorProfile::gelsight_mini().unwrap();
+    let mut renderer = mini();
+    let press = PressDepth::untouched(renderer.geometry());
+    let picture = renderer.render(&press, &FrameLook::default()).unwrap();
+    assert_eq!(Some(picture), profile.background.picture);
+}
+
+#[test]
+fn a_press_changes_its_surroundings_and_nothing_far_away() {
+    let mut renderer = mini();
+    let press = ball(&renderer);
+    let change = renderer.change(&press).unwrap();
+    let at = |x: usize, y: usize| {
+        change
+            .iter()
+            .map(|p| p[y * 320 + x].abs())
+            .fold(0.0, f32::max)
+    };
+    assert!(at(180, 110) > 20.0 || at(170, 120) > 20.0);
+    assert!(at(10, 10) < 1.0 && at(310, 230) < 1.0);
+}
+
+#[test]
+fn opposite_slopes_change_red_in_opposite_ways() {
+    let mut renderer = mini();
+    let press = ball(&renderer);
+    let change = renderer.change(&press).unwrap();
+    let largest = |sign: f32| change[0].iter().map(|v| v * sign).fold(0.0, f32::max);
+    assert!(largest(1.0) > 20.0 && largest(-1.0) > 20.0);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_whatever_came_before() {
+    let mut renderer = mini();
+    let press = ball(&renderer);
+    let look = FrameLook {
+        noise_seed: Some(11),
+        ..FrameLook::default()
+    };
+    let first = renderer.render(&press, &look).unwrap();
+    let untouched = PressDepth::untouched(renderer.geometry());
+    renderer.render(&untouched, &look).unwrap();
+    assert_eq!(renderer.render(&press, &look).unwrap(), first);
+    assert_eq!(mini().render(&press, &look).unwrap(), first);
+    let other = FrameLook {
+        noise_seed: Some(12),
+        ..look
+    };
+    assert_ne!(renderer.render(&press, &other).unwrap(), first);
+}
+
+#[test]
+fn noise_has_the_deviation_of_the_profile() {
+    let mut renderer = mini();
+    let press = PressDepth::untouched(renderer.geometry());
+    let still = renderer.render(&press, &FrameLook::default()).unwrap();
+    let look = FrameLook {
+        noise_seed: Some(1),
+        ..FrameLook::default()
+    };
+    let noisy = renderer.render(&press, &look).unwrap();
+    let expected = SensorProfile::gelsight_mini().unwrap().noise_std;
+    for c in 0..3 {
+        let square: f64 = still
+            .pixels()
+            .zip(noisy.pixels())
+            .map(|(a, b)| (f64::from(a.0[c]) - f64::from(b.0[c])).powi(2))
+            .sum();
+        let found = (square / 76_800.0).sqrt();
+        // Rounding adds 1/12 to the variance.
+        let expected = (expected[c].powi(2) + 1.0 / 12.0).sqrt();
+        assert!((found - expected).abs() < 0.05, "{found} {expected}");
+    }
+}
+
+#[test]
+fn gain_and_offset_apply_and_saturate() {
+    let mut renderer = mini();
+    let press = PressDepth::untouched(renderer.geometry());
+    let look = FrameLook {
+        gain: [0.0; 3],
+        offset: [300.0, -5.0, 77.0],
+        noise_seed: None,
+    };
+    let picture = renderer.render(&press, &look).unwrap();
+    assert!(picture.pixels().all(|p| p.0 == [255, 0, 77]));
+}
+
+#[test]
+fn presses_on_another_grid_are_refused() {
+    let mut renderer = mini();
+    let mut geometry = renderer.geometry();
+    geometry.pixel_m *= 2.0;
+    let wrong = PressDepth::untouched(geometry);
+    let text = renderer.change(&wrong).unwrap_err().to_string();
+    assert!(text.contains("grid"), "{text}");
+    let mut short = PressDepth::untouched(renderer.geometry());
+    short.depth_m.pop();
+    assert!(renderer.change(&short).is_err());
+}
+
+#[test]
+fn depths_that_are_no_numbers_do_not_fail() {
+    let mut renderer = mini();
+    let mut press = ball(&renderer);
+    press.depth_m[40_000] = f32::NAN;
+    press.depth_m[40_001] = f32::INFINITY;
+    press.depth_m[40_002] = -1.0;
+    renderer.render(&press, &FrameLook::default()).unwrap();
+}

@@ -1,0 +1,103 @@
+//! How deep a force presses an object into a gel that was not simulated.
+
+use super::press_depth::SensorGeometry;
+use super::rasteriser::Rasteriser;
+use gripcast_geometry::{Pose, TriangleMesh};
+
+/// Halvings of the interval in which the depth lies: finer than a nanometre.
+const HALVINGS: u32 = 24;
+
+/// Stiffness of a thin gel on a rigid back, Pa/m: an elastic foundation whose material cannot move
+/// aside, E (1 − ν) / ((1 + ν)(1 − 2ν)) over its thickness (Johnson, *Contact Mechanics*, §4.3).
+pub fn foundation_pa_m(young_pa: f64, poisson: f64, thickness_m: f64) -> f64 {
+    let constrained = young_pa * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson));
+    constrained / thickness_m
+}
+
+/// Depth (m) of the deepest pixel at which a foundation of `stiffness_pa_m` carries `force_n`, at
+/// most the gel's thickness; none where the object does not lie over the picture. `t_sensor_object`
+/// gives the object's turn and its place across; its z is not used.
+pub fn depth_under_force(
+    object: &TriangleMesh,
+    t_sensor_object: &Pose,
+    force_n: f64,
+    stiffness_pa_m: f64,
+    grid: &SensorGeometry,
+) -> Option<f64> {
+    let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
+    let mut rasteriser = Rasteriser::new();
+    let seen = rasteriser.nearest(object, t_sensor_object, grid, everywhere);
+    let lowest = seen.iter().copied().fold(f32::INFINITY, f32::min);
+    if !lowest.is_finite() {
+        return None;
+    }
+    let heights: Vec<f64> = seen
+        .iter()
+        .map(|z| f64::from(z - lowest))
+        .filter(|height| *height < grid.gel_thickness_m)
+        .collect();
+    let pixel_m2 = grid.pixel_m * grid.pixel_m;
+    let carried = |depth: f64| {
+        let sunk: f64 = heights.iter().map(|height| (depth - height).max(0.0)).sum();
+        stiffness_pa_m * pixel_m2 * sunk
+    };
+    let (mut least, mut most) = (0.0, grid.gel_thickness_m);
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (least + most);
+        if carried(middle) < force_n {
+            least = middle;
+        } else {
+            most = middle;
+        }
+    }
+    Some(most)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::SensorProfile;
+    use gripcast_geometry::builtin;
+
+    fn grid() -> SensorGeometry {
+        SensorProfile::gelsight_mini().unwrap().geometry
+    }
+
+    #[test]
+    fn a_flat_face_sinks_by_its_pressure_over_the_stiffness() {
+        let bar = builtin("box").unwrap();
+        let k = foundation_pa_m(1e6, 0.3, 0.004);
+        let grid = grid();
+        let depth = depth_under_force(&bar, &Pose::IDENTITY, 20.0, k, &grid).unwrap();
+        // The box covers the whole picture.
+        let area = grid.pixel_m.powi(2) * (grid.width * grid.height) as f64;
+        let expected = 20.0 / (k * area);
+        assert!((depth / expected - 1.0).abs() < 1e-3, "{depth} {expected}");
+    }
+
+    #[test]
+    fn a_ball_sinks_with_the_root_of_the_force() {
+        // F = k π R δ² for a ball on an elastic foundation.
+        let ball = builtin("ball").unwrap();
+        let k = foundation_pa_m(1e6, 0.3, 0.004);
+        let depth = |force| depth_under_force(&ball, &Pose::IDENTITY, force, k, &grid()).unwrap();
+        let expected = |force: f64| (force / (k * std::f64::consts::PI * 0.025)).sqrt();
+        for force in [2.0, 8.0] {
+            assert!(
+                (depth(force) / expected(force) - 1.0).abs() < 0.04,
+                "{force}"
+            );
+        }
+        let soft = depth_under_force(&ball, &Pose::IDENTITY, 1e6, k, &grid()).unwrap();
+        assert!(soft <= grid().gel_thickness_m);
+    }
+
+    #[test]
+    fn nothing_under_the_sensor_has_no_depth() {
+        let ball = builtin("ball").unwrap();
+        let aside = Pose::from_translation(DVec3::X * 0.5);
+        assert_eq!(depth_under_force(&ball, &aside, 5.0, 1e8, &grid()), None);
+    }
+}

@@ -1,0 +1,235 @@
+//! Tests of scenes: frames, mountings, faces.
+
+use glam::{DMat3, DVec3};
+
+use super::*;
+use crate::object_depth;
+use gripcast_geometry::builtin;
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{GelSpec, Scene, StageName};
+
+const GRID: SensorGeometry = SensorGeometry {
+    width: 80,
+    height: 60,
+    pixel_m: 2e-4,
+    gel_thickness_m: 4e-3,
+};
+const OPENING_M: f64 = 0.03;
+
+fn gel() -> SimulatedGel {
+    SimulatedGel {
+        grid: GelGrid::pad(GelResolution::Coarse).unwrap(),
+        d_hat_m: 5e-4,
+    }
+}
+
+/// A gripper somewhere, turned.
+fn gripper() -> Pose {
+    let turn = DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(-2.0);
+    Pose::new(turn, DVec3::new(0.1, -0.2, 0.3))
+}
+
+/// A box of 2 mm that reaches 1 mm into both gels; its middle in the gripper's frame.
+fn feature(across: DVec3) -> TriangleMesh {
+    let mut mesh = builtin("builtin:box").unwrap();
+    let extent = mesh.bounds().extent();
+    let size = DVec3::new(OPENING_M + 2e-3, 2e-3, 2e-3);
+    for vertex in &mut mesh.vertices {
+        *vertex = *vertex / extent * size + across;
+    }
+    mesh
+}
+
+/// A grasp with both gels at rest.
+fn snapshot(gel: &SimulatedGel) -> Snapshot {
+    let nodes = Finger::BOTH.map(|finger| {
+        let t_gripper_gel = SensorPlace::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
+        let place = gripper() * t_gripper_gel;
+        let at = |p: &DVec3| place.transform_point(*p).to_array();
+        gel.grid.positions().iter().map(at).collect()
+    });
+    Snapshot {
+        stage: StageName::Adjustment,
+        t_s: 1.0,
+        t_world_object: gripper(),
+        t_world_gripper: gripper(),
+        opening_m: OPENING_M,
+        gels: nodes,
+    }
+}
+
+/// Mean column and row of what is pressed in, from the picture's middle, and the deepest point.
+fn pressed_at(object: &TriangleMesh, place: SensorPlace) -> ([f64; 2], f64) {
+    let gel = gel();
+    let scene = TactileScene::of_snapshot(object, &gel, &snapshot(&gel), place).unwrap();
+    assert!((scene.face_m - 4e-3).abs() < 1e-12);
+    assert_eq!(
+        scene.gap_m, gel.d_hat_m,
+        "undeformed: nothing within reach is seen as touching"
+    );
+    let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
+    let (mut sum, mut count) = ([0.0; 2], 0.0);
+    for (pixel, depth) in press.depth_m.iter().enumerate() {
+        if *depth > 0.0 {
+            sum[0] += (pixel % 80) as f64 - 39.5;
+            sum[1] += (pixel / 80) as f64 - 29.5;
+            count += 1.0;
+        }
+    }
+    (sum.map(|s| s / count), press.deepest_m())
+}
+
+#[test]
+fn features_appear_where_the_frames_say() {
+    let ahead = feature(DVec3::Z * 5e-3);
+    let aside = feature(DVec3::Y * 4e-3);
+    for finger in Finger::BOTH {
+        let ([column, row], depth) = pressed_at(&ahead, SensorPlace::on(finger));
+        assert!(
+            (column - 25.0).abs() < 0.6 && row.abs() < 0.6,
+            "{finger:?} {column} {row}"
+        );
+        assert!((depth - 1.5e-3).abs() < 1e-8, "1 mm and the gap: {depth}");
+        let ([column, row], _) = pressed_at(&aside, SensorPlace::on(finger));
+        let expected = if finger == Finger::Left { -20.0 } else { 20.0 };
+        assert!(
+            (row - expected).abs() < 0.6 && column.abs() < 0.6,
+            "{finger:?} {column} {row}"
+        );
+    }
+}
+
+#[test]
+fn a_turned_sensor_turns_its_picture_the_other_way() {
+    let ahead = feature(DVec3::Z * 5e-3);
+    let expected = [
+        (0, [25.0, 0.0]),
+        (90, [0.0, -25.0]),
+        (180, [-25.0, 0.0]),
+        (270, [0.0, 25.0]),
+    ];
+    for finger in Finger::BOTH {
+        for (degrees, expected) in expected {
+            let mounting = Mounting::from_degrees(degrees).unwrap();
+            let (at, _) = pressed_at(&ahead, SensorPlace { finger, mounting });
+            let off = (at[0] - expected[0]).abs().max((at[1] - expected[1]).abs());
+            assert!(off < 0.6, "{finger:?} {degrees}: {at:?}");
+        }
+    }
+}
+
+#[test]
+fn sensor_frames_are_right_handed_and_face_each_other() {
+    for finger in Finger::BOTH {
+        let pose = SensorPlace::on(finger).t_gripper_sensor(OPENING_M, 4e-3);
+        assert!((pose.rotation_matrix().determinant() - 1.0).abs() < 1e-12);
+        let face = pose.transform_point(DVec3::Z * 4e-3);
+        let expected = -0.5 * OPENING_M * finger.closing();
+        assert!(face.distance(expected) < 1e-12);
+        assert!(pose.transform_vector(DVec3::X).distance(DVec3::Z) < 1e-12);
+    }
+}
+
+#[test]
+fn mountings_are_quarter_turns() {
+    let text = Mounting::from_degrees(45).unwrap_err().to_string();
+    assert!(text.contains("found 45"), "{text}");
+    let mounting: Mounting = serde_json::from_str("270").unwrap();
+    assert_eq!(mounting.degrees(), 270);
+    assert_eq!(serde_json::to_string(&mounting).unwrap(), "270");
+    assert!(serde_json::from_str::<Mounting>("30").is_err());
+}
+
+#[test]
+fn a_step_sees_what_the_snapshot_of_its_moment_sees() {
+    let object = feature(DVec3::Z * 5e-3);
+    let gel = gel();
+    let lift = 0.02;
+    let mut step: TraceStep = TraceStep {
+        stage: StageName::Lift,
+        t_s: 1.0,
+        force: Default::default(),
+        t_world_object: Pose::from_translation(DVec3::Z * lift) * gripper(),
+        opening_m: OPENING_M,
+        lifted_m: lift,
+        min_gap_m: [None, Some(4.5e-4)],
+        solver: None,
+    };
+    for finger in Finger::BOTH {
+        let place = SensorPlace::on(finger);
+        let scene = TactileScene::of_step(&object, &gel, &gripper(), &step, place).unwrap();
+        let known = TactileScene::of_snapshot(&object, &gel, &snapshot(&gel), place).unwrap();
+        let apart = scene.t_sensor_object.inverse() * known.t_sensor_object;
+        assert!(apart.translation_m.length() < 1e-12);
+        assert!(scene.gel_face.is_none());
+        assert_eq!(scene.gap_m, [5e-4, 4.75e-4][finger as usize]);
+    }
+    step.opening_m -= 2e-3;
+    let place = SensorPlace::on(Finger::Right);
+    let scene = TactileScene::of_step(&object, &gel, &gripper(), &step, place).unwrap();
+    let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
+    assert!((press.deepest_m() - 2.475e-3).abs() < 1e-8);
+}
+
+#[test]
+fn before_the_fingers_close_nothing_is_pressed() {
+    let scene = Scene {
+        mesh: feature(DVec3::ZERO),
+        mass_kg: 0.1,
+        friction: 0.5,
+        t_world_object: gripper(),
+        t_world_gripper: gripper(),
+        opening_m: OPENING_M + 0.01,
+        gel: GelSpec::standard(GelResolution::Coarse).unwrap(),
+    };
+    for finger in Finger::BOTH {
+        let start = {
+            let gel = SimulatedGel {
+                grid: scene.gel.grid.clone(),
+                d_hat_m: 5e-4,
+            };
+            let poses = [&scene.t_world_object, &scene.t_world_gripper];
+            let place = SensorPlace::on(finger);
+            TactileScene::at_start(&scene.mesh, &gel, poses, scene.opening_m, place).unwrap()
+        };
+        let press = object_depth(&start, &GRID, &mut Rasteriser::new());
+        assert_eq!(press.deepest_m(), 0.0);
+        let face = start.gel_face.unwrap();
+        assert!(face.vertices.iter().all(|v| (v.z - 4e-3).abs() < 1e-15));
+        let [a, b, c] = face.corners(face.triangles[0]);
+        assert!((b - a).cross(c - a).z > 0.0, "seen from outside");
+    }
+}
+
+#[test]
+fn a_plain_mesh_is_pressed_as_deep_as_asked() {
+    let object = feature(DVec3::ZERO);
+    let upright = Pose::from_rotation(DQuat::from_mat3(&DMat3::from_cols(
+        DVec3::Z,
+        DVec3::Y,
+        DVec3::NEG_X,
+    )));
+    let scene = TactileScene::pressed(&object, &upright, 8e-4, &GRID).unwrap();
+    let press = object_depth(&scene, &GRID, &mut Rasteriser::new());
+    assert!((press.deepest_m() - 8e-4).abs() < 1e-8);
+    let aside = Pose::from_translation(DVec3::X * 0.1);
+    let text = TactileScene::pressed(&object, &aside, 8e-4, &GRID).unwrap_err();
+    assert!(text.to_string().contains("does not lie over"), "{text}");
+    for depth in [0.0, -1e-3, 5e-3, f64::NAN] {
+        let text = TactileScene::pressed(&object, &upright, depth, &GRID).unwrap_err();
+        assert!(text.to_string().contains("thickness of 0.004"), "{text}");
+    }
+}
+
+#[test]
+fn snapshots_of_another_gel_and_broken_meshes_are_explained() {
+    let object = feature(DVec3::ZERO);
+    let gel = gel();
+    let mut other = snapshot(&gel);
+    other.gels[0].pop();
+    let place = SensorPlace::on(Finger::Left);
+    let text = TactileScene::of_snapshot(&object, &gel, &other, place).unwrap_err();
+    assert!(text.to_string().contains("429 nodes"), "{text}");
+    let empty = TriangleMesh::default();
+    assert!(TactileScene::of_snapshot(&empty, &gel, &snapshot(&gel), place).is_err());
+}

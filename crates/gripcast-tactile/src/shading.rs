@@ -1,0 +1,327 @@
+//! Polynomial shading: what a slope of the gel adds to the picture.
+//!
+//! For each channel the change against the untouched gel, in grey levels, is
+//! d(n, x, y) = Σ_k t_k(n) · Σ_p c_kp · q_p(x, y), with terms t_k of the unit normal (linear:
+//! nx, ny, nz − 1; quadratic adds nx², ny², nx ny, nx (nz − 1), ny (nz − 1); cubic adds nx³, ny³,
+//! nx² ny, nx ny²) and terms q_p of the place (constant: 1; linear: x, y; quadratic: x², y², xy).
+//! x and y count from the picture's middle and are ±1 at the ends of its longer side. It is the
+//! form of GelSight's `gssim`, whose coefficients per light are polynomials of the place too.
+
+use serde::{Deserialize, Serialize};
+
+use super::normals::Normals;
+use super::press_depth::SensorGeometry;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Highest power of the normal in a polynomial shading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NormalOrder {
+    /// 3 terms.
+    Linear,
+    /// 8 terms.
+    Quadratic,
+    /// 12 terms.
+    Cubic,
+}
+
+/// Highest power of the place in a polynomial shading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PositionOrder {
+    /// 1 term: the same everywhere.
+    Constant,
+    /// 3 terms.
+    Linear,
+    /// 6 terms.
+    Quadratic,
+}
+
+/// Most terms of the normal.
+pub(super) const NORMAL_TERMS: usize = 12;
+/// Most terms of the place.
+pub(super) const POSITION_TERMS: usize = 6;
+
+impl NormalOrder {
+    /// All, from few terms to many.
+    pub const ALL: [Self; 3] = [Self::Linear, Self::Quadratic, Self::Cubic];
+
+    /// Number of terms.
+    pub fn terms(self) -> usize {
+        match self {
+            Self::Linear => 3,
+            Self::Quadratic => 8,
+            Self::Cubic => NORMAL_TERMS,
+        }
+    }
+}
+
+impl PositionOrder {
+    /// All, from few terms to many.
+    pub const ALL: [Self; 3] = [Self::Constant, Self::Linear, Self::Quadratic];
+
+    /// Number of terms.
+    pub fn terms(self) -> usize {
+        match self {
+            Self::Constant => 1,
+            Self::Linear => 3,
+            Self::Quadratic => POSITION_TERMS,
+        }
+    }
+}
+
+/// The terms of a normal (nx, ny, nz − 1), the longest list.
+pub(super) fn normal_terms(x: f32, y: f32, z: f32) -> [f32; NORMAL_TERMS] {
+    [
+        x,
+        y,
+        z,
+        x * x,
+        y * y,
+        x * y,
+        x * z,
+        y * z,
+        x * x * x,
+        y * y * y,
+        x * x * y,
+        x * y * y,
+    ]
+}
+
+/// The terms of a place, the longest list.
+pub(super) fn position_terms(x: f32, y: f32) -> [f32; POSITION_TERMS] {
+    [1.0, x, y, x * x, y * y, x * y]
+}
+
+/// Place of a pixel, ±1 at the ends of the longer side.
+pub(super) fn normalised_place(geometry: &SensorGeometry, column: usize, row: usize) -> [f32; 2] {
+    let half = 0.5 * (geometry.width.max(geometry.height).max(2) as f64 - 1.0);
+    let from_middle = |i: usize, n: usize| (i as f64 - 0.5 * (n as f64 - 1.0)) / half;
+    [
+        from_middle(column, geometry.width) as f32,
+        from_middle(row, geometry.height) as f32,
+    ]
+}
+
+/// Coefficients of a polynomial shading; see the module for the formula.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PolynomialShading {
+    /// Powers of the normal.
+    pub normal: NormalOrder,
+    /// Powers of the place.
+    pub position: PositionOrder,
+    /// Sine of the steepest tilt that was fitted, above 0 to 1. Steeper slopes are shaded as this
+    /// one: a polynomial means nothing beyond the data.
+    pub steepest: f64,
+    /// Red, grey levels: term of the normal by term of the normal, each with all terms of the
+    /// place.
+    pub red: Vec<f64>,
+    /// Green, in the same order.
+    pub green: Vec<f64>,
+    /// Blue, in the same order.
+    pub blue: Vec<f64>,
+}
+
+impl PolynomialShading {
+    /// Red, green, blue.
+    pub fn channels(&self) -> [&[f64]; 3] {
+        [&self.red, &self.green, &self.blue]
+    }
+
+    /// Checks lengths and values.
+    ///
+    /// # Errors
+    /// `Config` with the channel, the length expected and found.
+    pub fn validate(&self) -> Result<()> {
+        if !(self.steepest > 0.0 && self.steepest <= 1.0) {
+            return Err(Error::new(
+                ErrorKind::Config,
+                format!(
+                    "shading.steepest must be above 0 and at most 1, found {}",
+                    self.steepest
+                ),
+            ));
+        }
+        let expected = self.normal.terms() * self.position.terms();
+        for (name, values) in ["red", "green", "blue"].into_iter().zip(self.channels()) {
+            if values.len() != expected {
+                return Err(Error::new(
+                    ErrorKind::Config,
+                    format!(
+                        "shading.{name} must have {expected} coefficients for {:?} normals and \
+                         {:?} place, found {}",
+                        self.normal,
+                        self.position,
+                        values.len()
+                    ),
+                ));
+            }
+            if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
+                return Err(Error::new(
+                    ErrorKind::Config,
+                    format!("shading.{name} holds {bad}, which is no number"),
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the change of every pixel, grey levels, to the planes of red, green and blue.
+    pub(super) fn add(
+        &self,
+        geometry: &SensorGeometry,
+        normals: &Normals,
+        planes: &mut [Vec<f32>; 3],
+    ) {
+        let Some(region) = normals.region else {
+            return;
+        };
+        let places: Vec<f32> = (region.x0..region.x1)
+            .map(|x| normalised_place(geometry, x, 0)[0])
+            .collect();
+        let mut term = vec![0.0f32; places.len()];
+        let [red, green, blue] = planes;
+        for row in region.y0..region.y1 {
+            let span = row * geometry.width + region.x0..row * geometry.width + region.x1;
+            let [_, y] = normalised_place(geometry, 0, row);
+            let normal = [
+                &normals.x[span.clone()],
+                &normals.y[span.clone()],
+                &normals.z_less_1[span.clone()],
+            ];
+            for k in 0..self.normal.terms() {
+                fill_term(k, normal, &mut term);
+                let along = |values: &[f64]| self.along_row(values, k, y);
+                add_term(&term, &places, along(&self.red), &mut red[span.clone()]);
+                add_term(&term, &places, along(&self.green), &mut green[span.clone()]);
+                add_term(&term, &places, along(&self.blue), &mut blue[span.clone()]);
+            }
+        }
+    }
+
+    /// Coefficient of term `k` in the row at `y`, as a polynomial of x: c0 + c1 x + c2 x².
+    fn along_row(&self, values: &[f64], k: usize, y: f32) -> [f32; 3] {
+        let count = self.position.terms();
+        let mut c = [0.0f32; POSITION_TERMS];
+        for (c, value) in c.iter_mut().zip(&values[k * count..(k + 1) * count]) {
+            *c = *value as f32;
+        }
+        [c[0] + y * (c[2] + y * c[4]), c[1] + y * c[5], c[3]]
+    }
+}
+
+/// Term `k` of the normals of a row, in the order of [`normal_terms`].
+fn fill_term(k: usize, [x, y, z]: [&[f32]; 3], out: &mut [f32]) {
+    match k {
+        0 => out.copy_from_slice(x),
+        1 => out.copy_from_slice(y),
+        2 => out.copy_from_slice(z),
+        3 => product(out, [x, x]),
+        4 => product(out, [y, y]),
+        5 => product(out, [x, y]),
+        6 => product(out, [x, z]),
+        7 => product(out, [y, z]),
+        8 => triple(out, [x, x, x]),
+        9 => triple(out, [y, y, y]),
+        10 => triple(out, [x, x, y]),
+        _ => triple(out, [x, y, y]),
+    }
+}
+
+fn product(out: &mut [f32], [a, b]: [&[f32]; 2]) {
+    for (out, (a, b)) in out.iter_mut().zip(a.iter().zip(b)) {
+        *out = a * b;
+    }
+}
+
+fn triple(out: &mut [f32], [a, b, c]: [&[f32]; 3]) {
+    for (out, ((a, b), c)) in out.iter_mut().zip(a.iter().zip(b).zip(c)) {
+        *out = a * b * c;
+    }
+}
+
+fn add_term(term: &[f32], places: &[f32], [c0, c1, c2]: [f32; 3], out: &mut [f32]) {
+    for (out, (t, x)) in out.iter_mut().zip(term.iter().zip(places)) {
+        *out += t * (c0 + x * (c1 + x * c2));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn geometry() -> SensorGeometry {
+        SensorGeometry {
+            width: 20,
+            height: 14,
+            pixel_m: 1e-4,
+            gel_thickness_m: 4e-3,
+        }
+    }
+
+    #[test]
+    fn rows_give_the_sum_of_terms() {
+        let geometry = geometry();
+        let map: Vec<f32> = (0..280)
+            .map(|i| 1e-4 * ((i % 20) as f32 * 0.7).sin() * ((i / 20) as f32 * 0.5).cos())
+            .collect();
+        let mut normals = Normals::default();
+        normals.take(&map, &geometry);
+        for normal in NormalOrder::ALL {
+            for position in PositionOrder::ALL {
+                let values: Vec<f64> = (0..normal.terms() * position.terms())
+                    .map(|i| ((i * 7 % 11) as f64 - 5.0) * 3.0)
+                    .collect();
+                let shading = PolynomialShading {
+                    normal,
+                    position,
+                    steepest: 1.0,
+                    red: values.clone(),
+                    green: values.iter().map(|v| -v).collect(),
+                    blue: values.iter().rev().copied().collect(),
+                };
+                shading.validate().unwrap();
+                let mut planes = std::array::from_fn(|_| vec![1.0; 280]);
+                shading.add(&geometry, &normals, &mut planes);
+                for i in [0, 57, 133, 279] {
+                    let t = normal_terms(normals.x[i], normals.y[i], normals.z_less_1[i]);
+                    let [x, y] = normalised_place(&geometry, i % 20, i / 20);
+                    let q = position_terms(x, y);
+                    let expected: f64 = (0..normal.terms())
+                        .flat_map(|k| (0..position.terms()).map(move |p| (k, p)))
+                        .map(|(k, p)| values[k * position.terms() + p] * f64::from(t[k] * q[p]))
+                        .sum();
+                    assert!((f64::from(planes[0][i]) - 1.0 - expected).abs() < 1e-3);
+                    assert!((f64::from(planes[1][i]) - 1.0 + expected).abs() < 1e-3);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn wrong_coefficients_are_explained() {
+        let mut shading = PolynomialShading {
+            normal: NormalOrder::Linear,
+            position: PositionOrder::Linear,
+            steepest: 1.0,
+            red: vec![0.0; 9],
+            green: vec![0.0; 8],
+            blue: vec![0.0; 9],
+        };
+        let text = shading.validate().unwrap_err().to_string();
+        assert!(text.contains("green") && text.contains("found 8"), "{text}");
+        shading.green = vec![f64::NAN; 9];
+        assert!(shading.validate().is_err());
+        shading.green = vec![0.0; 9];
+        shading.steepest = 0.0;
+        assert!(shading.validate().is_err());
+    }
+
+    #[test]
+    fn places_are_one_at_the_ends_of_the_longer_side() {
+        assert_eq!(normalised_place(&geometry(), 0, 0)[0], -1.0);
+        assert_eq!(normalised_place(&geometry(), 19, 0)[0], 1.0);
+        assert!(normalised_place(&geometry(), 0, 13)[1] < 0.7);
+    }
+}

@@ -1,0 +1,177 @@
+//! Sensors of a kind differ: lamps, gel, camera.
+
+use image::{Rgb, RgbImage, imageops};
+
+use super::background::BackgroundFit;
+use super::profile::{SensorProfile, ShadingModel};
+use super::shading::PolynomialShading;
+use gripcast_base::random::SeedStream;
+
+/// Standard deviations between GelSight Minis at spread 1. The mean colours of untouched gels of
+/// seven units differ by 13, 8 and 14 % in red, green and blue; the other values are judged.
+const LIGHT_STD: f64 = 0.10;
+const RESPONSE_STD: f64 = 0.12;
+/// Largest change of the background's shape for each of its low terms, grey levels.
+const TINT_LEVELS: f64 = 6.0;
+/// Least and most of the factors on noise and smoothing.
+const NOISE: [f64; 2] = [0.6, 2.0];
+const SMOOTHING: [f64; 2] = [0.85, 1.25];
+
+/// How a sensor differs from the one that a profile was made of.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorVariation {
+    /// Factor on the light of the untouched gel in red, green, blue.
+    pub light: [f64; 3],
+    /// Factor on what a slope changes in red, green, blue.
+    pub response: [f64; 3],
+    /// Factor on the camera's noise.
+    pub noise: f64,
+    /// Factor on the width of the smoothing.
+    pub smoothing: f64,
+    /// Whether the untouched gel is mirrored left to right.
+    pub is_mirrored: bool,
+    /// Added to the untouched gel, grey levels for each channel: x, y, xy, 2x² − 1, 2y² − 1 with x
+    /// and y in ±1 over columns and rows.
+    pub tint: [[f64; 5]; 3],
+}
+
+impl SensorVariation {
+    /// The sensor of the profile.
+    pub const NONE: Self = Self {
+        light: [1.0; 3],
+        response: [1.0; 3],
+        noise: 1.0,
+        smoothing: 1.0,
+        is_mirrored: false,
+        tint: [[0.0; 5]; 3],
+    };
+
+    /// The sensor of a seed; `spread` 0 is that of the profile, 1 differs as sensors do.
+    #[must_use]
+    pub fn drawn(seed: u64, spread: f64) -> Self {
+        let mut draw = SeedStream::named(seed, "tactile sensor");
+        // The sum of three uniform numbers has deviation 1/2 and ends.
+        let mut about_one = |std: f64| {
+            let sum: f64 = (0..3).map(|_| draw.uniform()).sum();
+            1.0 + spread * std * 2.0 * (sum - 1.5)
+        };
+        let light = [0; 3].map(|_| about_one(LIGHT_STD));
+        let response = [0; 3].map(|_| about_one(RESPONSE_STD));
+        let mut factor = |[low, high]: [f64; 2]| draw.between_log(low, high).powf(spread);
+        let (noise, smoothing) = (factor(NOISE), factor(SMOOTHING));
+        let is_mirrored = draw.uniform() < 0.5 * spread;
+        let tint = [0; 3].map(|_| [0; 5].map(|_| spread * draw.between(-TINT_LEVELS, TINT_LEVELS)));
+        Self {
+            light,
+            response,
+            noise,
+            smoothing,
+            is_mirrored,
+            tint,
+        }
+    }
+
+    /// The profile of the sensor.
+    #[must_use]
+    pub fn of(&self, profile: &SensorProfile) -> SensorProfile {
+        let mut varied = profile.clone();
+        varied.noise_std = profile.noise_std.map(|std| self.noise * std);
+        varied.smoothing.sigma_m *= self.smoothing;
+        if let ShadingModel::Polynomial(shading) = &mut varied.shading {
+            self.scale(shading);
+        }
+        let background = &mut varied.background;
+        let picture = background.picture.get_or_insert_with(|| {
+            let geometry = profile.geometry;
+            fitted(&background.fit, geometry.width, geometry.height)
+        });
+        self.repaint(picture);
+        background.fit = BackgroundFit::of_picture(picture, background.fit.degree);
+        varied
+    }
+
+    fn scale(&self, shading: &mut PolynomialShading) {
+        let channels = [&mut shading.red, &mut shading.green, &mut shading.blue];
+        for (channel, factor) in channels.into_iter().zip(self.response) {
+            channel.iter_mut().for_each(|value| *value *= factor);
+        }
+    }
+
+    fn repaint(&self, picture: &mut RgbImage) {
+        if self.is_mirrored {
+            imageops::flip_horizontal_in_place(picture);
+        }
+        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+        for (column, row, pixel) in picture.enumerate_pixels_mut() {
+            let x = (2.0 * f64::from(column) + 1.0) / width - 1.0;
+            let y = (2.0 * f64::from(row) + 1.0) / height - 1.0;
+            let terms = [x, y, x * y, 2.0 * x * x - 1.0, 2.0 * y * y - 1.0];
+            let level = |c: usize| {
+                let tint: f64 = terms.iter().zip(self.tint[c]).map(|(t, k)| t * k).sum();
+                let level = f64::from(pixel[c]) * self.light[c] + tint;
+                level.round().clamp(0.0, 255.0) as u8
+            };
+            *pixel = Rgb([level(0), level(1), level(2)]);
+        }
+    }
+}
+
+fn fitted(fit: &BackgroundFit, width: usize, height: usize) -> RgbImage {
+    let planes = fit.planes(width, height);
+    RgbImage::from_fn(width as u32, height as u32, |x, y| {
+        let at = y as usize * width + x as usize;
+        Rgb([0, 1, 2].map(|c| planes[c][at].round().clamp(0.0, 255.0) as u8))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_testing::mean_difference;
+
+    fn shipped() -> SensorProfile {
+        SensorProfile::gelsight_mini().unwrap()
+    }
+
+    fn background(profile: &SensorProfile) -> RgbImage {
+        profile.background.picture.clone().unwrap()
+    }
+
+    #[test]
+    fn without_spread_it_is_the_sensor_of_the_profile() {
+        let same = SensorVariation::drawn(5, 0.0);
+        assert_eq!(same, SensorVariation::NONE);
+        let varied = same.of(&shipped());
+        assert_eq!(varied.shading, shipped().shading);
+        assert_eq!(varied.noise_std, shipped().noise_std);
+        assert_eq!(
+            mean_difference(&background(&varied), &background(&shipped())),
+            0.0
+        );
+    }
+
+    #[test]
+    fn sensors_differ_as_real_ones_do_and_stay_valid() {
+        let mut differences = Vec::new();
+        for seed in 0..40 {
+            let varied = SensorVariation::drawn(seed, 1.0).of(&shipped());
+            varied.validate().unwrap();
+            let off = mean_difference(&background(&varied), &background(&shipped()));
+            differences.push(off);
+            assert_eq!(varied, SensorVariation::drawn(seed, 1.0).of(&shipped()));
+        }
+        differences.sort_by(f64::total_cmp);
+        assert!(differences[0] > 1.0, "{differences:?}");
+        assert!((5.0..20.0).contains(&differences[20]), "{differences:?}");
+        assert!(differences[39] < 40.0, "{differences:?}");
+    }
+
+    #[test]
+    fn a_profile_without_a_picture_is_painted_from_its_fit() {
+        let mut profile = shipped();
+        profile.background.picture = None;
+        let varied = SensorVariation::NONE.of(&profile);
+        let off = mean_difference(&background(&varied), &background(&shipped()));
+        assert!(off < 4.0, "{off}");
+    }
+}

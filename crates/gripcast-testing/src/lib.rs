@@ -1,0 +1,99 @@
+//! What tests of gripcast share: where real data are, and how a test says that it cannot run here.
+
+// A helper of a test fails as a test does.
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+pub mod sysfs_tree;
+
+use std::fmt::Display;
+use std::fs::OpenOptions;
+use std::io::Write as _;
+use std::path::PathBuf;
+
+/// What a test needs beside the repository.
+#[derive(Clone, Copy, Debug)]
+pub enum Needs {
+    /// OpenCV's ChArUco pictures, in the folder `GRIPCAST_CHARUCO`.
+    Charuco,
+    /// The User-Mode-Linux kernel of tests/kernel.
+    Kernel,
+    /// A checker of manual pages.
+    Mandoc,
+    /// A Python with the peers' packages, `GRIPCAST_PYTHON`.
+    Python,
+    /// Real data, in `GRIPCAST_SHARED` or `../shared`.
+    Shared,
+    /// A Slurm cluster of this machine alone.
+    Slurm,
+}
+
+impl Needs {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Charuco => "charuco",
+            Self::Kernel => "kernel",
+            Self::Mandoc => "mandoc",
+            Self::Python => "python",
+            Self::Shared => "shared",
+            Self::Slurm => "slurm",
+        }
+    }
+}
+
+fn is_set(variable: &str) -> bool {
+    std::env::var_os(variable).is_some_and(|value| !value.is_empty())
+}
+
+/// Says that the calling test is skipped: on stderr, and in the file that `GRIPCAST_SKIPS` names
+/// (tools/run-tests.sh prints it as a summary).
+///
+/// # Panics
+/// Where `GRIPCAST_REQUIRE_KERNEL`, `GRIPCAST_REQUIRE_SHARED`, … makes what is missing a failure.
+pub fn skip(needs: Needs, reason: impl Display) {
+    let name = needs.name();
+    let required = format!("GRIPCAST_REQUIRE_{}", name.to_uppercase());
+    assert!(!is_set(&required), "{required} is set, but: {reason}");
+    let thread = std::thread::current();
+    let test = thread.name().unwrap_or("a test");
+    let reason = reason.to_string().replace(['\n', '\t'], " ");
+    // The harness captures `eprintln!` and drops it where a test passes; it does not see this.
+    let _ = writeln!(std::io::stderr(), "SKIPPED {test}: {name}: {reason}");
+    if is_set("GRIPCAST_SKIPS") {
+        let path = std::env::var_os("GRIPCAST_SKIPS").unwrap_or_default();
+        // In one write each: tests run side by side.
+        OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .and_then(|mut file| file.write_all(format!("{name}\t{test}\t{reason}\n").as_bytes()))
+            .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    }
+}
+
+/// The folder of the repository.
+pub fn repository() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."))
+}
+
+/// An item of the shared folder: `GRIPCAST_SHARED`, else `../shared`. Without it, the calling test
+/// is skipped.
+pub fn shared(item: &str) -> Option<PathBuf> {
+    let given = std::env::var_os("GRIPCAST_SHARED").unwrap_or_else(|| "../shared".into());
+    let path = repository().join(given).join(item);
+    if path.exists() {
+        return Some(path);
+    }
+    skip(
+        Needs::Shared,
+        format_args!("{} is not there (set GRIPCAST_SHARED)", path.display()),
+    );
+    None
+}
+
+/// Mean difference of two pictures of one size, grey levels.
+pub fn mean_difference(a: &image::RgbImage, b: &image::RgbImage) -> f64 {
+    assert_eq!(a.dimensions(), b.dimensions());
+    let pairs = a.iter().zip(b.iter());
+    let sum: u64 = pairs.map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    sum as f64 / a.len() as f64
+}

@@ -1,0 +1,311 @@
+//! Batches of samples, decoded and changed on all cores.
+
+use std::collections::BTreeMap;
+
+use rayon::prelude::*;
+
+use super::augment::{FLOATS, InputWriter, SamplePictures};
+use super::quantities::QuantityScale;
+use super::samples::{SampleFacts, SampleReader, Samples};
+use gripcast_base::error::Result;
+use gripcast_imaging::Decoder;
+use gripcast_nn::predict::contract::RgbNormalisation;
+use gripcast_nn::{Batch, Senses};
+
+/// Samples from which mean and deviation of the colour picture are taken.
+const NORMALISATION_SAMPLES: usize = 256;
+
+/// Makes batches of a part of a dataset.
+#[derive(Debug)]
+pub(super) struct Batches<'a> {
+    samples: &'a Samples,
+    reader: SampleReader<'a>,
+    senses: Senses,
+    writer: InputWriter,
+    /// What each sample counts.
+    weights: Vec<f32>,
+    /// Scale of the quantities beside the label, where they are wanted.
+    scale: Option<QuantityScale>,
+}
+
+impl<'a> Batches<'a> {
+    /// Batches for a network with these senses; `memory` bytes of encoded pictures are kept.
+    pub(super) fn new(
+        samples: &'a Samples,
+        senses: Senses,
+        writer: InputWriter,
+        memory: usize,
+    ) -> Self {
+        Self {
+            samples,
+            reader: SampleReader::new(samples, memory),
+            senses,
+            writer,
+            weights: vec![1.0; samples.facts().len()],
+            scale: None,
+        }
+    }
+
+    /// With the quantities beside the label, where a scale is given.
+    #[must_use]
+    pub(super) fn with_quantities(mut self, scale: Option<QuantityScale>) -> Self {
+        self.scale = scale;
+        self
+    }
+
+    /// Lets both labels count the same in sum, at each stopping force if all have both: weak grasps
+    /// are lost more often, and the force can be read from the tactile pictures.
+    #[must_use]
+    pub(super) fn balanced(mut self) -> Self {
+        let facts = self.samples.facts();
+        let by_force = |facts: &SampleFacts| facts.stop_force_n.map(f64::to_bits);
+        let counted = |of: &dyn Fn(&SampleFacts) -> Option<u64>| {
+            let mut counts: BTreeMap<Option<u64>, [usize; 2]> = BTreeMap::new();
+            for facts in facts {
+                counts.entry(of(facts)).or_default()[usize::from(facts.is_stable)] += 1;
+            }
+            let weight = |facts: &SampleFacts| {
+                let counts = counts.get(&of(facts)).copied().unwrap_or_default();
+                let of_label = counts[usize::from(facts.is_stable)];
+                (counts[0] + counts[1]) as f32 / (2 * of_label.max(1)) as f32
+            };
+            let has_both = counts
+                .values()
+                .all(|[lost, stable]| *lost > 0 && *stable > 0);
+            has_both.then(|| facts.iter().map(weight).collect())
+        };
+        if let Some(weights) = counted(&by_force).or_else(|| counted(&|_| None)) {
+            self.weights = weights;
+        }
+        self
+    }
+
+    /// The batch of some samples, changed at random where seeds are given.
+    ///
+    /// # Errors
+    /// Those of reading and decoding, with the sample.
+    pub(super) fn batch(&mut self, samples: &[usize], seeds: Option<&[u64]>) -> Result<Batch> {
+        let rows = self.reader.rows(samples)?;
+        let count = samples.len();
+        let floats = |is_seen, pictures: usize| vec![0.0; usize::from(is_seen) * pictures * FLOATS];
+        let mut touch = floats(self.senses.touch, 2 * count);
+        let mut vision = floats(self.senses.vision, count);
+        let (left, right) = touch.split_at_mut(usize::from(self.senses.touch) * count * FLOATS);
+        let mut slots: Vec<[&mut [f32]; 3]> = Vec::with_capacity(count);
+        let mut vision_slots = vision.chunks_exact_mut(FLOATS);
+        let (mut left, mut right) = (
+            left.chunks_exact_mut(FLOATS),
+            right.chunks_exact_mut(FLOATS),
+        );
+        for _ in 0..count {
+            slots.push([
+                left.next().unwrap_or_default(),
+                right.next().unwrap_or_default(),
+                vision_slots.next().unwrap_or_default(),
+            ]);
+        }
+        let senses = [self.senses.touch, self.senses.vision];
+        let seen = slots
+            .into_par_iter()
+            .zip(rows)
+            .enumerate()
+            .map_init(
+                || None,
+                |decoder, (at, ([left, right, rgb], (rows, row)))| {
+                    let decoder = match decoder {
+                        Some(decoder) => decoder,
+                        none => none.insert(Decoder::new()?),
+                    };
+                    let row = &rows[row];
+                    let pictures = SamplePictures::decode(decoder, &row.images, senses)
+                        .map_err(|e| e.at(&row.facts.id))?;
+                    let seed = seeds.and_then(|seeds| seeds.get(at)).copied();
+                    Ok(self.writer.write(&pictures, seed, [left, right], rgb))
+                },
+            )
+            .collect::<Result<Vec<_>>>()?;
+        let facts: Vec<_> = samples
+            .iter()
+            .map(|at| &self.samples.facts()[*at])
+            .collect();
+        let quantities = self.scale.iter().flat_map(|scale| {
+            let samples = facts.iter().zip(&seen);
+            samples.flat_map(|(facts, seen)| {
+                scale.seen(&facts.quantities, seen.is_swapped, seen.is_turned)
+            })
+        });
+        Ok(Batch {
+            touch,
+            vision,
+            targets: facts
+                .iter()
+                .map(|f| f32::from(u8::from(f.is_stable)))
+                .collect(),
+            weights: samples.iter().map(|at| self.weights[*at]).collect(),
+            quantities: quantities.collect(),
+        })
+    }
+}
+
+/// Mixes each sample of a batch with the next one, which gets the share given for it (Zhang et al.,
+/// "mixup", 2018).
+pub(super) fn mix(batch: &mut Batch, shares: &[f32]) {
+    let count = shares.len();
+    if count < 2 {
+        return;
+    }
+    let weights = batch.weights.clone();
+    let of_next = |at: usize| (at + 1) % count;
+    for at in 0..count {
+        let (next, share) = (of_next(at), shares[at]);
+        let [own, other] = [(1.0 - share) * weights[at], share * weights[next]];
+        batch.weights[at] = own + other;
+    }
+    let targets = batch.targets.clone();
+    for at in 0..count {
+        let (next, share) = (of_next(at), shares[at]);
+        let sum = (1.0 - share) * weights[at] * targets[at] + share * weights[next] * targets[next];
+        batch.targets[at] = sum / batch.weights[at];
+    }
+    for (floats, pictures) in [(&mut batch.touch, 2), (&mut batch.vision, 1)] {
+        let (is_seen, size) = (!floats.is_empty(), floats.len() / (pictures * count));
+        if is_seen {
+            let of_picture = floats.par_chunks_exact_mut(count * size);
+            of_picture.for_each(|floats| mix_rows(floats, size, shares));
+        }
+    }
+    if !batch.quantities.is_empty() {
+        let size = batch.quantities.len() / count;
+        mix_rows(&mut batch.quantities, size, shares);
+    }
+}
+
+fn mix_rows(floats: &mut [f32], size: usize, shares: &[f32]) {
+    let first = floats[..size].to_vec();
+    for (at, share) in shares.iter().enumerate() {
+        let (row, rest) = floats[at * size..].split_at_mut(size);
+        let next = if rest.is_empty() {
+            &first[..]
+        } else {
+            &rest[..size]
+        };
+        for (own, other) in row.iter_mut().zip(next) {
+            *own += share * (other - *own);
+        }
+    }
+}
+
+/// Mean and deviation of the colour pictures, from evenly spread samples.
+///
+/// # Errors
+/// Those of reading and decoding.
+pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
+    let step = samples.facts().len().div_ceil(NORMALISATION_SAMPLES).max(1);
+    let some: Vec<usize> = (0..samples.facts().len()).step_by(step).collect();
+    let mut reader = SampleReader::new(samples, 0);
+    let mut decoder = Decoder::new()?;
+    let (mut sums, mut squares, mut count) = ([0_u64; 3], [0_u64; 3], 0_u64);
+    for at in some {
+        for (rows, row) in reader.rows(&[at])? {
+            let row = &rows[row];
+            let pictures = SamplePictures::decode(&mut decoder, &row.images, [false, true])
+                .map_err(|e| e.at(&row.facts.id))?;
+            for pixel in pictures.rgb.pixels() {
+                for c in 0..3 {
+                    let level = u64::from(pixel.0[c]);
+                    sums[c] += level;
+                    squares[c] += level * level;
+                }
+                count += 1;
+            }
+        }
+    }
+    let count = count.max(1) as f64;
+    let mean = sums.map(|sum| sum as f64 / count / 255.0);
+    let std: [f64; 3] = std::array::from_fn(|c| {
+        let square = squares[c] as f64 / count / (255.0 * 255.0);
+        // Pictures of one colour have no deviation.
+        (square - mean[c] * mean[c]).max(1e-4).sqrt()
+    });
+    Ok(RgbNormalisation {
+        mean: mean.map(|x| x as f32),
+        std: std.map(|x| x as f32),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::augment::Augmentation;
+    use crate::sample_dataset::{row, write_part};
+
+    #[test]
+    fn each_sample_is_mixed_with_the_next_as_it_was() {
+        let mut batch = Batch {
+            touch: [[0.0; 2], [4.0; 2], [8.0; 2], [1.0; 2], [1.0; 2], [5.0; 2]].concat(),
+            vision: vec![0.0, 10.0, 20.0],
+            targets: vec![1.0, 0.0, 1.0],
+            weights: vec![1.0, 3.0, 1.0],
+            quantities: vec![2.0, f32::NAN, 4.0],
+        };
+        mix(&mut batch, &[0.25, 0.5, 0.5]);
+        let touch = [[1.0; 2], [6.0; 2], [4.0; 2], [1.0; 2], [3.0; 2], [3.0; 2]];
+        assert_eq!(batch.touch, touch.concat());
+        assert_eq!(batch.vision, [2.5, 15.0, 10.0]);
+        assert_eq!(batch.weights, [1.5, 2.0, 1.0]);
+        assert_eq!(batch.targets, [0.5, 0.25, 1.0]);
+        assert!(batch.quantities[0].is_nan() && batch.quantities[1].is_nan());
+        assert_eq!(batch.quantities[2], 3.0);
+    }
+
+    #[test]
+    fn labels_count_the_same_at_each_force_that_has_both() {
+        let folder = tempfile::tempdir().unwrap();
+        let weights = |lost_force_n: f64| -> Vec<[f64; 3]> {
+            let rows = (0..12).map(|number| {
+                let mut row = row("train", number);
+                let is_lost = number % 2 == 0;
+                let force_n = if number < 3 || (is_lost && number < 6) {
+                    lost_force_n
+                } else {
+                    40.0
+                };
+                row.facts.stop_force_n = Some(force_n);
+                row
+            });
+            write_part(folder.path(), "train", rows);
+            let samples = Samples::open(folder.path(), "train").unwrap();
+            let writer = InputWriter::new(
+                Augmentation::NONE,
+                RgbNormalisation {
+                    mean: [0.0; 3],
+                    std: [1.0; 3],
+                },
+            );
+            let senses = Senses {
+                touch: true,
+                vision: false,
+            };
+            let batches = Batches::new(&samples, senses, writer, 0).balanced();
+            let facts = samples.facts().iter().zip(&batches.weights);
+            facts
+                .map(|(facts, weight)| {
+                    let label = f64::from(u8::from(facts.is_stable));
+                    [facts.stop_force_n.unwrap(), label, f64::from(*weight)]
+                })
+                .collect()
+        };
+        let sum = |of: &[[f64; 3]], force_n: f64, label: f64| -> f64 {
+            let of = of.iter().filter(|x| x[0] == force_n && x[1] == label);
+            of.map(|x| x[2]).sum()
+        };
+        let found = weights(10.0);
+        for force_n in [10.0, 40.0] {
+            let [lost, stable] = [0.0, 1.0].map(|label| sum(&found, force_n, label));
+            assert!(lost > 0.0 && (lost - stable).abs() < 1e-5, "{force_n} N");
+        }
+        // One force alone: by label.
+        let found = weights(40.0);
+        assert!((sum(&found, 40.0, 0.0) - sum(&found, 40.0, 1.0)).abs() < 1e-5);
+    }
+}

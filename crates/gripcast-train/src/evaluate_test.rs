@@ -1,0 +1,108 @@
+use super::*;
+use crate::sample_dataset::{row, write_dataset, write_part};
+use crate::{dataset_sha256, page};
+use gripcast_nn::predict::Model;
+
+fn evaluated(root: &std::path::Path, models: usize) -> (EvalReport, Samples) {
+    let samples = Samples::open(root, "test").unwrap();
+    let models: Vec<(String, Model)> = (0..models)
+        .map(|i| (format!("model-{i}.onnx"), Model::baseline().unwrap()))
+        .collect();
+    let sha256 = dataset_sha256(root).unwrap();
+    let report = evaluate(&models, &samples, None, &sha256, &|_, _| {}).unwrap();
+    (report, samples)
+}
+
+#[test]
+fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
+    let folder = tempfile::tempdir().unwrap();
+    write_dataset(folder.path(), 8);
+    write_part(
+        folder.path(),
+        "test",
+        (0..12).map(|number| row("test", number)),
+    );
+    let (report, samples) = evaluated(folder.path(), 2);
+    let model = &report.models[0];
+    assert_eq!(
+        (model.summary.n, model.summary.stable, report.objects),
+        (12, 6, 4)
+    );
+    assert_eq!(model.summary.auroc, Some(1.0));
+    assert_eq!(model.in_contact.n, 6, "stable grasps alone show a contact");
+    assert_eq!(model.per_object.len(), 4);
+    let chance = model.ece_by_chance.unwrap();
+    assert!(chance.mean <= chance.high, "{chance:?}");
+    let base = model.at_base_rate.unwrap();
+    assert_eq!(base.base_rate, 0.5);
+    assert!((base.ece - model.summary.ece.unwrap()).abs() < 1e-12);
+    assert_eq!(model.forces.len(), 1);
+    let difference = report.differences[0].auroc.unwrap();
+    assert_eq!(
+        [difference.estimate, difference.low, difference.high],
+        [0.0; 3]
+    );
+    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    let html = page(&report, &samples).unwrap();
+    for text in [
+        "Stability prediction",
+        "AUROC 1.000",
+        "test-object-3",
+        "by chance &lt; 0.",
+        "data:",
+    ] {
+        assert!(text == "data:" || html.contains(text), "{text}");
+    }
+    assert!(!html.contains("<script") && !html.contains("at base rate"));
+    let json = serde_json::to_string(&report).unwrap();
+    assert_eq!(serde_json::from_str::<EvalReport>(&json).unwrap(), report);
+    let mut uneven = report;
+    uneven.models[0].at_base_rate = Some(BaseRateCalibration {
+        base_rate: 0.75,
+        ..base
+    });
+    let html = page(&uneven, &samples).unwrap();
+    assert!(html.contains("at base rate 0.75: "));
+}
+
+#[test]
+fn confident_mistakes_are_shown_with_their_pictures() {
+    let folder = tempfile::tempdir().unwrap();
+    let wrong = (0..6).map(|number| {
+        let mut row = row("test", number);
+        // Contact, but lost; no contact, but held.
+        row.facts.outcome = match row.facts.outcome {
+            gripcast_dataset::shard::ShardOutcome::Stable => {
+                gripcast_dataset::shard::ShardOutcome::Slip
+            }
+            gripcast_dataset::shard::ShardOutcome::Slip => {
+                gripcast_dataset::shard::ShardOutcome::Stable
+            }
+        };
+        row
+    });
+    write_part(folder.path(), "test", wrong);
+    let (report, samples) = evaluated(folder.path(), 1);
+    let model = &report.models[0];
+    assert_eq!(model.summary.auroc, Some(0.0));
+    // Of four objects two are always touched and two never; one mistake of each.
+    let labels: Vec<bool> = model.mistakes.iter().map(|m| m.stable).collect();
+    assert_eq!(labels, [true, true, false, false]);
+    assert!(model.mistakes[0].p_stable <= model.mistakes[1].p_stable);
+    assert!(model.mistakes[2].p_stable >= model.mistakes[3].p_stable);
+    let html = page(&report, &samples).unwrap();
+    assert_eq!(html.matches("data:image/jpeg").count(), 3 * 4);
+}
+
+#[test]
+fn one_label_and_pictures_of_another_crop_are_told() {
+    let folder = tempfile::tempdir().unwrap();
+    write_part(folder.path(), "test", (0..4).map(|n| row("test", 2 * n)));
+    let (report, _) = evaluated(folder.path(), 1);
+    assert!(
+        report.warnings[0].contains("the same label"),
+        "{:?}",
+        report.warnings
+    );
+    assert_eq!(report.models[0].summary.auroc, None);
+}

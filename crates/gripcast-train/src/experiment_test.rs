@@ -1,0 +1,98 @@
+use std::fs;
+
+use super::*;
+use crate::sample_dataset::{row, write_dataset, write_part};
+use gripcast_nn::{Architecture, ConvSpec};
+
+#[test]
+fn all_conditions_are_trained_tested_and_compared_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let [fem, rigid, out] = ["fem", "rigid", "out"].map(|name| folder.path().join(name));
+    for data in [&fem, &rigid] {
+        write_dataset(data, 8);
+        write_part(data, "test", (0..8).map(|number| row("test", number)));
+    }
+    let architecture = Architecture {
+        name: "tiny".to_owned(),
+        convolutions: vec![ConvSpec {
+            channels: 16,
+            kernel: 8,
+            stride: 8,
+            pad: 0,
+        }],
+        pool: [6, 8],
+        embedding: 16,
+        hidden: 16,
+    };
+    let settings = ExperimentSettings {
+        tests: vec![TestSet {
+            title: "Held-out objects".to_owned(),
+            name: "held-out",
+            data: fem.clone(),
+            split: "test".to_owned(),
+        }],
+        fem,
+        rigid: Some(rigid),
+        seeds: 2,
+        training: TrainSettings {
+            epochs: 2,
+            batch: 4,
+            ..TrainSettings::usual(Variant::Vt, architecture, 0)
+        },
+    };
+    let runs = std::sync::Mutex::new([0, 0]);
+    let told = |event| {
+        let mut runs = runs.lock().unwrap();
+        match event {
+            ExperimentEvent::Run(..) => runs[0] += 1,
+            ExperimentEvent::Train(_, _, TrainEvent::Epoch(_)) => runs[1] += 1,
+            ExperimentEvent::Train(..) => {}
+        }
+    };
+    let report = experiment(&settings, &out, 2, &told).unwrap();
+    assert_eq!(*runs.lock().unwrap(), [8, 16]);
+    assert_eq!(report.results.len(), 4);
+    assert_eq!(report.differences.len(), 4);
+    for result in &report.results {
+        assert_eq!((result.n, result.stable, result.seeds.len()), (8, 4, 2));
+        let mean = result.over_seeds.auroc.unwrap().mean;
+        assert!((result.auroc.unwrap().estimate - mean).abs() < 1e-12);
+    }
+    for name in ["fig6.svg", "fig6-auroc.svg"] {
+        let chart = fs::read_to_string(out.join(name)).unwrap();
+        assert!(
+            chart.contains("V+T, rigid") && chart.contains("Held-out objects"),
+            "{name}"
+        );
+    }
+    let written = fs::read(out.join("fig6.json")).unwrap();
+    // Again: nothing is trained, and the figures are the same.
+    assert_eq!(experiment(&settings, &out, 2, &told).unwrap(), report);
+    assert_eq!(*runs.lock().unwrap(), [16, 16]);
+    assert_eq!(fs::read(out.join("fig6.json")).unwrap(), written);
+    // Without the rigid-body simulator the rest is the same.
+    let three = ExperimentSettings {
+        rigid: None,
+        ..settings.clone()
+    };
+    let found = experiment(&three, &out, 2, &told).unwrap();
+    assert_eq!(found.results[..], report.results[..3]);
+    assert_eq!(found.differences[..], report.differences[..3]);
+    assert!(!found.datasets.contains_key("rigid"));
+    let chart = fs::read_to_string(out.join("fig6.svg")).unwrap();
+    assert!(chart.contains("V+T") && !chart.contains("rigid"));
+    // Another test set is not mistaken for the old one.
+    write_part(
+        &settings.fem,
+        "test",
+        (0..6).map(|number| row("test", number)),
+    );
+    let error = experiment(&settings, &out, 2, &told).unwrap_err();
+    assert!(error.to_string().contains("another dataset"), "{error}");
+    // A test set that cannot be read is found before anything is trained.
+    let begun = *runs.lock().unwrap();
+    let mut absent = settings.clone();
+    absent.tests[0].data = out.clone();
+    assert!(experiment(&absent, &folder.path().join("other"), 2, &told).is_err());
+    assert_eq!(*runs.lock().unwrap(), begun);
+}

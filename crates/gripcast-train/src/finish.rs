@@ -1,0 +1,163 @@
+//! The model that comes out of a run.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::export::to_onnx;
+use super::known::known_touch;
+use super::look::{Logit, logits};
+use super::metrics::{Summary, fit_temperature, youden_threshold};
+use super::run::{EpochFigures, RunFile, RunFolder};
+use super::samples::Samples;
+use super::state::write;
+use gripcast_base::error::Result;
+use gripcast_imaging::CropProfile;
+use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
+use gripcast_nn::predict::{ModelContract, novelty};
+
+/// Metadata with the names of the objects that a model was trained on.
+pub(super) const OBJECTS: &str = "gripcast.train.objects";
+
+/// Decimal places of the temperature and the threshold in the file.
+const PLACES: f64 = 1e4;
+
+/// Calibration, and how the model does where it was fitted.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finished {
+    /// What logits are divided by.
+    pub temperature: f64,
+    /// Probability from which a grasp counts as stable.
+    pub threshold: f64,
+    /// Figures on the validation part, after both were fitted there.
+    pub validation: Summary,
+    /// SHA-256 of the model's file is that of these bytes.
+    pub onnx: Vec<u8>,
+}
+
+/// Fits temperature and threshold on the validation part, describes the tactile pictures of the
+/// training part of the dataset `data`, and writes the run's `model.onnx`.
+///
+/// # Errors
+/// Those of reading the dataset and the checkpoint and of writing the file.
+pub fn finish(
+    folder: &RunFolder,
+    file: &RunFile,
+    data: &Path,
+    name: &str,
+    told: &dyn Fn(usize),
+) -> Result<Finished> {
+    let validation = Samples::open(data, "validation")?;
+    let (network, best) = folder.best_network(&file.settings)?;
+    let found = logits(
+        &network,
+        &validation,
+        &file.settings,
+        file.normalisation(),
+        told,
+    )?;
+    let (temperature, threshold) = calibrate(&found);
+    let scored: Vec<_> = found.iter().map(|x| x.scored(temperature)).collect();
+    let summary = Summary::new(&scored, threshold);
+    let mut contract = contract(file, name, &best, [temperature, threshold], &summary)?;
+    if let Some(novelty) = known_touch(&Samples::open(data, "train")?, file)? {
+        let known = (novelty::METADATA.to_owned(), novelty.to_metadata());
+        contract.other.extend([known]);
+    }
+    let onnx = to_onnx(&network, &contract)?;
+    write(&folder.model(), &onnx)?;
+    Ok(Finished {
+        temperature,
+        threshold,
+        validation: summary,
+        onnx,
+    })
+}
+
+/// Temperature and threshold for a run's logits, rounded as they are written.
+fn calibrate(found: &[Logit]) -> (f64, f64) {
+    let rounded = |x: f64| (x * PLACES).round() / PLACES;
+    let (logits, stable): (Vec<f64>, Vec<bool>) =
+        found.iter().map(|x| (x.logit, x.is_stable)).unzip();
+    let temperature = fit_temperature(&logits, &stable).map_or(1.0, |fit| fit.temperature);
+    let temperature = rounded(temperature);
+    let scored: Vec<_> = found.iter().map(|x| x.scored(temperature)).collect();
+    let threshold = youden_threshold(&scored).unwrap_or(0.5);
+    (
+        temperature,
+        rounded(threshold).clamp(1.0 / PLACES, 1.0 - 1.0 / PLACES),
+    )
+}
+
+fn contract(
+    file: &RunFile,
+    name: &str,
+    best: &EpochFigures,
+    [temperature, threshold]: [f64; 2],
+    validation: &Summary,
+) -> Result<ModelContract> {
+    let settings = &file.settings;
+    let inputs = settings.variant.inputs().iter().map(|input| match input {
+        InputName::Rgb => InputSpec::rgb(file.normalisation()),
+        touch => InputSpec::tactile(*touch),
+    });
+    let text = |value: Option<f64>| value.map_or("none".to_owned(), |x| format!("{x:.4}"));
+    let other = BTreeMap::from(
+        [
+            ("gripcast.licence", "MIT OR Apache-2.0".to_owned()),
+            ("gripcast.arch", settings.architecture.name.clone()),
+            ("gripcast.software", file.software.clone()),
+            ("gripcast.epoch", best.epoch.to_string()),
+            (
+                OBJECTS,
+                serde_json::to_string(&file.objects).unwrap_or_default(),
+            ),
+            ("gripcast.val.n", validation.n.to_string()),
+            ("gripcast.val.accuracy", text(validation.accuracy)),
+            (
+                "gripcast.val.balanced_accuracy",
+                text(validation.balanced_accuracy),
+            ),
+            ("gripcast.val.auroc", text(validation.auroc)),
+            ("gripcast.val.ece", text(validation.ece)),
+        ]
+        .map(|(key, value)| (key.to_owned(), value)),
+    );
+    Ok(ModelContract {
+        name: name.to_owned(),
+        origin: Origin::Trained {
+            seed: settings.seed,
+            manifest_sha256: file.dataset_sha256.clone(),
+        },
+        variant: settings.variant,
+        inputs: inputs.collect(),
+        threshold,
+        temperature,
+        crop_profile: Some(CropProfile::by_name(&file.crop_profile)?),
+        card: card(file, best, validation),
+        other,
+    })
+}
+
+fn card(file: &RunFile, best: &EpochFigures, validation: &Summary) -> String {
+    let figure = |value: Option<f64>| value.map_or("–".to_owned(), |x| format!("{x:.3}"));
+    format!(
+        "# Grasp stability, {variant}\n\n\
+         Probability that a grasp holds when it is lifted, from pictures taken before the lift. \
+         Trained on simulated grasps with known outcomes.\n\n\
+         - Data: dataset {dataset}, seed {seed}, {arch} network, epoch {epoch}.\n\
+         - Validation part (other objects, also simulated; checkpoint, temperature and threshold \
+         were chosen on it): n = {n}, accuracy {accuracy}, AUROC {auroc}, ECE {ece}.\n\
+         - Limits: it has never been measured on the outcomes of real lifts. It knows neither mass \
+         nor friction but from what pictures show of them.\n\
+         - Licence: MIT OR Apache-2.0.\n",
+        variant = file.settings.variant,
+        dataset = file.dataset_sha256,
+        seed = file.settings.seed,
+        arch = file.settings.architecture.name,
+        epoch = best.epoch,
+        n = validation.n,
+        accuracy = figure(validation.accuracy),
+        auroc = figure(validation.auroc),
+        ece = figure(validation.ece),
+    )
+}

@@ -1,0 +1,100 @@
+//! ROC and precision–recall curves with few points, however many samples.
+
+use serde::{Deserialize, Serialize};
+
+use super::ranking::Tie;
+use gripcast_report::polyline;
+
+/// Most points of a curve.
+pub(super) const MAX_POINTS: usize = 512;
+
+/// Points closer than this to the line through those that stay are not needed.
+const TOLERANCE: f64 = 1e-9;
+
+/// A point of a receiver operating characteristic (ROC) curve; stable is positive.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RocPoint {
+    /// Share of the unstable grasps that are predicted stable: the false positive rate.
+    pub false_stable_rate: f64,
+    /// Share of the stable grasps that are predicted stable: the true positive rate.
+    pub true_stable_rate: f64,
+    /// Lowest prediction that counts as stable; none where no grasp does.
+    pub threshold: Option<f64>,
+}
+
+/// A point of a precision–recall curve of the stable class.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PrecisionRecallPoint {
+    /// Share of the stable grasps that are predicted stable.
+    pub recall: f64,
+    /// Share of the grasps predicted stable that are stable.
+    pub precision: f64,
+    /// Lowest prediction that counts as stable at the end of the step on which the point lies.
+    pub threshold: f64,
+}
+
+pub(super) fn roc_points(ties: &[Tie]) -> Vec<RocPoint> {
+    let (all_stable, all_unstable) = totals(ties);
+    if all_stable == 0 || all_unstable == 0 {
+        return Vec::new();
+    }
+    let mut points = vec![RocPoint {
+        false_stable_rate: 0.0,
+        true_stable_rate: 0.0,
+        threshold: None,
+    }];
+    let (mut stable, mut unstable) = (0, 0);
+    for tie in ties {
+        stable += tie.stable;
+        unstable += tie.unstable;
+        points.push(RocPoint {
+            false_stable_rate: unstable as f64 / all_unstable as f64,
+            true_stable_rate: stable as f64 / all_stable as f64,
+            threshold: Some(tie.p_stable),
+        });
+    }
+    thinned(points, |point| {
+        [point.false_stable_rate, point.true_stable_rate]
+    })
+}
+
+pub(super) fn precision_recall_points(ties: &[Tie]) -> Vec<PrecisionRecallPoint> {
+    let (all_stable, _) = totals(ties);
+    if all_stable == 0 {
+        return Vec::new();
+    }
+    let mut points = Vec::with_capacity(2 * ties.len());
+    let (mut stable, mut predicted) = (0, 0);
+    for tie in ties {
+        let recall_before = stable as f64 / all_stable as f64;
+        stable += tie.stable;
+        predicted += tie.stable + tie.unstable;
+        // A step has one precision over its whole gain in recall.
+        for recall in [recall_before, stable as f64 / all_stable as f64] {
+            points.push(PrecisionRecallPoint {
+                recall,
+                precision: stable as f64 / predicted as f64,
+                threshold: tie.p_stable,
+            });
+        }
+    }
+    thinned(points, |point| [point.recall, point.precision])
+}
+
+/// The points that matter most to the shape of a curve.
+fn thinned<T: Copy>(points: Vec<T>, place: impl Fn(&T) -> [f64; 2]) -> Vec<T> {
+    let places: Vec<[f64; 2]> = points.iter().map(place).collect();
+    let kept = polyline::thinned(&places, TOLERANCE, MAX_POINTS);
+    kept.into_iter().map(|at| points[at]).collect()
+}
+
+/// Stable and unstable samples of all groups.
+fn totals(ties: &[Tie]) -> (u64, u64) {
+    ties.iter().fold((0, 0), |(stable, unstable), tie| {
+        (stable + tie.stable, unstable + tie.unstable)
+    })
+}
+
+#[cfg(test)]
+#[path = "curve_test.rs"]
+mod tests;

@@ -1,0 +1,683 @@
+//! A training run: a folder that can be left and gone on with at any time.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use super::augment::InputWriter;
+use super::batches::{Batches, colour_normalisation, mix};
+use super::look::{Scores, logits};
+use super::quantities::QuantityScale;
+use super::samples::{Samples, dataset_sha256};
+use super::settings::TrainSettings;
+use super::state::{self, Position};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, FileKind, Root};
+use gripcast_imaging::CropProfile;
+use gripcast_nn::predict::contract::RgbNormalisation;
+use gripcast_nn::{Adam, Batch, Losses, Network, Step, linear_schedule};
+use gripcast_visual::SeedStream;
+
+/// Parts of a dataset that a run reads.
+const TRAIN: &str = "train";
+const VALIDATION: &str = "validation";
+/// Steps between checkpoints.
+const CHECKPOINT_STEPS: u64 = 100;
+
+/// What `run.json` says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunFile {
+    /// Of this file.
+    pub version: u32,
+    /// Of gripcast.
+    pub software: String,
+    /// What the run is made by.
+    pub settings: TrainSettings,
+    /// [`dataset_sha256`] of the dataset.
+    pub dataset_sha256: String,
+    /// Mean and deviation of the colour pictures.
+    pub rgb_mean: [f32; 3],
+    /// Deviation.
+    pub rgb_std: [f32; 3],
+    /// Crop profile of the tactile pictures.
+    pub crop_profile: String,
+    /// Objects that are trained on.
+    pub objects: Vec<String>,
+}
+
+impl RunFile {
+    /// Mean and deviation of the colour pictures.
+    pub fn normalisation(&self) -> RgbNormalisation {
+        RgbNormalisation {
+            mean: self.rgb_mean,
+            std: self.rgb_std,
+        }
+    }
+}
+
+/// One line of `metrics.jsonl`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EpochFigures {
+    /// From 1.
+    pub epoch: u32,
+    /// Mean loss over its steps, nats.
+    pub train_loss: f64,
+    /// On the validation part: mean loss of balanced labels, nats.
+    pub validation_loss: f64,
+    /// Balanced accuracy there at a probability of one half.
+    pub validation_accuracy: f64,
+    /// Area under the ROC curve there.
+    pub validation_auroc: Option<f64>,
+    /// Samples learned from in a second of wall time.
+    pub samples_per_s: f64,
+}
+
+impl EpochFigures {
+    /// Whether it is a better checkpoint than one of this accuracy and loss on the validation part.
+    pub fn beats(&self, [accuracy, loss]: [f64; 2]) -> bool {
+        self.validation_accuracy > accuracy
+            || (self.validation_accuracy == accuracy && self.validation_loss < loss)
+    }
+}
+
+/// How much there is of a part of a dataset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PartCounts {
+    /// Samples.
+    pub samples: usize,
+    /// Those whose lift held.
+    pub stable: usize,
+    /// Objects.
+    pub objects: usize,
+}
+
+impl PartCounts {
+    fn of(samples: &Samples) -> Self {
+        let [lost, stable] = samples.by_label();
+        Self {
+            samples: lost + stable,
+            stable,
+            objects: samples.objects().len(),
+        }
+    }
+}
+
+/// What a run begins with, or goes on from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunStart {
+    /// What is trained on.
+    pub train: PartCounts,
+    /// What epochs are compared on.
+    pub validation: PartCounts,
+    /// Steps of an epoch.
+    pub steps_per_epoch: u64,
+    /// Steps done earlier and all.
+    pub at: [u64; 2],
+    /// Epochs that were done earlier.
+    pub epochs: Vec<EpochFigures>,
+}
+
+/// What a run tells while it goes on.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TrainEvent {
+    /// The run begins or goes on.
+    Begun(RunStart),
+    /// A step is done.
+    Step {
+        /// Steps done and all.
+        at: [u64; 2],
+        /// Loss of the step.
+        loss: f64,
+        /// Learning rate of the step.
+        learning_rate: f64,
+    },
+    /// The validation part is being looked at: samples done and all.
+    Look([usize; 2]),
+    /// An epoch is done.
+    Epoch(EpochFigures),
+}
+
+/// Where a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trained {
+    /// Epochs that were done.
+    pub epochs: u32,
+    /// Epoch of the best validation accuracy, from 1.
+    pub best_epoch: u32,
+    /// What was measured there.
+    pub best: EpochFigures,
+}
+
+/// Files of a run.
+#[derive(Clone, Debug)]
+pub struct RunFolder(BeneathPath);
+
+impl RunFolder {
+    /// The run in a folder.
+    pub fn at(folder: impl Into<PathBuf>) -> Self {
+        Self(Root::new(folder).top())
+    }
+
+    /// Its settings and origin.
+    pub fn run(&self) -> BeneathPath {
+        self.0.join("run.json")
+    }
+
+    /// Figures of its epochs.
+    pub fn metrics(&self) -> BeneathPath {
+        self.0.join("metrics.jsonl")
+    }
+
+    /// The last checkpoint.
+    pub fn state(&self) -> BeneathPath {
+        self.0.join("state.bin")
+    }
+
+    /// The best one.
+    pub fn best(&self) -> BeneathPath {
+        self.0.join("best.bin")
+    }
+
+    /// The model that came out.
+    pub fn model(&self) -> BeneathPath {
+        self.0.join("model.onnx")
+    }
+
+    /// Reads `run.json`; none where there is no run.
+    ///
+    /// # Errors
+    /// `Input`: the file is damaged. Those of reading it.
+    pub fn read(&self) -> Result<Option<RunFile>> {
+        let place = self.run();
+        let text = match place.read(FileKind::List) {
+            Ok(text) => text,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(e) => return Err(Error::io("cannot read the run", e).at(place.display())),
+        };
+        let found = serde_json::from_slice(&text).map_err(|e| {
+            Error::new(ErrorKind::Input, "the run's description cannot be read")
+                .because(e)
+                .at(place.display())
+        })?;
+        Ok(Some(found))
+    }
+
+    /// The network of the best checkpoint, and what was measured there.
+    ///
+    /// # Errors
+    /// `Input`: it is damaged, or of other settings. Those of reading it.
+    pub fn best_network(&self, settings: &TrainSettings) -> Result<(Network, EpochFigures)> {
+        let place = self.best();
+        let (figures, arrays): (EpochFigures, _) = state::load(&place)?;
+        let mut network = untrained(settings, || 0.5);
+        match <[Vec<f32>; 2]>::try_from(arrays) {
+            Ok([parameters, moments])
+                if parameters.len() == network.parameters.len()
+                    && moments.len() == network.moments.len() =>
+            {
+                network.parameters = parameters;
+                network.moments = moments;
+                Ok((network, figures))
+            }
+            _ => Err(foreign_checkpoint(&place)),
+        }
+    }
+}
+
+fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) -> Network {
+    let (architecture, senses) = (&settings.architecture, settings.senses());
+    Network::new(architecture, senses, settings.quantities(), uniform)
+}
+
+fn foreign_checkpoint(place: &BeneathPath) -> Error {
+    let what = "the checkpoint is of a network with other sizes";
+    let error = Error::new(ErrorKind::Input, what).at(place.display());
+    error.remedy("name another folder for the run")
+}
+
+/// Trains a classifier, or goes on with it where it was stopped.
+///
+/// # Errors
+/// `Usage`: settings that cannot be, or that are not those of the run in the folder. `Input`: a
+/// dataset without both labels, with objects in two parts, or with pictures of another size; a loss
+/// that is no number (the best checkpoint stays). Those of reading and writing.
+pub fn train(
+    data: &Path,
+    out: &Path,
+    settings: &TrainSettings,
+    told: &(dyn Fn(TrainEvent) + Sync),
+) -> Result<Trained> {
+    settings.check()?;
+    let train = Samples::open(data, TRAIN)?;
+    let validation = Samples::open(data, VALIDATION)?;
+    // Else the model could not be written after hours of training.
+    CropProfile::by_name(train.crop_profile()).map_err(|e| e.at(data.display()))?;
+    train.check_apart(&validation)?;
+    for samples in [&train, &validation] {
+        check_labels(samples)?;
+    }
+    if train.facts().len() < settings.batch {
+        let what = format!(
+            "the dataset has {} samples to train on, a batch {}",
+            train.facts().len(),
+            settings.batch
+        );
+        return Err(Error::new(ErrorKind::Usage, what).remedy("choose a smaller `--batch`"));
+    }
+    let folder = RunFolder::at(out);
+    let file = begun(&folder, out, data, settings, &train)?;
+    Training::new(&folder, &file, &train, &validation)?.go_on(told)
+}
+
+fn check_labels(samples: &Samples) -> Result<()> {
+    let [lost, stable] = samples.by_label();
+    if lost > 0 && stable > 0 {
+        return Ok(());
+    }
+    let what = format!(
+        "the part `{}` has {stable} stable and {lost} lost samples; both labels are needed",
+        samples.split()
+    );
+    Err(Error::new(ErrorKind::Input, what)
+        .at(samples.root().display())
+        .remedy("make a larger dataset, or split it in another way"))
+}
+
+/// The run's file: the one that is there, if it is of the same settings, or a new one.
+fn begun(
+    folder: &RunFolder,
+    out: &Path,
+    data: &Path,
+    settings: &TrainSettings,
+    train: &Samples,
+) -> Result<RunFile> {
+    let dataset_sha256 = dataset_sha256(data)?;
+    if let Some(found) = folder.read()? {
+        let other = |what: &str| {
+            Error::new(ErrorKind::Usage, format!("the run was begun with {what}"))
+                .at(folder.run().display())
+                .remedy("go on with the same command, or name another folder for a new run")
+        };
+        if found.dataset_sha256 != dataset_sha256 {
+            return Err(other("another dataset"));
+        }
+        if found.settings != *settings {
+            return Err(other(&format!(
+                "other settings: {}",
+                differing(&found.settings, settings)
+            )));
+        }
+        return Ok(found);
+    }
+    fs::create_dir_all(out)
+        .map_err(|e| Error::io("cannot make the folder of the run", e).at(out.display()))?;
+    let normalisation = if settings.senses().vision {
+        colour_normalisation(train)?
+    } else {
+        RgbNormalisation {
+            mean: [0.0; 3],
+            std: [1.0; 3],
+        }
+    };
+    let file = RunFile {
+        version: 1,
+        software: concat!("gripcast ", env!("CARGO_PKG_VERSION")).to_owned(),
+        settings: settings.clone(),
+        dataset_sha256,
+        rgb_mean: normalisation.mean,
+        rgb_std: normalisation.std,
+        crop_profile: train.crop_profile().to_owned(),
+        objects: train.objects().into_iter().map(str::to_owned).collect(),
+    };
+    let text = serde_json::to_vec_pretty(&file)
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the run").because(e))?;
+    state::write(&folder.run(), &text)?;
+    Ok(file)
+}
+
+/// The settings that differ, with both values.
+fn differing(found: &TrainSettings, wanted: &TrainSettings) -> String {
+    let [found, wanted] = [found, wanted].map(|s| serde_json::to_value(s).unwrap_or_default());
+    let Some(fields) = found.as_object() else {
+        return String::new();
+    };
+    let differing = fields
+        .iter()
+        .filter(|(name, value)| wanted[name.as_str()] != **value);
+    let texts: Vec<String> = differing
+        .map(|(name, value)| format!("{name} {value}, not {}", wanted[name.as_str()]))
+        .collect();
+    texts.join("; ")
+}
+
+/// A run under way.
+struct Training<'a> {
+    folder: &'a RunFolder,
+    settings: &'a TrainSettings,
+    normalisation: RgbNormalisation,
+    train: &'a Samples,
+    validation: &'a Samples,
+    network: Network,
+    /// Running mean of the network, where there is one.
+    averaged: Option<Network>,
+    adam: Adam,
+    position: Position,
+    scale: Option<QuantityScale>,
+}
+
+impl<'a> Training<'a> {
+    fn new(
+        folder: &'a RunFolder,
+        file: &'a RunFile,
+        train: &'a Samples,
+        validation: &'a Samples,
+    ) -> Result<Self> {
+        let settings = &file.settings;
+        let mut draw = SeedStream::named(settings.seed, "parameters");
+        let network = untrained(settings, || draw.uniform());
+        let mut training = Self {
+            folder,
+            settings,
+            normalisation: file.normalisation(),
+            train,
+            validation,
+            averaged: (settings.average > 0.0).then(|| network.clone()),
+            adam: Adam::new(network.parameters.len()),
+            network,
+            scale: (settings.quantities() > 0).then(|| QuantityScale::of(train)),
+            position: Position {
+                epoch: 0,
+                step: 0,
+                loss: 0.0,
+                steps: 0,
+                best_epoch: None,
+                best: None,
+            },
+        };
+        let place = folder.state();
+        if place.is_taken() {
+            training.restore(&place)?;
+        }
+        training.cut_metrics()?;
+        Ok(training)
+    }
+
+    fn restore(&mut self, place: &BeneathPath) -> Result<()> {
+        let (position, mut arrays): (Position, Vec<Vec<f32>>) = state::load(place)?;
+        let network = &self.network;
+        let [parameters, moments] = [network.parameters.len(), network.moments.len()];
+        let mut expected = vec![parameters, moments, parameters, parameters];
+        if self.averaged.is_some() {
+            expected.extend([parameters, moments]);
+        }
+        if !arrays.iter().map(Vec::len).eq(expected) {
+            return Err(foreign_checkpoint(place));
+        }
+        let mut next = || arrays.remove(0);
+        self.network.parameters = next();
+        self.network.moments = next();
+        let (first, second) = (next(), next());
+        if let Some(averaged) = &mut self.averaged {
+            averaged.parameters = next();
+            averaged.moments = next();
+        }
+        self.position = position;
+        self.adam = Adam {
+            first,
+            second,
+            steps: self.position.steps,
+        };
+        Ok(())
+    }
+
+    fn save(&mut self) -> Result<()> {
+        self.position.steps = self.adam.steps;
+        let mut arrays: Vec<&[f32]> = vec![
+            &self.network.parameters,
+            &self.network.moments,
+            &self.adam.first,
+            &self.adam.second,
+        ];
+        if let Some(averaged) = &self.averaged {
+            arrays.extend([&averaged.parameters[..], &averaged.moments]);
+        }
+        state::save(&self.folder.state(), &self.position, &arrays)
+    }
+
+    /// Takes away what was written of epochs after the checkpoint.
+    fn cut_metrics(&self) -> Result<()> {
+        let place = self.folder.metrics();
+        let text = place.read_to_string(FileKind::List).unwrap_or_default();
+        let whole = text.lines().filter(|line| {
+            serde_json::from_str::<EpochFigures>(line)
+                .is_ok_and(|figures| figures.epoch <= self.position.epoch)
+        });
+        let kept: String = whole.flat_map(|line| [line, "\n"]).collect();
+        if kept == text {
+            return Ok(());
+        }
+        state::write(&place, kept.as_bytes())
+    }
+
+    /// What there is before the first step.
+    fn start(&self) -> RunStart {
+        let metrics = self.folder.metrics();
+        let text = metrics.read_to_string(FileKind::List).unwrap_or_default();
+        let figures = text.lines().map(serde_json::from_str);
+        let steps = self.steps_per_epoch();
+        let epochs = u64::from(self.settings.epochs);
+        let done = u64::from(self.position.epoch) * steps + self.position.step;
+        RunStart {
+            train: PartCounts::of(self.train),
+            validation: PartCounts::of(self.validation),
+            steps_per_epoch: steps,
+            at: [done, epochs * steps],
+            epochs: figures.filter_map(serde_json::Result::ok).collect(),
+        }
+    }
+
+    fn note(&self, figures: &EpochFigures) -> Result<()> {
+        let place = self.folder.metrics();
+        let line = serde_json::to_string(figures)
+            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the figures").because(e))?;
+        place
+            .append()
+            .and_then(|mut file| writeln!(file, "{line}"))
+            .map_err(|e| Error::io("cannot write the figures", e).at(place.display()))
+    }
+
+    fn steps_per_epoch(&self) -> u64 {
+        (self.train.facts().len() / self.settings.batch) as u64
+    }
+
+    fn go_on(mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
+        told(TrainEvent::Begun(self.start()));
+        while self.position.epoch < self.settings.epochs && !self.is_out_of_patience() {
+            let figures = self.epoch(told)?;
+            let accuracy = [figures.validation_accuracy, figures.validation_loss];
+            if self.position.best.is_none_or(|best| figures.beats(best)) {
+                let network = self.measured();
+                let arrays: [&[f32]; 2] = [&network.parameters, &network.moments];
+                state::save(&self.folder.best(), &figures, &arrays)?;
+                self.position.best = Some(accuracy);
+                self.position.best_epoch = Some(figures.epoch);
+            }
+            self.position.epoch = figures.epoch;
+            self.position.step = 0;
+            self.position.loss = 0.0;
+            // The line first: after a kill between the two it is cut again.
+            self.note(&figures)?;
+            self.save()?;
+            told(TrainEvent::Epoch(figures));
+        }
+        let (_, best) = self.folder.best_network(self.settings)?;
+        Ok(Trained {
+            epochs: self.position.epoch,
+            best_epoch: best.epoch,
+            best,
+        })
+    }
+
+    fn is_out_of_patience(&self) -> bool {
+        let since = self.position.epoch - self.position.best_epoch.unwrap_or(self.position.epoch);
+        self.settings.patience > 0 && since >= self.settings.patience
+    }
+
+    fn epoch(&mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochFigures> {
+        let settings = self.settings;
+        let epoch = self.position.epoch;
+        let (train, senses) = (self.train, settings.senses());
+        let of_epoch = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
+        let order = train.shuffled(of_epoch, settings.memory);
+        let writer = InputWriter::new(settings.augmentation, self.normalisation);
+        let mut batches = Batches::new(train, senses, writer, settings.memory)
+            .balanced()
+            .with_quantities(self.scale);
+        let mut read = |step: u64| -> Result<Batch> {
+            let first = step as usize * settings.batch;
+            let samples = &order[first..first + settings.batch];
+            let seed = |at: &usize| SeedStream::named(of_epoch, &train.facts()[*at].id).bits();
+            let seeds: Vec<u64> = samples.iter().map(seed).collect();
+            let mut batch = batches.batch(samples, Some(&seeds))?;
+            if settings.mix > 0.0 {
+                let mut draw = SeedStream::named(of_epoch, &format!("mix {step}"));
+                let shares = samples
+                    .iter()
+                    .map(|_| draw.between(0.0, settings.mix) as f32);
+                mix(&mut batch, &shares.collect::<Vec<_>>());
+            }
+            Ok(batch)
+        };
+        let steps = self.steps_per_epoch();
+        let all = steps * u64::from(settings.epochs);
+        let begun = Instant::now();
+        let first = self.position.step;
+        let mut gradient = vec![0.0; self.network.parameters.len()];
+        let mut next = if first < steps {
+            Some(read(first)?)
+        } else {
+            None
+        };
+        while let Some(batch) = next.take() {
+            let step = self.position.step;
+            let drop = self.dropped(of_epoch, step);
+            gradient.fill(0.0);
+            let network = &mut self.network;
+            let (losses, read) = rayon::join(
+                || network.learn(&batch, &drop, &mut gradient),
+                || (step + 1 < steps).then(|| read(step + 1)).transpose(),
+            );
+            next = read?;
+            self.check_loss(losses, &gradient, epoch, step)?;
+            let share = linear_schedule(self.adam.steps, settings.warm_up, all);
+            let learning_rate = share * settings.learning_rate as f32;
+            let layout = self.network.layout().clone();
+            self.adam.step(
+                &layout,
+                &mut self.network.parameters,
+                &gradient,
+                learning_rate,
+                settings.weight_decay as f32,
+            );
+            self.average();
+            self.position.loss += losses.label;
+            self.position.step += 1;
+            told(TrainEvent::Step {
+                at: [u64::from(epoch) * steps + step + 1, all],
+                loss: losses.label,
+                learning_rate: f64::from(learning_rate),
+            });
+            if self.position.step.is_multiple_of(CHECKPOINT_STEPS) {
+                self.save()?;
+            }
+        }
+        let seconds = begun.elapsed().as_secs_f64();
+        let done = (steps - first) * settings.batch as u64;
+        let scores = self.look(told)?;
+        Ok(EpochFigures {
+            epoch: epoch + 1,
+            train_loss: self.position.loss / steps.max(1) as f64,
+            validation_loss: scores.loss,
+            validation_accuracy: scores.accuracy,
+            validation_auroc: scores.auroc,
+            samples_per_s: done as f64 / seconds.max(1e-9),
+        })
+    }
+
+    /// Which hidden floats are left out in a step.
+    fn dropped(&self, of_epoch: u64, step: u64) -> Step {
+        let share = self.settings.dropout;
+        let mut draw = SeedStream::named(of_epoch, &format!("dropout {step}"));
+        let kept = (1.0 / (1.0 - share)) as f32;
+        let count = self.settings.batch * self.settings.architecture.hidden;
+        let count = if share > 0.0 { count } else { 0 };
+        let hidden = (0..count).map(|_| if draw.uniform() < share { 0.0 } else { kept });
+        Step {
+            number: self.adam.steps,
+            dropout: hidden.collect(),
+            quantity_weight: self.settings.quantity_weight as f32,
+        }
+    }
+
+    /// What is measured and kept.
+    fn measured(&self) -> &Network {
+        self.averaged.as_ref().unwrap_or(&self.network)
+    }
+
+    /// Gives the network of this step its share in the running mean.
+    fn average(&mut self) {
+        let Some(averaged) = &mut self.averaged else {
+            return;
+        };
+        // At the beginning the mean of few steps: the parameters of the start stand for nothing.
+        let steps = self.adam.steps as f64;
+        let kept = self.settings.average.min(steps / (10.0 + steps));
+        let share = (1.0 - kept) as f32;
+        let means = averaged.parameters.iter_mut().chain(&mut averaged.moments);
+        let now = self.network.parameters.iter().chain(&self.network.moments);
+        for (mean, now) in means.zip(now) {
+            *mean += share * (now - *mean);
+        }
+    }
+
+    fn check_loss(&self, losses: Losses, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
+        let loss = losses.label + losses.quantities;
+        // A ReLU hides what is no number from the loss, but not from the gradient.
+        if loss.is_finite() && gradient.iter().all(|slope| slope.is_finite()) {
+            return Ok(());
+        }
+        let kept = match self.position.best_epoch {
+            Some(best) => format!("the best checkpoint, of epoch {best}, is kept"),
+            None => "no epoch was finished".to_owned(),
+        };
+        Err(Error::new(
+            ErrorKind::Input,
+            format!(
+                "loss {loss} or its gradient is no number in epoch {}, step {step}; {kept}",
+                epoch + 1
+            ),
+        )
+        .remedy("train anew with a lower `--learning-rate`"))
+    }
+
+    /// How the network does on the validation part.
+    fn look(&self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
+        let all = self.validation.facts().len();
+        let scored = logits(
+            self.measured(),
+            self.validation,
+            self.settings,
+            self.normalisation,
+            &|done| told(TrainEvent::Look([done, all])),
+        )?;
+        Ok(Scores::of(&scored))
+    }
+}
+
+#[cfg(test)]
+#[path = "run_test.rs"]
+mod tests;

@@ -1,0 +1,340 @@
+use std::panic::AssertUnwindSafe;
+
+use super::*;
+use crate::augment::{Augmentation, SamplePictures};
+use crate::sample_dataset::{row, write_dataset, write_part};
+use crate::samples::SampleReader;
+use crate::{finish, logits};
+use gripcast_base::quiet_panic;
+use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::predict::{Model, ModelInput};
+use gripcast_nn::{Architecture, ConvSpec};
+
+fn settings(variant: Variant) -> TrainSettings {
+    let conv = |channels, kernel, stride, pad| ConvSpec {
+        channels,
+        kernel,
+        stride,
+        pad,
+    };
+    let architecture = Architecture {
+        name: "tiny".to_owned(),
+        convolutions: vec![conv(16, 8, 8, 0), conv(16, 3, 2, 1)],
+        pool: [3, 4],
+        embedding: 16,
+        hidden: 16,
+    };
+    TrainSettings {
+        epochs: 3,
+        batch: 4,
+        warm_up: 1,
+        learning_rate: 3e-3,
+        ..TrainSettings::usual(variant, architecture, 5)
+    }
+}
+
+/// Everything that training can do with few labels.
+fn thrifty(variant: Variant) -> TrainSettings {
+    TrainSettings {
+        mix: 0.4,
+        quantity_weight: 0.3,
+        average: 0.8,
+        ..settings(variant)
+    }
+}
+
+fn without_times(folder: &RunFolder) -> Vec<EpochFigures> {
+    let text = fs::read_to_string(folder.metrics().shown()).unwrap();
+    let lines = text.lines().map(|line| serde_json::from_str(line).unwrap());
+    lines
+        .map(|figures: EpochFigures| EpochFigures {
+            samples_per_s: 0.0,
+            ..figures
+        })
+        .collect()
+}
+
+#[test]
+fn a_run_learns_and_its_file_predicts_what_the_network_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 24);
+    let out = folder.path().join("run");
+    for variant in [Variant::Vt, Variant::T, Variant::V] {
+        let settings = TrainSettings {
+            epochs: 6,
+            ..settings(variant)
+        };
+        let out = out.join(variant.name());
+        let trained = train(&data, &out, &settings, &|_| {}).unwrap();
+        assert_eq!(trained.epochs, 6);
+        if variant != Variant::V {
+            assert!(trained.best.validation_accuracy > 0.9, "{trained:?}");
+        }
+        let run = RunFolder::at(&out);
+        let file = run.read().unwrap().unwrap();
+        let validation = Samples::open(&data, "validation").unwrap();
+        let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
+        assert_eq!(fs::read(run.model().shown()).unwrap(), finished.onnx);
+        let model = Model::from_bytes(&finished.onnx).unwrap();
+        assert_eq!(model.contract().variant, variant);
+        assert_eq!(model.novelty().is_some(), variant != Variant::V);
+        let (network, _) = run.best_network(&settings).unwrap();
+        let found = logits(
+            &network,
+            &validation,
+            &settings,
+            file.normalisation(),
+            &|_| {},
+        )
+        .unwrap();
+        let mut reader = SampleReader::new(&validation, 0);
+        let mut decoder = gripcast_imaging::Decoder::new().unwrap();
+        for (at, logit) in found.iter().enumerate() {
+            let (rows, row) = reader.rows(&[at]).unwrap().remove(0);
+            let pictures =
+                SamplePictures::decode(&mut decoder, &rows[row].images, [true, true]).unwrap();
+            let mut input = ModelInput::zeros(model.contract()).unwrap();
+            let names = [
+                gripcast_nn::predict::contract::InputName::TactileLeft,
+                gripcast_nn::predict::contract::InputName::TactileRight,
+            ];
+            for (name, [initial, grasp]) in names.into_iter().zip(&pictures.tactile) {
+                let difference =
+                    gripcast_imaging::TactileDifference::between(initial, grasp).unwrap();
+                input.set_tactile(name, &difference).unwrap();
+            }
+            input.set_rgb(&pictures.rgb).unwrap();
+            let predicted = model.predict(&input).unwrap().p_stable;
+            let expected = logit.scored(finished.temperature).p_stable;
+            assert!(
+                (predicted - expected).abs() < 1e-5,
+                "{predicted} {expected}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_run_that_was_killed_ends_with_the_same_bytes() {
+    for settings in [settings(Variant::T), thrifty(Variant::T)] {
+        killed_and_gone_on_with(&settings);
+    }
+}
+
+fn killed_and_gone_on_with(settings: &TrainSettings) {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 24);
+    let [whole, broken] = ["whole", "broken"].map(|name| folder.path().join(name));
+    train(&data, &whole, settings, &|_| {}).unwrap();
+    for last in [1_u64, 8, 14] {
+        let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+            train(&data, &broken, settings, &|event| {
+                let is_last = matches!(event, TrainEvent::Step { at, .. } if at[0] == last);
+                assert!(!is_last, "killed");
+            })
+        }));
+        assert!(killed.is_err(), "step {last}");
+    }
+    train(&data, &broken, settings, &|_| {}).unwrap();
+    let [whole, broken] = [whole, broken].map(RunFolder::at);
+    assert_eq!(without_times(&whole), without_times(&broken));
+    let network = |folder: &RunFolder| folder.best_network(settings).unwrap().0.parameters;
+    assert!(network(&whole) == network(&broken));
+    let state = |folder: &RunFolder| state::load::<Position>(&folder.state()).unwrap();
+    assert!(state(&whole) == state(&broken));
+}
+
+#[test]
+fn checkpoints_within_an_epoch_are_gone_on_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 24);
+    let settings = thrifty(Variant::T);
+    let file = {
+        let train = Samples::open(&data, TRAIN).unwrap();
+        let out = folder.path().join("run");
+        begun(&RunFolder::at(&out), &out, &data, &settings, &train).unwrap()
+    };
+    let [train, validation] = [TRAIN, VALIDATION].map(|part| Samples::open(&data, part).unwrap());
+    let run = RunFolder::at(folder.path().join("run"));
+    let mut whole = Training::new(&run, &file, &train, &validation).unwrap();
+    whole.epoch(&|_| {}).unwrap();
+    let broken = std::cell::RefCell::new(Training::new(&run, &file, &train, &validation).unwrap());
+    // The checkpoint is written where the panic leaves the run: after a step and its update.
+    let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+        let mut training = broken.borrow_mut();
+        training.epoch(&|event| {
+            let is_third = matches!(event, TrainEvent::Step { at, .. } if at[0] == 3);
+            assert!(!is_third, "killed");
+        })
+    }));
+    assert!(killed.is_err());
+    broken.borrow_mut().save().unwrap();
+    let mut again = Training::new(&run, &file, &train, &validation).unwrap();
+    assert_eq!(again.position.step, 3);
+    again.epoch(&|_| {}).unwrap();
+    assert!(again.network.parameters == whole.network.parameters);
+    assert!(again.measured().parameters == whole.measured().parameters);
+    assert!(whole.measured().parameters != whole.network.parameters);
+    assert_eq!(again.position.loss, whole.position.loss);
+}
+
+#[test]
+fn other_settings_and_another_dataset_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 8);
+    let out = folder.path().join("run");
+    let one = TrainSettings {
+        epochs: 1,
+        ..settings(Variant::T)
+    };
+    train(&data, &out, &one, &|_| {}).unwrap();
+    let other = TrainSettings {
+        dropout: 0.5,
+        ..one.clone()
+    };
+    let error = train(&data, &out, &other, &|_| {}).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Usage);
+    assert!(
+        error.to_string().contains("dropout 0.2, not 0.5"),
+        "{error}"
+    );
+    write_dataset(&data, 12);
+    let error = train(&data, &out, &one, &|_| {}).unwrap_err();
+    assert!(error.to_string().contains("another dataset"), "{error}");
+}
+
+#[test]
+fn datasets_that_teach_nothing_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = settings(Variant::T);
+    let refused = |name: &str, rows: Vec<gripcast_dataset::shard::ShardRow>, validation: &str| {
+        let data = folder.path().join(name);
+        write_part(&data, "train", rows);
+        write_part(&data, "validation", (0..4).map(|n| row(validation, n)));
+        let out = folder.path().join(format!("{name}-run"));
+        let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
+        assert!(!out.exists(), "{name}");
+        error.to_string()
+    };
+    let stable = (0..8).map(|n| row("train", 2 * n + 1)).collect();
+    let text = refused("one", stable, "validation");
+    assert!(text.contains("8 stable and 0 lost"), "{text}");
+    let text = refused("leak", (0..8).map(|n| row("train", n)).collect(), "train");
+    assert!(text.contains("objects are in"), "{text}");
+    let text = refused(
+        "few",
+        (0..2).map(|n| row("train", n)).collect(),
+        "validation",
+    );
+    assert!(text.contains("--batch"), "{text}");
+    let mut cropped: Vec<_> = (0..8).map(|n| row("train", n)).collect();
+    cropped[3].facts.crop_profile = "paper".to_owned();
+    let text = refused("crops", cropped, "validation");
+    assert!(
+        text.contains("cropped in several ways: full-v1, paper"),
+        "{text}"
+    );
+    let text = refused("none", Vec::new(), "validation");
+    assert!(text.contains("no samples"), "{text}");
+}
+
+#[test]
+fn a_picture_of_another_size_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rows: Vec<_> = (0..8).map(|n| row("train", n)).collect();
+    let small = image::RgbImage::new(160, 120);
+    rows[5].images.grasp_left = gripcast_imaging::encode_jpeg(&small, 90).unwrap();
+    write_part(folder.path(), "train", rows);
+    write_part(
+        folder.path(),
+        "validation",
+        (0..4).map(|n| row("validation", n)),
+    );
+    let out = folder.path().join("run");
+    let error = train(folder.path(), &out, &settings(Variant::T), &|_| {}).unwrap_err();
+    let text = error.to_string();
+    assert!(
+        text.contains("train-0005") && text.contains("160×120"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_dataset(&data, 8);
+    let out = folder.path().join("run");
+    let settings = TrainSettings {
+        epochs: 2,
+        augmentation: Augmentation::NONE,
+        ..settings(Variant::T)
+    };
+    let run = RunFolder::at(&out);
+    // The first epoch ends; then a parameter is spoilt, as an overflow would.
+    let killed = quiet_panic::catch(AssertUnwindSafe(|| {
+        train(&data, &out, &settings, &|event| {
+            assert!(!matches!(event, TrainEvent::Epoch(_)), "killed");
+        })
+    }));
+    assert!(killed.is_err());
+    let (position, mut arrays): (Position, _) = state::load(&run.state()).unwrap();
+    arrays[0][0] = f32::NAN;
+    let arrays: Vec<&[f32]> = arrays.iter().map(Vec::as_slice).collect();
+    state::save(&run.state(), &position, &arrays).unwrap();
+    let best = fs::read(run.best().shown()).unwrap();
+    let error = train(&data, &out, &settings, &|_| {}).unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("no number in epoch 2"), "{text}");
+    assert!(text.contains("of epoch 1, is kept"), "{text}");
+    assert_eq!(fs::read(run.best().shown()).unwrap(), best);
+}
+
+#[test]
+fn quantities_beside_the_label_are_learned_and_left_out_of_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    // Openings that the tactile pictures show: contacts are of wide grasps.
+    let opened = |part: &str, number: u64| {
+        let mut row = row(part, number);
+        row.facts.opening_m = Some(if number % 2 == 1 { 0.05 } else { 0.01 });
+        row.facts.t_object_gripper = None;
+        row
+    };
+    for (part, rows) in [("train", 24), ("validation", 8)] {
+        write_part(&data, part, (0..rows).map(|number| opened(part, number)));
+    }
+    let settings = TrainSettings {
+        quantity_weight: 1.0,
+        epochs: 40,
+        ..settings(Variant::T)
+    };
+    let out = folder.path().join("run");
+    train(&data, &out, &settings, &|_| {}).unwrap();
+    let run = RunFolder::at(&out);
+    let file = run.read().unwrap().unwrap();
+    let [train, validation] = [TRAIN, VALIDATION].map(|part| Samples::open(&data, part).unwrap());
+    let training = Training::new(&run, &file, &train, &validation).unwrap();
+    let scale = QuantityScale::of(&train);
+    let losses = |network: &Network| {
+        let writer = InputWriter::new(Augmentation::NONE, training.normalisation);
+        let mut batches = Batches::new(&validation, settings.senses(), writer, 1 << 20)
+            .with_quantities(Some(scale));
+        let batch = batches.batch(&[0, 1, 2, 3, 4, 5, 6, 7], None).unwrap();
+        let mut gradient = vec![0.0; network.parameters.len()];
+        network
+            .clone()
+            .learn(&batch, &Step::default(), &mut gradient)
+    };
+    // Half of the variance of the one that varies, over the four that are known.
+    let untold = 0.5 / 4.0;
+    let told = losses(&training.network).quantities;
+    assert!(told < 0.4 * untold, "{told}");
+    let finished = finish(&run, &file, &data, "tiny", &|_| {}).unwrap();
+    let text = String::from_utf8_lossy(&finished.onnx);
+    assert!(text.contains("head.logit") && !text.contains("quantities"));
+}

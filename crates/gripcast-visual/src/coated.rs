@@ -1,0 +1,236 @@
+//! Shapes with the appearance of a [`Look`] or with a picture of the user's.
+
+use super::look::{FinishClass, Look};
+use super::material::{Colour, Material};
+use super::model::{Model, is_closed};
+use super::pattern::paint_coat;
+use super::shading::{Projection, shaded_mesh};
+use super::texture::{Bitmap, Texture};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{CREASE_RAD, TriangleMesh};
+
+/// Width and height of painted coats, px.
+const TEXTURE_PX: u32 = 256;
+/// Index of refraction of glass, plastic, lacquer and glaze.
+const IOR: f32 = 1.5;
+/// Roughness of glass under scratches.
+const WORN_GLASS: f32 = 0.12;
+/// Roughness under a picture: silk-matt paint.
+const PICTURE_ROUGHNESS: f32 = 0.5;
+
+impl Model {
+    /// A shape (m) with an appearance; `seed` decides where grain, dots and wear lie. Painted
+    /// coats are projected from the six sides of the shape: prints fit it once, the others keep
+    /// the size that they have on things of some centimetres.
+    ///
+    /// Glass shows its tint and roughness, but no pattern. A shape that is not closed cannot be
+    /// of glass: it is drawn as glossy plastic.
+    ///
+    /// # Errors
+    /// `Input` for a look that [`Look::validate`] refuses.
+    ///
+    /// ```
+    /// use gripcast::geometry::builtin;
+    /// use gripcast::render::visual::{FinishClass, Look, Model, PatternWord};
+    ///
+    /// let look = Look {
+    ///     finish: FinishClass::Wood,
+    ///     base_colour: [0.55, 0.36, 0.16],
+    ///     roughness: 0.4,
+    ///     pattern: PatternWord::Grain,
+    /// };
+    /// let oak_mug = Model::coated(&builtin("mug")?, &look, 7)?;
+    /// assert_eq!(oak_mug.textures.len(), 1);
+    /// # Ok::<(), gripcast::error::Error>(())
+    /// ```
+    pub fn coated(mesh: &TriangleMesh, look: &Look, seed: u64) -> Result<Self> {
+        look.validate()?;
+        if look.finish == FinishClass::Glass && is_closed(mesh) {
+            return Ok(Self {
+                meshes: vec![shaded_mesh(mesh, CREASE_RAD, Projection::None, 0)],
+                materials: vec![glass(look)],
+                textures: Vec::new(),
+            });
+        }
+        let coat = paint_coat(look, TEXTURE_PX, seed);
+        let bounds = mesh.bounds();
+        let extent = bounds.extent().max_element();
+        let projection = Projection::Box {
+            width_m: if look.is_print() && extent > 0.0 {
+                extent
+            } else {
+                coat.tile_m
+            },
+            origin_m: bounds.min,
+        };
+        Ok(Self {
+            meshes: vec![shaded_mesh(mesh, CREASE_RAD, projection, 0)],
+            materials: vec![Material::Principled {
+                base_colour: Colour::Texture(0),
+                metallic: coat.metallic,
+                roughness: coat.roughness,
+                ior: IOR,
+            }],
+            textures: vec![Texture::Bitmap(Bitmap::from_srgb8(&coat.picture)?)],
+        })
+    }
+
+    /// A shape (m) with a picture as its base colour, `width_m` wide on the surface, repeated and
+    /// projected from the six sides; upright on the vertical ones. See
+    /// [`load_bitmap`](super::load_bitmap) for files.
+    ///
+    /// # Errors
+    /// `Input` for a width that is not positive.
+    pub fn textured(mesh: &TriangleMesh, picture: &Bitmap, width_m: f64) -> Result<Self> {
+        if !width_m.is_finite() || width_m <= 0.0 {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("the width of a texture must be positive, found {width_m} m"),
+            )
+            .remedy("give the width that the picture has on the object, in metres"));
+        }
+        let projection = Projection::Box {
+            width_m,
+            origin_m: mesh.bounds().min,
+        };
+        let mut shaded = shaded_mesh(mesh, CREASE_RAD, projection, 0);
+        let [width, height] = picture.size();
+        let aspect = width as f32 / height as f32;
+        for uv in &mut shaded.uvs {
+            uv[1] *= aspect;
+        }
+        Ok(Self {
+            meshes: vec![shaded],
+            materials: vec![Material::Principled {
+                base_colour: Colour::Texture(0),
+                metallic: 0.0,
+                roughness: PICTURE_ROUGHNESS,
+                ior: IOR,
+            }],
+            textures: vec![Texture::Bitmap(picture.clone())],
+        })
+    }
+}
+
+/// The base colour is what a body lets through, so what each of its two surfaces lets through is
+/// the root of it.
+fn glass(look: &Look) -> Material {
+    let roughness = if look.is_worn() {
+        look.roughness.max(WORN_GLASS)
+    } else {
+        look.roughness
+    };
+    Material::Dielectric {
+        ior: IOR,
+        roughness,
+        transmittance: look.base_colour.map(f32::sqrt),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Camera, Environment, PatternWord, Scene};
+    use gripcast_geometry::{Pose, builtin};
+
+    fn look(finish: FinishClass, pattern: PatternWord) -> Look {
+        Look {
+            finish,
+            base_colour: [0.5, 0.3, 0.1],
+            roughness: 0.3,
+            pattern,
+        }
+    }
+
+    fn validate(model: &Model) {
+        let mut scene = Scene {
+            meshes: Vec::new(),
+            materials: Vec::new(),
+            textures: Vec::new(),
+            environment: Environment::uniform([1.0; 3]),
+            camera: Camera::centred(8, 8, 1.0, Pose::IDENTITY),
+        };
+        model.add_to(&mut scene, &Pose::IDENTITY);
+        scene.validate().unwrap();
+    }
+
+    #[test]
+    fn every_look_is_a_model_that_can_be_rendered() {
+        let mesh = builtin("sphere").unwrap();
+        for finish in FinishClass::ALL {
+            for pattern in PatternWord::ALL {
+                let model = Model::coated(&mesh, &look(finish, pattern), 1).unwrap();
+                validate(&model);
+                let is_glass = finish == FinishClass::Glass;
+                assert_eq!(model.textures.is_empty(), is_glass, "{finish:?}");
+                if let Material::Principled { metallic, .. } = model.materials[0] {
+                    assert_eq!(metallic > 0.0, finish == FinishClass::Metal, "{finish:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn glass_is_tinted_and_rougher_when_scratched() {
+        let mesh = builtin("box").unwrap();
+        let of = |mesh: &TriangleMesh, pattern| {
+            let look = Look {
+                roughness: 0.0,
+                ..look(FinishClass::Glass, pattern)
+            };
+            Model::coated(mesh, &look, 1).unwrap().materials[0]
+        };
+        let Material::Dielectric {
+            roughness,
+            transmittance,
+            ..
+        } = of(&mesh, PatternWord::Plain)
+        else {
+            panic!("no glass");
+        };
+        assert_eq!(roughness, 0.0);
+        assert!((transmittance[0].powi(2) - 0.5).abs() < 1e-6);
+        let scratched = of(&mesh, PatternWord::Scratched);
+        assert!(matches!(scratched, Material::Dielectric { roughness, .. } if roughness > 0.05));
+        let mut open = mesh;
+        open.triangles.pop();
+        assert!(matches!(
+            of(&open, PatternWord::Plain),
+            Material::Principled { .. }
+        ));
+    }
+
+    #[test]
+    fn bad_looks_and_widths_are_explained() {
+        let mesh = builtin("box").unwrap();
+        let mut bad = look(FinishClass::Plastic, PatternWord::Plain);
+        bad.base_colour[1] = f32::NAN;
+        let text = Model::coated(&mesh, &bad, 1).unwrap_err().to_string();
+        assert!(
+            text.contains("look") && text.contains("base_colour"),
+            "{text}"
+        );
+        bad = look(FinishClass::Plastic, PatternWord::Plain);
+        bad.roughness = 1.5;
+        assert!(Model::coated(&mesh, &bad, 1).is_err());
+        let picture = Bitmap::from_srgb8(&image::RgbImage::new(4, 2)).unwrap();
+        for width in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            let text = Model::textured(&mesh, &picture, width).unwrap_err();
+            assert!(text.to_string().contains("width"), "{text}");
+        }
+    }
+
+    #[test]
+    fn pictures_keep_their_proportions() {
+        let mesh = builtin("box").unwrap();
+        let picture = Bitmap::from_srgb8(&image::RgbImage::new(40, 20)).unwrap();
+        let model = Model::textured(&mesh, &picture, 0.06).unwrap();
+        validate(&model);
+        // The box is 60 mm high: two pictures of 30 mm on its upright sides.
+        let shaded = &model.meshes[0];
+        let sides = shaded.uvs.iter().zip(&shaded.normals);
+        let rows = sides.filter(|(_, n)| n.z.abs() < 0.1).map(|(uv, _)| uv[1]);
+        let (low, high) = rows.fold((f32::MAX, f32::MIN), |(a, b), v| (a.min(v), b.max(v)));
+        assert!((high - low - 2.0).abs() < 1e-4, "{low} {high}");
+    }
+}

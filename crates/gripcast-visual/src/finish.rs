@@ -1,0 +1,135 @@
+//! What a body without a material of its own is made of.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::material::{Colour, Material};
+use super::pattern::Pattern;
+use super::texture::{Bitmap, Texture};
+use gripcast_base::error::{Error, Result, unknown_name};
+
+/// Width and height of painted textures, px.
+const TEXTURE_PX: u32 = 512;
+
+/// Index and extinction of chromium, which stainless steel looks like, at 630, 532 and 465 nm
+/// (Rakic et al., Applied Optics, 1998).
+pub(super) const STEEL: [[f32; 3]; 2] = [[3.11, 3.18, 2.32], [3.33, 3.33, 3.135]];
+
+/// Material of a whole body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Finish {
+    /// A painted surface.
+    Painted(Pattern),
+    /// Clear glass; the mesh must be closed.
+    Glass,
+    /// Polished stainless steel (optical constants of chromium).
+    Steel,
+    /// Polished aluminium.
+    Aluminium,
+    /// Polished copper.
+    Copper,
+    /// Polished gold.
+    Gold,
+}
+
+impl Finish {
+    const BARE: [Self; 5] = [
+        Self::Glass,
+        Self::Steel,
+        Self::Aluminium,
+        Self::Copper,
+        Self::Gold,
+    ];
+
+    /// All of them.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let painted = Pattern::ALL.into_iter().map(Self::Painted);
+        painted.chain(Self::BARE)
+    }
+
+    /// Name in commands and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Painted(pattern) => pattern.name(),
+            Self::Glass => "glass",
+            Self::Steel => "steel",
+            Self::Aluminium => "aluminium",
+            Self::Copper => "copper",
+            Self::Gold => "gold",
+        }
+    }
+
+    /// The material and, for painted ones, its texture and the width of it on the surface, m.
+    /// The texture is to be number `texture` of the scene.
+    ///
+    /// # Errors
+    /// None; the signature is that of the texture's constructor.
+    pub(super) fn material(
+        self,
+        seed: u64,
+        texture: usize,
+    ) -> Result<(Material, Option<(Texture, f64)>)> {
+        // Index and extinction as those of steel.
+        let (eta, k, roughness) = match self {
+            Self::Painted(pattern) => {
+                let painted = pattern.paint(TEXTURE_PX, seed);
+                let material = Material::Principled {
+                    base_colour: Colour::Texture(texture),
+                    metallic: painted.metallic,
+                    roughness: painted.roughness,
+                    ior: 1.5,
+                };
+                let bitmap = Bitmap::from_srgb8(&painted.picture)?;
+                return Ok((material, Some((Texture::Bitmap(bitmap), painted.tile_m))));
+            }
+            Self::Glass => {
+                let material = Material::Dielectric {
+                    ior: 1.5,
+                    roughness: 0.0,
+                    transmittance: [0.98, 0.99, 0.985],
+                };
+                return Ok((material, None));
+            }
+            Self::Steel => (STEEL[0], STEEL[1], 0.22),
+            Self::Aluminium => ([1.35, 0.97, 0.62], [7.47, 6.40, 5.30], 0.25),
+            Self::Copper => ([0.20, 0.92, 1.10], [3.91, 2.45, 2.14], 0.2),
+            Self::Gold => ([0.14, 0.37, 1.44], [3.98, 2.39, 1.60], 0.18),
+        };
+        Ok((Material::Conductor { eta, k, roughness }, None))
+    }
+}
+
+impl fmt::Display for Finish {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Finish {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let found = Self::all().find(|f| f.name() == text);
+        found.ok_or_else(|| {
+            let names: Vec<&str> = Self::all().map(Self::name).collect();
+            unknown_name("material", text, &names)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_finish_has_a_name_and_a_material() {
+        for finish in Finish::all() {
+            assert_eq!(finish.to_string().parse::<Finish>().unwrap(), finish);
+            let (material, texture) = finish.material(1, 0).unwrap();
+            material.validate(usize::from(texture.is_some())).unwrap();
+            assert_eq!(texture.is_some(), matches!(finish, Finish::Painted(_)));
+        }
+        let text = "glas".parse::<Finish>().unwrap_err().to_string();
+        assert!(text.contains("did you mean glass?"), "{text}");
+    }
+}

@@ -1,0 +1,400 @@
+//! The scene of a grasp, as the cameras see it.
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use glam::{DQuat, DVec3, Vec3};
+
+use super::camera::Camera;
+use super::conditions::{GroundChoice, VisualConditions};
+use super::d435::{colour_camera, t_gripper_camera};
+use super::finish::STEEL;
+use super::gripper::{GripperSurface, gripper_parts};
+use super::material::{Colour, Material};
+use super::model::Model;
+use super::print::{GraspPrints, PRINT_LIFT_M};
+use super::scene::{Mesh, Scene};
+use super::shading::{Projection, shaded_mesh};
+use super::texture::{Bitmap, Texture};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{Aabb, CREASE_RAD, Pose, TriangleMesh};
+use gripcast_sim::fem::{GelGrid, GelResolution, Side};
+use gripcast_sim::grasp::Snapshot;
+
+/// Half width of the table, m; beyond it the lower half of the dome is seen.
+const TABLE_HALF_M: f32 = 0.9;
+/// Pixels of a painted ground, and in a picture that shows no more of it.
+const GROUND_PX: u32 = 1024;
+const SMALL_GROUND_PX: u32 = 512;
+/// Columns of a small picture.
+const SMALL_WIDTH: usize = 320;
+/// Half extent of a gel's face along the gripper's y and z, m.
+const GEL_HALF_M: [f64; 2] = [0.010, 0.0125];
+/// Space between the gels and the border of the picture, as a share of its size.
+const BORDER_SHARE: f64 = 0.02;
+/// Attempts at a camera that sees both gels, each closer to the nominal place.
+const CAMERA_ATTEMPTS: u32 = 8;
+
+/// Where everything is.
+#[derive(Clone, Debug)]
+pub struct GraspState {
+    /// The object's frame in the world.
+    pub t_world_object: Pose,
+    /// The gripper in the world.
+    pub t_world_gripper: Pose,
+    /// Distance between the undeformed gel faces, m.
+    pub opening_m: f64,
+    /// Deformed gels in the world, left and right; none to draw them undeformed.
+    pub gels: Option<[TriangleMesh; 2]>,
+}
+
+impl GraspState {
+    /// Before the fingers close.
+    pub fn before(scene: &gripcast_sim::grasp::Scene) -> Self {
+        Self {
+            t_world_object: scene.t_world_object,
+            t_world_gripper: scene.t_world_gripper,
+            opening_m: scene.opening_m,
+            gels: None,
+        }
+    }
+
+    /// At a snapshot of a trace. `grid` is the mesh of its gels; none if it is one of the
+    /// standard pads.
+    ///
+    /// # Errors
+    /// `Input` if the number of nodes is that of no known mesh.
+    pub fn at(snapshot: &Snapshot, grid: Option<&GelGrid>) -> Result<Self> {
+        let [left, right] = &snapshot.gels;
+        Ok(Self {
+            t_world_object: snapshot.t_world_object,
+            t_world_gripper: snapshot.t_world_gripper,
+            opening_m: snapshot.opening_m,
+            gels: Some([gel_surface(left, grid)?, gel_surface(right, grid)?]),
+        })
+    }
+}
+
+/// The closed surface of a gel over its nodes in the world.
+fn gel_surface(nodes: &[[f64; 3]], grid: Option<&GelGrid>) -> Result<TriangleMesh> {
+    use GelResolution::{Coarse, Default, Fine};
+    let standard = || {
+        let fits = |r: &GelResolution| r.nodes().iter().product::<usize>() == nodes.len();
+        [Coarse, Default, Fine].into_iter().find(fits)
+    };
+    let built;
+    let grid = match (grid, standard()) {
+        (Some(grid), _) if grid.positions().len() == nodes.len() => grid,
+        (_, Some(resolution)) => {
+            built = GelGrid::pad(resolution)?;
+            &built
+        }
+        _ => {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the gel of the trace has {} nodes, as no standard pad has",
+                    nodes.len()
+                ),
+            )
+            .remedy("give the gel mesh that the grasp was simulated with"));
+        }
+    };
+    let sides = [
+        Side::Front,
+        Side::XMin,
+        Side::XMax,
+        Side::YMin,
+        Side::YMax,
+        Side::Back,
+    ];
+    let mesh = TriangleMesh {
+        vertices: nodes.iter().map(|p| DVec3::from_array(*p)).collect(),
+        triangles: sides
+            .iter()
+            .flat_map(|side| grid.triangles(*side))
+            .copied()
+            .collect(),
+    };
+    let surface = mesh.without_unused_vertices();
+    surface.validate().map(|()| surface)
+}
+
+/// Where the picture is taken from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum View {
+    /// The D435 on the gripper, moved as the conditions say; the sizes are columns and rows of
+    /// the picture that is cropped in the middle of the colour stream and scaled.
+    EyeInHand([usize; 2]),
+    /// From outside, three quarters from the front: the whole gripper, the object and the table.
+    External([usize; 2]),
+}
+
+impl View {
+    /// Its camera.
+    pub fn camera(self, state: &GraspState, conditions: &VisualConditions) -> Camera {
+        match self {
+            Self::EyeInHand(size) => eye_in_hand(state, conditions, size),
+            Self::External(size) => external(state, size),
+        }
+    }
+}
+
+/// Composes the scene that a camera sees.
+///
+/// # Errors
+/// `Input` where the camera is inside the object or below the ground, the opening is impossible or
+/// the picture has no pixels.
+pub fn grasp_scene(
+    object: &Model,
+    state: &GraspState,
+    conditions: &VisualConditions,
+    view: View,
+) -> Result<Scene> {
+    let camera = view.camera(state, conditions);
+    let with_camera = matches!(view, View::External(_));
+    compose(object, state, conditions, camera, with_camera, 0.0)
+}
+
+/// The scene of [`grasp_scene`] seen from outside by `camera`, with the object on a printed sheet
+/// and tags on the gripper.
+///
+/// # Errors
+/// As [`grasp_scene`].
+pub fn annotation_scene(
+    object: &Model,
+    state: &GraspState,
+    conditions: &VisualConditions,
+    camera: Camera,
+    prints: &GraspPrints,
+) -> Result<Scene> {
+    let mut scene = compose(object, state, conditions, camera, true, PRINT_LIFT_M)?;
+    prints.add_to(&mut scene, &state.t_world_gripper, state.opening_m);
+    scene.validate()?;
+    Ok(scene)
+}
+
+fn compose(
+    object: &Model,
+    state: &GraspState,
+    conditions: &VisualConditions,
+    camera: Camera,
+    with_camera: bool,
+    table_below_m: f64,
+) -> Result<Scene> {
+    let mut scene = Scene {
+        meshes: Vec::new(),
+        materials: Vec::new(),
+        textures: Vec::new(),
+        environment: conditions.environment(),
+        camera,
+    };
+    object.add_to(&mut scene, &state.t_world_object);
+    check_camera(&scene, object)?;
+    let table = Pose::from_translation(DVec3::NEG_Z * table_below_m);
+    let ground_px = match scene.camera.width {
+        0..=SMALL_WIDTH => SMALL_GROUND_PX,
+        _ => GROUND_PX,
+    };
+    ground(conditions, ground_px)?.add_to(&mut scene, &table);
+    let body = gripper(state, conditions.print_colour, with_camera)?;
+    body.add_to(&mut scene, &state.t_world_gripper);
+    if let Some(gels) = &state.gels {
+        let meshes = gels
+            .iter()
+            .map(|gel| shaded_mesh(gel, 0.6, Projection::None, 0));
+        let deformed = Model {
+            meshes: meshes.collect(),
+            materials: vec![surface_material(GripperSurface::Gel, [0.0; 3])],
+            textures: Vec::new(),
+        };
+        deformed.add_to(&mut scene, &Pose::IDENTITY);
+    }
+    scene.validate()?;
+    Ok(scene)
+}
+
+/// The eye-in-hand camera of the conditions. If it would not see both gel faces, it is moved
+/// towards its nominal place until it does.
+pub fn eye_in_hand(
+    state: &GraspState,
+    conditions: &VisualConditions,
+    [width, height]: [usize; 2],
+) -> Camera {
+    let moved = |share: f64| {
+        let shift = conditions.camera_move.translation_m * share;
+        let turn = DQuat::IDENTITY.slerp(conditions.camera_move.rotation, share);
+        let t_gripper_moved = t_gripper_camera() * Pose::new(turn, shift);
+        let mut camera = colour_camera(width, height, state.t_world_gripper * t_gripper_moved);
+        let factor = 1.0 + share * (conditions.focal_factor - 1.0);
+        camera.focal_px = camera.focal_px.map(|f| f * factor);
+        camera
+    };
+    (0..CAMERA_ATTEMPTS)
+        .map(|attempt| moved(1.0 - f64::from(attempt) / f64::from(CAMERA_ATTEMPTS)))
+        .find(|camera| sees_gels(camera, state))
+        .unwrap_or_else(|| moved(0.0))
+}
+
+/// Whether the corners of both gel faces lie within the picture, with a small border.
+pub fn sees_gels(camera: &Camera, state: &GraspState) -> bool {
+    let size = [camera.width as f64, camera.height as f64];
+    let [y, z] = GEL_HALF_M;
+    let half = 0.5 * state.opening_m;
+    [-half, half].into_iter().all(|x| {
+        [[-y, -z], [-y, z], [y, -z], [y, z]]
+            .into_iter()
+            .all(|[y, z]| {
+                let corner = state.t_world_gripper.transform_point(DVec3::new(x, y, z));
+                camera.project(corner).is_some_and(|place| {
+                    (0..2).all(|a| {
+                        let border = BORDER_SHARE * size[a];
+                        (border..=size[a] - 1.0 - border).contains(&place[a])
+                    })
+                })
+            })
+    })
+}
+
+/// Three-quarter view from the side of the camera, slightly from above.
+fn external(state: &GraspState, [width, height]: [usize; 2]) -> Camera {
+    let gripper = &state.t_world_gripper;
+    let approach = gripper.transform_vector(DVec3::Z);
+    let flat = |v: DVec3| (v * DVec3::new(1.0, 1.0, 0.0)).normalize_or_zero();
+    let side = flat(gripper.transform_vector(DVec3::NEG_Y)).normalize_or(DVec3::NEG_Y);
+    let along = DVec3::Z.cross(side);
+    // The middle between the table under the object and the end of the handle.
+    let target = gripper.translation_m - 0.105 * approach;
+    let (turn, height_share) = (0.75 * side + 0.66 * along, 0.3);
+    let direction = (turn + DVec3::Z * height_share).normalize();
+    let mut eye = target + 0.62 * direction;
+    eye.z = eye.z.max(0.12);
+    let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
+    let wide = width as f64 / height.max(1) as f64;
+    let fov = 2.0 * (0.31 * wide.min(1.6)).atan();
+    Camera::centred(width, height, fov, pose)
+}
+
+/// Explains a camera that sees nothing but the inside of something; the scene holds only the
+/// object yet.
+fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
+    let bad = |what: String| {
+        Error::new(ErrorKind::Input, what)
+            .at("camera")
+            .remedy("move the gripper away, or make the object smaller (is its unit right?)")
+    };
+    let height = scene.camera.t_world_camera.translation_m.z;
+    if height <= 0.0 {
+        return Err(bad(format!(
+            "the camera would be {:.0} mm below the ground",
+            -1e3 * height
+        )));
+    }
+    scene.check_camera_outside(&scene.camera).map_err(|_| {
+        let size = Aabb::from_points(object.positions()).extent() * 1e3;
+        bad(format!(
+            "the camera would be inside the object, which is {:.0} × {:.0} × {:.0} mm large",
+            size.x, size.y, size.z
+        ))
+    })
+}
+
+/// The table.
+fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
+    let (bitmap, tile_m, roughness, metallic) = match &conditions.ground {
+        GroundChoice::Painted(pattern, seed) => {
+            let painted = pattern.paint(size_px, *seed);
+            let bitmap = Arc::new(Bitmap::from_srgb8(&painted.picture)?);
+            (bitmap, painted.tile_m, painted.roughness, painted.metallic)
+        }
+        GroundChoice::Picture(bitmap, width) => {
+            if !(width.is_finite() && *width > 0.0) {
+                return Err(Error::new(
+                    ErrorKind::Input,
+                    format!("the width of the ground's texture must be positive, found {width} m"),
+                ));
+            }
+            (
+                bitmap.clone(),
+                *width,
+                conditions.ground_roughness as f32,
+                0.0,
+            )
+        }
+    };
+    let mut mesh = Mesh::ground(Vec3::ZERO, TABLE_HALF_M, tile_m as f32, 0);
+    let [across, down] = conditions.ground_shift_m.map(|s| (s / tile_m) as f32);
+    for uv in &mut mesh.uvs {
+        *uv = [uv[0] + across, uv[1] + down];
+    }
+    let turn = Pose::from_rotation(DQuat::from_rotation_z(
+        conditions.ground_turn_rad % (2.0 * PI),
+    ));
+    Ok(Model {
+        meshes: vec![mesh.transformed(&turn)],
+        materials: vec![Material::Principled {
+            base_colour: Colour::Texture(0),
+            metallic,
+            roughness,
+            ior: 1.5,
+        }],
+        textures: vec![Texture::Bitmap(bitmap.as_ref().clone())],
+    })
+}
+
+/// The gripper in its own frame. The D435 is drawn only where it does not take the picture, gels
+/// only where no deformed ones are given.
+fn gripper(state: &GraspState, print: [f32; 3], with_camera: bool) -> Result<Model> {
+    let mut model = Model::default();
+    let mut known: Vec<GripperSurface> = Vec::new();
+    for part in gripper_parts(state.opening_m)? {
+        let is_camera = part.name.starts_with("camera");
+        let is_replaced = part.surface == GripperSurface::Gel && state.gels.is_some();
+        if is_replaced || (is_camera && !with_camera) {
+            continue;
+        }
+        let found = known.iter().position(|surface| *surface == part.surface);
+        let material = found.unwrap_or_else(|| {
+            known.push(part.surface);
+            model.materials.push(surface_material(part.surface, print));
+            known.len() - 1
+        });
+        let mesh = shaded_mesh(&part.shape, CREASE_RAD, Projection::None, material);
+        model.meshes.push(mesh);
+    }
+    Ok(model)
+}
+
+/// Material of a part of the gripper.
+fn surface_material(surface: GripperSurface, print: [f32; 3]) -> Material {
+    let plastic = |colour: [f32; 3], roughness: f32| Material::Principled {
+        base_colour: Colour::Constant(colour),
+        metallic: 0.0,
+        roughness,
+        ior: 1.5,
+    };
+    match surface {
+        GripperSurface::Gel => plastic([0.23, 0.235, 0.24], 0.55),
+        GripperSurface::Housing => plastic([0.02; 3], 0.4),
+        GripperSurface::Label => plastic([0.82; 3], 0.6),
+        GripperSurface::Print => plastic(print, 0.5),
+        GripperSurface::Anodised => plastic([0.028, 0.028, 0.032], 0.32),
+        GripperSurface::Steel => Material::Conductor {
+            eta: STEEL[0],
+            k: STEEL[1],
+            roughness: 0.4,
+        },
+        GripperSurface::Rubber => plastic([0.022; 3], 0.7),
+        GripperSurface::CameraShell => Material::Principled {
+            base_colour: Colour::Constant([0.72, 0.72, 0.74]),
+            metallic: 1.0,
+            roughness: 0.5,
+            ior: 1.5,
+        },
+        GripperSurface::CameraWindow => plastic([0.006; 3], 0.1),
+    }
+}
+
+#[cfg(test)]
+#[path = "grasp_scene_test.rs"]
+mod tests;

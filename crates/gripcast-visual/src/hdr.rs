@@ -1,0 +1,308 @@
+//! Radiance HDR pictures (RGBE), as light domes come in.
+//!
+//! Read here rather than by a crate: the files at hand differ in their headers, and every way
+//! in which a file can be wrong gets its own words. Format: Ward, *Real Pixels* (Graphics Gems II,
+//! 1991) and the manual page of Radiance's `rpict`.
+
+use std::path::Path;
+
+use super::picture::Picture;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{FileKind, read_regular};
+
+/// Most pixels of a side; a dome of 16384 × 8192 is the largest that is offered anywhere.
+const LARGEST_SIDE: usize = 16_384;
+/// Header lines that are read before it is no header.
+const MOST_HEADER_LINES: usize = 200;
+
+/// Reads a Radiance HDR file as linear RGB radiance, top row first.
+///
+/// # Errors
+/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no Radiance HDR
+/// picture, is cut off or too large.
+pub fn load_hdr(path: &Path) -> Result<Picture> {
+    let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
+        Error::io("cannot read the HDR picture", e)
+            .at(path.display())
+            .remedy("check the path and its permissions")
+    })?;
+    read_hdr(&bytes).map_err(|e| e.at(path.display()))
+}
+
+/// Parses the bytes of a Radiance HDR file; see [`load_hdr`].
+///
+/// # Errors
+/// `Input` as [`load_hdr`].
+pub fn read_hdr(bytes: &[u8]) -> Result<Picture> {
+    if !bytes.starts_with(b"#?") {
+        return Err(no_hdr(bytes));
+    }
+    let mut reader = Reader { bytes, at: 0 };
+    let (size, exposure) = reader.header()?;
+    let Layout { width, height, .. } = size;
+    // Rows are added as they are found: a header alone takes no memory.
+    let mut pixels = Vec::new();
+    let mut codes = vec![[0_u8; 4]; width];
+    for row in 0..height {
+        reader.scan_line(&mut codes).map_err(|what| {
+            bad(format!("{what} in row {row} of {height}"))
+                .remedy("check that the file was copied whole")
+        })?;
+        pixels.extend(
+            codes
+                .iter()
+                .map(|&code| radiance(code).map(|v| v / exposure)),
+        );
+        if size.right_to_left {
+            pixels[row * width..].reverse();
+        }
+    }
+    if size.bottom_up {
+        pixels = pixels.chunks(width).rev().flatten().copied().collect();
+    }
+    Picture::from_pixels(width, height, pixels)
+}
+
+fn bad(what: impl Into<String>) -> Error {
+    Error::new(ErrorKind::Input, what)
+}
+
+/// Says what the file is instead, where that is known.
+fn no_hdr(bytes: &[u8]) -> Error {
+    let is = match bytes {
+        [] => "the file is empty",
+        [0x76, 0x2f, 0x31, 0x01, ..] => "it is an OpenEXR picture",
+        [0xff, 0xd8, ..] => "it is a JPEG picture",
+        [0x89, b'P', b'N', b'G', ..] => "it is a PNG picture",
+        _ if bytes.starts_with(b"version https://git-lfs") => {
+            "it is a Git LFS pointer (fetch the file with `git lfs pull`)"
+        }
+        _ => "it does not start with `#?RADIANCE`",
+    };
+    bad(format!("this is no Radiance HDR picture: {is}"))
+        .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a painted sky")
+}
+
+/// Size and order of the pixels.
+struct Layout {
+    width: usize,
+    height: usize,
+    bottom_up: bool,
+    right_to_left: bool,
+}
+
+struct Reader<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl Reader<'_> {
+    fn byte(&mut self) -> Result<u8, &'static str> {
+        let byte = self.bytes.get(self.at).ok_or("the file ends")?;
+        self.at += 1;
+        Ok(*byte)
+    }
+
+    fn code(&mut self) -> Result<[u8; 4], &'static str> {
+        Ok([self.byte()?, self.byte()?, self.byte()?, self.byte()?])
+    }
+
+    fn line(&mut self) -> Option<String> {
+        let rest = self.bytes.get(self.at..)?;
+        let length = rest.iter().position(|&b| b == b'\n')?;
+        self.at += length + 1;
+        let text = String::from_utf8_lossy(&rest[..length]);
+        Some(text.trim_end_matches('\r').to_string())
+    }
+
+    /// Layout and product of the exposures that were applied to the values.
+    fn header(&mut self) -> Result<(Layout, f32)> {
+        let mut exposure = 1.0_f32;
+        for _ in 0..MOST_HEADER_LINES {
+            let Some(line) = self.line() else { break };
+            if let Some(format) = line.strip_prefix("FORMAT=") {
+                if format.trim() != "32-bit_rle_rgbe" {
+                    return Err(bad(format!(
+                        "HDR values must be 32-bit_rle_rgbe, found {format:?}"
+                    ))
+                    .remedy("convert the picture to RGBE"));
+                }
+            } else if let Some(value) = line.strip_prefix("EXPOSURE=") {
+                let value = value.trim().parse().unwrap_or(1.0_f32);
+                if value.is_normal() && value > 0.0 {
+                    exposure *= value;
+                }
+            } else if line.starts_with("-Y") || line.starts_with("+Y") {
+                return Ok((layout(&line)?, exposure));
+            }
+        }
+        Err(
+            bad("the HDR header does not end in a size such as `-Y 512 +X 1024`")
+                .remedy("check that the file was copied whole"),
+        )
+    }
+
+    /// One row, in any of the three encodings.
+    fn scan_line(&mut self, codes: &mut [[u8; 4]]) -> Result<(), &'static str> {
+        let first = self.code()?;
+        let is_new = first[0] == 2 && first[1] == 2 && first[2] < 128;
+        let announced = usize::from(first[2]) << 8 | usize::from(first[3]);
+        if is_new && announced == codes.len() && (8..32_768).contains(&codes.len()) {
+            return (0..4).try_for_each(|channel| self.channel(codes, channel));
+        }
+        self.at -= 4;
+        self.old_line(codes)
+    }
+
+    /// One channel of a row, run by run.
+    fn channel(&mut self, codes: &mut [[u8; 4]], channel: usize) -> Result<(), &'static str> {
+        let mut at = 0;
+        while at < codes.len() {
+            let count = self.byte()?;
+            let length = usize::from(if count > 128 { count - 128 } else { count });
+            if length == 0 || at + length > codes.len() {
+                return Err("a run does not fit the width");
+            }
+            if count > 128 {
+                let value = self.byte()?;
+                codes[at..at + length]
+                    .iter_mut()
+                    .for_each(|c| c[channel] = value);
+            } else {
+                for code in &mut codes[at..at + length] {
+                    code[channel] = self.byte()?;
+                }
+            }
+            at += length;
+        }
+        Ok(())
+    }
+
+    /// Flat pixels, where (1, 1, 1, n) repeats the last one.
+    fn old_line(&mut self, codes: &mut [[u8; 4]]) -> Result<(), &'static str> {
+        let (mut at, mut shift) = (0, 0_u32);
+        while at < codes.len() {
+            let code = self.code()?;
+            if code[..3] != [1, 1, 1] {
+                codes[at] = code;
+                (at, shift) = (at + 1, 0);
+                continue;
+            }
+            let length = usize::from(code[3]) << shift;
+            if at == 0 || shift > 16 || at + length > codes.len() {
+                return Err("a repetition does not fit the width");
+            }
+            let last = codes[at - 1];
+            codes[at..at + length].fill(last);
+            (at, shift) = (at + length, shift + 8);
+        }
+        Ok(())
+    }
+}
+
+fn layout(line: &str) -> Result<Layout> {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    let parsed = match words[..] {
+        [y, height, x @ ("+X" | "-X"), width] => {
+            let (height, width) = (height.parse::<usize>(), width.parse::<usize>());
+            height.ok().zip(width.ok()).map(|(height, width)| Layout {
+                width,
+                height,
+                bottom_up: y == "+Y",
+                right_to_left: x == "-X",
+            })
+        }
+        _ => None,
+    };
+    let size = parsed.ok_or_else(|| bad(format!("the HDR size {line:?} cannot be read")))?;
+    let is_usable = |n: usize| (1..=LARGEST_SIDE).contains(&n);
+    if !is_usable(size.width) || !is_usable(size.height) {
+        return Err(bad(format!(
+            "an HDR picture must have 1 to {LARGEST_SIDE} pixels a side, found {}×{}",
+            size.width, size.height
+        ))
+        .remedy("scale it down; 2048×1024 is enough for lighting"));
+    }
+    Ok(size)
+}
+
+/// Mantissas with a common exponent to radiance.
+fn radiance([r, g, b, exponent]: [u8; 4]) -> [f32; 3] {
+    if exponent == 0 {
+        return [0.0; 3];
+    }
+    let scale = 2.0_f32.powi(i32::from(exponent) - 136);
+    [r, g, b].map(|m| f32::from(m) * scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(size: &str, body: &[u8]) -> Vec<u8> {
+        let head = format!("#?RADIANCE\n# by hand\nFORMAT=32-bit_rle_rgbe\n\n{size}\n");
+        [head.as_bytes(), body].concat()
+    }
+
+    #[test]
+    fn all_three_encodings_are_read() {
+        let flat = [128, 64, 32, 129, 0, 0, 0, 0];
+        let picture = read_hdr(&file("-Y 1 +X 2", &flat)).unwrap();
+        assert_eq!(picture.pixels, [[1.0, 0.5, 0.25], [0.0; 3]]);
+
+        let old = [128, 64, 32, 129, 1, 1, 1, 3];
+        let picture = read_hdr(&file("-Y 1 +X 4", &old)).unwrap();
+        assert_eq!(picture.pixels, [[1.0, 0.5, 0.25]; 4]);
+
+        let mut new = vec![2, 2, 0, 9];
+        new.extend([128 + 9, 128]); // a run of red
+        new.extend([9, 64, 64, 64, 64, 64, 64, 64, 64, 64]); // green one by one
+        new.extend([128 + 4, 32, 128 + 5, 32]);
+        new.extend([128 + 9, 129]);
+        let picture = read_hdr(&file("-Y 1 +X 9", &new)).unwrap();
+        assert_eq!(picture.pixels, [[1.0, 0.5, 0.25]; 9]);
+    }
+
+    #[test]
+    fn other_orders_and_exposures_are_undone() {
+        let body = [128, 0, 0, 129, 0, 128, 0, 129];
+        let turned = read_hdr(&file("+Y 2 -X 1", &body)).unwrap();
+        assert_eq!(turned.pixels, [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]);
+        let head = "#?RGBE\nEXPOSURE=2\nEXPOSURE= 0\n\n-Y 1 +X 1\n";
+        let halved = read_hdr(&[head.as_bytes(), &[128, 64, 32, 129]].concat()).unwrap();
+        assert_eq!(halved.pixels, [[0.5, 0.25, 0.125]]);
+    }
+
+    #[test]
+    fn wrong_files_are_explained() {
+        let whole = file("-Y 2 +X 1", &[128, 64, 32, 129, 128, 64, 32, 129]);
+        let cut = &whole[..whole.len() - 2];
+        let mut overlong = vec![2, 2, 0, 8];
+        overlong.extend([128 + 9, 1]);
+        let xyze = b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\nabcd".to_vec();
+        for (bytes, told) in [
+            (Vec::new(), "empty"),
+            (b"\x89PNG\r\n".to_vec(), "PNG"),
+            (b"\xff\xd8\xff\xe0".to_vec(), "JPEG"),
+            (b"\x76\x2f\x31\x01".to_vec(), "OpenEXR"),
+            (
+                b"version https://git-lfs.github.com".to_vec(),
+                "git lfs pull",
+            ),
+            (b"hello".to_vec(), "#?RADIANCE"),
+            (b"#?RADIANCE\nno size".to_vec(), "-Y 512 +X 1024"),
+            (xyze, "32-bit_rle_xyze"),
+            (cut.to_vec(), "the file ends in row 1 of 2"),
+            (file("-Y 1 +X 8", &overlong), "does not fit the width"),
+            (file("-Y 1 +X 99999999", &[]), "pixels a side"),
+            (file("-Y 0 +X 4", &[]), "pixels a side"),
+            (file("-Y one +X 4", &[]), "cannot be read"),
+        ] {
+            let error = read_hdr(&bytes).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Input);
+            assert!(error.to_string().contains(told), "{told}: {error}");
+        }
+        let missing = load_hdr(Path::new("/nowhere/sky.hdr")).unwrap_err();
+        assert_eq!(missing.kind(), ErrorKind::NotFound);
+    }
+}

@@ -1,0 +1,71 @@
+//! Path-traced pictures of the scene of a grasp.
+//!
+//! A [`Scene`] (meshes, materials, textures, dome of light) is prepared once as a [`Renderer`],
+//! which then makes pictures of it from any [`Camera`]. Light is linear RGB with the primaries of
+//! sRGB; [`Picture::to_srgb8`] makes the 8-bit picture.
+//!
+//! World: z up, metres. Camera: OpenCV optical frame. Pixel (0, 0) is the centre of the top-left
+//! pixel.
+
+mod bitmap_file;
+mod bsdf;
+mod bvh;
+mod camera;
+mod coated;
+mod conditions;
+mod d435;
+mod demo;
+mod denoise;
+mod dome;
+mod environment;
+mod film;
+mod finish;
+mod grasp_scene;
+mod gripper;
+mod hdr;
+mod integrator;
+mod look;
+mod material;
+mod model;
+mod pattern;
+mod picture;
+mod print;
+mod renderer;
+mod room;
+mod sampler;
+mod scene;
+mod settings;
+mod shading;
+mod sky;
+mod solids;
+mod surface;
+mod texture;
+mod trigonometry;
+
+pub use bitmap_file::{load_bitmap, read_bitmap};
+pub use camera::Camera;
+pub use conditions::{DomeChoice, GroundChoice, VisualConditions, VisualRandomisation};
+pub use d435::{
+    COLOUR_FOCAL_PX, COLOUR_SIZE, ColourSettings, DepthSettings, colour_camera, crop_scale,
+    develop, measure_depth, t_gripper_camera,
+};
+pub use demo::{demo_model, drawn_finish, usual_finishes};
+pub use denoise::{DenoiseSettings, denoise};
+pub use environment::Environment;
+pub use finish::Finish;
+pub use grasp_scene::{GraspState, View, annotation_scene, eye_in_hand, grasp_scene, sees_gels};
+pub use gripcast_base::random::SeedStream;
+pub use gripper::{GripperPart, GripperSurface, gripper_parts};
+pub use hdr::{load_hdr, read_hdr};
+pub use look::{FinishClass, Look, PatternWord};
+pub use material::{Colour, Material};
+pub use model::{LoadedModel, Model};
+pub use pattern::{PaintedSurface, Pattern};
+pub use picture::Picture;
+pub use print::{GraspPrints, annotation_camera};
+pub use renderer::{Renderer, Rendering};
+pub use scene::{Mesh, Scene};
+pub use settings::{PixelFilter, RenderSettings, Watch};
+pub use shading::{Projection, shaded_mesh};
+pub use sky::{Sky, normalise, white_table_luminance};
+pub use texture::{Bitmap, ProceduralTexture, Texture};

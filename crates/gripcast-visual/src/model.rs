@@ -1,0 +1,420 @@
+//! A body with its materials, in its own frame, ready to be put into a scene.
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+
+use super::bitmap_file;
+use super::finish::Finish;
+use super::material::{Colour, Material};
+use super::pattern::Pattern;
+use super::scene::{Mesh, Scene};
+use super::shading::{Projection, shaded_mesh};
+use super::texture::{Bitmap, Texture};
+use gripcast_base::error::Result;
+use gripcast_base::files::companions;
+use gripcast_geometry::{
+    Aabb, CREASE_RAD, LengthUnit, MeshMaterial, MeshPart, PictureSource, Pose, TexturedMesh,
+    TriangleMesh, load_textured_mesh,
+};
+
+/// Transmission from which a material is drawn as glass; below, it is opaque.
+const GLASS_FROM: f64 = 0.5;
+
+/// Meshes in the body's own frame, with the materials and textures that they name.
+#[derive(Clone, Debug, Default)]
+pub struct Model {
+    /// Surfaces, in the body's own frame.
+    pub meshes: Vec<Mesh>,
+    /// Materials that the meshes name.
+    pub materials: Vec<Material>,
+    /// Textures that the materials name.
+    pub textures: Vec<Texture>,
+}
+
+/// A model read from a file, and what was wrong with it.
+#[derive(Clone, Debug)]
+pub struct LoadedModel {
+    /// The model.
+    pub model: Model,
+    /// What was left out or replaced, in words.
+    pub warnings: Vec<String>,
+}
+
+/// How to read a picture that a mesh names by a path beside it.
+type ReadBeside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
+
+impl Model {
+    /// A shape of one material; textures are projected from its six sides.
+    ///
+    /// # Errors
+    /// None for a valid mesh.
+    pub fn plain(shape: &TriangleMesh, finish: Finish, seed: u64) -> Result<Self> {
+        let (material, texture) = finish.material(seed, 0)?;
+        let (textures, projection) = match texture {
+            Some((texture, tile_m)) => (vec![texture], projection(shape, finish, tile_m)),
+            None => (Vec::new(), Projection::None),
+        };
+        Ok(Self {
+            meshes: vec![shaded_mesh(shape, CREASE_RAD, projection, 0)],
+            materials: vec![material],
+            textures,
+        })
+    }
+
+    /// Reads a mesh file (OBJ with MTL, glTF, STL, PLY; coordinates in `unit`) with its textures.
+    /// Parts without a material get `finish`.
+    ///
+    /// # Errors
+    /// Those of [`load_mesh`](gripcast_geometry::load_mesh). Missing or damaged textures, materials
+    /// and texture coordinates are warnings.
+    pub fn load(path: &Path, unit: LengthUnit, finish: Finish, seed: u64) -> Result<LoadedModel> {
+        let mesh = load_textured_mesh(path, unit)?;
+        Self::from_textured(&mesh, &companions(path), finish, seed)
+    }
+
+    /// A mesh with looks as a model; `beside` reads the pictures that it names by a relative
+    /// path. Parts without a material get `finish`.
+    ///
+    /// # Errors
+    /// None for a valid mesh; what is missing becomes a warning.
+    pub fn from_textured(
+        mesh: &TexturedMesh,
+        beside: ReadBeside<'_>,
+        finish: Finish,
+        seed: u64,
+    ) -> Result<LoadedModel> {
+        let mut build = Build {
+            model: Self::default(),
+            warnings: mesh.warnings.clone(),
+            beside,
+        };
+        let made: Vec<bool> = mesh
+            .materials
+            .iter()
+            .map(|material| build.material(material))
+            .collect();
+        let is_inside_out = signed_volume(mesh) < 0.0;
+        if is_inside_out {
+            build
+                .warnings
+                .push("the mesh is inside out (its volume is negative) and was turned".to_string());
+        }
+        for (number, part) in mesh.parts.iter().enumerate() {
+            let mut own = match part.material {
+                Some(material) => build.part(part, material, made[material], number),
+                None => build.unpainted(part, finish, seed)?,
+            };
+            if is_inside_out {
+                own.triangles.iter_mut().for_each(|t| t.swap(0, 1));
+                own.normals.iter_mut().for_each(|n| *n = -*n);
+            }
+            build.model.meshes.push(own);
+        }
+        Ok(LoadedModel {
+            model: build.model,
+            warnings: build.warnings,
+        })
+    }
+
+    /// The same model, larger by a factor.
+    #[must_use]
+    pub fn scaled(mut self, factor: f64) -> Self {
+        for mesh in &mut self.meshes {
+            for position in &mut mesh.positions {
+                *position *= factor as f32;
+            }
+        }
+        self
+    }
+
+    /// Puts the model into a scene at a place.
+    pub fn add_to(&self, scene: &mut Scene, t_world_model: &Pose) {
+        let (materials, textures) = (scene.materials.len(), scene.textures.len());
+        let renumbered = |mut material: Material| {
+            if let Material::Principled { base_colour: c, .. }
+            | Material::Diffuse { reflectance: c } = &mut material
+                && let Colour::Texture(index) = c
+            {
+                *index += textures;
+            }
+            material
+        };
+        scene.textures.extend(self.textures.iter().cloned());
+        scene
+            .materials
+            .extend(self.materials.iter().copied().map(renumbered));
+        scene.meshes.extend(self.meshes.iter().map(|mesh| {
+            let mut placed = mesh.transformed(t_world_model);
+            placed.material += materials;
+            placed
+        }));
+    }
+
+    /// Corners of all triangles' meshes in the frame of the model, m.
+    pub fn positions(&self) -> impl Iterator<Item = DVec3> {
+        let all = self.meshes.iter().flat_map(|mesh| &mesh.positions);
+        all.map(|p| p.as_dvec3())
+    }
+}
+
+/// How a painted surface lies on a shape: a print fits it once, the others keep their own size.
+fn projection(shape: &TriangleMesh, finish: Finish, tile_m: f64) -> Projection {
+    let bounds = shape.bounds();
+    let extent = bounds.extent().max_element();
+    let fits = matches!(finish, Finish::Painted(Pattern::Print)) && extent > 0.0;
+    Projection::Box {
+        width_m: if fits { extent } else { tile_m },
+        origin_m: if fits { bounds.min } else { DVec3::ZERO },
+    }
+}
+
+/// Volume that the triangles of all parts enclose, in the unit of the mesh; 0 if they do not
+/// close, as far as their vector areas tell.
+fn signed_volume(mesh: &TexturedMesh) -> f64 {
+    let corners = || mesh.parts.iter().flat_map(|part| part.shape.all_corners());
+    let areas = corners().map(|[a, b, c]| 0.5 * (b - a).cross(c - a));
+    let (sum, total) = areas.fold((DVec3::ZERO, 0.0), |(sum, total), area| {
+        (sum + area, total + area.length())
+    });
+    if sum.length() > 1e-6 * total {
+        return 0.0;
+    }
+    let bounds = Aabb::from_points(corners().flatten());
+    let o = bounds.center();
+    corners()
+        .map(|[a, b, c]| (a - o).dot((b - o).cross(c - o)) / 6.0)
+        .sum()
+}
+
+/// A model that is being made.
+struct Build<'a> {
+    model: Model,
+    warnings: Vec<String>,
+    beside: ReadBeside<'a>,
+}
+
+impl Build<'_> {
+    /// Adds a material; whether it has a picture.
+    fn material(&mut self, from: &MeshMaterial) -> bool {
+        let label = format!("material {:?}", from.name);
+        let mut tell = |text: String| self.warnings.push(format!("{label}: {text}"));
+        if from.emission.iter().any(|e| *e > 0.0) {
+            tell("it shines by itself, which is not drawn".to_string());
+        }
+        if from.transmission > GLASS_FROM {
+            self.model.materials.push(Material::Dielectric {
+                ior: from.ior as f32,
+                roughness: from.roughness as f32,
+                transmittance: from.base_color.map(|c| c as f32),
+            });
+            return false;
+        }
+        if from.transmission > 0.0 {
+            tell("it is partly transparent and is drawn opaque".to_string());
+        }
+        let (mut roughness, mut metallic) = (from.roughness, from.metallic);
+        if let Some(source) = &from.metallic_roughness_picture
+            && let Some(picture) = self.picture(source, &label)
+        {
+            // One value for the whole material: the mean of the picture.
+            let mean = |channel: usize| {
+                let values = picture.pixels().map(|p| f64::from(p[channel]));
+                values.sum::<f64>() / f64::from(picture.width() * picture.height()) / 255.0
+            };
+            (roughness, metallic) = (roughness * mean(1), metallic * mean(2));
+        }
+        let picture = from
+            .base_color_picture
+            .as_ref()
+            .map(|source| self.picture(source, &label));
+        let base_colour = match picture {
+            Some(Some(picture)) => self.texture(tinted(picture, from.base_color)),
+            // The colour beside a picture is white as a rule.
+            Some(None) => None,
+            None => Some(Colour::Constant(from.base_color.map(|c| c as f32))),
+        };
+        let is_textured = matches!(base_colour, Some(Colour::Texture(_)));
+        self.model.materials.push(Material::Principled {
+            base_colour: base_colour.unwrap_or(Colour::Constant([0.5; 3])),
+            metallic: metallic.clamp(0.0, 1.0) as f32,
+            roughness: roughness.clamp(0.0, 1.0) as f32,
+            ior: from.ior as f32,
+        });
+        is_textured
+    }
+
+    fn texture(&mut self, picture: image::RgbImage) -> Option<Colour> {
+        let bitmap = Bitmap::from_srgb8(&picture).ok()?;
+        self.model.textures.push(Texture::Bitmap(bitmap));
+        Some(Colour::Texture(self.model.textures.len() - 1))
+    }
+
+    /// A decoded picture; none, with a warning, where it cannot be had.
+    fn picture(&mut self, source: &PictureSource, label: &str) -> Option<image::RgbImage> {
+        let name = source.name();
+        let read = match source {
+            PictureSource::Embedded(_, bytes) => Ok(bytes.clone()),
+            PictureSource::Beside(path) => (self.beside)(path),
+        };
+        let loaded = match read {
+            Ok(bytes) => bitmap_file::decode(&bytes).map_err(|e| e.to_string()),
+            Err(error) => Err(format!("it cannot be read: {error}")),
+        };
+        let (picture, warning) = match loaded {
+            Ok(loaded) => (Some(loaded.picture), loaded.warning),
+            Err(text) => (
+                None,
+                Some(format!("{text}; plain grey is used in its place")),
+            ),
+        };
+        let told = warning.map(|text| format!("{label}: texture {name:?}: {text}"));
+        self.warnings.extend(told);
+        picture
+    }
+
+    /// A part with a material of the file.
+    fn part(&mut self, part: &MeshPart, material: usize, textured: bool, number: usize) -> Mesh {
+        let extent = part.shape.bounds().extent().max_element();
+        let width = if extent > 0.0 { extent } else { 1.0 };
+        if matches!(self.model.materials[material], Material::Dielectric { .. })
+            && !is_closed(&part.shape)
+        {
+            self.warnings.push(format!(
+                "part {number} is of glass, but its surface is not closed: light in it is wrong"
+            ));
+        }
+        let needs_projection = textured && part.uvs.is_none();
+        if needs_projection {
+            self.warnings.push(format!(
+                "part {number} has a texture, but no texture coordinates: the picture is \
+                 projected from its six sides"
+            ));
+        }
+        let projection = if needs_projection {
+            Projection::Box {
+                width_m: width,
+                origin_m: part.shape.bounds().min,
+            }
+        } else {
+            Projection::None
+        };
+        match (&part.normals, &part.uvs) {
+            (None, Some(uvs)) if textured => flat_with_uvs(part, uvs, material),
+            (Some(normals), uvs) if !needs_projection => Mesh {
+                positions: positions(part),
+                normals: normals.iter().map(|n| n.as_vec3()).collect(),
+                uvs: uvs.as_deref().map(single).unwrap_or_default(),
+                triangles: part.shape.triangles.clone(),
+                material,
+            },
+            _ => shaded_mesh(&part.shape, CREASE_RAD, projection, material),
+        }
+    }
+
+    /// A part of no material of the file.
+    fn unpainted(&mut self, part: &MeshPart, finish: Finish, seed: u64) -> Result<Mesh> {
+        let own = Model::plain(&part.shape, finish, seed)?;
+        let (materials, textures) = (self.model.materials.len(), self.model.textures.len());
+        let (material, texture) = (own.materials[0], own.textures);
+        self.model.materials.push(match material {
+            Material::Principled {
+                metallic,
+                roughness,
+                ior,
+                ..
+            } => Material::Principled {
+                base_colour: Colour::Texture(textures),
+                metallic,
+                roughness,
+                ior,
+            },
+            other => other,
+        });
+        self.model.textures.extend(texture);
+        let mut mesh = own.meshes.into_iter().next().unwrap_or_default();
+        mesh.material = materials;
+        Ok(mesh)
+    }
+}
+
+/// A picture times a linear colour.
+fn tinted(mut picture: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
+    if color == [1.0; 3] {
+        return picture;
+    }
+    let tables: [[u8; 256]; 3] = color.map(|factor| {
+        std::array::from_fn(|v| {
+            let linear = gripcast_imaging::srgb_decode(v as u8) * factor as f32;
+            let one = super::picture::Picture::filled(1, 1, [linear; 3]);
+            one.to_srgb8(1.0).get_pixel(0, 0)[0]
+        })
+    });
+    for pixel in picture.pixels_mut() {
+        for (value, table) in pixel.0.iter_mut().zip(&tables) {
+            *value = table[usize::from(*value)];
+        }
+    }
+    picture
+}
+
+fn positions(part: &MeshPart) -> Vec<Vec3> {
+    part.shape.vertices.iter().map(|v| v.as_vec3()).collect()
+}
+
+fn single(uvs: &[[f64; 2]]) -> Vec<[f32; 2]> {
+    uvs.iter().map(|uv| uv.map(|c| c as f32)).collect()
+}
+
+/// A part with texture coordinates but no normals: smooth over its welded shape.
+fn flat_with_uvs(part: &MeshPart, uvs: &[[f64; 2]], material: usize) -> Mesh {
+    // Seams of the texture must not become creases: normals are those of the welded shape.
+    let welded = welded(&part.shape);
+    let smooth = shaded_mesh(&welded, CREASE_RAD, Projection::None, material);
+    let mut mesh = Mesh {
+        material,
+        ..Mesh::default()
+    };
+    for (own, smoothed) in part.shape.triangles.iter().zip(&smooth.triangles) {
+        let first = mesh.positions.len() as u32;
+        for k in 0..3 {
+            let vertex = own[k] as usize;
+            mesh.positions.push(part.shape.vertices[vertex].as_vec3());
+            mesh.normals.push(smooth.normals[smoothed[k] as usize]);
+            mesh.uvs.push(uvs[vertex].map(|c| c as f32));
+        }
+        mesh.triangles.push([first, first + 1, first + 2]);
+    }
+    mesh
+}
+
+/// Copy in which vertices at one place are one, triangles in their order.
+fn welded(shape: &TriangleMesh) -> TriangleMesh {
+    let mut known = std::collections::HashMap::new();
+    let mut vertices = Vec::new();
+    let renamed: Vec<u32> = shape
+        .vertices
+        .iter()
+        .map(|v| {
+            // Adding zero turns −0 into 0.
+            let key = (*v + DVec3::ZERO).to_array().map(f64::to_bits);
+            *known.entry(key).or_insert_with(|| {
+                vertices.push(*v);
+                vertices.len() as u32 - 1
+            })
+        })
+        .collect();
+    let triangles = shape.triangles.iter();
+    TriangleMesh {
+        triangles: triangles.map(|t| t.map(|v| renamed[v as usize])).collect(),
+        vertices,
+    }
+}
+
+pub(super) fn is_closed(shape: &TriangleMesh) -> bool {
+    welded(shape).edges().is_closed()
+}
+
+#[cfg(test)]
+#[path = "model_test.rs"]
+mod tests;

@@ -1,0 +1,125 @@
+use super::super::tests::closes;
+use super::*;
+use crate::picture::LUMINANCE;
+use gripcast_imaging::srgb_decode;
+
+fn look(finish: Finish, pattern: Word, base_colour: [f32; 3]) -> Look {
+    Look {
+        finish,
+        base_colour,
+        roughness: 0.3,
+        pattern,
+    }
+}
+
+fn all() -> impl Iterator<Item = (Finish, Word)> {
+    let words = |finish| Word::ALL.into_iter().map(move |word| (finish, word));
+    Finish::ALL.into_iter().flat_map(words)
+}
+
+fn mean_luminance(picture: &image::RgbImage) -> f32 {
+    let sum: f64 = picture
+        .pixels()
+        .map(|p| {
+            let parts = p.0.iter().zip(LUMINANCE);
+            parts
+                .map(|(v, w)| f64::from(w * srgb_decode(*v)))
+                .sum::<f64>()
+        })
+        .sum();
+    (sum / f64::from(picture.width() * picture.height())) as f32
+}
+
+const OAK: [f32; 3] = [0.55, 0.36, 0.15];
+const WHITE: [f32; 3] = [0.80, 0.80, 0.77];
+const BLACK: [f32; 3] = [0.013, 0.013, 0.0144];
+const BLUE: [f32; 3] = [0.018, 0.093, 0.381];
+const YELLOW: [f32; 3] = [0.745, 0.479, 0.0137];
+
+#[test]
+fn coats_are_fixed_by_their_seed_and_tile() {
+    for (finish, word) in all() {
+        let look = look(finish, word, OAK);
+        let coat = paint(&look, 64, 5);
+        assert_eq!(coat, paint(&look, 64, 5), "{look:?}");
+        assert_ne!(coat.picture, paint(&look, 64, 6).picture, "{look:?}");
+        assert!(coat.tile_m > 0.0 && (0.0..=1.0).contains(&coat.roughness));
+        closes(&coat.picture, &format!("{look:?}"));
+    }
+}
+
+#[test]
+fn one_thread_paints_what_many_do() {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    let one = pool.unwrap();
+    for (finish, word) in all().step_by(7) {
+        let look = look(finish, word, BLUE);
+        let alone = one.install(|| paint(&look, 48, 9));
+        assert_eq!(alone, paint(&look, 48, 9), "{look:?}");
+    }
+}
+
+#[test]
+fn the_base_colour_is_the_mean() {
+    for (finish, word) in all() {
+        for (seed, base) in [OAK, WHITE, BLACK, BLUE, YELLOW].into_iter().enumerate() {
+            let look = look(finish, word, base);
+            let picture = paint(&look, 64, seed as u64).picture;
+            let ratio = mean_luminance(&picture) / luminance(base);
+            if look.is_print() || word == Word::Rusty {
+                assert!(picture.pixels().any(|p| p != picture.get_pixel(0, 0)));
+            } else {
+                assert!((0.85..=1.15).contains(&ratio), "{look:?}: {ratio}");
+            }
+        }
+    }
+}
+
+#[test]
+fn patterns_of_one_finish_differ() {
+    for finish in Finish::ALL {
+        let contrast = |word| {
+            let picture = paint(&look(finish, word, BLUE), 64, 3).picture;
+            let mean = mean_luminance(&picture);
+            let levels = picture.pixels().map(|p| {
+                let parts = p.0.iter().zip(LUMINANCE);
+                parts.map(|(v, w)| w * srgb_decode(*v)).sum::<f32>() / mean - 1.0
+            });
+            (levels.map(|v| v * v).sum::<f32>() / (64.0 * 64.0)).sqrt()
+        };
+        for word in [Word::Striped, Word::Dotted, Word::Scratched, Word::Rusty] {
+            let (marked, plain) = (contrast(word), contrast(Word::Plain));
+            let wanted = if finish == Finish::Print { 0.3 } else { plain };
+            assert!(marked > wanted, "{finish:?} {word:?}: {marked} {plain}");
+        }
+    }
+}
+
+#[test]
+fn black_and_white_can_be_painted() {
+    for (finish, word) in all() {
+        let black = paint(&look(finish, word, [0.0; 3]), 16, 1);
+        let white = paint(&look(finish, word, [1.0; 3]), 16, 1);
+        if !look(finish, word, [0.0; 3]).is_print() && word != Word::Rusty {
+            assert!(mean_luminance(&white.picture) > 0.8, "{finish:?} {word:?}");
+        }
+        assert_eq!(black.picture.dimensions(), (16, 16));
+    }
+}
+
+#[test]
+fn metals_are_metallic_and_wear_is_dull() {
+    for word in Word::ALL {
+        let metal = paint(&look(Finish::Metal, word, WHITE), 16, 1);
+        assert_eq!(metal.metallic == 1.0, word != Word::Rusty, "{word:?}");
+        assert_eq!(
+            paint(&look(Finish::Paper, word, WHITE), 16, 1).metallic,
+            0.0
+        );
+    }
+    let rusty = Look {
+        roughness: 0.1,
+        ..look(Finish::Metal, Word::Rusty, WHITE)
+    };
+    assert!(paint(&rusty, 16, 1).roughness > 0.4);
+}

@@ -1,0 +1,98 @@
+//! Colours that go with a base colour; all linear RGB.
+
+use super::super::noise::{mix, mix_color};
+use super::super::random_color;
+use crate::picture::luminance;
+use gripcast_base::random::SeedStream;
+
+/// Largest reflectance that is painted: that of bright white paint.
+pub(super) const BRIGHTEST: f32 = 0.95;
+/// Luminance of middle grey.
+const MIDDLE: f32 = 0.18;
+
+/// A colour with each channel times its own factor.
+pub(super) fn tinted(color: [f32; 3], factors: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|c| color[c] * factors[c])
+}
+
+/// The grey of a colour's luminance.
+pub(super) fn grey_of(color: [f32; 3]) -> [f32; 3] {
+    [luminance(color); 3]
+}
+
+/// Hue and saturation of a colour with another luminance; paler where it would be too bright.
+pub(super) fn with_luminance(color: [f32; 3], wanted: f32) -> [f32; 3] {
+    let own = luminance(color);
+    let wanted = wanted.min(BRIGHTEST);
+    if own < 1e-4 {
+        return [wanted; 3];
+    }
+    let lit = color.map(|c| c * wanted / own);
+    let largest = lit.into_iter().fold(0.0, f32::max);
+    if largest <= BRIGHTEST {
+        return lit;
+    }
+    let grey = (largest - BRIGHTEST) / (largest - wanted).max(1e-6);
+    mix_color(lit, [wanted; 3], grey.min(1.0))
+}
+
+/// A colour turned about the grey axis, rad.
+pub(super) fn hue_turned(color: [f32; 3], angle: f32) -> [f32; 3] {
+    let (sin, cos) = angle.sin_cos();
+    let mean = (color[0] + color[1] + color[2]) / 3.0;
+    let turned: [f32; 3] = std::array::from_fn(|c| {
+        let across = (color[(c + 2) % 3] - color[(c + 1) % 3]) / 3f32.sqrt();
+        (mean + cos * (color[c] - mean) + sin * across).max(0.0)
+    });
+    with_luminance(turned, luminance(color))
+}
+
+/// Whether a colour has no hue to speak of.
+fn is_grey(color: [f32; 3]) -> bool {
+    let largest = color.into_iter().fold(0.0, f32::max);
+    let least = color.into_iter().fold(f32::MAX, f32::min);
+    largest - least < 0.25 * largest
+}
+
+/// A second colour beside the base: of a neighbouring or the opposite hue, darker than a light
+/// base and lighter than a dark one.
+pub(super) fn accent(base: [f32; 3], stream: &mut SeedStream) -> [f32; 3] {
+    let random = random_color(stream, [0.5, 0.95], [0.4, 0.95]);
+    let angle = stream.pick([0.0_f32, 0.5, -0.5, 2.6, 3.1, -2.6]);
+    let hue = if is_grey(base) {
+        random
+    } else {
+        hue_turned(base, angle)
+    };
+    with_luminance(hue, contrasting(base, stream))
+}
+
+/// A luminance that stands out from a colour's.
+fn contrasting(base: [f32; 3], stream: &mut SeedStream) -> f32 {
+    let own = luminance(base);
+    if own > MIDDLE {
+        own * stream.between(0.2, 0.5) as f32
+    } else {
+        own * stream.between(3.0, 5.0) as f32 + 0.02
+    }
+}
+
+/// White on a dark colour, nearly black on a light one.
+pub(super) fn legible(base: [f32; 3]) -> [f32; 3] {
+    if luminance(base) > MIDDLE {
+        [0.012; 3]
+    } else {
+        [0.85, 0.85, 0.82]
+    }
+}
+
+/// A colour drawn towards dust or bare fibre: paler and lighter.
+pub(super) fn faded(color: [f32; 3], share: f32) -> [f32; 3] {
+    let own = luminance(color);
+    let lighter = mix(own, 0.55, 0.35).max(own);
+    mix_color(
+        color,
+        mix_color(with_luminance(color, lighter), [lighter; 3], 0.6),
+        share,
+    )
+}

@@ -1,0 +1,83 @@
+//! Woven fabric.
+
+use std::f32::consts::PI;
+
+use super::noise::{Fractal, mix};
+use super::{PaintedSurface, paint_by_place, random_color, scaled};
+use gripcast_base::random::{SeedStream, lattice};
+
+/// Threads along each side of a tile.
+const THREADS: u32 = 96;
+
+pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+    let warp = random_color(stream, [0.05, 0.7], [0.25, 0.9]);
+    let weft = if stream.uniform() < 0.5 {
+        scaled(warp, stream.between(0.6, 1.1) as f32)
+    } else {
+        random_color(stream, [0.05, 0.7], [0.25, 0.9])
+    };
+    let weave = Weave::random(THREADS, stream);
+    let picture = paint_by_place(size_px, |x, y| {
+        let thread = weave.thread(x, y);
+        let base = if thread.is_warp { warp } else { weft };
+        base.map(|c| (c * thread.shade).min(0.9))
+    });
+    PaintedSurface {
+        picture,
+        tile_m: stream.between(0.06, 0.14),
+        roughness: stream.between(0.8, 0.95) as f32,
+        metallic: 0.0,
+    }
+}
+
+/// Crossing threads.
+pub(super) struct Weave {
+    /// Along each side of the unit square.
+    threads: u32,
+    /// 2: plain weave; 3, 4: twill, whose floats shift by one thread a row.
+    repeat: i64,
+    seed: u64,
+    wear: Fractal,
+}
+
+/// The thread on top at a place.
+pub(super) struct Thread {
+    pub(super) is_warp: bool,
+    /// Factor on its colour.
+    pub(super) shade: f32,
+}
+
+impl Weave {
+    /// `threads` must be a multiple of 12, that of the repeats of all weaves.
+    pub(super) fn random(threads: u32, stream: &mut SeedStream) -> Self {
+        let repeat = stream.pick([2_i64, 2, 3, 4]);
+        let seed = stream.bits();
+        Self {
+            threads,
+            repeat,
+            seed,
+            wear: Fractal::new(seed ^ 0x3c, [4, 4], 3),
+        }
+    }
+
+    pub(super) fn thread(&self, x: f32, y: f32) -> Thread {
+        let (sx, sy) = (x * self.threads as f32, y * self.threads as f32);
+        let (i, j) = (sx as i64, sy as i64);
+        let is_warp = (i + j).rem_euclid(self.repeat) < (self.repeat + 1) / 2;
+        let (own, along, across, number) = if is_warp {
+            (self.seed, sy, sx.fract(), i)
+        } else {
+            (self.seed ^ 0xa5, sx, sy.fract(), j)
+        };
+        // A thread is round, and bends down where it goes under the next one.
+        let round = (PI * across).sin().max(0.0).sqrt();
+        let bend = 0.75 + 0.25 * (PI * along.fract()).sin();
+        let thread = mix(0.8, 1.1, lattice(own, number, 0, 1));
+        let twist = lattice(own, number, (along * 6.0) as i64, 2);
+        let wear = mix(0.9, 1.08, self.wear.at(x, y));
+        Thread {
+            is_warp,
+            shade: mix(0.35, 1.0, round) * bend * thread * mix(0.88, 1.08, twist) * wear,
+        }
+    }
+}

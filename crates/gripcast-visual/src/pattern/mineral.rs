@@ -1,0 +1,194 @@
+//! Stone, concrete and tiles.
+
+use super::noise::{Cells, Fractal, Value, mix, mix_color, smoothstep};
+use super::{PaintedSurface, paint_by_place, scaled, srgb};
+use gripcast_base::random::{SeedStream, lattice};
+
+/// Grounds and veins of marble.
+const MARBLES: [[u32; 2]; 4] = [
+    [0xe6e3de, 0x8d8a88],
+    [0x2a2b2d, 0xa8a49c],
+    [0xd8c9b0, 0x9a7f5f],
+    [0x5b6b5f, 0xc9cfc4],
+];
+/// Three minerals of a granite each.
+const GRANITES: [[u32; 3]; 4] = [
+    [0xb9b4ad, 0x77726c, 0x26262a],
+    [0xc7a48f, 0x8a6a5c, 0x2e2a2a],
+    [0x4a4d52, 0x2b2d31, 0x8f9296],
+    [0xd8d4cc, 0xb0aaa0, 0x6c6862],
+];
+
+pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+    let is_marble = stream.uniform() < 0.5;
+    let picture = if is_marble {
+        marble(size_px, stream)
+    } else {
+        granite(size_px, stream)
+    };
+    PaintedSurface {
+        picture,
+        tile_m: if is_marble { 0.6 } else { 0.3 },
+        roughness: stream.between(0.08, 0.4) as f32,
+        metallic: 0.0,
+    }
+}
+
+fn marble(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
+    let [ground, vein] = stream.pick(MARBLES).map(srgb);
+    let veins = Veins::new(stream.bits());
+    paint_by_place(size_px, |x, y| {
+        let (share, cloud) = veins.at(x, y);
+        scaled(mix_color(ground, vein, share), cloud)
+    })
+}
+
+/// Veins of marble.
+pub(super) struct Veins {
+    bend: Fractal,
+    field: Fractal,
+    fine: Fractal,
+    cloud: Fractal,
+}
+
+impl Veins {
+    pub(super) fn new(seed: u64) -> Self {
+        Self {
+            bend: Fractal::new(seed, [3, 3], 4),
+            field: Fractal::new(seed ^ 0x11, [3, 4], 5),
+            fine: Fractal::new(seed ^ 0x12, [7, 6], 4),
+            cloud: Fractal::new(seed ^ 0x13, [3, 3], 3),
+        }
+    }
+
+    /// Share of the vein's colour, and a factor on all.
+    pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32) {
+        let bend = 0.18 * (self.bend.at(x, y) - 0.5);
+        let field = self.field.at(x + bend, y - bend);
+        // Veins lie where the field crosses its middle.
+        let ridge = 1.0 - (2.0 * field - 1.0).abs();
+        let fine = self.fine.at(x - bend, y + bend);
+        let fine = 1.0 - (2.0 * fine - 1.0).abs();
+        let share = 0.75 * smoothstep(0.86, 1.0, ridge) + 0.3 * smoothstep(0.93, 1.0, fine);
+        (share.min(1.0), mix(0.9, 1.04, self.cloud.at(x, y)))
+    }
+}
+
+fn granite(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
+    let granite = Granite::new(stream.pick(GRANITES).map(srgb), stream.bits());
+    paint_by_place(size_px, |x, y| granite.color(x, y))
+}
+
+/// Grains of three minerals.
+pub(super) struct Granite {
+    minerals: [[f32; 3]; 3],
+    bend: Fractal,
+    large: Cells,
+    small: Cells,
+    grain: Value,
+}
+
+impl Granite {
+    /// The most frequent mineral first.
+    pub(super) fn new(minerals: [[f32; 3]; 3], seed: u64) -> Self {
+        Self {
+            minerals,
+            bend: Fractal::new(seed, [24, 24], 3),
+            large: Cells::new(seed ^ 0x21, 70),
+            small: Cells::new(seed ^ 0x22, 150),
+            grain: Value::new(seed ^ 0x23, [160, 160]),
+        }
+    }
+
+    pub(super) fn color(&self, x: f32, y: f32) -> [f32; 3] {
+        let bend = 0.012 * (self.bend.at(x, y) - 0.5);
+        let (near, far, id) = self.large.at(x + bend, y - bend);
+        let (_, _, small) = self.small.at(x - bend, y + bend);
+        let chosen = match 0.7 * id + 0.3 * small {
+            share if share < 0.5 => self.minerals[0],
+            share if share < 0.74 => self.minerals[1],
+            _ => self.minerals[2],
+        };
+        let edge = smoothstep(0.0, 0.25, far - near);
+        let grain = mix(0.85, 1.1, self.grain.at(x, y));
+        let between = self.minerals[1];
+        scaled(mix_color(between, chosen, mix(0.55, 1.0, edge)), grain)
+    }
+}
+
+pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+    let grey = stream.between(0.16, 0.5) as f32;
+    let warmth = stream.between(-0.05, 0.07) as f32;
+    let base = [grey * (1.0 + warmth), grey, grey * (1.0 - warmth)];
+    let concrete = Concrete::new(stream.bits());
+    PaintedSurface {
+        picture: paint_by_place(size_px, |x, y| scaled(base, concrete.shade(x, y))),
+        tile_m: 0.5,
+        roughness: stream.between(0.6, 0.9) as f32,
+        metallic: 0.0,
+    }
+}
+
+/// Stained sand with pores.
+pub(super) struct Concrete {
+    stain: Fractal,
+    sand: Value,
+    pores: Cells,
+}
+
+impl Concrete {
+    pub(super) fn new(seed: u64) -> Self {
+        Self {
+            stain: Fractal::new(seed, [3, 3], 6),
+            sand: Value::new(seed ^ 0x31, [220, 220]),
+            pores: Cells::new(seed ^ 0x32, 60),
+        }
+    }
+
+    /// Factor on the colour.
+    pub(super) fn shade(&self, x: f32, y: f32) -> f32 {
+        let stain = mix(0.8, 1.15, self.stain.at(x, y));
+        let sand = mix(0.93, 1.05, self.sand.at(x, y));
+        let (near, _, id) = self.pores.at(x, y);
+        let radius = 0.16 * (id * 7.0).fract().powi(2);
+        let pore = if id < 0.3 {
+            1.0 - smoothstep(0.5 * radius, radius + 0.01, near)
+        } else {
+            0.0
+        };
+        stain * sand * (1.0 - 0.6 * pore)
+    }
+}
+
+pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
+    let tile = srgb(stream.pick([0xe9e7e1, 0xcfd6d8, 0xb9a58c, 0x6f8088, 0x3d4246]));
+    let grout = srgb(stream.pick([0x9b9790, 0x5f5c58, 0xd2cfc8]));
+    let count = stream.pick([2_u32, 3, 4]);
+    let is_bond = stream.uniform() < 0.4 && count.is_multiple_of(2);
+    let seed = stream.bits();
+    let tile_m = 0.4;
+    let half_joint = 0.0015 / tile_m as f32 * count as f32;
+    let clouds = Fractal::new(seed, [6, 6], 4);
+    let sands = Value::new(seed ^ 0x41, [200, 200]);
+    let picture = paint_by_place(size_px, |x, y| {
+        let (mut sx, sy) = (x * count as f32, y * count as f32);
+        let row = sy as i64;
+        if is_bond && row % 2 == 1 {
+            sx += 0.5;
+        }
+        let column = (sx as i64).rem_euclid(i64::from(count));
+        let inset = |c: f32| c.fract().min(1.0 - c.fract());
+        let edge = inset(sx).min(inset(sy));
+        let in_joint = 1.0 - smoothstep(0.8 * half_joint, 1.4 * half_joint, edge);
+        let own = mix(0.92, 1.05, lattice(seed, column, row, 0));
+        let cloud = mix(0.94, 1.04, clouds.at(x, y));
+        let sand = mix(0.8, 1.1, sands.at(x, y));
+        mix_color(scaled(tile, own * cloud), scaled(grout, sand), in_joint)
+    });
+    PaintedSurface {
+        picture,
+        tile_m,
+        roughness: stream.between(0.1, 0.4) as f32,
+        metallic: 0.0,
+    }
+}

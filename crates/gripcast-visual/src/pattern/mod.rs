@@ -1,0 +1,267 @@
+//! Surfaces painted from a seed: wood, stone, fabric, glaze, print and others, as pictures that
+//! tile.
+
+mod coat;
+mod coating;
+mod fabric;
+mod mineral;
+mod noise;
+mod print;
+mod simple;
+mod wood;
+
+use std::fmt;
+use std::str::FromStr;
+
+use image::RgbImage;
+use rayon::prelude::*;
+
+use super::picture::Picture;
+use gripcast_base::error::{Error, Result, unknown_name};
+use gripcast_base::random::SeedStream;
+use gripcast_imaging::srgb_decode;
+
+pub(super) use coat::paint as paint_coat;
+
+/// Kind of a painted surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pattern {
+    /// Boards or veneer of oak, beech, walnut and others.
+    Wood,
+    /// Metal brushed in one direction.
+    BrushedMetal,
+    /// Woven threads of two colours.
+    Fabric,
+    /// Glazed ceramic, plain or speckled.
+    Ceramic,
+    /// Plastic of one colour, with a fine grain.
+    Plastic,
+    /// Printed carton: colour fields, lines of text, a bar code.
+    Print,
+    /// Granite or marble.
+    Stone,
+    /// Concrete with pores.
+    Concrete,
+    /// Tiles with joints.
+    Tiles,
+    /// Squares of two colours.
+    Checker,
+    /// Clouds of random colours.
+    Noise,
+}
+
+impl Pattern {
+    /// All of them.
+    pub const ALL: [Self; 11] = [
+        Self::Wood,
+        Self::BrushedMetal,
+        Self::Fabric,
+        Self::Ceramic,
+        Self::Plastic,
+        Self::Print,
+        Self::Stone,
+        Self::Concrete,
+        Self::Tiles,
+        Self::Checker,
+        Self::Noise,
+    ];
+
+    /// Those that table tops and floors have.
+    pub const GROUNDS: [Self; 6] = [
+        Self::Wood,
+        Self::Plastic,
+        Self::Fabric,
+        Self::Stone,
+        Self::Concrete,
+        Self::Tiles,
+    ];
+
+    /// Name in commands and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Wood => "wood",
+            Self::BrushedMetal => "brushed-metal",
+            Self::Fabric => "fabric",
+            Self::Ceramic => "ceramic",
+            Self::Plastic => "plastic",
+            Self::Print => "print",
+            Self::Stone => "stone",
+            Self::Concrete => "concrete",
+            Self::Tiles => "tiles",
+            Self::Checker => "checker",
+            Self::Noise => "noise",
+        }
+    }
+
+    /// Paints `size_px` × `size_px` pixels; the same arguments give the same bytes.
+    pub fn paint(self, size_px: u32, seed: u64) -> PaintedSurface {
+        let mut stream = SeedStream::named(seed, self.name());
+        match self {
+            Self::Wood => wood::paint(size_px, &mut stream),
+            Self::BrushedMetal => coating::brushed_metal(size_px, &mut stream),
+            Self::Fabric => fabric::paint(size_px, &mut stream),
+            Self::Ceramic => coating::ceramic(size_px, &mut stream),
+            Self::Plastic => coating::plastic(size_px, &mut stream),
+            Self::Print => print::paint(size_px, &mut stream),
+            Self::Stone => mineral::stone(size_px, &mut stream),
+            Self::Concrete => mineral::concrete(size_px, &mut stream),
+            Self::Tiles => mineral::tiles(size_px, &mut stream),
+            Self::Checker => simple::checker(size_px, &mut stream),
+            Self::Noise => simple::noise(size_px, &mut stream),
+        }
+    }
+}
+
+impl fmt::Display for Pattern {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Pattern {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|known| known.name() == text);
+        found.ok_or_else(|| unknown_name("painted surface", text, &Self::ALL.map(Self::name)))
+    }
+}
+
+/// A painted surface: a picture that tiles, and how it reflects.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PaintedSurface {
+    /// Base colour, sRGB, square.
+    pub picture: RgbImage,
+    /// Width of the picture on the surface, m.
+    pub tile_m: f64,
+    /// Perceptual roughness, 0 mirror to 1 matt.
+    pub roughness: f32,
+    /// 0 dielectric, 1 metal.
+    pub metallic: f32,
+}
+
+/// Square picture of a linear colour of each place in the unit square.
+fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
+    light_by_place(size_px, color).to_srgb8(1.0)
+}
+
+/// The same in linear light.
+fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Picture {
+    let size = size_px.max(1) as usize;
+    let place = |index: usize| (index as f32 + 0.5) / size as f32;
+    let mut picture = Picture::filled(size, size, [0.0; 3]);
+    picture
+        .pixels
+        .par_chunks_mut(size)
+        .enumerate()
+        .for_each(|(row, pixels)| {
+            for (column, pixel) in pixels.iter_mut().enumerate() {
+                *pixel = color(place(column), place(row));
+            }
+        });
+    picture
+}
+
+/// Linear RGB of an sRGB colour `0xRRGGBB`.
+fn srgb(code: u32) -> [f32; 3] {
+    [16, 8, 0].map(|shift| srgb_decode((code >> shift & 0xff) as u8))
+}
+
+/// A colour with each channel times a factor.
+fn scaled(color: [f32; 3], factor: f32) -> [f32; 3] {
+    color.map(|c| c * factor)
+}
+
+/// A random colour by hue, saturation and value in the given ranges, linear.
+fn random_color(stream: &mut SeedStream, saturation: [f64; 2], value: [f64; 2]) -> [f32; 3] {
+    let hue = stream.between(0.0, 6.0);
+    let s = stream.between(saturation[0], saturation[1]);
+    let v = stream.between(value[0], value[1]);
+    let channel = |offset: f64| {
+        let k = (offset + hue) % 6.0;
+        let encoded = v - v * s * k.min(4.0 - k).clamp(0.0, 1.0);
+        srgb_decode((255.0 * encoded).round() as u8)
+    };
+    [channel(5.0), channel(3.0), channel(1.0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Mean absolute difference of neighbouring columns (or rows) `a` and `b`.
+    fn step(picture: &RgbImage, a: u32, b: u32, by_row: bool) -> f64 {
+        let n = picture.width();
+        let at = |i: u32, j: u32| if by_row { (j, i) } else { (i, j) };
+        let sum: f64 = (0..n)
+            .flat_map(|j| {
+                let (p, q) = (at(a, j), at(b, j));
+                let (p, q) = (picture.get_pixel(p.0, p.1).0, picture.get_pixel(q.0, q.1).0);
+                [0, 1, 2].map(|c| (f64::from(p[c]) - f64::from(q[c])).abs())
+            })
+            .sum();
+        sum / f64::from(3 * n)
+    }
+
+    /// Asserts that a picture's opposite borders match.
+    pub(super) fn closes(picture: &RgbImage, name: &str) {
+        let n = picture.width();
+        for by_row in [false, true] {
+            // The step over the border is no larger than the largest one inside.
+            let border = step(picture, n - 1, 0, by_row);
+            let inside = (1..n).map(|i| step(picture, i - 1, i, by_row));
+            let largest = inside.fold(0.0, f64::max);
+            assert!(
+                border <= 1.3 * largest + 1.0,
+                "{name}: {border} > {largest}"
+            );
+        }
+    }
+
+    #[test]
+    fn pictures_are_fixed_by_their_seed_and_tile() {
+        for pattern in Pattern::ALL {
+            let painted = pattern.paint(128, 5);
+            assert_eq!(painted, pattern.paint(128, 5), "{pattern}");
+            let other = pattern.paint(128, 6);
+            assert_ne!(painted.picture, other.picture, "{pattern}");
+            assert!(painted.tile_m > 0.0 && (0.0..=1.0).contains(&painted.roughness));
+            closes(&painted.picture, pattern.name());
+        }
+    }
+
+    #[test]
+    fn pictures_are_no_single_value_and_plausible_reflectances() {
+        for pattern in Pattern::ALL {
+            for seed in 0..6 {
+                let picture = pattern.paint(64, seed).picture;
+                let mean =
+                    picture.iter().map(|v| f64::from(*v)).sum::<f64>() / picture.len() as f64;
+                assert!((8.0..=246.0).contains(&mean), "{pattern} {seed}: {mean}");
+                let first = picture.get_pixel(0, 0);
+                assert!(picture.pixels().any(|p| p != first), "{pattern} {seed}");
+            }
+        }
+    }
+
+    #[test]
+    fn names_are_read_back_and_misspelt_ones_explained() {
+        for pattern in Pattern::ALL {
+            assert_eq!(pattern.to_string().parse::<Pattern>().unwrap(), pattern);
+        }
+        let text = "wod".parse::<Pattern>().unwrap_err().to_string();
+        assert!(
+            text.contains("did you mean wood?") && text.contains("concrete"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn random_colors_stay_in_their_ranges() {
+        let mut stream = SeedStream::named(1, "colors");
+        for _ in 0..100 {
+            let color = random_color(&mut stream, [0.2, 0.8], [0.3, 0.9]);
+            assert!(color.iter().all(|c| (0.0..=0.9).contains(c)), "{color:?}");
+        }
+    }
+}

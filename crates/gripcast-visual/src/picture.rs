@@ -1,0 +1,124 @@
+//! Picture in linear light.
+
+use image::RgbImage;
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_imaging::srgb_encode;
+
+/// Weights of linear R, G, B in the luminance (ITU-R BT.709).
+pub(super) const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
+
+/// Linear-light RGB picture, row by row from the top left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `width * height` values of R, G, B.
+    pub pixels: Vec<[f32; 3]>,
+}
+
+impl Picture {
+    /// Picture of one colour.
+    pub fn filled(width: usize, height: usize, colour: [f32; 3]) -> Self {
+        Self {
+            width,
+            height,
+            pixels: vec![colour; width * height],
+        }
+    }
+
+    /// Picture from its pixels, row by row.
+    ///
+    /// # Errors
+    /// `Input` without pixels or for another number of pixels than `width * height`.
+    pub fn from_pixels(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Result<Self> {
+        if width == 0 || height == 0 || pixels.len() != width * height {
+            let found = pixels.len();
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("a picture of {width}×{height} cannot hold {found} pixels"),
+            ));
+        }
+        Ok(Self {
+            width,
+            height,
+            pixels,
+        })
+    }
+
+    /// Pixel in a column and row.
+    pub fn at(&self, column: usize, row: usize) -> [f32; 3] {
+        self.pixels[row * self.width + column]
+    }
+
+    /// Mean of each channel.
+    pub fn mean(&self) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for pixel in &self.pixels {
+            for (sum, value) in sum.iter_mut().zip(pixel) {
+                *sum += f64::from(*value);
+            }
+        }
+        sum.map(|s| s / self.pixels.len().max(1) as f64)
+    }
+
+    /// Root of the mean squared difference over pixels and channels to a picture of the same size.
+    ///
+    /// # Errors
+    /// `Input` when the sizes differ.
+    pub fn rmse(&self, other: &Self) -> Result<f64> {
+        if (self.width, self.height) != (other.width, other.height) {
+            let [a, b] = [self, other].map(|p| format!("{}×{}", p.width, p.height));
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("pictures of {a} and {b} cannot be compared"),
+            ));
+        }
+        let mut sum = 0.0;
+        for (a, b) in self.pixels.iter().zip(&other.pixels) {
+            for (a, b) in a.iter().zip(b) {
+                sum += f64::from(a - b).powi(2);
+            }
+        }
+        Ok((sum / (3 * self.pixels.len()).max(1) as f64).sqrt())
+    }
+
+    /// 8-bit sRGB picture: each value times `exposure`, clipped to [0, 1], encoded by the transfer
+    /// function of IEC 61966-2-1 and rounded. A value that is no number becomes 0.
+    pub fn to_srgb8(&self, exposure: f32) -> RgbImage {
+        let bytes = self.pixels.iter().flatten();
+        let bytes = bytes.map(|v| srgb_encode(v * exposure)).collect();
+        RgbImage::from_raw(self.width as u32, self.height as u32, bytes).unwrap_or_default()
+    }
+}
+
+/// Luminance of linear RGB.
+#[inline(always)]
+pub(super) fn luminance(rgb: [f32; 3]) -> f32 {
+    LUMINANCE[0] * rgb[0] + LUMINANCE[1] * rgb[1] + LUMINANCE[2] * rgb[2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exposure_scales_linear_light() {
+        let picture = Picture::filled(2, 1, [0.09, 0.5, -1.0]);
+        let pixel = picture.to_srgb8(2.0).get_pixel(1, 0).0;
+        assert_eq!(pixel, [118, 255, 0]);
+    }
+
+    #[test]
+    fn means_and_errors() {
+        let a = Picture::filled(2, 2, [1.0, 2.0, 3.0]);
+        let b = Picture::filled(2, 2, [1.0, 2.0, 6.0]);
+        assert_eq!(a.mean(), [1.0, 2.0, 3.0]);
+        assert!((a.rmse(&b).unwrap() - 3f64.sqrt()).abs() < 1e-12);
+        let text = a.rmse(&Picture::filled(1, 4, [0.0; 3])).unwrap_err();
+        assert!(text.to_string().contains("2×2 and 1×4"), "{text}");
+        assert!(Picture::from_pixels(0, 3, Vec::new()).is_err());
+    }
+}

@@ -1,0 +1,365 @@
+//! From a scene to pictures.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::bsdf::Prepared;
+use super::bvh::{Bvh, Lanes, WithLanes, dispatch};
+use super::camera::{Camera, Ray};
+use super::dome::Dome;
+use super::film::{FilterTable, PathSample, PixelMeans, PixelSums};
+use super::integrator::{Batch, Integrator, Strategy};
+use super::picture::Picture;
+use super::sampler::Net;
+use super::scene::Scene;
+use super::settings::{RenderSettings, Watch};
+use super::surface::Face;
+use super::texture::Texture;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Columns and rows of a tile.
+const TILE: usize = 16;
+/// Most paths that advance together.
+const BATCH: u32 = 64;
+
+/// A picture and what a denoiser and a depth camera want beside it. Row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendering {
+    /// Radiance, linear RGB.
+    pub picture: Picture,
+    /// Variance of each value of the picture, as if its paths were independent.
+    pub variance: Picture,
+    /// Pictures of the first and of the second half of the paths; both the whole for one path.
+    pub halves: [Picture; 2],
+    /// Colour of the first surface; of the sky its radiance, at most 1.
+    pub albedo: Picture,
+    /// Mean unit normal of the first surface, world; 0 for the sky.
+    pub normal: Picture,
+    /// Distance of the first surface along the optical axis in the middle of each pixel, m; 0
+    /// where there is none.
+    pub depth_m: Vec<f32>,
+}
+
+/// A scene prepared for pictures from any camera.
+#[derive(Debug)]
+pub struct Renderer {
+    bvh: Bvh,
+    faces: Vec<Face>,
+    materials: Vec<Prepared>,
+    textures: Vec<Texture>,
+    dome: Dome,
+    strategy: Strategy,
+}
+
+impl Renderer {
+    /// Prepares a scene; its camera plays no part yet.
+    ///
+    /// # Errors
+    /// `Input` for a scene that [`Scene::validate`] refuses.
+    pub fn new(scene: &Scene) -> Result<Self> {
+        scene.validate()?;
+        let faces = Face::all(scene);
+        // Indices of triangles share their 32 bits with a mark of the hierarchy.
+        if faces.len() >= 1 << 30 {
+            let found = faces.len();
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("a scene must have fewer than 2³⁰ triangles, found {found}"),
+            ));
+        }
+        let corners: Vec<_> = faces.iter().map(|f| f.corners).collect();
+        let bvh = Bvh::build(&corners);
+        let ordered = bvh.order().iter().map(|&f| faces[f as usize]).collect();
+        Ok(Self {
+            bvh,
+            faces: ordered,
+            materials: scene.materials.iter().map(Prepared::new).collect(),
+            textures: scene.textures.clone(),
+            dome: Dome::new(&scene.environment),
+            strategy: Strategy::default(),
+        })
+    }
+
+    /// Picture from a camera. The same scene, camera and settings give the same bits, whatever
+    /// the number of threads.
+    ///
+    /// # Errors
+    /// `Input` for an unusable camera, `Usage` for settings out of range, `Interrupted` when
+    /// cancelled.
+    ///
+    /// ```
+    /// use gripcast::geometry::{Pose, builtin};
+    /// use gripcast::render::visual::*;
+    /// use glam::DVec3;
+    ///
+    /// let eye = DVec3::new(0.2, -0.2, 0.15);
+    /// let pose = Camera::looking_at(eye, DVec3::ZERO).unwrap_or_default();
+    /// let scene = Scene {
+    ///     meshes: vec![Mesh::from_triangles(&builtin("mug")?, 0)],
+    ///     materials: vec![Material::grey(0.5)],
+    ///     textures: Vec::new(),
+    ///     environment: Environment::uniform([1.0; 3]),
+    ///     camera: Camera::centred(32, 24, 0.7, pose),
+    /// };
+    /// let settings = RenderSettings { samples: 4, ..RenderSettings::default() };
+    /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
+    /// rendering.picture.to_srgb8(1.0);
+    /// # Ok::<(), gripcast::error::Error>(())
+    /// ```
+    pub fn render(
+        &self,
+        camera: &Camera,
+        settings: &RenderSettings,
+        watch: &Watch<'_>,
+    ) -> Result<Rendering> {
+        camera.validate().map_err(|e| e.at("camera"))?;
+        settings.validate()?;
+        let net = Net::new(settings.samples, settings.seed);
+        let filter = FilterTable::new(settings.filter);
+        let job = Job {
+            integrator: self.integrator(settings),
+            camera: CameraRays::new(camera),
+            settings,
+            net: &net,
+            filter: &filter,
+        };
+        let across = camera.width.div_ceil(TILE);
+        let count = across * camera.height.div_ceil(TILE);
+        let done = AtomicUsize::new(0);
+        let tiles: Vec<Vec<TilePixel>> = (0..count)
+            .into_par_iter()
+            .map(|tile| {
+                if watch.cancelled() {
+                    return Err(Error::new(
+                        ErrorKind::Interrupted,
+                        "the rendering was cancelled",
+                    ));
+                }
+                let columns = tile % across * TILE..camera.width.min((tile % across + 1) * TILE);
+                let rows = tile / across * TILE..camera.height.min((tile / across + 1) * TILE);
+                let pixels = dispatch(Tile {
+                    job: &job,
+                    columns,
+                    rows,
+                });
+                let finished = done.fetch_add(1, Ordering::Relaxed) + 1;
+                if let Some(progress) = watch.progress {
+                    progress(finished, count);
+                }
+                Ok(pixels)
+            })
+            .collect::<Result<_>>()?;
+        Ok(assemble(camera, tiles.into_iter().flatten()))
+    }
+
+    /// Distance of the first surface along the optical axis in the middle of each pixel, m, row by
+    /// row; 0 where there is none.
+    ///
+    /// # Errors
+    /// `Input` for an unusable camera.
+    pub fn depth(&self, camera: &Camera) -> Result<Vec<f32>> {
+        camera.validate().map_err(|e| e.at("camera"))?;
+        let rays = CameraRays::new(camera);
+        let rows: Vec<Vec<f32>> = (0..camera.height)
+            .into_par_iter()
+            .map(|row| {
+                dispatch(DepthRow {
+                    bvh: &self.bvh,
+                    rays: &rays,
+                    row,
+                    columns: camera.width,
+                })
+            })
+            .collect();
+        Ok(rows.concat())
+    }
+
+    fn integrator(&self, settings: &RenderSettings) -> Integrator<'_> {
+        Integrator {
+            bvh: &self.bvh,
+            faces: &self.faces,
+            materials: &self.materials,
+            textures: &self.textures,
+            dome: &self.dome,
+            max_bounces: settings.max_bounces,
+            roulette_from: settings.roulette_from,
+            strategy: self.strategy,
+        }
+    }
+}
+
+/// Rays of a camera in single precision.
+struct CameraRays {
+    origin: Vec3,
+    /// World directions of the optical axes; the first two for one pixel.
+    right: Vec3,
+    down: Vec3,
+    forward: Vec3,
+    principal: [f32; 2],
+}
+
+impl CameraRays {
+    fn new(camera: &Camera) -> Self {
+        let axes = camera.t_world_camera.rotation_matrix();
+        Self {
+            origin: camera.t_world_camera.translation_m.as_vec3(),
+            right: (axes.x_axis / camera.focal_px[0]).as_vec3(),
+            down: (axes.y_axis / camera.focal_px[1]).as_vec3(),
+            forward: axes.z_axis.as_vec3(),
+            principal: camera.principal_px.map(|c| c as f32),
+        }
+    }
+
+    #[inline(always)]
+    fn ray(&self, column: f32, row: f32) -> Ray {
+        let across = self.right * (column - self.principal[0]);
+        let down = self.down * (row - self.principal[1]);
+        Ray {
+            origin: self.origin,
+            direction: (self.forward + across + down).normalize(),
+        }
+    }
+}
+
+/// What all tiles share.
+struct Job<'a> {
+    integrator: Integrator<'a>,
+    camera: CameraRays,
+    settings: &'a RenderSettings,
+    net: &'a Net,
+    filter: &'a FilterTable,
+}
+
+impl<'a> Job<'a> {
+    /// Fills the batch with the paths of these samples of a pixel.
+    #[inline(always)]
+    fn start(&self, [column, row]: [usize; 2], samples: Range<u32>, batch: &mut Batch<'a>) {
+        let pixel = (row as u64) << 16 | column as u64;
+        batch.clear();
+        for index in samples {
+            let numbers = self.net.sample(pixel, index);
+            let [u, v] = numbers.pair(0);
+            let x = column as f32 + self.filter.offset(u);
+            let y = row as f32 + self.filter.offset(v);
+            batch.push(self.camera.ray(x, y), numbers);
+        }
+    }
+
+    /// Adds what the paths of these samples gave.
+    #[inline(always)]
+    fn gather(&self, samples: Range<u32>, batch: &Batch<'a>, sums: &mut PixelSums) {
+        let ceiling = Vec3::splat(self.settings.clamp.unwrap_or(f32::INFINITY));
+        for (index, path) in samples.zip(&batch.samples) {
+            let path = PathSample {
+                radiance: path.radiance.min(ceiling),
+                ..*path
+            };
+            sums.add(&path, index < self.settings.samples / 2);
+        }
+    }
+}
+
+/// A finished pixel with its column and row.
+struct TilePixel {
+    place: [usize; 2],
+    means: PixelMeans,
+    depth_m: f32,
+}
+
+/// A tile to be rendered.
+struct Tile<'a> {
+    job: &'a Job<'a>,
+    columns: Range<usize>,
+    rows: Range<usize>,
+}
+
+impl WithLanes for Tile<'_> {
+    type Output = Vec<TilePixel>;
+
+    #[inline(always)]
+    fn with_lanes<L: Lanes>(self, lanes: L) -> Self::Output {
+        let job = self.job;
+        let bvh = job.integrator.bvh;
+        let mut stack = bvh.stack();
+        let samples = job.settings.samples;
+        let mut batch = Batch::new(samples.min(BATCH) as usize, bvh.stack());
+        let mut pixels = Vec::with_capacity(self.columns.len() * self.rows.len());
+        for row in self.rows {
+            for column in self.columns.clone() {
+                let mut sums = PixelSums::default();
+                let mut first = 0;
+                while first < samples {
+                    let range = first..samples.min(first + BATCH);
+                    job.start([column, row], range.clone(), &mut batch);
+                    job.integrator.trace(lanes, &mut batch);
+                    job.gather(range, &batch, &mut sums);
+                    first += BATCH;
+                }
+                let middle = job.camera.ray(column as f32, row as f32);
+                let hit = bvh.closest(lanes, &middle, f32::INFINITY, &mut stack);
+                pixels.push(TilePixel {
+                    place: [column, row],
+                    means: sums.means(samples, samples / 2),
+                    depth_m: hit.map_or(0.0, |h| h.t * middle.direction.dot(job.camera.forward)),
+                });
+            }
+        }
+        pixels
+    }
+}
+
+/// A row of depths to be found.
+struct DepthRow<'a> {
+    bvh: &'a Bvh,
+    rays: &'a CameraRays,
+    row: usize,
+    columns: usize,
+}
+
+impl WithLanes for DepthRow<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn with_lanes<L: Lanes>(self, lanes: L) -> Vec<f32> {
+        let mut stack = self.bvh.stack();
+        let mut depths = Vec::with_capacity(self.columns);
+        for column in 0..self.columns {
+            let ray = self.rays.ray(column as f32, self.row as f32);
+            let hit = self.bvh.closest(lanes, &ray, f32::INFINITY, &mut stack);
+            depths.push(hit.map_or(0.0, |h| h.t * ray.direction.dot(self.rays.forward)));
+        }
+        depths
+    }
+}
+
+fn assemble(camera: &Camera, pixels: impl Iterator<Item = TilePixel>) -> Rendering {
+    let (width, height) = (camera.width, camera.height);
+    let black = Picture::filled(width, height, [0.0; 3]);
+    let mut rendering = Rendering {
+        picture: black.clone(),
+        variance: black.clone(),
+        halves: [black.clone(), black.clone()],
+        albedo: black.clone(),
+        normal: black,
+        depth_m: vec![0.0; width * height],
+    };
+    for pixel in pixels {
+        let at = pixel.place[1] * width + pixel.place[0];
+        rendering.picture.pixels[at] = pixel.means.radiance;
+        rendering.variance.pixels[at] = pixel.means.variance;
+        for half in 0..2 {
+            rendering.halves[half].pixels[at] = pixel.means.halves[half];
+        }
+        rendering.albedo.pixels[at] = pixel.means.albedo;
+        rendering.normal.pixels[at] = pixel.means.normal;
+        rendering.depth_m[at] = pixel.depth_m;
+    }
+    rendering
+}
+
+#[cfg(test)]
+#[path = "renderer_test.rs"]
+mod tests;

@@ -1,0 +1,356 @@
+use glam::DVec3;
+
+use super::super::environment::Environment;
+use super::super::material::{Colour, Material};
+use super::super::scene::Mesh;
+use super::super::settings::PixelFilter;
+use super::super::texture::Bitmap;
+use super::*;
+use gripcast_geometry::{Pose, builtin};
+
+const SIZE: usize = 24;
+
+fn camera() -> Camera {
+    let eye = DVec3::new(0.12, -0.1, 0.08);
+    let pose = Camera::looking_at(eye, DVec3::ZERO).unwrap();
+    Camera::centred(SIZE, SIZE, 0.35, pose)
+}
+
+/// Dome with a gradient and a bright spot.
+fn dome() -> Environment {
+    let mut map = Picture::filled(32, 16, [0.4, 0.5, 0.6]);
+    for (at, pixel) in map.pixels.iter_mut().enumerate() {
+        *pixel = pixel.map(|v| v * (1.5 - at as f32 / 512.0));
+    }
+    map.pixels[5 * 32 + 20] = [60.0, 50.0, 40.0];
+    Environment::new(map)
+}
+
+/// A ball on the ground.
+fn scene(material: Material, environment: Environment) -> Scene {
+    let mut ball = Mesh::from_triangles(&builtin("sphere").unwrap(), 0);
+    ball.normals = ball.positions.iter().map(|p| p.normalize()).collect();
+    Scene {
+        meshes: vec![
+            ball,
+            Mesh::ground(Vec3::new(0.0, 0.0, -0.026), 0.3, 0.05, 1),
+        ],
+        materials: vec![material, Material::grey(0.5)],
+        textures: Vec::new(),
+        environment,
+        camera: camera(),
+    }
+}
+
+fn settings(samples: u32) -> RenderSettings {
+    RenderSettings {
+        samples,
+        filter: PixelFilter::Box,
+        ..RenderSettings::default()
+    }
+}
+
+fn render(scene: &Scene, settings: &RenderSettings) -> Rendering {
+    let renderer = Renderer::new(scene).unwrap();
+    renderer
+        .render(&scene.camera, settings, &Watch::default())
+        .unwrap()
+}
+
+fn in_pool(threads: usize, work: impl FnOnce() -> Rendering + Send) -> Rendering {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    pool.unwrap().install(work)
+}
+
+#[test]
+fn the_same_bits_at_any_number_of_threads() {
+    let scene = scene(Material::grey(0.7), dome());
+    let settings = settings(4);
+    let one = in_pool(1, || render(&scene, &settings));
+    let two = in_pool(2, || render(&scene, &settings));
+    assert_eq!(one, two);
+    let other = render(
+        &scene,
+        &RenderSettings {
+            seed: 1,
+            ..settings
+        },
+    );
+    assert_ne!(one.picture, other.picture);
+}
+
+#[test]
+fn white_things_vanish_in_a_white_furnace() {
+    let metal = Material::Conductor {
+        eta: [0.0; 3],
+        k: [1.0; 3],
+        roughness: 0.5,
+    };
+    let glass = |roughness| Material::Dielectric {
+        ior: 1.5,
+        roughness,
+        transmittance: [1.0; 3],
+    };
+    let plastic = Material::Principled {
+        base_colour: Colour::Constant([1.0; 3]),
+        metallic: 0.2,
+        roughness: 0.3,
+        ior: 1.5,
+    };
+    for material in [Material::grey(1.0), metal, plastic, glass(0.0), glass(0.4)] {
+        let mut scene = scene(material, Environment::uniform([1.0; 3]));
+        scene.meshes.pop();
+        // Flat faces: the shading normals of smooth ones lose a little at the rim.
+        scene.meshes[0].normals.clear();
+        let settings = RenderSettings {
+            max_bounces: 1000,
+            roulette_from: 1000,
+            ..settings(64)
+        };
+        let rendering = render(&scene, &settings);
+        let mean = rendering.picture.mean();
+        // Rough glass by interpolated tables, several times along a path.
+        assert!((mean[0] - 1.0).abs() < 5e-3, "{material:?}: {mean:?}");
+        let ball = rendering.depth_m.iter().filter(|d| **d > 0.0).count();
+        assert!(ball > SIZE * SIZE / 3);
+    }
+}
+
+#[test]
+fn every_way_of_looking_for_light_has_the_same_mean() {
+    for material in [
+        Material::grey(0.8),
+        Material::Principled {
+            base_colour: Colour::Constant([0.8, 0.4, 0.2]),
+            metallic: 0.3,
+            roughness: 0.6,
+            ior: 1.5,
+        },
+    ] {
+        let scene = scene(material, dome());
+        let mean = |strategy| {
+            let mut renderer = Renderer::new(&scene).unwrap();
+            renderer.strategy = strategy;
+            let rendering = renderer.render(&scene.camera, &settings(256), &Watch::default());
+            rendering.unwrap().picture.mean()
+        };
+        let both = mean(Strategy::Both);
+        for strategy in [Strategy::Light, Strategy::Material] {
+            let one = mean(strategy);
+            for k in 0..3 {
+                assert!(
+                    (one[k] / both[k] - 1.0).abs() < 0.015,
+                    "{strategy:?}: {one:?} {both:?}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn roulette_and_lengths_of_nets_do_not_change_the_mean() {
+    let scene = scene(Material::grey(0.9), dome());
+    let mean = |settings: &RenderSettings| render(&scene, settings).picture.mean();
+    let plain = mean(&RenderSettings {
+        roulette_from: 100,
+        ..settings(256)
+    });
+    let roulette = mean(&RenderSettings {
+        roulette_from: 1,
+        ..settings(256)
+    });
+    let odd = mean(&settings(173));
+    for k in 0..3 {
+        assert!((roulette[k] / plain[k] - 1.0).abs() < 0.01);
+        assert!((odd[k] / plain[k] - 1.0).abs() < 0.01);
+    }
+}
+
+#[test]
+fn a_clamp_removes_fireflies_alone() {
+    let scene = scene(Material::grey(0.8), dome());
+    let free = render(&scene, &settings(16));
+    let loose = render(
+        &scene,
+        &RenderSettings {
+            clamp: Some(1e6),
+            ..settings(16)
+        },
+    );
+    assert_eq!(free.picture, loose.picture);
+    let tight = render(
+        &scene,
+        &RenderSettings {
+            clamp: Some(0.5),
+            ..settings(16)
+        },
+    );
+    assert!(tight.picture.pixels.iter().flatten().all(|v| *v <= 0.5001));
+}
+
+#[test]
+fn depth_is_along_the_axis_and_pixels_project_back() {
+    let scene = scene(Material::grey(0.5), dome());
+    let renderer = Renderer::new(&scene).unwrap();
+    let depth = renderer.depth(&scene.camera).unwrap();
+    let mut met = 0;
+    for row in 0..SIZE {
+        for column in 0..SIZE {
+            let z = f64::from(depth[row * SIZE + column]);
+            let [origin, direction] = scene.camera.ray(column as f64, row as f64);
+            let axis = scene.camera.t_world_camera.transform_vector(DVec3::Z);
+            let point = origin + direction * (z / direction.dot(axis));
+            if z > 0.0 {
+                let [c, r, found] = scene.camera.project(point).unwrap();
+                assert!((c - column as f64).abs() < 1e-6 && (r - row as f64).abs() < 1e-6);
+                assert!((found - z).abs() < 1e-9);
+                let on_ball = (point.length() - 0.025).abs() < 5e-4;
+                let on_ground = (point.z + 0.026).abs() < 1e-5;
+                assert!(on_ball || on_ground, "{point}");
+                met += 1;
+            }
+        }
+    }
+    assert!(met > SIZE * SIZE / 2);
+    let rendering = render(&scene, &settings(1));
+    assert_eq!(rendering.depth_m, depth);
+}
+
+#[test]
+fn guides_are_those_of_the_first_surface() {
+    let scene = scene(Material::grey(0.25), Environment::uniform([0.0; 3]));
+    let rendering = render(&scene, &settings(4));
+    let middle = SIZE / 2 * SIZE + SIZE / 2;
+    assert_eq!(rendering.albedo.pixels[middle], [0.25; 3]);
+    let normal = Vec3::from_array(rendering.normal.pixels[middle]);
+    let towards = scene
+        .camera
+        .t_world_camera
+        .translation_m
+        .as_vec3()
+        .normalize();
+    assert!(normal.dot(towards) > 0.9, "{normal}");
+    assert!(rendering.picture.pixels.iter().flatten().all(|v| *v == 0.0));
+}
+
+#[test]
+fn textures_are_seen_where_they_are() {
+    // Four colours on the ground, seen from straight above.
+    let picture =
+        image::RgbImage::from_raw(2, 2, vec![255, 0, 0, 0, 255, 0, 0, 0, 255, 255, 255, 255]);
+    let mut scene = scene(Material::grey(0.5), Environment::uniform([1.0; 3]));
+    scene.meshes = vec![Mesh::ground(Vec3::ZERO, 0.5, 1.0, 0)];
+    scene.materials[0] = Material::Diffuse {
+        reflectance: Colour::Texture(0),
+    };
+    scene.textures = vec![Texture::Bitmap(
+        Bitmap::from_srgb8(&picture.unwrap()).unwrap(),
+    )];
+    let down = glam::DQuat::from_rotation_x(std::f64::consts::PI);
+    scene.camera = Camera::centred(4, 4, 0.9, Pose::new(down, DVec3::Z));
+    let rendering = render(&scene, &settings(16));
+    let colour = |column: usize, row: usize| {
+        let p = rendering.picture.at(column, row);
+        [p[0] > 0.5, p[1] > 0.5, p[2] > 0.5]
+    };
+    // Turned about x, the camera sees +x to the right and +y up. The top-left texel lies at
+    // positive x and, as v runs down, negative y; the others follow by repetition.
+    assert_eq!(colour(3, 3), [true, false, false]);
+    assert_eq!(colour(0, 3), [false, true, false]);
+    assert_eq!(colour(3, 0), [false, false, true]);
+    assert_eq!(colour(0, 0), [true, true, true]);
+}
+
+#[test]
+fn a_rendering_can_be_followed_and_cancelled() {
+    use std::sync::atomic::AtomicBool;
+    let scene = scene(Material::grey(0.5), dome());
+    let renderer = Renderer::new(&scene).unwrap();
+    let seen = AtomicUsize::new(0);
+    let progress = |done: usize, all: usize| {
+        assert!(done <= all && all == 4);
+        seen.fetch_max(done, Ordering::Relaxed);
+    };
+    let watch = Watch {
+        progress: Some(&progress),
+        cancel: None,
+    };
+    renderer
+        .render(&scene.camera, &settings(1), &watch)
+        .unwrap();
+    assert_eq!(seen.load(Ordering::Relaxed), 4);
+    let stop = AtomicBool::new(true);
+    let watch = Watch {
+        progress: None,
+        cancel: Some(&stop),
+    };
+    let error = renderer.render(&scene.camera, &settings(1), &watch);
+    assert_eq!(error.unwrap_err().kind(), ErrorKind::Interrupted);
+}
+
+#[test]
+fn bad_scenes_are_explained() {
+    let good = scene(Material::grey(0.5), dome());
+    let explain = |change: &dyn Fn(&mut Scene), words: &[&str]| {
+        let mut bad = good.clone();
+        change(&mut bad);
+        let text = Renderer::new(&bad).unwrap_err().to_string();
+        for word in words {
+            assert!(text.contains(word), "{word:?} is not in: {text}");
+        }
+    };
+    explain(
+        &|s| s.meshes[0].positions[3].y = f32::NAN,
+        &["mesh 0", "position 3", "NaN"],
+    );
+    explain(
+        &|s| s.meshes[1].triangles[1][2] = 77,
+        &["mesh 1", "triangle 1", "77"],
+    );
+    explain(
+        &|s| s.meshes[1].material = 5,
+        &["mesh 1", "material 5", "only 2"],
+    );
+    explain(
+        &|s| s.meshes[0].normals.truncate(2),
+        &["mesh 0", "normals", "found 2"],
+    );
+    explain(
+        &|s| {
+            s.materials[1] = Material::Diffuse {
+                reflectance: Colour::Texture(2),
+            };
+        },
+        &["material 1", "texture 2"],
+    );
+    explain(
+        &|s| {
+            s.materials[1] = Material::Principled {
+                base_colour: Colour::Constant([0.5, 1.5, 0.0]),
+                metallic: 0.0,
+                roughness: 0.5,
+                ior: 1.5,
+            };
+        },
+        &["material 1", "colour", "1.5"],
+    );
+    explain(
+        &|s| {
+            let picture = image::RgbImage::new(1, 1);
+            s.textures = vec![Texture::Bitmap(Bitmap::from_srgb8(&picture).unwrap())];
+            s.materials[0] = Material::Diffuse {
+                reflectance: Colour::Texture(0),
+            };
+        },
+        &["mesh 0", "no texture coordinates"],
+    );
+    explain(
+        &|s| s.environment.map.pixels[9][1] = f32::INFINITY,
+        &["environment", "column 9"],
+    );
+    explain(&|s| s.camera.width = 0, &["camera", "0×24"]);
+    assert!(Bitmap::from_srgb8(&image::RgbImage::new(0, 0)).is_err());
+    let renderer = Renderer::new(&good).unwrap();
+    let none = renderer.render(&good.camera, &settings(0), &Watch::default());
+    assert_eq!(none.unwrap_err().kind(), ErrorKind::Usage);
+}

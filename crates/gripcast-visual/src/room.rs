@@ -1,0 +1,279 @@
+//! A room as a light dome: lamps, windows, walls and furniture as seen from the middle of a table.
+//!
+//! The walls are lit by a rough estimate (everything the lamps and windows give, spread evenly,
+//! darker in the corners), enough for plausible reflections and soft light.
+
+use std::f32::consts::TAU;
+
+use glam::Vec3;
+
+use super::sky::light_of_kelvin;
+use gripcast_base::random::SeedStream;
+
+/// Rectangle on a face of the room that shines or is painted.
+struct Panel {
+    face: Face,
+    /// Middle in the face's coordinates, m.
+    centre: [f32; 2],
+    /// Half extent in the face's coordinates, m.
+    half: [f32; 2],
+    /// Radiance of a shining panel, reflectance of a painted one.
+    color: [f32; 3],
+    shines: bool,
+    /// Window bars: panes along both axes; 1 × 1 has none.
+    panes: [u32; 2],
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Face {
+    Floor,
+    Ceiling,
+    /// Wall at the end of an axis of the room: +x, +y, −x, −y.
+    Wall(u8),
+}
+
+/// A box of walls around the viewer.
+pub(super) struct Room {
+    /// Half width along x and y, m.
+    half: [f32; 2],
+    /// Height of the viewer (the table) and of the ceiling above the floor, m.
+    heights: [f32; 2],
+    /// Turn of the room about z, rad.
+    turn: f32,
+    ceiling: [f32; 3],
+    walls: [[f32; 3]; 4],
+    floor: [f32; 3],
+    /// Radiance of a white wall.
+    ambient: [f32; 3],
+    panels: Vec<Panel>,
+}
+
+impl Room {
+    /// Lamps under the ceiling.
+    pub(super) fn with_lamps(stream: &mut SeedStream) -> Self {
+        let mut room = Self::bare(stream);
+        let light = light_of_kelvin(stream.between(2900.0, 6000.0) as f32);
+        let level = stream.between_log(12.0, 45.0) as f32;
+        let [columns, rows] = [stream.pick([1, 2, 3]), stream.pick([1, 2])];
+        // Square panels, long tubes, or small spots.
+        let half = stream.pick([[0.3, 0.3], [0.6, 0.08], [0.6, 0.15], [0.12, 0.12]]);
+        let shift = [
+            stream.between(-0.6, 0.6) as f32,
+            stream.between(-0.6, 0.6) as f32,
+        ];
+        let is_out = stream.uniform() < 0.3;
+        let out = stream.index(columns * rows);
+        for k in 0..columns * rows {
+            let part = |k: usize, count: usize| (k as f32 + 0.5) / count as f32 - 0.5;
+            let place = [part(k % columns, columns), part(k / columns, rows)];
+            let shines = !(is_out && columns * rows > 1 && k == out);
+            room.panels.push(Panel {
+                face: Face::Ceiling,
+                centre: [0, 1].map(|a| 1.6 * room.half[a] * place[a] + shift[a]),
+                half,
+                color: if shines {
+                    light.map(|l| level * l)
+                } else {
+                    [0.85; 3]
+                },
+                shines,
+                panes: [1, 1],
+            });
+        }
+        room.furnish(stream);
+        room.settle(light, 0.35);
+        room
+    }
+
+    /// Windows in one or two walls, lamps off or dim.
+    pub(super) fn with_windows(stream: &mut SeedStream) -> Self {
+        let mut room = Self::bare(stream);
+        let daylight = light_of_kelvin(stream.between(5500.0, 8500.0) as f32);
+        let level = stream.between_log(6.0, 30.0) as f32;
+        let wall = stream.index(4) as u8;
+        let is_corner = stream.uniform() < 0.4;
+        let walls = if is_corner {
+            vec![wall, (wall + 1) % 4]
+        } else {
+            vec![wall]
+        };
+        for wall in walls {
+            let count = stream.pick([1_usize, 2, 3]);
+            let width = 2.0 * room.half[usize::from(wall % 2 == 0)];
+            let pitch = width / count as f32;
+            let half = [pitch * stream.between(0.25, 0.42) as f32, 0.65];
+            let panes = [stream.pick([1, 2, 3]), stream.pick([1, 2])];
+            for k in 0..count {
+                room.panels.push(Panel {
+                    face: Face::Wall(wall),
+                    centre: [pitch * (k as f32 + 0.5) - 0.5 * width, 1.55],
+                    half,
+                    color: daylight.map(|l| level * l),
+                    shines: true,
+                    panes,
+                });
+            }
+        }
+        room.furnish(stream);
+        room.settle(daylight, 0.3);
+        room
+    }
+
+    fn bare(stream: &mut SeedStream) -> Self {
+        let paint = |stream: &mut SeedStream, low: f64, high: f64, tint: f64| {
+            let grey = stream.between(low, high);
+            [0; 3].map(|_| (grey * (1.0 + stream.between(-tint, tint))) as f32)
+        };
+        let wall = paint(stream, 0.45, 0.8, 0.08);
+        let mut walls = [wall; 4];
+        if stream.uniform() < 0.35 {
+            walls[stream.index(4)] = paint(stream, 0.15, 0.6, 0.4);
+        }
+        Self {
+            half: [
+                stream.between(1.6, 4.5) as f32,
+                stream.between(1.6, 4.5) as f32,
+            ],
+            heights: [
+                stream.between(0.7, 0.95) as f32,
+                stream.between(2.4, 3.4) as f32,
+            ],
+            turn: stream.between(0.0, f64::from(TAU)) as f32,
+            ceiling: paint(stream, 0.7, 0.88, 0.03),
+            walls,
+            floor: paint(stream, 0.1, 0.45, 0.2),
+            ambient: [0.0; 3],
+            panels: Vec::new(),
+        }
+    }
+
+    /// Cupboards, shelves, doors and pictures: dark and coloured rectangles on the walls.
+    fn furnish(&mut self, stream: &mut SeedStream) {
+        for wall in 0..4_u8 {
+            let half_width = self.half[usize::from(wall % 2 == 0)];
+            for _ in 0..stream.pick([1_usize, 2, 3]) {
+                let height = stream.pick([0.45, 0.6, 1.0]) as f32;
+                let half = [stream.between(0.2, 0.8) as f32, height];
+                let grey = stream.between_log(0.04, 0.7);
+                let color = [0; 3].map(|_| (grey * (1.0 + stream.between(-0.35, 0.35))) as f32);
+                self.panels.push(Panel {
+                    face: Face::Wall(wall),
+                    centre: [
+                        stream.between(-0.8, 0.8) as f32 * half_width,
+                        // On the floor, or hung at the height of the eyes.
+                        if stream.uniform() < 0.7 { height } else { 1.6 },
+                    ],
+                    half: if half[1] > 0.9 { [0.45, 1.0] } else { half },
+                    color: color.map(|c| c.min(0.85)),
+                    shines: false,
+                    panes: [1, 1],
+                });
+            }
+        }
+    }
+
+    /// Radiance of a white wall: the emitted power spread over all faces, times what further
+    /// reflections add.
+    fn settle(&mut self, light: [f32; 3], share: f32) {
+        let [a, b] = self.half;
+        let height = self.heights[1];
+        let area = 8.0 * a * b + 4.0 * (a + b) * height;
+        let emitted: f32 = self
+            .panels
+            .iter()
+            .filter(|panel| panel.shines)
+            .map(|panel| 4.0 * panel.half[0] * panel.half[1] * panel.color[1])
+            .sum();
+        // Of light that falls on a wall about half is reflected: twice the first reflection.
+        let level = 2.0 * emitted / area + 0.02 * share;
+        self.ambient = light.map(|l| level * (0.85 + 0.15 * l));
+    }
+
+    /// What a viewer above the table sees in a direction of the world.
+    pub(super) fn radiance(&self, direction: Vec3) -> [f32; 3] {
+        let (sin, cos) = self.turn.sin_cos();
+        let d = Vec3::new(
+            cos * direction.x + sin * direction.y,
+            cos * direction.y - sin * direction.x,
+            direction.z,
+        );
+        let (face, place, from_edge) = self.hit(d);
+        let paint = match face {
+            Face::Floor => self.floor,
+            Face::Ceiling => self.ceiling,
+            Face::Wall(wall) => self.walls[usize::from(wall)],
+        };
+        let corner = 1.0 - 0.35 * (-from_edge / 0.25).exp();
+        let lit: [f32; 3] = std::array::from_fn(|c| paint[c] * self.ambient[c] * corner);
+        // Panels listed later hang in front of earlier ones, windows and lamps in front of all.
+        let mut seen = lit;
+        for panel in self.panels.iter().filter(|panel| panel.face == face) {
+            let Some(is_frame) = panel.covers(place) else {
+                continue;
+            };
+            if panel.shines && !is_frame {
+                return panel.color;
+            }
+            let color = if is_frame { [0.7; 3] } else { panel.color };
+            seen = std::array::from_fn(|c| color[c] * self.ambient[c] * corner);
+        }
+        seen
+    }
+
+    /// The face that a ray meets, the place on it (along the wall, above the floor; m) and the
+    /// distance from its nearest edge, m.
+    fn hit(&self, d: Vec3) -> (Face, [f32; 2], f32) {
+        let [eye, ceiling] = self.heights;
+        let reach = |half: f32, along: f32| half / along.abs().max(1e-6);
+        let (tx, ty) = (reach(self.half[0], d.x), reach(self.half[1], d.y));
+        let tz = if d.z > 0.0 {
+            (ceiling - eye) / d.z.max(1e-6)
+        } else {
+            eye / (-d.z).max(1e-6)
+        };
+        let t = tx.min(ty).min(tz);
+        let p = d * t;
+        let inset = |half: f32, at: f32| (half - at.abs()).max(0.0);
+        if t == tz {
+            let edge = inset(self.half[0], p.x).min(inset(self.half[1], p.y));
+            let face = if d.z > 0.0 {
+                Face::Ceiling
+            } else {
+                Face::Floor
+            };
+            return (face, [p.x, p.y], edge);
+        }
+        let above_floor = p.z + eye;
+        let vertical = above_floor.min(ceiling - above_floor).max(0.0);
+        let (wall, along, half) = match (t == tx, d.x > 0.0, d.y > 0.0) {
+            (true, true, _) => (0, p.y, self.half[1]),
+            (true, false, _) => (2, p.y, self.half[1]),
+            (false, _, true) => (1, p.x, self.half[0]),
+            (false, _, false) => (3, p.x, self.half[0]),
+        };
+        (
+            Face::Wall(wall),
+            [along, above_floor],
+            vertical.min(inset(half, along)),
+        )
+    }
+}
+
+impl Panel {
+    /// Whether a place lies on its frame or bars; none where it lies outside.
+    fn covers(&self, place: [f32; 2]) -> Option<bool> {
+        let offset = [0, 1].map(|a| place[a] - self.centre[a]);
+        if (0..2).any(|a| offset[a].abs() > self.half[a]) {
+            return None;
+        }
+        if !self.shines || self.panes == [1, 1] {
+            return Some(false);
+        }
+        let is_bar = |a: usize| {
+            let pane = 2.0 * self.half[a] / self.panes[a] as f32;
+            let from_edge = (offset[a] + self.half[a]).rem_euclid(pane);
+            from_edge.min(pane - from_edge) < 0.03
+        };
+        Some(is_bar(0) || is_bar(1))
+    }
+}

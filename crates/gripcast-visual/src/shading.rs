@@ -1,0 +1,163 @@
+//! Normals and texture coordinates for meshes that have none.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::scene::Mesh;
+use gripcast_geometry::{TriangleMesh, corner_normals};
+
+/// How a mesh gets its texture coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Projection {
+    /// None.
+    None,
+    /// Along the axis nearest to each triangle's normal: the picture repeats on all six sides,
+    /// with seams between them.
+    Box {
+        /// Width of the picture, m.
+        width_m: f64,
+        /// Where a corner of the picture lies, m.
+        origin_m: DVec3,
+    },
+}
+
+/// Mesh of one material with shading normals: smooth where triangles meet at less than
+/// `crease_rad`, sharp elsewhere; vertices at creases and seams are there more than once.
+pub fn shaded_mesh(
+    mesh: &TriangleMesh,
+    crease_rad: f64,
+    projection: Projection,
+    material: usize,
+) -> Mesh {
+    let faces: Vec<DVec3> = mesh.all_corners().map(scaled_normal).collect();
+    let corners = corner_normals(mesh, crease_rad);
+    let mut known: HashMap<(u32, [i32; 3], u8), u32> = HashMap::new();
+    let mut shaded = Mesh {
+        material,
+        ..Mesh::default()
+    };
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let side = match projection {
+            Projection::None => 0,
+            Projection::Box { .. } => side_of(faces[t]),
+        };
+        let mut renamed = [0; 3];
+        for k in 0..3 {
+            let (vertex, normal) = (triangle[k], corners[t][k].as_vec3());
+            // Normals equal to 1e-4 are one.
+            let rounded = normal.to_array().map(|c| (c * 1e4).round() as i32);
+            renamed[k] = *known.entry((vertex, rounded, side)).or_insert_with(|| {
+                let place = mesh.vertices[vertex as usize];
+                shaded.positions.push(place.as_vec3());
+                shaded.normals.push(normal);
+                if let Projection::Box { width_m, origin_m } = projection {
+                    shaded.uvs.push(box_uv((place - origin_m) / width_m, side));
+                }
+                shaded.positions.len() as u32 - 1
+            });
+        }
+        shaded.triangles.push(renamed);
+    }
+    shaded
+}
+
+/// Normal of a triangle times twice its area.
+fn scaled_normal([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
+}
+
+/// Which of the six sides of a box a normal points to: twice the axis, plus 1 for its lower end.
+fn side_of(normal: DVec3) -> u8 {
+    let size = normal.abs();
+    let axis = if size.x >= size.y && size.x >= size.z {
+        0
+    } else if size.y >= size.z {
+        1
+    } else {
+        2
+    };
+    2 * axis as u8 + u8::from(normal[axis] < 0.0)
+}
+
+/// Texture coordinates of a place in widths of the picture, on a side seen from outside; upright
+/// (v runs down along −z) on the four vertical sides.
+fn box_uv(p: DVec3, side: u8) -> [f32; 2] {
+    let uv = match side {
+        0 => [p.y, -p.z],
+        1 => [-p.y, -p.z],
+        2 => [-p.x, -p.z],
+        3 => [p.x, -p.z],
+        4 => [p.x, -p.y],
+        _ => [p.x, p.y],
+    };
+    uv.map(|c| c as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gripcast_geometry::{CREASE_RAD, builtin};
+
+    #[test]
+    fn a_box_keeps_its_edges_and_a_sphere_is_smooth() {
+        let mesh = builtin("box").unwrap();
+        let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::None, 0);
+        for normal in &shaded.normals {
+            assert!((normal.abs().max_element() - 1.0).abs() < 1e-5, "{normal}");
+        }
+        assert!(shaded.uvs.is_empty());
+        let mesh = builtin("sphere").unwrap();
+        let shaded = shaded_mesh(&mesh, CREASE_RAD, Projection::None, 3);
+        assert_eq!(shaded.positions.len(), mesh.vertices.len());
+        assert_eq!(shaded.material, 3);
+        for (place, normal) in shaded.positions.iter().zip(&shaded.normals) {
+            assert!(place.normalize().dot(*normal) > 0.99);
+        }
+    }
+
+    #[test]
+    fn projected_pictures_keep_their_size_and_are_not_mirrored() {
+        let projection = Projection::Box {
+            width_m: 0.02,
+            origin_m: DVec3::splat(0.3),
+        };
+        let mesh = builtin("box").unwrap();
+        let shaded = shaded_mesh(&mesh, CREASE_RAD, projection, 0);
+        assert_eq!(shaded.uvs.len(), shaded.positions.len());
+        for t in &shaded.triangles {
+            let [a, b, c] = t.map(|v| shaded.positions[v as usize]);
+            let [p, q, r] = t.map(|v| shaded.uvs[v as usize]);
+            let area = 0.5 * (b - a).cross(c - a).length() / (0.02 * 0.02);
+            let signed = 0.5 * ((q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1]));
+            // v runs down, so that a picture seen from outside has negative area.
+            assert!(
+                (signed + area).abs() < 1e-3 * area.max(1.0),
+                "{signed} {area}"
+            );
+        }
+    }
+
+    #[test]
+    fn degenerate_triangles_have_a_normal_all_the_same() {
+        let mesh = TriangleMesh {
+            vertices: vec![DVec3::ZERO, DVec3::X, DVec3::X],
+            triangles: vec![[0, 1, 2]],
+        };
+        let shaded = shaded_mesh(
+            &mesh,
+            CREASE_RAD,
+            Projection::Box {
+                width_m: 0.1,
+                origin_m: DVec3::ZERO,
+            },
+            0,
+        );
+        assert!(
+            shaded
+                .normals
+                .iter()
+                .all(|n| (n.length() - 1.0).abs() < 1e-6)
+        );
+    }
+}

@@ -1,0 +1,340 @@
+//! Light domes painted from a seed: rooms with lamps or windows, overcast and clear skies.
+//!
+//! Radiance is relative: each dome is scaled so that a white matt table under it has radiance 1,
+//! whatever the kind, and [`Environment::intensity`](super::Environment) alone decides on the
+//! brightness.
+
+use std::f32::consts::{PI, TAU};
+use std::fmt;
+use std::str::FromStr;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::picture::Picture;
+use super::room::Room;
+use gripcast_base::error::{Error, Result, unknown_name};
+use gripcast_base::random::SeedStream;
+
+/// Kind of a painted dome.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sky {
+    /// Room without windows, rectangular lamps under its ceiling.
+    Studio,
+    /// Room with windows on one or two walls.
+    WindowRoom,
+    /// Covered sky (CIE standard overcast sky).
+    Overcast,
+    /// Clear sky with the sun.
+    Sunny,
+}
+
+impl Sky {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Studio, Self::WindowRoom, Self::Overcast, Self::Sunny];
+
+    /// Name in commands and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Studio => "studio",
+            Self::WindowRoom => "window-room",
+            Self::Overcast => "overcast",
+            Self::Sunny => "sunny",
+        }
+    }
+
+    /// Paints the dome, `2 * height` × `height` pixels, laid out as
+    /// [`Environment`](super::Environment) wants it; the same arguments give the same values.
+    pub fn paint(self, height: usize, seed: u64) -> Picture {
+        let mut stream = SeedStream::named(seed, self.name());
+        let mut dome = match self {
+            Self::Studio => {
+                let room = Room::with_lamps(&mut stream);
+                paint_by_direction(height, |d| room.radiance(d))
+            }
+            Self::WindowRoom => {
+                let room = Room::with_windows(&mut stream);
+                paint_by_direction(height, |d| room.radiance(d))
+            }
+            Self::Overcast => {
+                let sky = OvercastSky::random(&mut stream);
+                paint_by_direction(height, |d| sky.radiance(d))
+            }
+            Self::Sunny => {
+                let sky = ClearSky::random(&mut stream);
+                paint_by_direction(height, |d| sky.radiance(d))
+            }
+        };
+        normalise(&mut dome);
+        dome
+    }
+}
+
+impl fmt::Display for Sky {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Sky {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|known| known.name() == text);
+        found.ok_or_else(|| unknown_name("painted sky", text, &Self::ALL.map(Self::name)))
+    }
+}
+
+/// Luminance that a white matt horizontal surface reflects under a dome (its irradiance over π).
+pub fn white_table_luminance(dome: &Picture) -> f64 {
+    let (width, height) = (dome.width, dome.height);
+    let mut sum = 0.0;
+    for (row, pixels) in dome.pixels.chunks(width.max(1)).enumerate() {
+        let (from, to) = (row as f64, row as f64 + 1.0);
+        let [a, b] = [from, to].map(|r| {
+            let polar = std::f64::consts::PI * (r / height as f64).min(0.5);
+            polar.sin().powi(2)
+        });
+        // Integral of cos · sin over the row, times the width of a pixel.
+        let weight = 0.5 * (b - a) * std::f64::consts::TAU / width as f64;
+        let row_sum: f64 = pixels
+            .iter()
+            .map(|p| f64::from(super::picture::luminance(*p)))
+            .sum();
+        sum += weight * row_sum;
+    }
+    sum / std::f64::consts::PI
+}
+
+/// Scales a dome until [`white_table_luminance`] is 1; a dome without light above the horizon
+/// stays as it is.
+pub fn normalise(dome: &mut Picture) {
+    let found = white_table_luminance(dome);
+    if found.is_normal() && found > 0.0 {
+        let factor = (1.0 / found) as f32;
+        for value in dome.pixels.iter_mut().flatten() {
+            *value *= factor;
+        }
+    }
+}
+
+/// Radiance of each pixel from the mean of four directions within it.
+fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Picture {
+    let height = height.max(2);
+    let width = 2 * height;
+    let mut dome = Picture::filled(width, height, [0.0; 3]);
+    dome.pixels
+        .par_chunks_mut(width)
+        .enumerate()
+        .for_each(|(row, pixels)| {
+            for (column, pixel) in pixels.iter_mut().enumerate() {
+                for part in [[0.25, 0.25], [0.75, 0.25], [0.25, 0.75], [0.75, 0.75]] {
+                    let polar = PI * (row as f32 + part[0]) / height as f32;
+                    let turn = (column as f32 + part[1]) / width as f32;
+                    let azimuth = TAU * (0.5 - turn);
+                    let (z, ring) = (polar.cos(), polar.sin());
+                    let value = radiance(Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), z));
+                    for (sum, value) in pixel.iter_mut().zip(value) {
+                        *sum += 0.25 * value;
+                    }
+                }
+            }
+        });
+    dome
+}
+
+/// Linear RGB of a black body, luminance 1, for 2000 to 12000 K.
+///
+/// The chromaticity is Krystek's fit of the Planckian locus (Color Research & Application, 1985).
+pub(super) fn light_of_kelvin(kelvin: f32) -> [f32; 3] {
+    let t = kelvin.clamp(2000.0, 12_000.0);
+    let u = (0.860_117_76 + 1.541_182_5e-4 * t + 1.286_412_2e-7 * t * t)
+        / (1.0 + 8.424_202_4e-4 * t + 7.081_452e-7 * t * t);
+    let v = (0.317_398_73 + 4.228_062_4e-5 * t + 4.204_816_9e-8 * t * t)
+        / (1.0 - 2.897_418_2e-5 * t + 1.614_560_5e-7 * t * t);
+    let scale = 2.0 * u - 8.0 * v + 4.0;
+    let (x, y) = (3.0 * u / scale, 2.0 * v / scale);
+    let (big_x, big_z) = (x / y, (1.0 - x - y) / y);
+    [
+        3.240_97 * big_x - 1.537_383 - 0.498_611 * big_z,
+        -0.969_244 * big_x + 1.875_968 + 0.041_555 * big_z,
+        0.055_63 * big_x - 0.203_977 + 1.056_972 * big_z,
+    ]
+    .map(|c| c.max(0.0))
+}
+
+/// Radiance of the ground around, from the light that falls on it.
+fn ground(albedo: [f32; 3], direction: Vec3) -> [f32; 3] {
+    // Towards the nadir the table and the person stand in the light.
+    let shade = 1.0 - 0.5 * (-direction.z).clamp(0.0, 1.0);
+    albedo.map(|a| a * shade)
+}
+
+/// CIE standard overcast sky (Moon and Spencer, 1942): three times brighter at the zenith than at
+/// the horizon.
+struct OvercastSky {
+    tint: [f32; 3],
+    ground: [f32; 3],
+    /// Direction of the brightest part of the clouds, and how much brighter it is.
+    bright: (Vec3, f32),
+}
+
+impl OvercastSky {
+    fn random(stream: &mut SeedStream) -> Self {
+        let azimuth = stream.between(0.0, f64::from(TAU)) as f32;
+        let height = stream.between(0.5, 0.9) as f32;
+        let ring = (1.0 - height * height).sqrt();
+        let albedo = stream.between(0.1, 0.35) as f32;
+        Self {
+            tint: light_of_kelvin(stream.between(6000.0, 7500.0) as f32),
+            ground: [albedo, 0.96 * albedo, 0.88 * albedo],
+            bright: (
+                Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), height),
+                stream.between(0.0, 1.5) as f32,
+            ),
+        }
+    }
+
+    fn radiance(&self, d: Vec3) -> [f32; 3] {
+        if d.z < 0.0 {
+            return ground(self.ground.map(|g| g * 0.75), d);
+        }
+        let (towards, strength) = self.bright;
+        let bright = strength * (d.dot(towards).max(0.0)).powi(12);
+        let level = (1.0 + 2.0 * d.z) / 3.0 * (1.0 + bright);
+        self.tint.map(|t| t * level)
+    }
+}
+
+/// Clear sky: the CIE clear sky's distribution around a sun of finite size.
+struct ClearSky {
+    sun: Vec3,
+    /// Cosine of the radius of the disc that stands for the sun.
+    disc: f32,
+    /// Radiance of the disc over that of the zenith.
+    sun_level: f32,
+    sun_tint: [f32; 3],
+    ground: [f32; 3],
+}
+
+impl ClearSky {
+    fn random(stream: &mut SeedStream) -> Self {
+        let elevation = stream.between(0.25, 1.15) as f32;
+        let azimuth = stream.between(0.0, f64::from(TAU)) as f32;
+        let (z, ring) = (elevation.sin(), elevation.cos());
+        // A disc wider than the real sun (0.27°) of the same irradiance spares the tracer
+        // fireflies and keeps shadows sharp enough.
+        let radius = 1.2_f32.to_radians();
+        let ratio = stream.between(3.0, 7.0) as f32;
+        let albedo = stream.between(0.12, 0.35) as f32;
+        Self {
+            sun: Vec3::new(ring * azimuth.cos(), ring * azimuth.sin(), z),
+            disc: radius.cos(),
+            // Direct light is `ratio` times that of the sky, whose irradiance is about π · 1.5.
+            sun_level: ratio * 1.5 * PI / (PI * radius * radius * z.max(0.2)),
+            sun_tint: light_of_kelvin(3200.0 + 2600.0 * z),
+            ground: [albedo, 0.95 * albedo, 0.82 * albedo],
+        }
+    }
+
+    fn radiance(&self, d: Vec3) -> [f32; 3] {
+        if d.z < 0.0 {
+            // Sunlit ground is several times brighter than the sky alone would make it.
+            return ground(self.ground.map(|g| 4.0 * g), d);
+        }
+        let cosine = d.dot(self.sun).clamp(-1.0, 1.0);
+        let angle = cosine.acos();
+        let z = d.z.max(0.01);
+        let indicatrix = 0.91 + 10.0 * (-3.0 * angle).exp() + 0.45 * cosine * cosine;
+        let level = (1.0 - (-0.32 / z).exp()) * indicatrix / 0.6;
+        // Blue overhead, pale at the horizon and around the sun.
+        let pale = (1.0 - z).powi(3).max(0.6 * (-4.0 * angle).exp());
+        let tint: [f32; 3] = std::array::from_fn(|c| {
+            let (blue, white) = ([0.42, 0.72, 1.45][c], [0.95, 1.0, 1.08][c]);
+            blue + (white - blue) * pale
+        });
+        let mut sum = tint.map(|t| t * level);
+        if cosine > self.disc {
+            for (value, tint) in sum.iter_mut().zip(self.sun_tint) {
+                *value += self.sun_level * tint;
+            }
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::luminance;
+
+    #[test]
+    fn domes_are_finite_repeatable_and_light_the_table_alike() {
+        for sky in Sky::ALL {
+            for seed in 0..5 {
+                let dome = sky.paint(64, seed);
+                assert_eq!((dome.width, dome.height), (128, 64));
+                assert_eq!(dome, sky.paint(64, seed), "{sky}");
+                assert!(
+                    dome.pixels
+                        .iter()
+                        .flatten()
+                        .all(|v| v.is_finite() && *v >= 0.0)
+                );
+                let table = white_table_luminance(&dome);
+                assert!((table - 1.0).abs() < 1e-3, "{sky} {seed}: {table}");
+            }
+            assert_ne!(sky.paint(32, 1), sky.paint(32, 2), "{sky}");
+        }
+    }
+
+    #[test]
+    fn a_grey_dome_lights_the_table_with_its_own_radiance() {
+        let mut dome = Picture::filled(32, 16, [0.25; 3]);
+        assert!((white_table_luminance(&dome) - 0.25).abs() < 1e-6);
+        normalise(&mut dome);
+        assert!((dome.pixels[3][1] - 1.0).abs() < 1e-6);
+        let mut dark = Picture::filled(4, 2, [0.0; 3]);
+        normalise(&mut dark);
+        assert_eq!(dark.pixels[0], [0.0; 3]);
+    }
+
+    #[test]
+    fn rooms_and_sun_have_bright_spots_and_the_overcast_sky_none() {
+        let contrast = |sky: Sky, seed| {
+            let dome = sky.paint(128, seed);
+            let levels = dome.pixels.iter().map(|p| luminance(*p));
+            let peak = levels.clone().fold(0.0, f32::max);
+            peak / (levels.sum::<f32>() / dome.pixels.len() as f32)
+        };
+        for seed in 0..4 {
+            assert!(
+                contrast(Sky::Sunny, seed) > 500.0,
+                "{}",
+                contrast(Sky::Sunny, seed)
+            );
+            assert!(contrast(Sky::Studio, seed) > 4.0);
+            assert!(contrast(Sky::WindowRoom, seed) > 4.0);
+            assert!(contrast(Sky::Overcast, seed) < 4.0);
+        }
+    }
+
+    #[test]
+    fn warm_light_is_red_and_cold_light_blue() {
+        let (warm, cold) = (light_of_kelvin(2700.0), light_of_kelvin(9000.0));
+        assert!(
+            warm[0] > 2.0 * warm[2] && cold[2] > 1.2 * cold[0],
+            "{warm:?} {cold:?}"
+        );
+        let white = light_of_kelvin(6500.0);
+        assert!(white.iter().all(|c| (c - 1.0).abs() < 0.08), "{white:?}");
+        assert!((luminance(warm) - 1.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn misspelt_skies_are_explained() {
+        let text = "suny".parse::<Sky>().unwrap_err().to_string();
+        assert!(text.contains("did you mean sunny?"), "{text}");
+        assert_eq!("window-room".parse::<Sky>().unwrap(), Sky::WindowRoom);
+    }
+}

@@ -1,0 +1,129 @@
+//! Colour over a surface.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use glam::Vec3;
+use image::RgbImage;
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_imaging::srgb_decode;
+
+/// Colour that is computed from the place on a surface.
+pub trait ProceduralTexture: Debug + Send + Sync {
+    /// Linear RGB reflectance in [0, 1] at texture coordinates and a world position, m.
+    fn sample(&self, uv: [f32; 2], position: Vec3) -> [f32; 3];
+}
+
+/// Colour over a surface: linear RGB reflectance in [0, 1].
+#[derive(Clone, Debug)]
+pub enum Texture {
+    /// From a picture, by the texture coordinates.
+    Bitmap(Bitmap),
+    /// Computed.
+    Procedural(Arc<dyn ProceduralTexture>),
+}
+
+impl Texture {
+    /// Linear RGB reflectance at texture coordinates and a world position, m.
+    #[inline]
+    pub fn sample(&self, uv: [f32; 2], position: Vec3) -> [f32; 3] {
+        match self {
+            Self::Bitmap(bitmap) => bitmap.sample(uv),
+            Self::Procedural(texture) => texture.sample(uv, position),
+        }
+    }
+
+    /// Whether texture coordinates decide on the colour, so that a mesh needs them.
+    pub fn needs_uv(&self) -> bool {
+        matches!(self, Self::Bitmap(_))
+    }
+}
+
+/// Picture that is repeated over the texture plane and interpolated bilinearly in linear light.
+///
+/// Texture coordinates run from the outer corner of the top-left pixel: u to the right, v **down**
+/// (as in glTF; the v of OBJ files runs up and is turned by their reader). The picture spans
+/// [0, 1]².
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bitmap {
+    width: usize,
+    height: usize,
+    /// sRGB, row by row; the fourth byte only aligns.
+    texels: Vec<[u8; 4]>,
+}
+
+impl Bitmap {
+    /// From an 8-bit sRGB picture.
+    ///
+    /// # Errors
+    /// `Input` for a picture without pixels.
+    pub fn from_srgb8(picture: &RgbImage) -> Result<Self> {
+        let (width, height) = picture.dimensions();
+        if width == 0 || height == 0 {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!("a texture must have pixels, found a picture of {width}×{height}"),
+            ));
+        }
+        Ok(Self {
+            width: width as usize,
+            height: height as usize,
+            texels: picture.pixels().map(|p| [p[0], p[1], p[2], 0]).collect(),
+        })
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
+    /// The picture, 8-bit sRGB.
+    pub fn to_srgb8(&self) -> RgbImage {
+        let bytes = self
+            .texels
+            .iter()
+            .flat_map(|t| [t[0], t[1], t[2]])
+            .collect();
+        RgbImage::from_raw(self.width as u32, self.height as u32, bytes).unwrap_or_default()
+    }
+
+    /// Linear RGB at texture coordinates.
+    #[inline]
+    pub fn sample(&self, uv: [f32; 2]) -> [f32; 3] {
+        let [x0, x1, fx] = neighbours(uv[0], self.width);
+        let [y0, y1, fy] = neighbours(uv[1], self.height);
+        let texel = |x: usize, y: usize| {
+            let [r, g, b, _] = self.texels[y * self.width + x];
+            [r, g, b].map(srgb_decode)
+        };
+        let (x0, x1, y0, y1) = (x0 as usize, x1 as usize, y0 as usize, y1 as usize);
+        let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
+        std::array::from_fn(|k| {
+            let top = a[k] + (b[k] - a[k]) * fx;
+            let bottom = c[k] + (d[k] - c[k]) * fx;
+            top + (bottom - top) * fy
+        })
+    }
+}
+
+/// The two texels around a coordinate, repeated, and the share of the second.
+#[inline(always)]
+fn neighbours(coordinate: f32, count: usize) -> [f32; 3] {
+    let size = count as f32;
+    // A coordinate that is no number takes the first texel.
+    let wrapped = (coordinate - coordinate.floor()).max(0.0);
+    let x = wrapped * size - 0.5;
+    let low = x.floor();
+    let first = if low < 0.0 {
+        size - 1.0
+    } else {
+        low.min(size - 1.0)
+    };
+    let second = if first + 1.0 >= size {
+        0.0
+    } else {
+        first + 1.0
+    };
+    [first, second, x - low]
+}

@@ -1,0 +1,278 @@
+//! `gripcast bench synth`: simulated and rendered grasps per hour.
+//!
+//! ```text
+//! gripcast bench synth --json                        coarse and default gels
+//! gripcast bench synth --gel coarse --against fine   how often their labels agree
+//! ```
+//!
+//! The same grasps of the built-in families with each mesh of the gels, simulated, rendered and kept
+//! as `gripcast synth run` does. Exit codes: 0 measured · 1 it could not be · 2 usage · 4 labels
+//! agree on less than 95 %, or more than 1 % of the simulations could not be done · 130 interrupted.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use super::sim_grasp::GelName;
+use super::working::{Progress, interruptible};
+use super::{Context, print, print_json};
+use crate::daemon::live_load::peak_rss_mb;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::workers::cores;
+use gripcast_sim::grasp::{GraspSettings, Preset, resolution_name};
+use gripcast_sim::{Engine, FemEngine};
+use gripcast_synth::plan::{
+    LEAST_FRICTION_SHARE, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
+};
+use gripcast_synth::properties::MassMap;
+use gripcast_synth::{
+    CpuSeconds, Pictures, ResultStore, RunSettings, run as run_plan, simulate_labels,
+};
+
+/// Share of labels that have to agree.
+const LEAST_AGREEMENT: f64 = 0.95;
+/// Share of simulations that may fail.
+const MOST_FAILURES: f64 = 0.01;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Objects
+    #[arg(long, value_name = "N", default_value_t = 18)]
+    objects: usize,
+    /// Grasps of each, at 10 and 40 N
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    grasps: usize,
+    /// Meshes of the gels
+    #[arg(long, value_enum, value_delimiter = ',', default_values = ["coarse", "default"])]
+    gel: Vec<GelName>,
+    /// Simulate the grasps with this mesh as well and compare the labels
+    #[arg(long, value_enum)]
+    against: Option<GelName>,
+    /// Seed of the plan
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Simulations at a time [default: all cores]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
+    jobs: Option<u16>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was found with one mesh of the gels.
+#[derive(Clone, Debug, Serialize)]
+struct Figures {
+    /// Simulated and rendered, wall clock.
+    grasps_per_hour: f64,
+    simulations: usize,
+    held: usize,
+    lost: usize,
+    failed: usize,
+    /// Mean CPU time of the parts of a simulation.
+    cpu_s: CpuSeconds,
+    rss_mb: f64,
+    /// Share of the simulations with a label whose label is the other mesh's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    label_agreement: Option<f64>,
+}
+
+/// Runs the bench.
+pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
+    let own = args.clone();
+    let found = interruptible(context, "simulating", move |progress| {
+        measure(&own, progress)
+    })??;
+    if args.json {
+        print_json(&report(args, &found))?;
+    } else {
+        print(&text(args, &found))?;
+    }
+    let failed = |f: &Figures| f.failed as f64 > MOST_FAILURES * f.simulations as f64;
+    let differs = |f: &Figures| {
+        f.label_agreement
+            .is_some_and(|share| share < LEAST_AGREEMENT)
+    };
+    if found.iter().any(|(_, f)| failed(f) || differs(f)) {
+        return Err(Error::new(
+            ErrorKind::Check,
+            "labels agree on less than 95 %, or more than 1 % of the simulations failed",
+        ));
+    }
+    Ok(())
+}
+
+fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelName, Figures)>> {
+    let folder = tempfile::tempdir().map_err(|e| Error::io("cannot make a folder", e))?;
+    let mut found = Vec::new();
+    let mut reference = None;
+    for gel in &args.gel {
+        let engine = engine(*gel);
+        let jobs = args.jobs();
+        let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
+        let made = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?;
+        let at = folder.path().join(gel_name(*gel));
+        made.write(&at)?;
+        let plan = made.plan;
+        progress.line(format!("{} gels", gel_name(*gel)));
+        let mut figures = figures(&plan, &at, &engine, jobs, progress)?;
+        if let Some(other) = args.against {
+            if reference.is_none() {
+                progress.line(format!("{} gels, for their labels", gel_name(other)));
+                let told = |done: usize| {
+                    progress.at(done as u64, plan.simulations.len() as u64);
+                };
+                let other = self::engine(other);
+                reference = Some(simulate_labels(&plan, &at, &other, jobs, &told)?);
+            }
+            figures.label_agreement = agreement(&plan, &at, reference.as_deref())?;
+        }
+        found.push((*gel, figures));
+    }
+    Ok(found)
+}
+
+fn figures(
+    plan: &Plan,
+    folder: &Path,
+    engine: &dyn Engine,
+    jobs: usize,
+    progress: &Progress,
+) -> Result<Figures> {
+    let began = Instant::now();
+    let told = |at: gripcast_synth::RunProgress| progress.at(at.done as u64, at.all as u64);
+    let settings = RunSettings {
+        shard: Shard::WHOLE,
+        jobs,
+        is_failed_retried: false,
+        is_open_simulated: true,
+        pictures: Pictures::All,
+    };
+    let summary = run_plan(plan, folder, &settings, engine, &told)?;
+    let wall_h = began.elapsed().as_secs_f64() / 3600.0;
+    let store = ResultStore::beside(folder);
+    let mut figures = Figures {
+        grasps_per_hour: summary.simulated as f64 / wall_h,
+        simulations: summary.all,
+        held: 0,
+        lost: 0,
+        failed: summary.failed.len(),
+        cpu_s: CpuSeconds::default(),
+        rss_mb: peak_rss_mb(),
+        label_agreement: None,
+    };
+    for simulation in &plan.simulations {
+        let Some(result) = store.find(plan, &simulation.id)? else {
+            continue;
+        };
+        figures.held += usize::from(result.stable == Some(true));
+        figures.lost += usize::from(result.stable == Some(false));
+        let (sum, own) = (&mut figures.cpu_s, result.cpu_s);
+        let share = 1.0 / summary.all as f64;
+        sum.prepare += share * own.prepare;
+        sum.simulate += share * own.simulate;
+        sum.tactile += share * own.tactile;
+        sum.visual += share * own.visual;
+    }
+    Ok(figures)
+}
+
+/// Share of the results with a label that have that of `reference`, simulation by simulation.
+fn agreement(
+    plan: &Plan,
+    folder: &Path,
+    reference: Option<&[Option<bool>]>,
+) -> Result<Option<f64>> {
+    let store = ResultStore::beside(folder);
+    let [mut same, mut all] = [0; 2];
+    for (simulation, other) in plan.simulations.iter().zip(reference.unwrap_or_default()) {
+        let found = store.find(plan, &simulation.id)?;
+        if let Some(stable) = found.and_then(|result| result.stable) {
+            all += 1;
+            same += usize::from(*other == Some(stable));
+        }
+    }
+    Ok((all > 0).then(|| same as f64 / all as f64))
+}
+
+fn engine(gel: GelName) -> FemEngine {
+    let mut settings = GraspSettings::new(Preset::Paper);
+    settings.resolution = gel.into();
+    FemEngine { settings }
+}
+
+fn gel_name(gel: GelName) -> &'static str {
+    resolution_name(gel.into())
+}
+
+impl Args {
+    fn jobs(&self) -> usize {
+        self.jobs.map_or_else(cores, usize::from)
+    }
+
+    fn settings(&self) -> PlanSettings {
+        PlanSettings {
+            preset: "bench".to_owned(),
+            seed: self.seed,
+            grasps: self.grasps,
+            stop_forces_n: vec![10.0, 40.0],
+            rendering: PlanPreset::Small.rendering(),
+            textures: Vec::new(),
+            mass_map: MassMap::Logarithmic,
+            least_friction_share: LEAST_FRICTION_SHARE,
+            jobs: self.jobs(),
+        }
+    }
+}
+
+fn report(args: &Args, found: &[(GelName, Figures)]) -> Value {
+    let gels: Map<String, Value> = found
+        .iter()
+        .map(|(gel, figures)| (gel_name(*gel).to_owned(), json!(figures)))
+        .collect();
+    json!({
+        "name": "synth",
+        "params": {
+            "objects": args.objects,
+            "grasps": args.grasps,
+            "seed": args.seed,
+            "jobs": args.jobs(),
+            "renderings": PlanPreset::Small.rendering().renderings,
+            "against": args.against.map(gel_name),
+        },
+        "figures": gels,
+        "peers": {},
+    })
+}
+
+fn text(args: &Args, found: &[(GelName, Figures)]) -> String {
+    let mut lines = Vec::new();
+    for (gel, figures) in found {
+        let cpu = figures.cpu_s;
+        lines.push(format!(
+            "{:8} {:6.0} grasps an hour · {} held, {} lost, {} failed · CPU s: prepare {:.2}, \
+             simulate {:.2}, tactile {:.2}, visual {:.2} · {:.0} MB",
+            gel_name(*gel),
+            figures.grasps_per_hour,
+            figures.held,
+            figures.lost,
+            figures.failed,
+            cpu.prepare,
+            cpu.simulate,
+            cpu.tactile,
+            cpu.visual,
+            figures.rss_mb,
+        ));
+        if let (Some(share), Some(other)) = (figures.label_agreement, args.against) {
+            lines.push(format!(
+                "{:8} labels agree with {} gels on {:.1} %",
+                "",
+                gel_name(other),
+                1e2 * share
+            ));
+        }
+    }
+    lines.join("\n")
+}

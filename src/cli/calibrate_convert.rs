@@ -1,0 +1,173 @@
+//! `gripcast calibrate convert` and `gripcast calibrate show`: files of intrinsics.
+
+use std::path::PathBuf;
+
+use glam::DVec2;
+use serde::Serialize;
+
+use super::{Context, print, print_json};
+use crate::note;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::save;
+use gripcast_imaging::{DistortionModel, Intrinsics};
+use gripcast_pose::camera::undistort;
+use gripcast_pose::{CameraChoice, CameraFile, to_opencv, to_ros};
+
+#[derive(Debug, clap::Args)]
+struct Source {
+    /// Intrinsics: gripcast's TOML, camera_info of ROS, YAML of OpenCV, camchain.yaml of Kalibr
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Size of the pictures, for files that do not have it
+    #[arg(long, value_name = "WxH", value_parser = size)]
+    size: Option<[u32; 2]>,
+    /// Which camera of a camchain; what a camera_info is to call it [default: external]
+    #[arg(long, value_name = "NAME")]
+    camera_name: Option<String>,
+}
+
+/// Arguments of `convert`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ConvertArgs {
+    #[command(flatten)]
+    source: Source,
+    /// Format to write
+    #[arg(long, value_enum)]
+    to: Target,
+    /// File to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Target {
+    /// gripcast's own
+    Toml,
+    /// camera_info YAML
+    Ros,
+    /// YAML of FileStorage
+    Opencv,
+}
+
+/// Arguments of `show`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ShowArgs {
+    #[command(flatten)]
+    source: Source,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+fn size(text: &str) -> Result<[u32; 2], String> {
+    let both = text.split_once(['x', '×']);
+    let both = both.and_then(|(w, h)| Some([w.trim().parse().ok()?, h.trim().parse().ok()?]));
+    both.filter(|[w, h]| *w > 0 && *h > 0)
+        .ok_or_else(|| "must be a width and a height in pixels, as 1280x720".to_owned())
+}
+
+impl Source {
+    fn read(&self) -> Result<CameraFile> {
+        let choice = CameraChoice {
+            size: self.size,
+            camera: self.camera_name.as_deref(),
+        };
+        CameraFile::load(&self.file, choice)
+    }
+}
+
+/// Runs `convert`.
+pub(super) fn convert(context: &Context, args: &ConvertArgs) -> Result<()> {
+    let read = args.source.read()?;
+    let text = match args.to {
+        Target::Toml => toml::to_string(&read.intrinsics).map_err(|e| {
+            Error::new(ErrorKind::Internal, "cannot write intrinsics as TOML").because(e)
+        })?,
+        Target::Ros => {
+            let chosen = args.source.camera_name.as_deref();
+            let name = chosen.or(read.camera_name.as_deref()).unwrap_or("external");
+            to_ros(&read.intrinsics, name)?
+        }
+        Target::Opencv => to_opencv(&read.intrinsics, read.rms_px)?,
+    };
+    save(&args.out, text.as_bytes())?;
+    if !context.quiet {
+        for note in &read.notes {
+            note!("gripcast: {}: {note}", args.source.file.display());
+        }
+    }
+    print(&format!(
+        "{}\nfile        {}",
+        describe(&read),
+        args.out.display()
+    ))
+}
+
+#[derive(Serialize)]
+struct Summary<'a> {
+    format: &'static str,
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+    field_of_view_deg: Option<[f64; 2]>,
+    camera_name: Option<&'a str>,
+    rms_px: Option<f64>,
+    notes: &'a [String],
+}
+
+/// Runs `show`.
+pub(super) fn show(args: &ShowArgs) -> Result<()> {
+    let read = args.source.read()?;
+    if args.json {
+        return print_json(&Summary {
+            format: read.format.name(),
+            intrinsics: read.intrinsics,
+            field_of_view_deg: field_of_view_deg(&read.intrinsics),
+            camera_name: read.camera_name.as_deref(),
+            rms_px: read.rms_px,
+            notes: &read.notes,
+        });
+    }
+    print(&describe(&read))
+}
+
+/// Angles between the picture's left and right, and its upper and lower edge, through the
+/// principal point; none where the lens model does not reach an edge.
+fn field_of_view_deg(camera: &Intrinsics) -> Option<[f64; 2]> {
+    let (right, below) = (
+        f64::from(camera.width) - 0.5,
+        f64::from(camera.height) - 0.5,
+    );
+    let ideal = |x: f64, y: f64| undistort(camera, DVec2::new(x, y));
+    let across = ideal(right, camera.cy)?.x.atan() - ideal(-0.5, camera.cy)?.x.atan();
+    let down = ideal(camera.cx, below)?.y.atan() - ideal(camera.cx, -0.5)?.y.atan();
+    Some([across.to_degrees(), down.to_degrees()])
+}
+
+fn describe(read: &CameraFile) -> String {
+    let camera = &read.intrinsics;
+    let model = match camera.model {
+        DistortionModel::None => "none".to_owned(),
+        DistortionModel::BrownConrady => format!("brown-conrady {:?}", camera.coefficients),
+        DistortionModel::InverseBrownConrady => {
+            format!("inverse-brown-conrady {:?}", camera.coefficients)
+        }
+    };
+    let mut lines = vec![
+        format!("format      {}", read.format.name()),
+        format!("pictures    {} × {}", camera.width, camera.height),
+        format!("focal       {} {} px", camera.fx, camera.fy),
+        format!("centre      {} {} px", camera.cx, camera.cy),
+        format!("distortion  {model}"),
+    ];
+    if let Some([across, down]) = field_of_view_deg(camera) {
+        lines.push(format!("view        {across:.1}° × {down:.1}°"));
+    }
+    if let Some(name) = &read.camera_name {
+        lines.push(format!("camera      {name}"));
+    }
+    if let Some(rms) = read.rms_px {
+        lines.push(format!("error       {rms:.3} px"));
+    }
+    lines.extend(read.notes.iter().map(|note| format!("note        {note}")));
+    lines.join("\n")
+}

@@ -1,0 +1,266 @@
+//! `gripcast daemon`: the collection as a service, steered from pages, programs and pedals.
+//!
+//! The same engine as `collect`, without a screen of its own: it waits for cameras that are not
+//! there yet, serves the page and the API, tells systemd how it does and reloads guards and token
+//! on SIGHUP. `gripcast collect --attach` is a screen for it.
+//!
+//! Exit codes: 0 ended by SIGTERM, 1 something listens already or uses the rig or the dataset, 2 a
+//! wrong configuration, 3 a save failed, 130 by Ctrl-C.
+
+use std::net::{IpAddr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use super::collection_flags::CollectionFlags;
+use super::{ConfigFlag, Context, collect, load_settings, print, print_json};
+use crate::collection::{Start, chosen_rig, prepare};
+use crate::config::{DaemonConfig, FlagValue, Layered};
+use crate::daemon::Ended;
+use crate::rig_lock::RigLock;
+use crate::service::{self, Reloaded, ServiceSettings};
+use crate::web::Token;
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// How long answers under way may take at the end.
+const LAST_ANSWERS: Duration = Duration::from_millis(500);
+/// Added to the niceness of the threads that answer the API.
+const SERVING_NICE: i32 = 10;
+/// Name of the socket in the folder of runtime files.
+const SOCKET: &str = "gripcast.sock";
+/// Folder that the systemd unit makes.
+const SERVICE_FOLDER: &str = "/run/gripcast";
+
+/// Arguments of `daemon`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    collection: CollectionFlags,
+    /// Address of page and API, or `none` [default: 127.0.0.1:7471]; beyond this machine only
+    /// with --token-file
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    listen: Option<String>,
+    /// Unix socket for local programs, or `none` [default: gripcast.sock in $XDG_RUNTIME_DIR or
+    /// /run/gripcast]
+    #[arg(long, value_name = "FILE")]
+    socket: Option<String>,
+    /// File with the token that clients over TCP must show; only its owner may read it
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Seed of the virtual rig
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Closing report as one JSON object on stdout
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigFlag,
+}
+
+impl Args {
+    fn flags(&self) -> Vec<FlagValue> {
+        let token_file = self
+            .token_file
+            .as_ref()
+            .map(|path| path.display().to_string());
+        let own = [
+            ("--listen", "daemon.listen", self.listen.clone()),
+            ("--socket", "daemon.socket", self.socket.clone()),
+            ("--token-file", "daemon.token_file", token_file),
+        ];
+        let own = own
+            .into_iter()
+            .filter_map(|(flag, key, value)| Some((flag, key, value?)));
+        self.collection.given().into_iter().chain(own).collect()
+    }
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    let file = args.config.file();
+    let flags = args.flags();
+    let load = move || load_settings(file.as_ref(), &flags);
+    let started = load()?;
+    let settings = service_settings(&started.config.daemon, context.quiet)?;
+    let rig = chosen_rig(&started.config.collect)?;
+    let _lock = RigLock::acquire(&rig)?;
+    let pedals = rig.pedals.clone();
+    let start = Start {
+        seed: args.seed,
+        all_present: false,
+        quiet: context.quiet,
+    };
+    let setup = prepare(started.config.clone(), rig, None, start)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        // Who asks much must not hold up what cameras send. The engine's own threads stay as they
+        // are; where a system refuses, all are equal.
+        .on_thread_start(|| {
+            let _ = rustix::process::nice(SERVING_NICE);
+        })
+        .enable_all()
+        .build()
+        .map_err(|e| Error::io("cannot start the event loop", e))?;
+    let reload = || reloaded(&started, load()?);
+    let report = runtime.block_on(service::run(setup, pedals, settings, reload));
+    runtime.shutdown_timeout(LAST_ANSWERS);
+    let report = report?;
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(collect::summary(&report).trim_end())?;
+    }
+    match report.ended {
+        Ended::Interrupted => Err(Error::new(
+            ErrorKind::Interrupted,
+            "interrupted; everything that was acknowledged is on disk",
+        )),
+        _ if report.session.failed > 0 => Err(collect::saves_failed(&report)),
+        // A service that was asked to end has done what it should.
+        Ended::Terminated | Ended::Quit | Ended::ScriptDone => Ok(()),
+    }
+}
+
+fn service_settings(config: &DaemonConfig, quiet: bool) -> Result<ServiceSettings> {
+    let listen = match config.listen.as_str() {
+        "none" => None,
+        text => Some(address(text)?),
+    };
+    let token = token(config)?;
+    if let Some(address) = listen
+        && !address.ip().is_loopback()
+        && token.is_none()
+    {
+        return Err(Error::new(
+            ErrorKind::Usage,
+            format!("{address} can be reached from other machines, and there is no token"),
+        )
+        .remedy(
+            "head -c 24 /dev/urandom | base64 > FILE; chmod 600 FILE; then --token-file FILE; or \
+             stay on 127.0.0.1 and use `ssh -L 7471:127.0.0.1:7471`",
+        ));
+    }
+    let socket = match config.socket.as_str() {
+        "none" => None,
+        "" => usual_socket(),
+        path => Some(PathBuf::from(path)),
+    };
+    if listen.is_none() && socket.is_none() {
+        return Err(Error::new(
+            ErrorKind::Usage,
+            "there is neither an address nor a socket: nothing could trigger",
+        )
+        .remedy("give --listen 127.0.0.1:7471 or --socket FILE"));
+    }
+    Ok(ServiceSettings {
+        listen,
+        socket,
+        token,
+        quiet,
+    })
+}
+
+fn address(text: &str) -> Result<SocketAddr> {
+    text.parse().map_err(|_| {
+        let is_address = text.parse::<IpAddr>().is_ok();
+        let remedy = match is_address {
+            true => format!("add the port: {text}:7471"),
+            false => "give an address and a port, as 127.0.0.1:7471 or [::1]:7471".to_owned(),
+        };
+        Error::new(
+            ErrorKind::Usage,
+            format!("`{text}` is no address to listen on"),
+        )
+        .remedy(remedy)
+    })
+}
+
+fn token(config: &DaemonConfig) -> Result<Option<Token>> {
+    let file = Some(&config.token_file).filter(|file| !file.is_empty());
+    file.map(|file| Token::read(Path::new(file))).transpose()
+}
+
+/// Where local programs look for the daemon.
+pub(super) fn usual_socket() -> Option<PathBuf> {
+    let service = Path::new(SERVICE_FOLDER);
+    let folder = std::env::var_os("XDG_RUNTIME_DIR")
+        .map(PathBuf::from)
+        .or_else(|| service.is_dir().then(|| service.to_owned()))?;
+    Some(folder.join(SOCKET))
+}
+
+/// What changes without a restart, and what would need one.
+fn reloaded(started: &Layered, now: Layered) -> Result<Reloaded> {
+    let taken = |key: &str| key.starts_with("guards.") || key == "daemon.token_file";
+    let need_restart = now
+        .values
+        .iter()
+        .filter(|(key, (value, _))| !taken(key) && started.values[*key].0 != *value)
+        .map(|(key, _)| key.clone())
+        .collect();
+    let token = token(&now.config.daemon)?;
+    let listens_beyond = address(&now.config.daemon.listen).is_ok_and(|a| !a.ip().is_loopback());
+    if token.is_none() && listens_beyond {
+        return Err(Error::new(
+            ErrorKind::Config,
+            "the token must stay: other machines can reach the daemon",
+        ));
+    }
+    Ok(Reloaded {
+        guards: now.config.guards,
+        token,
+        need_restart,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config;
+
+    fn settings(listen: &str, socket: &str) -> Result<ServiceSettings> {
+        let config = DaemonConfig {
+            listen: listen.into(),
+            socket: socket.into(),
+            token_file: String::new(),
+        };
+        service_settings(&config, true)
+    }
+
+    #[test]
+    fn beyond_this_machine_only_with_a_token() {
+        for listen in ["0.0.0.0:7471", "192.168.0.2:7471", "[::]:7471"] {
+            let error = settings(listen, "none").err().unwrap();
+            assert!(error.to_string().contains("no token"), "{error}");
+            assert_eq!(error.kind().exit_code(), 2);
+        }
+        for listen in ["127.0.0.1:0", "[::1]:7471"] {
+            assert!(settings(listen, "none").is_ok());
+        }
+    }
+
+    #[test]
+    fn wrong_addresses_are_explained() {
+        let text = |listen: &str| settings(listen, "none").err().unwrap().to_string();
+        assert!(text("127.0.0.1").contains("127.0.0.1:7471"));
+        assert!(text("lab").contains("no address"));
+        assert!(text("none").contains("nothing could trigger"));
+    }
+
+    #[test]
+    fn a_reload_takes_guards_and_names_what_it_cannot_take() {
+        let load = |pairs: &[(&str, &str)]| {
+            let env = pairs
+                .iter()
+                .map(|(k, v)| ((*k).to_owned(), (*v).to_owned()));
+            config::load(None, env, &[]).unwrap()
+        };
+        let started = load(&[]);
+        let now = load(&[
+            ("GRIPCAST__GUARDS__MAX_SKEW_MS", "77"),
+            ("GRIPCAST__COLLECT__MODEL", "none"),
+        ]);
+        let reloaded = reloaded(&started, now).unwrap();
+        assert!((reloaded.guards.max_skew_ms - 77.0).abs() < 1e-12);
+        assert_eq!(reloaded.need_restart, ["collect.model"]);
+    }
+}

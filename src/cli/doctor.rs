@@ -1,0 +1,116 @@
+//! `gripcast doctor`: why collecting would not work here, and what helps.
+//!
+//! Exit codes: 0 nothing stands in the way · 2 usage or a wrong rig file · 4 something failed ·
+//! 130 interrupted.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::working::interruptible;
+use super::{ConfigFlag, Context, print, print_json};
+use crate::config::Layered;
+use crate::doctor::{Finding, Patient, Verdict};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_capture::calibration::RigFile;
+use gripcast_capture::device::SystemRoot;
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(flatten)]
+    config: ConfigFlag,
+    /// Name or file of the rig [default: collect.rig of the configuration]
+    #[arg(long, value_name = "NAME|FILE")]
+    rig: Option<String>,
+    /// Folder of the dataset, which need not exist [default: collect.dataset of the configuration]
+    #[arg(long, value_name = "DIR")]
+    dataset: Option<PathBuf>,
+    /// Model as `collect` takes it
+    #[arg(long, value_name = "MODEL")]
+    model: Option<String>,
+    /// How long cameras are measured, s
+    #[arg(long, default_value_t = 2.0, value_parser = super::rig::seconds)]
+    seconds: f64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    /// Read device descriptions below DIR instead of /sys
+    #[arg(long, hide = true, value_name = "DIR", default_value = "/sys")]
+    sysfs_root: PathBuf,
+    /// Look for device nodes below DIR instead of /dev
+    #[arg(long, hide = true, value_name = "DIR", default_value = "/dev")]
+    dev_root: PathBuf,
+    /// Look for the owners of device nodes below DIR instead of /proc
+    #[arg(long, hide = true, value_name = "DIR", default_value = "/proc")]
+    proc_root: PathBuf,
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    let dataset = args.dataset.as_ref().map(|path| path.display().to_string());
+    let flags: Vec<_> = [
+        ("--rig", "collect.rig", args.rig),
+        ("--dataset", "collect.dataset", dataset),
+        ("--model", "collect.model", args.model),
+    ]
+    .into_iter()
+    .filter_map(|(flag, key, value)| Some((flag, key, value?)))
+    .collect();
+    let Layered { config, .. } = args.config.load(&flags)?;
+    let settings = config.collect;
+    let rig = (!settings.rig.is_empty())
+        .then(|| RigFile::find(&settings.rig))
+        .transpose()?;
+    let name = rig.as_ref().map(|rig| rig.id.clone());
+    let patient = Patient {
+        rig,
+        dataset: (!settings.dataset.is_empty()).then(|| PathBuf::from(&settings.dataset)),
+        model: settings.model,
+        duration: Duration::from_secs_f64(args.seconds),
+        guards: config.guards,
+        root: SystemRoot {
+            sys: args.sysfs_root,
+            dev: args.dev_root,
+            proc: args.proc_root,
+        },
+    };
+    let findings = interruptible(context, "looking", move |progress| {
+        patient.examine(&|what| progress.stage(what))
+    })??;
+    let worst = findings.iter().map(|finding| finding.verdict).max();
+    let worst = worst.unwrap_or(Verdict::Ok);
+    if args.json {
+        print_json(&json!({ "findings": findings, "rig": name, "verdict": worst }))?;
+    } else {
+        print(&text(&findings))?;
+    }
+    if worst < Verdict::Fail {
+        return Ok(());
+    }
+    let failed = findings.iter().filter(|f| f.verdict == Verdict::Fail);
+    let names: Vec<String> = failed.map(|f| format!("{} {}", f.area, f.name)).collect();
+    Err(Error::new(
+        ErrorKind::Check,
+        format!("collecting will not work yet: {}", names.join(", ")),
+    )
+    .remedy("see the arrows above"))
+}
+
+fn text(findings: &[Finding]) -> String {
+    let mut lines = Vec::new();
+    for finding in findings {
+        lines.push(format!(
+            "{:<4}  {:<8} {:<20} {}",
+            finding.verdict.name(),
+            finding.area,
+            finding.name,
+            finding.found.replace('\n', "\n        ")
+        ));
+        if let Some(mend) = &finding.mend {
+            lines.push(format!("        → {}", mend.replace('\n', "\n        ")));
+        }
+    }
+    lines.join("\n")
+}

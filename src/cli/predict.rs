@@ -1,0 +1,285 @@
+//! `gripcast predict`: check a model, or predict the stability of one grasp from pictures.
+//!
+//! `predict check MODEL` loads an ONNX file as `collect` would, runs it once and prints what it
+//! promises. `predict images` predicts one grasp from picture files (PNG or JPEG): both tactile
+//! pictures of the open gripper, both of the closed one, and the colour picture where the model
+//! uses it. Tactile pictures are cropped with the model's crop profile unless `--already-cropped`;
+//! all are resized to 320×240. `predict baseline` writes the built-in contact-strength heuristic
+//! as an ONNX file.
+//!
+//! Exit codes: 0 predicted, 1 the model or a picture is refused, 2 usage.
+
+use std::path::{Path, PathBuf};
+
+use image::RgbImage;
+use serde_json::{Value, json};
+
+use super::{Context, print};
+use crate::note;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{FileKind, read_regular, save};
+use gripcast_imaging::{
+    CropProfile, Decoder, Frame, FrameDamage, PixelFormat, TactileDifference, crop_and_resize,
+    decode_png_rgb, jpeg,
+};
+use gripcast_nn::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH, InputName, Origin};
+use gripcast_nn::predict::{BASELINE, Model, ModelInput, SHIPPED, Verdict, baseline};
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Load a model, hold it against its contract and print what it promises
+    Check(CheckArgs),
+    /// Predict one grasp from picture files
+    Images(ImagesArgs),
+    /// Write the built-in contact-strength heuristic as an ONNX file
+    #[command(hide = true)]
+    Baseline(BaselineArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct CheckArgs {
+    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    #[arg(value_name = "MODEL")]
+    model: String,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct ImagesArgs {
+    /// Left tactile picture, gripper open
+    #[arg(long, value_name = "FILE")]
+    initial_left: Option<PathBuf>,
+    /// Right tactile picture, gripper open
+    #[arg(long, value_name = "FILE")]
+    initial_right: Option<PathBuf>,
+    /// Left tactile picture, gripper closed
+    #[arg(long, value_name = "FILE")]
+    grasp_left: Option<PathBuf>,
+    /// Right tactile picture, gripper closed
+    #[arg(long, value_name = "FILE")]
+    grasp_right: Option<PathBuf>,
+    /// Colour picture, gripper closed
+    #[arg(long, value_name = "FILE")]
+    rgb: Option<PathBuf>,
+    /// Crop profile to apply to the tactile pictures [default: the model's own]
+    #[arg(long, value_name = "PROFILE")]
+    crop: Option<String>,
+    /// The tactile pictures are already cropped with the model's profile: take them whole
+    #[arg(long, conflicts_with = "crop")]
+    already_cropped: bool,
+    /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
+    #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
+    model: String,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct BaselineArgs {
+    /// File to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    match args.action {
+        Action::Check(args) => check(context, &args),
+        Action::Images(args) => predict_images(context, &args),
+        Action::Baseline(args) => write_baseline(context, &args.out),
+    }
+}
+
+fn check(context: &Context, args: &CheckArgs) -> Result<()> {
+    let model = Model::named(&args.model)?;
+    let contract = model.contract();
+    let (seed, manifest) = match &contract.origin {
+        Origin::Trained {
+            seed,
+            manifest_sha256,
+        } => (json!(seed), json!(manifest_sha256)),
+        Origin::Heuristic => (Value::Null, Value::Null),
+    };
+    if args.json {
+        return print(&format!(
+            "{:#}",
+            json!({
+                "card": contract.card,
+                "crop_profile": contract.crop_profile_name(),
+                "file": args.model,
+                "inputs": contract.inputs,
+                "kind": contract.origin.name(),
+                "load_ms": model.load_ms(),
+                "name": contract.name,
+                "other": contract.other,
+                "seed": seed,
+                "sha256": model.sha256(),
+                "temperature": contract.temperature,
+                "threshold": contract.threshold,
+                "train_manifest_sha256": manifest,
+                "variant": contract.variant,
+            })
+        ));
+    }
+    let origin = match &contract.origin {
+        Origin::Trained {
+            seed,
+            manifest_sha256,
+        } => format!("trained on {manifest_sha256}, seed {seed}"),
+        Origin::Heuristic => "heuristic, not trained".to_owned(),
+    };
+    let mut lines = vec![
+        format!("model      {} ({origin})", contract.name),
+        format!("sha256     {}", model.sha256()),
+        format!("variant    {}", contract.variant),
+    ];
+    for input in &contract.inputs {
+        lines.push(format!(
+            "input      {} {:?} {} {} {}, {}",
+            input.name, input.shape, input.dtype, input.layout, input.colour, input.formula
+        ));
+    }
+    lines.push(format!("crop       {}", contract.crop_profile_name()));
+    lines.push(format!("threshold  {}", contract.threshold));
+    lines.push(format!("loaded in  {:.1} ms", model.load_ms()));
+    if context.verbose > 0 {
+        lines.push(format!("\n{}", contract.card.trim_end()));
+    }
+    print(&lines.join("\n"))
+}
+
+fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
+    let model = Model::named(&args.model)?;
+    let contract = model.contract();
+    let crop = match &args.crop {
+        Some(name) => {
+            let crop = CropProfile::by_name(name).map_err(|error| error.at("--crop"))?;
+            contract
+                .check_crop_profile(crop.name())
+                .map_err(|error| error.at("--crop"))?;
+            crop
+        }
+        None if args.already_cropped => CropProfile::FULL,
+        None => contract.crop_profile.unwrap_or(CropProfile::FULL),
+    };
+    let mut input = ModelInput::zeros(contract)?;
+    let mut differences = Vec::new();
+    for &name in contract.variant.inputs() {
+        let (initial, grasp) = match name {
+            InputName::TactileLeft => (
+                needed(args.initial_left.as_deref(), "--initial-left", name)?,
+                needed(args.grasp_left.as_deref(), "--grasp-left", name)?,
+            ),
+            InputName::TactileRight => (
+                needed(args.initial_right.as_deref(), "--initial-right", name)?,
+                needed(args.grasp_right.as_deref(), "--grasp-right", name)?,
+            ),
+            InputName::Rgb => {
+                let file = needed(args.rgb.as_deref(), "--rgb", name)?;
+                input.set_rgb(&picture(file, &CropProfile::FULL)?)?;
+                continue;
+            }
+        };
+        let difference =
+            TactileDifference::between(&picture(initial, &crop)?, &picture(grasp, &crop)?)?;
+        input.set_tactile(name, &difference)?;
+        differences.push(difference);
+    }
+    let prediction = model.predict(&input)?;
+    let known = model.novelty();
+    let novelty = known.and_then(|known| known.of_touch(&differences));
+    let verdict = Verdict::of(prediction.p_stable, contract.threshold, novelty);
+    let outcome = verdict.name();
+    if contract.is_heuristic() && !context.quiet {
+        note!(
+            "gripcast: `{}` is a contact-strength heuristic, not a trained model",
+            contract.name
+        );
+    }
+    if args.json {
+        return print(&format!(
+            "{:#}",
+            json!({
+                "crop_profile": crop.name(),
+                "engine_ms": prediction.engine_ms,
+                "kind": contract.origin.name(),
+                "model": contract.name,
+                "model_sha256": model.sha256(),
+                "novelty": novelty,
+                "p_stable": prediction.p_stable,
+                "predicted": outcome,
+                "threshold": contract.threshold,
+            })
+        ));
+    }
+    let why = match verdict {
+        Verdict::Unsure => "; the tactile pictures are unlike those of the training",
+        Verdict::Stable | Verdict::Slip => "",
+    };
+    print(&format!(
+        "{outcome}: p_stable {:.3}, threshold {}{why}",
+        prediction.p_stable, contract.threshold
+    ))
+}
+
+fn write_baseline(context: &Context, out: &Path) -> Result<()> {
+    let bytes = baseline::onnx_bytes()?;
+    save(out, &bytes)?;
+    if !context.quiet {
+        note!("wrote {} ({} bytes)", out.display(), bytes.len());
+    }
+    Ok(())
+}
+
+fn needed<'a>(file: Option<&'a Path>, flag: &str, input: InputName) -> Result<&'a Path> {
+    file.ok_or_else(|| {
+        let what = format!("the model uses `{input}`, so `{flag} FILE` is needed");
+        let error = Error::new(ErrorKind::Usage, what);
+        match input {
+            InputName::Rgb => error.remedy(format!(
+                "give it, or use a model of touch alone, such as --model {BASELINE}"
+            )),
+            InputName::TactileLeft | InputName::TactileRight => error,
+        }
+    })
+}
+
+/// A picture file, cropped and resized as a live frame would be.
+fn picture(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
+    let read = || -> Result<RgbImage> {
+        let bytes = read_regular(path, FileKind::Image)
+            .map_err(|e| Error::io("cannot read the picture", e))?;
+        if bytes.starts_with(b"\x89PNG") {
+            let picture = decode_png_rgb(&bytes)?;
+            return Ok(crop_and_resize(&picture, crop, IMAGE_WIDTH, IMAGE_HEIGHT)?);
+        }
+        if !bytes.starts_with(&[0xff, 0xd8]) {
+            return Err(Error::new(
+                ErrorKind::Input,
+                "expected a PNG or JPEG picture, found another kind of file",
+            ));
+        }
+        let header = jpeg::inspect(&bytes).map_err(FrameDamage::Jpeg)?;
+        let frame = Frame {
+            format: PixelFormat::Mjpg,
+            width: header.width,
+            height: header.height,
+            data: bytes.into(),
+            sequence: 0,
+            driver_time_ns: 0,
+            received_ns: 0,
+        };
+        Ok(Decoder::new()?.decode(&frame, Some(crop), IMAGE_WIDTH, IMAGE_HEIGHT)?)
+    };
+    read().map_err(|error| error.at(path.display()))
+}

@@ -1,0 +1,36 @@
+//! `gripcast render`: what the sensors would see of simulated grasps.
+
+use super::{Context, render_calibrate, render_figure, render_film, render_tactile, render_visual};
+use gripcast_base::error::Result;
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Pictures of the GelSight Minis
+    Tactile(Box<render_tactile::Args>),
+    /// Path-traced pictures of the camera between the fingers
+    Visual(Box<render_visual::Args>),
+    /// Fit a sensor's profile to presses of a ball
+    Calibrate(render_calibrate::Args),
+    /// Make simulated grasps playable by the virtual rig
+    Film(render_film::Args),
+    /// Draw the renderers side by side
+    Figure(render_figure::Args),
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    match args.action {
+        Action::Tactile(args) => render_tactile::run(context, *args),
+        Action::Visual(args) => render_visual::run(context, *args),
+        Action::Calibrate(args) => render_calibrate::run(context, args),
+        Action::Film(args) => render_film::run(context, args),
+        Action::Figure(args) => render_figure::run(context, args),
+    }
+}

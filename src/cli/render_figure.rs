@@ -1,0 +1,237 @@
+//! `gripcast render figure`: the renderers side by side, as one picture.
+//!
+//! ```text
+//! gripcast render figure --presses ball --ball-mm 4 --trace mug.bin --out renderers.png
+//! ```
+//!
+//! First row: a real press of a ball that was not used for fitting: the untouched gel, the press,
+//! and the same press by the calibrated renderer, by the mesh of a gel and by Taxim's table, all
+//! fitted to the other presses. Second row: one finger of a simulated grasp by the same three, and
+//! its depth. Third row: the same grasp path-traced under four lights and on four grounds.
+//!
+//! Exit codes: 0 drawn · 1 presses or trace are refused · 2 usage · 130 interrupted.
+
+use std::path::PathBuf;
+
+use image::imageops::{FilterType, resize};
+use image::{GrayImage, Rgb, RgbImage};
+
+use super::render_source::{Moment, SimulatedGrasp};
+use super::render_tactile::scene;
+use super::working::interruptible;
+use super::{Context, print};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::save;
+use gripcast_imaging::caption::{HEIGHT, write_text};
+use gripcast_imaging::{encode_jpeg, encode_png_rgb};
+use gripcast_sim::fem::{GelGrid, GelResolution};
+use gripcast_sim::grasp::Finger;
+use gripcast_tactile::calibrate::{self, CalibrateOptions, PressSet};
+use gripcast_tactile::lookup::{TaximHeights, fit_to_presses};
+use gripcast_tactile::{
+    FrameLook, GelSurfaceRenderer, ObjectDepthRenderer, PressDepth, Rasteriser, SceneRenderer as _,
+    SensorPlace, SensorProfile, Smoothing, TactileRenderer, TactileScene, faceted, object_depth,
+};
+use gripcast_visual::{
+    ColourSettings, DenoiseSettings, GraspState, RenderSettings, Renderer, View,
+    VisualRandomisation, Watch, demo_model, denoise, develop, grasp_scene,
+};
+
+/// Columns and rows of a tile.
+const TILE: (u32, u32) = (320, 240);
+/// Pixels between tiles.
+const GAP: u32 = 6;
+/// Quality of a figure that is a JPEG.
+const JPEG_QUALITY: u8 = 88;
+/// Rows of a caption.
+const CAPTION: u32 = HEIGHT + 8;
+/// Tiles of a row.
+const COLUMNS: usize = 5;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder of real presses of a ball, as `render calibrate` reads it
+    #[arg(long, value_name = "DIR")]
+    presses: PathBuf,
+    /// Diameter of the ball [default: that of presses.json]
+    #[arg(long, value_name = "MM")]
+    ball_mm: Option<f64>,
+    /// Find contacts in the pictures although presses.json has them
+    #[arg(long)]
+    find_contacts: bool,
+    /// Trace of a simulated grasp of a built-in object
+    #[arg(long, value_name = "FILE")]
+    trace: PathBuf,
+    /// Paths for each pixel of the path-traced pictures
+    #[arg(long, value_name = "N", default_value_t = 256,
+        value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
+    samples: u32,
+    /// Seed of the split, of noise, light and ground
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Picture to write
+    #[arg(long, value_name = "FILE.png|FILE.jpg")]
+    out: PathBuf,
+}
+
+/// A picture with what stands above it.
+type Tile = (String, RgbImage);
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    let out = args.out.clone();
+    let picture = interruptible(context, "drawing", move |progress| {
+        let step = |done: u64| progress.at(done, 3);
+        step(0);
+        let grasp = SimulatedGrasp::read(&args.trace, None)?;
+        let (real, fitted) = real_row(&args)?;
+        step(1);
+        let simulated = simulated_row(&grasp, &fitted)?;
+        step(2);
+        let traced = traced_row(&grasp, &args)?;
+        Ok::<_, Error>(compose(&[real, simulated, traced]))
+    })??;
+    let is_jpeg = out.extension().is_some_and(|e| e == "jpg" || e == "jpeg");
+    let bytes = if is_jpeg {
+        encode_jpeg(&picture, JPEG_QUALITY)?
+    } else {
+        encode_png_rgb(&picture)?
+    };
+    save(&out, &bytes)?;
+    print(&format!("{}", out.display()))
+}
+
+/// Renderers fitted to some of the presses.
+struct Fitted {
+    profile: SensorProfile,
+    lookup: gripcast_tactile::lookup::LookupRenderer,
+}
+
+fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
+    let mut options = CalibrateOptions::of_folder(&args.presses);
+    options.read.size = Some(TILE);
+    options.read.ball_diameter_m = args.ball_mm.map(|mm| 1e-3 * mm);
+    options.read.find_contacts = args.find_contacts;
+    options.seed = args.seed;
+    let profile = calibrate::run(&options)?.profile;
+    let set = PressSet::read(&options.read)?;
+    let (train, held_out) = set.split(options.train_fraction, None, options.seed);
+    let widest = |a: &&usize, b: &&usize| {
+        let radius = |i: usize| set.presses[i].radius_px;
+        radius(**a).total_cmp(&radius(**b))
+    };
+    let Some(&shown) = held_out.iter().max_by(widest) else {
+        return Err(
+            Error::new(ErrorKind::Input, "no press is left to show").at(args.presses.display())
+        );
+    };
+    let lookup = fit_to_presses(&set, &train, TaximHeights::default())?;
+    let press = &set.presses[shown];
+    let contact = set.contact(press);
+    let depth = contact.press(profile.smoothing.sink_length_m);
+    let quiet = FrameLook::default();
+    let ours = TactileRenderer::new(&profile)?.render(&depth, &quiet)?;
+    let gel = GelGrid::pad(GelResolution::Default)?;
+    let flat = faceted(&depth, &gel, &mut Rasteriser::new());
+    let unsmoothed = SensorProfile {
+        smoothing: Smoothing::default(),
+        ..profile.clone()
+    };
+    let gel_surface = TactileRenderer::new(&unsmoothed)?.render(&flat, &quiet)?;
+    let tiles = vec![
+        ("real, no contact".to_owned(), set.no_contact.clone()),
+        (format!("real press, {}", press.file), press.picture.clone()),
+        ("gripcast, fitted to others".to_owned(), ours),
+        ("gel-surface, 19 x 16 nodes".to_owned(), gel_surface),
+        (
+            "lookup (taxim), same fit".to_owned(),
+            lookup.picture(&contact.cap())?,
+        ),
+    ];
+    Ok((tiles, Fitted { profile, lookup }))
+}
+
+fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
+    let place = SensorPlace::on(Finger::Left);
+    let touched = scene(grasp, Moment::Grasp, place)?;
+    let mut ours = ObjectDepthRenderer::new(&fitted.profile)?;
+    let mut gel = GelSurfaceRenderer::new(&fitted.profile)?;
+    let mut lookup = fitted.lookup.clone();
+    let name = &grasp.object.name;
+    Ok(vec![
+        (
+            format!("simulated {name}, before"),
+            ours.render(&touched.untouched(), None)?,
+        ),
+        (
+            "grasp, depth".to_owned(),
+            depth_picture(&touched, ours.grid()),
+        ),
+        ("gripcast".to_owned(), ours.render(&touched, None)?),
+        ("gel-surface".to_owned(), gel.render(&touched, None)?),
+        ("lookup (taxim)".to_owned(), lookup.render(&touched, None)?),
+    ])
+}
+
+/// Deeper is brighter.
+fn depth_picture(scene: &TactileScene<'_>, grid: gripcast_tactile::SensorGeometry) -> RgbImage {
+    let press: PressDepth = object_depth(scene, &grid, &mut Rasteriser::new());
+    let deepest = press.deepest_m().max(1e-9);
+    let grey = GrayImage::from_fn(grid.width as u32, grid.height as u32, |x, y| {
+        let depth = f64::from(press.depth_m[y as usize * grid.width + x as usize]);
+        image::Luma([(255.0 * depth / deepest) as u8])
+    });
+    image::DynamicImage::ImageLuma8(grey).to_rgb8()
+}
+
+fn traced_row(grasp: &SimulatedGrasp, args: &Args) -> Result<Vec<Tile>> {
+    let state = match grasp.snapshot(Moment::Grasp)? {
+        Some(snapshot) => GraspState::at(snapshot, Some(&grasp.gel.grid))?,
+        None => return Ok(Vec::new()),
+    };
+    let size = [TILE.0 as usize, TILE.1 as usize];
+    let mut tiles = Vec::new();
+    for number in 0..COLUMNS as u64 {
+        let seed = args.seed + number;
+        let (view, name) = if number == 0 {
+            (View::External(size), "path-traced, from outside")
+        } else {
+            (View::EyeInHand(size), "path-traced, eye in hand")
+        };
+        let conditions = VisualRandomisation::default().sample(seed);
+        let model = demo_model(&grasp.object.name, seed)?;
+        let scene = grasp_scene(&model, &state, &conditions, view)?;
+        let settings = RenderSettings {
+            samples: args.samples,
+            seed,
+            ..RenderSettings::default()
+        };
+        let rendering =
+            Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
+        let light = denoise(&rendering, &DenoiseSettings::default());
+        let picture = develop(&light, &ColourSettings::default(), conditions.sensor_seed);
+        tiles.push((format!("{name}, seed {seed}"), picture));
+    }
+    Ok(tiles)
+}
+
+fn compose(rows: &[Vec<Tile>]) -> RgbImage {
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0) as u32;
+    let (step_x, step_y) = (TILE.0 + GAP, TILE.1 + CAPTION + GAP);
+    let (width, height) = (columns * step_x + GAP, rows.len() as u32 * step_y + GAP);
+    let mut sheet = RgbImage::from_pixel(width, height, Rgb([24; 3]));
+    for (row, tiles) in rows.iter().enumerate() {
+        for (column, (caption, picture)) in tiles.iter().enumerate() {
+            let (x, y) = (GAP + column as u32 * step_x, row as u32 * step_y);
+            write_text(&mut sheet, x, y + 5, caption, Rgb([225; 3]));
+            let tile = if picture.dimensions() == TILE {
+                picture.clone()
+            } else {
+                resize(picture, TILE.0, TILE.1, FilterType::Triangle)
+            };
+            image::imageops::replace(&mut sheet, &tile, i64::from(x), i64::from(y + CAPTION));
+        }
+    }
+    sheet
+}

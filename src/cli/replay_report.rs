@@ -1,0 +1,115 @@
+//! The report of a replay: its files, and what is said on the terminal.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{BeneathPath, Root};
+use gripcast_replay::{Proportion, Reality, Report, page};
+
+/// Writes `report.json`, then `report.html`.
+///
+/// # Errors
+/// Those of the disk.
+pub(super) fn write_report(report: &Report, out: &Path) -> Result<()> {
+    let json = serde_json::to_vec_pretty(report)
+        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+    let save = |place: BeneathPath, bytes: &[u8]| {
+        let saved = place.replace(bytes);
+        saved.map_err(|e| Error::io("cannot write the report", e).at(place.display()))
+    };
+    let top = Root::new(out).top();
+    save(top.join("report.json"), &json)?;
+    save(top.join("report.html"), page(report)?.as_bytes())
+}
+
+/// The result for people.
+pub(super) fn text(report: &Report, out: &Path) -> String {
+    let mut text = String::new();
+    let _ = writeln!(
+        text,
+        "{} grasps of {} objects replayed, {} left out",
+        report.grasps.len(),
+        report.objects.len(),
+        report.dataset.grasps.saturating_sub(report.grasps.len())
+    );
+    if let Reality::Simulated { how } = &report.dataset.reality {
+        let _ = writeln!(text, "reality is simulated here: {how}");
+    }
+    let _ = writeln!(text, "agreement with reality, 95 % interval:");
+    for engine in &report.engines {
+        let scores = &engine.scores;
+        let _ = writeln!(
+            text,
+            "  {:5}  best settings {}, leave one out {}, one setting for all {}",
+            engine.name,
+            share(&scores.paper.all),
+            share(&scores.leave_one_out.all),
+            share(&scores.one_setting.all)
+        );
+        let forces = scores.force_n.iter();
+        let forces = forces.map(|(object, force)| format!("{object} {force} N"));
+        let _ = writeln!(
+            text,
+            "         friction {}; {}",
+            scores.friction,
+            forces.collect::<Vec<_>>().join(", ")
+        );
+    }
+    if let Some(duel) = &report.duel {
+        let _ = writeln!(
+            text,
+            "only fem right {}, only rigid right {}: McNemar p = {}",
+            duel.only_fem,
+            duel.only_rigid,
+            probability(duel.mcnemar_p)
+        );
+    }
+    if let Some(changes) = &report.changes {
+        let _ = writeln!(
+            text,
+            "against {}: {} outcomes changed",
+            changes.path,
+            changes.outcomes.len()
+        );
+    }
+    let _ = write!(text, "{}", out.join("report.html").display());
+    text
+}
+
+fn share(proportion: &Proportion) -> String {
+    let Proportion {
+        agree,
+        n,
+        share,
+        low,
+        high,
+    } = proportion;
+    format!("{share:.2} ({low:.2}–{high:.2}; {agree} of {n})")
+}
+
+fn probability(p: f64) -> String {
+    if p < 1e-3 {
+        format!("{p:.1e}")
+    } else {
+        format!("{p:.3}")
+    }
+}
+
+/// The error of a replay that left something out.
+///
+/// # Errors
+/// `Partial` if so.
+pub(super) fn finish(report: &Report) -> Result<()> {
+    if report.left_out.is_empty() {
+        return Ok(());
+    }
+    Err(Error::new(
+        ErrorKind::Partial,
+        format!(
+            "{} grasps, or cases of them, were left out of the report",
+            report.left_out.len()
+        ),
+    )
+    .remedy("the report lists them with their reasons"))
+}

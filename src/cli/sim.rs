@@ -1,0 +1,30 @@
+//! `gripcast sim`: the grasp simulator.
+
+use super::{Context, sim_grasp, sim_press, sim_validate};
+use gripcast_base::error::Result;
+
+/// Arguments.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Simulate one grasp: close, adjust the force, lift
+    Grasp(Box<sim_grasp::Args>),
+    /// Press a gel against a rigid indenter: force against depth
+    Press(Box<sim_press::Args>),
+    /// Hold the simulator against theory and converged finite elements
+    Validate(sim_validate::Args),
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    match args.action {
+        Action::Grasp(args) => sim_grasp::run(context, *args),
+        Action::Press(args) => sim_press::run(context, *args),
+        Action::Validate(args) => sim_validate::run(context, args),
+    }
+}

@@ -1,0 +1,240 @@
+//! `gripcast sim press`: press a gel against a rigid indenter.
+//!
+//! ```text
+//! gripcast sim press --indenter sphere --radius-m 0.01 --depth-m 2e-4,4e-4,6e-4
+//! gripcast sim press --indenter sphere --radius-m 0.01 --gel refined --friction 0.4 \
+//!     --depth-m 6e-4 --shift-m 2e-4,5e-4 --json
+//! gripcast sim press --indenter mesh --mesh part.stl --unit mm --depth-m 5e-4
+//! ```
+//!
+//! The gel's back moves slowly towards the fixed indenter; the depth counts from the first touch of
+//! the surface that carries the force. A mesh points down, in the gel's frame: x along 25 mm, y
+//! along 20 mm, its lowest point touches first.
+//!
+//! Exit codes: 0 pressed · 1 the indenter is refused · 2 usage · 4 a point did not converge · 130
+//! interrupted.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use serde::Serialize;
+
+use super::sim_grasp::GelName;
+use super::working::interruptible;
+use super::{Context, print, print_json};
+use crate::note;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
+use gripcast_sim::fem::{GelGrid, GelResolution, Grading, PAD_SIZE_M};
+use gripcast_sim::press::{Goal, Indenter, Press, PressPoint, half_pad, quarter_pad};
+use gripcast_sim::solver::GelMaterial;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    /// What is pressed into the gel; long ones lie along the gel's 20 mm
+    #[arg(long, value_enum)]
+    indenter: Shape,
+    /// Radius of sphere, cylinder or edge
+    #[arg(long, value_name = "M", required_if_eq_any = [
+        ("indenter", "sphere"), ("indenter", "cylinder"), ("indenter", "edge"),
+    ])]
+    radius_m: Option<f64>,
+    /// Mesh file (obj, stl, ply, glb, gltf)
+    #[arg(long, value_name = "FILE", required_if_eq("indenter", "mesh"))]
+    mesh: Option<PathBuf>,
+    /// Unit of the coordinates in the mesh file: mm, cm, m, in
+    #[arg(long, default_value_t = LengthUnit::Metre, value_parser = unit)]
+    unit: LengthUnit,
+    /// Depths, separated by commas
+    #[arg(long, value_name = "M", value_delimiter = ',',
+        default_values_t = [1e-4, 2e-4, 4e-4, 6e-4, 8e-4, 1e-3])]
+    depth_m: Vec<f64>,
+    /// Then shifts along the gel's x at the last depth, separated by commas
+    #[arg(long, value_name = "M", value_delimiter = ',')]
+    shift_m: Vec<f64>,
+    /// Mesh of the gel
+    #[arg(long, value_enum, default_value_t = Mesh::Default)]
+    gel: Mesh,
+    /// How much closer the nodes of coarse, default and fine lie towards the middle of the face: 1
+    /// is equally spaced
+    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
+    towards_middle: f64,
+    /// And towards the face
+    #[arg(long, value_name = "EXPONENT", default_value_t = 1.0)]
+    towards_face: f64,
+    /// Coulomb friction coefficient
+    #[arg(long, value_name = "MU", default_value_t = 0.0)]
+    friction: f64,
+    /// Young's modulus of the gel
+    #[arg(long, value_name = "PA", default_value_t = 1e6)]
+    young_pa: f64,
+    /// Poisson's ratio of the gel
+    #[arg(long, value_name = "NU", default_value_t = 0.3)]
+    poisson: f64,
+    /// Distance below which contact acts; a grasp's is 5e-4
+    #[arg(long, value_name = "M", default_value_t = 2e-5)]
+    d_hat_m: f64,
+    /// Stiffness of contact
+    #[arg(long, value_name = "PA", default_value_t = 3e6)]
+    kappa_pa: f64,
+    /// Size of the indenter's faces
+    #[arg(long, value_name = "M", default_value_t = 2e-4)]
+    face_m: f64,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Shape {
+    /// A sphere
+    Sphere,
+    /// A lying cylinder, longer than the gel
+    Cylinder,
+    /// A plate larger than the gel
+    Plate,
+    /// A straight edge of 90 degrees with a rounded tip
+    Edge,
+    /// A mesh file
+    Mesh,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Mesh {
+    /// 13 × 11 × 3 nodes
+    Coarse,
+    /// 19 × 16 × 4 nodes
+    Default,
+    /// 26 × 21 × 5 nodes
+    Fine,
+    /// A quarter (half with shifts) of the gel by symmetry, refined towards the middle; not for
+    /// meshes
+    Refined,
+}
+
+fn unit(text: &str) -> Result<LengthUnit, String> {
+    text.parse()
+        .map_err(|_| "must be mm, cm, m or in".to_owned())
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    gel_nodes: [usize; 3],
+    wall_s: f64,
+    points: Vec<PressPoint>,
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    let press = build(context, &args)?;
+    let goals = goals(&args)?;
+    let gel_nodes = press.grid.nodes();
+    let (points, wall_s) = interruptible(context, "pressing", move |_| {
+        let started = Instant::now();
+        let points = press.run(&goals);
+        (points, started.elapsed().as_secs_f64())
+    })?;
+    let report = Report {
+        gel_nodes,
+        wall_s,
+        points: points?,
+    };
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&text(&report.points))?;
+    }
+    let lost = report.points.iter().filter(|p| !p.converged).count();
+    if lost == 0 {
+        return Ok(());
+    }
+    let what = format!("{lost} of {} points did not converge", report.points.len());
+    Err(Error::new(ErrorKind::Check, what).remedy("pass a larger --d-hat-m or a coarser --gel"))
+}
+
+fn goals(args: &Args) -> Result<Vec<Goal>> {
+    let at = |depth_m: f64, shift_m: f64| Goal { depth_m, shift_m };
+    let Some(&last) = args.depth_m.last() else {
+        return Err(Error::new(ErrorKind::Usage, "`--depth-m` needs a depth"));
+    };
+    let down = args.depth_m.iter().map(|&depth| at(depth, 0.0));
+    Ok(down
+        .chain(args.shift_m.iter().map(|&shift| at(last, shift)))
+        .collect())
+}
+
+fn load(context: &Context, path: &Path, unit: LengthUnit) -> Result<TriangleMesh> {
+    let prepared = prepare(&load_mesh(path, unit)?, &PrepareOptions::default())
+        .map_err(|e| e.at(path.display()))?;
+    if !context.quiet {
+        for warning in &prepared.warnings {
+            note!("gripcast: {}: {warning}", path.display());
+        }
+    }
+    Ok(prepared.mesh)
+}
+
+fn build(context: &Context, args: &Args) -> Result<Press> {
+    let radius_m = args.radius_m.unwrap_or(0.0);
+    let indenter = match (args.indenter, &args.mesh) {
+        (Shape::Sphere, _) => Indenter::Sphere { radius_m },
+        (Shape::Cylinder, _) => Indenter::Cylinder { radius_m },
+        (Shape::Edge, _) => Indenter::Edge { radius_m },
+        (Shape::Mesh, Some(path)) => Indenter::Mesh(load(context, path, args.unit)?),
+        (Shape::Plate | Shape::Mesh, _) => Indenter::Plate,
+    };
+    if args.indenter == Shape::Mesh && args.gel == Mesh::Refined {
+        let what = "`--gel refined` needs an indenter that is symmetric, not a mesh";
+        return Err(Error::new(ErrorKind::Usage, what));
+    }
+    let (grid, symmetric) = match args.gel {
+        Mesh::Coarse => (pad(GelName::Coarse, args)?, [false; 2]),
+        Mesh::Default => (pad(GelName::Default, args)?, [false; 2]),
+        Mesh::Fine => (pad(GelName::Fine, args)?, [false; 2]),
+        Mesh::Refined if args.shift_m.is_empty() => {
+            (quarter_pad([27, 25, 14], [1.1, 1.1, 1.13])?, [true; 2])
+        }
+        Mesh::Refined => {
+            let grid = half_pad([19, 17, 12], [1.1, 1.1, 1.15])?;
+            (grid, [false, true])
+        }
+    };
+    let mut press = Press::new(grid, indenter);
+    press.symmetric = symmetric;
+    press.friction = args.friction;
+    press.material = GelMaterial {
+        young_pa: args.young_pa,
+        poisson: args.poisson,
+        ..GelMaterial::default()
+    };
+    press.d_hat_m = args.d_hat_m;
+    press.kappa_pa = args.kappa_pa;
+    press.face_m = args.face_m;
+    Ok(press)
+}
+
+fn pad(name: GelName, args: &Args) -> Result<GelGrid> {
+    let grading = Grading {
+        front: args.towards_face,
+        plane: args.towards_middle,
+        ..Grading::default()
+    };
+    GelGrid::graded(GelResolution::from(name).nodes(), PAD_SIZE_M, grading)
+}
+
+fn text(points: &[PressPoint]) -> String {
+    let mut lines = vec!["depth mm   shift mm   normal N   shear N   gap um".to_owned()];
+    lines.extend(points.iter().map(|p| {
+        format!(
+            "{:>8.4} {:>10.4} {:>10.4} {:>9.4} {:>8.2}{}",
+            1e3 * p.depth_m,
+            1e3 * p.shift_m,
+            p.normal_n,
+            p.shear_n,
+            1e6 * p.gap_m,
+            if p.converged { "" } else { "  not converged" }
+        )
+    }));
+    lines.join("\n")
+}

@@ -1,0 +1,99 @@
+//! `gripcast sim validate`: hold the simulator against theory and converged finite elements.
+//!
+//! ```text
+//! gripcast sim validate --quick
+//! gripcast sim validate --cases press-plate,incline --json
+//! ```
+//!
+//! Every number has its expected value, the one that was found and a tolerance.
+//!
+//! Exit codes: 0 all hold · 2 there is no such case · 4 a number does not hold · 130 interrupted.
+
+use super::working::interruptible;
+use super::{Context, print, print_json};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_sim::validate::{self, CASE_NAMES, CaseResult, Effort, Report, Tolerance};
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Only these groups of cases, separated by commas [default: all]
+    #[arg(long, value_name = "NAME", value_delimiter = ',')]
+    cases: Vec<String>,
+    /// Coarser meshes, fewer grasps and wider tolerances
+    #[arg(long)]
+    quick: bool,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the verb.
+pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
+    validate::check_names(&args.cases)?;
+    let effort = if args.quick {
+        Effort::Quick
+    } else {
+        Effort::Full
+    };
+    let names = args.cases.clone();
+    let report = interruptible(context, "validating", move |progress| {
+        let is_wanted = |name: &&&str| names.is_empty() || names.iter().any(|n| n == **name);
+        let groups: Vec<&str> = CASE_NAMES.iter().filter(is_wanted).copied().collect();
+        let mut report = Report::default();
+        for (done, group) in groups.iter().enumerate() {
+            progress.at(done as u64, groups.len() as u64);
+            progress.line(*group);
+            report.absorb(validate::run(&[(*group).to_owned()], effort)?);
+        }
+        Ok::<_, Error>(report)
+    })??;
+    if args.json {
+        print_json(&report)?;
+    } else {
+        print(&text(&report))?;
+    }
+    if report.failed == 0 {
+        return Ok(());
+    }
+    let all = report.cases.len();
+    Err(Error::new(
+        ErrorKind::Check,
+        format!("{} of {all} numbers do not hold", report.failed),
+    ))
+}
+
+fn text(report: &Report) -> String {
+    let widest = report.cases.iter().map(|case| case.name.len()).max();
+    let width = widest.unwrap_or(0);
+    let mut lines: Vec<String> = report.cases.iter().map(|case| line(case, width)).collect();
+    lines.push(format!("{} hold, {} do not", report.passed, report.failed));
+    lines.join("\n")
+}
+
+fn line(case: &CaseResult, width: usize) -> String {
+    let mark = if case.passed { "ok  " } else { "FAIL" };
+    let tolerance = match case.tolerance {
+        Tolerance::Absolute(limit) => format!("within {limit} {}", case.unit),
+        Tolerance::Relative(share) => format!("within {} %", 100.0 * share),
+        Tolerance::AtLeast => "at least".to_owned(),
+        Tolerance::AtMost => "at most".to_owned(),
+        Tolerance::Stated => "stated".to_owned(),
+    };
+    format!(
+        "{mark} {:<width$}  expected {:>11} found {:>11} {}  {tolerance}",
+        case.name,
+        short(case.expected),
+        short(case.found),
+        case.unit,
+    )
+}
+
+/// A number in few digits whatever its size.
+fn short(value: f64) -> String {
+    if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
+        format!("{value:.5}")
+    } else {
+        format!("{value:.4e}")
+    }
+}

@@ -1,0 +1,200 @@
+//! What `collect` and `daemon` share: the rig, the model and the dataset of a configuration, made
+//! ready for the engine, and the pedals.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::thread::JoinHandle;
+
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::mpsc;
+
+use super::config::{CollectConfig, Config};
+use super::daemon::{Asked, Boards, Ended, EngineSetup};
+use super::model_choice::chosen_model;
+use crate::note;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::allow_links_into;
+use gripcast_capture::calibration::{PedalConfig, RigFile};
+use gripcast_capture::camera::{MonotonicClock, RigSources, SupervisionPolicy};
+use gripcast_capture::device::SystemRoot;
+use gripcast_capture::trigger::{PedalEvent, Script, run_pedal};
+use gripcast_dataset::NewDataset;
+use gripcast_imaging::Role;
+use gripcast_session::{CommandSource, Labels};
+
+/// Commands that wait for the engine; an operator cannot press faster than they are taken.
+pub(crate) const COMMAND_QUEUE: usize = 64;
+
+/// What "stable" means in a new dataset.
+const LABEL_DEFINITION: &str = "stable: the object stayed in the gripper while it was lifted; \
+                                slip: it moved in the gripper or fell";
+
+/// How a collection starts.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Start {
+    /// Seed of the virtual rig.
+    pub(crate) seed: u64,
+    /// Whether every camera must be there; else one that is absent is waited for.
+    pub(crate) all_present: bool,
+    /// Whether notes on stderr are left out.
+    pub(crate) quiet: bool,
+}
+
+/// Makes everything ready that a configuration names.
+///
+/// # Errors
+/// `Usage` where rig or dataset is not named, `Device` for an absent camera if all must be there,
+/// and whatever is wrong with the rig's files or the model.
+pub(crate) fn prepare(
+    config: Config,
+    rig: RigFile,
+    script: Option<Script>,
+    start: Start,
+) -> Result<EngineSetup> {
+    allow_links_into(config.files.folders());
+    let settings = config.collect;
+    let dataset = chosen_dataset(&settings)?;
+    let black_box = config.black_box.settings(&dataset)?;
+    let model = chosen_model(&settings.model, &rig, start.quiet)?;
+    let root = SystemRoot::default();
+    let sources = RigSources::of(&rig, &root, start.seed)?;
+    if start.all_present {
+        sources.check_present()?;
+    }
+    let (intrinsics, notes) = sources.intrinsics(&rig, &root)?;
+    if !start.quiet {
+        for note in notes {
+            note!("{note}");
+        }
+    }
+
+    let boards = match (&rig.boards, &sources.hand) {
+        (Some(boards), _) => Some(Boards::read(boards)?),
+        (None, Some(hand)) => Some(Boards::of_virtual_rig(Arc::clone(hand))?),
+        (None, None) => None,
+    };
+    let is_bound = rig.cameras.contains_key(&Role::External);
+    let is_calibrated = intrinsics.contains_key(&Role::External);
+    if is_bound && boards.is_some() && !is_calibrated && !start.quiet {
+        note!(
+            "external: no intrinsics, so that grasps get no pose; measure them with `gripcast \
+             calibrate intrinsics` and name the file in [cameras.external]"
+        );
+    }
+    Ok(EngineSetup {
+        new_dataset: NewDataset {
+            name: dataset_name(&dataset),
+            rig: rig.id.clone(),
+            licence: settings.licence,
+            label_definition: LABEL_DEFINITION.into(),
+        },
+        rig,
+        intrinsics,
+        openers: sources.openers,
+        supervision: SupervisionPolicy::default(),
+        dataset,
+        labels: Labels {
+            object: settings.object,
+            scene: settings.scene,
+            operator: settings.operator,
+        },
+        guards: config.guards,
+        model,
+        script,
+        boards,
+        hand: sources.hand,
+        black_box,
+    })
+}
+
+/// The rig that a configuration names.
+///
+/// # Errors
+/// `Usage` where it names none; as [`RigFile::find`].
+pub(crate) fn chosen_rig(settings: &CollectConfig) -> Result<RigFile> {
+    if settings.rig.is_empty() {
+        return Err(Error::new(ErrorKind::Usage, "which rig?").remedy(
+            "--rig virtual tries everything without cameras; `gripcast rig init` writes a rig \
+             file for the cameras that are plugged in",
+        ));
+    }
+    RigFile::find(&settings.rig)
+}
+
+/// Where a configuration wants the grasps.
+///
+/// # Errors
+/// `Usage` where it does not say.
+pub(crate) fn chosen_dataset(settings: &CollectConfig) -> Result<PathBuf> {
+    if settings.dataset.is_empty() {
+        return Err(Error::new(ErrorKind::Usage, "which dataset?")
+            .remedy("--dataset DIR; the directory is created when it is absent"));
+    }
+    Ok(PathBuf::from(&settings.dataset))
+}
+
+fn dataset_name(path: &Path) -> String {
+    path.file_name().map_or_else(
+        || "dataset".into(),
+        |name| name.to_string_lossy().into_owned(),
+    )
+}
+
+/// Starts to listen to the pedals; the threads end once `ended` is true.
+pub(crate) fn start_pedals(
+    pedals: Vec<PedalConfig>,
+    commands: &mpsc::Sender<Asked>,
+    ended: &Arc<AtomicBool>,
+) -> Vec<JoinHandle<()>> {
+    pedals
+        .into_iter()
+        .map(|pedal| {
+            let (commands, ended) = (commands.clone(), Arc::clone(ended));
+            std::thread::spawn(move || listen_to_pedal(&pedal, &commands, &ended))
+        })
+        .collect()
+}
+
+fn listen_to_pedal(pedal: &PedalConfig, commands: &mpsc::Sender<Asked>, ended: &AtomicBool) {
+    let result = run_pedal(pedal, &MonotonicClock, ended, &mut |event| match event {
+        PedalEvent::Trigger(trigger) => {
+            if let Ok(command) = trigger.text.parse() {
+                // When the queue is full the operator presses faster than anything can be saved.
+                let _ = commands.try_send(Asked::new(command, CommandSource::Pedal));
+            }
+        }
+        PedalEvent::Ready { product } => note!("pedal ready: {product}"),
+        PedalEvent::Unmapped { key } => note!("pedal key `{key}` has no command in the rig"),
+        PedalEvent::Lost { reason } => note!("pedal: {reason}"),
+    });
+    if let Err(error) = result {
+        note!("pedal: {error}");
+    }
+}
+
+/// Resolves when the process is asked to end. `hangup_ends`: a closed terminal asks for it too.
+///
+/// # Errors
+/// When the operating system does not let it listen.
+pub(crate) fn stop_signals(hangup_ends: bool) -> Result<impl Future<Output = Ended>> {
+    let listen = |kind| signal(kind).map_err(|e| Error::io("cannot listen for signals", e));
+    let mut interrupt = listen(SignalKind::interrupt())?;
+    let mut terminate = listen(SignalKind::terminate())?;
+    let mut hangup = hangup_ends
+        .then(|| listen(SignalKind::hangup()))
+        .transpose()?;
+    Ok(async move {
+        let hung_up = async {
+            match &mut hangup {
+                Some(hangup) => hangup.recv().await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            _ = interrupt.recv() => Ended::Interrupted,
+            _ = terminate.recv() => Ended::Terminated,
+            _ = hung_up => Ended::Terminated,
+        }
+    })
+}

@@ -1,0 +1,669 @@
+//! Configuration: defaults < TOML file < `GRIPCAST__SECTION__KEY` < flags.
+//!
+//! Every value remembers where it came from (`gripcast config show`); unknown keys are errors
+//! that name the nearest known one. A file that was only found in the current folder may not set
+//! all keys ([`is_protected`]).
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::daemon::BlackBoxSettings;
+use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::files::{Label, ObjectName};
+use gripcast_session::GuardLimits;
+
+/// Prefix of environment variables.
+const ENV_PREFIX: &str = "GRIPCAST__";
+
+/// Whether a key is ignored in a file that was only found in the current folder.
+///
+/// Such a file may have come with somebody else's data. It may say what is collected and how. It
+/// may not decide who can reach this machine and what they must show, nor where files outside the
+/// dataset are written, removed or read through links. No key names a command that is executed; one that did would
+/// belong here.
+fn is_protected(key: &str) -> bool {
+    key.starts_with("daemon.") || key.starts_with("files.") || key == "black_box.directory"
+}
+
+/// All settings; empty text = not set.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Collection.
+    pub collect: CollectConfig,
+    /// The service.
+    pub daemon: DaemonConfig,
+    /// Limits of the guards at the trigger.
+    pub guards: GuardLimits,
+    /// The continuous log of a collection.
+    pub black_box: BlackBoxConfig,
+    /// Files of datasets, plans and meshes.
+    pub files: FilesConfig,
+}
+
+/// Section `[files]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FilesConfig {
+    /// Folders outside of a dataset into which its symbolic links may lead, with `:` between them
+    /// as in `PATH`.
+    pub linked_folders: String,
+}
+
+impl FilesConfig {
+    /// The folders.
+    #[must_use]
+    pub fn folders(&self) -> Vec<PathBuf> {
+        std::env::split_paths(&self.linked_folders)
+            .filter(|path| !path.as_os_str().is_empty())
+            .collect()
+    }
+}
+
+/// `files.linked_folders` of the environment, else of the user's own file: what every verb needs
+/// before it has read its configuration. A file that is not valid is reported by the verbs that
+/// read it.
+#[must_use]
+pub fn linked_folders() -> Vec<PathBuf> {
+    let linked_folders = std::env::var(format!("{ENV_PREFIX}FILES__LINKED_FOLDERS")).ok();
+    let linked_folders = linked_folders.or_else(|| {
+        let text = std::fs::read_to_string(user_file()?).ok()?;
+        let table: Table = text.parse().ok()?;
+        let folders = table.get("files")?.get("linked_folders")?;
+        folders.as_str().map(str::to_owned)
+    });
+    let linked_folders = linked_folders.unwrap_or_default();
+    FilesConfig { linked_folders }.folders()
+}
+
+/// Most that waits in memory to be written to the black box, bytes: a third of a second of two
+/// GelSight Minis and a D435.
+const BLACK_BOX_QUEUE_BYTES: usize = 64 << 20;
+
+/// Section `[black_box]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BlackBoxConfig {
+    /// Whether there is one.
+    pub enabled: bool,
+    /// Directory that gets one directory for each dataset; empty = `blackbox` in the dataset.
+    pub directory: String,
+    /// Size from which a new file is begun, MiB.
+    pub file_mib: u64,
+    /// Most that a dataset's files may take, GiB; the oldest make room.
+    pub total_gib: f64,
+    /// Free space of the disk below which the log ends, GB.
+    pub reserve_gb: f64,
+}
+
+impl Default for BlackBoxConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            directory: String::new(),
+            file_mib: 1024,
+            total_gib: 20.0,
+            reserve_gb: 2.0,
+        }
+    }
+}
+
+impl BlackBoxConfig {
+    /// What the engine gets for a dataset; none where it is not enabled.
+    ///
+    /// # Errors
+    /// `Config` for limits that contradict each other or are out of range.
+    pub fn settings(&self, dataset: &Path) -> Result<Option<BlackBoxSettings>> {
+        if !self.enabled {
+            return Ok(None);
+        }
+        let wrong = |key: &str, expected: &str, found: &dyn fmt::Display| {
+            let what = format!("`black_box.{key}` must be {expected}, found {found}");
+            Error::new(ErrorKind::Config, what)
+        };
+        if !(1..=1 << 20).contains(&self.file_mib) {
+            return Err(wrong("file_mib", "between 1 and 1048576", &self.file_mib));
+        }
+        let file_bytes = self.file_mib << 20;
+        let total = self.total_gib * (1_u64 << 30) as f64;
+        if !(total.is_finite() && total >= file_bytes as f64) {
+            let expected = format!("at least one file of {} MiB", self.file_mib);
+            return Err(wrong("total_gib", &expected, &self.total_gib));
+        }
+        let reserve = self.reserve_gb * 1e9;
+        if !(reserve.is_finite() && reserve >= 0.0) {
+            return Err(wrong("reserve_gb", "0 or more", &self.reserve_gb));
+        }
+        let directory = if self.directory.is_empty() {
+            dataset.join("blackbox")
+        } else {
+            let name = dataset.file_name().unwrap_or(dataset.as_os_str());
+            Path::new(&self.directory).join(name)
+        };
+        Ok(Some(BlackBoxSettings {
+            directory,
+            file_bytes,
+            total_bytes: total as u64,
+            reserve_bytes: reserve as u64,
+            queue_bytes: BLACK_BOX_QUEUE_BYTES,
+        }))
+    }
+}
+
+/// Section `[daemon]`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DaemonConfig {
+    /// Address and port of page and API; `none` = not over TCP.
+    pub listen: String,
+    /// Unix socket for local programs; empty = in `$XDG_RUNTIME_DIR` or `/run/gripcast`, `none` =
+    /// no socket.
+    pub socket: String,
+    /// File with the token that clients over TCP must show.
+    pub token_file: String,
+}
+
+impl Default for DaemonConfig {
+    fn default() -> Self {
+        Self {
+            listen: "127.0.0.1:7471".into(),
+            socket: String::new(),
+            token_file: String::new(),
+        }
+    }
+}
+
+/// Section `[collect]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CollectConfig {
+    /// Rig name or file.
+    pub rig: String,
+    /// Dataset directory.
+    pub dataset: String,
+    /// Object at the start.
+    pub object: ObjectName,
+    /// Scene at the start.
+    pub scene: Label,
+    /// Operator.
+    pub operator: Label,
+    /// ONNX file, `gripcast-vt` or `baseline-contact`; empty = the first of these that suits the
+    /// rig, `none` = no prediction.
+    pub model: String,
+    /// `auto`, `bell` or `off`.
+    pub sound: String,
+    /// Licence that is written into a new dataset.
+    pub licence: String,
+}
+
+impl Default for CollectConfig {
+    fn default() -> Self {
+        Self {
+            rig: String::new(),
+            dataset: String::new(),
+            object: ObjectName::default(),
+            scene: Label::nearest("scene"),
+            operator: Label::default(),
+            model: String::new(),
+            sound: "auto".into(),
+            licence: "not stated".into(),
+        }
+    }
+}
+
+/// Where a value came from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// Built in.
+    Default,
+    /// A configuration file.
+    File(PathBuf),
+    /// An environment variable.
+    Environment(String),
+    /// A command-line flag.
+    Flag(String),
+}
+
+impl fmt::Display for Origin {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Default => f.write_str("default"),
+            Self::File(path) => write!(f, "{}", path.display()),
+            Self::Environment(name) => f.write_str(name),
+            Self::Flag(name) => f.write_str(name),
+        }
+    }
+}
+
+/// A configuration file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ConfigFile {
+    /// Named by the user, or the user's own.
+    Chosen(PathBuf),
+    /// `gripcast.toml` in the current folder, which nobody named.
+    Found(PathBuf),
+}
+
+impl ConfigFile {
+    /// Where it is.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Chosen(path) | Self::Found(path) => path,
+        }
+    }
+}
+
+/// A value that was ignored: it is protected, and its file was only found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Ignored {
+    /// The value.
+    pub value: Value,
+    /// The file that sets it.
+    pub file: PathBuf,
+}
+
+impl Ignored {
+    /// What happened to `key`, why, and how to set it on purpose.
+    #[must_use]
+    pub fn warning(&self, key: &str) -> String {
+        let (value, file) = (&self.value, self.file.display());
+        let flag = match key {
+            "daemon.listen" => ", --listen",
+            "daemon.socket" => ", --socket",
+            "daemon.token_file" => ", --token-file",
+            _ => "",
+        };
+        let variable = key.to_uppercase().replace('.', "__");
+        format!(
+            "warning: {file}: `{key} = {value}` is ignored. A file found in the current folder \
+             cannot open the network or choose where files go. To set it on purpose, use \
+             --config ./{file}{flag} or {ENV_PREFIX}{variable}"
+        )
+    }
+}
+
+/// The configuration together with the origin of every value, by dotted key.
+#[derive(Clone, Debug)]
+pub struct Layered {
+    /// Merged values.
+    pub config: Config,
+    /// Dotted key → value and origin, sorted.
+    pub values: BTreeMap<String, (Value, Origin)>,
+    /// Dotted key → what was ignored and nothing else sets.
+    pub ignored: BTreeMap<String, Ignored>,
+}
+
+/// A flag that was given: its name, dotted key and value.
+pub type FlagValue = (&'static str, &'static str, String);
+
+/// Merges all layers.
+///
+/// # Errors
+/// `Config` for an unreadable or wrong file, an unknown key (with the nearest known one), a value
+/// of the wrong type; each names its origin.
+pub fn load(
+    file: Option<&ConfigFile>,
+    environment: impl IntoIterator<Item = (String, String)>,
+    flags: &[FlagValue],
+) -> Result<Layered> {
+    let text = file.map(|file| {
+        let path = file.path();
+        std::fs::read_to_string(path)
+            .map_err(|e| Error::io("cannot read the configuration file", e).at(path.display()))
+    });
+    let text = text.transpose()?;
+    merge(file.zip(text.as_deref()), environment, flags)
+}
+
+/// As [`load`], with the text of a file that was read already.
+///
+/// # Errors
+/// As [`load`].
+pub fn merge(
+    file: Option<(&ConfigFile, &str)>,
+    environment: impl IntoIterator<Item = (String, String)>,
+    flags: &[FlagValue],
+) -> Result<Layered> {
+    let defaults = Table::try_from(Config::default()).map_err(|e| {
+        Error::new(ErrorKind::Internal, "the default configuration is not TOML").because(e)
+    })?;
+    let mut values = BTreeMap::new();
+    flatten("", &defaults, &mut |key, value| {
+        values.insert(key, (value.clone(), Origin::Default));
+    });
+
+    let mut ignored = BTreeMap::new();
+    if let Some((file, text)) = file {
+        let path = file.path();
+        let table: Table = text.parse().map_err(|e| {
+            Error::new(
+                ErrorKind::Config,
+                "the configuration file is not valid TOML",
+            )
+            .because(e)
+            .at(path.display())
+        })?;
+        let mut given = Vec::new();
+        flatten("", &table, &mut |key, value| {
+            given.push((key, value.clone()))
+        });
+        for (key, value) in given {
+            let origin = Origin::File(path.to_owned());
+            if matches!(file, ConfigFile::Found(_)) && is_protected(&key) {
+                // It must be a key all the same.
+                slot(&mut values, &key, &origin)?;
+                let file = path.to_owned();
+                ignored.insert(key, Ignored { value, file });
+            } else {
+                set(&mut values, &key, value, origin)?;
+            }
+        }
+    }
+
+    let mut environment: Vec<_> = environment
+        .into_iter()
+        .filter(|(name, _)| name.starts_with(ENV_PREFIX))
+        .collect();
+    environment.sort();
+    for (name, text) in environment {
+        let key = name[ENV_PREFIX.len()..].to_lowercase().replace("__", ".");
+        set_text(&mut values, &key, &text, Origin::Environment(name))?;
+    }
+    for (flag, key, text) in flags {
+        set_text(&mut values, key, text, Origin::Flag((*flag).to_owned()))?;
+    }
+
+    let config = assemble(&values)?;
+    ignored.retain(|key, _| values[key].1 == Origin::Default);
+    Ok(Layered {
+        config,
+        values,
+        ignored,
+    })
+}
+
+/// The file that is read when none is named: `./gripcast.toml`, then
+/// `$XDG_CONFIG_HOME/gripcast/config.toml`.
+#[must_use]
+pub fn default_file() -> Option<ConfigFile> {
+    let local = PathBuf::from("gripcast.toml");
+    if local.is_file() {
+        return Some(ConfigFile::Found(local));
+    }
+    user_file().map(ConfigFile::Chosen)
+}
+
+/// `$XDG_CONFIG_HOME/gripcast/config.toml`, where it is there.
+fn user_file() -> Option<PathBuf> {
+    let home = std::env::var_os("XDG_CONFIG_HOME")
+        .map(PathBuf::from)
+        .or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".config")))?;
+    let own = home.join("gripcast/config.toml");
+    own.is_file().then_some(own)
+}
+
+fn flatten(prefix: &str, table: &Table, found: &mut impl FnMut(String, &Value)) {
+    for (key, value) in table {
+        let key = if prefix.is_empty() {
+            key.clone()
+        } else {
+            format!("{prefix}.{key}")
+        };
+        match value {
+            Value::Table(inner) => flatten(&key, inner, found),
+            value => found(key, value),
+        }
+    }
+}
+
+fn slot<'a>(
+    values: &'a mut BTreeMap<String, (Value, Origin)>,
+    key: &str,
+    origin: &Origin,
+) -> Result<&'a mut (Value, Origin)> {
+    if !values.contains_key(key) {
+        let mut error = Error::new(ErrorKind::Config, format!("unknown key `{key}`")).at(origin);
+        if let Some(near) = nearest_name(key, values.keys().map(String::as_str)) {
+            error = error.remedy(format!("did you mean `{near}`?"));
+        }
+        return Err(error.remedy("`gripcast config show` lists all keys"));
+    }
+    values
+        .get_mut(key)
+        .ok_or_else(|| Error::new(ErrorKind::Internal, format!("key `{key}` vanished")))
+}
+
+fn set(
+    values: &mut BTreeMap<String, (Value, Origin)>,
+    key: &str,
+    value: Value,
+    origin: Origin,
+) -> Result<()> {
+    let slot = slot(values, key, &origin)?;
+    let value = match (&slot.0, value) {
+        (Value::Float(_), Value::Integer(n)) => Value::Float(n as f64),
+        (_, value) => value,
+    };
+    if slot.0.type_str() != value.type_str() {
+        let (expected, found) = (slot.0.type_str(), value.type_str());
+        return Err(Error::new(
+            ErrorKind::Config,
+            format!("`{key}` must be of type {expected}, found {found}"),
+        )
+        .at(origin));
+    }
+    *slot = (value, origin);
+    Ok(())
+}
+
+fn set_text(
+    values: &mut BTreeMap<String, (Value, Origin)>,
+    key: &str,
+    text: &str,
+    origin: Origin,
+) -> Result<()> {
+    let slot = slot(values, key, &origin)?;
+    let expected = slot.0.type_str();
+    let value = match &slot.0 {
+        Value::Integer(_) => text.parse().ok().map(Value::Integer),
+        Value::Float(_) => text.parse().ok().map(Value::Float),
+        Value::Boolean(_) => text.parse().ok().map(Value::Boolean),
+        _ => Some(Value::String(text.to_owned())),
+    };
+    let Some(value) = value else {
+        return Err(Error::new(
+            ErrorKind::Config,
+            format!("`{key}` must be of type {expected}, found `{text}`"),
+        )
+        .at(origin));
+    };
+    *slot = (value, origin);
+    Ok(())
+}
+
+fn assemble(values: &BTreeMap<String, (Value, Origin)>) -> Result<Config> {
+    let mut root = Table::new();
+    for (key, (value, _)) in values {
+        let mut table = &mut root;
+        let mut parts: Vec<&str> = key.split('.').collect();
+        let leaf = parts.pop().unwrap_or(key);
+        for part in parts {
+            let entry = table
+                .entry(part.to_owned())
+                .or_insert_with(|| Value::Table(Table::new()));
+            table = entry.as_table_mut().ok_or_else(|| {
+                Error::new(ErrorKind::Internal, format!("`{part}` is key and section"))
+            })?;
+        }
+        table.insert(leaf.to_owned(), value.clone());
+    }
+    root.try_into()
+        .map_err(|e| Error::new(ErrorKind::Config, "the configuration is wrong").because(e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn none() -> Vec<(String, String)> {
+        Vec::new()
+    }
+
+    #[test]
+    fn later_layers_win_and_origins_are_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("c.toml");
+        std::fs::write(
+            &file,
+            "[collect]\nrig = \"a\"\nscene = \"lab\"\n[guards]\nmax_skew_ms = 25\n",
+        )
+        .unwrap();
+        let env = [("GRIPCAST__COLLECT__RIG".to_owned(), "b".to_owned())];
+        let flags = [("--rig", "collect.rig", "c".to_owned())];
+        let layered = load(Some(&ConfigFile::Chosen(file.clone())), env, &flags).unwrap();
+        assert_eq!(layered.config.collect.rig, "c");
+        assert_eq!(layered.config.collect.scene, "lab");
+        assert!((layered.config.guards.max_skew_ms - 25.0).abs() < 1e-12);
+        assert_eq!(
+            layered.values["collect.rig"].1,
+            Origin::Flag("--rig".into())
+        );
+        assert_eq!(layered.values["collect.scene"].1, Origin::File(file));
+        assert_eq!(layered.values["collect.sound"].1, Origin::Default);
+    }
+
+    #[test]
+    fn a_file_that_was_only_found_cannot_open_the_network_or_choose_where_files_go() {
+        let path = PathBuf::from("gripcast.toml");
+        let text = "[daemon]\nlisten = \"0.0.0.0:7471\"\nsocket = \"/tmp/s\"\ntoken_file = \"t\"\n\
+                    [black_box]\ndirectory = \"/home/ada\"\nenabled = true\n[collect]\nscene = \"lab\"\n";
+        let found = ConfigFile::Found(path.clone());
+        let env = [("GRIPCAST__DAEMON__SOCKET".to_owned(), "none".to_owned())];
+        let layered = merge(Some((&found, text)), env, &[]).unwrap();
+        let config = &layered.config;
+        assert_eq!(config.daemon.listen, DaemonConfig::default().listen);
+        assert_eq!(config.daemon.socket, "none");
+        assert_eq!(config.daemon.token_file, "");
+        assert_eq!(config.black_box.directory, "");
+        assert!(config.black_box.enabled && config.collect.scene == "lab");
+        // The socket is set by something else: nothing of the file is missing.
+        let keys: Vec<&str> = layered.ignored.keys().map(String::as_str).collect();
+        assert_eq!(
+            keys,
+            ["black_box.directory", "daemon.listen", "daemon.token_file"]
+        );
+        let warning = layered.ignored["daemon.listen"].warning("daemon.listen");
+        for part in [
+            "gripcast.toml: `daemon.listen = \"0.0.0.0:7471\"`",
+            "--config ./gripcast.toml",
+            "--listen",
+            "GRIPCAST__DAEMON__LISTEN",
+        ] {
+            assert!(warning.contains(part), "{warning}");
+        }
+
+        let chosen = ConfigFile::Chosen(path);
+        let layered = merge(Some((&chosen, text)), none(), &[]).unwrap();
+        assert_eq!(layered.config.daemon.listen, "0.0.0.0:7471");
+        assert_eq!(layered.config.black_box.directory, "/home/ada");
+        assert!(layered.ignored.is_empty());
+
+        let unknown = "[daemon]\nlisen = \"0.0.0.0:7471\"\n";
+        let error = merge(Some((&found, unknown)), none(), &[]).unwrap_err();
+        assert!(error.to_string().contains("daemon.listen"), "{error}");
+    }
+
+    #[test]
+    fn unknown_keys_name_the_nearest_and_their_origin() {
+        let env = [("GRIPCAST__COLLECT__OPERATR".to_owned(), "x".to_owned())];
+        let error = load(None, env, &[]).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Config);
+        let text = error.to_string();
+        assert!(text.contains("collect.operator") && text.contains("GRIPCAST__COLLECT__OPERATR"));
+    }
+
+    #[test]
+    fn wrong_types_are_refused() {
+        let env = [(
+            "GRIPCAST__GUARDS__MAX_SKEW_MS".to_owned(),
+            "wide".to_owned(),
+        )];
+        let text = load(None, env, &[]).unwrap_err().to_string();
+        assert!(text.contains("max_skew_ms") && text.contains("float") && text.contains("wide"));
+    }
+
+    #[test]
+    fn defaults_assemble_to_the_default_configuration() {
+        assert_eq!(load(None, none(), &[]).unwrap().config, Config::default());
+    }
+
+    #[test]
+    fn the_black_box_is_off_and_its_limits_are_checked() {
+        let dataset = Path::new("/data/kitchen");
+        assert_eq!(BlackBoxConfig::default().settings(dataset).unwrap(), None);
+        let on = BlackBoxConfig {
+            enabled: true,
+            ..BlackBoxConfig::default()
+        };
+        let settings = on.settings(dataset).unwrap().unwrap();
+        assert_eq!(settings.directory, Path::new("/data/kitchen/blackbox"));
+        assert_eq!(settings.file_bytes, 1 << 30);
+        assert_eq!(settings.total_bytes, 20 << 30);
+        assert_eq!(settings.reserve_bytes, 2_000_000_000);
+        let apart = BlackBoxConfig {
+            directory: "/logs".into(),
+            ..on.clone()
+        };
+        let settings = apart.settings(dataset).unwrap().unwrap();
+        assert_eq!(settings.directory, Path::new("/logs/kitchen"));
+        for (wrong, key) in [
+            (
+                BlackBoxConfig {
+                    file_mib: 0,
+                    ..on.clone()
+                },
+                "file_mib",
+            ),
+            (
+                BlackBoxConfig {
+                    total_gib: 0.5,
+                    ..on.clone()
+                },
+                "total_gib",
+            ),
+            (
+                BlackBoxConfig {
+                    total_gib: f64::NAN,
+                    ..on.clone()
+                },
+                "total_gib",
+            ),
+            (
+                BlackBoxConfig {
+                    reserve_gb: -1.0,
+                    ..on.clone()
+                },
+                "reserve_gb",
+            ),
+        ] {
+            let error = wrong.settings(dataset).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Config);
+            assert!(error.to_string().contains(key), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_is_not_toml_is_an_explained_error() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("c.toml");
+        std::fs::write(&file, "[collect\n").unwrap();
+        let error = load(Some(&ConfigFile::Chosen(file)), none(), &[]).unwrap_err();
+        assert!(error.to_string().contains("c.toml"), "{error}");
+        assert_eq!(error.kind().exit_code(), 2);
+    }
+}

@@ -1,0 +1,58 @@
+//! What a dataset keeps of each camera's calibration.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::ContentKey;
+use gripcast_capture::calibration::{CameraConfig, RigFile};
+use gripcast_dataset::DatasetWriter;
+use gripcast_imaging::{Intrinsics, Role};
+
+/// A file of `calibration/`.
+#[derive(Serialize)]
+struct Calibration<'a> {
+    camera: &'a CameraConfig,
+    intrinsics: Option<&'a Intrinsics>,
+}
+
+/// Stores the calibration of every camera of a rig; returns the keys.
+///
+/// # Errors
+/// `DiskFull`, `Io`, ….
+pub(super) fn store_calibration(
+    writer: &mut DatasetWriter,
+    rig: &RigFile,
+    intrinsics: &BTreeMap<Role, Intrinsics>,
+) -> Result<BTreeMap<Role, ContentKey>> {
+    rig.cameras
+        .iter()
+        .map(|(role, camera)| {
+            let calibration = Calibration {
+                camera,
+                intrinsics: intrinsics.get(role),
+            };
+            let text = toml::to_string_pretty(&calibration).map_err(|e| {
+                Error::new(ErrorKind::Internal, "cannot write the calibration").because(e)
+            })?;
+            Ok((*role, writer.put_calibration(&text)?))
+        })
+        .collect()
+}
+
+/// The intrinsics in a file that [`store_calibration`] wrote, if there are any.
+///
+/// # Errors
+/// `Input` for another file; `Config` for implausible intrinsics.
+pub fn stored_intrinsics(text: &str) -> Result<Option<Intrinsics>> {
+    #[derive(Deserialize)]
+    struct Stored {
+        intrinsics: Option<Intrinsics>,
+    }
+    let stored: Stored = toml::from_str(text).map_err(|e| {
+        let what = format!("the stored calibration cannot be read: {}", e.message());
+        Error::new(ErrorKind::Input, what).remedy("give --intrinsics FILE")
+    })?;
+    stored.intrinsics.map(Intrinsics::validate).transpose()
+}

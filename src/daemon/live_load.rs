@@ -1,0 +1,368 @@
+//! The complete live path under load, from memory: what `gripcast bench live` measures.
+//!
+//! Cameras, hub, decoding and inference are those of `collect`; only the frames come from memory
+//! instead of a driver, at the rate of the real cameras.
+
+use std::sync::Arc;
+use std::sync::mpsc::channel;
+use std::time::Duration;
+
+use super::capture::CaptureThreads;
+use super::decode;
+use super::hub::Hub;
+use super::infer::{InferRequest, Inference};
+use super::tasks::Tasks;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_capture::camera::{
+    CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
+    SupervisionPolicy, monotonic_ns,
+};
+use gripcast_imaging::{
+    CropProfile, Decoder, Frame, FrameBytes, FramePool, PixelFormat, Role, encode_jpeg,
+    synthetic_gel,
+};
+use gripcast_nn::predict::Model;
+
+/// Frames that a V4L2 queue holds for a late reader; later ones are lost, as with a driver.
+const QUEUE: u64 = 4;
+
+/// Size of a GelSight Mini's frame, pixels.
+const GEL_SIZE: (u32, u32) = (3280, 2464);
+
+/// Different frames that each camera repeats.
+const DISTINCT: u64 = 6;
+
+/// Time before the measurement, for threads, caches and the first predictions.
+const WARM_UP: Duration = Duration::from_secs(2);
+
+/// Quality of the synthesised gel pictures.
+#[derive(Clone, Copy, Debug)]
+pub struct LoadParams {
+    /// Length of the measurement, s.
+    pub seconds: u64,
+    /// JPEG quality of the gel frames, 1..100.
+    pub quality: u8,
+}
+
+/// What was measured.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct LoadFigures {
+    /// Frames lost by us: gaps of the source's counter, all cameras.
+    pub lost: u64,
+    /// Tactile frames that no decoder took because the next one had come.
+    pub not_decoded: u64,
+    /// Frames received, all cameras.
+    pub received: u64,
+    /// Predictions per second.
+    pub predictions_per_s: f64,
+    /// Camera frame to prediction, median, ms.
+    pub latency_p50_ms: f64,
+    /// Camera frame to prediction, 99th percentile, ms.
+    pub latency_p99_ms: f64,
+    /// CPU cores used.
+    pub cores: f64,
+    /// Peak resident memory of the process, MB.
+    pub rss_mb: f64,
+    /// Mean size of a gel frame, kB.
+    pub gel_frame_kb: f64,
+}
+
+/// Drives two 3280×2464 MJPG streams at 25/s, 1280×720 YUYV and Z16 at 30/s through the live path.
+///
+/// # Errors
+/// When a thread, a decoder or the model's tensors cannot be had.
+pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
+    let cameras = [
+        (Role::Left, gel_frames(1, params.quality)?),
+        (Role::Right, gel_frames(2, params.quality)?),
+        (Role::Rgb, raw_frames(PixelFormat::Yuyv)),
+        (Role::Depth, raw_frames(PixelFormat::Z16)),
+    ];
+    let gel_bytes: usize = cameras[..2]
+        .iter()
+        .flat_map(|(_, recording)| recording.frames.iter().map(|f| f.len()))
+        .sum();
+    let openers = cameras
+        .into_iter()
+        .map(|(role, recording)| -> Box<dyn CameraOpener> {
+            Box::new(MemoryOpener { role, recording })
+        })
+        .collect();
+
+    let hub = Hub::new([Role::Left, Role::Right, Role::Rgb, Role::Depth]);
+    let (requests, inbox) = channel();
+    let crop = |role: Role| role.is_tactile().then_some(CropProfile::GSMINI_SEVENTH);
+    let tasks = Tasks::default();
+    let decoders = decode::start(&hub, crop, &requests, &tasks)?;
+    let inference = Inference::start(&hub, Some(model), (requests, inbox), &tasks)?;
+    // Repeated frames are the nature of this source and no fault.
+    let policy = SupervisionPolicy {
+        freeze_after_ns: None,
+        ..SupervisionPolicy::default()
+    };
+    let mut capture = CaptureThreads::start(openers, &hub, &policy, &tasks)?;
+
+    std::thread::sleep(WARM_UP / 2);
+    let initial = |role| {
+        let decoded = hub.slot(role).and_then(|slot| slot.latest());
+        decoded.map(|decoded| decoded.image).ok_or_else(|| {
+            Error::new(
+                ErrorKind::Internal,
+                format!("{role}: nothing decoded in 1 s"),
+            )
+        })
+    };
+    let request = InferRequest::SetInitial {
+        change: 1,
+        left: initial(Role::Left)?,
+        right: initial(Role::Right)?,
+    };
+    inference
+        .requests()
+        .send(request)
+        .map_err(|_| Error::new(ErrorKind::Internal, "the inference thread has ended"))?;
+    std::thread::sleep(WARM_UP / 2);
+
+    let counts = || {
+        hub.slots()
+            .fold((0, 0, 0), |(lost, skipped, received), slot| {
+                slot.facts(|facts| {
+                    let skipped_here = if slot.role().is_tactile() {
+                        facts.not_decoded
+                    } else {
+                        0
+                    };
+                    (
+                        lost + facts.counters.sequence_gaps,
+                        skipped + skipped_here,
+                        received + facts.counters.received,
+                    )
+                })
+            })
+    };
+    // Reports come twice a second; the counters before and after are equally old.
+    let (lost, skipped, received) = counts();
+    let made = {
+        let mut findings = inference.findings();
+        findings.latency = super::histogram::Histogram::default();
+        findings.predictions
+    };
+    let (cpu, started) = (cpu_seconds(), monotonic_ns());
+    std::thread::sleep(Duration::from_secs(params.seconds));
+    let wall_s = monotonic_ns().saturating_sub(started) as f64 * 1e-9;
+    let cores = (cpu_seconds() - cpu) / wall_s;
+    let (lost_after, skipped_after, received_after) = counts();
+    capture.stop();
+    hub.close();
+    for decoder in decoders {
+        // A decoder that panicked has printed why; its camera then shows as not decoded.
+        let _ = decoder.join();
+    }
+    let findings = inference.stop();
+    let findings = findings
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    let quantile = |q| findings.latency.quantile_ms(q).unwrap_or(f64::NAN);
+    Ok(LoadFigures {
+        lost: lost_after - lost,
+        not_decoded: skipped_after - skipped,
+        received: received_after - received,
+        predictions_per_s: (findings.predictions - made) as f64 / wall_s,
+        latency_p50_ms: quantile(0.5),
+        latency_p99_ms: quantile(0.99),
+        cores,
+        rss_mb: peak_rss_mb(),
+        gel_frame_kb: gel_bytes as f64 / (2 * DISTINCT) as f64 * 1e-3,
+    })
+}
+
+/// One frame of the load, without contact.
+///
+/// # Errors
+/// When it cannot be encoded.
+pub fn gel_frame(quality: u8) -> Result<Frame> {
+    let (width, height) = GEL_SIZE;
+    let picture = synthetic_gel(width, height, 100, 0.0);
+    Ok(Frame {
+        format: PixelFormat::Mjpg,
+        width,
+        height,
+        data: encode_jpeg(&picture, quality)?.into(),
+        sequence: 0,
+        driver_time_ns: 0,
+        received_ns: 0,
+    })
+}
+
+/// CPU time of the live path's decoding of `frame` to the model's picture, median, ms.
+///
+/// # Errors
+/// When the frame is damaged.
+pub fn decode_ms(frame: &Frame, runs: u64) -> Result<f64> {
+    let mut decoder = Decoder::new()?;
+    let crop = Some(&CropProfile::GSMINI_SEVENTH);
+    let mut times_ms = (0..runs)
+        .map(|_| {
+            let started = cpu_seconds();
+            decode::model_picture(&mut decoder, frame, crop)?;
+            Ok((cpu_seconds() - started) * 1e3)
+        })
+        .collect::<Result<Vec<f64>>>()?;
+    times_ms.sort_by(f64::total_cmp);
+    Ok(times_ms
+        .get(times_ms.len() / 2)
+        .copied()
+        .unwrap_or(f64::NAN))
+}
+
+/// The frames of one camera.
+#[derive(Clone)]
+struct Recording {
+    info: StreamInfo,
+    frames: Arc<Vec<FrameBytes>>,
+}
+
+fn recording(
+    product: &str,
+    format: PixelFormat,
+    (width, height): (u32, u32),
+    fps: f64,
+    frames: Vec<FrameBytes>,
+) -> Recording {
+    Recording {
+        info: StreamInfo {
+            identity: CameraIdentity {
+                product: product.into(),
+                port: "memory".into(),
+                ..CameraIdentity::default()
+            },
+            format,
+            width,
+            height,
+            nominal_fps: fps,
+            depth_unit_m: (format == PixelFormat::Z16).then_some(0.001),
+        },
+        frames: Arc::new(frames),
+    }
+}
+
+/// Gel frames as a GelSight Mini sends them, with a contact that grows and shrinks.
+fn gel_frames(seed: u64, quality: u8) -> Result<Recording> {
+    let size = GEL_SIZE;
+    let frames = (0..DISTINCT)
+        .map(|i| {
+            let contact = (i as f32 / DISTINCT as f32 * std::f32::consts::PI).sin();
+            let picture = synthetic_gel(size.0, size.1, seed * 100 + i, contact);
+            Ok(encode_jpeg(&picture, quality)?.into())
+        })
+        .collect::<Result<_>>()?;
+    Ok(recording(
+        "memory gel",
+        PixelFormat::Mjpg,
+        size,
+        25.0,
+        frames,
+    ))
+}
+
+fn raw_frames(format: PixelFormat) -> Recording {
+    let size = (1280, 720);
+    let bytes = size.0 as usize * size.1 as usize * 2;
+    let frames = (0..2)
+        .map(|i| {
+            let data: Vec<u8> = (0..bytes).map(|b| (b / 1280 + i * 16) as u8).collect();
+            data.into()
+        })
+        .collect();
+    recording("memory raw", format, size, 30.0, frames)
+}
+
+struct MemoryOpener {
+    role: Role,
+    recording: Recording,
+}
+
+impl CameraOpener for MemoryOpener {
+    fn role(&self) -> Role {
+        self.role
+    }
+
+    fn describe(&self) -> String {
+        format!("{} frames in memory", self.recording.frames.len())
+    }
+
+    fn open(&mut self) -> Result<Box<dyn FrameSource>> {
+        Ok(Box::new(MemorySource {
+            recording: self.recording.clone(),
+            pool: FramePool::default(),
+            started_ns: monotonic_ns(),
+            next: 0,
+        }))
+    }
+}
+
+/// Hands out frames at the nominal rate, copying each as from a driver's buffer.
+struct MemorySource {
+    recording: Recording,
+    pool: FramePool,
+    started_ns: u64,
+    next: u64,
+}
+
+impl FrameSource for MemorySource {
+    fn info(&self) -> &StreamInfo {
+        &self.recording.info
+    }
+
+    fn next_frame(&mut self, timeout: Duration) -> Result<Frame, CaptureError> {
+        let info = &self.recording.info;
+        let interval_ns = (1e9 / info.nominal_fps) as u64;
+        let now_ns = monotonic_ns();
+        let complete = now_ns.saturating_sub(self.started_ns) / interval_ns;
+        if complete > self.next + QUEUE {
+            self.next = complete - QUEUE;
+        }
+        let due_ns = self.started_ns + self.next * interval_ns;
+        let wait = Duration::from_nanos(due_ns.saturating_sub(now_ns));
+        if wait > timeout {
+            std::thread::sleep(timeout);
+            return Err(CaptureError::Timeout);
+        }
+        std::thread::sleep(wait);
+        let frames = &self.recording.frames;
+        let data = self
+            .pool
+            .copy(&frames[(self.next % frames.len() as u64) as usize]);
+        let sequence = self.next as u32;
+        self.next += 1;
+        Ok(Frame {
+            format: info.format,
+            width: info.width,
+            height: info.height,
+            data,
+            sequence,
+            driver_time_ns: due_ns,
+            received_ns: monotonic_ns(),
+        })
+    }
+
+    fn controls(&mut self) -> Result<ControlValues> {
+        Ok(ControlValues::new())
+    }
+}
+
+/// CPU time of this process, all threads, s.
+fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// Peak resident memory of this process, MB; not a number where /proc does not tell.
+pub(crate) fn peak_rss_mb() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:")?.trim().strip_suffix("kB"))
+        .and_then(|kb| kb.trim().parse::<f64>().ok())
+        .map_or(f64::NAN, |kb| kb * 1024.0 * 1e-6)
+}

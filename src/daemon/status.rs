@@ -1,0 +1,165 @@
+//! A snapshot of the running engine: all that a screen needs, cheap to clone.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use image::RgbImage;
+
+use super::black_box::BlackBoxStatus;
+use gripcast_imaging::Role;
+use gripcast_nn::predict::Verdict;
+use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
+
+/// Snapshot of the engine.
+#[derive(Clone, Debug)]
+pub struct EngineStatus {
+    /// Dataset name.
+    pub dataset: String,
+    /// Rig id.
+    pub rig: String,
+    /// Local wall clock, `HH:MM:SS`.
+    pub clock: String,
+    /// Free space on the dataset's disk, bytes.
+    pub disk_free_bytes: Option<u64>,
+    /// The black box, where there is one.
+    pub black_box: Option<BlackBoxStatus>,
+    /// Session.
+    pub session: SessionView,
+    /// Cameras, in the order of [`Role::ALL`].
+    pub cameras: Vec<CameraStatus>,
+    /// The newest prediction; `None` before the initial frame or without a model.
+    pub prediction: Option<PredictionStatus>,
+    /// Why there is no prediction, in a few words.
+    pub prediction_absent: Option<String>,
+    /// Small pictures: tactile cameras show the difference to the initial frame (grey = no
+    /// change) once there is one, the others what they see.
+    pub previews: BTreeMap<Role, Preview>,
+}
+
+impl EngineStatus {
+    /// The status before the engine has told anything.
+    #[must_use]
+    pub fn starting(dataset: &str, rig: &str, labels: Labels) -> Self {
+        let session = Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None);
+        Self {
+            dataset: dataset.to_owned(),
+            rig: rig.to_owned(),
+            clock: String::new(),
+            disk_free_bytes: None,
+            black_box: None,
+            session: session.view(0),
+            cameras: Vec::new(),
+            prediction: None,
+            prediction_absent: None,
+            previews: BTreeMap::new(),
+        }
+    }
+}
+
+/// A small picture for the screen.
+#[derive(Clone, Debug)]
+pub struct Preview {
+    /// RGB picture, at most 320×240.
+    pub image: Arc<RgbImage>,
+    /// Mean absolute tactile difference, grey levels of 255; tactile cameras with an initial frame.
+    pub contact: Option<f64>,
+    /// Whether the picture is a tactile difference.
+    pub is_difference: bool,
+}
+
+/// The newest prediction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PredictionStatus {
+    /// Probability that the grasp is stable, steadied over the frames.
+    pub p_stable: f64,
+    /// Distance of the tactile pictures from those of the training, over what counts as known.
+    pub novelty: Option<f64>,
+    /// Decision threshold.
+    pub threshold: f64,
+    /// Model name.
+    pub model: String,
+    /// Age of the tactile frame that it was made from, ms, now.
+    pub frame_age_ms: f64,
+    /// Driver time of the frame to result, ms.
+    pub latency_ms: f64,
+    /// Model alone, ms.
+    pub engine_ms: f64,
+    /// Whether the model is a heuristic and not trained.
+    pub heuristic: bool,
+}
+
+impl PredictionStatus {
+    /// What it claims, were it not too old.
+    #[must_use]
+    pub fn verdict(&self) -> Verdict {
+        Verdict::of(self.p_stable, self.threshold, self.novelty)
+    }
+}
+
+/// How a camera does.
+#[derive(Clone, Debug, PartialEq)]
+pub enum CameraState {
+    /// Being opened for the first time.
+    Opening,
+    /// Frames arrive.
+    Live,
+    /// No frame for this long, s; the device is still there.
+    Silent {
+        /// Seconds since the last frame.
+        for_s: f64,
+    },
+    /// The picture does not change although frames arrive.
+    Frozen {
+        /// Seconds since the last change.
+        for_s: f64,
+    },
+    /// Unplugged or refused; tried again.
+    Lost {
+        /// What the last attempt said.
+        reason: String,
+    },
+    /// A recorded stream has ended.
+    Ended,
+}
+
+impl CameraState {
+    /// Whether frames of this camera can be used.
+    #[must_use]
+    pub fn is_live(&self) -> bool {
+        matches!(self, Self::Live)
+    }
+}
+
+/// One camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraStatus {
+    /// Role.
+    pub role: Role,
+    /// Product string.
+    pub product: String,
+    /// Serial, or empty.
+    pub serial: String,
+    /// Port path.
+    pub port: String,
+    /// State.
+    pub state: CameraState,
+    /// Measured frame rate over the last seconds, 1/s.
+    pub measured_fps: f64,
+    /// Nominal frame rate, 1/s.
+    pub nominal_fps: f64,
+    /// Age of the newest frame, ms.
+    pub frame_age_ms: Option<f64>,
+    /// Frames received.
+    pub received: u64,
+    /// Frames lost before they reached us (gaps in the driver's counter).
+    pub sequence_gaps: u64,
+    /// Frames that were damaged.
+    pub damaged: u64,
+    /// Frames that came later than twice the nominal interval.
+    pub late: u64,
+    /// How often the camera had to be opened again.
+    pub reconnects: u64,
+    /// What the newest frame shows of sheet and tags, or why it cannot be measured; none where
+    /// they are not looked for.
+    pub markers: Option<Result<String, String>>,
+}

@@ -1,0 +1,222 @@
+//! The engine as a service: API and page beside it, systemd told how it does, settings reloaded.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use sd_notify::NotifyState;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::{mpsc, watch};
+
+use super::collection::{COMMAND_QUEUE, start_pedals, stop_signals};
+use super::daemon::{self, CollectReport, EngineLinks, EngineSetup, EngineStatus, Stored, Tasks};
+use super::tui;
+use super::web::{self, Access, Backend, Listeners, ModelInfo, News, Token};
+use crate::note;
+use gripcast_base::error::{Error, Result};
+use gripcast_capture::calibration::PedalConfig;
+use gripcast_session::{GuardLimits, StoreReply, StoreRequest};
+
+/// What open connections get of a farewell.
+const FAREWELL: Duration = Duration::from_millis(100);
+/// How often systemd would hear of the daemon where it did not say how often it wants to.
+const USUAL_BEAT: Duration = Duration::from_secs(5);
+
+/// Where the service listens.
+pub(crate) struct ServiceSettings {
+    /// TCP address.
+    pub(crate) listen: Option<SocketAddr>,
+    /// Unix socket.
+    pub(crate) socket: Option<PathBuf>,
+    /// Without it only this machine is heard.
+    pub(crate) token: Option<Token>,
+    /// Whether lines on stderr are left out.
+    pub(crate) quiet: bool,
+}
+
+/// Settings that a running service takes.
+pub(crate) struct Reloaded {
+    /// Limits of the guards.
+    pub(crate) guards: GuardLimits,
+    /// The token.
+    pub(crate) token: Option<Token>,
+    /// Keys that have changed and need a restart.
+    pub(crate) need_restart: Vec<String>,
+}
+
+/// Runs engine, API and page until the process is asked to end.
+///
+/// # Errors
+/// `Busy` where something listens already; as [`daemon::run`].
+pub(crate) async fn run(
+    setup: EngineSetup,
+    pedals: Vec<PedalConfig>,
+    settings: ServiceSettings,
+    reload: impl FnMut() -> Result<Reloaded>,
+) -> Result<CollectReport> {
+    let stop = stop_signals(false)?;
+    let listeners = Listeners::open(settings.listen, settings.socket.as_deref()).await?;
+    announce(&listeners, &settings);
+    let (command_sender, commands) = mpsc::channel(COMMAND_QUEUE);
+    let (limit_sender, limits) = mpsc::channel(1);
+    let (tone_sender, mut tones) = mpsc::unbounded_channel();
+    let starting =
+        EngineStatus::starting(&setup.new_dataset.name, &setup.rig.id, setup.labels.clone());
+    let (status, newest) = watch::channel(Arc::new(starting));
+    let tasks = Tasks::default();
+    let access = Arc::new(Access::new(settings.token));
+    let backend = Arc::new(Backend::new(
+        newest.clone(),
+        command_sender.clone(),
+        tasks.clone(),
+        Arc::clone(&access),
+        setup.model.as_ref().map(|model| ModelInfo {
+            name: model.contract().name.clone(),
+            sha256: model.sha256().to_owned(),
+            threshold: model.contract().threshold,
+            heuristic: model.contract().is_heuristic(),
+        }),
+        setup.dataset.clone(),
+    ));
+    let ended = Arc::new(AtomicBool::new(false));
+    let pedals = start_pedals(pedals, &command_sender, &ended);
+    let (close, closed) = watch::channel(false);
+
+    let told = Arc::clone(&backend);
+    let links = EngineLinks {
+        commands,
+        limits,
+        tasks: tasks.clone(),
+        status,
+        tones: tone_sender,
+        stored: Box::new(move |stored| tell(&told, stored)),
+    };
+    let engine = daemon::run(setup, links, stop);
+    let beside = async {
+        let serving = web::serve(
+            listeners,
+            web::router(Arc::clone(&backend)),
+            tasks.clone(),
+            closed,
+        );
+        let sounds = async {
+            while let Some(tone) = tones.recv().await {
+                // Nobody listens where no page is open.
+                let _ = backend.news.send(News::Tone(tone));
+            }
+        };
+        let lines = async {
+            if !settings.quiet {
+                tui::print_lines(newest.clone()).await;
+            }
+        };
+        let beats = tell_systemd(newest.clone(), &tasks);
+        let reloads = reload_on_hangup(reload, &limit_sender, &access);
+        tokio::join!(serving, sounds, lines, beats, reloads);
+    };
+    tokio::pin!(engine, beside);
+    let report = tokio::select! {
+        report = &mut engine => report,
+        // It ends with the engine's channels only.
+        () = &mut beside => engine.await,
+    };
+    let _ = sd_notify::notify(&[NotifyState::Stopping]);
+    ended.store(true, Ordering::Relaxed);
+    // Where nobody listens there is nobody to take leave of.
+    if backend.news.send(News::Bye).is_ok() {
+        tokio::time::sleep(FAREWELL).await;
+    }
+    let _ = close.send(true);
+    for pedal in pedals {
+        // A pedal thread that panicked has printed why.
+        let _ = pedal.join();
+    }
+    report
+}
+
+fn announce(listeners: &Listeners, settings: &ServiceSettings) {
+    if settings.quiet {
+        return;
+    }
+    if let Some(address) = listeners.address() {
+        note!("page and API: http://{address}/");
+    }
+    if let Some(socket) = &settings.socket {
+        note!("socket: {}", socket.display());
+    }
+}
+
+/// Passes a change of the dataset on.
+fn tell(backend: &Backend, stored: &Stored) {
+    if let StoreReply::Failed { message } = &stored.reply {
+        note!("NOT SAVED: {message}");
+    }
+    if let StoreRequest::SetOutcome { id, .. }
+    | StoreRequest::RestoreGrasp { id }
+    | StoreRequest::RedoGrasp { id, .. } = &stored.request
+    {
+        backend.grasps.forget(id);
+    }
+    // Nobody listens where no page is open.
+    let _ = backend.news.send(News::Stored(Arc::new(stored.clone())));
+}
+
+/// Tells systemd that the service is ready, and as often as it wants that it works. Without
+/// systemd nothing is told.
+async fn tell_systemd(mut status: watch::Receiver<Arc<EngineStatus>>, tasks: &Tasks) {
+    // The first status comes from the engine that has started.
+    if status.changed().await.is_err() {
+        return;
+    }
+    let _ = sd_notify::notify(&[NotifyState::Ready]);
+    let beat = sd_notify::watchdog_enabled().map_or(USUAL_BEAT, |limit| limit / 3);
+    loop {
+        tokio::time::sleep(beat).await;
+        match status.has_changed() {
+            Err(_) => return,
+            // The engine has not moved since the last time.
+            Ok(false) => continue,
+            Ok(true) => drop(status.borrow_and_update()),
+        }
+        if web::is_healthy(&tasks.report()) {
+            let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+        }
+    }
+}
+
+/// Reads the settings again whenever the process gets SIGHUP.
+async fn reload_on_hangup(
+    mut reload: impl FnMut() -> Result<Reloaded>,
+    limits: &mpsc::Sender<GuardLimits>,
+    access: &Access,
+) {
+    let mut hangup = match signal(SignalKind::hangup()) {
+        Ok(hangup) => hangup,
+        Err(e) => {
+            note!("{}", Error::io("settings cannot be reloaded", e));
+            return;
+        }
+    };
+    while hangup.recv().await.is_some() {
+        if let Ok(now) = NotifyState::monotonic_usec_now() {
+            let _ = sd_notify::notify(&[NotifyState::Reloading, now]);
+        }
+        match reload() {
+            Ok(settings) => {
+                access.replace(settings.token);
+                if limits.send(settings.guards).await.is_err() {
+                    return;
+                }
+                note!("settings reloaded");
+                if !settings.need_restart.is_empty() {
+                    let keys = settings.need_restart.join(", ");
+                    note!("these have changed and need a restart: {keys}");
+                }
+            }
+            Err(error) => note!("settings NOT reloaded: {error}"),
+        }
+        let _ = sd_notify::notify(&[NotifyState::Ready]);
+    }
+}

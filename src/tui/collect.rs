@@ -1,0 +1,181 @@
+//! The collect screen: where everything goes at every size.
+
+use ratatui::Frame;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::text::{Line, Span};
+
+use super::palette::Palette;
+use super::state::{Overlay, ScreenState};
+use super::text::{row, write};
+use super::{
+    counts, fault, footer, gauge, header, health, help, preview, prompt, refusal, sensors, steps,
+};
+use crate::daemon::EngineStatus;
+
+/// Below this only one line is shown.
+const MIN_COLUMNS: u16 = 40;
+const MIN_ROWS: u16 = 10;
+/// Below this there are neither pictures nor sensors.
+const FULL_COLUMNS: u16 = 60;
+const FULL_ROWS: u16 = 18;
+
+/// Draws the whole screen. Pure: the same status and state give the same picture.
+pub fn draw(frame: &mut Frame<'_>, status: &EngineStatus, state: &ScreenState) {
+    let area = frame.area();
+    let buffer = frame.buffer_mut();
+    if area.width < MIN_COLUMNS || area.height < MIN_ROWS {
+        draw_tiny(buffer, area, status, state.palette);
+    } else {
+        draw_screen(buffer, area, status, state);
+    }
+    let last = row(area, area.height.saturating_sub(1));
+    if let Some(prompt) = &state.prompt
+        && let Some(cursor) = prompt::draw(frame.buffer_mut(), last, prompt, state.palette)
+    {
+        frame.set_cursor_position(cursor);
+    }
+}
+
+fn draw_screen(buffer: &mut Buffer, area: Rect, status: &EngineStatus, state: &ScreenState) {
+    let palette = state.palette;
+    let [top, middle, bottom] = split(area, 1, 3);
+    header::draw(buffer, top, status, palette);
+    footer::draw(
+        buffer,
+        bottom,
+        &status.session,
+        state.notice.as_deref(),
+        palette,
+    );
+    if state.shows_fault(status) {
+        fault::draw(buffer, middle, status, palette);
+    } else {
+        draw_work(buffer, middle, status, palette);
+        // The put-aside fault takes the line of the message: it matters more.
+        fault::draw_line(buffer, row(bottom, 1), status, palette);
+    }
+    match state.overlay {
+        Overlay::None => {}
+        Overlay::Help => help::draw(buffer, middle, palette),
+        Overlay::Sensors => health::draw(buffer, middle, &status.cameras, palette),
+    }
+}
+
+/// Step, gauge, and below them counts and sensors beside the pictures.
+fn draw_work(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let full = area.width >= FULL_COLUMNS && area.height + 4 >= FULL_ROWS;
+    let banner_rows = match area.height {
+        40.. => 5,
+        18.. => 3,
+        _ => 2,
+    };
+    let [banner, rest, _] = split(area, banner_rows, 0);
+    steps::draw(buffer, banner, &status.session, palette);
+    let kept_for_body = match (full, status.session.refusal.is_some()) {
+        (true, _) => (area.height / 3).clamp(6, 9),
+        (false, true) => rest.height.saturating_sub(3),
+        (false, false) => 0,
+    };
+    let gauge_rows = gauge::rows(area.width, rest.height.saturating_sub(kept_for_body));
+    let [gauge_area, body, _] = split(rest, gauge_rows, 0);
+    gauge::draw(buffer, gauge_area, status, palette);
+    if full {
+        draw_body(buffer, body, status, palette);
+    } else if let Some(refusal) = &status.session.refusal {
+        refusal::draw(buffer, body, refusal, palette);
+    } else {
+        let left = body.width.min(1);
+        let inset = Rect {
+            x: body.x + left,
+            width: body.width - left,
+            ..body
+        };
+        counts::draw(buffer, inset, &status.session, palette);
+    }
+}
+
+fn draw_body(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let side_columns = match area.width {
+        130.. => 32,
+        _ => 24,
+    };
+    let side = Rect {
+        x: area.x + 1,
+        width: side_columns,
+        ..area
+    };
+    let rest = Rect {
+        x: side.right() + 2,
+        width: area.right().saturating_sub(side.right() + 2),
+        ..area
+    };
+    draw_side(buffer, side, status, palette);
+    match &status.session.refusal {
+        Some(refusal) => refusal::draw(buffer, rest, refusal, palette),
+        None => preview::draw(buffer, rest, status, palette),
+    }
+}
+
+/// Counts above, sensors below; on a low screen the sensors win.
+fn draw_side(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let cameras = u16::try_from(status.cameras.len()).unwrap_or(u16::MAX);
+    let spare = area.height.saturating_sub(counts::ROWS + cameras);
+    let count_rows = area.height.saturating_sub(cameras).min(counts::ROWS);
+    let gap = match spare {
+        0 => 0,
+        1 => 1,
+        _ => 2,
+    };
+    let [upper, lower, _] = split(area, count_rows, 0);
+    counts::draw(buffer, upper, &status.session, palette);
+    let [between, lower, _] = split(lower, gap, 0);
+    if gap > 0 {
+        let title = row(between, gap - 1);
+        write(buffer, title, &Line::styled("SENSORS", palette.strong()));
+    }
+    sensors::draw(buffer, lower, &status.cameras, palette);
+}
+
+/// One clear line: a fault, else what to do and the verdict.
+fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let middle = row(area, area.height / 2);
+    if let Some(camera) = fault::faults(status).next() {
+        let sentence = fault::sentence(camera, status);
+        write(buffer, middle, &Line::styled(sentence, palette.fault()));
+        return;
+    }
+    let mut spans = Vec::new();
+    if let Some(prediction) = &status.prediction {
+        let claim = gauge::claim(prediction);
+        let text = format!("{:.2} {claim} ", prediction.p_stable);
+        spans.push(Span::styled(text, gauge::verdict_style(claim, palette)));
+    }
+    let mut line = Line::from(spans);
+    let room = usize::from(area.width).saturating_sub(line.width());
+    line.push_span(steps::brief(&status.session, room, palette));
+    write(buffer, middle, &line);
+}
+
+/// Rows from the top, what is left, and rows from the bottom.
+fn split(area: Rect, top: u16, bottom: u16) -> [Rect; 3] {
+    let top = top.min(area.height);
+    let bottom = bottom.min(area.height - top);
+    let middle = area.height - top - bottom;
+    [
+        Rect {
+            height: top,
+            ..area
+        },
+        Rect {
+            y: area.y + top,
+            height: middle,
+            ..area
+        },
+        Rect {
+            y: area.y + top + middle,
+            height: bottom,
+            ..area
+        },
+    ]
+}

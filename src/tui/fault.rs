@@ -1,0 +1,219 @@
+//! The fault screen: which camera, where it is plugged in, since when, what to do.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::text::Line;
+
+use super::big_digits::{self, Size};
+use super::palette::Palette;
+use super::sensors;
+use super::text::{clipped, columns, duration_ms, fill, row, write};
+use crate::daemon::{CameraState, CameraStatus, EngineStatus};
+use gripcast_imaging::Role;
+use gripcast_session::Step;
+
+/// Whether the camera has failed; opening it for the first time or a recording's end is no fault.
+pub(super) fn is_fault(camera: &CameraStatus) -> bool {
+    matches!(
+        camera.state,
+        CameraState::Silent { .. } | CameraState::Frozen { .. } | CameraState::Lost { .. }
+    )
+}
+
+/// Cameras that have failed, in the order of roles.
+pub(super) fn faults(status: &EngineStatus) -> impl Iterator<Item = &CameraStatus> {
+    status.cameras.iter().filter(|camera| is_fault(camera))
+}
+
+fn part(role: Role) -> &'static str {
+    match role {
+        Role::Left => "LEFT GELSIGHT",
+        Role::Right => "RIGHT GELSIGHT",
+        Role::Rgb => "COLOUR CAMERA",
+        Role::Depth => "DEPTH CAMERA",
+        Role::External => "EXTERNAL CAMERA",
+    }
+}
+
+/// State in capitals, and for how long where that is known.
+fn trouble(state: &CameraState) -> (&'static str, String) {
+    match state {
+        CameraState::Silent { for_s } => ("SILENT", duration_ms(for_s * 1e3)),
+        CameraState::Frozen { for_s } => ("FROZEN", duration_ms(for_s * 1e3)),
+        CameraState::Lost { .. } => ("LOST", String::new()),
+        CameraState::Opening => ("OPENING", String::new()),
+        CameraState::Live => ("LIVE", String::new()),
+        CameraState::Ended => ("ENDED", String::new()),
+    }
+}
+
+/// The remedy in a word, for across the room.
+fn remedy_word(state: &CameraState) -> &'static str {
+    match state {
+        CameraState::Lost { .. } => "PLUG IN",
+        _ => "REPLUG",
+    }
+}
+
+fn remedy(state: &CameraState) -> &'static str {
+    match state {
+        CameraState::Frozen { .. } => "REPLUG IT: the picture does not change",
+        CameraState::Lost { .. } => "PLUG IT IN: it is opened again by itself",
+        _ => "REPLUG IT: no frames arrive",
+    }
+}
+
+/// `2/3 cameras alive`.
+fn alive(status: &EngineStatus) -> String {
+    let live = status.cameras.iter().filter(|c| c.state.is_live()).count();
+    format!("{live}/{} cameras alive", status.cameras.len())
+}
+
+/// What and where the camera is: `GelSight Mini R0B 2BNN-4ZE7   usb 3-2.1`; the serial is added
+/// where the product string does not hold it.
+pub(super) fn place(camera: &CameraStatus) -> String {
+    let port = match camera.port.as_str() {
+        "" => "port unknown".to_owned(),
+        port => format!("usb {port}"),
+    };
+    let (product, serial) = (&camera.product, &camera.serial);
+    if product.replace('-', "").contains(serial.as_str()) {
+        format!("{product}   {port}")
+    } else {
+        format!("{product}   serial {serial}   {port}")
+    }
+}
+
+/// The fault in one line: `LEFT GELSIGHT (2BNN4ZE7, usb 3-2.1) SILENT 1.4 s — replug …`.
+pub(super) fn sentence(camera: &CameraStatus, status: &EngineStatus) -> String {
+    let (word, since) = trouble(&camera.state);
+    format!(
+        "{} {word} {since}{}— {} ({}; {})",
+        part(camera.role),
+        if since.is_empty() { "" } else { " " },
+        remedy(&camera.state),
+        place(camera),
+        alive(status)
+    )
+}
+
+/// The full-width fault screen, over everything between header and footer.
+pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let failed: Vec<_> = faults(status).collect();
+    let Some(first) = failed.first() else {
+        return;
+    };
+    let below = u16::try_from(status.cameras.len() + 1).unwrap_or(u16::MAX);
+    let block = Rect {
+        height: area.height.saturating_sub(below).max(area.height.min(9)),
+        ..area
+    };
+    let style = palette.fault();
+    fill(buffer, area, ratatui::style::Style::new());
+    fill(buffer, block, style);
+    let inner = margin(block);
+    let used = draw_heading(buffer, inner, first, palette);
+    let mut lines = vec![
+        place(first),
+        match &first.state {
+            CameraState::Lost { reason } => reason.clone(),
+            _ => String::new(),
+        },
+        format!("→ {}", remedy(&first.state)),
+        format!("{} · capture is blocked until it is back", alive(status)),
+    ];
+    for other in failed.iter().skip(1) {
+        let (word, since) = trouble(&other.state);
+        let text = format!(
+            "also: {} {word} {since}   {}",
+            part(other.role),
+            place(other)
+        );
+        lines.push(text);
+    }
+    lines.push(match status.session.step {
+        Step::Label => "the last grasp is saved; label it: s stable, f slip".to_owned(),
+        _ => "all saved grasps are safe; this closes by itself (Esc makes it one line)".to_owned(),
+    });
+    lines.retain(|line| !line.is_empty());
+    for (index, line) in (used..).zip(&lines) {
+        let text = clipped(line, usize::from(inner.width));
+        write(buffer, row(inner, index), &Line::styled(text, style));
+    }
+    let written = used + u16::try_from(lines.len()).unwrap_or(u16::MAX);
+    let free = inner.height.saturating_sub(written.saturating_add(1));
+    let word = remedy_word(&first.state);
+    let size = Size::DESCENDING
+        .into_iter()
+        .find(|size| size.rows() <= free && size.columns(word) <= inner.width);
+    if let Some(size) = size {
+        let foot = Rect {
+            y: inner.bottom() - size.rows(),
+            height: size.rows(),
+            ..inner
+        };
+        big_digits::draw(buffer, foot, word, size, style);
+    }
+    let rest = Rect {
+        y: block.bottom(),
+        height: area.bottom().saturating_sub(block.bottom()),
+        ..area
+    };
+    sensors::draw(buffer, margin_sides(rest), &status.cameras, palette);
+}
+
+/// Part and state in blocks, or in text on small screens; returns the rows used.
+fn draw_heading(buffer: &mut Buffer, area: Rect, camera: &CameraStatus, palette: Palette) -> u16 {
+    let (word, since) = trouble(&camera.state);
+    let text = format!("{} {word}", camera.role.name());
+    let size = Size::DESCENDING
+        .into_iter()
+        .find(|size| size.columns(&text) <= area.width && size.rows() + 7 <= area.height);
+    let heading = format!("{}   {word} {since}", part(camera.role));
+    let line = Line::styled(clipped(&heading, usize::from(area.width)), palette.fault());
+    match size {
+        Some(size) => {
+            big_digits::draw(buffer, area, &text, size, palette.fault());
+            write(buffer, row(area, size.rows() + 1), &line);
+            size.rows() + 2
+        }
+        None => {
+            write(buffer, area, &line);
+            1
+        }
+    }
+}
+
+fn margin(area: Rect) -> Rect {
+    let sides = margin_sides(area);
+    match area.height {
+        ..6 => sides,
+        _ => Rect {
+            y: sides.y + 1,
+            height: sides.height - 2,
+            ..sides
+        },
+    }
+}
+
+fn margin_sides(area: Rect) -> Rect {
+    let left = area.width.min(2);
+    Rect {
+        x: area.x + left,
+        width: area.width - left,
+        ..area
+    }
+}
+
+/// The fault as one loud line.
+pub(super) fn draw_line(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    if let Some(first) = faults(status).next() {
+        fill(buffer, row(area, 0), palette.fault());
+        let text = format!(" {}", sentence(first, status));
+        let text = match columns(&text) {
+            wide if wide > area.width => clipped(&text, usize::from(area.width)),
+            _ => text,
+        };
+        write(buffer, area, &Line::styled(text, palette.fault()));
+    }
+}

@@ -1,0 +1,431 @@
+//! The stability gauge: a number, a verdict and a bar that can be read from two metres.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+
+use super::big_digits::{self, Size};
+use super::palette::Palette;
+use super::text::{clipped, columns, duration_ms, row, write, write_right};
+use crate::daemon::{EngineStatus, PredictionStatus};
+use gripcast_nn::predict::Verdict;
+use gripcast_session::Predicted;
+
+/// A prediction from a frame older than this is shown dim and named old, ms.
+const STALE_MS: f64 = 500.0;
+/// Least columns between the number at the left and the verdict at the right.
+const GAP: u16 = 4;
+
+/// What the gauge says, reduced to words and styles.
+struct Reading {
+    number: String,
+    verdict: &'static str,
+    style: Style,
+    /// Probability and threshold; `None` leaves the bar empty.
+    bar: Option<(f64, f64)>,
+}
+
+/// What a verdict is called on the screen.
+pub(super) fn word(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Stable => "STABLE",
+        Verdict::Slip => "SLIP",
+        Verdict::Unsure => "UNSURE",
+    }
+}
+
+/// What was claimed of a grasp.
+pub(super) fn claimed(said: &Predicted) -> Verdict {
+    Verdict::of(said.p_stable, said.threshold, said.novelty)
+}
+
+/// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
+/// knows nothing of such pictures.
+pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
+    if is_stale(prediction) || !prediction.p_stable.is_finite() {
+        "OLD"
+    } else {
+        word(prediction.verdict())
+    }
+}
+
+fn is_stale(prediction: &PredictionStatus) -> bool {
+    prediction.frame_age_ms > STALE_MS || prediction.frame_age_ms.is_nan()
+}
+
+pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
+    match verdict {
+        "STABLE" => palette.stable(),
+        "SLIP" => palette.slip(),
+        "UNSURE" => palette.warning(),
+        _ => palette.faint(),
+    }
+}
+
+fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
+    let Some(prediction) = prediction.filter(|p| p.p_stable.is_finite()) else {
+        return Reading {
+            number: "-.--".to_owned(),
+            verdict: "",
+            style: palette.faint(),
+            bar: None,
+        };
+    };
+    let p = prediction.p_stable;
+    let verdict = claim(prediction);
+    let style = verdict_style(verdict, palette);
+    Reading {
+        number: format!("{:.2}", p.clamp(0.0, 1.0)),
+        verdict,
+        style,
+        bar: Some((p, prediction.threshold)),
+    }
+}
+
+/// Rows that the gauge takes best when `available` are there: title, number, bar, scale, and a
+/// thicker bar under large numbers.
+pub(super) fn rows(width: u16, available: u16) -> u16 {
+    match size(width, available.saturating_sub(3)) {
+        Some(Size::Large) => (Size::Large.rows() + 4).min(available),
+        Some(size) => size.rows() + 3,
+        None => available.min(3),
+    }
+}
+
+/// The largest size whose number and, at the next smaller size, verdict fit.
+fn size(width: u16, height: u16) -> Option<Size> {
+    Size::DESCENDING.into_iter().find(|size| {
+        let words = match size {
+            Size::Large => Size::Large.columns(word(Verdict::Unsure)),
+            Size::Medium | Size::Small => Size::Small.columns(word(Verdict::Unsure)),
+        };
+        size.rows() <= height && size.columns("0.00") + GAP + words + 2 <= width
+    })
+}
+
+pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    if area.is_empty() {
+        return;
+    }
+    let reading = reading(status.prediction.as_ref(), palette);
+    write_title(buffer, row(area, 0), status.prediction.as_ref(), palette);
+    let body = Rect {
+        y: area.y + 1,
+        height: area.height - 1,
+        ..area
+    };
+    let used = match size(area.width, body.height.saturating_sub(1)) {
+        Some(size) => draw_big(buffer, body, &reading, size, status, palette),
+        None => draw_line(buffer, body, &reading, status, palette),
+    };
+    let below = Rect {
+        y: body.y + used.min(body.height),
+        height: body.height.saturating_sub(used),
+        ..body
+    };
+    let thick = u16::from(below.height >= 3);
+    draw_bar(buffer, row(below, 0), ["▄", "▖"], &reading, palette);
+    if thick == 1 {
+        draw_bar(buffer, row(below, 1), ["█", "▌"], &reading, palette);
+    }
+    draw_scale(buffer, row(below, 1 + thick), &reading, palette);
+}
+
+/// Number and verdict as blocks; returns the rows used.
+fn draw_big(
+    buffer: &mut Buffer,
+    area: Rect,
+    reading: &Reading,
+    size: Size,
+    status: &EngineStatus,
+    palette: Palette,
+) -> u16 {
+    let left = area.x + 1;
+    let at = |x: u16, y: u16| Rect::new(x, y, area.right().saturating_sub(x), area.height);
+    big_digits::draw(
+        buffer,
+        at(left, area.y),
+        &reading.number,
+        size,
+        reading.style,
+    );
+    let x = left + size.columns("0.00") + GAP;
+    if reading.verdict.is_empty() {
+        let reason = at(x, area.y + size.rows() / 2);
+        write_absence(buffer, reason, status, palette);
+        return size.rows();
+    }
+    let room = area.right().saturating_sub(x + 1);
+    let word = Size::DESCENDING
+        .into_iter()
+        .find(|s| s.rows() <= size.rows() && s.columns(reading.verdict) <= room)
+        .unwrap_or(Size::Small);
+    let x = x + room.saturating_sub(word.columns(reading.verdict));
+    let y = area.y + (size.rows() - word.rows()) / 2;
+    big_digits::draw(buffer, at(x, y), reading.verdict, word, reading.style);
+    size.rows()
+}
+
+/// Number and verdict as one line of text; returns the rows used.
+fn draw_line(
+    buffer: &mut Buffer,
+    area: Rect,
+    reading: &Reading,
+    status: &EngineStatus,
+    palette: Palette,
+) -> u16 {
+    let text = format!(" {}  {}  ", reading.number, reading.verdict);
+    let after = columns(&text).min(area.width);
+    write(buffer, area, &Line::styled(text, reading.style));
+    if reading.verdict.is_empty() {
+        let rest = Rect::new(area.x + after, area.y, area.width - after, area.height);
+        write_absence(buffer, rest, status, palette);
+    }
+    1
+}
+
+fn write_absence(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let reason = status
+        .prediction_absent
+        .as_deref()
+        .unwrap_or("waiting for the first prediction");
+    let mut rest = reason;
+    for index in 0..area.height.min(2) {
+        let (now, later) = broken(rest, usize::from(area.width));
+        let now = match index {
+            0 => format!("no prediction: {now}"),
+            _ => now.to_owned(),
+        };
+        write(
+            buffer,
+            row(area, index),
+            &Line::styled(now, palette.faint()),
+        );
+        rest = later;
+    }
+}
+
+/// `text` up to the last blank within the first line, and what follows.
+fn broken(text: &str, columns_wide: usize) -> (&str, &str) {
+    let room = columns_wide.saturating_sub("no prediction: ".len());
+    if usize::from(columns(text)) <= room {
+        return (text, "");
+    }
+    let cut = text
+        .char_indices()
+        .take(room)
+        .filter(|(_, c)| *c == ' ')
+        .last();
+    match cut {
+        Some((at, _)) => text.split_at(at + 1),
+        None => (text, ""),
+    }
+}
+
+fn write_title(
+    buffer: &mut Buffer,
+    area: Rect,
+    prediction: Option<&PredictionStatus>,
+    palette: Palette,
+) {
+    let mut left = vec![Span::styled(" STABILITY ", palette.strong())];
+    let Some(prediction) = prediction else {
+        write(buffer, area, &Line::from(left));
+        return;
+    };
+    let age = format!("frame {} old", duration_ms(prediction.frame_age_ms));
+    let age_style = if is_stale(prediction) {
+        palette.warning()
+    } else {
+        palette.faint()
+    };
+    let timing = |words: String| {
+        Line::from(vec![
+            Span::styled(age.clone(), age_style),
+            Span::styled(words, palette.faint()),
+        ])
+    };
+    let latency = duration_ms(prediction.latency_ms);
+    let long = timing(format!(
+        " · result in {latency} · model {:.1} ms ",
+        prediction.engine_ms
+    ));
+    let name = clipped(&prediction.model, 28);
+    let heuristic = u16::from(prediction.heuristic) * columns(" HEURISTIC ");
+    let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
+    let taken = match area.width.checked_sub(needed) {
+        Some(room) if long.width() <= usize::from(room) => write_right(buffer, area, &long),
+        _ => write_right(buffer, area, &timing(format!(" · {latency} "))),
+    };
+    let rest = Rect {
+        width: area.width.saturating_sub(taken + 1),
+        ..area
+    };
+    if prediction.heuristic {
+        left.push(Span::styled("HEURISTIC ", palette.warning()));
+    }
+    if prediction.verdict() == Verdict::Unsure {
+        left.push(Span::styled(
+            "unlike the training pictures ",
+            palette.warning(),
+        ));
+    }
+    let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
+    left.push(Span::styled(clipped(&name, room), palette.faint()));
+    write(buffer, rest, &Line::from(left));
+}
+
+/// Bar from 0 to 1 of a `whole` and a `half` symbol, with the threshold as a vertical mark.
+fn draw_bar(
+    buffer: &mut Buffer,
+    area: Rect,
+    [whole, half]: [&'static str; 2],
+    reading: &Reading,
+    palette: Palette,
+) {
+    let area = trimmed(area);
+    let (p, threshold) = reading.bar.unwrap_or((0.0, f64::NAN));
+    let halves = (p.clamp(0.0, 1.0) * f64::from(area.width) * 2.0).round() as u32;
+    let mark = mark_column(area, threshold);
+    for x in 0..area.width {
+        let (symbol, style) = match halves.saturating_sub(u32::from(x) * 2) {
+            _ if mark == Some(x) => ("┃", palette.strong()),
+            0 => (palette.empty(whole), palette.trough()),
+            1 => (half, reading.style),
+            _ => (whole, reading.style),
+        };
+        if let Some(cell) = buffer.cell_mut((area.x + x, area.y)) {
+            cell.set_symbol(symbol).set_style(style);
+        }
+    }
+}
+
+/// One column free at each side.
+fn trimmed(area: Rect) -> Rect {
+    Rect {
+        x: area.x + area.width.min(1),
+        width: area.width.saturating_sub(2),
+        ..area
+    }
+}
+
+fn mark_column(area: Rect, threshold: f64) -> Option<u16> {
+    let last = area.width.checked_sub(1)?;
+    ((0.0..=1.0).contains(&threshold)).then(|| (threshold * f64::from(last)).round() as u16)
+}
+
+/// `◄ slip   ▲ 0.50   stable ►` under the bar.
+fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palette) {
+    let area = trimmed(area);
+    write(buffer, area, &Line::styled("◄ slip", palette.faint()));
+    write_right(buffer, area, &Line::styled("stable ►", palette.faint()));
+    let Some((_, threshold)) = reading.bar else {
+        return;
+    };
+    if let Some(mark) = mark_column(area, threshold) {
+        let label = format!("▲ {threshold:.2}");
+        let room = area.width.saturating_sub(mark);
+        if mark > 6 && columns(&label) + 9 <= room {
+            let at = Rect::new(area.x + mark, area.y, room, area.height);
+            write(buffer, at, &Line::styled(label, palette.strong()));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tui::palette::ColourDepth;
+
+    const PALETTE: Palette = Palette {
+        depth: ColourDepth::True,
+    };
+
+    fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
+        PredictionStatus {
+            p_stable,
+            novelty: None,
+            threshold: 0.5,
+            model: "m".to_owned(),
+            frame_age_ms,
+            latency_ms: 12.0,
+            engine_ms: 3.0,
+            heuristic: false,
+        }
+    }
+
+    #[test]
+    fn colour_and_word_follow_the_threshold() {
+        let stable = reading(Some(&prediction(0.5, 18.0)), PALETTE);
+        assert_eq!((stable.number.as_str(), stable.verdict), ("0.50", "STABLE"));
+        assert_eq!(stable.style, PALETTE.stable());
+        let slip = reading(Some(&prediction(0.49, 18.0)), PALETTE);
+        assert_eq!((slip.number.as_str(), slip.verdict), ("0.49", "SLIP"));
+        assert_eq!(slip.style, PALETTE.slip());
+    }
+
+    #[test]
+    fn an_old_frame_gives_no_verdict() {
+        for age in [501.0, f64::NAN, f64::INFINITY] {
+            let old = reading(Some(&prediction(0.9, age)), PALETTE);
+            assert_eq!(old.verdict, "OLD");
+            assert_eq!(old.style, PALETTE.faint());
+        }
+    }
+
+    #[test]
+    fn nothing_is_claimed_of_pictures_that_the_model_does_not_know() {
+        let mut odd = prediction(0.97, 18.0);
+        odd.novelty = Some(1.01);
+        let read = reading(Some(&odd), PALETTE);
+        assert_eq!((read.verdict, read.style), ("UNSURE", PALETTE.warning()));
+        odd.novelty = Some(0.99);
+        assert_eq!(reading(Some(&odd), PALETTE).verdict, "STABLE");
+        odd = prediction(0.97, 900.0);
+        odd.novelty = Some(7.0);
+        assert_eq!(reading(Some(&odd), PALETTE).verdict, "OLD");
+    }
+
+    #[test]
+    fn nothing_is_claimed_without_a_number() {
+        for absent in [None, Some(prediction(f64::NAN, 1.0))] {
+            let reading = reading(absent.as_ref(), PALETTE);
+            assert_eq!((reading.number.as_str(), reading.verdict), ("-.--", ""));
+            assert_eq!(reading.bar, None);
+        }
+    }
+
+    #[test]
+    fn the_bar_is_filled_in_proportion() {
+        let area = Rect::new(0, 0, 12, 1);
+        for (p, full) in [(0.0, 0), (0.3, 3), (1.0, 10), (7.0, 10), (-1.0, 0)] {
+            let mut buffer = Buffer::empty(area);
+            let reading = Reading {
+                bar: Some((p, f64::NAN)),
+                ..reading(Some(&prediction(p, 1.0)), PALETTE)
+            };
+            draw_bar(&mut buffer, area, ["█", "▌"], &reading, PALETTE);
+            let full_style = |x: &u16| buffer[(*x, 0)].style().fg == reading.style.fg;
+            let blocks = (1..11).filter(full_style).count();
+            assert_eq!(blocks, full, "{p}");
+        }
+    }
+
+    #[test]
+    fn the_threshold_is_marked_where_it_is() {
+        let area = Rect::new(0, 0, 13, 1);
+        let mut buffer = Buffer::empty(area);
+        let reading = reading(Some(&prediction(0.9, 1.0)), PALETTE);
+        draw_bar(&mut buffer, area, ["█", "▌"], &reading, PALETTE);
+        assert_eq!(buffer[(6, 0)].symbol(), "┃");
+    }
+
+    #[test]
+    fn size_follows_the_space() {
+        assert_eq!(size(200, 20), Some(Size::Large));
+        assert_eq!(size(80, 5), Some(Size::Medium));
+        assert_eq!(size(80, 4), Some(Size::Small));
+        assert_eq!(size(30, 10), None);
+    }
+}

@@ -1,0 +1,144 @@
+//! Keys of the terminal: what each asks for.
+
+use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+
+use super::prompt::Field;
+use gripcast_dataset::Outcome;
+use gripcast_session::Command;
+
+/// What a key asks for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum UiAction {
+    /// The session shall do this.
+    Command(Command),
+    /// The screen shall show something else.
+    Ui(UiChange),
+    /// Leave, after a question if something is unfinished.
+    Quit,
+    /// Leave at once.
+    QuitNow,
+}
+
+/// A change of the screen alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum UiChange {
+    /// Show or hide the keys.
+    Help,
+    /// Show or hide the sensors in detail.
+    Sensors,
+    /// Ask for a name.
+    Ask(Field),
+    /// Close what lies on top.
+    Close,
+}
+
+/// Whether the key asks to leave at once, whatever is open.
+pub(super) fn is_interrupt(key: &KeyEvent) -> bool {
+    key.kind == KeyEventKind::Press
+        && key.modifiers.contains(KeyModifiers::CONTROL)
+        && matches!(key.code, KeyCode::Char('c' | 'C'))
+}
+
+/// What a key asks for while no prompt is open; only presses count, and capitals count as small.
+pub fn action(key: &KeyEvent) -> Option<UiAction> {
+    if key.kind != KeyEventKind::Press {
+        return None;
+    }
+    if is_interrupt(key) {
+        return Some(UiAction::QuitNow);
+    }
+    let modifiers = KeyModifiers::CONTROL | KeyModifiers::ALT | KeyModifiers::SUPER;
+    if key.modifiers.intersects(modifiers) {
+        return None;
+    }
+    let command = match key.code {
+        KeyCode::Esc => return Some(UiAction::Ui(UiChange::Close)),
+        KeyCode::Char(c) => match c.to_ascii_lowercase() {
+            ' ' => Command::Trigger,
+            'i' => Command::Initial,
+            'g' => Command::Grasp,
+            's' => Command::Label(Outcome::Stable),
+            'f' => Command::Label(Outcome::Slip),
+            'u' => Command::Undo,
+            'r' => Command::Redo,
+            '!' => Command::Override,
+            'o' => return Some(UiAction::Ui(UiChange::Ask(Field::Object))),
+            'n' => return Some(UiAction::Ui(UiChange::Ask(Field::Scene))),
+            'p' => return Some(UiAction::Ui(UiChange::Ask(Field::Operator))),
+            'h' => return Some(UiAction::Ui(UiChange::Sensors)),
+            '?' => return Some(UiAction::Ui(UiChange::Help)),
+            'q' => return Some(UiAction::Quit),
+            _ => return None,
+        },
+        _ => return None,
+    };
+    Some(UiAction::Command(command))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(c: char) -> KeyEvent {
+        KeyEvent::new(KeyCode::Char(c), KeyModifiers::NONE)
+    }
+
+    #[test]
+    fn every_key_of_the_help_does_its_work() {
+        for (c, command) in [
+            (' ', Command::Trigger),
+            ('i', Command::Initial),
+            ('g', Command::Grasp),
+            ('s', Command::Label(Outcome::Stable)),
+            ('f', Command::Label(Outcome::Slip)),
+            ('u', Command::Undo),
+            ('r', Command::Redo),
+            ('!', Command::Override),
+        ] {
+            assert_eq!(action(&key(c)), Some(UiAction::Command(command)), "{c:?}");
+        }
+        for (c, change) in [
+            ('o', UiChange::Ask(Field::Object)),
+            ('n', UiChange::Ask(Field::Scene)),
+            ('p', UiChange::Ask(Field::Operator)),
+            ('h', UiChange::Sensors),
+            ('?', UiChange::Help),
+        ] {
+            assert_eq!(action(&key(c)), Some(UiAction::Ui(change)), "{c:?}");
+        }
+        assert_eq!(action(&key('q')), Some(UiAction::Quit));
+        let escape = KeyEvent::new(KeyCode::Esc, KeyModifiers::NONE);
+        assert_eq!(action(&escape), Some(UiAction::Ui(UiChange::Close)));
+    }
+
+    #[test]
+    fn caps_lock_does_not_disarm_the_keys() {
+        let key = KeyEvent::new(KeyCode::Char('S'), KeyModifiers::SHIFT);
+        let stable = UiAction::Command(Command::Label(Outcome::Stable));
+        assert_eq!(action(&key), Some(stable));
+    }
+
+    #[test]
+    fn releases_repeats_and_unknown_keys_do_nothing() {
+        for kind in [KeyEventKind::Release, KeyEventKind::Repeat] {
+            let mut key = key(' ');
+            key.kind = kind;
+            assert_eq!(action(&key), None);
+            assert!(!is_interrupt(&key));
+        }
+        assert_eq!(action(&key('x')), None);
+        assert_eq!(
+            action(&KeyEvent::new(KeyCode::F(5), KeyModifiers::NONE)),
+            None
+        );
+    }
+
+    #[test]
+    fn control_c_leaves_and_other_chords_do_not_label() {
+        let chord = |c, modifiers| KeyEvent::new(KeyCode::Char(c), modifiers);
+        let interrupt = chord('c', KeyModifiers::CONTROL);
+        assert_eq!(action(&interrupt), Some(UiAction::QuitNow));
+        assert_eq!(action(&chord('s', KeyModifiers::CONTROL)), None);
+        assert_eq!(action(&chord('f', KeyModifiers::ALT)), None);
+    }
+}

@@ -1,0 +1,46 @@
+//! The operator's screen, its sounds, and the plain lines where there is no terminal; the dashboard
+//! of a training.
+//!
+//! [`run()`] owns the terminal on its own thread: it draws the newest [`EngineStatus`] and turns keys
+//! into session commands. It knows nothing else of the engine, so a slow or stuck terminal never
+//! holds up the capture.
+//!
+//! [`EngineStatus`]: crate::daemon::EngineStatus
+
+mod big_digits;
+mod collect;
+mod counts;
+mod fault;
+mod footer;
+mod gauge;
+mod header;
+mod health;
+mod help;
+mod input;
+mod keyboard;
+mod lines;
+mod palette;
+mod preview;
+mod prompt;
+mod refusal;
+mod run;
+mod sensors;
+mod state;
+mod steps;
+mod terminal;
+mod text;
+mod tone;
+mod training;
+
+pub use collect::draw;
+pub use input::{UiAction, UiChange, action};
+pub(crate) use keyboard::Keyboard;
+pub use lines::{LinePrinter, print_lines};
+pub use palette::{ColourDepth, Palette};
+pub use prompt::{Field, Prompt, Reply};
+pub use run::{Wiring, run};
+pub use state::{Overlay, Reaction, ScreenState};
+pub use terminal::restore;
+pub use tone::{Sound, Speaker};
+pub use training::{TrainingNews, TrainingStatus, draw as draw_training};
+pub(crate) use training::{TrainingScreen, epoch_line};

@@ -1,0 +1,262 @@
+//! Camera pictures as half blocks: two pixels a cell, the aspect kept.
+
+use image::RgbImage;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+
+use super::palette::{ColourDepth, Palette};
+use super::text::{clipped, row, write};
+use crate::daemon::{EngineStatus, Preview};
+use gripcast_imaging::Role;
+
+/// Narrower pictures show nothing that helps; the last roles are left out instead.
+const MIN_COLUMNS: u16 = 16;
+/// Shape of a picture that has not arrived yet, width to height.
+const USUAL_ASPECT: (u32, u32) = (4, 3);
+/// Characters from empty to full, for terminals without colours.
+const SHADES: &[u8] = b" .:-=+*#%@";
+/// Grey of "no change" in a difference picture.
+const NO_CHANGE: u8 = 128;
+
+/// Draws the pictures of all cameras that fit side by side or in rows, each with its caption.
+pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
+    let mut roles: Vec<Role> = status.cameras.iter().map(|camera| camera.role).collect();
+    for role in status.previews.keys() {
+        if !roles.contains(role) {
+            roles.push(*role);
+        }
+    }
+    roles.sort_unstable();
+    while roles.len() > 1 && grid(area, roles.len()).1.width < MIN_COLUMNS {
+        roles.pop();
+    }
+    if roles.is_empty() || area.height < 2 {
+        return;
+    }
+    let (across, cell) = grid(area, roles.len());
+    for (index, role) in (0..).zip(&roles) {
+        let tile = Rect::new(
+            area.x + index % across * (cell.width + 1),
+            area.y + index / across * cell.height,
+            cell.width,
+            cell.height,
+        );
+        draw_tile(buffer, tile, *role, status.previews.get(role), palette);
+    }
+}
+
+/// Tiles across, and the size of one, for the arrangement with the largest pictures.
+fn grid(area: Rect, count: usize) -> (u16, Rect) {
+    let count = u16::try_from(count).unwrap_or(u16::MAX).max(1);
+    let tile = |across: u16| {
+        let down = count.div_ceil(across);
+        Rect::new(
+            0,
+            0,
+            (area.width + 1) / across - u16::from(across <= area.width),
+            area.height / down,
+        )
+    };
+    let across = (1..=count)
+        .max_by_key(|&across| {
+            let tile = tile(across);
+            fitted(USUAL_ASPECT, tile.width, tile.height.saturating_sub(1)).area()
+        })
+        .unwrap_or(1);
+    (across, tile(across))
+}
+
+fn draw_tile(
+    buffer: &mut Buffer,
+    tile: Rect,
+    role: Role,
+    preview: Option<&Preview>,
+    palette: Palette,
+) {
+    if tile.height < 2 || tile.width < 3 {
+        return;
+    }
+    write(
+        buffer,
+        row(tile, 0),
+        &caption(role, preview, tile.width, palette),
+    );
+    let below = Rect {
+        y: tile.y + 1,
+        height: tile.height - 1,
+        ..tile
+    };
+    match preview {
+        Some(preview) if preview.image.width() > 0 && preview.image.height() > 0 => {
+            draw_picture(buffer, below, preview, palette.depth);
+        }
+        _ => {
+            let line = Line::styled(
+                clipped("no picture yet", usize::from(below.width)),
+                palette.faint(),
+            );
+            write(buffer, row(below, below.height / 2), &line);
+        }
+    }
+}
+
+fn caption(role: Role, preview: Option<&Preview>, width: u16, palette: Palette) -> Line<'static> {
+    let room = usize::from(width).saturating_sub(role.name().len());
+    let detail = match preview {
+        Some(Preview {
+            contact: Some(contact),
+            ..
+        }) => match format!(" contact {contact:.1}") {
+            long if long.len() <= room => long,
+            _ => format!(" {contact:.1}"),
+        },
+        Some(preview) if preview.is_difference => " difference".to_owned(),
+        _ => String::new(),
+    };
+    Line::from(vec![
+        Span::styled(role.name(), palette.strong()),
+        Span::styled(clipped(&detail, room), palette.faint()),
+    ])
+}
+
+/// Cells of a picture of `aspect` within `columns` × `rows`; a cell is two square pixels high.
+fn fitted((width, height): (u32, u32), columns: u16, rows: u16) -> Rect {
+    let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
+    let scale = (f64::from(columns) / width).min(2.0 * f64::from(rows) / height);
+    Rect::new(
+        0,
+        0,
+        ((width * scale).round() as u16).clamp(columns.min(1), columns),
+        ((height * scale / 2.0).round() as u16).clamp(rows.min(1), rows),
+    )
+}
+
+fn draw_picture(buffer: &mut Buffer, area: Rect, preview: &Preview, depth: ColourDepth) {
+    let image = &*preview.image;
+    let size = fitted(image.dimensions(), area.width, area.height);
+    for y in 0..size.height {
+        for x in 0..size.width {
+            let pixel = |half: u16| {
+                mean(
+                    image,
+                    span(x, size.width, image.width()),
+                    span(2 * y + half, 2 * size.height, image.height()),
+                )
+            };
+            let (upper, lower) = (pixel(0), pixel(1));
+            let Some(cell) = buffer.cell_mut((area.x + x, area.y + y)) else {
+                continue;
+            };
+            match (depth.colour(upper), depth.colour(lower)) {
+                (Some(fg), Some(bg)) => {
+                    cell.set_symbol("▀").set_style(Style::new().fg(fg).bg(bg));
+                }
+                _ => {
+                    cell.set_char(shade(upper, lower, preview.is_difference));
+                }
+            }
+        }
+    }
+}
+
+/// Source pixels that fall into part `index` of `parts`; never empty.
+fn span(index: u16, parts: u16, pixels: u32) -> std::ops::Range<u32> {
+    let at = |i: u32| i * pixels / u32::from(parts.max(1));
+    let start = at(u32::from(index)).min(pixels - 1);
+    start..at(u32::from(index) + 1).clamp(start + 1, pixels)
+}
+
+fn mean(image: &RgbImage, columns: std::ops::Range<u32>, rows: std::ops::Range<u32>) -> [u8; 3] {
+    let count = ((columns.end - columns.start) * (rows.end - rows.start)).max(1);
+    let mut sum = [0_u32; 3];
+    for y in rows {
+        for x in columns.clone() {
+            for (total, value) in sum.iter_mut().zip(image.get_pixel(x, y).0) {
+                *total += u32::from(value);
+            }
+        }
+    }
+    sum.map(|total| (total / count) as u8)
+}
+
+/// Brightness, or in a difference picture the strength of the change, as a character.
+fn shade(upper: [u8; 3], lower: [u8; 3], is_difference: bool) -> char {
+    let strength = |pixel: [u8; 3]| -> usize {
+        if is_difference {
+            let change = pixel.map(|v| usize::from(v.abs_diff(NO_CHANGE)));
+            (2 * change.into_iter().max().unwrap_or(0)).min(255)
+        } else {
+            pixel.into_iter().map(usize::from).sum::<usize>() / 3
+        }
+    };
+    let level = (strength(upper) + strength(lower)) * (SHADES.len() - 1) / 510;
+    char::from(SHADES[level.min(SHADES.len() - 1)])
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use image::Rgb;
+    use ratatui::style::Color;
+
+    use super::*;
+
+    fn preview(image: RgbImage, is_difference: bool) -> Preview {
+        Preview {
+            image: Arc::new(image),
+            contact: None,
+            is_difference,
+        }
+    }
+
+    #[test]
+    fn the_aspect_is_kept() {
+        assert_eq!(fitted((320, 240), 40, 100), Rect::new(0, 0, 40, 15));
+        assert_eq!(fitted((320, 240), 400, 15), Rect::new(0, 0, 40, 15));
+        assert_eq!(fitted((1, 10_000), 40, 15), Rect::new(0, 0, 1, 15));
+        assert_eq!(fitted((320, 240), 0, 0), Rect::new(0, 0, 0, 0));
+    }
+
+    #[test]
+    fn a_cell_shows_the_upper_and_the_lower_half() {
+        let image = RgbImage::from_fn(4, 4, |_, y| {
+            Rgb(if y < 2 { [200, 10, 20] } else { [0, 90, 250] })
+        });
+        let area = Rect::new(0, 0, 2, 1);
+        let mut buffer = Buffer::empty(area);
+        draw_picture(&mut buffer, area, &preview(image, false), ColourDepth::True);
+        for x in 0..2 {
+            let cell = &buffer[(x, 0)];
+            assert_eq!(cell.symbol(), "▀");
+            assert_eq!(cell.fg, Color::Rgb(200, 10, 20));
+            assert_eq!(cell.bg, Color::Rgb(0, 90, 250));
+        }
+    }
+
+    #[test]
+    fn without_colours_no_change_is_blank_and_change_is_not() {
+        let image = RgbImage::from_fn(2, 1, |x, _| Rgb([128 + 127 * x as u8; 3]));
+        let area = Rect::new(0, 0, 2, 1);
+        let mut buffer = Buffer::empty(area);
+        draw_picture(&mut buffer, area, &preview(image, true), ColourDepth::Mono);
+        assert_eq!(buffer[(0, 0)].symbol(), " ");
+        assert_ne!(buffer[(1, 0)].symbol(), " ");
+    }
+
+    #[test]
+    fn the_grid_takes_the_larger_pictures() {
+        assert_eq!(grid(Rect::new(0, 0, 60, 9), 3).0, 3);
+        assert_eq!(grid(Rect::new(0, 0, 100, 40), 4).0, 2);
+        assert_eq!(grid(Rect::new(0, 0, 30, 60), 3).0, 1);
+    }
+
+    #[test]
+    fn spans_cover_every_source_pixel_once() {
+        let covered: Vec<u32> = (0..7).flat_map(|i| span(i, 7, 320)).collect();
+        assert_eq!(covered, (0..320).collect::<Vec<_>>());
+        assert_eq!(span(5, 100, 3), 0..1);
+    }
+}

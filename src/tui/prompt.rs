@@ -1,0 +1,311 @@
+//! One line of text to type: the name of the object, the scene or the operator.
+
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use ratatui::buffer::Buffer;
+use ratatui::layout::{Position, Rect};
+use ratatui::text::{Line, Span};
+
+use super::palette::Palette;
+use super::text::{clipped, columns, fill, write};
+use gripcast_base::files::{Label, MAX_LABEL_CHARS, ObjectName, is_unsafe_char};
+use gripcast_session::{Command, SessionView};
+
+/// Longest name, in characters.
+const MAX_CHARACTERS: usize = MAX_LABEL_CHARS;
+
+/// What a prompt asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Field {
+    /// The object that is grasped.
+    Object,
+    /// The scene.
+    Scene,
+    /// The operator.
+    Operator,
+}
+
+impl Field {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Object => "object",
+            Self::Scene => "scene",
+            Self::Operator => "operator",
+        }
+    }
+
+    fn present(self, session: &SessionView) -> &str {
+        match self {
+            Self::Object => &session.object,
+            Self::Scene => &session.scene,
+            Self::Operator => &session.operator,
+        }
+    }
+
+    fn command(self, name: &str) -> Command {
+        match self {
+            Self::Object => Command::Object(ObjectName::nearest(name)),
+            Self::Scene => Command::Scene(Label::nearest(name)),
+            Self::Operator => Command::Operator(Label::nearest(name)),
+        }
+    }
+}
+
+/// What a key did to a prompt.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Reply {
+    /// Still typing.
+    Editing,
+    /// Closed; nothing changes.
+    Cancelled,
+    /// Closed; this is asked for.
+    Accepted(Command),
+}
+
+/// A prompt and what has been typed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Prompt {
+    field: Field,
+    /// The value before, taken over by Tab or ↑.
+    present: String,
+    text: String,
+    /// Byte position in `text`, always between characters.
+    cursor: usize,
+}
+
+impl Prompt {
+    /// An empty prompt that knows the present value.
+    pub fn new(field: Field, session: &SessionView) -> Self {
+        Self {
+            field,
+            present: field.present(session).to_owned(),
+            text: String::new(),
+            cursor: 0,
+        }
+    }
+
+    /// What has been typed.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Takes a key: letters insert; arrows, Home, End, Backspace, Delete, Ctrl-U and Ctrl-W edit;
+    /// Tab and ↑ take the present value; Enter accepts; Esc cancels.
+    pub fn press(&mut self, key: &KeyEvent) -> Reply {
+        let control = key.modifiers.contains(KeyModifiers::CONTROL);
+        match key.code {
+            KeyCode::Esc => return Reply::Cancelled,
+            KeyCode::Enter => return self.accepted(),
+            KeyCode::Char('u') if control => {
+                self.text.drain(..self.cursor);
+                self.cursor = 0;
+            }
+            KeyCode::Char('w') if control => self.delete_word(),
+            KeyCode::Char(c) if !control => self.insert(c),
+            KeyCode::Backspace => {
+                let end = self.cursor;
+                self.cursor = self.before();
+                self.text.drain(self.cursor..end);
+            }
+            KeyCode::Delete => {
+                let end = self.after();
+                self.text.drain(self.cursor..end);
+            }
+            KeyCode::Left => self.cursor = self.before(),
+            KeyCode::Right => self.cursor = self.after(),
+            KeyCode::Home => self.cursor = 0,
+            KeyCode::End => self.cursor = self.text.len(),
+            KeyCode::Tab | KeyCode::Up => {
+                self.text = self.present.chars().take(MAX_CHARACTERS).collect();
+                self.cursor = self.text.len();
+            }
+            _ => {}
+        }
+        Reply::Editing
+    }
+
+    fn accepted(&self) -> Reply {
+        match self.text.trim() {
+            "" => Reply::Cancelled,
+            name => Reply::Accepted(self.field.command(name)),
+        }
+    }
+
+    fn insert(&mut self, character: char) {
+        if !is_unsafe_char(character) && self.text.chars().count() < MAX_CHARACTERS {
+            self.text.insert(self.cursor, character);
+            self.cursor += character.len_utf8();
+        }
+    }
+
+    fn delete_word(&mut self) {
+        let head = self.text[..self.cursor].trim_end();
+        let start = head
+            .char_indices()
+            .rfind(|(_, c)| c.is_whitespace())
+            .map_or(0, |(at, c)| at + c.len_utf8());
+        self.text.drain(start..self.cursor);
+        self.cursor = start;
+    }
+
+    fn before(&self) -> usize {
+        self.text[..self.cursor]
+            .char_indices()
+            .next_back()
+            .map_or(0, |(at, _)| at)
+    }
+
+    fn after(&self) -> usize {
+        self.text[self.cursor..]
+            .chars()
+            .next()
+            .map_or(self.cursor, |c| self.cursor + c.len_utf8())
+    }
+}
+
+/// Draws the prompt into the first row of `area`; returns where the cursor belongs.
+pub(super) fn draw(
+    buffer: &mut Buffer,
+    area: Rect,
+    prompt: &Prompt,
+    palette: Palette,
+) -> Option<Position> {
+    if area.is_empty() {
+        return None;
+    }
+    let style = palette.entry();
+    fill(buffer, Rect { height: 1, ..area }, style);
+    let label = format!(" {}: ", prompt.field.name());
+    let room = usize::from(area.width.saturating_sub(columns(&label) + 1));
+    let head = tail(&prompt.text[..prompt.cursor], room);
+    let line = if prompt.text.is_empty() {
+        let hint = match prompt.present.as_str() {
+            "" => "Enter takes it, Esc cancels".to_owned(),
+            present => format!("now {} (Tab edits it); Enter, Esc", clipped(present, 24)),
+        };
+        vec![
+            Span::styled(label.clone(), style),
+            Span::styled(hint, style.patch(palette.faint())),
+        ]
+    } else {
+        vec![
+            Span::styled(label.clone(), style),
+            Span::styled(head.clone(), style),
+            Span::styled(&prompt.text[prompt.cursor..], style),
+        ]
+    };
+    write(buffer, area, &Line::from(line));
+    let x = area.x + (columns(&label) + columns(&head)).min(area.width - 1);
+    Some(Position::new(x, area.y))
+}
+
+/// The end of `text` in at most `room` columns.
+fn tail(text: &str, room: usize) -> String {
+    let mut start = 0;
+    for (at, _) in text.char_indices() {
+        start = at;
+        if usize::from(columns(&text[at..])) <= room {
+            return text[at..].to_owned();
+        }
+    }
+    match usize::from(columns(&text[start..])) <= room {
+        true => text[start..].to_owned(),
+        false => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn prompt() -> Prompt {
+        Prompt {
+            field: Field::Object,
+            present: "mug-blue".to_owned(),
+            text: String::new(),
+            cursor: 0,
+        }
+    }
+
+    fn press(prompt: &mut Prompt, code: KeyCode) -> Reply {
+        prompt.press(&KeyEvent::new(code, KeyModifiers::NONE))
+    }
+
+    fn control(prompt: &mut Prompt, c: char) {
+        prompt.press(&KeyEvent::new(KeyCode::Char(c), KeyModifiers::CONTROL));
+    }
+
+    fn type_text(prompt: &mut Prompt, text: &str) {
+        for c in text.chars() {
+            press(prompt, KeyCode::Char(c));
+        }
+    }
+
+    #[test]
+    fn letters_of_any_width_are_edited_whole() {
+        let mut prompt = prompt();
+        type_text(&mut prompt, "Tasse für 茶 ☕");
+        press(&mut prompt, KeyCode::Backspace);
+        press(&mut prompt, KeyCode::Left);
+        press(&mut prompt, KeyCode::Left);
+        press(&mut prompt, KeyCode::Delete);
+        type_text(&mut prompt, "é");
+        press(&mut prompt, KeyCode::Home);
+        press(&mut prompt, KeyCode::Right);
+        press(&mut prompt, KeyCode::Backspace);
+        assert_eq!(prompt.text(), "asse für é ");
+        assert_eq!(
+            press(&mut prompt, KeyCode::Enter),
+            Reply::Accepted(Command::Object("asse für é".parse().unwrap()))
+        );
+    }
+
+    #[test]
+    fn words_and_lines_are_deleted() {
+        let mut prompt = prompt();
+        type_text(&mut prompt, "große Tasse  ");
+        control(&mut prompt, 'w');
+        assert_eq!(prompt.text(), "große ");
+        control(&mut prompt, 'u');
+        assert_eq!(prompt.text(), "");
+        control(&mut prompt, 'w');
+        press(&mut prompt, KeyCode::Backspace);
+        press(&mut prompt, KeyCode::Delete);
+        press(&mut prompt, KeyCode::Left);
+        press(&mut prompt, KeyCode::Right);
+        assert_eq!(prompt.text(), "");
+    }
+
+    #[test]
+    fn nothing_typed_or_escape_changes_nothing() {
+        let mut prompt = prompt();
+        type_text(&mut prompt, "  ");
+        assert_eq!(press(&mut prompt, KeyCode::Enter), Reply::Cancelled);
+        assert_eq!(press(&mut prompt, KeyCode::Esc), Reply::Cancelled);
+    }
+
+    #[test]
+    fn tab_takes_the_present_name() {
+        let mut prompt = prompt();
+        press(&mut prompt, KeyCode::Tab);
+        type_text(&mut prompt, "-2");
+        assert_eq!(prompt.text(), "mug-blue-2");
+    }
+
+    #[test]
+    fn control_characters_and_endless_names_are_kept_out() {
+        let mut prompt = prompt();
+        type_text(&mut prompt, "a\u{7}\u{1b}b");
+        control(&mut prompt, 'x');
+        assert_eq!(prompt.text(), "ab");
+        type_text(&mut prompt, &"ß".repeat(200));
+        assert_eq!(prompt.text().chars().count(), MAX_CHARACTERS);
+    }
+
+    #[test]
+    fn the_end_of_a_long_text_stays_in_sight() {
+        assert_eq!(tail("abcdef", 3), "def");
+        assert_eq!(tail("茶茶茶", 3), "茶");
+        assert_eq!(tail("茶", 1), "");
+        assert_eq!(tail("", 0), "");
+    }
+}

@@ -1,0 +1,110 @@
+//! One line a camera: role, measured and nominal rate, age of the newest frame, what went wrong.
+
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+
+use super::palette::Palette;
+use super::text::{clipped, duration_ms, row, write};
+use crate::daemon::{CameraState, CameraStatus};
+
+/// Share of the nominal rate below which the rate is shown as a warning.
+const SLOW_SHARE: f64 = 0.9;
+/// Age of the newest frame from which it is shown as a warning, in nominal intervals.
+const OLD_INTERVALS: f64 = 3.0;
+
+pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], palette: Palette) {
+    let spare = usize::from(area.height).saturating_sub(cameras.len());
+    let mut troubled = spare;
+    let mut index = 0;
+    for camera in cameras {
+        let trouble = trouble(camera);
+        let seen = camera.markers.as_ref().and_then(|seen| seen.as_ref().ok());
+        let (note, style) = match seen {
+            Some(seen) if trouble.is_empty() => (seen.clone(), palette.stable()),
+            _ => (trouble.clone(), palette.warning()),
+        };
+        let own_line = !note.is_empty() && troubled > 0;
+        let flagged = !trouble.is_empty() && !own_line;
+        write(buffer, row(area, index), &line(camera, flagged, palette));
+        index += 1;
+        if own_line {
+            let text = clipped(&format!("  {note}"), usize::from(area.width));
+            write(buffer, row(area, index), &Line::styled(text, style));
+            index += 1;
+            troubled -= 1;
+        }
+    }
+}
+
+/// `left   25.0/25 fps 18 ms`; `!` at the role when counters are not clean.
+fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static> {
+    let flag = if flagged { "!" } else { " " };
+    let role = Span::raw(format!("{:<5.5}", camera.role));
+    let flag = Span::styled(flag, palette.warning());
+    if !camera.state.is_live() {
+        let (words, style) = state(&camera.state, palette);
+        return Line::from(vec![role, flag, Span::styled(words, style)]);
+    }
+    let slow = camera.measured_fps < SLOW_SHARE * camera.nominal_fps;
+    let rate = format!("{:>5.1}/{:.0} fps", camera.measured_fps, camera.nominal_fps);
+    let old = camera
+        .frame_age_ms
+        .is_none_or(|age| age * camera.nominal_fps > OLD_INTERVALS * 1e3);
+    let age = camera
+        .frame_age_ms
+        .map_or_else(|| "–".to_owned(), duration_ms);
+    let marked = |warn: bool| {
+        if warn {
+            palette.warning()
+        } else {
+            Style::new()
+        }
+    };
+    Line::from(vec![
+        role,
+        flag,
+        Span::styled(rate, marked(slow)),
+        Span::styled(format!(" {age}"), marked(old)),
+    ])
+}
+
+/// A state in one or two words.
+pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
+    match state {
+        CameraState::Opening => ("opening …".to_owned(), palette.faint()),
+        CameraState::Live => ("live".to_owned(), palette.stable()),
+        CameraState::Silent { for_s } => (
+            format!("SILENT {}", duration_ms(for_s * 1e3)),
+            palette.slip(),
+        ),
+        CameraState::Frozen { for_s } => (
+            format!("FROZEN {}", duration_ms(for_s * 1e3)),
+            palette.slip(),
+        ),
+        CameraState::Lost { .. } => ("LOST".to_owned(), palette.slip()),
+        CameraState::Ended => ("recording ended".to_owned(), palette.faint()),
+    }
+}
+
+/// Counters that are not zero, in words; late frames are left to the detail screen.
+fn trouble(camera: &CameraStatus) -> String {
+    [
+        (camera.sequence_gaps, "lost"),
+        (camera.damaged, "damaged"),
+        (camera.reconnects, "reopened"),
+    ]
+    .into_iter()
+    .filter(|(count, _)| *count > 0)
+    .map(|(count, word)| format!("{count} {word}"))
+    .chain(markers(camera))
+    .collect::<Vec<_>>()
+    .join(" ")
+}
+
+/// That there would be no pose, and why.
+fn markers(camera: &CameraStatus) -> Option<String> {
+    let reason = camera.markers.as_ref()?.as_ref().err()?;
+    Some(format!("no pose: {reason}"))
+}

@@ -1,0 +1,113 @@
+//! The terminal in raw mode on its alternate screen, and its way back whatever happens.
+
+use std::io::{self, BufWriter, Stdout, Write};
+use std::sync::Once;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crossterm::cursor::{Hide, Show};
+use crossterm::terminal::{
+    BeginSynchronizedUpdate, EndSynchronizedUpdate, EnterAlternateScreen, LeaveAlternateScreen,
+    disable_raw_mode, enable_raw_mode,
+};
+use crossterm::{execute, queue};
+use ratatui::backend::CrosstermBackend;
+use ratatui::layout::{Position, Rect};
+use ratatui::{Frame, Terminal};
+
+use gripcast_base::error::{Error, Result};
+
+/// Bytes of one picture that are collected before they are written; holds a 200×60 screen of
+/// half blocks in 24-bit colour.
+const WRITE_BUFFER_BYTES: usize = 512 * 1024;
+
+/// Whether the terminal is ours; decides in [`restore`] who puts it back.
+static ENTERED: AtomicBool = AtomicBool::new(false);
+static PANIC_HOOK: Once = Once::new();
+
+/// The terminal while the screen is shown. Dropping it restores the terminal; a panic anywhere
+/// in the process does so before its message is printed.
+pub(super) struct ScreenTerminal {
+    terminal: Terminal<CrosstermBackend<BufWriter<Stdout>>>,
+}
+
+impl ScreenTerminal {
+    /// Takes the terminal.
+    ///
+    /// # Errors
+    /// When standard output is no terminal or refuses.
+    pub(super) fn enter() -> Result<Self> {
+        PANIC_HOOK.call_once(|| {
+            let earlier = std::panic::take_hook();
+            std::panic::set_hook(Box::new(move |panic| {
+                restore();
+                earlier(panic);
+            }));
+        });
+        let writer = BufWriter::with_capacity(WRITE_BUFFER_BYTES, io::stdout());
+        let mut screen = Self {
+            terminal: Terminal::new(CrosstermBackend::new(writer)).map_err(failed)?,
+        };
+        screen.take()?;
+        Ok(screen)
+    }
+
+    fn take(&mut self) -> Result<()> {
+        ENTERED.store(true, Ordering::SeqCst);
+        enable_raw_mode().map_err(failed)?;
+        execute!(self.terminal.backend_mut(), EnterAlternateScreen, Hide).map_err(failed)?;
+        // Clears like `Terminal::clear`, but asks the terminal nothing: an answer about the cursor
+        // may take seconds, or never come.
+        let size = self.terminal.size().map_err(failed)?;
+        self.terminal
+            .resize(Rect::from((Position::ORIGIN, size)))
+            .map_err(failed)
+    }
+
+    /// Draws one picture, whole or not at all on terminals with synchronized output.
+    ///
+    /// # Errors
+    /// When the terminal is gone.
+    pub(super) fn draw(&mut self, draw: impl FnOnce(&mut Frame<'_>)) -> Result<()> {
+        if !ENTERED.load(Ordering::SeqCst) {
+            // A panic of another thread has put the terminal back, and the program goes on.
+            self.take()?;
+        }
+        queue!(self.terminal.backend_mut(), BeginSynchronizedUpdate).map_err(failed)?;
+        self.terminal.draw(draw).map_err(failed)?;
+        execute!(self.terminal.backend_mut(), EndSynchronizedUpdate).map_err(failed)
+    }
+
+    /// Rings the bell; between pictures, so that it never lands inside an escape sequence.
+    pub(super) fn ring(&mut self) -> Result<()> {
+        let backend = self.terminal.backend_mut();
+        backend.write_all(b"\x07").map_err(failed)?;
+        io::Write::flush(backend).map_err(failed)
+    }
+}
+
+impl Drop for ScreenTerminal {
+    fn drop(&mut self) {
+        restore();
+    }
+}
+
+/// Puts the terminal back if the screen has it; any number of times, from any thread.
+///
+/// Call it before the process ends by another way than returning from [`super::run()`].
+pub fn restore() {
+    if ENTERED.swap(false, Ordering::SeqCst) {
+        // Nothing can be done, and nobody told, when a dying terminal refuses.
+        let _ = execute!(
+            io::stdout(),
+            EndSynchronizedUpdate,
+            LeaveAlternateScreen,
+            Show
+        );
+        let _ = disable_raw_mode();
+    }
+}
+
+fn failed(source: io::Error) -> Error {
+    Error::io("cannot show the screen in this terminal", source)
+        .remedy("run it in a terminal, or without the screen (--headless)")
+}

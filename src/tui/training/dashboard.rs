@@ -1,0 +1,266 @@
+//! The dashboard: where everything goes at every size.
+
+use std::time::Duration;
+
+use ratatui::Frame;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::text::{Line, Span};
+
+use super::super::palette::Palette;
+use super::super::text::{clipped, columns, duration_ms, row, write, write_right};
+use super::plot;
+use super::status::{TrainingStatus, figure};
+use gripcast_nn::predict::contract::Variant;
+
+/// Below this only one line is shown.
+const MIN_COLUMNS: u16 = 40;
+const MIN_ROWS: u16 = 6;
+/// Columns from which both plots are side by side.
+const WIDE_COLUMNS: u16 = 64;
+/// Rows that a plot needs with its title.
+const PLOT_ROWS: u16 = 7;
+/// Columns below which dataset and run are not named.
+const MIN_NAMES: u16 = 8;
+/// Columns of the words before what they name.
+const NAMES: usize = 10;
+
+/// Draws the whole dashboard. Pure: the same status gives the same picture.
+pub fn draw(frame: &mut Frame<'_>, status: &TrainingStatus, palette: Palette) {
+    let area = frame.area();
+    let buffer = frame.buffer_mut();
+    if area.width < MIN_COLUMNS || area.height < MIN_ROWS {
+        write(buffer, row(area, area.height / 2), &tiny(status, palette));
+        return;
+    }
+    header(buffer, row(area, 0), status, palette);
+    let last = area.height - 1;
+    write(buffer, row(area, last), &keys(palette));
+    let body = Rect::new(area.x, area.y + 1, area.width, area.height - 2);
+    let lines = facts(status, body, palette);
+    for (index, line) in (0..).zip(&lines) {
+        write(buffer, row(body, index), line);
+    }
+    let used = lines.len() as u16;
+    let rest = Rect {
+        y: body.y + used,
+        height: body.height - used,
+        ..body
+    };
+    draw_rest(buffer, rest, status, palette);
+}
+
+/// Plots above where they have room, the last lines below.
+fn draw_rest(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
+    let lines = match area.height {
+        0..=PLOT_ROWS => area.height,
+        height => (height / 5).clamp(1, 8),
+    };
+    let plots = area.height - lines;
+    if plots > 0 {
+        let gap = u16::from(plots > PLOT_ROWS);
+        let plots = Rect::new(area.x + 1, area.y + gap, area.width - 2, plots - gap);
+        draw_plots(buffer, plots, status, palette);
+    }
+    let first = status.lines.len().saturating_sub(usize::from(lines));
+    for (index, text) in (plots..).zip(status.lines.iter().skip(first)) {
+        let text = clipped(text, usize::from(area.width.saturating_sub(1)));
+        let line = Line::styled(format!(" {text}"), palette.faint());
+        write(buffer, row(area, index), &line);
+    }
+}
+
+fn draw_plots(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
+    if area.width >= WIDE_COLUMNS {
+        let width = (area.width - 2) / 2;
+        let left = Rect { width, ..area };
+        let right = Rect {
+            x: area.right() - width,
+            width,
+            ..area
+        };
+        plot::losses(buffer, left, status, palette);
+        plot::accuracies(buffer, right, status, palette);
+        return;
+    }
+    let both = area.height >= 2 * PLOT_ROWS;
+    let height = if both { area.height / 2 } else { area.height };
+    let upper = Rect { height, ..area };
+    let lower = Rect {
+        y: area.y + height,
+        height: area.height - height,
+        ..area
+    };
+    plot::losses(buffer, upper, status, palette);
+    plot::accuracies(buffer, lower, status, palette);
+}
+
+fn header(buffer: &mut Buffer, area: Rect, status: &TrainingStatus, palette: Palette) {
+    let seconds = status.elapsed.as_secs();
+    let (hours, minutes) = (seconds / 3600, seconds / 60 % 60);
+    let mut right = format!("{hours}:{minutes:02}:{:02}", seconds % 60);
+    if let Some(left) = status.left() {
+        let bound = if status.settings.patience > 0 {
+            "at most"
+        } else {
+            "about"
+        };
+        right = format!("{right}, {bound} {} left", time(left));
+    }
+    let taken = write_right(buffer, area, &Line::from(format!("{right} ")));
+    let title = " gripcast train";
+    let mut line = Line::from(Span::styled(title, palette.strong()));
+    let room = area.width.saturating_sub(taken + columns(title) + 6);
+    if room >= MIN_NAMES {
+        let data = clipped(&status.data, usize::from(room / 2));
+        let out = clipped(&status.out, usize::from(room - columns(&data)));
+        line.push_span(Span::raw(format!("  {data}")));
+        line.push_span(Span::styled(" → ", palette.faint()));
+        line.push_span(Span::raw(out));
+    }
+    let left = Rect {
+        width: area.width - taken,
+        ..area
+    };
+    write(buffer, left, &line);
+}
+
+fn time(left: Duration) -> String {
+    duration_ms(left.as_secs_f64().ceil() * 1e3)
+}
+
+/// What is known in words; the upper lines are left out where it is low.
+fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'static>> {
+    let (epoch, steps) = status.epoch();
+    let epochs = u64::from(status.settings.epochs);
+    let bar = |name, number: [u64; 2], share| {
+        let number = format!("{} of {}", number[0], number[1]);
+        bar(name, &number, share, usize::from(area.width), palette)
+    };
+    let mut lines = vec![
+        dataset(status, palette),
+        settings(status, palette),
+        bar("epoch", [epoch, epochs], status.at),
+        bar("step", steps, steps),
+        now(status, palette),
+        best(status, palette),
+    ];
+    let missing = lines.len().saturating_sub(usize::from(area.height));
+    lines.split_off(missing)
+}
+
+fn named(name: &str, text: String, palette: Palette) -> Line<'static> {
+    Line::from(vec![
+        Span::styled(format!(" {name:<NAMES$}"), palette.faint()),
+        Span::raw(text),
+    ])
+}
+
+fn dataset(status: &TrainingStatus, palette: Palette) -> Line<'static> {
+    let Some(start) = &status.start else {
+        return named("data", "–".to_owned(), palette);
+    };
+    let (train, validation) = (start.train, start.validation);
+    let text = format!(
+        "{} samples of {} objects, {} stable · validation {} of {}, {} stable",
+        train.samples,
+        train.objects,
+        train.stable,
+        validation.samples,
+        validation.objects,
+        validation.stable,
+    );
+    named("data", text, palette)
+}
+
+fn settings(status: &TrainingStatus, palette: Palette) -> Line<'static> {
+    let settings = &status.settings;
+    let senses = match settings.variant {
+        Variant::V => "vision",
+        Variant::T => "touch",
+        Variant::Vt => "vision and touch",
+    };
+    let mut text = format!(
+        "{senses} · network {} · batch {} · seed {}",
+        settings.architecture.name, settings.batch, settings.seed
+    );
+    if status.seeds > 1 {
+        text += &format!(", {} of {}", status.seed_number, status.seeds);
+    }
+    named("settings", text, palette)
+}
+
+fn now(status: &TrainingStatus, palette: Palette) -> Line<'static> {
+    let text = match (status.stage, status.look) {
+        (Some(stage), _) => stage.to_owned(),
+        (None, Some([done, all])) => format!("validation, {done} of {all} samples"),
+        (None, None) => {
+            let pace = status.samples_per_s();
+            let parts = [
+                pace.map(|pace| format!("{pace:.1} samples/s")),
+                status
+                    .learning_rate
+                    .map(|rate| format!("learning rate {rate:.2e}")),
+                status.loss.map(|loss| format!("training loss {loss:.3}")),
+            ];
+            let parts: Vec<String> = parts.into_iter().flatten().collect();
+            parts.join(" · ")
+        }
+    };
+    named("now", text, palette)
+}
+
+fn best(status: &TrainingStatus, palette: Palette) -> Line<'static> {
+    let text = status.best().map_or("–".to_owned(), |best| {
+        format!(
+            "epoch {} · accuracy {:.3} · AUROC {} · loss {:.3}",
+            best.epoch,
+            best.validation_accuracy,
+            figure(best.validation_auroc),
+            best.validation_loss,
+        )
+    });
+    let mut line = named("best", text, palette);
+    for span in line.spans.iter_mut().skip(1) {
+        span.style = palette.strong();
+    }
+    line
+}
+
+/// A number and how much of the whole it is.
+fn bar(
+    name: &str,
+    number: &str,
+    [done, all]: [u64; 2],
+    width: usize,
+    palette: Palette,
+) -> Line<'static> {
+    let share = done.min(all) as f64 / all.max(1) as f64;
+    let percent = format!(" {:>3.0} %", (100.0 * share).floor());
+    let number = format!("{number:<16} ");
+    let room = width.saturating_sub(NAMES + 2 + number.len() + percent.len());
+    let full = (share * room as f64).floor() as usize;
+    let mut line = named(name, number, palette);
+    line.push_span(Span::styled("━".repeat(full), palette.first_curve()));
+    line.push_span(Span::styled("·".repeat(room - full), palette.faint()));
+    line.push_span(Span::raw(percent));
+    line
+}
+
+fn keys(palette: Palette) -> Line<'static> {
+    Line::from(vec![
+        Span::styled(" q", palette.strong()),
+        Span::raw(" stop; the same command goes on from the last checkpoint"),
+    ])
+}
+
+/// All that fits into one line.
+fn tiny(status: &TrainingStatus, palette: Palette) -> Line<'static> {
+    let (epoch, [step, steps]) = status.epoch();
+    let best = figure(status.best().map(|best| best.validation_accuracy));
+    let text = format!(
+        "{epoch}/{} {step}/{steps} best {best}",
+        status.settings.epochs
+    );
+    Line::styled(text, palette.strong())
+}

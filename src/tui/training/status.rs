@@ -1,0 +1,242 @@
+//! What the dashboard knows of a training.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use gripcast_train::{EpochFigures, RunStart, TrainEvent, TrainSettings};
+
+/// Lines that are kept.
+const LINES: usize = 100;
+/// Steps over which the speed is taken.
+const PACE_STEPS: usize = 20;
+/// Points of the training loss within an epoch.
+const TRACE_POINTS: u64 = 32;
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TrainingNews {
+    /// The run of a seed begins.
+    Seed(u64),
+    /// It goes on.
+    Train(TrainEvent),
+    /// What is done besides.
+    Stage(&'static str),
+}
+
+/// What the dashboard shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainingStatus {
+    /// Name of the dataset.
+    pub(super) data: String,
+    /// Name of the run.
+    pub(super) out: String,
+    pub(super) settings: TrainSettings,
+    /// How many runs there are, and the number of the one under way from 1.
+    pub(super) seeds: u64,
+    pub(super) seed_number: u64,
+    /// What is done besides steps.
+    pub(super) stage: Option<&'static str>,
+    pub(super) start: Option<RunStart>,
+    /// Steps done and all.
+    pub(super) at: [u64; 2],
+    /// Samples of the validation part that were looked at, and all, while that goes on.
+    pub(super) look: Option<[usize; 2]>,
+    pub(super) epochs: Vec<EpochFigures>,
+    pub(super) learning_rate: Option<f64>,
+    /// Mean training loss since the epoch or this process began.
+    pub(super) loss: Option<f64>,
+    /// That loss within the epoch under way, over epochs.
+    pub(super) trace: Vec<(f64, f64)>,
+    /// The newest last.
+    pub(super) lines: VecDeque<String>,
+    /// Since the dashboard began.
+    pub(super) elapsed: Duration,
+    /// When the run began or was gone on with, and at which step.
+    begun: (Duration, u64),
+    /// When the last step was done.
+    last: Option<Duration>,
+    /// The last steps of the epoch and when they were done.
+    steps: VecDeque<(Duration, u64)>,
+    /// Sum and number of the losses that the mean is taken over.
+    losses: (f64, u64),
+}
+
+impl TrainingStatus {
+    /// Before anything has happened.
+    pub fn new(data: &str, out: &str, settings: TrainSettings, seeds: u64) -> Self {
+        Self {
+            data: data.to_owned(),
+            out: out.to_owned(),
+            settings,
+            seeds,
+            seed_number: 1,
+            stage: Some("reading the dataset"),
+            start: None,
+            at: [0, 0],
+            look: None,
+            epochs: Vec::new(),
+            learning_rate: None,
+            loss: None,
+            trace: Vec::new(),
+            lines: VecDeque::new(),
+            elapsed: Duration::ZERO,
+            begun: (Duration::ZERO, 0),
+            last: None,
+            steps: VecDeque::new(),
+            losses: (0.0, 0),
+        }
+    }
+
+    /// Takes news that came `elapsed` after the dashboard began.
+    pub fn take(&mut self, news: TrainingNews, elapsed: Duration) {
+        self.elapsed = elapsed;
+        match news {
+            TrainingNews::Seed(seed) => self.next(seed),
+            TrainingNews::Stage(stage) => self.stage = Some(stage),
+            TrainingNews::Train(TrainEvent::Begun(start)) => self.begin(start),
+            TrainingNews::Train(TrainEvent::Step {
+                at,
+                loss,
+                learning_rate,
+            }) => self.step(at, loss, learning_rate),
+            TrainingNews::Train(TrainEvent::Look(at)) => self.look = Some(at),
+            TrainingNews::Train(TrainEvent::Epoch(figures)) => self.end_epoch(figures),
+        }
+    }
+
+    /// Adds a line for people.
+    pub fn line(&mut self, text: impl Into<String>) {
+        if self.lines.len() == LINES {
+            self.lines.pop_front();
+        }
+        self.lines.push_back(text.into());
+    }
+
+    /// Lets time pass without news.
+    pub fn wait(&mut self, elapsed: Duration) {
+        self.elapsed = elapsed;
+    }
+
+    /// The run of another seed; what was shown of the last one becomes a line.
+    fn next(&mut self, seed: u64) {
+        if self.start.is_some() {
+            let best = self.best().map(|best| {
+                let auroc = figure(best.validation_auroc);
+                format!(
+                    "seed {}: best epoch {} of {}, validation accuracy {:.3}, AUROC {auroc}",
+                    self.settings.seed,
+                    best.epoch,
+                    self.epochs.len(),
+                    best.validation_accuracy,
+                )
+            });
+            let mut fresh = Self::new(&self.data, &self.out, self.settings.clone(), self.seeds);
+            fresh.seed_number = self.seed_number + 1;
+            fresh.lines = std::mem::take(&mut self.lines);
+            fresh.elapsed = self.elapsed;
+            *self = fresh;
+            best.into_iter().for_each(|line| self.line(line));
+        }
+        self.settings.seed = seed;
+    }
+
+    fn begin(&mut self, start: RunStart) {
+        self.stage = None;
+        self.at = start.at;
+        self.begun = (self.elapsed, start.at[0]);
+        self.epochs.clone_from(&start.epochs);
+        if start.at[0] > 0 {
+            let epochs = start.epochs.len();
+            self.line(format!(
+                "goes on after {epochs} epochs, {} steps",
+                start.at[0]
+            ));
+        }
+        self.start = Some(start);
+    }
+
+    fn step(&mut self, at: [u64; 2], loss: f64, learning_rate: f64) {
+        (self.stage, self.look) = (None, None);
+        self.at = at;
+        self.last = Some(self.elapsed);
+        self.learning_rate = Some(learning_rate);
+        if self.steps.len() > PACE_STEPS {
+            self.steps.pop_front();
+        }
+        self.steps.push_back((self.elapsed, at[0]));
+        let (sum, count) = (self.losses.0 + loss, self.losses.1 + 1);
+        self.losses = (sum, count);
+        let mean = sum / count as f64;
+        self.loss = Some(mean);
+        let steps = self.start.as_ref().map_or(1, |start| start.steps_per_epoch);
+        if at[0].is_multiple_of(steps.div_ceil(TRACE_POINTS).max(1)) {
+            self.trace.push((at[0] as f64 / steps.max(1) as f64, mean));
+        }
+    }
+
+    fn end_epoch(&mut self, figures: EpochFigures) {
+        (self.look, self.losses) = (None, (0.0, 0));
+        self.trace.clear();
+        // Looking at the validation part is no part of the speed.
+        self.steps.clear();
+        self.line(epoch_line(&figures));
+        self.epochs.push(figures);
+    }
+
+    /// The epoch of the best checkpoint.
+    pub(super) fn best(&self) -> Option<&EpochFigures> {
+        self.epochs.iter().reduce(|best, next| {
+            let is_better = next.beats([best.validation_accuracy, best.validation_loss]);
+            if is_better { next } else { best }
+        })
+    }
+
+    /// The epoch under way, from 1, and its steps done and all.
+    pub(super) fn epoch(&self) -> (u64, [u64; 2]) {
+        let steps = self.start.as_ref().map_or(0, |start| start.steps_per_epoch);
+        let done = self.epochs.len() as u64;
+        let number = (done + 1).min(u64::from(self.settings.epochs));
+        let step = self.at[0].saturating_sub((number - 1) * steps).min(steps);
+        (number, [step, steps])
+    }
+
+    /// Samples learned from in a second, lately.
+    pub(super) fn samples_per_s(&self) -> Option<f64> {
+        let lately = || {
+            let ((first, from), (last, to)) = (self.steps.front()?, self.steps.back()?);
+            let seconds = last.checked_sub(*first)?.as_secs_f64();
+            let samples = (to - from) as f64 * self.settings.batch as f64;
+            (seconds > 0.0).then(|| samples / seconds)
+        };
+        let before = || Some(self.epochs.last()?.samples_per_s);
+        lately().or_else(before)
+    }
+
+    /// Time that all runs still take, if each does all its epochs.
+    pub(super) fn left(&self) -> Option<Duration> {
+        let (begun, from) = self.begun;
+        let [done, all] = self.at;
+        let moved = done.checked_sub(from).filter(|moved| *moved > 0)?;
+        let per_step = self.last?.checked_sub(begun)?.as_secs_f64() / moved as f64;
+        let rest = all.saturating_sub(done) + self.seeds.saturating_sub(self.seed_number) * all;
+        Duration::try_from_secs_f64(per_step * rest as f64).ok()
+    }
+}
+
+/// A figure, or a dash where there is none.
+pub(super) fn figure(value: Option<f64>) -> String {
+    value.map_or("–".to_owned(), |x| format!("{x:.3}"))
+}
+
+/// A finished epoch in a line.
+pub(crate) fn epoch_line(figures: &EpochFigures) -> String {
+    format!(
+        "epoch {:>3}  loss {:.4}  validation: loss {:.4}, accuracy {:.3}, AUROC {}  {:.0} samples/s",
+        figures.epoch,
+        figures.train_loss,
+        figures.validation_loss,
+        figures.validation_accuracy,
+        figure(figures.validation_auroc),
+        figures.samples_per_s,
+    )
+}

@@ -1,0 +1,458 @@
+//! Who may talk to the daemon.
+//!
+//! * Every request: a `Host` that can be read, and no page of another site ([`super::origin`]).
+//! * A Unix socket: whoever may open it. The `Host` must name this machine, since `ssh -L` brings
+//!   browsers to the socket too.
+//! * TCP without a token (loopback only): programs of this machine; the `Host` must name it, a
+//!   foreign name that was made to point here does not.
+//! * TCP with a token: whoever shows it as `Authorization: Bearer`, or the cookie of a session that
+//!   a login has opened.
+
+use std::fmt;
+use std::fs::File;
+use std::io::Read as _;
+use std::net::IpAddr;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse as _, Response};
+use subtle::ConstantTimeEq as _;
+
+use super::failure::Failure;
+use super::origin;
+use super::sessions::{Failures, SessionKey, Sessions};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::sha256_hex;
+
+/// Shortest token that is taken, characters.
+const MIN_TOKEN_CHARS: usize = 16;
+/// Longest one; a larger file is no token.
+const MAX_TOKEN_BYTES: u64 = 1024;
+/// Cookie of a browser that has logged in.
+const COOKIE: &str = "gripcast";
+/// Cookies of that name that are looked at; a browser has one.
+const MAX_COOKIES: usize = 4;
+/// How it is kept: no script reads it, no other site sends it.
+const COOKIE_RULES: &str = "Path=/; HttpOnly; SameSite=Strict";
+
+/// Nothing but our own files, no frames around us.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+     img-src 'self' blob: data:; connect-src 'self'; manifest-src 'self'; base-uri 'none'; \
+     form-action 'none'; frame-ancestors 'none'";
+
+/// On every answer: other sites neither embed it nor hold on to its window.
+const MARKS: [(HeaderName, &str); 6] = [
+    (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
+    (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    (header::REFERRER_POLICY, "no-referrer"),
+    (header::X_FRAME_OPTIONS, "DENY"),
+    (
+        HeaderName::from_static("cross-origin-resource-policy"),
+        "same-origin",
+    ),
+    (
+        HeaderName::from_static("cross-origin-opener-policy"),
+        "same-origin",
+    ),
+];
+
+/// Whether a file's rights let others read or change it. Root chooses who is in a group, so that
+/// a group may read what belongs to root: the package gives its token to the service's.
+fn is_open(owner: u32, mode: u32) -> bool {
+    let allowed = if owner == 0 { 0o040 } else { 0 };
+    mode & 0o077 & !allowed != 0
+}
+
+/// A secret; it is never printed.
+#[derive(Clone)]
+pub(crate) struct Token(String);
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(…)")
+    }
+}
+
+impl Token {
+    /// The token in a file that only its owner can read, or that root gave to a group.
+    ///
+    /// # Errors
+    /// `Config` for a file that others may read or that holds no token of at least 16 printable
+    /// characters; `Io`, `NotFound`, … when it cannot be read.
+    pub(crate) fn read(path: &Path) -> Result<Self> {
+        let unreadable = |e| Error::io("cannot read the token", e).at(path.display());
+        let file = File::open(path).map_err(unreadable)?;
+        let metadata = file.metadata().map_err(unreadable)?;
+        let mode = metadata.mode();
+        if is_open(metadata.uid(), mode) {
+            return Err(Error::new(
+                ErrorKind::Config,
+                format!("others may read the token (mode {:o})", mode & 0o777),
+            )
+            .at(path.display())
+            .remedy(format!("chmod 600 {}", path.display())));
+        }
+        let mut text = String::new();
+        file.take(MAX_TOKEN_BYTES)
+            .read_to_string(&mut text)
+            .map_err(unreadable)?;
+        Self::parse(&text).map_err(|e| e.at(path.display()))
+    }
+
+    pub(super) fn parse(text: &str) -> Result<Self> {
+        let token = text.trim();
+        let printable = token.chars().all(|c| c.is_ascii_graphic());
+        if token.len() < MIN_TOKEN_CHARS || !printable {
+            return Err(Error::new(
+                ErrorKind::Config,
+                format!(
+                    "expected a token of at least {MIN_TOKEN_CHARS} printable ASCII characters \
+                     without blanks, found {} characters",
+                    token.chars().count()
+                ),
+            )
+            .remedy("make one: head -c 24 /dev/urandom | base64 > FILE; chmod 600 FILE"));
+        }
+        Ok(Self(token.to_owned()))
+    }
+
+    fn is(&self, shown: &str) -> bool {
+        // Digests have one length, so that not even the token's is told by the time.
+        let (ours, theirs) = (sha256_hex(&self.0), sha256_hex(shown));
+        bool::from(ours.as_bytes().ct_eq(theirs.as_bytes()))
+    }
+
+    /// The header with which a program shows it.
+    pub(super) fn bearer(&self) -> String {
+        format!("Bearer {}", self.0)
+    }
+}
+
+/// How a connection came in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Peer {
+    /// Over TCP, from this address.
+    Network(IpAddr),
+    /// Over the Unix socket.
+    Local,
+}
+
+/// The rule, and who has logged in.
+#[derive(Debug, Default)]
+pub(crate) struct Access(Mutex<Inner>);
+
+#[derive(Debug, Default)]
+struct Inner {
+    token: Option<Token>,
+    sessions: Sessions,
+    failures: Failures,
+}
+
+impl Inner {
+    /// Whether this is the token. An address that guesses is not heard for a while, not even with
+    /// the right one.
+    fn try_token(&mut self, from: Peer, shown: &str, now: Instant) -> Result<bool, Failure> {
+        let Some(token) = &self.token else {
+            return Ok(false);
+        };
+        let Peer::Network(from) = from else {
+            return Ok(token.is(shown));
+        };
+        if let Some(wait) = self.failures.wait(from, now) {
+            return Err(Failure::new(
+                StatusCode::TOO_MANY_REQUESTS,
+                format!("too many wrong tokens from {from}"),
+            )
+            .remedy(format!(
+                "wait {} s, or use the Unix socket",
+                wait.as_secs() + 1
+            ))
+            .retry_after(wait));
+        }
+        let is_token = token.is(shown);
+        if !is_token {
+            self.failures.note(from, now);
+        }
+        Ok(is_token)
+    }
+}
+
+/// What a request was let in with.
+#[derive(Clone, Debug)]
+pub(crate) struct Pass {
+    access: Arc<Access>,
+    shown: Shown,
+}
+
+#[derive(Clone, Debug)]
+enum Shown {
+    /// It came over the Unix socket.
+    Local,
+    /// Nothing: there is no token, or what it asks for is open to all.
+    Nothing,
+    Token(Token),
+    Session(SessionKey),
+}
+
+impl Pass {
+    /// Whether it would still be let in: not after a logout, nor once there is another token. Long
+    /// answers ask again and again.
+    pub(crate) fn holds(&self) -> bool {
+        let mut inner = self.access.lock();
+        match &self.shown {
+            Shown::Local => true,
+            Shown::Nothing => inner.token.is_none(),
+            Shown::Token(shown) => inner.token.as_ref().is_some_and(|token| token.is(&shown.0)),
+            Shown::Session(key) => inner.sessions.is_open(key, Instant::now(), false),
+        }
+    }
+
+    /// Whether it is a browser that has logged in.
+    pub(crate) fn is_session(&self) -> bool {
+        matches!(self.shown, Shown::Session(_))
+    }
+
+    /// Ends the session, if there is one; returns the cookie that takes its place.
+    pub(crate) fn log_out(&self) -> HeaderValue {
+        if let Shown::Session(key) = &self.shown {
+            self.access.lock().sessions.close(key);
+        }
+        HeaderValue::from_static("gripcast=; Path=/; HttpOnly; SameSite=Strict; Max-Age=0")
+    }
+}
+
+impl Access {
+    /// With a token, or without on loopback.
+    pub(crate) fn new(token: Option<Token>) -> Self {
+        Self(Mutex::new(Inner {
+            token,
+            ..Inner::default()
+        }))
+    }
+
+    /// Takes another token from now on; logins with the one before no longer count.
+    pub(crate) fn replace(&self, token: Option<Token>) {
+        let mut inner = self.lock();
+        let is_same = match (&inner.token, &token) {
+            (Some(before), Some(now)) => before.is(&now.0),
+            (None, None) => true,
+            _ => false,
+        };
+        if !is_same {
+            inner.sessions.clear();
+            inner.token = token;
+        }
+    }
+
+    /// Whether there is a token.
+    pub(crate) fn needs_token(&self) -> bool {
+        self.lock().token.is_some()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Opens a session for who shows the token and returns its cookie; none without a token.
+    ///
+    /// # Errors
+    /// 401 for another token, 429 after too many of them.
+    pub(crate) fn log_in(&self, from: Peer, shown: &str) -> Result<Option<HeaderValue>, Failure> {
+        let (mut inner, now) = (self.lock(), Instant::now());
+        if inner.token.is_none() {
+            return Ok(None);
+        }
+        if !inner.try_token(from, shown, now)? {
+            return Err(Failure::new(
+                StatusCode::UNAUTHORIZED,
+                "this is not the token",
+            ));
+        }
+        let id = inner.sessions.open(now)?;
+        Ok(HeaderValue::from_str(&format!("{COOKIE}={id}; {COOKIE_RULES}")).ok())
+    }
+
+    /// Whether a request may pass, and with what.
+    fn check(&self, peer: Peer, request: &Request) -> Result<Shown, Failure> {
+        let host = origin::check(request)?;
+        let (mut inner, now) = (self.lock(), Instant::now());
+        let is_open = peer == Peer::Local || inner.token.is_none();
+        if is_open && !host.is_this_machine() {
+            return Err(Failure::new(
+                StatusCode::FORBIDDEN,
+                "expected a `Host` that names this machine, as localhost",
+            )
+            .remedy("open the page under the address that the daemon printed"));
+        }
+        if peer == Peer::Local {
+            return Ok(Shown::Local);
+        }
+        let keys = session_keys(request.headers());
+        for key in keys {
+            if inner.sessions.is_open(&key, now, true) {
+                return Ok(Shown::Session(key));
+            }
+        }
+        if let Some(token) = bearer(request.headers())
+            && inner.try_token(peer, token, now)?
+        {
+            return Ok(Shown::Token(Token(token.to_owned())));
+        }
+        let path = request.uri().path();
+        if is_open || !is_api(path) || path == "/api/login" {
+            return Ok(Shown::Nothing);
+        }
+        Err(Failure::new(
+            StatusCode::UNAUTHORIZED,
+            "this needs the token of the daemon",
+        )
+        .remedy("send `Authorization: Bearer TOKEN`, or log in on the page"))
+    }
+}
+
+fn is_api(path: &str) -> bool {
+    path.starts_with("/api/") || path == "/metrics"
+}
+
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let text = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
+    text.strip_prefix("Bearer ").map(str::trim)
+}
+
+fn session_keys(headers: &HeaderMap) -> impl Iterator<Item = SessionKey> {
+    let cookies = headers.get_all(header::COOKIE).iter();
+    cookies
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|line| line.split(';'))
+        .filter_map(|pair| pair.trim().split_once('='))
+        .filter(|(name, _)| *name == COOKIE)
+        .map(|(_, id)| SessionKey::of(id))
+        .take(MAX_COOKIES)
+}
+
+/// Lets a request pass or not, and marks every answer.
+pub(crate) async fn guard(
+    State(access): State<Arc<Access>>,
+    peer: axum::Extension<Peer>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let is_api = is_api(request.uri().path());
+    let mut response = match access.check(peer.0, &request) {
+        Ok(shown) => {
+            request.extensions_mut().insert(Pass { access, shown });
+            next.run(request).await
+        }
+        Err(failure) => failure.into_response(),
+    };
+    let headers = response.headers_mut();
+    headers.reserve(MARKS.len() + 1);
+    for (name, value) in MARKS {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    if is_api {
+        let entry = headers.entry(header::CACHE_CONTROL);
+        entry.or_insert(HeaderValue::from_static("no-store"));
+    }
+    response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt as _;
+
+    const SECRET: &str = "correct-horse-battery";
+
+    const FROM: Peer = Peer::Network(IpAddr::V4(std::net::Ipv4Addr::LOCALHOST));
+
+    fn status(access: &Access, path: &str, pairs: &[(&str, &str)]) -> u16 {
+        let mut request = Request::builder().uri(path);
+        for (name, value) in pairs {
+            request = request.header(*name, *value);
+        }
+        let request = request.body(axum::body::Body::empty()).unwrap();
+        match access.check(FROM, &request) {
+            Ok(_) => 200,
+            Err(failure) => failure.into_response().status().as_u16(),
+        }
+    }
+
+    const LAB: (&str, &str) = ("host", "lab.example");
+
+    #[test]
+    fn the_token_opens_the_api_and_nothing_else_does() {
+        let access = Access::new(Some(Token::parse(SECRET).unwrap()));
+        let bearer = format!("Bearer {SECRET}");
+        let cookie = access.log_in(FROM, SECRET).unwrap().unwrap();
+        let cookie = cookie.to_str().unwrap();
+        assert!(!cookie.contains(SECRET) && cookie.ends_with("; HttpOnly; SameSite=Strict"));
+        let cookie = cookie.split(';').next().unwrap();
+        for shown in [("authorization", bearer.as_str()), ("cookie", cookie)] {
+            assert_eq!(status(&access, "/api/state", &[LAB, shown]), 200);
+        }
+        for shown in [
+            ("authorization", "Bearer correct-horse-batterz"),
+            ("authorization", "Bearer "),
+            ("authorization", SECRET),
+            ("cookie", "gripcast=0"),
+            ("cookie", "gripcast="),
+        ] {
+            assert_eq!(status(&access, "/api/state", &[LAB, shown]), 401);
+            assert_eq!(status(&access, "/metrics", &[LAB, shown]), 401);
+        }
+        assert_eq!(
+            status(&access, "/", &[LAB]),
+            200,
+            "the page shows the login"
+        );
+        assert_eq!(status(&access, "/api/login", &[LAB]), 200);
+        assert_eq!(status(&access, "/api/logout", &[LAB]), 401);
+        assert!(access.log_in(FROM, "something-else-entirely").is_err());
+
+        let show = ("cookie", cookie);
+        access.replace(Some(Token::parse(SECRET).unwrap()));
+        assert_eq!(status(&access, "/api/state", &[LAB, show]), 200);
+        access.replace(Some(Token::parse("another-token-altogether").unwrap()));
+        assert_eq!(status(&access, "/api/state", &[LAB, show]), 401);
+    }
+
+    #[test]
+    fn a_group_reads_only_what_root_gave_to_it() {
+        for (owner, mode, open) in [
+            (1000, 0o600, false),
+            (1000, 0o640, true),
+            (0, 0o640, false),
+            (0, 0o660, true),
+            (0, 0o644, true),
+        ] {
+            assert_eq!(is_open(owner, mode), open, "{owner} {mode:o}");
+        }
+    }
+
+    #[test]
+    fn tokens_that_others_can_read_or_that_are_short_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("token");
+        let write = |text: &str, mode: u32| {
+            std::fs::write(&path, text).unwrap();
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+        };
+        write("correct-horse-battery\n", 0o600);
+        let token = Token::read(&path).unwrap();
+        assert!(token.is(SECRET));
+        assert_eq!(format!("{token:?}"), "Token(…)");
+        write(SECRET, 0o644);
+        let error = Token::read(&path).unwrap_err();
+        assert!(error.to_string().contains("chmod 600"), "{error}");
+        write("short", 0o600);
+        let error = Token::read(&path).unwrap_err();
+        assert!(error.to_string().contains("found 5 characters"), "{error}");
+        assert!(!error.to_string().contains("short\n"), "{error}");
+    }
+}

@@ -1,0 +1,287 @@
+//! A screen on a daemon that runs already: its state and pictures come over the API, commands go
+//! back.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use futures_util::{SinkExt as _, StreamExt as _};
+use serde::Deserialize;
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::{TcpStream, UnixStream};
+use tokio::sync::{mpsc, watch};
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
+use tokio_tungstenite::tungstenite::http::HeaderValue;
+use tokio_tungstenite::tungstenite::{Error as WsError, Message};
+
+use super::access::Token;
+use super::state::{State, ToneName};
+use crate::daemon::{Asked, EngineStatus, Preview};
+use crate::note;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_imaging::{Decoder, Role};
+use gripcast_session::{Command, Tone};
+
+/// Where a daemon listens.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Target {
+    /// A Unix socket.
+    Socket(PathBuf),
+    /// `HOST:PORT`.
+    Address(String),
+}
+
+impl Target {
+    /// `http://HOST:PORT`, or the path of a socket.
+    ///
+    /// # Errors
+    /// `Usage` for another kind of address.
+    pub(crate) fn parse(text: &str) -> Result<Self> {
+        if let Some(rest) = text.strip_prefix("http://") {
+            let address = rest.trim_end_matches('/');
+            if address.contains(':') && !address.contains('/') {
+                return Ok(Self::Address(address.to_owned()));
+            }
+        } else if !text.contains("://") && !text.is_empty() {
+            return Ok(Self::Socket(PathBuf::from(text)));
+        }
+        Err(Error::new(
+            ErrorKind::Usage,
+            format!("`{text}` is no place of a daemon"),
+        )
+        .remedy("give http://127.0.0.1:7471, or the path of the daemon's socket"))
+    }
+}
+
+impl fmt::Display for Target {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Socket(path) => write!(f, "{}", path.display()),
+            Self::Address(address) => write!(f, "http://{address}"),
+        }
+    }
+}
+
+/// How being attached ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Attached {
+    /// The operator left; the daemon goes on.
+    Left,
+    /// The daemon ended.
+    Ended,
+}
+
+/// What the daemon sends, as far as a screen needs it.
+#[derive(Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+enum Heard {
+    State {
+        state: Box<State>,
+    },
+    Tone {
+        tone: ToneName,
+    },
+    Answer {
+        error: Option<String>,
+    },
+    Bye,
+    #[serde(other)]
+    Other,
+}
+
+/// The screen's channels.
+pub(crate) struct Screen {
+    /// The newest status.
+    pub(crate) status: watch::Sender<Arc<EngineStatus>>,
+    /// Sounds to give.
+    pub(crate) tones: mpsc::UnboundedSender<Tone>,
+    /// What the operator asks for; `quit` leaves.
+    pub(crate) commands: mpsc::Receiver<Asked>,
+}
+
+/// Shows a daemon on a screen until the operator leaves or the daemon ends.
+///
+/// # Errors
+/// `NotFound` or `Io` when no daemon answers, `Permission` without its token, `Io` when the
+/// connection breaks.
+pub(crate) async fn attach(
+    target: &Target,
+    token: Option<&Token>,
+    screen: Screen,
+) -> Result<Attached> {
+    let unreachable = |e| {
+        Error::io("no daemon answers", e)
+            .at(target)
+            .remedy("start one with `gripcast daemon`, or `systemctl start gripcast`")
+    };
+    match target {
+        Target::Socket(path) => {
+            let stream = UnixStream::connect(path).await.map_err(unreachable)?;
+            show(stream, "localhost", target, token, screen).await
+        }
+        Target::Address(address) => {
+            let stream = TcpStream::connect(address).await.map_err(unreachable)?;
+            show(stream, address, target, token, screen).await
+        }
+    }
+}
+
+async fn show<S: AsyncRead + AsyncWrite + Unpin>(
+    stream: S,
+    host: &str,
+    target: &Target,
+    token: Option<&Token>,
+    mut screen: Screen,
+) -> Result<Attached> {
+    let mut socket = open(stream, host, token)
+        .await
+        .map_err(|e| refused(e, target))?;
+    let mut shown = Shown {
+        decoder: Decoder::new()?,
+        previews: BTreeMap::new(),
+        state: None,
+    };
+    loop {
+        tokio::select! {
+            message = socket.next() => match message {
+                Some(Ok(Message::Text(text))) => match serde_json::from_str(&text) {
+                    Ok(Heard::State { state }) => shown.state = Some(*state),
+                    // A screen that has gone asks to leave next.
+                    Ok(Heard::Tone { tone }) => drop(screen.tones.send(tone.into())),
+                    Ok(Heard::Answer { error: Some(error) }) => note!("{error}"),
+                    Ok(Heard::Bye) => return Ok(Attached::Ended),
+                    Ok(Heard::Answer { error: None } | Heard::Other) => continue,
+                    Err(e) => return Err(of_another_version(e, target)),
+                },
+                Some(Ok(Message::Binary(bytes))) => shown.take_picture(&bytes),
+                Some(Ok(Message::Close(_))) => return Ok(Attached::Ended),
+                Some(Ok(_)) => continue,
+                Some(Err(e)) => return Err(broken(e, target)),
+                None => return Ok(Attached::Ended),
+            },
+            asked = screen.commands.recv() => match asked {
+                None | Some(Asked { command: Command::Quit, .. }) => return Ok(Attached::Left),
+                Some(asked) => {
+                    let text = serde_json::json!({"command": asked.command.to_string(), "id": 1});
+                    let message = Message::Text(text.to_string().into());
+                    socket.send(message).await.map_err(|e| broken(e, target))?;
+                }
+            },
+        }
+        if let Some(status) = shown.status() {
+            let _ = screen.status.send(Arc::new(status));
+        }
+    }
+}
+
+/// What has come so far.
+struct Shown {
+    decoder: Decoder,
+    previews: BTreeMap<Role, Preview>,
+    state: Option<State>,
+}
+
+impl Shown {
+    /// A picture: the place of its role, then a JPEG. One that cannot be read is left out.
+    fn take_picture(&mut self, bytes: &[u8]) {
+        let Some((place, jpeg)) = bytes.split_first() else {
+            return;
+        };
+        let role = Role::ALL.get(usize::from(*place)).copied();
+        let Some((role, image)) = role.zip(self.decoder.stored_picture(jpeg).ok()) else {
+            return;
+        };
+        let state = self.state.as_ref();
+        let preview = Preview {
+            image: Arc::new(image),
+            contact: state.and_then(|state| state.contact(role)),
+            is_difference: role.is_tactile() && state.is_some_and(State::shows_differences),
+        };
+        self.previews.insert(role, preview);
+    }
+
+    fn status(&mut self) -> Option<EngineStatus> {
+        let state = self.state.as_ref()?;
+        for (role, preview) in &mut self.previews {
+            preview.contact = state.contact(*role);
+        }
+        Some(state.clone().into_status(self.previews.clone()))
+    }
+}
+
+async fn open<S: AsyncRead + AsyncWrite + Unpin>(
+    stream: S,
+    host: &str,
+    token: Option<&Token>,
+) -> std::result::Result<WebSocketStream<S>, WsError> {
+    let uri = format!("ws://{host}/api/events?previews=true");
+    let mut request = uri.into_client_request()?;
+    if let Some(token) = token
+        && let Ok(value) = HeaderValue::from_str(&token.bearer())
+    {
+        request.headers_mut().insert("Authorization", value);
+    }
+    let (socket, _) = tokio_tungstenite::client_async(request, stream).await?;
+    Ok(socket)
+}
+
+fn refused(error: WsError, target: &Target) -> Error {
+    match &error {
+        WsError::Http(response) if response.status().as_u16() == 401 => {
+            Error::new(ErrorKind::Permission, "the daemon wants its token")
+                .at(target)
+                .remedy("--token-file FILE, the file that the daemon was given")
+        }
+        WsError::Http(response) => Error::new(
+            ErrorKind::Io,
+            format!(
+                "expected a gripcast daemon, found HTTP status {}",
+                response.status()
+            ),
+        )
+        .at(target),
+        _ => Error::new(ErrorKind::Io, "cannot talk to the daemon")
+            .because(error)
+            .at(target),
+    }
+}
+
+fn broken(error: WsError, target: &Target) -> Error {
+    Error::new(ErrorKind::Io, "the connection to the daemon broke")
+        .because(error)
+        .at(target)
+        .remedy("what was acknowledged is on disk; run the same command again")
+}
+
+fn of_another_version(error: serde_json::Error, target: &Target) -> Error {
+    Error::new(
+        ErrorKind::Input,
+        "the daemon says what this gripcast does not know",
+    )
+    .because(error)
+    .at(target)
+    .remedy("use the same version for both")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_of_daemons() {
+        let parse = |text| Target::parse(text).map_err(|e| e.kind());
+        assert_eq!(
+            parse("http://127.0.0.1:7471/"),
+            Ok(Target::Address("127.0.0.1:7471".into()))
+        );
+        assert_eq!(
+            parse("/run/gripcast/gripcast.sock"),
+            Ok(Target::Socket("/run/gripcast/gripcast.sock".into()))
+        );
+        for wrong in ["https://lab:1", "http://lab", "http://lab:1/page", ""] {
+            assert_eq!(parse(wrong), Err(ErrorKind::Usage), "{wrong}");
+        }
+    }
+}

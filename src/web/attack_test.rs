@@ -1,0 +1,626 @@
+//! Attacks on the daemon's sockets, carried out over real ones.
+
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, SocketAddr, TcpStream};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use image::RgbImage;
+use tokio::net::TcpSocket;
+use tokio::runtime::Runtime;
+use tokio::sync::{Semaphore, mpsc, watch};
+
+use super::access::{Access, Token};
+use super::backend::Backend;
+use super::places::Places;
+use super::router::router;
+use super::serve::{Listeners, serve};
+use super::sessions::MAX_FAILURES;
+use crate::daemon::{Asked, CameraState, CameraStatus, EngineStatus, Preview, Tasks};
+use gripcast_imaging::Role;
+use gripcast_session::Labels;
+
+const SECRET: &str = "correct-horse-battery";
+/// Limits that tests wait for.
+const SHORT: Duration = Duration::from_millis(100);
+/// A test that waits this long has failed; without it, it would hang.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Side of a picture that no buffer of a socket holds.
+const LARGE_SIDE: u32 = 1600;
+
+/// A daemon without an engine.
+struct Site {
+    runtime: Runtime,
+    address: SocketAddr,
+    socket: PathBuf,
+    backend: Arc<Backend>,
+    /// Places of connections.
+    places: Places,
+    stop: watch::Sender<bool>,
+    server: Option<std::thread::JoinHandle<()>>,
+    _engine: (watch::Sender<Arc<EngineStatus>>, mpsc::Receiver<Asked>),
+    _dir: tempfile::TempDir,
+}
+
+impl Site {
+    fn open(token: Option<&str>, change: impl FnOnce(&mut Listeners, &mut Backend)) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let socket = dir.path().join("s");
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .enable_all()
+            .build()
+            .unwrap();
+        let (status, newest) = watch::channel(Arc::new(status()));
+        let (commands, asked) = mpsc::channel(1);
+        let (stop, stopped) = watch::channel(false);
+        let token = token.map(|token| Token::parse(token).unwrap());
+        let mut backend = Backend::new(
+            newest,
+            commands,
+            Tasks::default(),
+            Arc::new(Access::new(token)),
+            None,
+            dir.path().join("no-dataset"),
+        );
+        let listen = Some((Ipv4Addr::LOCALHOST, 0).into());
+        let mut listeners = runtime
+            .block_on(Listeners::open(listen, Some(&socket)))
+            .unwrap();
+        change(&mut listeners, &mut backend);
+        let (address, places) = (listeners.address().unwrap(), listeners.places.clone());
+        let backend = Arc::new(backend);
+        let router = router(Arc::clone(&backend));
+        let handle = runtime.handle().clone();
+        let server = std::thread::spawn(move || {
+            handle.block_on(serve(listeners, router, Tasks::default(), stopped));
+        });
+        Self {
+            runtime,
+            address,
+            socket,
+            backend,
+            places,
+            stop,
+            server: Some(server),
+            _engine: (status, asked),
+            _dir: dir,
+        }
+    }
+
+    fn tcp(&self) -> TcpStream {
+        self.tcp_from(Ipv4Addr::LOCALHOST)
+    }
+
+    /// A connection from one of loopback's addresses, with a small receive buffer.
+    fn tcp_from(&self, from: Ipv4Addr) -> TcpStream {
+        let connecting = async {
+            let socket = TcpSocket::new_v4().unwrap();
+            socket.set_recv_buffer_size(16 * 1024).unwrap();
+            socket.bind((from, 0).into()).unwrap();
+            socket.connect(self.address).await.unwrap()
+        };
+        let stream = self.runtime.block_on(connecting).into_std().unwrap();
+        stream.set_nonblocking(false).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream
+    }
+
+    fn unix(&self) -> UnixStream {
+        let stream = UnixStream::connect(&self.socket).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream
+    }
+
+    /// A connection that is served and stays open.
+    fn held(&self) -> TcpStream {
+        let mut stream = self.tcp();
+        start(&mut stream, "HEAD /api/state", "Host: localhost\r\n");
+        let mut head = Vec::new();
+        while !head.ends_with(b"\r\n\r\n") {
+            let mut byte = [0];
+            stream.read_exact(&mut byte).unwrap();
+            head.push(byte[0]);
+        }
+        stream
+    }
+
+    /// Waits until all of these places are free.
+    fn wait_until_free(&self, places: &Semaphore, count: u32) {
+        let all = async { tokio::time::timeout(PATIENCE, places.acquire_many(count)).await };
+        let all = self.runtime.block_on(all);
+        drop(all.expect("a place is not given back").unwrap());
+    }
+
+    /// Logs in and returns the cookie.
+    fn log_in(&self) -> String {
+        let answer = log_in(self.tcp(), SECRET).unwrap();
+        assert_eq!(answer.status, 204, "{}", answer.text);
+        answer.cookie()
+    }
+
+    fn status_with(&self, cookie: &str) -> u16 {
+        let headers = format!("Host: lab\r\nCookie: {cookie}\r\n");
+        ask(self.tcp(), "GET /api/state", &headers, "")
+            .unwrap()
+            .status
+    }
+
+    /// A WebSocket on the events.
+    fn listen<S: Read + Write>(
+        &self,
+        stream: S,
+        cookie: Option<&str>,
+    ) -> tungstenite::WebSocket<S> {
+        use tungstenite::client::IntoClientRequest as _;
+        let mut request = "ws://localhost/api/events?previews=true"
+            .into_client_request()
+            .unwrap();
+        if let Some(cookie) = cookie {
+            let headers = request.headers_mut();
+            headers.insert("cookie", cookie.parse().unwrap());
+        }
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => socket,
+            Err(error) => panic!("no WebSocket: {error}"),
+        }
+    }
+}
+
+impl Drop for Site {
+    fn drop(&mut self) {
+        // It must not outlive the runtime. A failed server fails its test by itself.
+        let _ = self.stop.send(true);
+        let _ = self.server.take().map(std::thread::JoinHandle::join);
+    }
+}
+
+/// A camera with a picture that is large once it is a JPEG.
+fn status() -> EngineStatus {
+    let mut status = EngineStatus::starting("d", "r", Labels::default());
+    status.cameras.push(CameraStatus {
+        role: Role::Left,
+        product: String::new(),
+        serial: String::new(),
+        port: String::new(),
+        state: CameraState::Live,
+        measured_fps: 25.0,
+        nominal_fps: 25.0,
+        frame_age_ms: None,
+        received: 0,
+        sequence_gaps: 0,
+        damaged: 0,
+        late: 0,
+        reconnects: 0,
+        markers: None,
+    });
+    let mut noise = 1_u32;
+    let image = RgbImage::from_fn(LARGE_SIDE, LARGE_SIDE, |_, _| {
+        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let [_, r, g, b] = noise.to_le_bytes();
+        image::Rgb([r, g, b])
+    });
+    let preview = Preview {
+        image: Arc::new(image),
+        contact: None,
+        is_difference: false,
+    };
+    status.previews.insert(Role::Left, preview);
+    status
+}
+
+struct Answer {
+    status: u16,
+    /// Head and body.
+    text: String,
+}
+
+impl Answer {
+    fn header(&self, name: &str) -> Option<&str> {
+        self.text.lines().find_map(|line| {
+            let (found, value) = line.split_once(": ")?;
+            found.eq_ignore_ascii_case(name).then_some(value)
+        })
+    }
+
+    fn cookie(&self) -> String {
+        let cookie = self.header("set-cookie").expect("a cookie");
+        cookie.split(';').next().unwrap().to_owned()
+    }
+}
+
+fn start(stream: &mut impl Write, line: &str, headers: &str) {
+    write!(stream, "{line} HTTP/1.1\r\n{headers}\r\n").unwrap();
+}
+
+/// Sends a request and reads to the end; `None` where the connection is closed without an answer.
+fn ask<S: Read + Write>(stream: S, line: &str, headers: &str, body: &str) -> Option<Answer> {
+    let length = body.len();
+    let headers = format!("{headers}Content-Length: {length}\r\nConnection: close\r\n");
+    let request = format!("{line} HTTP/1.1\r\n{headers}\r\n{body}");
+    ask_bytes(stream, request.as_bytes())
+}
+
+fn ask_bytes<S: Read + Write>(mut stream: S, request: &[u8]) -> Option<Answer> {
+    // A server that refuses closes before it has read all.
+    let _ = stream.write_all(request);
+    answer_of(stream)
+}
+
+fn answer_of(mut stream: impl Read) -> Option<Answer> {
+    let mut bytes = Vec::new();
+    match stream.read_to_end(&mut bytes) {
+        Ok(_) => {}
+        Err(e) if e.kind() == std::io::ErrorKind::ConnectionReset => {}
+        Err(e) => panic!("no answer: {e}"),
+    }
+    let text = String::from_utf8_lossy(&bytes).into_owned();
+    let status = text.split(' ').nth(1)?.parse().unwrap();
+    Some(Answer { status, text })
+}
+
+fn log_in<S: Read + Write>(stream: S, token: &str) -> Option<Answer> {
+    let headers = "Host: localhost\r\nContent-Type: application/json\r\n";
+    let body = format!("{{\"token\": \"{token}\"}}");
+    ask(stream, "POST /api/login", headers, &body)
+}
+
+/// Reads a WebSocket to its end, which must come.
+fn read_to_end<S: Read + Write>(mut socket: tungstenite::WebSocket<S>) {
+    // States come ten times a second.
+    const MAX_MESSAGES: usize = 600;
+    for _ in 0..MAX_MESSAGES {
+        match socket.read() {
+            Ok(_) => {}
+            Err(tungstenite::Error::Io(e)) if e.kind() == std::io::ErrorKind::WouldBlock => break,
+            Err(_) => return,
+        }
+    }
+    panic!("the connection is not closed");
+}
+
+/// Reads no more than the beginning of an answer.
+fn is_answered(stream: &mut impl Read) {
+    let mut head = [0; 12];
+    stream.read_exact(&mut head).unwrap();
+    assert_eq!(&head, b"HTTP/1.1 200");
+}
+
+#[test]
+fn a_body_that_does_not_come_loses_its_place() {
+    let site = Site::open(Some(SECRET), |listeners, backend| {
+        listeners.places = Places::new(1, 1);
+        backend.body_patience = SHORT;
+    });
+    let mut slow = site.tcp();
+    let headers = "Host: lab\r\nContent-Type: application/json\r\nContent-Length: 100\r\n";
+    start(&mut slow, "POST /api/login", headers);
+    slow.write_all(b"{").unwrap();
+    let answer = answer_of(slow).unwrap();
+    assert_eq!(answer.status, 408, "{}", answer.text);
+    assert_eq!(log_in(site.tcp(), SECRET).unwrap().status, 204);
+}
+
+#[test]
+fn a_head_that_does_not_come_loses_its_place() {
+    let site = Site::open(None, |listeners, _| {
+        listeners.places = Places::new(1, 1);
+        listeners.limits.head_patience = SHORT;
+    });
+    let mut slow = site.tcp();
+    slow.write_all(b"GET /api/state HTTP/1.1\r\nHost: ")
+        .unwrap();
+    assert!(answer_of(slow).is_none_or(|answer| answer.status == 408));
+    site.wait_until_free(&site.places.network, 1);
+}
+
+#[test]
+fn a_flood_over_tcp_does_not_lock_out_the_socket() {
+    const MOST: usize = 4;
+    let site = Site::open(None, |listeners, backend| {
+        listeners.places = Places::new(MOST, MOST);
+        backend.listeners = Places::new(1, 1);
+        backend.previews.streams = Places::new(1, 1);
+    });
+    let over_socket = |line| {
+        let headers = "Host: localhost\r\n";
+        ask(site.unix(), line, headers, "").unwrap().status
+    };
+    // All that listen, all streams, then all connections.
+    let _listener = site.listen(site.tcp(), None);
+    let mut stream = site.tcp();
+    start(
+        &mut stream,
+        "GET /api/cameras/left/preview.mjpg",
+        "Host: localhost\r\n",
+    );
+    is_answered(&mut stream);
+    let busy = |line, headers: &str| {
+        let headers = format!("Host: localhost\r\n{headers}");
+        ask(site.tcp(), line, &headers, "").unwrap().status
+    };
+    assert_eq!(busy("GET /api/cameras/left/preview.mjpg", ""), 503);
+    let upgrade = "Upgrade: websocket\r\nConnection: upgrade\r\nSec-WebSocket-Version: 13\r\n\
+                   Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
+    assert_eq!(busy("GET /api/events", upgrade), 503);
+    let _held: Vec<TcpStream> = (2..MOST).map(|_| site.held()).collect();
+    assert!(ask(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
+
+    assert_eq!(over_socket("GET /api/state"), 200);
+    let _other = site.listen(site.unix(), None);
+    let mut stream = site.unix();
+    start(
+        &mut stream,
+        "GET /api/cameras/left/preview.mjpg",
+        "Host: localhost\r\n",
+    );
+    is_answered(&mut stream);
+}
+
+#[test]
+fn one_address_does_not_take_all_places() {
+    let site = Site::open(None, |listeners, _| listeners.limits.per_address = 2);
+    let held = [site.held(), site.held()];
+    let refused = |from: [u8; 4]| {
+        ask(
+            site.tcp_from(from.into()),
+            "GET /",
+            "Host: localhost\r\n",
+            "",
+        )
+        .is_none()
+    };
+    assert!(refused([127, 0, 0, 1]));
+    assert!(!refused([127, 0, 0, 2]));
+    drop(held);
+    // Given back, its places can be taken again.
+    site.wait_until_free(&site.places.network, 128);
+    assert!(!refused([127, 0, 0, 1]));
+}
+
+#[test]
+fn events_hold_the_place_of_their_connection() {
+    let site = Site::open(None, |listeners, _| listeners.places = Places::new(1, 1));
+    let _listener = site.listen(site.tcp(), None);
+    assert!(ask(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
+}
+
+#[test]
+fn a_large_frame_is_refused_before_it_comes() {
+    let site = Site::open(None, |_, _| {});
+    for length in [4097_u64, 15 << 20] {
+        let mut socket = site.listen(site.tcp(), None);
+        // Binary, masked, 64-bit length: the head of a frame whose payload never comes.
+        let head = [&[0x82, 0xff][..], &length.to_be_bytes(), &[0; 4]].concat();
+        socket.get_mut().write_all(&head).unwrap();
+        read_to_end(socket);
+    }
+}
+
+#[test]
+fn who_takes_nothing_is_dropped() {
+    let site = Site::open(None, |listeners, _| listeners.limits.write_patience = SHORT);
+    let headers = "Host: localhost\r\n";
+    let mut deaf = site.tcp();
+    start(&mut deaf, "GET /api/cameras/left/preview.mjpg", headers);
+    is_answered(&mut deaf);
+    site.wait_until_free(&site.backend.previews.streams.network, 32);
+
+    let _listener = site.listen(site.tcp(), None);
+    site.wait_until_free(&site.backend.listeners.network, 32);
+    let _listener = site.listen(site.unix(), None);
+    site.wait_until_free(&site.backend.listeners.local, 32);
+
+    let mut deaf = [site.tcp(), site.tcp()];
+    for stream in &mut deaf {
+        start(stream, "GET /api/cameras/left/preview.jpg", headers);
+        is_answered(stream);
+    }
+    site.wait_until_free(&site.places.network, 128);
+    let mut deaf = site.unix();
+    start(&mut deaf, "GET /api/cameras/left/preview.jpg", headers);
+    is_answered(&mut deaf);
+    site.wait_until_free(&site.places.local, 64);
+}
+
+/// Headers, and what a GET of the state gets, without a token.
+fn refusals() -> Vec<(&'static str, u16)> {
+    let own = [
+        ("Host: localhost\r\n", 200),
+        (
+            "Host: LOCALHOST:7471\r\nOrigin: http://localhost:7471\r\n",
+            200,
+        ),
+        ("Host: [::1]:7471\r\nOrigin: http://[::1]:7471\r\n", 200),
+        ("Host: localhost\r\nSec-Fetch-Site: same-origin\r\n", 200),
+        ("Host: localhost\r\nSec-Fetch-Site: none\r\n", 200),
+    ];
+    let hosts = [
+        ("", 400),
+        ("Host: \r\n", 400),
+        ("Host: localhost\r\nHost: localhost\r\n", 400),
+        ("Host: localhost.\r\n", 400),
+        ("Host: evil@localhost\r\n", 400),
+        ("Host: localhost:\r\n", 400),
+        ("Host: localhost:evil\r\n", 400),
+        ("Host: localhost:99999\r\n", 400),
+        ("Host: [::1]evil\r\n", 400),
+        ("Host: l\u{f6}calhost\r\n", 400),
+        ("Host: rebound.example\r\n", 403),
+        ("Host: 192.168.0.7\r\n", 403),
+    ];
+    let origins = [
+        ("Host: localhost\r\nOrigin: http://evil.example\r\n", 403),
+        ("Host: localhost\r\nOrigin: http://localhost:8000\r\n", 403),
+        ("Host: localhost\r\nOrigin: http://localhost.\r\n", 403),
+        ("Host: localhost\r\nOrigin: ftp://localhost\r\n", 403),
+        ("Host: localhost\r\nOrigin: localhost\r\n", 403),
+        ("Host: localhost\r\nOrigin: null\r\n", 403),
+        ("Host: localhost\r\nOrigin: \r\n", 403),
+        (
+            "Host: localhost\r\nOrigin: http://\u{e4}vil.example\r\n",
+            403,
+        ),
+        (
+            "Host: localhost\r\nOrigin: http://localhost\r\nOrigin: http://evil.example\r\n",
+            403,
+        ),
+    ];
+    let sites = [
+        (
+            "Host: localhost\r\nSec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: no-cors\r\nSec-Fetch-Dest: image\r\n",
+            403,
+        ),
+        (
+            "Host: localhost\r\nSec-Fetch-Site: same-site\r\nSec-Fetch-Mode: no-cors\r\nSec-Fetch-Dest: image\r\n",
+            403,
+        ),
+        (
+            "Host: localhost\r\nSec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: navigate\r\nSec-Fetch-Dest: document\r\n",
+            403,
+        ),
+        ("Host: localhost\r\nSec-Fetch-Site: whatever\r\n", 403),
+        (
+            "Host: localhost\r\nSec-Fetch-Site: none\r\nSec-Fetch-Site: cross-site\r\n",
+            403,
+        ),
+    ];
+    let all = [&own[..], &hosts, &origins, &sites].concat();
+    all.into_iter().collect()
+}
+
+#[test]
+fn pages_of_other_sites_and_odd_hosts_are_refused() {
+    let site = Site::open(None, |_, _| {});
+    for (headers, expected) in refusals() {
+        let paths = ["/api/state", "/api/cameras/left/preview.jpg"];
+        for path in paths {
+            let line = format!("GET {path}");
+            for answer in [
+                ask(site.tcp(), &line, headers, ""),
+                // `ssh -L` brings browsers to the socket too.
+                ask(site.unix(), &line, headers, ""),
+            ] {
+                let answer = answer.unwrap();
+                assert_eq!(answer.status, expected, "{headers}{}", answer.text);
+                for (name, value) in [
+                    ("cross-origin-resource-policy", "same-origin"),
+                    ("cross-origin-opener-policy", "same-origin"),
+                    ("x-content-type-options", "nosniff"),
+                    ("x-frame-options", "DENY"),
+                    ("referrer-policy", "no-referrer"),
+                ] {
+                    assert_eq!(answer.header(name), Some(value), "{headers}{path}");
+                }
+                let policy = answer.header("content-security-policy").unwrap();
+                assert!(policy.contains("frame-ancestors 'none'"));
+            }
+        }
+    }
+    let elsewhere = ask(
+        site.tcp(),
+        "GET http://evil.example/api/state",
+        "Host: localhost\r\n",
+        "",
+    );
+    assert_eq!(elsewhere.unwrap().status, 400);
+}
+
+#[test]
+fn a_link_of_another_site_opens_the_page_and_nothing_else() {
+    let site = Site::open(None, |_, _| {});
+    let status = |line, mode, dest| {
+        let headers = format!(
+            "Host: localhost\r\nSec-Fetch-Site: cross-site\r\nSec-Fetch-Mode: {mode}\r\n\
+             Sec-Fetch-Dest: {dest}\r\n"
+        );
+        ask(site.tcp(), line, &headers, "").unwrap().status
+    };
+    assert_eq!(status("GET /", "navigate", "document"), 200);
+    assert_eq!(status("GET /", "navigate", "iframe"), 403);
+    assert_eq!(status("GET /", "no-cors", "document"), 403);
+    assert_eq!(status("POST /", "navigate", "document"), 403);
+    assert_eq!(status("GET /app.js", "no-cors", "script"), 403);
+    assert_eq!(status("GET /metrics", "navigate", "document"), 403);
+}
+
+#[test]
+fn a_logout_ends_a_session_and_what_it_has_open() {
+    let site = Site::open(Some(SECRET), |_, _| {});
+    let (one, two) = (site.log_in(), site.log_in());
+    assert!(one != two && !one.contains(SECRET));
+    assert_eq!((site.status_with(&one), site.status_with(&two)), (200, 200));
+    let login_state = |cookie: &str| {
+        let headers = format!("Host: lab\r\nCookie: {cookie}\r\n");
+        ask(site.tcp(), "GET /api/login", &headers, "")
+            .unwrap()
+            .text
+    };
+    assert!(login_state(&one).ends_with(r#"{"needs_token":true,"logged_in":true}"#));
+    assert!(login_state("no=1").ends_with(r#"{"needs_token":true,"logged_in":false}"#));
+
+    let events = site.listen(site.tcp(), Some(&one));
+    let mut stream = site.tcp();
+    let headers = format!("Host: lab\r\nCookie: {one}\r\n");
+    let closing = format!("{headers}Connection: close\r\n");
+    start(&mut stream, "GET /api/cameras/left/preview.mjpg", &closing);
+    is_answered(&mut stream);
+    let answer = ask(site.tcp(), "POST /api/logout", &headers, "").unwrap();
+    assert_eq!(answer.status, 204, "{}", answer.text);
+    assert!(answer.header("set-cookie").unwrap().ends_with("Max-Age=0"));
+    read_to_end(events);
+    std::io::copy(&mut stream, &mut std::io::sink()).unwrap();
+    assert_eq!((site.status_with(&one), site.status_with(&two)), (401, 200));
+
+    let another = Token::parse("another-token-altogether").unwrap();
+    let events = site.listen(site.tcp(), Some(&two));
+    site.backend.access.replace(Some(another));
+    read_to_end(events);
+    assert_eq!(site.status_with(&two), 401);
+}
+
+#[test]
+fn who_guesses_tokens_is_not_heard_for_a_while_and_others_are() {
+    let site = Site::open(Some(SECRET), |_, _| {});
+    let cookie = site.log_in();
+    let bearer = |token: &str| {
+        let headers = format!("Host: lab\r\nAuthorization: Bearer {token}\r\n");
+        ask(site.tcp(), "GET /api/state", &headers, "").unwrap()
+    };
+    for number in 0..MAX_FAILURES {
+        let answer = match number % 2 {
+            0 => bearer("a-guess-of-the-token"),
+            _ => log_in(site.tcp(), "a-guess-of-the-token").unwrap(),
+        };
+        assert_eq!(answer.status, 401, "{}", answer.text);
+    }
+    for answer in [bearer(SECRET), log_in(site.tcp(), SECRET).unwrap()] {
+        assert_eq!(answer.status, 429, "{}", answer.text);
+        let wait: u64 = answer.header("retry-after").unwrap().parse().unwrap();
+        assert!((1..=60).contains(&wait));
+    }
+    let other = site.tcp_from(Ipv4Addr::new(127, 0, 0, 2));
+    assert_eq!(log_in(other, SECRET).unwrap().status, 204);
+    assert_eq!(log_in(site.unix(), SECRET).unwrap().status, 204);
+    assert_eq!(site.status_with(&cookie), 200);
+}
+
+#[test]
+fn pictures_wait_for_a_core_and_not_for_ever() {
+    const PATH: &str = "GET /api/grasps/2026-11-20T10-15-03Z-7f3a/preview/grasp/left.jpg";
+    let site = Site::open(None, |_, backend| {
+        backend.decodes = Arc::new(Semaphore::new(1));
+        backend.decode_patience = SHORT;
+    });
+    let get = || ask(site.tcp(), PATH, "Host: localhost\r\n", "").unwrap();
+    let place = Arc::clone(&site.backend.decodes)
+        .try_acquire_owned()
+        .unwrap();
+    let answer = get();
+    assert_eq!(answer.status, 503, "{}", answer.text);
+    assert_eq!(answer.header("retry-after"), Some("1"));
+    drop(place);
+    assert_eq!(get().status, 404, "there is no dataset");
+}

@@ -1,0 +1,136 @@
+//! What all handlers share.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use axum::http::StatusCode;
+use serde::Serialize;
+use tokio::sync::{Semaphore, broadcast, mpsc, watch};
+use utoipa::ToSchema;
+
+use super::access::Access;
+use super::cameras::Previews;
+use super::failure::Failure;
+use super::grasp_list::GraspList;
+use super::places::Places;
+use super::state::State;
+use crate::daemon::{Answered, Asked, EngineStatus, Fate, Stored, Tasks};
+use gripcast_session::{Command, CommandSource, Tone};
+
+/// News that wait for a reader that is slow; it misses the oldest.
+const NEWS_QUEUE: usize = 64;
+/// Those who listen to events at a time, over TCP and over the socket: pages, screens, programs.
+const MAX_LISTENERS: usize = 32;
+/// How long a client may take for the body of a request; the largest has 16 KiB.
+const BODY_PATIENCE: Duration = Duration::from_secs(10);
+/// How long a small picture may wait until others have been decoded.
+const DECODE_PATIENCE: Duration = Duration::from_secs(5);
+/// How long an answer may take; a save on an ordinary disk takes a tenth of a second.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// What happened, for all who listen.
+#[derive(Clone, Debug)]
+pub(crate) enum News {
+    /// A sound of the session.
+    Tone(Tone),
+    /// A change of the dataset is durable, or failed.
+    Stored(Arc<Stored>),
+    /// The daemon ends.
+    Bye,
+}
+
+/// The model that predicts.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub(crate) struct ModelInfo {
+    pub(crate) name: String,
+    /// Of the ONNX file.
+    pub(crate) sha256: String,
+    /// From this probability on a grasp counts as stable.
+    pub(crate) threshold: f64,
+    /// Whether it is a heuristic and not trained.
+    pub(crate) heuristic: bool,
+}
+
+/// What all handlers share.
+pub(crate) struct Backend {
+    pub(crate) status: watch::Receiver<Arc<EngineStatus>>,
+    pub(crate) commands: mpsc::Sender<Asked>,
+    pub(crate) news: broadcast::Sender<News>,
+    pub(crate) tasks: Tasks,
+    pub(crate) access: Arc<Access>,
+    pub(crate) model: Option<ModelInfo>,
+    pub(crate) grasps: GraspList,
+    pub(crate) previews: Previews,
+    pub(crate) started: Instant,
+    /// Places for those who listen to events.
+    pub(crate) listeners: Places,
+    /// Places for pictures that are decoded, one for each core.
+    pub(crate) decodes: Arc<Semaphore>,
+    pub(crate) body_patience: Duration,
+    pub(crate) decode_patience: Duration,
+}
+
+impl Backend {
+    /// A backend on the engine's channels and the dataset that it writes.
+    pub(crate) fn new(
+        status: watch::Receiver<Arc<EngineStatus>>,
+        commands: mpsc::Sender<Asked>,
+        tasks: Tasks,
+        access: Arc<Access>,
+        model: Option<ModelInfo>,
+        dataset: PathBuf,
+    ) -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self {
+            previews: Previews::new(status.clone()),
+            status,
+            commands,
+            news: broadcast::channel(NEWS_QUEUE).0,
+            tasks,
+            access,
+            model,
+            grasps: GraspList::new(dataset),
+            started: Instant::now(),
+            listeners: Places::new(MAX_LISTENERS, MAX_LISTENERS),
+            decodes: Arc::new(Semaphore::new(cores)),
+            body_patience: BODY_PATIENCE,
+            decode_patience: DECODE_PATIENCE,
+        }
+    }
+
+    /// The engine now.
+    pub(crate) fn state(&self) -> State {
+        State::of(&Arc::clone(&self.status.borrow()))
+    }
+
+    /// Asks the engine and waits until what was asked for is durable.
+    ///
+    /// # Errors
+    /// 503 while too many commands wait or the engine ends, 504 when it does not answer.
+    pub(crate) async fn ask(&self, command: Command) -> Result<Answered, Failure> {
+        let busy = |what| Failure::new(StatusCode::SERVICE_UNAVAILABLE, what);
+        let (asked, answer) = Asked::with_answer(command, CommandSource::Remote);
+        self.commands.try_send(asked).map_err(|e| match e {
+            mpsc::error::TrySendError::Full(_) => busy("too many commands wait already"),
+            mpsc::error::TrySendError::Closed(_) => busy("the daemon is ending"),
+        })?;
+        match tokio::time::timeout(PATIENCE, answer).await {
+            Ok(Ok(answered)) => Ok(answered),
+            Ok(Err(_)) => Err(busy("the daemon is ending")),
+            Err(_) => Err(Failure::new(
+                StatusCode::GATEWAY_TIMEOUT,
+                "the engine has not answered; the command may still be carried out",
+            )),
+        }
+    }
+}
+
+/// The status code of an answered command.
+pub(crate) fn status_of(fate: Fate) -> StatusCode {
+    match fate {
+        Fate::CarriedOut => StatusCode::OK,
+        Fate::Refused => StatusCode::CONFLICT,
+        Fate::Failed => StatusCode::INTERNAL_SERVER_ERROR,
+    }
+}

@@ -1,0 +1,210 @@
+//! Commands over HTTP.
+
+use std::ops::Deref;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State as Shared;
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::backend::{Backend, status_of};
+use super::failure::{Complaint, Failure};
+use super::state::State;
+use crate::daemon::{Answered, Fate};
+use gripcast_base::error::Error;
+use gripcast_session::Command;
+
+/// A command as in scripts and on pedals.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct CommandRequest {
+    /// `trigger`, `initial`, `grasp`, `override`, `stable`, `slip`, `unlabel`, `undo`, `redo`,
+    /// `object NAME`, `scene NAME`, `operator NAME`, `relabel ID OUTCOME`, `trash ID`, `restore ID`.
+    #[schema(example = "trigger")]
+    command: String,
+}
+
+/// A name for what comes from now on.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct NameRequest {
+    #[schema(min_length = 1, max_length = 120, example = "mug-blue")]
+    name: String,
+}
+
+/// What became of a command.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub(crate) struct CommandAnswer {
+    /// Whether it was carried out; then all that it changed is on disk.
+    pub(crate) carried_out: bool,
+    /// What the session says.
+    pub(crate) message: Option<String>,
+    /// Reasons of a refusal, one a guard.
+    pub(crate) reasons: Vec<String>,
+    /// Whether `override` can help.
+    pub(crate) can_override: bool,
+    /// The engine after it.
+    pub(crate) state: State,
+}
+
+impl CommandAnswer {
+    fn of(answered: Answered, state: State) -> Self {
+        Self {
+            carried_out: answered.fate == Fate::CarriedOut,
+            message: answered.message,
+            reasons: answered.reasons,
+            can_override: answered.can_override,
+            state,
+        }
+    }
+}
+
+/// Status and body of an answered command.
+pub(crate) type Reply = Result<(StatusCode, Json<CommandAnswer>), Failure>;
+
+/// Carries out a command and tells what became of it.
+pub(crate) async fn carry_out(backend: &Backend, command: Command) -> Reply {
+    let answered = backend.ask(command).await?;
+    let status = status_of(answered.fate);
+    let answer = CommandAnswer::of(answered, backend.state());
+    Ok((status, Json(answer)))
+}
+
+/// The command that a text from outside means.
+///
+/// # Errors
+/// 422 for a text that is none, 403 for one that ends the daemon.
+pub(crate) fn parse(text: &str) -> Result<Command, Failure> {
+    let command: Command = text
+        .parse()
+        .map_err(|e: gripcast_session::ParseCommandError| Failure::input(e.to_string()))?;
+    match &command {
+        Command::Quit => Err(Failure::new(
+            StatusCode::FORBIDDEN,
+            "the daemon is not ended from here",
+        )
+        .remedy("systemctl stop gripcast, or Ctrl-C where it runs")),
+        _ => Ok(command),
+    }
+}
+
+/// Carry out a command
+///
+/// Waits until what it changed is durable.
+#[utoipa::path(post, path = "/api/commands", tag = "session", request_body = CommandRequest,
+    responses((status = 200, body = CommandAnswer), (status = 409, body = CommandAnswer, description = "refused"),
+        (status = 500, body = CommandAnswer, description = "failed on disk; nothing changed"),
+        (status = 400, body = Complaint), (status = 403, body = Complaint), (status = 408, body = Complaint), (status = 413, body = Complaint),
+        (status = 415, body = Complaint), (status = 422, body = Complaint), (status = 503, body = Complaint)))]
+pub(crate) async fn command(
+    Shared(backend): Shared<Arc<Backend>>,
+    Body(request): Body<CommandRequest>,
+) -> Reply {
+    carry_out(&backend, parse(&request.command)?).await
+}
+
+/// Name the object
+#[utoipa::path(put, path = "/api/object", tag = "session", request_body = NameRequest,
+    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
+        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
+        (status = 503, body = Complaint)))]
+pub(crate) async fn object(
+    Shared(backend): Shared<Arc<Backend>>,
+    Body(request): Body<NameRequest>,
+) -> Reply {
+    named(&backend, request, Command::Object).await
+}
+
+/// Name the scene
+#[utoipa::path(put, path = "/api/scene", tag = "session", request_body = NameRequest,
+    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
+        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
+        (status = 503, body = Complaint)))]
+pub(crate) async fn scene(
+    Shared(backend): Shared<Arc<Backend>>,
+    Body(request): Body<NameRequest>,
+) -> Reply {
+    named(&backend, request, Command::Scene).await
+}
+
+/// Name the operator
+#[utoipa::path(put, path = "/api/operator", tag = "session", request_body = NameRequest,
+    responses((status = 200, body = CommandAnswer), (status = 400, body = Complaint), (status = 403, body = Complaint),
+        (status = 408, body = Complaint), (status = 413, body = Complaint), (status = 415, body = Complaint), (status = 422, body = Complaint),
+        (status = 503, body = Complaint)))]
+pub(crate) async fn operator(
+    Shared(backend): Shared<Arc<Backend>>,
+    Body(request): Body<NameRequest>,
+) -> Reply {
+    named(&backend, request, Command::Operator).await
+}
+
+async fn named<T>(backend: &Backend, request: NameRequest, make: fn(T) -> Command) -> Reply
+where
+    T: FromStr<Err = Error> + Deref<Target = str>,
+{
+    let name: T = request.name.trim().parse()?;
+    if name.is_empty() {
+        return Err(Failure::input("expected a name, found an empty text"));
+    }
+    carry_out(backend, make(name)).await
+}
+
+/// A JSON body whose refusal is told like every other failure.
+pub(crate) struct Body<T>(pub(crate) T);
+
+impl<T> axum::extract::FromRequest<Arc<Backend>> for Body<T>
+where
+    T: serde::de::DeserializeOwned,
+{
+    type Rejection = Failure;
+
+    async fn from_request(
+        request: axum::extract::Request,
+        backend: &Arc<Backend>,
+    ) -> Result<Self, Failure> {
+        let patience = backend.body_patience;
+        match tokio::time::timeout(patience, Json::<T>::from_request(request, backend)).await {
+            Ok(Ok(Json(body))) => Ok(Self(body)),
+            Ok(Err(rejection)) => Err(Failure::new(rejection.status(), rejection.body_text())),
+            Err(_) => Err(Failure::new(
+                StatusCode::REQUEST_TIMEOUT,
+                format!(
+                    "the body of the request did not come within {} s",
+                    patience.as_secs_f64()
+                ),
+            )
+            .remedy("send it in one piece")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::response::IntoResponse as _;
+
+    fn refused(text: &str) -> u16 {
+        match parse(text) {
+            Ok(command) => panic!("`{text}` was taken as {command:?}"),
+            Err(failure) => failure.into_response().status().as_u16(),
+        }
+    }
+
+    #[test]
+    fn commands_from_outside_are_checked() {
+        assert_eq!(parse("trigger").unwrap(), Command::Trigger);
+        assert_eq!(
+            parse("object blue mug").unwrap(),
+            Command::Object("blue mug".parse().unwrap())
+        );
+        assert_eq!(refused("quit"), 403);
+        assert_eq!(refused("jump"), 422);
+        assert_eq!(refused("object a\u{7}b"), 422);
+        assert_eq!(refused(&format!("object {}", "x".repeat(121))), 422);
+        assert_eq!(refused("trash ../../etc"), 422);
+    }
+}

@@ -1,0 +1,223 @@
+//! The engine's state and news over a WebSocket, and commands the other way.
+//!
+//! Text to the client: `{"type": "state" | "tone" | "stored" | "answer" | "bye", …}`. Text from
+//! the client: `{"command": "trigger", "id": 7}`, answered with the same id. With `?previews=true`
+//! the small pictures come too, as binary messages: one byte, the place of the role in
+//! left, right, rgb, depth, external, then a JPEG.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Extension;
+use axum::body::Bytes;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::extract::{Query, State as Shared};
+use axum::response::Response;
+use serde::{Deserialize, Serialize};
+use tokio::sync::broadcast::error::RecvError;
+use utoipa::{IntoParams, ToSchema};
+
+use super::access::{Pass, Peer};
+use super::backend::{Backend, News};
+use super::commands::{CommandAnswer, carry_out, parse};
+use super::failure::Failure;
+use super::state::{State, ToneName};
+use crate::daemon::Stored;
+use gripcast_imaging::Role;
+
+/// Shortest time between two states.
+const PAUSE: Duration = Duration::from_millis(100);
+/// Longest message of a client, bytes.
+const LONGEST_MESSAGE: usize = 4096;
+
+/// What a client wants to hear.
+#[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(crate) struct Wishes {
+    /// Small pictures as binary messages too.
+    #[serde(default)]
+    #[param(default = false)]
+    previews: bool,
+}
+
+/// A message to the client.
+#[derive(Serialize, ToSchema)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub(crate) enum Event {
+    /// The engine now, ten times a second at most.
+    State { state: Box<State> },
+    /// A sound.
+    Tone { tone: ToneName },
+    /// A change of the dataset was answered.
+    Stored {
+        #[schema(value_type = serde_json::Value)]
+        stored: Box<Stored>,
+    },
+    /// What became of a command of this client.
+    Answer {
+        id: u64,
+        answer: Option<Box<CommandAnswer>>,
+        /// Why there is no answer.
+        error: Option<String>,
+    },
+    /// The daemon ends.
+    Bye,
+}
+
+/// A message from the client.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+struct Request {
+    command: String,
+    id: u64,
+}
+
+/// State and news as they come (WebSocket)
+///
+/// Messages are described in docs/api.md.
+#[utoipa::path(get, path = "/api/events", tag = "session", params(Wishes),
+    responses((status = 101, description = "switched to the WebSocket protocol"),
+        (status = 400, body = super::failure::Complaint),
+        (status = 503, body = super::failure::Complaint)))]
+pub(crate) async fn events(
+    Shared(backend): Shared<Arc<Backend>>,
+    Extension(peer): Extension<Peer>,
+    Extension(pass): Extension<Pass>,
+    wishes: Result<Query<Wishes>, axum::extract::rejection::QueryRejection>,
+    upgrade: Result<WebSocketUpgrade, axum::extract::ws::rejection::WebSocketUpgradeRejection>,
+) -> Result<Response, Failure> {
+    let Query(wishes) = wishes.map_err(|e| Failure::new(e.status(), e.body_text()))?;
+    let upgrade = upgrade.map_err(|e| {
+        Failure::new(axum::http::StatusCode::BAD_REQUEST, e.body_text())
+            .remedy("open it as a WebSocket")
+    })?;
+    let place = backend.listeners.take(peer).ok_or_else(|| {
+        Failure::new(
+            axum::http::StatusCode::SERVICE_UNAVAILABLE,
+            "too many listen to events already",
+        )
+        .remedy("close another page")
+    })?;
+    // A frame is refused by its length, before any of it is kept.
+    let upgrade = upgrade
+        .max_frame_size(LONGEST_MESSAGE)
+        .max_message_size(LONGEST_MESSAGE)
+        .read_buffer_size(LONGEST_MESSAGE);
+    Ok(upgrade.on_upgrade(move |socket| async move {
+        // A client that goes, or takes nothing, ends its own connection only.
+        let _ = Listener::new(backend, pass, socket, wishes).run().await;
+        drop(place);
+    }))
+}
+
+struct Gone;
+
+struct Listener {
+    backend: Arc<Backend>,
+    pass: Pass,
+    socket: WebSocket,
+    wishes: Wishes,
+    /// The newest picture sent of each role.
+    sent: BTreeMap<Role, Bytes>,
+}
+
+impl Listener {
+    fn new(backend: Arc<Backend>, pass: Pass, socket: WebSocket, wishes: Wishes) -> Self {
+        Self {
+            backend,
+            pass,
+            socket,
+            wishes,
+            sent: BTreeMap::new(),
+        }
+    }
+
+    async fn run(mut self) -> Result<(), Gone> {
+        let mut news = self.backend.news.subscribe();
+        let mut ticks = tokio::time::interval(PAUSE);
+        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                heard = news.recv() => match heard {
+                    Ok(News::Tone(tone)) => self.say(&Event::Tone { tone: tone.into() }).await?,
+                    Ok(News::Stored(stored)) => {
+                        let stored = Box::new((*stored).clone());
+                        self.say(&Event::Stored { stored }).await?;
+                    }
+                    Ok(News::Bye) | Err(RecvError::Closed) => return self.say(&Event::Bye).await,
+                    // What was missed is in the next state.
+                    Err(RecvError::Lagged(_)) => {}
+                },
+                message = self.socket.recv() => match message {
+                    Some(Ok(Message::Text(text))) => self.take(&text).await?,
+                    // Pings are answered by the library.
+                    Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Binary(_))) => {}
+                    Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(Gone),
+                },
+                _ = ticks.tick() => {
+                    // Its session has ended.
+                    if !self.pass.holds() {
+                        return Err(Gone);
+                    }
+                    let state = Box::new(self.backend.state());
+                    self.say(&Event::State { state }).await?;
+                    if self.wishes.previews {
+                        self.show().await?;
+                    }
+                }
+            }
+        }
+    }
+
+    async fn take(&mut self, text: &str) -> Result<(), Gone> {
+        let Ok(Request { command, id }) = serde_json::from_str(text) else {
+            let error = Some("expected {\"command\": \"…\", \"id\": 1}".to_owned());
+            return self
+                .say(&Event::Answer {
+                    id: 0,
+                    answer: None,
+                    error,
+                })
+                .await;
+        };
+        if !self.pass.holds() {
+            return Err(Gone);
+        }
+        let carried_out = match parse(&command) {
+            Ok(command) => carry_out(&self.backend, command).await,
+            Err(failure) => Err(failure),
+        };
+        let (answer, error) = match carried_out {
+            Ok((_, axum::Json(answer))) => (Some(Box::new(answer)), None),
+            Err(failure) => (None, Some(failure.what().to_owned())),
+        };
+        self.say(&Event::Answer { id, answer, error }).await
+    }
+
+    async fn show(&mut self) -> Result<(), Gone> {
+        for (place, role) in Role::ALL.into_iter().enumerate() {
+            let Some(jpeg) = self.backend.previews.jpeg(role) else {
+                continue;
+            };
+            let known = self.sent.get(&role);
+            if known.is_some_and(|known| known.as_ptr() == jpeg.as_ptr()) {
+                continue;
+            }
+            let message = [&[place as u8][..], &jpeg].concat();
+            self.sent.insert(role, jpeg);
+            self.send(Message::Binary(message.into())).await?;
+        }
+        Ok(())
+    }
+
+    async fn say(&mut self, event: &Event) -> Result<(), Gone> {
+        let text = serde_json::to_string(event).map_err(|_| Gone)?;
+        self.send(Message::Text(text.into())).await
+    }
+
+    async fn send(&mut self, message: Message) -> Result<(), Gone> {
+        self.socket.send(message).await.map_err(|_| Gone)
+    }
+}

@@ -1,0 +1,96 @@
+//! The page, embedded in the binary.
+
+use axum::extract::Path;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use super::failure::Failure;
+
+/// A file of the page: its name, media type and text.
+type File = (&'static str, &'static str, &'static str);
+
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
+const JAVASCRIPT: &str = "text/javascript; charset=utf-8";
+const SVG: &str = "image/svg+xml";
+
+/// Names of files under `page/` with their types, read in when gripcast is built.
+macro_rules! files {
+    ($($name:literal => $kind:expr),+ $(,)?) => {
+        &[$(($name, $kind, include_str!(concat!("page/", $name)))),+]
+    };
+}
+
+/// All files.
+const FILES: &[File] = files! {
+    "index.html" => HTML,
+    "style.css" => CSS,
+    "icon.svg" => SVG,
+    "actions.js" => JAVASCRIPT,
+    "api.js" => JAVASCRIPT,
+    "app.js" => JAVASCRIPT,
+    "cameras.js" => JAVASCRIPT,
+    "detail.js" => JAVASCRIPT,
+    "dom.js" => JAVASCRIPT,
+    "gallery.js" => JAVASCRIPT,
+    "gauge.js" => JAVASCRIPT,
+    "keys.js" => JAVASCRIPT,
+    "labels.js" => JAVASCRIPT,
+    "link.js" => JAVASCRIPT,
+    "login.js" => JAVASCRIPT,
+    "pictures.js" => JAVASCRIPT,
+    "sound.js" => JAVASCRIPT,
+    "theme.js" => JAVASCRIPT,
+    "types.js" => JAVASCRIPT,
+    "words.js" => JAVASCRIPT,
+};
+
+fn answer((_, kind, text): File) -> Response {
+    // The page and the API belong to one build.
+    let headers = [
+        (header::CONTENT_TYPE, kind),
+        (header::CACHE_CONTROL, "no-cache"),
+    ];
+    (headers, text).into_response()
+}
+
+fn named(name: &str) -> Result<Response, Failure> {
+    let file = FILES.iter().find(|file| file.0 == name);
+    file.map(|file| answer(*file))
+        .ok_or_else(|| Failure::new(StatusCode::NOT_FOUND, "there is nothing of that name"))
+}
+
+/// `/`
+pub(crate) async fn index() -> Result<Response, Failure> {
+    named("index.html")
+}
+
+/// `/NAME`
+pub(crate) async fn file(Path(name): Path<String>) -> Result<Response, Failure> {
+    named(&name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+    use std::path::Path;
+
+    /// Every file of the folder is served, and what one of them asks for is there.
+    #[test]
+    fn the_page_is_whole() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/web/page");
+        let there: BTreeSet<String> = std::fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        let served: BTreeSet<String> = FILES.iter().map(|file| file.0.to_owned()).collect();
+        assert_eq!(there, served);
+        for (name, _, text) in FILES {
+            let quoted = text.split(['"', '\'']);
+            for asked in quoted.filter_map(|part| part.strip_prefix("./")) {
+                assert!(served.contains(asked), "{name} asks for {asked}");
+            }
+        }
+    }
+}

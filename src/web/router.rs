@@ -1,0 +1,119 @@
+//! All routes; the description of the API is made from the same list.
+
+use std::sync::Arc;
+
+use axum::extract::DefaultBodyLimit;
+use axum::http::StatusCode;
+use axum::{Json, Router, middleware};
+use utoipa::OpenApi as _;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use super::backend::Backend;
+use super::failure::Failure;
+use super::{access, cameras, commands, events, grasps, health, login, page, state};
+
+/// Largest body that is taken, bytes.
+const LARGEST_BODY: usize = 16 * 1024;
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "gripcast",
+        description = "The running collection: state, commands, grasps, pictures."
+    ),
+    components(schemas(events::Event, grasps::PreviewKind, state::RoleName)),
+    tags(
+        (name = "session", description = "Step, prediction and commands"),
+        (name = "grasps", description = "What was saved"),
+        (name = "cameras", description = "Live pictures"),
+        (name = "daemon", description = "The daemon itself")
+    )
+)]
+struct Description;
+
+fn routes_of_the_api() -> OpenApiRouter<Arc<Backend>> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(health::state))
+        .routes(routes!(events::events))
+        .routes(routes!(commands::command))
+        .routes(routes!(commands::object))
+        .routes(routes!(commands::scene))
+        .routes(routes!(commands::operator))
+        .routes(routes!(grasps::list))
+        .routes(routes!(grasps::record))
+        .routes(routes!(grasps::file))
+        .routes(routes!(grasps::preview))
+        .routes(routes!(grasps::label))
+        .routes(routes!(grasps::trash))
+        .routes(routes!(grasps::restore))
+        .routes(routes!(cameras::still))
+        .routes(routes!(cameras::stream))
+        .routes(routes!(health::health))
+        .routes(routes!(health::model))
+        .routes(routes!(login::login_state, login::login))
+        .routes(routes!(login::logout))
+        .routes(routes!(health::metrics))
+}
+
+/// Everything that the daemon answers. Each connection adds where it comes from
+/// ([`access::Peer`]).
+pub(crate) fn router(backend: Arc<Backend>) -> Router {
+    let access = Arc::clone(&backend.access);
+    let (api, description) = routes_of_the_api().split_for_parts();
+    let description = Arc::new(description);
+    api.route(
+        "/api/openapi.json",
+        axum::routing::get(move || {
+            let description = Arc::clone(&description);
+            async move { Json((*description).clone()) }
+        }),
+    )
+    .route("/", axum::routing::get(page::index))
+    .route("/{name}", axum::routing::get(page::file))
+    .fallback(|| async { Failure::new(StatusCode::NOT_FOUND, "there is nothing of that name") })
+    .method_not_allowed_fallback(|| async {
+        Failure::new(
+            StatusCode::METHOD_NOT_ALLOWED,
+            "that cannot be done with this; /api/openapi.json tells what can",
+        )
+    })
+    .layer(DefaultBodyLimit::max(LARGEST_BODY))
+    .layer(middleware::from_fn_with_state(access, access::guard))
+    .with_state(backend)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every route of the contract that people read is in the description, and the other way.
+    #[test]
+    fn the_description_and_the_document_name_the_same_routes() {
+        let (_, description) = routes_of_the_api().split_for_parts();
+        let described: Vec<String> = description.paths.paths.keys().cloned().collect();
+        let document = include_str!("../../docs/api.md");
+        for path in &described {
+            let path = path.replace(['{', '}'], "").to_uppercase();
+            let is_named = document.to_uppercase().contains(&path);
+            assert!(is_named, "docs/api.md does not name {path}");
+        }
+        let rows = document.lines().filter_map(|line| line.strip_prefix("| "));
+        let named: Vec<&str> = rows
+            .filter_map(|row| row.split('`').nth(1))
+            .filter(|text| text.contains(" /"))
+            .collect();
+        assert!(named.len() >= described.len(), "{} rows", named.len());
+        for text in named {
+            let (_, path) = text.split_once(' ').unwrap();
+            let path = path.split('?').next().unwrap().to_lowercase();
+            let known = described
+                .iter()
+                .any(|described| described.replace(['{', '}'], "").to_lowercase() == path);
+            assert!(
+                known || path == "/api/openapi.json",
+                "{path} is not described"
+            );
+        }
+    }
+}
