@@ -28,14 +28,14 @@ use super::sim_object::SimObject;
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use crate::daemon::{read_sheets, stored_intrinsics};
+use gripcast_annotate::{
+    Annotation, Annotator, Observation, OverlayContent, is_between_fingers, overlay,
+};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{ContentKey, FileKind, ObjectName, Root};
 use gripcast_dataset::{Dataset, DatasetWriter, GraspId, GraspRecord, NewDataset, PoseRecord};
 use gripcast_geometry::{LengthUnit, Pose, TriangleMesh};
 use gripcast_imaging::{Decoder, Intrinsics, Role, encode_jpeg};
-use gripcast_pose::annotate::{
-    Annotation, Annotator, Observation, OverlayContent, is_between_fingers, overlay,
-};
 use gripcast_pose::{BoardFile, PrintedSheet, load_intrinsics};
 
 /// JPEG quality of the overlays.

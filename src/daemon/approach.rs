@@ -11,11 +11,11 @@ use image::imageops::grayscale;
 use super::capture::spawn;
 use super::hub::{CameraSlot, Hub, Soundness};
 use super::sheets::Boards;
+use gripcast_annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::FileName;
 use gripcast_dataset::{PoseRecord, approach_name};
 use gripcast_imaging::{Decoder, Frame, Intrinsics, Role};
-use gripcast_pose::annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 
 /// Time between two frames that are kept.
 const PAUSE: Duration = Duration::from_millis(120);

@@ -30,7 +30,7 @@ const AREAS: [&str; 11] = [
     "crates/gripcast-imaging/src",
     "crates/gripcast-interop/src",
     "crates/gripcast-nn/src",
-    "crates/gripcast-pose/src/annotate",
+    "crates/gripcast-annotate/src",
     "crates/gripcast-replay/src",
     "crates/gripcast-synth/src",
     "crates/gripcast-tactile/src",

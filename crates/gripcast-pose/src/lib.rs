@@ -8,7 +8,6 @@
 //! frame. Pixel (0, 0) is the centre of the top-left pixel; every detector's own convention is
 //! converted in its wrapper.
 
-pub mod annotate;
 mod bench;
 mod board;
 mod board_check;

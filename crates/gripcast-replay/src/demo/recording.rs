@@ -14,6 +14,7 @@ use super::plan::DemoWatch;
 use super::reality::{Class, reality};
 use super::selection::Chosen;
 use super::tactile::{Contact, FRAME, Sensors};
+use gripcast_annotate::Annotator;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{ContentKey, Label, ObjectName};
 use gripcast_dataset::{
@@ -21,7 +22,6 @@ use gripcast_dataset::{
     PendingInitial, PoseRecord, SimulatedTruth, Stage, StageCapture, image_name,
 };
 use gripcast_imaging::{Decoder, Frame, Intrinsics, PixelFormat, Role};
-use gripcast_pose::annotate::Annotator;
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::SimulatedGel;

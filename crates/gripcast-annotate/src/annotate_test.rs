@@ -4,9 +4,9 @@ use glam::{DQuat, DVec3};
 use image::{GrayImage, Luma, imageops};
 
 use super::*;
-use crate::synthetic::{PictureConditions, Placed, render, ring_board, test_camera};
-use crate::{BoardFile, Dictionary, Part};
 use gripcast_imaging::Intrinsics;
+use gripcast_pose::synthetic::{PictureConditions, Placed, render, ring_board, test_camera};
+use gripcast_pose::{BoardFile, Dictionary, Part};
 
 const WIDTH: u32 = 960;
 

@@ -3,12 +3,14 @@
 use image::GrayImage;
 
 use super::BoardHashes;
-use crate::detect::{Diagnosis, diagnose, known_dictionaries};
-use crate::refine::{refine_all, sharpness};
-use crate::solve::{GripperPose, PartPose, RelativePose, relative, solve_gripper, solve_part};
-use crate::{BoardFile, Detection, MarkerDetector, Part, require_size};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::Intrinsics;
+use gripcast_pose::detect::{Diagnosis, diagnose, known_dictionaries};
+use gripcast_pose::refine::{refine_all, sharpness};
+use gripcast_pose::solve::{
+    GripperPose, PartPose, RelativePose, relative, solve_gripper, solve_part,
+};
+use gripcast_pose::{BoardFile, Detection, MarkerDetector, Part, require_size};
 
 /// A gripper that holds or is about to hold the object is not farther from its frame, m.
 const FARTHEST_M: f64 = 0.5;
@@ -65,7 +67,7 @@ impl Annotator {
         let same = sheet.dictionary.name() == tags.dictionary.name();
         let (of_sheet, of_tags) = (sheet.board.ids(), tags.board.ids());
         let mut add = |dictionary, ids: &[u32]| -> Result<()> {
-            let mut all = crate::detect::detectors(dictionary, ids)?;
+            let mut all = gripcast_pose::detect::detectors(dictionary, ids)?;
             detectors.push(all.remove(0));
             Ok(())
         };

@@ -4,10 +4,10 @@ use glam::{DVec2, DVec3};
 use image::{Rgb, RgbImage};
 
 use super::observation::Observation;
-use crate::camera::project;
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::Intrinsics;
 use gripcast_imaging::caption::{HEIGHT, write_text};
+use gripcast_pose::camera::project;
 
 /// Length of drawn axes, m.
 const AXIS_M: f64 = 0.04;

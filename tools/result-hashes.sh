@@ -1,0 +1,56 @@
+#!/usr/bin/env bash
+# tools/result-hashes.sh BINARY FOLDER: hashes of what one build of gripcast computes, one line a
+# result, on stdout and in FOLDER/hashes. Two builds agree where the files are the same:
+#
+#     tools/result-hashes.sh OLD old; tools/result-hashes.sh NEW new; diff old/hashes new/hashes
+#
+# Times, paths and versions are left out. The cases of `bench grasp` with meshes of the shared
+# folder are skipped without it.
+set -euo pipefail
+binary=$(realpath "$1")
+mkdir -p "$2"
+folder=$(realpath "$2")
+cd "$(dirname "$0")/.."
+rm -rf "$folder/hashes" "$folder/plan" "$folder/data" "$folder/run" "$folder/pictures"
+mkdir -p "$folder/pictures"
+
+note() { # NAME, the bytes on stdin
+    printf '%s  %s\n' "$(sha256sum | cut -c1-64)" "$1" | tee -a "$folder/hashes"
+}
+
+# The JSON of a bench without what a clock gave.
+untimed() {
+    python3 -c '
+import json, re, sys
+timed = re.compile(r"(_s|_ms|_us|times|per_s|ratio|speed\w*|throughput\w*|threads)$|_per_s_|_ms_|_s_")
+def strip(value):
+    if isinstance(value, dict):
+        return {k: strip(v) for k, v in value.items() if not timed.search(k)}
+    if isinstance(value, list):
+        return [strip(v) for v in value]
+    return value
+print(json.dumps(strip(json.load(sys.stdin)), sort_keys=True))'
+}
+
+for threads in 1 2; do
+    "$binary" -q bench grasp --no-throughput --threads "$threads" --json >"$folder/grasp.json" || true
+    untimed <"$folder/grasp.json" | note "bench grasp, $threads threads"
+    for object in box mug jack; do
+        trace=$folder/$object-$threads.bin
+        "$binary" -q sim grasp --object "builtin:$object" --gel coarse --stop-force-n 20 \
+            --threads "$threads" --trace "$trace" >/dev/null || true
+        note "sim grasp $object, $threads threads: states" <"$trace"
+    done
+done
+trace=$folder/mug-1.bin
+"$binary" -q render tactile --trace "$trace" --object builtin:mug --seed 1 --out "$folder/pictures/tactile" >/dev/null
+"$binary" -q render visual --trace "$trace" --object builtin:mug --seed 1 --samples 16 --size 160x120 \
+    --out "$folder/pictures/visual.png" >/dev/null
+(cd "$folder/pictures" && find . -name '*.png' | sort | xargs sha256sum) | note "render tactile, render visual"
+"$binary" -q bench pose --pictures 20 --json | untimed | note "bench pose"
+"$binary" -q synth plan --preset tiny --out "$folder/plan" >/dev/null
+"$binary" -q synth run --plan "$folder/plan" >/dev/null
+"$binary" -q synth merge --plan "$folder/plan" --out "$folder/data" --partial >/dev/null
+(cd "$folder/data" && find . -name '*.parquet' | sort | xargs sha256sum) | note "synth --preset tiny"
+"$binary" -q train --data "$folder/data" --out "$folder/run" --epochs 2 --seed 1 --headless >/dev/null
+(cd "$folder/run" && find . -name '*.onnx' | sort | xargs sha256sum) | note "train, two epochs"
