@@ -22,7 +22,7 @@ note() { # NAME, the bytes on stdin
 untimed() {
     python3 -c '
 import json, re, sys
-timed = re.compile(r"(_s|_ms|_us|times|per_s|ratio|speed\w*|throughput\w*|threads)$|_per_s_|_ms_|_s_")
+timed = re.compile(r"^ms$|(_s|_ms|_us|times|per_s|ratio|speed\w*|throughput\w*|threads)$|_per_s_|_ms_|_s_")
 def strip(value):
     if isinstance(value, dict):
         return {k: strip(v) for k, v in value.items() if not timed.search(k)}
@@ -36,13 +36,13 @@ for threads in 1 2; do
     "$binary" -q bench grasp --no-throughput --threads "$threads" --json >"$folder/grasp.json" || true
     untimed <"$folder/grasp.json" | note "bench grasp, $threads threads"
     for object in box mug jack; do
-        trace=$folder/$object-$threads.bin
+        trace=$folder/$object-$threads.json
         "$binary" -q sim grasp --object "builtin:$object" --gel coarse --stop-force-n 20 \
             --threads "$threads" --trace "$trace" >/dev/null || true
-        note "sim grasp $object, $threads threads: states" <"$trace"
+        untimed <"$trace" | note "sim grasp $object, $threads threads: states"
     done
 done
-trace=$folder/mug-1.bin
+trace=$folder/mug-1.json
 "$binary" -q render tactile --trace "$trace" --object builtin:mug --seed 1 --out "$folder/pictures/tactile" >/dev/null
 "$binary" -q render visual --trace "$trace" --object builtin:mug --seed 1 --samples 16 --size 160x120 \
     --out "$folder/pictures/visual.png" >/dev/null
@@ -52,5 +52,5 @@ trace=$folder/mug-1.bin
 "$binary" -q synth run --plan "$folder/plan" >/dev/null
 "$binary" -q synth merge --plan "$folder/plan" --out "$folder/data" --partial >/dev/null
 (cd "$folder/data" && find . -name '*.parquet' | sort | xargs sha256sum) | note "synth --preset tiny"
-"$binary" -q train --data "$folder/data" --out "$folder/run" --epochs 2 --seed 1 --headless >/dev/null
+"$binary" -q train --data "$folder/data" --out "$folder/run" --epochs 2 --batch 4 --seed 1 --headless >/dev/null
 (cd "$folder/run" && find . -name '*.onnx' | sort | xargs sha256sum) | note "train, two epochs"

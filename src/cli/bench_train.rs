@@ -10,9 +10,9 @@ use serde_json::{Map, Value, json};
 use super::{Context, print, python_peer};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::random::SeedStream;
 use gripcast_base::workers::process_cpu_s;
 use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Senses, Step};
-use gripcast_visual::SeedStream;
 
 const PEER_SCRIPT: &str = include_str!("../../benches/peers/torch_train.py");
 /// Steps before those that are measured.

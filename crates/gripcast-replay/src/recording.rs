@@ -10,12 +10,12 @@ use super::object_file::ReplayObject;
 use super::report::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
 use gripcast_base::files::{ContentKey, ObjectName};
+use gripcast_base::random::SeedStream;
 use gripcast_dataset::{Dataset, GraspRecord, Outcome};
 use gripcast_geometry::{MeshQuery, Pose};
 use gripcast_pose::{BoardFile, PrintedSheet};
 use gripcast_sim::GraspSetup;
 use gripcast_sim::grasp::GraspPose;
-use gripcast_visual::SeedStream;
 
 /// Widest opening of a start that the record does not tell, m.
 const MAX_OPENING_M: f64 = 0.09;

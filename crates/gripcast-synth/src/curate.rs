@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{Split, SplitGroup};
-use gripcast_visual::SeedStream;
 
 /// What may not be in two parts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,6 +1,7 @@
 //! Pictures of a simulated grasp as a collection would have taken them.
 
 use gripcast_base::error::Result;
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::{CREASE_RAD, TriangleMesh, curved};
 use gripcast_imaging::encode_jpeg;
 use gripcast_sim::GraspSetup;
@@ -11,7 +12,7 @@ use gripcast_tactile::{
     SensorVariation, SimulatedGel, TactileScene, depth_under_force, foundation_pa_m,
 };
 use gripcast_visual::{
-    ColourSettings, DenoiseSettings, GraspState, Model, RenderSettings, Renderer, SeedStream, View,
+    ColourSettings, DenoiseSettings, GraspState, Model, RenderSettings, Renderer, View,
     VisualRandomisation, Watch, denoise, develop, grasp_scene,
 };
 

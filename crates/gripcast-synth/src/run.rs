@@ -12,6 +12,7 @@ use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Root, SimulationId};
 use gripcast_base::quiet_panic;
+use gripcast_base::random::SeedStream;
 use gripcast_base::workers::{one_per_core, thread_cpu_s};
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, to_bytes,
@@ -20,7 +21,7 @@ use gripcast_geometry::TriangleMesh;
 use gripcast_sim::grasp::{GraspOutcome, GraspResult, Snapshot, StageName};
 use gripcast_sim::{Engine, EngineKind, GraspSetup};
 use gripcast_tactile::SimulatedGel;
-use gripcast_visual::{Model, SeedStream};
+use gripcast_visual::Model;
 
 /// Normal force on each finger before the lift under which nobody would lift, N: the object was
 /// squeezed out, or lies beside the gels.

@@ -5,11 +5,11 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::ShardImages;
 use gripcast_imaging::Decoder;
 use gripcast_nn::PICTURE;
 use gripcast_nn::predict::contract::RgbNormalisation;
-use gripcast_visual::SeedStream;
 
 const HEIGHT: usize = PICTURE[0];
 const WIDTH: usize = PICTURE[1];

@@ -2,12 +2,12 @@ use tract_onnx::pb::{GraphProto, ModelProto};
 
 use super::*;
 use crate::settings::senses;
+use gripcast_base::random::SeedStream;
 use gripcast_nn::Batch;
 use gripcast_nn::predict::contract::InputSpec;
 use gripcast_nn::predict::contract::{Origin, RgbNormalisation, Variant};
 use gripcast_nn::predict::{Model, ModelInput, onnx};
 use gripcast_nn::{Architecture, Senses};
-use gripcast_visual::SeedStream;
 
 fn contract(variant: Variant, temperature: f64) -> ModelContract {
     let normalisation = RgbNormalisation {

@@ -7,10 +7,10 @@ use super::batches::Batches;
 use super::run::RunFile;
 use super::samples::Samples;
 use gripcast_base::error::Result;
+use gripcast_base::random::SeedStream;
 use gripcast_nn::Senses;
 use gripcast_nn::predict::Novelty;
 use gripcast_nn::predict::novelty::{Features, features};
-use gripcast_visual::SeedStream;
 
 /// Most samples that are looked at, evenly spread: two sensors each, enough for one in a thousand.
 const MOST_SAMPLES: usize = 2000;

@@ -16,10 +16,10 @@ use super::settings::TrainSettings;
 use super::state::{self, Position};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Root};
+use gripcast_base::random::SeedStream;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::RgbNormalisation;
 use gripcast_nn::{Adam, Batch, Losses, Network, Step, linear_schedule};
-use gripcast_visual::SeedStream;
 
 /// Parts of a dataset that a run reads.
 const TRAIN: &str = "train";

@@ -10,8 +10,8 @@ use sha2::{Digest as _, Sha256};
 use super::quantities::{Quantities, quantities};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileKind, hex};
+use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
-use gripcast_visual::SeedStream;
 
 /// What is known of a sample besides its pictures.
 #[derive(Clone, Debug)]

@@ -54,7 +54,6 @@ pub use denoise::{DenoiseSettings, denoise};
 pub use environment::Environment;
 pub use finish::Finish;
 pub use grasp_scene::{GraspState, View, annotation_scene, eye_in_hand, grasp_scene, sees_gels};
-pub use gripcast_base::random::SeedStream;
 pub use gripper::{GripperPart, GripperSurface, gripper_parts};
 pub use hdr::{load_hdr, read_hdr};
 pub use look::{FinishClass, Look, PatternWord};

@@ -6,11 +6,11 @@ use super::plan::DemoSettings;
 use crate::ObjectFile;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, read_regular};
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::{
     LengthUnit, MeshFormat, Pose, PrepareOptions, TriangleMesh, builtin, likely_poses, prepare,
     read_mesh,
 };
-use gripcast_visual::SeedStream;
 
 /// Shapes of the project.
 const SHAPES: [&str; 5] = ["jack", "star", "dented", "saddle", "lump"];

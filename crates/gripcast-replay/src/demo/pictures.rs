@@ -4,6 +4,7 @@
 use super::object::DemoObject;
 use super::plan::DemoWatch;
 use gripcast_base::error::Result;
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::Pose;
 use gripcast_imaging::{Intrinsics, encode_jpeg};
 use gripcast_pose::BoardFile;
@@ -12,8 +13,8 @@ use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::{Placed, Snapshot};
 use gripcast_visual::{
     Camera, ColourSettings, DenoiseSettings, GraspPrints, GraspState, Model, RenderSettings,
-    Renderer, Scene, SeedStream, View, VisualConditions, VisualRandomisation, Watch,
-    annotation_camera, annotation_scene, denoise, develop, drawn_finish, grasp_scene,
+    Renderer, Scene, View, VisualConditions, VisualRandomisation, Watch, annotation_camera,
+    annotation_scene, denoise, develop, drawn_finish, grasp_scene,
 };
 
 /// Columns and rows of the pictures between the fingers, and their paths for each pixel.

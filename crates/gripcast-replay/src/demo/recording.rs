@@ -17,6 +17,7 @@ use super::tactile::{Contact, FRAME, Sensors};
 use gripcast_annotate::Annotator;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{ContentKey, Label, ObjectName};
+use gripcast_base::random::SeedStream;
 use gripcast_dataset::{
     BoardKeys, CapturedCamera, Dataset, DatasetWriter, GraspMeta, NewDataset, Outcome,
     PendingInitial, PoseRecord, SimulatedTruth, Stage, StageCapture, image_name,
@@ -25,7 +26,6 @@ use gripcast_imaging::{Decoder, Frame, Intrinsics, PixelFormat, Role};
 use gripcast_sim::fem::GelGrid;
 use gripcast_sim::grasp::Finger;
 use gripcast_tactile::SimulatedGel;
-use gripcast_visual::SeedStream;
 
 /// Name of the dataset, its rig and its operator.
 const NAME: &str = "gripcast-demo-simulated";

@@ -255,7 +255,7 @@ fn damaged_files_end_in_errors() {
         let cut = &whole[..whole.len() * share / 16];
         assert!(read_bytes(cut).is_err(), "{share}/16");
     }
-    let mut stream = gripcast_visual::SeedStream::named(1, "damage");
+    let mut stream = gripcast_base::random::SeedStream::named(1, "damage");
     for _ in 0..200 {
         let mut damaged = whole.clone();
         for _ in 0..4 {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use gripcast_visual::SeedStream;
+use gripcast_base::random::SeedStream;
 
 /// One drawn number of a shape.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -37,8 +37,8 @@ use serde::{Deserialize, Serialize};
 
 use self::draw::Draw;
 use gripcast_base::error::Result;
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::TriangleMesh;
-use gripcast_visual::SeedStream;
 
 /// Draws of a shape that are tried until one passes its checks.
 const ATTEMPTS: u32 = 12;

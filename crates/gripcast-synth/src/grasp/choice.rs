@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 
 use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, collides};
 use gripcast_base::error::Result;
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Pose, StablePose, TriangleMesh, likely_poses};
 use gripcast_sim::grasp::{GraspPose, Placed};
-use gripcast_visual::SeedStream;
 
 /// An object does not tip over when it is turned by this, rad.
 const LEAST_TIP_RAD: f64 = 0.05;

@@ -5,10 +5,10 @@ use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::Result;
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Aabb, MeshQuery, Pose, TriangleMesh};
 use gripcast_sim::fem::PAD_SIZE_M;
 use gripcast_sim::grasp::{Placed, Placement};
-use gripcast_visual::SeedStream;
 
 /// Distance between the places that the fingers are to meet, m.
 const WIDTH_M: [f64; 2] = [0.008, 0.075];

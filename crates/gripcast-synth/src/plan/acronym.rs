@@ -8,7 +8,7 @@ use crate::family::Category;
 use crate::properties::Material;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Root, SimulationId};
-use gripcast_visual::SeedStream;
+use gripcast_base::random::SeedStream;
 
 /// Ending of the files.
 const ENDING: &str = ".h5";

@@ -18,10 +18,10 @@ use crate::properties::{
 };
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileName, Root, SimulationId};
+use gripcast_base::random::SeedStream;
 use gripcast_base::workers::one_per_core;
 use gripcast_geometry::{MassProperties, TriangleMesh, ply_bytes};
 use gripcast_sim::{Engine, EngineKind};
-use gripcast_visual::SeedStream;
 
 /// Seeds in files are below 2⁵³, so that every JSON reader keeps them.
 const SEED_BITS: u32 = 53;

@@ -5,9 +5,9 @@ use crate::family::{Category, family_shape};
 use crate::properties::Material;
 use gripcast_base::error::{Result, unknown_name};
 use gripcast_base::files::SimulationId;
+use gripcast_base::random::SeedStream;
 use gripcast_base::workers::one_per_core;
 use gripcast_sim::fem::GelResolution;
-use gripcast_visual::SeedStream;
 
 /// A size of plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,8 +8,8 @@ use super::{Drafts, MeshSource, ObjectDraft, TextureDraft};
 use crate::properties::{FRICTION_RANGE, Material, Modifier};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, read_text};
+use gripcast_base::random::SeedStream;
 use gripcast_geometry::load_object_mesh_below;
-use gripcast_visual::SeedStream;
 
 /// Version of the format.
 const SCHEMA: u32 = 1;

@@ -3,7 +3,7 @@
 use super::coat::{Coat, Shade};
 use super::look::{Look, Modifier, linear_rgb};
 use super::material::Material;
-use gripcast_visual::SeedStream;
+use gripcast_base::random::SeedStream;
 
 /// Appearances per object, as in the paper (A.1, Texture).
 pub const APPEARANCES: usize = 5;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::material::Material;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_visual::SeedStream;
+use gripcast_base::random::SeedStream;
 
 /// Coefficients of friction that the paper's prompt asks for (A.1).
 pub const FRICTION_RANGE: [f64; 2] = [0.1, 1.5];

@@ -10,7 +10,7 @@ use super::look::PatternWord::{
 };
 use super::look::{Look, linear_rgb};
 use super::material::Material;
-use gripcast_visual::SeedStream;
+use gripcast_base::random::SeedStream;
 
 /// Stems of words that name what a surface is; the last one in the text counts, as the noun comes
 /// last in English.

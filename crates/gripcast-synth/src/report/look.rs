@@ -6,10 +6,10 @@ use super::facts::ExamplePictures;
 use super::gather::Done;
 use crate::store::ResultStore;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardImages, ShardRow};
 use gripcast_imaging::{Decoder, TactileDifference};
 use gripcast_report::picture::data_uri;
-use gripcast_visual::SeedStream;
 
 /// Columns of the small pictures.
 const SHOWN_PX: u32 = 160;

@@ -6,7 +6,7 @@ use super::balance::fault;
 use super::contact::Seen;
 use super::facts::Example;
 use super::gather::Done;
-use gripcast_visual::SeedStream;
+use gripcast_base::random::SeedStream;
 
 /// Chooses up to `count` of some results: one of each category after the other, and in a category
 /// one of each object after the other. Who is first follows from the seed and the names alone.
