@@ -69,8 +69,10 @@ bench: setup
 # The time of everything in a package is that of the commit: the same bytes on every run.
 package-files deb tarball: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct || echo 0)
 
+# Names of source files of the assembler stand in the symbol table.
 package-files: setup-package
 	@. tools/env.sh; . packaging/build-flags.sh; cargo build --release --locked --bin gripcast
+	@strip --strip-all target/release/gripcast
 	@packaging/check-paths.sh target/release/gripcast
 	@. tools/env.sh; packaging/stage.sh target/release/gripcast target/package
 
