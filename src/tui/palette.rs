@@ -17,7 +17,7 @@ impl ColourDepth {
     /// Reads `NO_COLOR`, `COLORTERM` and `TERM` through `variable`.
     ///
     /// ```
-    /// use gripcast::app::tui::ColourDepth;
+    /// use gripcast::tui::ColourDepth;
     /// let depth = ColourDepth::from_environment(|name| std::env::var(name).ok());
     /// # let _ = depth;
     /// ```

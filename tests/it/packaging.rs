@@ -223,7 +223,12 @@ fn the_packaged_service_opens_no_port_without_a_token() {
     assert!(postinst.contains(&format!("token={token}\n")), "{postinst}");
 
     let unit = repository_file("packaging/gripcast.service");
-    for line in ["RuntimeDirectoryMode=0750", "Group=gripcast"] {
+    for line in [
+        "RuntimeDirectoryMode=0750",
+        "Group=gripcast",
+        "MemoryMax=2G",
+        "TasksMax=512",
+    ] {
         assert!(settings(&unit).contains(&line), "{line}");
     }
 }

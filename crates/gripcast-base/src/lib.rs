@@ -1,5 +1,13 @@
 //! What every crate of gripcast uses: errors, files below folders that others made, random streams,
 //! work spread over cores.
+//!
+//! ```
+//! use gripcast_base::random::SeedStream;
+//!
+//! let mut stream = SeedStream::named(7, "masses");
+//! let mass_kg = stream.between_log(0.01, 0.5);
+//! assert!((0.01..0.5).contains(&mass_kg));
+//! ```
 
 pub mod error;
 pub mod files;

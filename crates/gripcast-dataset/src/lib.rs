@@ -7,6 +7,17 @@
 //! * [`verify`] finds every torn, missing, altered, duplicated or leaking item;
 //!   [`recover`] rescues what is there
 //! * [`split`] divides the grasps without leakage; [`summary`] counts them
+//!
+//! ```no_run
+//! use gripcast_dataset::Dataset;
+//!
+//! let dataset = Dataset::open("my-dataset")?;
+//! for grasp in dataset.grasps()? {
+//!     let grasp = grasp?;
+//!     println!("{} {} {:?}", grasp.id, grasp.object, grasp.outcome);
+//! }
+//! # Ok::<(), gripcast_base::error::Error>(())
+//! ```
 
 mod capture;
 mod counts;

@@ -2,6 +2,16 @@
 //! poses, bounding volumes.
 //!
 //! Lengths are metres, coordinates `f64`; `t_a_b` maps coordinates of frame b into frame a.
+//!
+//! ```
+//! use gripcast_geometry::{MassProperties, PrepareOptions, builtin, prepare};
+//!
+//! // A mesh file would come from `load_mesh`.
+//! let mesh = prepare(&builtin("box")?, &PrepareOptions::default())?.mesh;
+//! let volume_m3 = MassProperties::of(&mesh)?.volume_m3;
+//! assert!((volume_m3 - 0.04 * 0.04 * 0.06).abs() < 1e-9);
+//! # Ok::<(), gripcast_base::error::Error>(())
+//! ```
 
 mod aabb;
 mod builtin;

@@ -16,7 +16,7 @@ const UNIT_ROUNDING: f64 = 4.0 * f64::EPSILON;
 /// In files it is `{"t_m":[x,y,z],"q_wxyz":[w,x,y,z]}` with a unit quaternion and w ≥ 0.
 ///
 /// ```
-/// use gripcast::geometry::Pose;
+/// use gripcast_geometry::Pose;
 /// use glam::{DQuat, DVec3};
 /// let t_world_object = Pose::new(DQuat::from_rotation_z(1.0), DVec3::new(0.0, 0.0, 0.1));
 /// let back = t_world_object.inverse() * t_world_object;

@@ -57,10 +57,10 @@ pub fn likely_poses(
 /// `Input` if the mesh encloses no volume, or if it tips over from each facet.
 ///
 /// ```
-/// use gripcast::geometry::{builtin, stable_poses};
+/// use gripcast_geometry::{builtin, stable_poses};
 /// let poses = stable_poses(&builtin("bar")?, 0.0)?;
 /// assert_eq!(poses.len(), 6);
-/// # Ok::<(), gripcast::error::Error>(())
+/// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StablePose>> {
     let center = MassProperties::of(mesh)?.center_of_mass_m;

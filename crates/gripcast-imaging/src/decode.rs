@@ -20,7 +20,7 @@ use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
 /// A damaged frame gives an error, never a picture.
 ///
 /// ```
-/// use gripcast::imaging::{CropProfile, Decoder, Frame, PixelFormat, encode_jpeg, synthetic_gel};
+/// use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, encode_jpeg, synthetic_gel};
 ///
 /// let gel = synthetic_gel(640, 480, 1, 0.5);
 /// let frame = Frame {
@@ -35,7 +35,7 @@ use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
 /// let mut decoder = Decoder::new()?;
 /// let input = decoder.decode(&frame, Some(&CropProfile::GSMINI_SEVENTH), 320, 240)?;
 /// assert_eq!(input.dimensions(), (320, 240));
-/// # Ok::<(), gripcast::error::Error>(())
+/// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 pub struct Decoder {
     jpeg: JpegDecoder,

@@ -3,6 +3,18 @@
 //! Colour order is RGB in memory and in files. Pixel (0,0) is the centre of the top-left pixel.
 //! A [`Frame`] is what a camera sent; a [`Decoder`] makes pictures of frames, all through one
 //! crop-and-resize; [`TactileDifference`] is what a contact changed between two of them.
+//!
+//! ```
+//! use gripcast_imaging::TactileDifference;
+//! use image::{Rgb, RgbImage};
+//!
+//! let initial = RgbImage::from_pixel(320, 240, Rgb([90, 100, 110]));
+//! let mut grasp = initial.clone();
+//! grasp.put_pixel(160, 120, Rgb([120, 100, 80]));
+//! let difference = TactileDifference::between(&initial, &grasp)?;
+//! assert!(difference.changed_fraction(10) > 0.0);
+//! # Ok::<(), gripcast_base::error::Error>(())
+//! ```
 
 pub mod caption;
 mod crop;

@@ -4,6 +4,16 @@
 //! Convolutions gather their windows where they lie (no matrix of windows is made) and keep sums in
 //! registers. Results do not depend on the number of threads, nor on the width of vectors where
 //! they have fused multiply-add.
+//!
+//! ```
+//! use gripcast_nn::predict::{Model, ModelInput, SHIPPED, model_bytes};
+//!
+//! let model = Model::from_bytes(&model_bytes(SHIPPED)?)?;
+//! let input = ModelInput::zeros(model.contract())?;
+//! let p_stable = model.predict(&input)?.p_stable;
+//! assert!((0.0..=1.0).contains(&p_stable));
+//! # Ok::<(), gripcast_base::error::Error>(())
+//! ```
 
 mod adam;
 mod architecture;

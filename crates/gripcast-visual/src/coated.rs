@@ -30,8 +30,8 @@ impl Model {
     /// `Input` for a look that [`Look::validate`] refuses.
     ///
     /// ```
-    /// use gripcast::geometry::builtin;
-    /// use gripcast::render::visual::{FinishClass, Look, Model, PatternWord};
+    /// use gripcast_geometry::builtin;
+    /// use gripcast_visual::{FinishClass, Look, Model, PatternWord};
     ///
     /// let look = Look {
     ///     finish: FinishClass::Wood,
@@ -41,7 +41,7 @@ impl Model {
     /// };
     /// let oak_mug = Model::coated(&builtin("mug")?, &look, 7)?;
     /// assert_eq!(oak_mug.textures.len(), 1);
-    /// # Ok::<(), gripcast::error::Error>(())
+    /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
     pub fn coated(mesh: &TriangleMesh, look: &Look, seed: u64) -> Result<Self> {
         look.validate()?;

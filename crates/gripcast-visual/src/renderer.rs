@@ -91,8 +91,8 @@ impl Renderer {
     /// cancelled.
     ///
     /// ```
-    /// use gripcast::geometry::{Pose, builtin};
-    /// use gripcast::render::visual::*;
+    /// use gripcast_geometry::{Pose, builtin};
+    /// use gripcast_visual::*;
     /// use glam::DVec3;
     ///
     /// let eye = DVec3::new(0.2, -0.2, 0.15);
@@ -107,7 +107,7 @@ impl Renderer {
     /// let settings = RenderSettings { samples: 4, ..RenderSettings::default() };
     /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
     /// rendering.picture.to_srgb8(1.0);
-    /// # Ok::<(), gripcast::error::Error>(())
+    /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
     pub fn render(
         &self,

@@ -48,9 +48,9 @@ pub const BUILTIN_NAMES: &[&str] = &[
 /// `NotFound` for another name; the remedy lists the names.
 ///
 /// ```
-/// let mug = gripcast::geometry::builtin("builtin:mug")?;
+/// let mug = gripcast_geometry::builtin("builtin:mug")?;
 /// assert!(mug.edges().is_closed());
-/// # Ok::<(), gripcast::error::Error>(())
+/// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 pub fn builtin(name: &str) -> Result<TriangleMesh> {
     Ok(match name.strip_prefix("builtin:").unwrap_or(name) {

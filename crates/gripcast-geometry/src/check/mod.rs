@@ -66,10 +66,10 @@ pub struct Prepared {
 /// non-orientable, without volume, or that passes through itself.
 ///
 /// ```
-/// use gripcast::geometry::{PrepareOptions, builtin, prepare};
+/// use gripcast_geometry::{PrepareOptions, builtin, prepare};
 /// let prepared = prepare(&builtin("mug")?, &PrepareOptions::default())?;
 /// assert!(prepared.warnings.is_empty());
-/// # Ok::<(), gripcast::error::Error>(())
+/// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 pub fn prepare(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<Prepared> {
     mesh.validate()

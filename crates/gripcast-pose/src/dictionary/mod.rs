@@ -49,10 +49,10 @@ impl MarkerCells {
 /// Markers of one size and border, each with its number.
 ///
 /// ```
-/// use gripcast::pose::Dictionary;
+/// use gripcast_pose::Dictionary;
 /// let dictionary = Dictionary::by_name("DICT_4X4_50")?;
 /// assert_eq!(dictionary.rotation_grouped_code(0), Some(0xbe50));
-/// # Ok::<(), gripcast::error::Error>(())
+/// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Dictionary {

@@ -82,9 +82,9 @@ impl Category {
     /// `Usage` for another name; the remedy has the nearest and lists all.
     ///
     /// ```
-    /// use gripcast::synth::family::Category;
+    /// use gripcast_synth::family::Category;
     /// assert_eq!(Category::parse("ring")?, Category::Ring);
-    /// # Ok::<(), gripcast::error::Error>(())
+    /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
     pub fn parse(name: &str) -> Result<Self> {
         let found = Self::ALL.into_iter().find(|c| c.name() == name);

@@ -77,10 +77,10 @@ pub struct FamilyShape {
 /// `Internal`, with the reason of the last draw, if none of a dozen passes.
 ///
 /// ```
-/// use gripcast::synth::family::{Category, family_shape};
+/// use gripcast_synth::family::{Category, family_shape};
 /// let mug = family_shape(Category::Mug, 7)?;
 /// assert!(mug.mesh.edges().is_closed());
-/// # Ok::<(), gripcast::error::Error>(())
+/// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 pub fn family_shape(category: Category, seed: u64) -> Result<FamilyShape> {
     let mut rejected = 0;

@@ -33,7 +33,7 @@ impl Value {
 /// The bytes depend on nothing but the calls, so that a written model can be compared byte by byte.
 ///
 /// ```
-/// use gripcast::predict::onnx::{Attribute, OnnxGraphBuilder};
+/// use gripcast_nn::predict::onnx::{Attribute, OnnxGraphBuilder};
 ///
 /// let mut graph = OnnxGraphBuilder::new("double");
 /// let x = graph.input("x", &[1, 4])?;
@@ -41,7 +41,7 @@ impl Value {
 /// let y = graph.node("Mul", "y", &[&x, &two], [])?;
 /// graph.output(&y, &[1, 4]);
 /// assert!(!graph.to_bytes()?.is_empty());
-/// # Ok::<(), gripcast::error::Error>(())
+/// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 #[derive(Clone, Debug)]
 pub struct OnnxGraphBuilder {
