@@ -2,7 +2,7 @@
 //!
 //! Every value remembers where it came from (`gripcast config show`); unknown keys are errors
 //! that name the nearest known one. A file that was only found in the current folder may not set
-//! all keys ([`is_protected`]).
+//! all keys (`is_protected`).
 
 use std::collections::BTreeMap;
 use std::fmt;

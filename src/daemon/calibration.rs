@@ -41,7 +41,7 @@ pub(super) fn store_calibration(
         .collect()
 }
 
-/// The intrinsics in a file that [`store_calibration`] wrote, if there are any.
+/// The intrinsics in a file that `store_calibration` wrote, if there are any.
 ///
 /// # Errors
 /// `Input` for another file; `Config` for implausible intrinsics.

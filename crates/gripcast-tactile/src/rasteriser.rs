@@ -10,7 +10,7 @@ use glam::{DMat3, DVec3};
 use super::press_depth::SensorGeometry;
 use gripcast_geometry::{Pose, TriangleMesh};
 
-/// No triangle: what [`Rasteriser::triangles`] holds where nothing is seen.
+/// No triangle: what `Rasteriser::triangles` holds where nothing is seen.
 pub const NO_TRIANGLE: u32 = u32::MAX;
 
 /// A corner on the pixel grid: column, row (pixels), z (m).

@@ -3,7 +3,7 @@
 //! It asks one question: do *both* gels show a clear contact, and about the same one? Per sensor:
 //! means of the tactile difference over small patches (averages camera noise out), minus the mean
 //! of the channel (cancels an even change of brightness), absolute value, the part above
-//! [`NOISE_LEVELS`] grey levels, mean over patches and channels. That excess `s` is squeezed into a
+//! `NOISE_LEVELS` grey levels, mean over patches and channels. That excess `s` is squeezed into a
 //! strength `s / (s + HALF_EXCESS)` in [0, 1), and
 //!
 //! `p_stable = sigmoid(BIAS + WEAKER·min(left, right) − IMBALANCE·|left − right|)`.

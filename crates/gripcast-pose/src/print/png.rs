@@ -50,7 +50,7 @@ pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
 /// The pixels of a drawing: the share of each that is bare paper, 255 all of it.
 ///
 /// # Errors
-/// As [`png`].
+/// As [`png()`].
 pub fn raster(drawing: &Drawing, dpi: f64) -> Result<GrayImage> {
     if !DPI.contains(&dpi) {
         return Err(Error::new(

@@ -96,7 +96,7 @@ pub enum MeshSource {
         /// Which of its shapes.
         seed: u64,
     },
-    /// A file in the plan's folder [`MESHES`]: binary PLY, metres, fit for simulation.
+    /// A file in the plan's folder `MESHES`: binary PLY, metres, fit for simulation.
     File {
         /// Its name.
         file: FileName,
