@@ -144,3 +144,26 @@ fn plain_shapes_get_a_finish_and_scenes_renumber_it() {
     assert_eq!(scene.materials[2].colour(), Some(Colour::Texture(1)));
     assert!(scene.meshes[2].positions.iter().all(|p| p.x > 0.9));
 }
+
+#[test]
+fn textures_outside_of_the_folder_are_not_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let inside = dir.path().join("jail");
+    std::fs::create_dir(&inside).unwrap();
+    std::fs::write(dir.path().join("secret.png"), red_top()).unwrap();
+    std::os::unix::fs::symlink("../secret.png", inside.join("link.png")).unwrap();
+    std::fs::write(inside.join("own.png"), red_top()).unwrap();
+    std::fs::write(inside.join("m.obj"), SQUARE).unwrap();
+    let textures = |name: &str| {
+        let mtl = format!("newmtl paint\nmap_Kd {name}\n");
+        std::fs::write(inside.join("a.mtl"), mtl).unwrap();
+        let loaded = Model::load(&inside.join("m.obj"), LengthUnit::Metre, PLASTIC, 1).unwrap();
+        (loaded.model.textures.len(), loaded.warnings.join("\n"))
+    };
+    assert_eq!(textures("own.png").0, 1);
+    let absolute = dir.path().join("secret.png").display().to_string();
+    for name in [&*absolute, "../secret.png", "link.png"] {
+        let (count, told) = textures(name);
+        assert!(count == 0 && told.contains(name), "{name}: {told}");
+    }
+}

@@ -413,3 +413,93 @@ proptest! {
         }
     }
 }
+
+/// A mesh in `jail/`, beside what it must not read; each is a valid companion.
+struct Jail(tempfile::TempDir);
+
+impl Jail {
+    fn new(companion: &[u8]) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let inside = dir.path().join("jail");
+        fs::create_dir(&inside).unwrap();
+        fs::write(dir.path().join("secret"), companion).unwrap();
+        std::os::unix::fs::symlink("../secret", inside.join("link")).unwrap();
+        Self(dir)
+    }
+
+    fn mesh(&self, name: &str, contents: &str) -> std::path::PathBuf {
+        let path = self.0.path().join("jail").join(name);
+        fs::write(&path, contents).unwrap();
+        path
+    }
+
+    fn names(&self) -> [String; 3] {
+        let absolute = self.0.path().join("secret").display().to_string();
+        [absolute, "../secret".to_owned(), "link".to_owned()]
+    }
+}
+
+fn with_library(library: &str) -> String {
+    format!("mtllib {library}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl secret\nf 1 2 3\n")
+}
+
+#[test]
+fn material_libraries_outside_of_the_folder_are_not_read() {
+    let jail = Jail::new(b"newmtl secret\nKd one TOP-SECRET\n");
+    for name in jail.names() {
+        let path = jail.mesh("m.obj", &with_library(&name));
+        let mesh = load_textured_mesh(&path, LengthUnit::Metre).unwrap();
+        let told = mesh.warnings.join("\n");
+        assert!(mesh.materials.is_empty(), "{name}: {told}");
+        assert!(
+            told.contains(&name) && !told.contains("TOP-SECRET"),
+            "{told}"
+        );
+    }
+}
+
+#[test]
+fn gltf_buffers_outside_of_the_folder_are_not_read() {
+    let mesh = tetrahedron();
+    let jail = Jail::new(&gltf_buffer(&mesh));
+    for name in jail.names() {
+        let path = jail.mesh("m.gltf", &gltf_json(&mesh, Some(&name), r#"{"mesh":0}"#));
+        let refused = load_mesh(&path, LengthUnit::Metre).unwrap_err().to_string();
+        assert!(refused.contains(&name), "{refused}");
+    }
+}
+
+#[test]
+fn a_pipe_or_a_device_is_no_material_library() {
+    let jail = Jail::new(b"");
+    let pipe = jail.0.path().join("jail/pipe");
+    rustix::fs::mknodat(
+        rustix::fs::CWD,
+        &pipe,
+        rustix::fs::FileType::Fifo,
+        rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR,
+        0,
+    )
+    .unwrap();
+    // Has something to say to whoever opens the pipe.
+    let writer = std::thread::spawn({
+        let pipe = pipe.clone();
+        move || fs::write(pipe, "newmtl secret\n")
+    });
+    let path = jail.mesh("m.obj", &with_library("pipe"));
+    let mesh = load_textured_mesh(&path, LengthUnit::Metre).unwrap();
+    // Lets the writer go.
+    let reader = fs::File::options().read(true).write(true).open(&pipe);
+    let _ = writer.join().unwrap();
+    drop(reader);
+    assert!(mesh.materials.is_empty(), "{:?}", mesh.warnings);
+    assert!(mesh.warnings[0].contains("a pipe"), "{:?}", mesh.warnings);
+
+    std::os::unix::fs::symlink("/dev/null", jail.0.path().join("jail/device")).unwrap();
+    for name in ["/dev/null", "device"] {
+        let path = jail.mesh("m.obj", &with_library(name));
+        let mesh = load_textured_mesh(&path, LengthUnit::Metre).unwrap();
+        let told = mesh.warnings.join("\n");
+        assert!(told.contains(name), "{told}");
+    }
+}
