@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::{Context, print};
+use super::Context;
+use super::bench::Report;
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
@@ -45,7 +46,7 @@ pub(crate) struct Args {
     disk: Option<std::path::PathBuf>,
     /// Print one JSON object
     #[arg(long)]
-    json: bool,
+    pub(crate) json: bool,
 }
 
 /// What came out.
@@ -71,90 +72,91 @@ struct Figures {
     stop_s: f64,
 }
 
-/// Runs the bench.
-pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
-    let dir = match &args.disk {
-        Some(disk) => tempfile::tempdir_in(disk),
-        None => tempfile::tempdir(),
-    };
-    let dir = dir.map_err(|e| Error::io("cannot make a folder for the dataset", e))?;
-    let mut daemon = Daemon::start(&dir.path().join("d"))?;
-    if !context.quiet {
-        note!(
-            "a daemon at {}; two measurements of {} s, then {} grasps",
-            daemon.url,
-            args.seconds,
-            args.grasps
-        );
-    }
-    // The first frames come with the costs of the start.
-    daemon.trigger()?;
-    daemon.command("undo")?;
-    let (cores_alone, rss_alone_mb) = daemon.cores(args.seconds)?;
-    let viewers = Viewers::start(&daemon.url, args.viewers);
-    let before = viewers.pictures();
-    let (cores_watched, rss_watched_mb) = daemon.cores(args.seconds)?;
-    let pictures_per_s = (viewers.pictures() - before) as f64 / args.seconds as f64;
-    let asked = Asker::start(&daemon.url);
-    let mut durable_ms = Vec::new();
-    for number in 0..args.grasps {
-        for _ in 0..2 {
-            durable_ms.push(daemon.trigger()?);
+impl Args {
+    /// Runs the bench.
+    pub(crate) fn measure(&self, context: &Context) -> Result<Report> {
+        let dir = match &self.disk {
+            Some(disk) => tempfile::tempdir_in(disk),
+            None => tempfile::tempdir(),
+        };
+        let dir = dir.map_err(|e| Error::io("cannot make a folder for the dataset", e))?;
+        let mut daemon = Daemon::start(&dir.path().join("d"))?;
+        if !context.quiet {
+            note!(
+                "a daemon at {}; two measurements of {} s, then {} grasps",
+                daemon.url,
+                self.seconds,
+                self.grasps
+            );
         }
-        daemon.command(if number % 2 == 0 { "stable" } else { "slip" })?;
+        // The first frames come with the costs of the start.
+        daemon.trigger()?;
+        daemon.command("undo")?;
+        let (cores_alone, rss_alone_mb) = daemon.cores(self.seconds)?;
+        let viewers = Viewers::start(&daemon.url, self.viewers);
+        let before = viewers.pictures();
+        let (cores_watched, rss_watched_mb) = daemon.cores(self.seconds)?;
+        let pictures_per_s = (viewers.pictures() - before) as f64 / self.seconds as f64;
+        let asked = Asker::start(&daemon.url);
+        let mut durable_ms = Vec::new();
+        for number in 0..self.grasps {
+            for _ in 0..2 {
+                durable_ms.push(daemon.trigger()?);
+            }
+            daemon.command(if number % 2 == 0 { "stable" } else { "slip" })?;
+        }
+        let mut api_ms = asked.end()?;
+        let frames_lost = daemon.frames_lost()?;
+        let started = Instant::now();
+        daemon.stop()?;
+        let stop_s = started.elapsed().as_secs_f64();
+        viewers.end();
+        let figures = Figures {
+            api_p50_ms: quantile(&mut api_ms, 0.5),
+            api_p99_ms: quantile(&mut api_ms, 0.99),
+            api_calls: api_ms.len(),
+            durable_p50_ms: quantile(&mut durable_ms, 0.5),
+            durable_p99_ms: quantile(&mut durable_ms, 0.99),
+            cores_alone,
+            cores_watched,
+            cores_of_viewers: cores_watched - cores_alone,
+            pictures_per_s,
+            rss_alone_mb,
+            rss_watched_mb,
+            frames_lost,
+            stop_s,
+        };
+        let params = json!({
+            "seconds": self.seconds,
+            "grasps": self.grasps,
+            "viewers": self.viewers,
+        });
+        let text = figures.text(self.viewers);
+        Ok(Report::new("daemon", params, json!(figures), text))
     }
-    let mut api_ms = asked.end()?;
-    let frames_lost = daemon.frames_lost()?;
-    let started = Instant::now();
-    daemon.stop()?;
-    let stop_s = started.elapsed().as_secs_f64();
-    viewers.end();
-    let figures = Figures {
-        api_p50_ms: quantile(&mut api_ms, 0.5),
-        api_p99_ms: quantile(&mut api_ms, 0.99),
-        api_calls: api_ms.len(),
-        durable_p50_ms: quantile(&mut durable_ms, 0.5),
-        durable_p99_ms: quantile(&mut durable_ms, 0.99),
-        cores_alone,
-        cores_watched,
-        cores_of_viewers: cores_watched - cores_alone,
-        pictures_per_s,
-        rss_alone_mb,
-        rss_watched_mb,
-        frames_lost,
-        stop_s,
-    };
-    report(args, &figures)
 }
 
-fn report(args: &Args, figures: &Figures) -> Result<()> {
-    if args.json {
-        let report = json!({
-            "name": "daemon",
-            "params": {"seconds": args.seconds, "grasps": args.grasps, "viewers": args.viewers},
-            "figures": figures,
-            "peers": {},
-        });
-        return print(&format!("{report:#}"));
-    }
-    print(&format!(
-        "a call of the API {:.1} ms (median) {:.1} ms (p99)\n\
+impl Figures {
+    fn text(&self, viewers: u64) -> String {
+        format!(
+            "a call of the API {:.1} ms (median) {:.1} ms (p99)\n\
          trigger until durable {:.0} ms (median) {:.0} ms (p99)\n\
          {:.2} cores alone, {:.2} with {} viewers ({:.0} pictures/s)\n\
          {:.0} MB alone, {:.0} MB watched; {} frames lost; stopped in {:.2} s",
-        figures.api_p50_ms,
-        figures.api_p99_ms,
-        figures.durable_p50_ms,
-        figures.durable_p99_ms,
-        figures.cores_alone,
-        figures.cores_watched,
-        args.viewers,
-        figures.pictures_per_s,
-        figures.rss_alone_mb,
-        figures.rss_watched_mb,
-        figures.frames_lost,
-        figures.stop_s,
-    ))
+            self.api_p50_ms,
+            self.api_p99_ms,
+            self.durable_p50_ms,
+            self.durable_p99_ms,
+            self.cores_alone,
+            self.cores_watched,
+            viewers,
+            self.pictures_per_s,
+            self.rss_alone_mb,
+            self.rss_watched_mb,
+            self.frames_lost,
+            self.stop_s,
+        )
+    }
 }
 
 /// A value below which this part of all lies.

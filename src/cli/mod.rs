@@ -12,17 +12,10 @@ use gripcast_base::error::Result;
 use gripcast_base::files::allow_links_into;
 
 mod annotate;
-mod bench;
-mod bench_contact;
+pub mod bench;
 mod bench_daemon;
-mod bench_grasp;
-mod bench_live;
-mod bench_pose;
-mod bench_predict;
-mod bench_render;
-mod bench_rigid;
-mod bench_synth;
-mod bench_train;
+pub mod bench_live;
+pub mod bench_predict;
 mod board;
 mod board_charuco;
 mod board_make;
@@ -44,7 +37,6 @@ mod eval;
 mod experiment;
 mod man;
 mod predict;
-mod python_peer;
 mod render;
 mod render_calibrate;
 mod render_figure;
@@ -68,7 +60,7 @@ mod synth_report;
 mod synth_run;
 mod train;
 mod training_flags;
-mod working;
+pub mod working;
 
 /// Collect grasps with touch; predict before the lift whether they hold.
 #[derive(Debug, Parser)]
@@ -87,13 +79,13 @@ struct Cli {
 
 /// Flags of every verb.
 #[derive(Clone, Debug, clap::Args)]
-pub(crate) struct Context {
+pub struct Context {
     /// Say more (repeat for more)
     #[arg(short, long, global = true, action = clap::ArgAction::Count, conflicts_with = "quiet")]
-    pub(crate) verbose: u8,
+    pub verbose: u8,
     /// Say nothing but errors
     #[arg(short, long, global = true)]
-    pub(crate) quiet: bool,
+    pub quiet: bool,
 }
 
 /// Which configuration file is read.
@@ -174,10 +166,16 @@ enum Verb {
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
-    match run(cli) {
+    exit_code("gripcast", || run(cli))
+}
+
+/// Runs what a command line asks `program` for. An error goes to stderr and decides the exit code.
+pub fn exit_code(program: &str, run: impl FnOnce() -> Result<()>) -> ExitCode {
+    allow_links_into(settings::linked_folders());
+    match run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            note!("gripcast: {error}");
+            note!("{program}: {error}");
             ExitCode::from(error.kind().exit_code())
         }
     }
@@ -185,7 +183,6 @@ pub fn main() -> ExitCode {
 
 fn run(cli: Cli) -> Result<()> {
     let context = cli.context;
-    allow_links_into(settings::linked_folders());
     match cli.verb {
         Verb::Collect(args) => collect::run(&context, args),
         Verb::Rig(args) => rig::run(&context, args),

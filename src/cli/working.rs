@@ -21,7 +21,7 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 const AGAIN: &str = "run the same command again: it goes on where it was";
 
 /// How a computation tells people where it is.
-pub(super) struct Progress(UnboundedSender<Event>);
+pub struct Progress(UnboundedSender<Event>);
 
 enum Event {
     Line(String),
@@ -31,18 +31,18 @@ enum Event {
 
 impl Progress {
     /// A line on stderr.
-    pub(super) fn line(&self, text: impl Into<String>) {
+    pub fn line(&self, text: impl Into<String>) {
         // Nobody listens any more after Ctrl-C.
         let _ = self.0.send(Event::Line(text.into()));
     }
 
     /// What is being done now.
-    pub(super) fn stage(&self, label: &'static str) {
+    pub fn stage(&self, label: &'static str) {
         let _ = self.0.send(Event::Stage(label));
     }
 
     /// How much is done.
-    pub(super) fn at(&self, done: u64, all: u64) {
+    pub fn at(&self, done: u64, all: u64) {
         let _ = self.0.send(Event::At { done, all });
     }
 }
@@ -52,7 +52,7 @@ impl Progress {
 /// # Errors
 /// `Interrupted` at Ctrl-C: the thread is left behind for the process to end. `Internal` where
 /// the work panicked.
-pub(super) fn interruptible<T: Send + 'static>(
+pub fn interruptible<T: Send + 'static>(
     context: &Context,
     label: &'static str,
     work: impl FnOnce(&Progress) -> T + Send + 'static,

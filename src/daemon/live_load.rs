@@ -13,6 +13,7 @@ use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
 use super::tasks::Tasks;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::workers::process_cpu_s;
 use gripcast_capture::camera::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
     SupervisionPolicy, monotonic_ns,
@@ -123,35 +124,18 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
         .map_err(|_| Error::new(ErrorKind::Internal, "the inference thread has ended"))?;
     std::thread::sleep(WARM_UP / 2);
 
-    let counts = || {
-        hub.slots()
-            .fold((0, 0, 0), |(lost, skipped, received), slot| {
-                slot.facts(|facts| {
-                    let skipped_here = if slot.role().is_tactile() {
-                        facts.not_decoded
-                    } else {
-                        0
-                    };
-                    (
-                        lost + facts.counters.sequence_gaps,
-                        skipped + skipped_here,
-                        received + facts.counters.received,
-                    )
-                })
-            })
-    };
     // Reports come twice a second; the counters before and after are equally old.
-    let (lost, skipped, received) = counts();
+    let before = Counts::of(&hub);
     let made = {
         let mut findings = inference.findings();
         findings.latency = super::histogram::Histogram::default();
         findings.predictions
     };
-    let (cpu, started) = (cpu_seconds(), monotonic_ns());
+    let (cpu, started) = (process_cpu_s(), monotonic_ns());
     std::thread::sleep(Duration::from_secs(params.seconds));
     let wall_s = monotonic_ns().saturating_sub(started) as f64 * 1e-9;
-    let cores = (cpu_seconds() - cpu) / wall_s;
-    let (lost_after, skipped_after, received_after) = counts();
+    let cores = (process_cpu_s() - cpu) / wall_s;
+    let after = Counts::of(&hub);
     capture.stop();
     hub.close();
     for decoder in decoders {
@@ -164,9 +148,9 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
         .unwrap_or_else(std::sync::PoisonError::into_inner);
     let quantile = |q| findings.latency.quantile_ms(q).unwrap_or(f64::NAN);
     Ok(LoadFigures {
-        lost: lost_after - lost,
-        not_decoded: skipped_after - skipped,
-        received: received_after - received,
+        lost: after.lost - before.lost,
+        not_decoded: after.not_decoded - before.not_decoded,
+        received: after.received - before.received,
         predictions_per_s: (findings.predictions - made) as f64 / wall_s,
         latency_p50_ms: quantile(0.5),
         latency_p99_ms: quantile(0.99),
@@ -174,6 +158,31 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
         rss_mb: peak_rss_mb(),
         gel_frame_kb: gel_bytes as f64 / (2 * DISTINCT) as f64 * 1e-3,
     })
+}
+
+/// Frames so far, all cameras.
+#[derive(Default)]
+struct Counts {
+    lost: u64,
+    /// Only of the gels.
+    not_decoded: u64,
+    received: u64,
+}
+
+impl Counts {
+    fn of(hub: &Hub) -> Self {
+        let mut counts = Self::default();
+        for slot in hub.slots() {
+            slot.facts(|facts| {
+                counts.lost += facts.counters.sequence_gaps;
+                counts.received += facts.counters.received;
+                if slot.role().is_tactile() {
+                    counts.not_decoded += facts.not_decoded;
+                }
+            });
+        }
+        counts
+    }
 }
 
 /// One frame of the load, without contact.
@@ -203,9 +212,9 @@ pub fn decode_ms(frame: &Frame, runs: u64) -> Result<f64> {
     let crop = Some(&CropProfile::GSMINI_SEVENTH);
     let mut times_ms = (0..runs)
         .map(|_| {
-            let started = cpu_seconds();
+            let started = process_cpu_s();
             decode::model_picture(&mut decoder, frame, crop)?;
-            Ok((cpu_seconds() - started) * 1e3)
+            Ok((process_cpu_s() - started) * 1e3)
         })
         .collect::<Result<Vec<f64>>>()?;
     times_ms.sort_by(f64::total_cmp);
@@ -351,14 +360,8 @@ impl FrameSource for MemorySource {
     }
 }
 
-/// CPU time of this process, all threads, s.
-fn cpu_seconds() -> f64 {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
-}
-
 /// Peak resident memory of this process, MB; not a number where /proc does not tell.
-pub(crate) fn peak_rss_mb() -> f64 {
+pub fn peak_rss_mb() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     status
         .lines()

@@ -8,7 +8,6 @@
 //! frame. Pixel (0, 0) is the centre of the top-left pixel; every detector's own convention is
 //! converted in its wrapper.
 
-mod bench;
 mod board;
 mod board_check;
 mod board_file;
@@ -28,7 +27,6 @@ pub mod solve;
 pub mod synthetic;
 mod yaml;
 
-pub use bench::{PoseBench, PoseFigures, measure_pose};
 pub use board::{Board, BoardMarker, Part};
 pub use board_file::{BoardFile, PrintedSheet};
 pub use board_import::{ForeignBoard, import_kalibr, import_ros};

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::*;
-use crate::depth_timing::bumpy_ball;
+use crate::rays::bumpy_ball;
 use gripcast_geometry::builtin;
 use gripcast_sim::affine::{AffineBody, AffineState};
 use gripcast_sim::fem::{GelGrid, GelResolution, Side};

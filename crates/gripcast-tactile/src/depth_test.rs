@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::*;
-use crate::depth_timing::bumpy_ball;
+use crate::rays::bumpy_ball;
 use gripcast_geometry::{Pose, TriangleMesh};
 
 const GRID: SensorGeometry = SensorGeometry {

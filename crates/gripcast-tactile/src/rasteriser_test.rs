@@ -5,7 +5,7 @@ use rand::{Rng, RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
 use super::*;
-use crate::depth_timing::{bumpy_ball, nearest_by_rays};
+use crate::rays::{bumpy_ball, nearest_by_rays};
 use gripcast_geometry::{MeshQuery, builtin};
 
 const GRID: SensorGeometry = SensorGeometry {

@@ -1,6 +1,5 @@
 //! The grasp of the paper: closure, force adjustment, lift.
 
-mod cases;
 #[cfg(test)]
 mod not_converged_test;
 mod placement;
@@ -15,7 +14,6 @@ mod summary;
 pub mod trace;
 mod trace_file;
 
-pub use cases::{CaseClass, CaseObject, GraspCase, cases};
 pub use placement::{GraspPose, Placed, Placement, resting_pose};
 pub use protocol::{ForceRule, Protocol};
 pub use run::{GraspOutcome, GraspResult, simulate};

@@ -1,20 +1,34 @@
 //! A grasp whose steps do not converge has no outcome.
 
-use super::{GraspOutcome, GraspSettings, Protocol, cases, simulate};
-use crate::fem::GelGrid;
+use super::{GelSpec, GraspOutcome, Placement, Protocol, Scene, resting_pose, simulate};
+use crate::fem::{GelGrid, GelResolution};
 use crate::solver::SolverParameters;
+use gripcast_geometry::builtin;
+
+fn small_box() -> Scene {
+    let mesh = builtin("box").unwrap();
+    let t_world_object = resting_pose(&mesh, None).unwrap().1.t_world_object;
+    let placed = Placement::default().place(&mesh, &t_world_object).unwrap();
+    let mut gel = GelSpec::standard(GelResolution::Coarse).unwrap();
+    gel.grid = GelGrid::uniform([5, 5, 3], [0.025, 0.020, 0.004]).unwrap();
+    Scene {
+        mesh,
+        mass_kg: 0.06,
+        friction: 0.4,
+        t_world_object,
+        t_world_gripper: placed.t_world_gripper,
+        opening_m: placed.opening_m,
+        gel,
+    }
+}
 
 #[test]
 fn a_grasp_whose_steps_do_not_converge_has_no_outcome() {
-    let case = cases().into_iter().find(|case| case.name == "box").unwrap();
-    let mesh = case.object.load(&|_, _| Ok(None)).unwrap().unwrap();
-    let mut scene = case.scene(mesh, &GraspSettings::default()).unwrap();
-    scene.gel.grid = GelGrid::uniform([5, 5, 3], [0.025, 0.020, 0.004]).unwrap();
     let parameters = SolverParameters {
         max_iterations: 1,
         ..Default::default()
     };
-    let result = simulate(&scene, &Protocol::default(), &parameters).unwrap();
+    let result = simulate(&small_box(), &Protocol::default(), &parameters).unwrap();
     assert_eq!(result.outcome, GraspOutcome::NotConverged);
     assert!(result.unconverged_steps > 1);
     let detail = result.detail.unwrap();
@@ -23,15 +37,11 @@ fn a_grasp_whose_steps_do_not_converge_has_no_outcome() {
 
 #[test]
 fn a_grasp_is_given_up_after_its_iterations() {
-    let case = cases().into_iter().find(|case| case.name == "box").unwrap();
-    let mesh = case.object.load(&|_, _| Ok(None)).unwrap().unwrap();
-    let mut scene = case.scene(mesh, &GraspSettings::default()).unwrap();
-    scene.gel.grid = GelGrid::uniform([5, 5, 3], [0.025, 0.020, 0.004]).unwrap();
     let parameters = SolverParameters {
         max_grasp_iterations: 20,
         ..Default::default()
     };
-    let result = simulate(&scene, &Protocol::default(), &parameters).unwrap();
+    let result = simulate(&small_box(), &Protocol::default(), &parameters).unwrap();
     assert_eq!(result.outcome, GraspOutcome::NotConverged);
     assert_eq!(result.detail.unwrap(), "given up after 20 iterations");
     let iterations = result.trace.steps.iter().filter_map(|step| step.solver);

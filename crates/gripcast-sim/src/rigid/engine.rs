@@ -57,6 +57,14 @@ impl RigidEngine {
         self.settings.validate()?;
         self.cache.get(mesh, &self.settings.decomposition)
     }
+
+    /// The opening that a grasp of an object of `pieces` starts from, m.
+    ///
+    /// # Errors
+    /// What the fingers would be inside of.
+    pub fn start_opening(&self, setup: &GraspSetup, pieces: &Decomposition) -> Result<f64, String> {
+        start::opening(setup, pieces, self.settings.opening_m)
+    }
 }
 
 impl Engine for RigidEngine {
@@ -76,7 +84,7 @@ impl Engine for RigidEngine {
     fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult> {
         validate(setup, friction, force_n)?;
         let pieces = self.decomposition(&setup.mesh)?;
-        let opening_m = match start::opening(setup, &pieces, self.settings.opening_m) {
+        let opening_m = match self.start_opening(setup, &pieces) {
             Ok(opening_m) => opening_m,
             Err(detail) => return Ok(GraspResult::penetrating_start(detail)),
         };

@@ -17,7 +17,6 @@ mod convert;
 mod decomposition;
 mod engine;
 mod merge;
-mod peer;
 mod run;
 mod settings;
 mod start;
@@ -26,8 +25,4 @@ mod world;
 pub use collision::CollisionShape;
 pub use decomposition::Decomposition;
 pub use engine::RigidEngine;
-pub use peer::{
-    Agreement, Disagreement, PeerAnswer, PeerCase, PeerCases, PeerGrasp, PeerObject, PeerPiece,
-    PeerResult, random_grasps,
-};
 pub use settings::{DecompositionSettings, RigidSettings};

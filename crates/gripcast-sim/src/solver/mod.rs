@@ -3,11 +3,12 @@
 mod candidates;
 mod ccd;
 mod collider;
-mod contact_load;
 mod coupling;
 mod gel;
 mod gel_contact;
 mod gel_factor;
+#[cfg(feature = "bench")]
+mod gel_phases;
 mod lbfgs;
 mod object;
 mod parameters;
@@ -16,9 +17,11 @@ mod system;
 mod test_scene;
 
 pub use collider::Collider;
-pub use contact_load::{ContactLoad, ContactPhases, ContactState, LoadMesh, PhaseMs};
 pub use gel::{Drive, Gel, GelMaterial};
 pub use gel_factor::{GelFactor, NotPositiveDefinite};
+#[cfg(feature = "bench")]
+#[doc(hidden)]
+pub use gel_phases::GelPhases;
 pub use object::Object;
 pub use parameters::SolverParameters;
 pub use system::{PhaseTimes, StepReport, StepStart, System};

@@ -1,8 +1,8 @@
-//! `gripcast bench synth`: simulated and rendered grasps per hour.
+//! `gripcast-bench synth`: simulated and rendered grasps per hour.
 //!
 //! ```text
-//! gripcast bench synth --json                        coarse and default gels
-//! gripcast bench synth --gel coarse --against fine   how often their labels agree
+//! gripcast-bench synth --json                        coarse and default gels
+//! gripcast-bench synth --gel coarse --against fine   how often their labels agree
 //! ```
 //!
 //! The same grasps of the built-in families with each mesh of the gels, simulated, rendered and kept
@@ -12,16 +12,14 @@
 use std::path::Path;
 use std::time::Instant;
 
-use serde::Serialize;
-use serde_json::{Map, Value, json};
-
-use super::sim_grasp::GelName;
-use super::working::{Progress, interruptible};
-use super::{Context, print, print_json};
-use crate::daemon::live_load::peak_rss_mb;
+use gripcast::cli::Context;
+use gripcast::cli::bench::Report;
+use gripcast::cli::working::{Progress, interruptible};
+use gripcast::daemon::live_load::peak_rss_mb;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
-use gripcast_sim::grasp::{GraspSettings, Preset, resolution_name};
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name, resolution_name};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
     LEAST_FRICTION_SHARE, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
@@ -30,6 +28,8 @@ use gripcast_synth::properties::MassMap;
 use gripcast_synth::{
     CpuSeconds, Pictures, ResultStore, RunSettings, run as run_plan, simulate_labels,
 };
+use serde::Serialize;
+use serde_json::{Map, Value, json};
 
 /// Share of labels that have to agree.
 const LEAST_AGREEMENT: f64 = 0.95;
@@ -46,11 +46,12 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 1)]
     grasps: usize,
     /// Meshes of the gels
-    #[arg(long, value_enum, value_delimiter = ',', default_values = ["coarse", "default"])]
-    gel: Vec<GelName>,
+    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',',
+        default_values = ["coarse", "default"])]
+    gel: Vec<GelResolution>,
     /// Simulate the grasps with this mesh as well and compare the labels
-    #[arg(long, value_enum)]
-    against: Option<GelName>,
+    #[arg(long, value_parser = resolution_by_name)]
+    against: Option<GelResolution>,
     /// Seed of the plan
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -85,11 +86,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let found = interruptible(context, "simulating", move |progress| {
         measure(&own, progress)
     })??;
-    if args.json {
-        print_json(&report(args, &found))?;
-    } else {
-        print(&text(args, &found))?;
-    }
+    report(args, &found).print(args.json)?;
     let failed = |f: &Figures| f.failed as f64 > MOST_FAILURES * f.simulations as f64;
     let differs = |f: &Figures| {
         f.label_agreement
@@ -104,7 +101,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     Ok(())
 }
 
-fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelName, Figures)>> {
+fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelResolution, Figures)>> {
     let folder = tempfile::tempdir().map_err(|e| Error::io("cannot make a folder", e))?;
     let mut found = Vec::new();
     let mut reference = None;
@@ -113,14 +110,14 @@ fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelName, Figures)>> 
         let jobs = args.jobs();
         let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
         let made = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?;
-        let at = folder.path().join(gel_name(*gel));
+        let at = folder.path().join(resolution_name(*gel));
         made.write(&at)?;
         let plan = made.plan;
-        progress.line(format!("{} gels", gel_name(*gel)));
+        progress.line(format!("{} gels", resolution_name(*gel)));
         let mut figures = figures(&plan, &at, &engine, jobs, progress)?;
         if let Some(other) = args.against {
             if reference.is_none() {
-                progress.line(format!("{} gels, for their labels", gel_name(other)));
+                progress.line(format!("{} gels, for their labels", resolution_name(other)));
                 let told = |done: usize| {
                     progress.at(done as u64, plan.simulations.len() as u64);
                 };
@@ -197,14 +194,10 @@ fn agreement(
     Ok((all > 0).then(|| same as f64 / all as f64))
 }
 
-fn engine(gel: GelName) -> FemEngine {
+fn engine(gel: GelResolution) -> FemEngine {
     let mut settings = GraspSettings::new(Preset::Paper);
-    settings.resolution = gel.into();
+    settings.resolution = gel;
     FemEngine { settings }
-}
-
-fn gel_name(gel: GelName) -> &'static str {
-    resolution_name(gel.into())
 }
 
 impl Args {
@@ -227,34 +220,30 @@ impl Args {
     }
 }
 
-fn report(args: &Args, found: &[(GelName, Figures)]) -> Value {
+fn report(args: &Args, found: &[(GelResolution, Figures)]) -> Report {
     let gels: Map<String, Value> = found
         .iter()
-        .map(|(gel, figures)| (gel_name(*gel).to_owned(), json!(figures)))
+        .map(|(gel, figures)| (resolution_name(*gel).to_owned(), json!(figures)))
         .collect();
-    json!({
-        "name": "synth",
-        "params": {
-            "objects": args.objects,
-            "grasps": args.grasps,
-            "seed": args.seed,
-            "jobs": args.jobs(),
-            "renderings": PlanPreset::Small.rendering().renderings,
-            "against": args.against.map(gel_name),
-        },
-        "figures": gels,
-        "peers": {},
-    })
+    let params = json!({
+        "objects": args.objects,
+        "grasps": args.grasps,
+        "seed": args.seed,
+        "jobs": args.jobs(),
+        "renderings": PlanPreset::Small.rendering().renderings,
+        "against": args.against.map(resolution_name),
+    });
+    Report::new("synth", params, gels.into(), text(args, found))
 }
 
-fn text(args: &Args, found: &[(GelName, Figures)]) -> String {
+fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
     let mut lines = Vec::new();
     for (gel, figures) in found {
         let cpu = figures.cpu_s;
         lines.push(format!(
             "{:8} {:6.0} grasps an hour · {} held, {} lost, {} failed · CPU s: prepare {:.2}, \
              simulate {:.2}, tactile {:.2}, visual {:.2} · {:.0} MB",
-            gel_name(*gel),
+            resolution_name(*gel),
             figures.grasps_per_hour,
             figures.held,
             figures.lost,
@@ -269,7 +258,7 @@ fn text(args: &Args, found: &[(GelName, Figures)]) -> String {
             lines.push(format!(
                 "{:8} labels agree with {} gels on {:.1} %",
                 "",
-                gel_name(other),
+                resolution_name(other),
                 1e2 * share
             ));
         }

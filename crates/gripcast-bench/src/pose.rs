@@ -1,8 +1,8 @@
-//! `gripcast bench pose`: how exact the gripper's pose in the object's frame is, and how long it
+//! `gripcast-bench pose`: how exact the gripper's pose in the object's frame is, and how long it
 //! takes.
 //!
 //! ```text
-//! gripcast bench pose --motion-px 3 --json
+//! gripcast-bench pose --motion-px 3 --json
 //! ```
 //!
 //! Renders pictures of a board with 14 markers of 30 mm and a gripper with two, at 0.4–0.8 m, with
@@ -12,17 +12,15 @@
 //!
 //! Exit codes: 0 measured · 2 usage.
 
-use std::time::Duration;
-
-use rustix::time::{ClockId, clock_gettime};
-use serde_json::{Map, json};
-
-use super::working::interruptible;
-use super::{Context, print, print_json};
+use gripcast::cli::Context;
+use gripcast::cli::bench::Report;
+use gripcast::cli::working::interruptible;
 use gripcast_base::error::Result;
-use gripcast_pose::{PoseBench, PoseFigures, measure_pose};
+use serde_json::{Map, Value, json};
 
-/// Pictures below this give no usable 95th percentile.
+use crate::pose_scenes::{PoseFigures, PoseScenes};
+
+/// Images below this give no usable 95th percentile.
 const LEAST_PICTURES: u64 = 20;
 
 /// Arguments.
@@ -62,7 +60,7 @@ fn pixels(text: &str) -> Result<f64, String> {
 
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
-    let bench = PoseBench {
+    let scenes = PoseScenes {
         pictures: args.pictures,
         seed: args.seed,
         width: args.width,
@@ -71,46 +69,28 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         noise: args.noise,
     };
     let measured = interruptible(context, "pictures", move |progress| {
-        let mut done = 0;
-        measure_pose(&bench, thread_time, || {
-            done += 1;
-            progress.at(done, bench.pictures);
-        })
+        scenes.measure(|done| progress.at(done, scenes.pictures))
     })??;
-    let (default, others) = measured
-        .split_first()
-        .map_or((None, &[][..]), |(d, o)| (Some(d), o));
-    if args.json {
-        let peers: Map<_, _> = others
-            .iter()
-            .map(|(name, figures)| ((*name).to_owned(), json!(figures)))
-            .collect();
-        return print_json(&json!({
-            "figures": default.map(|(_, figures)| figures),
-            "name": "pose",
-            "params": {
-                "blur_px": bench.psf_px,
-                "detector": default.map(|(name, _)| name),
-                "motion_px": bench.motion_px,
-                "noise": bench.noise,
-                "pictures": bench.pictures,
-                "seed": bench.seed,
-                "size": [bench.width, bench.width * 9 / 16],
-                "threads": 1,
-            },
-            "peers": peers,
-        }));
+    let mut detectors = measured.iter();
+    let default = detectors.next();
+    let params = json!({
+        "blur_px": scenes.psf_px,
+        "detector": default.map(|(name, _)| name),
+        "motion_px": scenes.motion_px,
+        "noise": scenes.noise,
+        "pictures": scenes.pictures,
+        "seed": scenes.seed,
+        "size": [scenes.width, scenes.width * 9 / 16],
+        "threads": 1,
+    });
+    let figures = json!(default.map(|(_, figures)| figures));
+    let others = detectors.map(|(name, figures)| ((*name).to_owned(), json!(figures)));
+    let peers: Map<String, Value> = others.collect();
+    Report {
+        peers,
+        ..Report::new("pose", params, figures, table(&measured))
     }
-    print(&table(&measured))
-}
-
-/// CPU time of the calling thread.
-fn thread_time() -> Duration {
-    let time = clock_gettime(ClockId::ThreadCPUTime);
-    Duration::new(
-        u64::try_from(time.tv_sec).unwrap_or(0),
-        u32::try_from(time.tv_nsec).unwrap_or(0),
-    )
+    .print(args.json)
 }
 
 fn table(measured: &[(&'static str, PoseFigures)]) -> String {

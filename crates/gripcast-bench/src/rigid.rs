@@ -1,8 +1,8 @@
-//! `gripcast bench rigid`: grasps of the rigid-body baseline, beside PyBullet's.
+//! `gripcast-bench rigid`: grasps of the rigid-body baseline, beside PyBullet's.
 //!
 //! ```text
-//! gripcast bench rigid --per-object 20 --peer pybullet --json
-//! gripcast bench rigid --objects builtin:mug,parts/b1.obj --unit mm --peer pybullet
+//! gripcast-bench rigid --per-object 20 --peer pybullet --json
+//! gripcast-bench rigid --objects builtin:mug,parts/b1.obj --unit mm --peer pybullet
 //! ```
 //!
 //! Random grasps of each object, of which about four of ten fail: stable pose, turn, offsets, tilt,
@@ -16,23 +16,27 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde::Serialize;
-use serde_json::{Value, json};
-
-use super::sim_object::{SimObject, unit};
-use super::{Context, print, print_json, python_peer};
-use crate::note;
+use gripcast::cli::Context;
+use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_geometry::{LengthUnit, TriangleMesh};
+use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
 use gripcast_sim::Engine as _;
 use gripcast_sim::grasp::{GraspOutcome, GraspResult};
-use gripcast_sim::rigid::{
-    Agreement, PeerAnswer, PeerGrasp, RigidEngine, RigidSettings, random_grasps,
-};
+use gripcast_sim::rigid::{RigidEngine, RigidSettings};
+use serde::Serialize;
+use serde_json::json;
 
-const PEER_SCRIPT: &str = include_str!("../../benches/peers/pybullet_grasp.py");
-/// Share of outcomes that have to agree.
+use crate::peer::Peer;
+use crate::rigid_grasps::{Agreement, PeerAnswer, PeerGrasp, compare, peer_cases, random_grasps};
+use crate::timing::median;
+
+/// Fraction of outcomes that have to agree.
 const LEAST_AGREEMENT: f64 = 0.9;
+const PYBULLET: Peer = Peer {
+    name: "pybullet",
+    packages: "pybullet",
+    script: include_str!("../peers/pybullet_grasp.py"),
+};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -44,7 +48,7 @@ pub(crate) struct Args {
     ])]
     objects: Vec<String>,
     /// Unit of the coordinates in mesh files: mm, cm, m, in
-    #[arg(long, default_value_t = LengthUnit::Metre, value_parser = unit)]
+    #[arg(long, default_value_t = LengthUnit::Metre)]
     unit: LengthUnit,
     /// Factor on the size of mesh files
     #[arg(long, default_value_t = 1.0)]
@@ -55,9 +59,9 @@ pub(crate) struct Args {
     /// Seed of the grasps
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Another simulator to run beside ours
-    #[arg(long, value_enum)]
-    peer: Option<Peer>,
+    /// Simulate the grasps with PyPI's pybullet as well
+    #[arg(long, value_parser = [PYBULLET.name])]
+    peer: Option<String>,
     /// Time steps of the peer in one of ours
     #[arg(long, value_name = "N", default_value_t = 4,
         value_parser = clap::value_parser!(u32).range(1..=64))]
@@ -65,12 +69,6 @@ pub(crate) struct Args {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Peer {
-    /// PyPI's pybullet, through `python3`
-    Pybullet,
 }
 
 /// Runs the bench.
@@ -84,25 +82,20 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let decomposition_s = began.elapsed().as_secs_f64();
     let grasps = random_grasps(&engine, &meshes, args.per_object, args.seed)?;
     let (results, mut seconds) = simulated(&engine, &grasps)?;
-    seconds.sort_by(f64::total_cmp);
     let peer = match args.peer {
-        Some(Peer::Pybullet) => ask(context, &engine, &grasps, &results, args.refine)?,
+        Some(_) => ask(context, &engine, &grasps, &results, args.refine)?,
         None => None,
     };
     let lifted = |r: &&GraspResult| r.outcome == GraspOutcome::Success;
     let figures = Figures {
-        wall_s_median: seconds.get(seconds.len() / 2).copied().unwrap_or(0.0),
-        wall_s_max: seconds.last().copied().unwrap_or(0.0),
+        wall_s_median: median(&mut seconds),
+        wall_s_max: seconds.iter().copied().fold(0.0, f64::max),
         decomposition_s,
         grasps: grasps.len(),
         lifted: results.iter().filter(lifted).count(),
         outcome_ok: peer.as_ref().and_then(|peer| peer.agreement.share()),
     };
-    if args.json {
-        print_json(&report(args, &figures, peer.as_ref()))?;
-    } else {
-        print(&text(&figures, peer.as_ref()))?;
-    }
+    report(args, &figures, peer.as_ref()).print(args.json)?;
     match figures.outcome_ok {
         Some(share) if share < LEAST_AGREEMENT => Err(Error::new(
             ErrorKind::Check,
@@ -124,7 +117,7 @@ struct Figures {
     decomposition_s: f64,
     grasps: usize,
     lifted: usize,
-    /// Share of the outcomes that agree with the peer's.
+    /// Fraction of the outcomes that agree with the peer's.
     #[serde(skip_serializing_if = "Option::is_none")]
     outcome_ok: Option<f64>,
 }
@@ -136,7 +129,7 @@ fn meshes(args: &Args) -> Result<Vec<(String, Arc<TriangleMesh>)>> {
         } else {
             args.scale
         };
-        let object = SimObject::read(name, args.unit, scale)?;
+        let object = load_object_mesh(name, args.unit, scale)?;
         Ok((name.clone(), Arc::new(object.mesh)))
     };
     args.objects.iter().map(load).collect()
@@ -168,50 +161,37 @@ fn ask(
     results: &[GraspResult],
     refine: u32,
 ) -> Result<Option<Theirs>> {
-    let cases = engine.peer_cases(grasps, refine)?;
-    let input = serde_json::to_vec(&cases)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    let Some(answer) = python_peer::measure("pybullet", PEER_SCRIPT, 1, &input)? else {
-        if !context.quiet {
-            note!("gripcast: pybullet is absent, so it was not asked\n  → pip install pybullet");
-        }
+    let cases = json!(peer_cases(engine, grasps, refine)?).to_string();
+    let Some(answer) = PYBULLET.measure(context, 1, cases.as_bytes())? else {
         return Ok(None);
     };
-    let answer: PeerAnswer = serde_json::from_value(answer).map_err(|e| {
-        Error::new(
-            ErrorKind::Internal,
-            "pybullet bench: its answer lacks a figure",
-        )
-        .because(e)
-    })?;
+    let answer: PeerAnswer = serde_json::from_value(answer)
+        .map_err(|e| PYBULLET.failed("its answer lacks a figure").because(e))?;
     let mut seconds: Vec<f64> = answer.grasps.iter().map(|grasp| grasp.seconds).collect();
-    seconds.sort_by(f64::total_cmp);
     Ok(Some(Theirs {
-        wall_s_median: seconds.get(seconds.len() / 2).copied().unwrap_or(0.0),
-        agreement: engine.compare(grasps, results, &answer),
+        wall_s_median: median(&mut seconds),
+        agreement: compare(engine, grasps, results, &answer),
         version: answer.version,
     }))
 }
 
-fn report(args: &Args, figures: &Figures, peer: Option<&Theirs>) -> Value {
-    let peers = peer.map_or(json!({}), |peer| {
-        json!({"pybullet": {
+fn report(args: &Args, figures: &Figures, peer: Option<&Theirs>) -> Report {
+    let params = json!({
+        "objects": args.objects,
+        "per_object": args.per_object,
+        "seed": args.seed,
+        "refine": args.refine,
+    });
+    let mut report = Report::new("rigid", params, json!(figures), text(figures, peer));
+    if let Some(peer) = peer {
+        let peer = json!({
             "version": peer.version,
             "wall_s_median": peer.wall_s_median,
             "agreement": peer.agreement,
-        }})
-    });
-    json!({
-        "name": "rigid",
-        "params": {
-            "objects": args.objects,
-            "per_object": args.per_object,
-            "seed": args.seed,
-            "refine": args.refine,
-        },
-        "figures": figures,
-        "peers": peers,
-    })
+        });
+        report.peers.insert("pybullet".to_owned(), peer);
+    }
+    report
 }
 
 fn text(figures: &Figures, peer: Option<&Theirs>) -> String {

@@ -1,4 +1,4 @@
-//! `gripcast bench grasp`: simulated grasps of the paper's protocol at 40 N.
+//! `gripcast-bench grasp`: simulated grasps of the paper's protocol at 40 N.
 //!
 //! *Easy* grasps meet the object squarely; *hard* ones push, turn or tilt it, touch edges or lose
 //! it. Each case is simulated `--repeat` times and the shortest time counts; steps, iterations and
@@ -14,20 +14,22 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::Instant;
 
+use gripcast::cli::Context;
+use gripcast::cli::bench::Report;
+use gripcast::cli::working::{Progress, interruptible};
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{
+    GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, resolution_by_name,
+    resolution_name, simulate,
+};
+use gripcast_sim::solver::PhaseTimes;
 use rayon::ThreadPool;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::sim_grasp::GelName;
-use super::working::{Progress, interruptible};
-use super::{Context, print, print_json};
-use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
-use gripcast_sim::grasp::{
-    CaseClass, GraspCase, GraspOutcome, GraspSettings, GraspSummary, Scene, StageWork, cases,
-    resolution_name, simulate,
-};
-use gripcast_sim::solver::PhaseTimes;
+use crate::grasp_cases::{CaseClass, GraspCase, cases};
 
 /// Grasps of each thread in the measurement of throughput.
 const GRASPS_A_THREAD: usize = 4;
@@ -36,15 +38,15 @@ const GRASPS_A_THREAD: usize = 4;
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     /// Gel meshes, separated by commas
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "coarse")]
-    gel: Vec<GelName>,
+    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',', default_value = "coarse")]
+    gel: Vec<GelResolution>,
     /// Simulations of each case; the shortest time counts
     #[arg(long, value_name = "N", default_value_t = 1,
         value_parser = clap::value_parser!(u32).range(1..=100))]
     repeat: u32,
     /// Which cases
-    #[arg(long, value_enum, default_value_t = Class::All)]
-    class: Class,
+    #[arg(long, value_parser = ["easy", "hard", "all"], default_value = "all")]
+    class: String,
     /// Only cases whose name contains this
     #[arg(long, value_name = "TEXT", default_value = "")]
     only: String,
@@ -60,24 +62,6 @@ pub(crate) struct Args {
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "snake_case")]
-enum Class {
-    Easy,
-    Hard,
-    All,
-}
-
-impl Class {
-    fn has(self, class: CaseClass) -> bool {
-        match self {
-            Self::Easy => class == CaseClass::Easy,
-            Self::Hard => class == CaseClass::Hard,
-            Self::All => true,
-        }
-    }
 }
 
 /// One case that was measured.
@@ -107,24 +91,17 @@ struct Outcome {
 
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    let json = args.json;
+    let is_json = args.json;
     let params = params(&args);
     let outcome = interruptible(context, "simulating grasps", move |progress| {
         measure(&args, progress)
     })??;
-    if json {
-        let report = json!({
-            "name": "grasp",
-            "params": params,
-            "figures": figures(&outcome),
-            "cases": outcome.measured,
-            "skipped": outcome.skipped,
-            "peers": {},
-        });
-        print_json(&report)?;
-    } else {
-        print(&table(&outcome))?;
-    }
+    let mut report = Report::new("grasp", params, json!(figures(&outcome)), table(&outcome));
+    let more = json!({"cases": outcome.measured, "skipped": outcome.skipped});
+    report
+        .more
+        .extend(more.as_object().cloned().unwrap_or_default());
+    report.print(is_json)?;
     let unconverged = outcome
         .measured
         .iter()
@@ -146,8 +123,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn params(args: &Args) -> Value {
-    let settings = args.settings(GelName::Default);
-    let gels = args.gel.iter().map(|&gel| resolution_name(gel.into()));
+    let settings = args.settings(GelResolution::Default);
+    let gels = args.gel.iter().map(|&gel| resolution_name(gel));
     json!({
         "class": args.class,
         "gel": gels.collect::<Vec<_>>(),
@@ -159,9 +136,9 @@ fn params(args: &Args) -> Value {
 }
 
 impl Args {
-    fn settings(&self, gel: GelName) -> GraspSettings {
+    fn settings(&self, resolution: GelResolution) -> GraspSettings {
         let mut settings = GraspSettings {
-            resolution: gel.into(),
+            resolution,
             ..GraspSettings::default()
         };
         if let Some(tolerance) = self.tolerance {
@@ -180,7 +157,10 @@ fn measure(args: &Args, progress: &Progress) -> Result<Outcome> {
     };
     let chosen: Vec<GraspCase> = cases()
         .into_iter()
-        .filter(|case| args.class.has(case.class) && case.name.contains(&args.only))
+        .filter(|case| {
+            (args.class == "all" || args.class == case.class.name())
+                && case.name.contains(&args.only)
+        })
         .collect();
     if chosen.is_empty() {
         return Err(Error::new(
@@ -258,7 +238,7 @@ fn measure_case(
 
 /// Independent grasps a second on one thread and on two.
 fn throughput(args: &Args) -> Result<[f64; 2]> {
-    let settings = args.settings(args.gel.first().copied().unwrap_or(GelName::Coarse));
+    let settings = args.settings(args.gel.first().copied().unwrap_or(GelResolution::Coarse));
     let scenes: Vec<Scene> = cases()
         .iter()
         .filter(|case| case.class == CaseClass::Easy)
@@ -316,8 +296,7 @@ fn shared_mesh(item: &str, unit_m: f64) -> Result<Option<TriangleMesh>> {
     if !path.exists() {
         return Ok(None);
     }
-    let mesh = load_mesh(&path, LengthUnit::Metre)?.scaled(unit_m);
-    let prepared = prepare(&mesh, &PrepareOptions::default()).map_err(|e| e.at(path.display()))?;
+    let prepared = load_object_mesh(&path.to_string_lossy(), LengthUnit::Metre, unit_m)?;
     Ok(Some(prepared.mesh))
 }
 

@@ -1,20 +1,16 @@
-//! Grasps that the bench and the validation share.
+//! Grasps with known outcomes.
 
 use glam::{DQuat, DVec3};
-use serde::Serialize;
-
-use super::placement::Placement;
-use super::run::GraspOutcome;
-use super::scene::Scene;
-use super::settings::GraspSettings;
-use crate::fem::GelResolution;
 use gripcast_base::error::Result;
 use gripcast_geometry::{Aabb, Pose, TriangleMesh, builtin};
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{GraspOutcome, GraspSettings, Placement, Scene};
+use serde::Serialize;
 
 /// How much a grasp asks of the solver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum CaseClass {
+pub(crate) enum CaseClass {
     /// Both gels meet the object squarely.
     Easy,
     /// The object is pushed, turned, tilted, touched at edges, or slides out.
@@ -23,7 +19,7 @@ pub enum CaseClass {
 
 impl CaseClass {
     /// Its name in figures.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Easy => "easy",
             Self::Hard => "hard",
@@ -33,7 +29,7 @@ impl CaseClass {
 
 /// What is grasped.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum CaseObject {
+pub(crate) enum CaseObject {
     /// A built-in mesh.
     Builtin(&'static str),
     /// A mesh file of the folder of shared data, which is not part of the project.
@@ -54,10 +50,7 @@ const B1: CaseObject = CaseObject::File {
 impl CaseObject {
     /// The mesh in metres. `shared` reads a file of the shared data whose unit has the given
     /// length in m, or finds nothing.
-    ///
-    /// # Errors
-    /// Those of `shared`.
-    pub fn load(
+    pub(crate) fn load(
         &self,
         shared: &dyn Fn(&str, f64) -> Result<Option<TriangleMesh>>,
     ) -> Result<Option<TriangleMesh>> {
@@ -70,21 +63,21 @@ impl CaseObject {
 
 /// A grasp to try.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GraspCase {
+pub(crate) struct GraspCase {
     /// Unique name, fit for a JSON key.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// What it asks of the solver.
-    pub class: CaseClass,
+    pub(crate) class: CaseClass,
     /// What is grasped.
-    pub object: CaseObject,
+    pub(crate) object: CaseObject,
     /// Rotation of the object on the ground: w, x, y, z.
-    pub q_wxyz: [f64; 4],
+    pub(crate) q_wxyz: [f64; 4],
     /// Where the gripper stands.
-    pub placement: Placement,
+    pub(crate) placement: Placement,
     /// Outcome of the paper's protocol at 40 N on the coarse gel, solved to 1e-6 m/s.
-    pub expected_coarse: GraspOutcome,
+    pub(crate) expected_coarse: GraspOutcome,
     /// The same on the default and the fine gel.
-    pub expected: GraspOutcome,
+    pub(crate) expected: GraspOutcome,
 }
 
 /// Mass of the object in every case, kg.
@@ -132,7 +125,7 @@ impl GraspCase {
     }
 
     /// Outcome that is expected on a mesh.
-    pub fn expected_on(&self, resolution: GelResolution) -> GraspOutcome {
+    pub(crate) fn expected_on(&self, resolution: GelResolution) -> GraspOutcome {
         match resolution {
             GelResolution::Coarse => self.expected_coarse,
             GelResolution::Default | GelResolution::Fine => self.expected,
@@ -140,7 +133,7 @@ impl GraspCase {
     }
 
     /// The object on the ground.
-    pub fn t_world_object(&self, mesh: &TriangleMesh) -> Pose {
+    pub(crate) fn t_world_object(&self, mesh: &TriangleMesh) -> Pose {
         let [w, x, y, z] = self.q_wxyz;
         let turn = Pose::from_rotation(DQuat::from_xyzw(x, y, z, w));
         let points = mesh.all_corners().flatten();
@@ -151,10 +144,7 @@ impl GraspCase {
     }
 
     /// The grasp of `mesh`, the loaded object of the case.
-    ///
-    /// # Errors
-    /// None for the cases of [`cases`].
-    pub fn scene(&self, mesh: TriangleMesh, settings: &GraspSettings) -> Result<Scene> {
+    pub(crate) fn scene(&self, mesh: TriangleMesh, settings: &GraspSettings) -> Result<Scene> {
         let t_world_object = self.t_world_object(&mesh);
         let placed = self.placement.place(&mesh, &t_world_object)?;
         Ok(Scene {
@@ -193,7 +183,7 @@ fn pushed(offset_m: f64, opening_m: f64) -> Placement {
 }
 
 /// All cases, easy ones first.
-pub fn cases() -> Vec<GraspCase> {
+pub(crate) fn cases() -> Vec<GraspCase> {
     use CaseObject::Builtin;
     use GraspOutcome::{Eject, Slip};
     let easy = GraspCase::easy;
@@ -236,7 +226,7 @@ pub fn cases() -> Vec<GraspCase> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grasp::simulate;
+    use gripcast_sim::grasp::simulate;
 
     fn without_shared(_: &str, _: f64) -> Result<Option<TriangleMesh>> {
         Ok(None)
@@ -259,17 +249,18 @@ mod tests {
 
     #[test]
     fn every_built_in_case_can_start() {
-        let settings = GraspSettings {
+        let mut settings = GraspSettings {
             resolution: GelResolution::Coarse,
             ..GraspSettings::default()
         };
+        settings.solver.max_grasp_iterations = 1;
         for case in cases() {
             let Some(mesh) = case.object.load(&without_shared).unwrap() else {
                 continue;
             };
             let scene = case.scene(mesh, &settings).unwrap();
-            let stage = scene.build(&settings.solver).unwrap();
-            assert_eq!(stage.starts_penetrating, None, "{}", case.name);
+            let result = simulate(&scene, &settings.protocol, &settings.solver).unwrap();
+            assert_eq!(result.outcome, GraspOutcome::NotConverged, "{}", case.name);
         }
     }
 

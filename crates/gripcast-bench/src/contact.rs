@@ -1,7 +1,7 @@
-//! `gripcast bench contact`: the contact phases of one Newton iteration.
+//! `gripcast-bench contact`: the contact phases of one Newton iteration.
 //!
 //! ```text
-//! gripcast bench contact --gel coarse,fine --faces 1280,5120 --peer ipctk --json
+//! gripcast-bench contact --gel coarse,fine --faces 1280,5120 --peer ipctk --json
 //! ```
 //!
 //! Two gels are pressed 1.5 mm on an icosphere of radius 20 mm and are about to move by 0.2 mm
@@ -30,72 +30,55 @@
 //!
 //! Exit codes: 0 measured · 2 usage · 4 ipctk found other contacts.
 
+use gripcast::cli::Context;
+use gripcast::cli::bench::Report;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{resolution_by_name, resolution_name};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use super::sim_grasp::GelName;
-use super::{Context, print, print_json, python_peer};
-use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_sim::grasp::resolution_name;
-use gripcast_sim::solver::{ContactLoad, ContactPhases, ContactState};
+use crate::contact_scene::{ContactPhases, ContactScene, ContactState};
+use crate::peer::Peer;
 
 /// Runs below this give no usable minimum.
 const LEAST_RUNS: u64 = 20;
-const PEER_SCRIPT: &str = include_str!("../../benches/peers/ipctk_contact.py");
 /// Relative difference of energy and gradient that rounding explains.
 const AGREEMENT: f64 = 1e-9;
+const IPCTK: Peer = Peer {
+    name: "ipctk",
+    packages: "ipctk==1.6.1 numpy",
+    script: include_str!("../peers/ipctk_contact.py"),
+};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Gel meshes, separated by commas
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "coarse")]
-    gel: Vec<GelName>,
+    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',', default_value = "coarse")]
+    gel: Vec<GelResolution>,
     /// Faces of the sphere, separated by commas
-    #[arg(
-        long,
-        value_enum,
-        value_delimiter = ',',
-        default_value = "1280,5120,20480"
-    )]
-    faces: Vec<Faces>,
+    #[arg(long, value_parser = ["1280", "5120", "20480"], value_delimiter = ',',
+        default_value = "1280,5120,20480")]
+    faces: Vec<String>,
     /// Measurements of each phase
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u64).range(LEAST_RUNS..))]
     runs: u64,
-    /// Another implementation to measure beside ours
-    #[arg(long, value_enum)]
-    peer: Option<Peer>,
+    /// Measure PyPI's ipctk as well
+    #[arg(long, value_parser = [IPCTK.name])]
+    peer: Option<String>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Faces {
-    #[value(name = "1280")]
-    F1280,
-    #[value(name = "5120")]
-    F5120,
-    #[value(name = "20480")]
-    F20480,
-}
-
-impl Faces {
-    /// How often an icosahedron's faces are cut in four.
-    fn cuts(self) -> u32 {
-        match self {
-            Self::F1280 => 3,
-            Self::F5120 => 4,
-            Self::F20480 => 5,
-        }
+/// How often an icosahedron's faces are cut in four.
+fn cuts(faces: &str) -> u32 {
+    match faces {
+        "1280" => 3,
+        "5120" => 4,
+        _ => 5,
     }
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Peer {
-    /// PyPI's ipctk, through `python3`
-    Ipctk,
 }
 
 /// One gel mesh on one sphere.
@@ -122,12 +105,7 @@ struct Theirs {
 
 impl Theirs {
     fn new(report: Value, phases: &ContactPhases, ours: &ContactState) -> Result<Self> {
-        let lacking = || {
-            Error::new(
-                ErrorKind::Internal,
-                "ipctk bench: its answer lacks a figure",
-            )
-        };
+        let lacking = || IPCTK.failed("its answer lacks a figure");
         let number = |path: &str| report.pointer(path).and_then(Value::as_f64);
         let ms = |phase: &str| number(&format!("/phases/{phase}/min")).ok_or_else(lacking);
         let common = ms("ccd")? + ms("energy")? + ms("gradient")? + ms("hessian")?;
@@ -151,41 +129,32 @@ impl Theirs {
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let mut measured = Vec::new();
     let mut version = None;
-    let mut is_absent = false;
+    let mut has_peer = args.peer.is_some();
     for &gel in &args.gel {
         for faces in &args.faces {
-            let resolution = gel.into();
-            let mut load = ContactLoad::new(resolution, faces.cuts())?;
-            let phases = load.measure(args.runs as usize);
-            let state = load.state();
+            let mut scene = ContactScene::new(gel, cuts(faces))?;
+            let phases = scene.measure(args.runs as usize);
+            let state = scene.state();
             let mut ipctk = None;
-            if args.peer == Some(Peer::Ipctk) && !is_absent {
-                let answer = ask_ipctk(&load, args.runs)?;
-                is_absent = answer.is_none();
+            if has_peer {
+                let mesh = json!(scene.mesh()).to_string();
+                let answer = IPCTK.measure(context, args.runs, mesh.as_bytes())?;
+                has_peer = answer.is_some();
                 if let Some(report) = answer {
                     version = Some(report["version"].clone());
                     ipctk = Some(Theirs::new(report, &phases, &state)?);
                 }
             }
             measured.push(Measured {
-                gel: resolution_name(resolution),
-                faces: load.faces(),
+                gel: resolution_name(gel),
+                faces: scene.faces(),
                 phases,
                 state,
                 ipctk,
             });
         }
     }
-    if is_absent && !context.quiet {
-        note!(
-            "gripcast: ipctk is absent, so it was not measured\n  → pip install ipctk==1.6.1 numpy"
-        );
-    }
-    if args.json {
-        print_json(&report(args, &measured, version))?;
-    } else {
-        print(&table(&measured))?;
-    }
+    report(args, &measured, version).print(args.json)?;
     let differ = |m: &&Measured| m.ipctk.as_ref().is_some_and(|theirs| !theirs.agrees);
     match measured.iter().find(differ) {
         Some(m) => Err(Error::new(
@@ -199,13 +168,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     }
 }
 
-fn ask_ipctk(load: &ContactLoad, runs: u64) -> Result<Option<Value>> {
-    let scene = serde_json::to_vec(&load.mesh())
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    python_peer::measure("ipctk", PEER_SCRIPT, runs, &scene)
-}
-
-fn report(args: &Args, measured: &[Measured], version: Option<Value>) -> Value {
+fn report(args: &Args, measured: &[Measured], version: Option<Value>) -> Report {
     let mut figures = Map::new();
     for m in measured {
         let key = |name: &str| format!("{}_{}_{name}", m.gel, m.faces);
@@ -224,17 +187,14 @@ fn report(args: &Args, measured: &[Measured], version: Option<Value>) -> Value {
             figures.insert(key("ratio_kept"), json!(theirs.kept_ms / ours));
         }
     }
-    let mut peers = Map::new();
+    let params = json!({"runs": args.runs, "threads": 1});
+    let mut report = Report::new("contact", params, figures.into(), table(measured));
+    report.more.insert("meshes".to_owned(), json!(measured));
     if let Some(version) = version {
-        peers.insert("ipctk".to_owned(), json!({ "version": version }));
+        let peer = json!({"version": version});
+        report.peers.insert("ipctk".to_owned(), peer);
     }
-    json!({
-        "name": "contact",
-        "params": {"runs": args.runs, "threads": 1},
-        "figures": figures,
-        "meshes": measured,
-        "peers": peers,
-    })
+    report
 }
 
 fn table(measured: &[Measured]) -> String {

@@ -1,16 +1,15 @@
 //! The same rigid grasps for another simulator, and how far it agrees.
 
+use std::sync::Arc;
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{MassProperties, Pose, TriangleMesh, stable_poses};
+use gripcast_sim::GraspSetup;
+use gripcast_sim::grasp::{GraspOutcome, GraspResult, Placement};
+use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
-
-use super::engine::RigidEngine;
-use super::settings::RigidSettings;
-use super::{start, world};
-use crate::GraspSetup;
-use crate::grasp::{GraspOutcome, GraspResult, Placement};
-use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_geometry::{MassProperties, Pose, TriangleMesh, stable_poses};
 
 /// Frictions and forces (N) that the grasps are drawn from: Taxim's sweep.
 const FRICTIONS: [f64; 3] = [0.1, 0.25, 0.4];
@@ -20,131 +19,131 @@ const POSES: usize = 4;
 
 /// A grasp with its unknowns chosen.
 #[derive(Clone, Debug)]
-pub struct PeerGrasp {
+pub(crate) struct PeerGrasp {
     /// Unique name.
-    pub name: String,
+    pub(crate) name: String,
     /// Name of the object; the same for the same mesh and mass.
-    pub object: String,
+    pub(crate) object: String,
     /// Poses, mesh, mass.
-    pub setup: GraspSetup,
+    pub(crate) setup: GraspSetup,
     /// Coulomb friction coefficient.
-    pub friction: f64,
+    pub(crate) friction: f64,
     /// Grasping force, N.
-    pub force_n: f64,
+    pub(crate) force_n: f64,
 }
 
 /// What the other simulator reads.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PeerCases {
+pub(crate) struct PeerCases {
     /// Parameters of the set-up, those of the contact solver aside.
-    pub settings: RigidSettings,
+    pub(crate) settings: RigidSettings,
     /// Time steps of the other simulator in one of ours: what a solver without substeps needs to
     /// be as exact.
-    pub refine: u32,
+    pub(crate) refine: u32,
     /// Objects, each named once.
-    pub objects: Vec<PeerObject>,
+    pub(crate) objects: Vec<PeerObject>,
     /// Grasps.
-    pub grasps: Vec<PeerCase>,
+    pub(crate) grasps: Vec<PeerCase>,
 }
 
 /// An object of the cases.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PeerObject {
+pub(crate) struct PeerObject {
     /// Its name.
-    pub name: String,
+    pub(crate) name: String,
     /// Mass, kg.
-    pub mass_kg: f64,
+    pub(crate) mass_kg: f64,
     /// Centre of mass in the mesh's frame, m.
-    pub center_of_mass_m: [f64; 3],
+    pub(crate) center_of_mass_m: [f64; 3],
     /// Inertia tensor about the centre of mass in the mesh's axes, kg m².
-    pub inertia_kg_m2: [[f64; 3]; 3],
+    pub(crate) inertia_kg_m2: [[f64; 3]; 3],
     /// Convex pieces.
-    pub pieces: Vec<PeerPiece>,
+    pub(crate) pieces: Vec<PeerPiece>,
 }
 
 /// A convex piece in the mesh's frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PeerPiece {
+pub(crate) struct PeerPiece {
     /// Corners, m.
-    pub vertices_m: Vec<[f64; 3]>,
+    pub(crate) vertices_m: Vec<[f64; 3]>,
     /// Faces, counter-clockwise seen from outside.
-    pub triangles: Vec<[u32; 3]>,
+    pub(crate) triangles: Vec<[u32; 3]>,
 }
 
 /// A grasp of the cases.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PeerCase {
+pub(crate) struct PeerCase {
     /// Its name.
-    pub name: String,
+    pub(crate) name: String,
     /// Index of its object.
-    pub object: usize,
+    pub(crate) object: usize,
     /// The object on the ground.
-    pub t_world_object: Pose,
+    pub(crate) t_world_object: Pose,
     /// The gripper at the start.
-    pub t_world_gripper: Pose,
+    pub(crate) t_world_gripper: Pose,
     /// Distance between the fingers' faces at the start, m.
-    pub opening_m: f64,
+    pub(crate) opening_m: f64,
     /// Coulomb friction coefficient of every contact.
-    pub friction: f64,
+    pub(crate) friction: f64,
     /// Most force of each finger's motor, N.
-    pub force_n: f64,
+    pub(crate) force_n: f64,
 }
 
 /// What the other simulator answers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PeerAnswer {
+pub(crate) struct PeerAnswer {
     /// Its version.
-    pub version: String,
+    pub(crate) version: String,
     /// One for each grasp, in the order of the cases.
-    pub grasps: Vec<PeerResult>,
+    pub(crate) grasps: Vec<PeerResult>,
 }
 
 /// A grasp in the other simulator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PeerResult {
+pub(crate) struct PeerResult {
     /// Name of the grasp.
-    pub name: String,
+    pub(crate) name: String,
     /// Whether a finger felt the object while closing.
-    pub touched: bool,
+    pub(crate) touched: bool,
     /// Rise of the centre of mass in the lift, m.
-    pub rise_m: f64,
+    pub(crate) rise_m: f64,
     /// Normal forces of the left and the right finger at the end of closing, N.
-    pub force_n: [f64; 2],
+    pub(crate) force_n: [f64; 2],
     /// Wall time of its time steps, s.
-    pub seconds: f64,
+    pub(crate) seconds: f64,
 }
 
 /// How far two simulators agree on what was lifted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct Agreement {
+pub(crate) struct Agreement {
     /// Grasps that both simulated.
-    pub compared: usize,
+    pub(crate) compared: usize,
     /// Lifted in both, or in neither.
-    pub agreeing: usize,
+    pub(crate) agreeing: usize,
     /// Lifted here.
-    pub lifted_ours: usize,
+    pub(crate) lifted_ours: usize,
     /// Lifted there.
-    pub lifted_theirs: usize,
+    pub(crate) lifted_theirs: usize,
     /// The others.
-    pub disagreements: Vec<Disagreement>,
+    pub(crate) disagreements: Vec<Disagreement>,
 }
 
 /// A grasp that only one simulator lifted.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Disagreement {
+pub(crate) struct Disagreement {
     /// Name of the grasp.
-    pub name: String,
+    pub(crate) name: String,
     /// Our outcome.
-    pub outcome: GraspOutcome,
+    pub(crate) outcome: GraspOutcome,
     /// Rise of the centre of mass here since before the closing, m.
-    pub lifted_m: f64,
+    pub(crate) lifted_m: f64,
     /// Rise of the centre of mass there in the lift, m.
-    pub their_rise_m: f64,
+    pub(crate) their_rise_m: f64,
 }
 
 impl Agreement {
     /// Share of the grasps that agree; none where none was compared.
-    pub fn share(&self) -> Option<f64> {
+    pub(crate) fn share(&self) -> Option<f64> {
         (self.compared > 0).then(|| self.agreeing as f64 / self.compared as f64)
     }
 }
@@ -152,12 +151,9 @@ impl Agreement {
 /// Random grasps of each mesh (m): stable pose, turn, offsets, tilt, lean, height, mass, friction
 /// and force from a seed. About four of ten fail. Grasps that start inside something are drawn
 /// again.
-///
-/// # Errors
-/// Where a mesh cannot be decomposed or has no stable pose.
-pub fn random_grasps(
+pub(crate) fn random_grasps(
     engine: &RigidEngine,
-    meshes: &[(String, std::sync::Arc<TriangleMesh>)],
+    meshes: &[(String, Arc<TriangleMesh>)],
     per_mesh: usize,
     seed: u64,
 ) -> Result<Vec<PeerGrasp>> {
@@ -184,7 +180,7 @@ pub fn random_grasps(
                 break;
             }
             let mut grasp = draw(&mut rng, mesh, &poses)?;
-            if start::opening(&grasp.setup, &pieces, engine.settings.opening_m).is_ok() {
+            if engine.start_opening(&grasp.setup, &pieces).is_ok() {
                 grasp.name = format!("{name} {found}");
                 grasp.object.clone_from(name);
                 grasps.push(grasp);
@@ -195,11 +191,7 @@ pub fn random_grasps(
     Ok(grasps)
 }
 
-fn draw(
-    rng: &mut Pcg64Mcg,
-    mesh: &std::sync::Arc<TriangleMesh>,
-    poses: &[Pose],
-) -> Result<PeerGrasp> {
+fn draw(rng: &mut Pcg64Mcg, mesh: &Arc<TriangleMesh>, poses: &[Pose]) -> Result<PeerGrasp> {
     let t_world_object = poses[rng.random_range(0..poses.len())];
     let mut spread = |most: f64| rng.random_range(-most..most);
     let placement = Placement {
@@ -228,77 +220,76 @@ fn draw(
     })
 }
 
-impl RigidEngine {
-    /// The grasps as another simulator can read them, with our convex pieces and `refine` of its
-    /// time steps in one of ours. Those that start inside something are left out.
-    ///
-    /// # Errors
-    /// Where a mesh cannot be decomposed.
-    pub fn peer_cases(&self, grasps: &[PeerGrasp], refine: u32) -> Result<PeerCases> {
-        let mut cases = PeerCases {
-            settings: self.settings,
-            refine: refine.max(1),
-            objects: Vec::new(),
-            grasps: Vec::new(),
+/// The grasps as another simulator can read them, with our convex pieces and `refine` of its
+/// time steps in one of ours. Those that start inside something are left out.
+pub(crate) fn peer_cases(
+    engine: &RigidEngine,
+    grasps: &[PeerGrasp],
+    refine: u32,
+) -> Result<PeerCases> {
+    let mut cases = PeerCases {
+        settings: engine.settings,
+        refine: refine.max(1),
+        objects: Vec::new(),
+        grasps: Vec::new(),
+    };
+    for grasp in grasps {
+        let setup = &grasp.setup;
+        let pieces = engine.decomposition(&setup.mesh)?;
+        let Ok(opening_m) = engine.start_opening(setup, &pieces) else {
+            continue;
         };
-        for grasp in grasps {
-            let setup = &grasp.setup;
-            let pieces = self.decomposition(&setup.mesh)?;
-            let Ok(opening_m) = start::opening(setup, &pieces, self.settings.opening_m) else {
-                continue;
-            };
-            let known = cases.objects.iter().position(|o| o.name == grasp.object);
-            let object = match known {
-                Some(index) => index,
-                None => {
-                    cases.objects.push(object(grasp, pieces.pieces())?);
-                    cases.objects.len() - 1
-                }
-            };
-            cases.grasps.push(PeerCase {
+        let known = cases.objects.iter().position(|o| o.name == grasp.object);
+        let object = match known {
+            Some(index) => index,
+            None => {
+                cases.objects.push(object(grasp, pieces.pieces())?);
+                cases.objects.len() - 1
+            }
+        };
+        cases.grasps.push(PeerCase {
+            name: grasp.name.clone(),
+            object,
+            t_world_object: setup.t_world_object,
+            t_world_gripper: setup.t_world_gripper,
+            opening_m,
+            friction: grasp.friction,
+            force_n: grasp.force_n,
+        });
+    }
+    Ok(cases)
+}
+
+/// Compares our results, in the order of `grasps`, with another simulator's answer.
+pub(crate) fn compare(
+    engine: &RigidEngine,
+    grasps: &[PeerGrasp],
+    results: &[GraspResult],
+    answer: &PeerAnswer,
+) -> Agreement {
+    let enough = engine.settings.success_rise_m();
+    let mut agreement = Agreement::default();
+    for (grasp, ours) in grasps.iter().zip(results) {
+        let Some(theirs) = answer.grasps.iter().find(|g| g.name == grasp.name) else {
+            continue;
+        };
+        let lifted = ours.outcome == GraspOutcome::Success;
+        let lifted_there = theirs.touched && theirs.rise_m >= enough;
+        agreement.compared += 1;
+        agreement.lifted_ours += usize::from(lifted);
+        agreement.lifted_theirs += usize::from(lifted_there);
+        if lifted == lifted_there {
+            agreement.agreeing += 1;
+        } else {
+            agreement.disagreements.push(Disagreement {
                 name: grasp.name.clone(),
-                object,
-                t_world_object: setup.t_world_object,
-                t_world_gripper: setup.t_world_gripper,
-                opening_m,
-                friction: grasp.friction,
-                force_n: grasp.force_n,
+                outcome: ours.outcome,
+                lifted_m: ours.lifted_m,
+                their_rise_m: theirs.rise_m,
             });
         }
-        Ok(cases)
     }
-
-    /// Compares our results, in the order of `grasps`, with another simulator's answer.
-    pub fn compare(
-        &self,
-        grasps: &[PeerGrasp],
-        results: &[GraspResult],
-        answer: &PeerAnswer,
-    ) -> Agreement {
-        let enough = self.settings.success_rise_m();
-        let mut agreement = Agreement::default();
-        for (grasp, ours) in grasps.iter().zip(results) {
-            let Some(theirs) = answer.grasps.iter().find(|g| g.name == grasp.name) else {
-                continue;
-            };
-            let lifted = ours.outcome == GraspOutcome::Success;
-            let lifted_there = theirs.touched && theirs.rise_m >= enough;
-            agreement.compared += 1;
-            agreement.lifted_ours += usize::from(lifted);
-            agreement.lifted_theirs += usize::from(lifted_there);
-            if lifted == lifted_there {
-                agreement.agreeing += 1;
-            } else {
-                agreement.disagreements.push(Disagreement {
-                    name: grasp.name.clone(),
-                    outcome: ours.outcome,
-                    lifted_m: ours.lifted_m,
-                    their_rise_m: theirs.rise_m,
-                });
-            }
-        }
-        agreement
-    }
+    agreement
 }
 
 fn object(grasp: &PeerGrasp, pieces: &[TriangleMesh]) -> Result<PeerObject> {
@@ -313,18 +304,17 @@ fn object(grasp: &PeerGrasp, pieces: &[TriangleMesh]) -> Result<PeerObject> {
         mass_kg,
         center_of_mass_m: properties.center_of_mass_m.to_array(),
         // Symmetric, so columns are rows.
-        inertia_kg_m2: world::inertia(&properties, mass_kg).to_cols_array_2d(),
+        inertia_kg_m2: (properties.inertia_m5() * (mass_kg / properties.volume_m3))
+            .to_cols_array_2d(),
         pieces: pieces.iter().map(piece).collect(),
     })
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-
     use super::*;
-    use crate::Engine as _;
     use gripcast_geometry::builtin;
+    use gripcast_sim::Engine as _;
 
     fn grasps(engine: &RigidEngine) -> Vec<PeerGrasp> {
         let mesh = |name: &str| (name.to_owned(), Arc::new(builtin(name).unwrap()));
@@ -334,14 +324,14 @@ mod tests {
     #[test]
     fn cases_hold_each_object_once_and_come_again_from_their_seed() {
         let engine = RigidEngine::default();
-        let cases = engine.peer_cases(&grasps(&engine), 4).unwrap();
+        let cases = peer_cases(&engine, &grasps(&engine), 4).unwrap();
         assert_eq!(cases.objects.len(), 2);
         let objects: Vec<usize> = cases.grasps.iter().map(|g| g.object).collect();
         assert_eq!(objects, [0, 0, 0, 1, 1, 1]);
         let found = &cases.objects[0];
         let expected = 0.06 / 12.0 * (0.04 * 0.04 + 0.06 * 0.06);
         assert!((found.inertia_kg_m2[0][0] - expected).abs() < 1e-9 * expected);
-        assert_eq!(cases, engine.peer_cases(&grasps(&engine), 4).unwrap());
+        assert_eq!(cases, peer_cases(&engine, &grasps(&engine), 4).unwrap());
         let text = serde_json::to_string(&cases).unwrap();
         assert_eq!(serde_json::from_str::<PeerCases>(&text).unwrap(), cases);
     }
@@ -369,7 +359,7 @@ mod tests {
             version: "1".to_owned(),
             grasps: grasps.iter().skip(1).map(theirs).collect(),
         };
-        let found = engine.compare(&grasps[1..], &results[1..], &answer);
+        let found = compare(&engine, &grasps[1..], &results[1..], &answer);
         assert_eq!((found.compared, found.lifted_theirs), (5, 5));
         assert_eq!(found.agreeing, found.lifted_ours);
         assert_eq!(found.disagreements.len(), 5 - found.lifted_ours);

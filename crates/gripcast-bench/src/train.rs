@@ -1,20 +1,26 @@
-//! `gripcast bench train`: samples that the classifier learns from in a second.
+//! `gripcast-bench train`: samples that the classifier learns from in a second.
 //!
 //! Steps of training on random pictures that are in memory: forwards, backwards, Adam. `--peer torch`
 //! does the same with PyPI's torch in `python3`, in the same run.
 
 use std::time::Instant;
 
-use serde_json::{Map, Value, json};
-
-use super::{Context, print, python_peer};
-use crate::note;
+use gripcast::cli::Context;
+use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_base::workers::process_cpu_s;
 use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Senses, Step};
+use serde_json::json;
 
-const PEER_SCRIPT: &str = include_str!("../../benches/peers/torch_train.py");
+use crate::peer::Peer;
+use crate::timing::median;
+
+const TORCH: Peer = Peer {
+    name: "torch",
+    packages: "torch",
+    script: include_str!("../peers/torch_train.py"),
+};
 /// Steps before those that are measured.
 const WARM_UP: u64 = 2;
 
@@ -33,24 +39,12 @@ pub(crate) struct Args {
     /// Steps to measure
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(3..))]
     runs: u64,
-    /// Another trainer to measure beside ours
-    #[arg(long, value_enum)]
-    peer: Option<Peer>,
+    /// Measure PyPI's torch as well
+    #[arg(long, value_parser = [TORCH.name])]
+    peer: Option<String>,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum Peer {
-    /// PyPI's torch, through `python3`
-    Torch,
-}
-
-/// Samples per second of wall and of CPU time, medians.
-struct Figures {
-    per_s: f64,
-    per_cpu_s: f64,
 }
 
 /// Runs the bench.
@@ -61,10 +55,19 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
             format!("there is no network `{}`", args.arch),
         )
     })?;
-    let figures = measure(&architecture, args)?;
-    let mut peers = Map::new();
-    if let Some(Peer::Torch) = args.peer {
-        let description = json!({
+    let [per_s, per_cpu_s] = measure(&architecture, args)?;
+    let params = json!({
+        "arch": args.arch,
+        "batch": args.batch,
+        "runs": args.runs,
+        "threads": args.threads,
+    });
+    let figures = json!({"samples_per_s_median": per_s, "samples_per_cpu_s_median": per_cpu_s});
+    let mut text = "samples              per s   per CPU s".to_owned();
+    text += &row("gripcast", per_s, per_cpu_s);
+    let mut report = Report::new("train", params, figures, text);
+    if args.peer.is_some() {
+        let input = json!({
             "convolutions": architecture.convolutions,
             "pool": architecture.pool,
             "pooled": architecture.pooled(),
@@ -73,65 +76,25 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
             "batch": args.batch,
             "threads": args.threads,
         });
-        let input = description.to_string();
-        match python_peer::measure("torch", PEER_SCRIPT, args.runs, input.as_bytes())? {
-            Some(mut peer) => {
-                let ratio = |ours: f64, key: &str| ours / peer[key].as_f64().unwrap_or(f64::NAN);
-                let ratios = [
-                    ratio(figures.per_s, "samples_per_s_median"),
-                    ratio(figures.per_cpu_s, "samples_per_cpu_s_median"),
-                ];
-                peer["wall_ratio"] = json!(ratios[0]);
-                peer["cpu_ratio"] = json!(ratios[1]);
-                peers.insert("torch".to_owned(), peer);
-            }
-            None => {
-                if !context.quiet {
-                    note!(
-                        "gripcast: torch is absent, so it was not measured\n  → pip install torch"
-                    );
-                }
-            }
+        let input = input.to_string();
+        if let Some(mut peer) = TORCH.measure(context, args.runs, input.as_bytes())? {
+            let figure = |key: &str| peer[key].as_f64().unwrap_or(f64::NAN);
+            let theirs = ["samples_per_s_median", "samples_per_cpu_s_median"].map(figure);
+            peer["wall_ratio"] = json!(per_s / theirs[0]);
+            peer["cpu_ratio"] = json!(per_cpu_s / theirs[1]);
+            report.text += &row("torch", theirs[0], theirs[1]);
+            report.peers.insert("torch".to_owned(), peer);
         }
     }
-    if args.json {
-        let report = json!({
-            "figures": {
-                "samples_per_s_median": figures.per_s,
-                "samples_per_cpu_s_median": figures.per_cpu_s,
-            },
-            "name": "train",
-            "params": {
-                "arch": args.arch,
-                "batch": args.batch,
-                "runs": args.runs,
-                "threads": args.threads,
-            },
-            "peers": peers,
-        });
-        return print(&format!("{report:#}"));
-    }
-    print(&table(&figures, &peers))
+    report.print(args.json)
 }
 
-fn table(figures: &Figures, peers: &Map<String, Value>) -> String {
-    let mut lines = vec!["samples              per s   per CPU s".to_owned()];
-    let mut row = |name: &str, per_s: f64, per_cpu_s: f64| {
-        lines.push(format!("{name:<14} {per_s:>11.1} {per_cpu_s:>11.1}"));
-    };
-    row("gripcast", figures.per_s, figures.per_cpu_s);
-    for (name, peer) in peers {
-        let figure = |key: &str| peer[key].as_f64().unwrap_or(f64::NAN);
-        row(
-            name,
-            figure("samples_per_s_median"),
-            figure("samples_per_cpu_s_median"),
-        );
-    }
-    lines.join("\n")
+fn row(name: &str, per_s: f64, per_cpu_s: f64) -> String {
+    format!("\n{name:<14} {per_s:>11.1} {per_cpu_s:>11.1}")
 }
 
-fn measure(architecture: &Architecture, args: &Args) -> Result<Figures> {
+/// Samples per second of wall and of CPU time, medians.
+fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
     let senses = Senses {
         touch: true,
         vision: true,
@@ -176,12 +139,5 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<Figures> {
             }
         }
     });
-    let median = |times: &mut Vec<f64>| {
-        times.sort_by(f64::total_cmp);
-        times[(times.len() - 1) / 2]
-    };
-    Ok(Figures {
-        per_s: count as f64 / median(&mut wall),
-        per_cpu_s: count as f64 / median(&mut cpu),
-    })
+    Ok([wall, cpu].map(|mut took| count as f64 / median(&mut took)))
 }

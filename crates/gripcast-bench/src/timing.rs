@@ -1,0 +1,37 @@
+//! Wall times of repeated work.
+
+use std::time::Instant;
+
+use serde::Serialize;
+
+/// Minimum and median wall time, ms.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct Timing {
+    pub(crate) min: f64,
+    pub(crate) median: f64,
+}
+
+/// Times `work`, at least once.
+pub(crate) fn timed<T>(runs: usize, mut work: impl FnMut() -> T) -> Timing {
+    let took = (0..runs.max(1)).map(|_| {
+        let started = Instant::now();
+        std::hint::black_box(work());
+        ms_since(started)
+    });
+    let mut took: Vec<f64> = took.collect();
+    Timing {
+        min: took.iter().copied().fold(f64::INFINITY, f64::min),
+        median: median(&mut took),
+    }
+}
+
+pub(crate) fn ms_since(started: Instant) -> f64 {
+    started.elapsed().as_secs_f64() * 1e3
+}
+
+/// The median, of two the lower; NaN without values.
+pub(crate) fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    let middle = values.len().saturating_sub(1) / 2;
+    values.get(middle).copied().unwrap_or(f64::NAN)
+}
