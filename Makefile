@@ -43,7 +43,7 @@ run: setup
 lint: setup
 	@$(CARGO) fmt --check
 	@tools/deny.sh
-	@$(CARGO) clippy --all-targets -- -D warnings
+	@$(CARGO) clippy --workspace --all-targets -- -D warnings
 
 # A kernel that cannot be built (no network, not x86-64) is said loudly and does not hide the
 # other tests; GRIPCAST_REQUIRE_KERNEL=1 makes it an error.
@@ -64,7 +64,7 @@ bench: setup
 	@$(CARGO) build --release --bin gripcast
 	@target/release/gripcast bench live --json
 	@target/release/gripcast bench predict --json
-	@$(CARGO) bench
+	@$(CARGO) bench -p gripcast-bench
 
 # The time of everything in a package is that of the commit: the same bytes on every run.
 package-files deb tarball: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct || echo 0)

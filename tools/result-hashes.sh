@@ -4,6 +4,8 @@
 #
 #     tools/result-hashes.sh OLD old; tools/result-hashes.sh NEW new; diff old/hashes new/hashes
 #
+# `gripcast-bench` is expected beside BINARY (cargo build --release -p gripcast -p gripcast-bench); a
+# binary from before it has all benches itself.
 # Times, paths and versions are left out. The cases of `bench grasp` with meshes of the shared
 # folder are skipped without it.
 set -euo pipefail
@@ -13,6 +15,11 @@ folder=$(realpath "$2")
 cd "$(dirname "$0")/.."
 rm -rf "$folder"/{hashes,plan,data,run,pictures} "$folder"/*.json
 mkdir -p "$folder/pictures"
+
+bench=("$(dirname "$binary")/gripcast-bench" -q)
+if "$binary" bench grasp --help >/dev/null 2>&1; then
+    bench=("$binary" -q bench)
+fi
 
 note() { # NAME, the bytes on stdin
     printf '%s  %s\n' "$(sha256sum | cut -c1-64)" "$1" | tee -a "$folder/hashes"
@@ -33,7 +40,7 @@ print(json.dumps(strip(json.load(sys.stdin)), sort_keys=True))'
 }
 
 for threads in 1 2; do
-    "$binary" -q bench grasp --no-throughput --threads "$threads" --json >"$folder/grasp.json" ||
+    "${bench[@]}" grasp --no-throughput --threads "$threads" --json >"$folder/grasp.json" ||
         [ $? -eq 3 ] # Cases without their mesh are skipped.
     untimed <"$folder/grasp.json" | note "bench grasp, $threads threads"
     for object in box mug jack; do
@@ -48,7 +55,7 @@ trace=$folder/mug-1.json
 "$binary" -q render visual --trace "$trace" --object builtin:mug --seed 1 --samples 16 --size 160x120 \
     --out "$folder/pictures/visual.png" >/dev/null
 (cd "$folder/pictures" && find . -name '*.png' | sort | xargs sha256sum) | note "render tactile, render visual"
-"$binary" -q bench pose --pictures 20 --json | untimed | note "bench pose"
+"${bench[@]}" pose --pictures 20 --json | untimed | note "bench pose"
 "$binary" -q synth plan --preset tiny --out "$folder/plan" >/dev/null
 "$binary" -q synth run --plan "$folder/plan" >/dev/null
 "$binary" -q synth merge --plan "$folder/plan" --out "$folder/data" --partial >/dev/null
