@@ -276,7 +276,9 @@ fn the_grippers_tags_are_in_front_of_it_and_seen() {
                     let to_eye = (eye - marker.center_m()).normalize();
                     assert!(marker.front().dot(to_eye) > 0.3, "{}", marker.id);
                     for p in &points {
-                        let hidden = bodies.iter().any(|b| b.is_occluded(*p, eye - *p, 1.0));
+                        let hidden = bodies
+                            .iter()
+                            .any(|b| b.ray_cast(*p, eye - *p, 1.0).is_some());
                         assert!(!hidden, "{} from {azimuth}°, {elevation}°", marker.id);
                     }
                 }

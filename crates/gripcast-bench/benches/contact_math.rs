@@ -12,7 +12,6 @@ use glam::DVec3;
 use gripcast_sim::contact::barrier::Barrier;
 use gripcast_sim::contact::ccd::{edge_edge_toi, point_triangle_toi};
 use gripcast_sim::contact::distance::{edge_edge, point_triangle};
-use gripcast_sim::contact::distance_hessian::squared_distance_hessian;
 use gripcast_sim::contact::friction::Friction;
 use gripcast_sim::contact::mollifier::{mollifier, threshold};
 use rand::{RngExt, SeedableRng};
@@ -112,9 +111,6 @@ fn terms(c: &mut Criterion) {
     });
     measure(c, "barrier_derivatives", "near", &closest, |(at, _)| {
         BARRIER.squared(at.squared).to_linear(at.squared)
-    });
-    measure(c, "distance_hessian", "near", &closest, |(at, x)| {
-        squared_distance_hessian(at, x)
     });
     measure(c, "mollifier", "near", &ee, |x| {
         let (ea, eb) = (x[1] - x[0], x[3] - x[2]);

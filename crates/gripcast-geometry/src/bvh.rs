@@ -84,14 +84,6 @@ impl Bvh {
         );
     }
 
-    /// Whether any box overlaps `query`; touching counts.
-    pub fn any_overlap(&self, query: &Aabb) -> bool {
-        self.search(
-            |bounds| bounds.intersects(query),
-            |slot| self.leaf_boxes[slot].intersects(query),
-        )
-    }
-
     /// Depth-first walk over the nodes that `enter` accepts; `visit` gets positions in
     /// [`Bvh::leaf_order`] and ends the walk by returning true. Returns whether it was ended.
     pub fn search(
@@ -293,7 +285,6 @@ mod tests {
                     .filter(|&i| boxes[i as usize].intersects(&query))
                     .collect();
                 assert_eq!(found, expected);
-                assert_eq!(bvh.any_overlap(&query), !expected.is_empty());
             }
         }
     }

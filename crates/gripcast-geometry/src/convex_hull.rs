@@ -285,6 +285,19 @@ mod tests {
         assert!(convex_hull(&[DVec3::NAN; 4]).is_err());
     }
 
+    /// Largest volume (times six) of a tetrahedron of four points, grown greedily.
+    fn largest_volume(points: &[DVec3]) -> f64 {
+        let from = |p: &DVec3| *p - points[0];
+        let most = |measure: &dyn Fn(DVec3) -> f64| {
+            let by = |a: &DVec3, b: &DVec3| measure(*a).total_cmp(&measure(*b));
+            points.iter().map(from).max_by(by).unwrap()
+        };
+        let a = most(&DVec3::length);
+        let b = most(&|p| p.cross(a).length());
+        let c = most(&|p| p.dot(a.cross(b)).abs());
+        c.dot(a.cross(b)).abs()
+    }
+
     proptest! {
         #[test]
         fn hulls_of_coarse_points_are_convex(
@@ -296,6 +309,8 @@ mod tests {
                 .map(|p| DVec3::from_array(p.map(f64::from)) * 0.1)
                 .map(|p| if jitter == 1 { DQuat::from_rotation_x(0.3) * p } else { p })
                 .collect();
+            // Coordinates are multiples of 0.1: four points that are not coplanar are far from it.
+            prop_assert!(convex_hull(&points).is_ok() || largest_volume(&points) < 1e-9);
             if convex_hull(&points).is_ok() {
                 check(&points);
             }

@@ -120,15 +120,6 @@ impl MeshQuery {
         })
     }
 
-    /// Whether anything lies between `origin` and `origin + t_max · direction`.
-    pub fn is_occluded(&self, origin: DVec3, direction: DVec3, t_max: f64) -> bool {
-        let ray = Ray::new(origin, direction);
-        self.bvh.search(
-            |bounds| ray.entry(bounds) < t_max,
-            |slot| ray.hit(&self.corners[slot]).is_some_and(|h| h.t < t_max),
-        )
-    }
-
     /// Whether the point lies inside of a closed mesh: the majority of three rays leaves it
     /// through an odd number of triangles.
     pub fn contains(&self, point: DVec3) -> bool {
@@ -137,16 +128,6 @@ impl MeshQuery {
         }
         let odd = |&direction: &DVec3| self.crossings(point, direction) % 2 == 1;
         PARITY_DIRECTIONS.iter().filter(|d| odd(d)).count() >= 2
-    }
-
-    /// Distance to the mesh, m, negative inside; none if the mesh is empty.
-    pub fn signed_distance(&self, point: DVec3) -> Option<f64> {
-        let distance = self.closest_point(point)?.distance_m;
-        Some(if self.contains(point) {
-            -distance
-        } else {
-            distance
-        })
     }
 
     /// Number of triangles that a ray meets.
@@ -328,7 +309,8 @@ mod tests {
             let local = random_point(0.06, &mut rng);
             let p = pose.transform_point(local);
             let expected = box_distance(local, half);
-            let found = query.signed_distance(p).unwrap();
+            let sign = if query.contains(p) { -1.0 } else { 1.0 };
+            let found = sign * query.closest_point(p).unwrap().distance_m;
             assert!(
                 (found - expected).abs() < 1e-14,
                 "{local} {found} {expected}"
@@ -374,7 +356,8 @@ mod tests {
             let expected = all.fold(f64::INFINITY, f64::min);
             let found = query.ray_cast(origin, direction, f64::INFINITY);
             assert_eq!(found.map_or(f64::INFINITY, |h| h.t), expected);
-            assert_eq!(query.is_occluded(origin, direction, 0.05), expected < 0.05);
+            let near = query.ray_cast(origin, direction, 0.05);
+            assert_eq!(near.is_some(), expected < 0.05);
             let Some(hit) = found else { continue };
             let [a, b, c] = mesh.corners(mesh.triangles[hit.triangle as usize]);
             let [wa, wb, wc] = hit.barycentric;
@@ -398,7 +381,7 @@ mod tests {
                 assert!((hit.t - 0.07).abs() < 1e-15, "{i} {j} {}", hit.t);
             }
         }
-        assert!(!query.is_occluded(DVec3::Z, DVec3::NEG_Z, 0.9));
+        assert!(query.ray_cast(DVec3::Z, DVec3::NEG_Z, 0.9).is_none());
         assert!(query.ray_cast(DVec3::Z, DVec3::Z, f64::INFINITY).is_none());
     }
 

@@ -347,7 +347,7 @@ mod tests {
             // Just in front of the middles of the faces, and the point between them.
             for x in [-0.0295, 0.0, 0.0295] {
                 let ray = DVec3::new(x, 0.0, 0.0) - eye;
-                assert!(!query.is_occluded(eye, ray, 1.0), "{}", part.name);
+                assert!(query.ray_cast(eye, ray, 1.0).is_none(), "{}", part.name);
             }
         }
     }

@@ -201,7 +201,7 @@ fn advance(
     dt: f64,
 ) -> AffineState {
     let inertial = s.inertial(rate, g, dt);
-    let mut next = s.rigid_predictor(rate, g, dt);
+    let mut next = inertial;
     for _ in 0..20 {
         let (mut gradient, mut hessian) = ([0.0; 12], [[0.0; 12]; 12]);
         body.add_kinetic_gradient(&next, &inertial, 1.0, &mut gradient);

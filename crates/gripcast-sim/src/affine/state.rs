@@ -103,25 +103,6 @@ impl AffineState {
         }
     }
 
-    /// Like [`AffineState::inertial`], but turned by the rate's angular velocity without strain:
-    /// a start for Newton's method, not the minimum of the kinetic term.
-    #[must_use]
-    pub fn rigid_predictor(&self, rate: &AffineRate, acceleration: DVec3, dt: f64) -> Self {
-        let spin = rate.a * self.nearest_rotation().transpose();
-        let turn = 0.5
-            * dt
-            * DVec3::new(
-                spin.y_axis.z - spin.z_axis.y,
-                spin.z_axis.x - spin.x_axis.z,
-                spin.x_axis.y - spin.y_axis.x,
-            );
-        let rotation = glam::DQuat::from_scaled_axis(turn);
-        Self {
-            p: self.p + dt * rate.p + dt * dt * acceleration,
-            a: DMat3::from_quat(rotation) * self.a,
-        }
-    }
-
     /// The rotation nearest to A in the Frobenius norm (polar decomposition). For det A < 0 the
     /// smallest singular direction is mirrored.
     #[must_use]
@@ -245,29 +226,6 @@ mod tests {
         }
         .nearest_rotation();
         assert!(nearest.abs_diff_eq(turn(), 1e-13));
-    }
-
-    #[test]
-    fn rigid_predictor_turns_without_strain() {
-        let start = AffineState::rigid(DVec3::X, turn());
-        let omega = DVec3::new(0.3, -0.4, 1.2);
-        let spin = DMat3::from_cols(
-            omega.cross(DVec3::X),
-            omega.cross(DVec3::Y),
-            omega.cross(DVec3::Z),
-        );
-        let rate = AffineRate {
-            p: DVec3::Y,
-            a: spin * start.a,
-        };
-        let (g, dt) = (DVec3::new(0.0, 0.0, -9.81), 0.1);
-        let next = start.rigid_predictor(&rate, g, dt);
-        let inertial = start.inertial(&rate, g, dt);
-        assert_eq!(next.p, inertial.p);
-        assert!((next.a.transpose() * next.a).abs_diff_eq(DMat3::IDENTITY, 1e-14));
-        let expected = DMat3::from_quat(glam::DQuat::from_scaled_axis(omega * dt)) * turn();
-        assert!(next.a.abs_diff_eq(expected, 1e-14));
-        assert!(next.a.abs_diff_eq(inertial.a, 0.5 * (0.13_f64).powi(2)));
     }
 
     #[test]

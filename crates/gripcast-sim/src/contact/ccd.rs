@@ -122,19 +122,6 @@ fn time_of_impact<S: Stencil>(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> O
     Some(time)
 }
 
-/// Bound (m) of how far a point and a triangle come closer when their points move by `motion` (m):
-/// a pair further apart than `reach / (1 − slack)` needs no [`point_triangle_toi`].
-#[inline]
-pub fn point_triangle_reach(motion: &[DVec3; 4]) -> f64 {
-    motion_bound::<PointTriangle>(motion)
-}
-
-/// As [`point_triangle_reach`] for two edges.
-#[inline]
-pub fn edge_edge_reach(motion: &[DVec3; 4]) -> f64 {
-    motion_bound::<EdgeEdge>(motion)
-}
-
 /// Time in [0, 1] up to which a point and a triangle may move from `x0` to `x1`, stencil
 /// `[p, t0, t1, t2]`, so that `slack` (in (0, 0.9]) of their distance remains; nothing when the whole
 /// step may be taken. 0 when they touch already and move against each other.

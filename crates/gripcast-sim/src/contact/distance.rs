@@ -95,21 +95,6 @@ fn unit_ratio(a: f64, b: f64) -> f64 {
     if ratio < 1.0 { ratio } else { 1.0 }
 }
 
-/// Closest points of a point and an edge, stencil `[p, e0, e1]`; the fourth weight is 0.
-#[inline]
-pub fn point_edge(p: DVec3, e0: DVec3, e1: DVec3) -> Closest {
-    let (edge, from_start) = (e1 - e0, p - e0);
-    let t = unit_ratio(from_start.dot(edge), edge.length_squared());
-    Closest::new([1.0, t - 1.0, -t, 0.0], from_start - edge * t)
-}
-
-/// Signed distance (m) of a point from the plane through `origin` with unit normal `normal`,
-/// positive on the side of the normal.
-#[inline]
-pub fn point_plane(p: DVec3, origin: DVec3, normal: DVec3) -> f64 {
-    (p - origin).dot(normal)
-}
-
 /// Closest points of a point and a triangle, stencil `[p, t0, t1, t2]`.
 ///
 /// Walks the regions of the triangle's corners, sides and inside (Ericson 2005, §5.1.5).

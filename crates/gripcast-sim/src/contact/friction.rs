@@ -52,23 +52,6 @@ pub fn f2(y: f64, epsilon: f64) -> f64 {
     2.0 * (1.0 - y / epsilon) / epsilon
 }
 
-/// Two unit vectors that complete the unit vector `normal` to a right-handed basis
-/// `(t0, t1, normal)` (Duff et al. 2017).
-#[inline]
-pub fn tangent_basis(normal: DVec3) -> [DVec3; 2] {
-    let sign = 1.0_f64.copysign(normal.z);
-    let a = -1.0 / (sign + normal.z);
-    let b = normal.x * normal.y * a;
-    [
-        DVec3::new(
-            1.0 + sign * normal.x * normal.x * a,
-            sign * b,
-            -sign * normal.x,
-        ),
-        DVec3::new(b, sign + normal.y * normal.y * a, -normal.y),
-    ]
-}
-
 /// Friction of one contact over one step, with what is lagged from the step's start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Friction {
@@ -214,28 +197,6 @@ mod tests {
             let force = friction.gradient(points[1]);
             assert!(force.length() <= friction.limit * (1.0 + 1e-15));
             assert!(force.dot(points[1]) >= 0.0);
-        }
-    }
-
-    #[test]
-    fn tangent_bases_are_orthonormal() {
-        let mut normals: Vec<DVec3> = random(200, 1.0, 8)
-            .iter()
-            .map(|x| x[0].normalize())
-            .collect();
-        normals.extend(DVec3::AXES);
-        normals.extend(DVec3::AXES.map(|axis| -axis));
-        for n in normals {
-            let [a, b] = tangent_basis(n);
-            let found = [
-                a.dot(a),
-                b.dot(b),
-                a.dot(b),
-                a.dot(n),
-                b.dot(n),
-                a.cross(b).dot(n),
-            ];
-            assert_close(&found, &[1.0, 1.0, 0.0, 0.0, 0.0, 1.0], 1.0, 1e-14, "basis");
         }
     }
 

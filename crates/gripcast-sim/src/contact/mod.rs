@@ -7,7 +7,6 @@
 pub mod barrier;
 pub mod ccd;
 pub mod distance;
-pub mod distance_hessian;
 pub mod friction;
 pub mod mollifier;
 

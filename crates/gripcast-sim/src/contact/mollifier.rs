@@ -4,9 +4,7 @@
 //! `m = (2 − c/ε) c/ε` for `c < ε`, else 1, with `c = |ea × eb|²` of the current edges and
 //! `ε = 1e-3 |ea|² |eb|²` of the edges at rest.
 
-use glam::{DMat3, DVec3};
-
-use super::distance_hessian::Matrix12;
+use glam::DVec3;
 
 /// ε relative to the squared lengths of the edges at rest; edges within about 1.8° are mollified.
 pub const RELATIVE_THRESHOLD: f64 = 1e-3;
@@ -79,63 +77,9 @@ pub fn mollifier(ea: DVec3, eb: DVec3, epsilon: f64) -> Mollifier {
     }
 }
 
-/// Second derivatives of the mollifier with respect to the edges, 1/m²: `[aa, ab, bb]`, the block
-/// `ab` with rows over `ea` and columns over `eb`.
-pub fn edge_hessian(ea: DVec3, eb: DVec3, epsilon: f64) -> [DMat3; 3] {
-    let cross = ea.cross(eb);
-    let c = cross.length_squared();
-    if c >= epsilon {
-        return [DMat3::ZERO; 3];
-    }
-    let first = 2.0 * (1.0 - c / epsilon) / epsilon;
-    let second = -2.0 / (epsilon * epsilon);
-    let (ga, gb) = (eb.cross(cross) * 2.0, cross.cross(ea) * 2.0);
-    let dot = ea.dot(eb);
-    let identity = DMat3::IDENTITY;
-    let c_aa = (identity * eb.length_squared() - outer(eb, eb)) * 2.0;
-    let c_bb = (identity * ea.length_squared() - outer(ea, ea)) * 2.0;
-    let c_ab = (outer(ea, eb) * 2.0 - outer(eb, ea) - identity * dot) * 2.0;
-    [
-        c_aa * first + outer(ga, ga) * second,
-        c_ab * first + outer(ga, gb) * second,
-        c_bb * first + outer(gb, gb) * second,
-    ]
-}
-
-/// Hessian of the mollifier over the stencil points `[a0, a1, b0, b1]`, 1/m².
-pub fn hessian(ea: DVec3, eb: DVec3, epsilon: f64) -> Matrix12 {
-    let [aa, ab, bb] = edge_hessian(ea, eb, epsilon);
-    let mut matrix = [[0.0; 12]; 12];
-    for i in 0..4 {
-        for j in 0..4 {
-            let sign = if i % 2 == j % 2 { 1.0 } else { -1.0 };
-            let block = match (i < 2, j < 2) {
-                (true, true) => aa,
-                (true, false) => ab,
-                (false, true) => ab.transpose(),
-                (false, false) => bb,
-            };
-            for row in 0..3 {
-                for column in 0..3 {
-                    matrix[3 * i + row][3 * j + column] = sign * block.col(column)[row];
-                }
-            }
-        }
-    }
-    matrix
-}
-
-/// `a bᵀ`.
-#[inline]
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::stencil_cases::{
-        Points, SCALES, assert_close, difference, difference_rows, edge_edge, flat,
-    };
+    use super::super::stencil_cases::{Points, SCALES, assert_close, difference, edge_edge, flat};
     use super::*;
 
     fn edges(x: &Points) -> (DVec3, DVec3) {
@@ -168,15 +112,6 @@ mod tests {
                     1.0 / scale,
                     1e-6,
                     "gradient",
-                );
-                let expected = difference_rows(&points, step, |x| flat(&at(x).gradient()));
-                let hessian = hessian(ea, eb, epsilon);
-                assert_close(
-                    hessian.as_flattened(),
-                    expected.as_flattened(),
-                    1.0 / (scale * scale),
-                    1e-6,
-                    "hessian",
                 );
             }
         }

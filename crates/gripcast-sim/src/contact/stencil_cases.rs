@@ -100,18 +100,6 @@ pub(crate) fn difference(points: &Points, step: f64, f: impl Fn(&Points) -> f64)
     })
 }
 
-/// Central difference of a gradient over the 12 coordinates, row `i` by coordinate `i`.
-pub(crate) fn difference_rows(
-    points: &Points,
-    step: f64,
-    f: impl Fn(&Points) -> [f64; 12],
-) -> [[f64; 12]; 12] {
-    std::array::from_fn(|i| {
-        let (high, low) = (f(&moved(points, i, step)), f(&moved(points, i, -step)));
-        std::array::from_fn(|j| (high[j] - low[j]) / (2.0 * step))
-    })
-}
-
 /// Largest entry.
 pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().map(f64::abs).fold(0.0, f64::max)

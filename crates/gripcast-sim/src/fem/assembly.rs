@@ -65,33 +65,6 @@ impl WithSimd for GradientSum<'_> {
     }
 }
 
-/// [`EnergySum`] and [`GradientSum`] at once.
-pub(super) struct EnergyGradientSum<'a> {
-    pub(super) elements: Elements<'a>,
-    pub(super) x: &'a [DVec3],
-    pub(super) gradient: &'a mut [DVec3],
-}
-
-impl WithSimd for EnergyGradientSum<'_> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> f64 {
-        let law = self.elements.law;
-        let mut sums = [0.0; WIDTH];
-        for batch in self.elements.batches {
-            let edges = batch.edges(self.x);
-            let (energies, valid) = kernel::energy(law, batch, &edges);
-            if !valid {
-                return f64::INFINITY;
-            }
-            add_lanes(&mut sums, &energies);
-            scatter_forces(batch, &kernel::gradient(law, batch, &edges), self.gradient);
-        }
-        total(&sums)
-    }
-}
-
 /// Adds the Hessian in N/m to the values of the pattern.
 pub(super) struct HessianSum<'a> {
     pub(super) elements: Elements<'a>,

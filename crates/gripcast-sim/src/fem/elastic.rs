@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use pulp::Arch;
 
-use super::assembly::{Elements, EnergyGradientSum, EnergySum, GradientSum, HessianSum};
+use super::assembly::{Elements, EnergySum, GradientSum, HessianSum};
 use super::batch::Batch;
 use super::neo_hookean::{NeoHookean, Projection};
 use super::pattern::StiffnessPattern;
@@ -93,16 +93,6 @@ impl Elastic {
             x,
             gradient,
         });
-    }
-
-    /// [`Elastic::energy`] and [`Elastic::gradient`] at once; what is added for an infinite
-    /// energy means nothing.
-    pub fn energy_gradient(&self, x: &[DVec3], gradient: &mut [DVec3]) -> f64 {
-        Arch::new().dispatch(EnergyGradientSum {
-            elements: self.elements(),
-            x,
-            gradient,
-        })
     }
 
     /// Adds the Hessian in N/m at a state of finite energy to `values`, which are laid out by

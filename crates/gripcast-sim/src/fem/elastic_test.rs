@@ -170,14 +170,8 @@ fn all_indices() -> impl Iterator<Item = (usize, usize, usize, usize)> {
 fn the_same_numbers_as_element_by_element() {
     let (rest, elastic) = small();
     for (name, x) in states(&rest) {
-        let mut both = vec![DVec3::ZERO; x.len()];
-        let energy = elastic.energy_gradient(&x, &mut both);
-        assert_eq!(energy.to_bits(), elastic.energy(&x).to_bits(), "{name}");
+        let energy = elastic.energy(&x);
         let found = gradient(&elastic, &x);
-        assert!(
-            both.iter().flat_map(|v| v.to_array()).eq(found.clone()),
-            "{name}"
-        );
         for projection in [Projection::None, Projection::Clamp, Projection::Abs] {
             let (e, g, h) = by_hand(&x, projection);
             assert!(
@@ -304,8 +298,6 @@ fn flat_and_inverted_and_not_a_number_are_infinite() {
     lost[59].y = f64::NAN;
     for x in [flat, inside_out, lost] {
         assert_eq!(elastic.energy(&x), f64::INFINITY);
-        let mut g = vec![DVec3::ZERO; x.len()];
-        assert_eq!(elastic.energy_gradient(&x, &mut g), f64::INFINITY);
     }
 }
 

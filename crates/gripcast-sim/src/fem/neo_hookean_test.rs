@@ -3,6 +3,7 @@
     reason = "rows and columns of several matrices at once"
 )]
 
+use super::super::svd::svd;
 use super::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;

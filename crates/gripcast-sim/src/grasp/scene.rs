@@ -4,7 +4,6 @@ use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::affine::{AffineBody, AffineState};
-use crate::contact::barrier::Barrier;
 use crate::fem::{GelGrid, GelResolution};
 use crate::solver::{Collider, Drive, Gel, GelMaterial, Object, SolverParameters, System};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -164,10 +163,7 @@ impl Scene {
                 "give a pose whose lowest point is at z = 0, or leave it out for a stable one",
             ));
         }
-        let barrier = Barrier {
-            kappa: parameters.kappa_pa,
-            d_hat: parameters.d_hat_m,
-        };
+        let barrier = parameters.barrier();
         let weight = self.mass_kg * parameters.gravity_m_s2.abs();
         let raised_m = object.resting_height(&collider, &barrier, weight) - lowest;
         object.raise(raised_m);

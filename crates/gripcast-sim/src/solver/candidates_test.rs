@@ -7,7 +7,6 @@ use rand_pcg::Pcg64;
 use super::super::test_scene::{centred, near_distances, random_point, small_pad};
 use super::super::{Collider, Drive, Gel, GelMaterial, SolverParameters};
 use crate::affine::AffineState;
-use crate::contact::barrier::Barrier;
 
 const PARAMETERS: fn() -> SolverParameters = SolverParameters::default;
 
@@ -40,10 +39,7 @@ fn pad_near(collider: &Collider, object: &AffineState, rng: &mut Pcg64) -> Gel {
 #[test]
 fn every_active_pair_is_a_candidate_within_the_covered_radius() {
     let parameters = PARAMETERS();
-    let barrier = Barrier {
-        kappa: parameters.kappa_pa,
-        d_hat: parameters.d_hat_m,
-    };
+    let barrier = parameters.barrier();
     let radius = parameters.candidate_margin_m;
     let mut rng = Pcg64::seed_from_u64(4);
     let mut totals = [0; 3];

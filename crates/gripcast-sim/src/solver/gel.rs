@@ -2,7 +2,6 @@
 
 use glam::DVec3;
 
-use super::candidates::Candidates;
 use super::ccd;
 use super::collider::Collider;
 use super::coupling::{Coupling, GeneralisedForce, OBJECT};
@@ -588,10 +587,6 @@ impl Gel {
         self.step
             .extend(direction.chunks_exact(3).map(DVec3::from_slice));
         self.elastic.inversion_free_step(&self.x, &self.step)
-    }
-
-    pub(super) fn candidates(&self) -> &Candidates {
-        &self.contact.candidates
     }
 }
 

@@ -55,10 +55,7 @@ impl GelPhases {
             rest,
             x,
             object,
-            barrier: Barrier {
-                kappa: parameters.kappa_pa,
-                d_hat: parameters.d_hat_m,
-            },
+            barrier: parameters.barrier(),
             parameters,
             contact: GelContact::new(nodes),
             gradient: vec![DVec3::ZERO; nodes],

@@ -303,9 +303,4 @@ impl Object {
         }
         limit
     }
-
-    /// Force of the ground on the object, N.
-    pub fn ground_force(&self) -> DVec3 {
-        -DVec3::from_slice(&self.ground_gradient.0[..3])
-    }
 }

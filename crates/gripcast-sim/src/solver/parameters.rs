@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::contact::barrier::Barrier;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// What one step of the simulator depends on, besides the scene.
@@ -61,6 +62,14 @@ impl Default for SolverParameters {
 }
 
 impl SolverParameters {
+    /// The barrier between gels, object and ground.
+    pub fn barrier(&self) -> Barrier {
+        Barrier {
+            kappa: self.kappa_pa,
+            d_hat: self.d_hat_m,
+        }
+    }
+
     /// Checks that every parameter can be computed with.
     ///
     /// # Errors

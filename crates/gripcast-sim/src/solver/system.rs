@@ -127,10 +127,7 @@ impl System {
             gels,
             object,
             collider,
-            barrier: Barrier {
-                kappa: parameters.kappa_pa,
-                d_hat: parameters.d_hat_m,
-            },
+            barrier: parameters.barrier(),
             pair_mu,
             memory: Memory::new(parameters.memory),
             gradient: vec![0.0; unknowns],
@@ -173,11 +170,6 @@ impl System {
     /// Where the time went.
     pub fn phase_times(&self) -> &PhaseTimes {
         &self.times
-    }
-
-    /// Pairs gathered at present.
-    pub fn candidate_pairs(&self) -> usize {
-        self.gels.iter().map(|gel| gel.candidates().len()).sum()
     }
 
     /// A lower bound of the distance between each gel and the object, m.

@@ -6,7 +6,6 @@ use rand_pcg::Pcg64;
 
 use super::{Collider, Drive, Gel, GelMaterial, Object, SolverParameters, System};
 use crate::affine::{AffineBody, AffineState};
-use crate::contact::barrier::Barrier;
 use crate::contact::distance::{edge_edge, point_triangle};
 use crate::fem::GelGrid;
 use gripcast_geometry::{MassProperties, Pose, TriangleMesh, builtin};
@@ -61,10 +60,7 @@ impl Grip {
         let collider = Collider::new(mesh);
         let state = AffineState::rigid(DVec3::ZERO, DMat3::IDENTITY);
         let mut object = Object::new(body, state, &collider).on_ground(MU);
-        let barrier = Barrier {
-            kappa: parameters.kappa_pa,
-            d_hat: parameters.d_hat_m,
-        };
+        let barrier = parameters.barrier();
         let gap = object.resting_height(&collider, &barrier, MASS_KG * 9.81);
         object.raise(gap - object.lowest(&collider));
         let gels = [DVec3::X, DVec3::NEG_X].map(|side| {

@@ -3,9 +3,8 @@
 use glam::{DMat3, DVec3};
 
 use super::pinch::{GRAVITY, solid};
-use super::report::{Recorder, Tolerance};
+use super::report::Recorder;
 use crate::affine::{AffineRate, AffineState};
-use crate::contact::barrier::Barrier;
 use crate::solver::{Object, SolverParameters, StepStart, System};
 use gripcast_base::error::Result;
 use gripcast_geometry::{Pose, builtin};
@@ -33,8 +32,7 @@ pub(super) fn free_fall(recorder: &mut Recorder) -> Result<()> {
             let steps = f64::from(n);
             let expected = -0.5 * GRAVITY * dt * dt * steps * (steps + 1.0);
             let found = system.object().state().p.z - 1.0;
-            let tolerance = Tolerance::Absolute(1e-9);
-            recorder.check(format!("{n} steps"), (expected, found), "m", tolerance);
+            recorder.absolute(format!("{n} steps"), (expected, found), "m", 1e-9);
         }
     }
     Ok(())
@@ -68,76 +66,36 @@ pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
     let found = system.object().rate().p * mass;
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         let pair = (velocity[axis] * mass, found[axis]);
-        recorder.check(
-            format!("linear {name}"),
-            pair,
-            "kg m/s",
-            Tolerance::Absolute(1e-12),
-        );
+        recorder.absolute(format!("linear {name}"), pair, "kg m/s", 1e-12);
     }
     let angle = spin * dt;
     let after = |n: f64| (1.0 + 2.0 * n * angle * angle).sqrt().recip();
     let expected = after(f64::from(steps) + 1.0) / after(1.0);
     let pair = (expected, angular(&system) / first);
-    recorder.check("angular, kept", pair, "", Tolerance::Relative(1e-3));
+    recorder.relative("angular, kept", pair, "", 1e-3);
     Ok(())
 }
 
-/// An incline and what a block does on it.
-struct Incline {
-    mu: f64,
-    degrees: f64,
-}
-
-const INCLINES: [Incline; 10] = [
-    Incline {
-        mu: 0.4,
-        degrees: 15.0,
-    },
-    Incline {
-        mu: 0.4,
-        degrees: 20.0,
-    },
-    Incline {
-        mu: 0.4,
-        degrees: 21.5,
-    },
-    Incline {
-        mu: 0.4,
-        degrees: 22.1,
-    },
-    Incline {
-        mu: 0.4,
-        degrees: 23.0,
-    },
-    Incline {
-        mu: 0.4,
-        degrees: 30.0,
-    },
-    Incline {
-        mu: 0.2,
-        degrees: 11.0,
-    },
-    Incline {
-        mu: 0.2,
-        degrees: 12.0,
-    },
-    Incline {
-        mu: 0.8,
-        degrees: 38.0,
-    },
-    Incline {
-        mu: 0.8,
-        degrees: 39.0,
-    },
+/// Friction coefficients and angles, degrees.
+const INCLINES: [(f64, f64); 10] = [
+    (0.4, 15.0),
+    (0.4, 20.0),
+    (0.4, 21.5),
+    (0.4, 22.1),
+    (0.4, 23.0),
+    (0.4, 30.0),
+    (0.2, 11.0),
+    (0.2, 12.0),
+    (0.8, 38.0),
+    (0.8, 39.0),
 ];
 
 /// Below tan θ = µ a block creeps at eps_v (1 - sqrt(1 - tan θ / µ)); above, it speeds up by
 /// g (sin θ - µ cos θ).
 pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
-    for case in &INCLINES {
-        let angle = case.degrees.to_radians();
-        let mut system = block(case.mu, angle)?;
+    for (mu, degrees) in INCLINES {
+        let angle = degrees.to_radians();
+        let mut system = block(mu, angle)?;
         let dt = system.parameters().dt_s;
         let speed = |system: &System| system.object().rate().p.x;
         for _ in 0..60 {
@@ -148,29 +106,18 @@ pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
             system.step(&StepStart::default());
         }
         let now = speed(&system);
-        let name = format!("mu {}, {} deg", case.mu, case.degrees);
+        let name = format!("mu {mu}, {degrees} deg");
         let acceleration = (now - before) / (20.0 * dt);
-        if angle.tan() < case.mu {
+        if angle.tan() < mu {
             let eps_v = system.parameters().eps_v_m_s;
-            let expected = eps_v * (1.0 - (1.0 - angle.tan() / case.mu).sqrt());
-            let tolerance = Tolerance::Relative(0.005);
-            recorder.check(format!("{name}: creep"), (expected, now), "m/s", tolerance);
-            let tolerance = Tolerance::Absolute(1e-5);
-            recorder.check(
-                format!("{name}: no slip"),
-                (0.0, acceleration),
-                "m/s2",
-                tolerance,
-            );
+            let expected = eps_v * (1.0 - (1.0 - angle.tan() / mu).sqrt());
+            recorder.relative(format!("{name}: creep"), (expected, now), "m/s", 0.005);
+            let pair = (0.0, acceleration);
+            recorder.absolute(format!("{name}: no slip"), pair, "m/s2", 1e-5);
         } else {
-            let expected = GRAVITY * (angle.sin() - case.mu * angle.cos());
-            let tolerance = Tolerance::Relative(0.005);
-            recorder.check(
-                format!("{name}: slip"),
-                (expected, acceleration),
-                "m/s2",
-                tolerance,
-            );
+            let expected = GRAVITY * (angle.sin() - mu * angle.cos());
+            let pair = (expected, acceleration);
+            recorder.relative(format!("{name}: slip"), pair, "m/s2", 0.005);
         }
     }
     Ok(())
@@ -194,12 +141,9 @@ fn block(mu: f64, angle: f64) -> Result<System> {
     let mut object = Object::new(body, state, &collider)
         .on_ground(mu)
         .pulled(DVec3::X * GRAVITY * angle.sin());
-    let barrier = Barrier {
-        kappa: parameters.kappa_pa,
-        d_hat: parameters.d_hat_m,
-    };
     let weight = mass * GRAVITY * angle.cos();
-    let rise = object.resting_height(&collider, &barrier, weight) - object.lowest(&collider);
+    let rise =
+        object.resting_height(&collider, &parameters.barrier(), weight) - object.lowest(&collider);
     object.raise(rise);
     System::new(Vec::new(), object, collider, mu, parameters)
 }

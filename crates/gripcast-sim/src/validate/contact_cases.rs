@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::pinch::{GRAVITY, Pinch};
-use super::report::{Recorder, Tolerance};
+use super::report::Recorder;
 use crate::contact::barrier::Barrier;
 use crate::fem::{GelGrid, GelResolution};
 use crate::grasp::{ForceRule, GelSpec, GraspOutcome, Protocol, Scene, simulate};
@@ -33,12 +33,7 @@ pub(super) fn balance(recorder: &mut Recorder) -> Result<()> {
             worst = worst.max((pinch.force_on_gels() + change - weight).length());
         }
         let pair = (0.0, worst);
-        recorder.check(
-            format!("{name}: residual"),
-            pair,
-            "N",
-            Tolerance::Absolute(1e-6),
-        );
+        recorder.absolute(format!("{name}: residual"), pair, "N", 1e-6);
         recorder.hold(format!("{name}: converged"), pinch.unconverged == 0);
     }
     Ok(())
@@ -67,7 +62,7 @@ pub(super) fn creep(recorder: &mut Recorder) -> Result<()> {
         }
         let (expected, found) = (expected / f64::from(steps), found / f64::from(steps));
         let name = format!("{mass} kg at T/muN {share:.2}");
-        recorder.check(name, (expected, found), "m/s", Tolerance::Relative(0.01));
+        recorder.relative(name, (expected, found), "m/s", 0.01);
     }
     Ok(())
 }
@@ -146,11 +141,7 @@ const NODE_WEIGHT: f64 = 0.25;
 
 /// The gap under a plate of one face a side is that of the barrier's formula.
 pub(super) fn gap(recorder: &mut Recorder) -> Result<()> {
-    let parameters = SolverParameters::default();
-    let barrier = Barrier {
-        kappa: parameters.kappa_pa,
-        d_hat: parameters.d_hat_m,
-    };
+    let barrier = SolverParameters::default().barrier();
     let grid = GelGrid::pad(GelResolution::Coarse)?;
     let mut press = Press::new(grid, Indenter::Mesh(single_face()));
     press.d_hat_m = barrier.d_hat;
@@ -165,12 +156,7 @@ pub(super) fn gap(recorder: &mut Recorder) -> Result<()> {
         let mean = point.normal_n / (0.025 * 0.02);
         let expected = gap_at(&barrier, NODE_WEIGHT, mean);
         let name = format!("{:.1} kPa", 1e-3 * mean);
-        recorder.check(
-            name,
-            (expected, point.gap_m),
-            "m",
-            Tolerance::Relative(0.01),
-        );
+        recorder.relative(name, (expected, point.gap_m), "m", 0.01);
     }
     Ok(())
 }
@@ -196,24 +182,12 @@ pub(super) fn drive(recorder: &mut Recorder) -> Result<()> {
         let name = format!("{}x{}x{}", nodes[0], nodes[1], nodes[2]);
         let found = compliance(&grid, Drive::PerArea(5e9))?;
         let pair = (5e9 * area, found);
-        recorder.check(
-            format!("area {name}"),
-            pair,
-            "N/m",
-            Tolerance::Relative(1e-3),
-        );
+        recorder.relative(format!("area {name}"), pair, "N/m", 1e-3);
         let dt = SolverParameters::default().dt_s;
         let back_mass = 1000.0 * area * 0.5 * 0.004 / (nodes[2] - 1) as f64;
-        let pair = (
-            5e4 * back_mass / (dt * dt),
-            compliance(&grid, Drive::PerMass(5e4))?,
-        );
-        recorder.check(
-            format!("taccel {name}"),
-            pair,
-            "N/m",
-            Tolerance::Relative(1e-2),
-        );
+        let found = compliance(&grid, Drive::PerMass(5e4))?;
+        let pair = (5e4 * back_mass / (dt * dt), found);
+        recorder.relative(format!("taccel {name}"), pair, "N/m", 1e-2);
     }
     Ok(())
 }

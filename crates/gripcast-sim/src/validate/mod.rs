@@ -133,7 +133,7 @@ mod tests {
         };
     }
 
-    // `mesh` runs for minutes; `gripcast sim validate` runs it.
+    // `mesh` runs for minutes: grasp_cases.rs tests it with one grasp.
     groups! {
         free_fall: "free-fall",
         momentum: "momentum",

@@ -103,6 +103,28 @@ impl Recorder {
         self.since = now;
     }
 
+    /// Records a number that may be off by `limit` in its unit.
+    pub(super) fn absolute(
+        &mut self,
+        what: impl std::fmt::Display,
+        pair: (f64, f64),
+        unit: &'static str,
+        limit: f64,
+    ) {
+        self.check(what, pair, unit, Tolerance::Absolute(limit));
+    }
+
+    /// Records a number that may be off by `fraction` of the expected one.
+    pub(super) fn relative(
+        &mut self,
+        what: impl std::fmt::Display,
+        pair: (f64, f64),
+        unit: &'static str,
+        fraction: f64,
+    ) {
+        self.check(what, pair, unit, Tolerance::Relative(fraction));
+    }
+
     /// Records something that must be true.
     pub(super) fn hold(&mut self, what: impl std::fmt::Display, holds: bool) {
         let found = f64::from(u8::from(holds));
