@@ -1,6 +1,6 @@
 //! Elastic energy of a gel: mesh, law, and the sums over its elements.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use pulp::Arch;
 
 use super::assembly::{Elements, EnergySum, GradientSum, HessianSum};
@@ -17,7 +17,6 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 #[derive(Clone, Debug)]
 pub struct Elastic {
     law: NeoHookean,
-    nodes: usize,
     batches: Vec<Batch>,
     pattern: StiffnessPattern,
 }
@@ -53,22 +52,9 @@ impl Elastic {
         }
         Ok(Self {
             law,
-            nodes: rest.len(),
             batches: Batch::group(tets, rest, &pattern),
             pattern,
         })
-    }
-
-    /// The law of the material.
-    #[must_use]
-    pub fn law(&self) -> &NeoHookean {
-        &self.law
-    }
-
-    /// Number of nodes: the length of every position and gradient slice.
-    #[must_use]
-    pub fn nodes(&self) -> usize {
-        self.nodes
     }
 
     /// Sparsity of the Hessian.
@@ -126,17 +112,6 @@ impl Elastic {
             x,
             dx,
         })
-    }
-
-    /// Adds a symmetric block on the diagonal of the Hessian; only its lower triangle is read.
-    pub fn add_diagonal_block(&self, node: usize, block: &DMat3, values: &mut [f64]) {
-        self.pattern.add_diagonal_block(node, block, values);
-    }
-
-    /// Adds a block and its transpose for two nodes of one element; see
-    /// [`StiffnessPattern::add_pair_block`].
-    pub fn add_pair_block(&self, i: usize, j: usize, block: &DMat3, values: &mut [f64]) -> bool {
-        self.pattern.add_pair_block(i, j, block, values)
     }
 }
 

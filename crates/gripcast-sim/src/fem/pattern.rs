@@ -139,7 +139,8 @@ impl StiffnessPattern {
     }
 
     /// y = A x for the full symmetric matrix with these `values`; x and y have `dimension` entries.
-    pub fn multiply(&self, values: &[f64], x: &[f64], y: &mut [f64]) {
+    #[cfg(test)]
+    pub(crate) fn multiply(&self, values: &[f64], x: &[f64], y: &mut [f64]) {
         y.fill(0.0);
         for column in 0..self.dimension() {
             let entries = self.column_starts[column]..self.column_starts[column + 1];

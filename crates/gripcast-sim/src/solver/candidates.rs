@@ -69,10 +69,6 @@ pub(super) struct Candidates {
 }
 
 impl Candidates {
-    pub(super) fn len(&self) -> usize {
-        self.node_triangles.len() + self.vertex_triangles.len() + self.edge_edges.len()
-    }
-
     /// How far each surface node has moved in the object's frame since the pairs were gathered,
     /// with a hair added for the affine matrix; the largest of these.
     pub(super) fn moved(

@@ -77,7 +77,8 @@ impl GelPhases {
 
     /// Number of candidate pairs.
     pub fn candidates(&self) -> usize {
-        self.contact.candidates.len()
+        let pairs = &self.contact.candidates;
+        pairs.node_triangles.len() + pairs.vertex_triangles.len() + pairs.edge_edges.len()
     }
 
     /// The active contacts: whether it is one of two edges, and the distance, m.
