@@ -210,10 +210,12 @@ mod tests {
         assert_eq!(fine.vertices[..sphere.vertices.len()], sphere.vertices);
         fine.validate().unwrap();
         let [before, after] = [&sphere, &fine].map(|mesh| most_off(mesh, radius, DVec3::length));
-        assert!(after < 0.15 * before, "{after} {before}");
+        // Corner normals that keep plane faces plane leave a sphere a little less round than plain
+        // means do, which reach 0.15.
+        assert!(after < 0.2 * before, "{after} {before}");
         let ball = 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3);
         let [before, after] = [&sphere, &fine].map(|mesh| (volume(mesh) / ball - 1.0).abs());
-        assert!(after < 0.15 * before, "{after} {before}");
+        assert!(after < 0.2 * before, "{after} {before}");
     }
 
     #[test]

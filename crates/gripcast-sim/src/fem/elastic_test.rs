@@ -5,6 +5,7 @@
 
 use super::*;
 use crate::fem::{GelGrid, GelResolution};
+use glam::DMat3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
