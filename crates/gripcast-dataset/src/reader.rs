@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use super::descriptor::Descriptor;
-use super::grasp::{CameraRecord, GraspId, GraspRecord};
-use super::layout::{GRASP_JSON, Layout, Stage, digest};
+use super::digest::digest;
+use super::grasp::{CameraRecord, GraspRecord};
+use super::layout::{GRASP_JSON, Layout, Stage};
 use super::picture;
 use super::record_file::{check_id, read_grasp};
-use super::split::{self, SplitFile};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind};
+use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
 use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
 
 /// A dataset that is read; any number of readers beside one writer.
@@ -155,31 +155,6 @@ impl Dataset {
             Some(fault) => Err(refused(fault)),
             None => Ok(bytes),
         }
-    }
-
-    /// Names of the splits, sorted.
-    ///
-    /// # Errors
-    /// When `splits/` cannot be read.
-    pub fn split_names(&self) -> Result<Vec<String>> {
-        let dir = self.layout.splits();
-        if !dir.is_dir() {
-            return Ok(Vec::new());
-        }
-        let names = entries(&dir)?.into_iter().map(|entry| entry.name());
-        Ok(names
-            .filter(|name| !name.starts_with('.'))
-            .filter_map(|name| name.strip_suffix(".json").map(str::to_owned))
-            .collect())
-    }
-
-    /// A split, by its name.
-    ///
-    /// # Errors
-    /// `Usage`: no split can be called so. As of [`SplitFile::read`].
-    pub fn split(&self, name: &str) -> Result<SplitFile> {
-        let file = split::file_name(name)?;
-        SplitFile::read_beneath(&self.layout.splits().join(file))
     }
 
     /// A stored frame, as the camera sent it; a YUYV frame as RGB, with exactly the pixels that

@@ -9,6 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, ErrorKind};
 
+/// Largest side of an image that is decoded or produced, in pixels.
+pub const LARGEST_SIDE: u32 = 16_384;
+
 /// What a camera is for; the key of everything that is stored per camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

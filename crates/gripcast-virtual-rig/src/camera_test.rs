@@ -1,4 +1,5 @@
 use std::collections::BTreeMap;
+use std::fs;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -6,7 +7,7 @@ use super::camera::{VirtualRig, yuyv_bytes};
 use super::{FilmLibrary, HandGoal};
 use gripcast_base::error::ErrorKind;
 use gripcast_capture::calibration::{CameraConfig, SourceKind};
-use gripcast_capture::camera::{CameraOpener as _, CaptureError, FrameSource as _, ManualClock};
+use gripcast_capture::camera::{CameraOpener as _, CaptureError, Clock as _, ManualClock};
 use gripcast_imaging::{PixelFormat, Role};
 
 const MS: u64 = 1_000_000;
@@ -14,21 +15,8 @@ const TIMEOUT: Duration = Duration::from_millis(100);
 
 fn config(format: PixelFormat, width: u32, height: u32, fps: f64) -> CameraConfig {
     CameraConfig {
-        source: SourceKind::Virtual,
-        product: String::new(),
-        serial: None,
-        interface: None,
-        port: None,
-        path: None,
-        unpaced: false,
-        format,
-        width,
-        height,
-        fps,
-        crop_profile: None,
-        depth_unit_m: None,
-        intrinsics: None,
         controls: BTreeMap::from([("gain".to_owned(), 7)]),
+        ..CameraConfig::new(SourceKind::Virtual, format, width, height, fps)
     }
 }
 

@@ -17,7 +17,7 @@ mod v4l2_shared;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use recorder::Recorder;
-pub use replay::{ReplayOpener, ReplayPace, ReplaySource};
+pub use replay::{ReplayOpener, ReplaySource};
 pub use rig_sources::{NoVirtualCameras, RigSources, VirtualCameras};
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
