@@ -21,7 +21,7 @@ use std::path::PathBuf;
 use clap::{Subcommand, ValueEnum};
 use serde_json::json;
 
-use super::dataset_text::{counted, outcomes_text, progress_bar, size_text, to_value};
+use super::dataset_text::{counted, name_of, outcomes_text, progress_bar, size_text, to_value};
 use super::{Context, dataset_export, dataset_import, print, print_json};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -323,7 +323,7 @@ fn verify_text(report: &VerifyReport) -> String {
         let _ = writeln!(
             text,
             "{}  {}: {}\n  → {}",
-            problem.kind,
+            name_of(&problem.kind),
             place.unwrap_or_default(),
             problem.detail,
             problem.remedy
@@ -346,12 +346,11 @@ fn verify_text(report: &VerifyReport) -> String {
 fn recover_text(report: &RecoverReport) -> String {
     let mut text = String::new();
     for action in &report.actions {
-        let kind = to_value(&action.kind).unwrap_or_default();
         let _ = writeln!(
             text,
             "{}{}  {}: {}",
             if action.lost { "LOST  " } else { "" },
-            kind.as_str().unwrap_or_default(),
+            name_of(&action.kind),
             action.item,
             action.detail
         );

@@ -57,6 +57,12 @@ pub(super) fn progress_bar(context: &Context, what: &'static str) -> ProgressBar
     bar
 }
 
+/// The name that a kind has in JSON.
+pub(super) fn name_of(kind: &impl serde::Serialize) -> String {
+    let value = to_value(kind).unwrap_or_default();
+    value.as_str().unwrap_or_default().to_owned()
+}
+
 /// A report as JSON.
 pub(super) fn to_value(report: &impl serde::Serialize) -> Result<Value> {
     serde_json::to_value(report)

@@ -1,7 +1,6 @@
 //! Finds everything that is wrong with a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -57,28 +56,6 @@ pub enum ProblemKind {
     Split,
     /// An object is in two parts of a split.
     Leak,
-}
-
-impl fmt::Display for ProblemKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Descriptor => "descriptor",
-            Self::Torn => "torn",
-            Self::UnreadableRecord => "unreadable-record",
-            Self::IdMismatch => "id-mismatch",
-            Self::DuplicateId => "duplicate-id",
-            Self::MissingFile => "missing-file",
-            Self::ExtraFile => "extra-file",
-            Self::Altered => "altered",
-            Self::DamagedPicture => "damaged-picture",
-            Self::DuplicateContent => "duplicate-content",
-            Self::Calibration => "calibration",
-            Self::Model => "model",
-            Self::Index => "index",
-            Self::Split => "split",
-            Self::Leak => "leak",
-        })
-    }
 }
 
 impl ProblemKind {

@@ -243,13 +243,9 @@ impl FrameSource for VirtualCamera {
         let now_ns = self.rig.clock.now_ns();
         let number = self.schedule.upcoming(now_ns);
         let due_ns = self.schedule.time_ns(number);
-        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
-        let patience_ns = now_ns.saturating_add(timeout_ns);
-        if due_ns > patience_ns {
-            self.rig.clock.sleep_until(patience_ns);
+        if !self.rig.clock.wait_for(due_ns, timeout) {
             return Err(CaptureError::Timeout);
         }
-        self.rig.clock.sleep_until(due_ns);
         self.schedule.next = number + 1;
         let moment = self.rig.hand.moment(due_ns);
         let data = self

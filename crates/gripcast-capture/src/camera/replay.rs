@@ -21,7 +21,7 @@ use super::source::{
 use crate::calibration::CameraConfig;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Root};
-use gripcast_imaging::{Frame, FrameBytes, PixelFormat, Role};
+use gripcast_imaging::{Frame, FrameBytes, PixelFormat, Role, decode_png_rgb};
 
 const PNG_JPEG_QUALITY: i32 = 98;
 
@@ -304,9 +304,7 @@ fn open_picture(path: &Path) -> Result<(Payload, (u32, u32))> {
         let size = (header.width as u32, header.height as u32);
         return Ok((Payload::File(place), size));
     }
-    let picture = image::load_from_memory_with_format(&bytes, image::ImageFormat::Png)
-        .map_err(|error| Error::new(ErrorKind::Input, "this is no PNG").because(error))?
-        .into_rgb8();
+    let picture = decode_png_rgb(&bytes)?;
     let (width, height) = picture.dimensions();
     let rgb = Image {
         pixels: picture.as_raw().as_slice(),
@@ -347,13 +345,9 @@ impl FrameSource for ReplaySource {
         } else {
             start_ns + recorded.offset_ns
         };
-        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
-        let patience_ns = now_ns.saturating_add(timeout_ns);
-        if due_ns > patience_ns {
-            self.clock.sleep_until(patience_ns);
+        if !self.clock.wait_for(due_ns, timeout) {
             return Err(CaptureError::Timeout);
         }
-        self.clock.sleep_until(due_ns);
         self.next += 1;
 
         let sequence = recorded.sequence;
