@@ -11,10 +11,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use gripcast_capture::calibration::CameraConfig;
-use gripcast_capture::camera::{
-    CameraOpener, FilmLibrary, FrameSource, HandGoal, ManualClock, VirtualRig,
-};
+use gripcast_capture::camera::{CameraOpener, FrameSource, ManualClock};
 use gripcast_imaging::{Frame, PixelFormat, Role};
+use gripcast_virtual_rig::{FilmLibrary, HandGoal, VirtualRig};
 use image::{Rgb, RgbImage, imageops};
 
 const WIDTH: u32 = 640;

@@ -1,6 +1,7 @@
 //! What `collect` and `daemon` share: the rig, the model and the dataset of a configuration, made
 //! ready for the engine, and the pedals.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -15,13 +16,15 @@ use super::model_choice::chosen_model;
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::allow_links_into;
-use gripcast_capture::calibration::{PedalConfig, RigFile};
+use gripcast_capture::calibration::{PedalConfig, RigFile, SourceKind};
 use gripcast_capture::camera::{MonotonicClock, RigSources, SupervisionPolicy};
 use gripcast_capture::device::SystemRoot;
 use gripcast_capture::trigger::{PedalEvent, Script, run_pedal};
 use gripcast_dataset::NewDataset;
-use gripcast_imaging::Role;
+use gripcast_imaging::{Intrinsics, Role};
+use gripcast_pose::load_intrinsics;
 use gripcast_session::{CommandSource, Labels};
+use gripcast_virtual_rig::{VirtualHand, VirtualSource};
 
 /// Commands that wait for the engine; an operator cannot press faster than they are taken.
 pub(crate) const COMMAND_QUEUE: usize = 64;
@@ -58,18 +61,22 @@ pub(crate) fn prepare(
     let black_box = config.black_box.settings(&dataset)?;
     let model = chosen_model(&settings.model, &rig, start.quiet)?;
     let root = SystemRoot::default();
-    let sources = RigSources::of(&rig, &root, start.seed)?;
+    let mut virtual_cameras = VirtualSource::new(start.seed);
+    let sources = RigSources::of(&rig, &root, &mut virtual_cameras)?;
+    let hand = virtual_cameras.hand();
     if start.all_present {
         sources.check_present()?;
     }
-    let (intrinsics, notes) = sources.intrinsics(&rig, &root)?;
+    let mut intrinsics = known_intrinsics(&rig, hand.as_deref())?;
+    let (factory, notes) = sources.factory_intrinsics(&rig, &root);
+    intrinsics.extend(factory);
     if !start.quiet {
         for note in notes {
             note!("{note}");
         }
     }
 
-    let boards = match (&rig.boards, &sources.hand) {
+    let boards = match (&rig.boards, &hand) {
         (Some(boards), _) => Some(Boards::read(boards)?),
         (None, Some(hand)) => Some(Boards::of_virtual_rig(Arc::clone(hand))?),
         (None, None) => None,
@@ -103,9 +110,29 @@ pub(crate) fn prepare(
         model,
         script,
         boards,
-        hand: sources.hand,
+        hand,
         black_box,
     })
+}
+
+/// Intrinsics from the files that the rig names, and those of the virtual camera beside the table.
+fn known_intrinsics(
+    rig: &RigFile,
+    hand: Option<&VirtualHand>,
+) -> Result<BTreeMap<Role, Intrinsics>> {
+    let mut found = BTreeMap::new();
+    for (role, camera) in &rig.cameras {
+        let is_virtual = camera.source == SourceKind::Virtual;
+        let intrinsics = match (&camera.intrinsics, hand) {
+            (Some(path), _) => Some(load_intrinsics(path)?),
+            (None, Some(hand)) if is_virtual && *role == Role::External => {
+                hand.film().outside_intrinsics(camera.width, camera.height)
+            }
+            _ => None,
+        };
+        found.extend(intrinsics.map(|intrinsics| (*role, intrinsics)));
+    }
+    Ok(found)
 }
 
 /// The rig that a configuration names.

@@ -21,6 +21,7 @@ use gripcast_capture::camera::{CameraOpener, CaptureError, FrameSource, RigSourc
 use gripcast_capture::device::SystemRoot;
 use gripcast_imaging::{Decoder, Role, encode_png_grey8};
 use gripcast_pose::calibrate::{Collector, Coverage, Hint, Offer, Refusal, Tilt};
+use gripcast_virtual_rig::VirtualSource;
 
 /// Longest wait for a frame.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
@@ -44,7 +45,7 @@ pub(super) fn collect(
     keep: Option<&Path>,
 ) -> Result<Taken> {
     let rig = RigFile::find(rig)?;
-    let sources = RigSources::of(&rig, &SystemRoot::default(), 1)?;
+    let sources = RigSources::of(&rig, &SystemRoot::default(), &mut VirtualSource::new(1))?;
     let known: Vec<String> = rig.cameras.keys().map(|r| r.name().to_owned()).collect();
     let opener = sources.openers.into_iter().find(|o| o.role() == role);
     let opener = opener.ok_or_else(|| {

@@ -16,13 +16,12 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::{self, IsTerminal as _};
 use std::path::PathBuf;
 
 use clap::{Subcommand, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
-use serde_json::{Value, json};
+use serde_json::json;
 
+use super::dataset_text::{counted, name_of, outcomes_text, progress_bar, size_text, to_value};
 use super::{Context, dataset_export, dataset_import, print, print_json};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -324,7 +323,7 @@ fn verify_text(report: &VerifyReport) -> String {
         let _ = writeln!(
             text,
             "{}  {}: {}\n  → {}",
-            problem.kind,
+            name_of(&problem.kind),
             place.unwrap_or_default(),
             problem.detail,
             problem.remedy
@@ -347,12 +346,11 @@ fn verify_text(report: &VerifyReport) -> String {
 fn recover_text(report: &RecoverReport) -> String {
     let mut text = String::new();
     for action in &report.actions {
-        let kind = to_value(&action.kind).unwrap_or_default();
         let _ = writeln!(
             text,
             "{}{}  {}: {}",
             if action.lost { "LOST  " } else { "" },
-            kind.as_str().unwrap_or_default(),
+            name_of(&action.kind),
             action.item,
             action.detail
         );
@@ -384,67 +382,4 @@ fn split_text(name: &str, file: &SplitFile) -> String {
         );
     }
     text
-}
-
-fn outcomes_text(outcomes: &BTreeMap<Outcome, usize>) -> String {
-    let parts: Vec<String> = [Outcome::Stable, Outcome::Slip, Outcome::Unlabelled]
-        .into_iter()
-        .map(|outcome| {
-            let count = outcomes.get(&outcome).copied().unwrap_or(0);
-            format!("{count} {outcome}")
-        })
-        .collect();
-    parts.join(", ")
-}
-
-pub(super) fn counted(count: usize, noun: &str) -> String {
-    let plural = if count == 1 { "" } else { "s" };
-    format!("{count} {noun}{plural}")
-}
-
-/// Decimal units, as disks are sold.
-pub(super) fn size_text(bytes: u64) -> String {
-    let mut size = bytes as f64;
-    for unit in ["B", "kB", "MB", "GB"] {
-        if size < 1000.0 {
-            return if unit == "B" {
-                format!("{size:.0} {unit}")
-            } else {
-                format!("{size:.1} {unit}")
-            };
-        }
-        size /= 1000.0;
-    }
-    format!("{size:.1} TB")
-}
-
-/// A bar on stderr; hidden where stderr is no terminal.
-pub(super) fn progress_bar(context: &Context, what: &'static str) -> ProgressBar {
-    if context.quiet || !io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(0).with_message(what);
-    if let Ok(style) = ProgressStyle::with_template("{msg} {bar:40} {pos}/{len} grasps, {eta} left")
-    {
-        bar.set_style(style);
-    }
-    bar
-}
-
-pub(super) fn to_value(report: &impl serde::Serialize) -> Result<Value> {
-    serde_json::to_value(report)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the report as JSON").because(e))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn sizes_read_well() {
-        assert_eq!(size_text(999), "999 B");
-        assert_eq!(size_text(1_500), "1.5 kB");
-        assert_eq!(size_text(2_000_000_000), "2.0 GB");
-        assert_eq!(size_text(3_000_000_000_000_000), "3000.0 TB");
-    }
 }

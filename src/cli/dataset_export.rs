@@ -19,12 +19,12 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use super::dataset::{counted, size_text};
+use super::dataset_text::{counted, outcomes_text, size_text};
 use super::render_visual::size;
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::{Dataset, Outcome};
+use gripcast_dataset::Dataset;
 use gripcast_interop::export::{ExportFormat, ExportPlan, ExportReport, export};
 
 /// Arguments.
@@ -129,19 +129,12 @@ fn plan(args: &Args) -> Result<ExportPlan> {
 
 fn text(report: &ExportReport) -> String {
     let mut text = String::new();
-    let outcomes: Vec<String> = [Outcome::Stable, Outcome::Slip, Outcome::Unlabelled]
-        .into_iter()
-        .map(|outcome| {
-            let count = report.outcomes.get(&outcome).copied().unwrap_or(0);
-            format!("{count} {outcome}")
-        })
-        .collect();
     let _ = writeln!(
         text,
         "{}  {}: {}, {} in {}",
         report.format,
         counted(report.grasps, "grasp"),
-        outcomes.join(", "),
+        outcomes_text(&report.outcomes),
         size_text(report.bytes),
         counted(report.files, "file")
     );

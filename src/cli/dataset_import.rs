@@ -17,7 +17,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use super::dataset::{counted, progress_bar, to_value};
+use super::dataset_text::{counted, progress_bar, to_value};
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::Split;

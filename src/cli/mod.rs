@@ -32,6 +32,7 @@ mod daemon;
 mod dataset;
 mod dataset_export;
 mod dataset_import;
+mod dataset_text;
 mod doctor;
 mod eval;
 mod experiment;

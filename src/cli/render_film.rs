@@ -25,8 +25,8 @@ use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
-use gripcast_capture::camera::{ShootSettings, shoot};
 use gripcast_sim::grasp::TraceFile;
+use gripcast_virtual_rig::{ShootSettings, shoot};
 use gripcast_visual::Finish;
 
 /// Arguments.

@@ -23,6 +23,7 @@ use gripcast_capture::calibration::{RigFile, draft};
 use gripcast_capture::camera::RigSources;
 use gripcast_capture::device::{Access, SystemRoot, VideoDevice, permission_error};
 use gripcast_imaging::PixelFormat;
+use gripcast_virtual_rig::VirtualSource;
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -120,7 +121,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         } => {
             let rig = RigFile::find(&rig)?;
             let checks = check_cameras(
-                RigSources::of(&rig, &root, 1)?.openers,
+                RigSources::of(&rig, &root, &mut VirtualSource::new(1))?.openers,
                 &root,
                 Duration::from_secs_f64(seconds),
                 record.as_deref(),

@@ -30,9 +30,7 @@ use super::store::{Store, StoreContext, StoreMessage, pending_frame};
 use super::tasks::{TaskState, Tasks};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_capture::calibration::{RigFile, SourceKind};
-use gripcast_capture::camera::{
-    CameraOpener, HandGoal, Health, SupervisionPolicy, VirtualHand, monotonic_ns,
-};
+use gripcast_capture::camera::{CameraOpener, Health, SupervisionPolicy, monotonic_ns};
 use gripcast_capture::trigger::{self, Answer, Script, ScriptAction, ScriptRunner};
 use gripcast_dataset::{CapturedCamera, DatasetWriter, NewDataset, StageCapture};
 use gripcast_imaging::{CropProfile, Frame, Intrinsics, Role};
@@ -41,6 +39,7 @@ use gripcast_session::{
     CameraCondition, Command, CommandSource, Conditions, Effect, GuardLimits, Labels, Session,
     Step, StoreReply, StoreRequest, Tone,
 };
+use gripcast_virtual_rig::{HandGoal, VirtualHand};
 
 /// How often the status is renewed and the script asked.
 const TICK: Duration = Duration::from_millis(50);

@@ -7,8 +7,8 @@ use std::sync::Arc;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ObjectName, Root};
 use gripcast_capture::calibration::BoardsConfig;
-use gripcast_capture::camera::VirtualHand;
 use gripcast_pose::BoardFile;
+use gripcast_virtual_rig::VirtualHand;
 
 /// The gripper's tags and the sheets of objects.
 pub struct Boards {

@@ -21,6 +21,7 @@ use gripcast_capture::camera::RigSources;
 use gripcast_capture::device::SystemRoot;
 use gripcast_capture::trigger::find_pedal;
 use gripcast_session::GuardLimits;
+use gripcast_virtual_rig::VirtualSource;
 
 pub(crate) use usb::{access_text, crowding, plugged_cameras};
 
@@ -157,10 +158,11 @@ impl Patient {
     }
 
     fn of_rig(&self, rig: &RigFile) -> Result<Vec<Finding>> {
-        let sources = RigSources::of(rig, &self.root, 1)?;
-        let boards = match (&rig.boards, &sources.hand) {
+        let mut virtual_cameras = VirtualSource::new(1);
+        let sources = RigSources::of(rig, &self.root, &mut virtual_cameras)?;
+        let boards = match (&rig.boards, virtual_cameras.hand()) {
             (Some(boards), _) => Some(Boards::read(boards)),
-            (None, Some(hand)) => Some(Boards::of_virtual_rig(hand.clone())),
+            (None, Some(hand)) => Some(Boards::of_virtual_rig(hand)),
             (None, None) => None,
         };
         let clocks = machine::Clocks::now();

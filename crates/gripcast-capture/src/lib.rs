@@ -1,6 +1,7 @@
-//! Everything that touches USB, V4L2 or HID, or pretends to.
+//! Everything that touches USB, V4L2 or HID.
 //!
-//! * [`camera`]: frame sources (V4L2, replay, virtual) and their supervision
+//! * [`camera`]: frame sources (V4L2, replay) and their supervision; whoever opens a rig passes
+//!   what makes its virtual cameras
 //! * [`device`]: discovery and identity of USB cameras, access rights
 //! * [`trigger`]: keyboard, pedal and script, all ending in the same session commands
 //! * [`calibration`]: rig files, intrinsics, factory read-out

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 
 use jiff::Timestamp;
 
+use super::digest::FileDigest;
+use super::digest::digest;
 use super::encode::encode;
 use super::grasp::{
-    BoardKeys, CameraRecord, FileDigest, OverriddenGuard, PoseRecord, PredictionRecord,
-    SimulatedTruth, StageRecord,
+    BoardKeys, CameraRecord, OverriddenGuard, PoseRecord, PredictionRecord, SimulatedTruth,
+    StageRecord,
 };
-use super::layout::{Stage, approach_name, digest, image_name};
+use super::layout::{Stage, approach_name, image_name};
 use gripcast_base::error::Result;
 use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
 use gripcast_imaging::{Frame, Role};

@@ -37,14 +37,4 @@ impl GraspCounts {
     pub fn outcome(&self, outcome: Outcome) -> usize {
         self.by_outcome.get(&outcome).copied().unwrap_or(0)
     }
-
-    /// Grasps of an object with an outcome.
-    #[must_use]
-    pub fn object_outcome(&self, object: &str, outcome: Outcome) -> usize {
-        self.by_object
-            .get(object)
-            .and_then(|outcomes| outcomes.get(&outcome))
-            .copied()
-            .unwrap_or(0)
-    }
 }

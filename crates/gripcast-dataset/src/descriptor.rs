@@ -4,8 +4,8 @@ use std::io;
 
 use serde::{Deserialize, Serialize};
 
-use super::grasp::SCHEMA_VERSION;
 use super::layout::Layout;
+use super::schema::{SCHEMA_VERSION, check_schema};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::FileKind;
 
@@ -87,22 +87,6 @@ impl Descriptor {
         }
         table.try_into().map_err(unreadable)
     }
-}
-
-/// Refuses versions of the format that this build does not know.
-pub(super) fn check_schema(schema: i64) -> Result<()> {
-    if schema == i64::from(SCHEMA_VERSION) {
-        return Ok(());
-    }
-    let error = Error::new(
-        ErrorKind::Input,
-        format!("format version {schema}, but this gripcast reads version {SCHEMA_VERSION}"),
-    );
-    Err(if schema > i64::from(SCHEMA_VERSION) {
-        error.remedy("update gripcast")
-    } else {
-        error.remedy("the version is not a valid one; restore the file from a copy")
-    })
 }
 
 fn not_readable(layout: &Layout, error: io::Error) -> Error {

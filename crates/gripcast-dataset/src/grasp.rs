@@ -6,15 +6,12 @@ use std::fmt;
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
+use super::digest::FileDigest;
 use super::layout::Stage;
 use gripcast_base::error::{Error, ErrorKind, Result};
-pub use gripcast_base::files::GraspId;
-use gripcast_base::files::{ContentKey, FileName, Label, ObjectName};
+use gripcast_base::files::{ContentKey, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{PixelFormat, Role};
-
-/// Version of the dataset format that this build writes.
-pub const SCHEMA_VERSION: u32 = 1;
 
 /// A unit quaternion's length may be off by this.
 const UNIT_TOLERANCE: f64 = 1e-3;
@@ -339,16 +336,6 @@ pub struct OverriddenGuard {
     pub stage: String,
     /// What it said.
     pub reason: String,
-}
-
-/// Digest of a stored file.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct FileDigest {
-    /// Size in bytes.
-    pub bytes: u64,
-    /// sha256, lower-case hex; `sha256sum` prints the same.
-    pub sha256: String,
 }
 
 #[cfg(test)]

@@ -7,14 +7,13 @@ use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use super::disk::{Disk, SystemDisk, replace};
-use super::grasp::{GraspId, GraspRecord, Outcome, PoseRecord, PredictionRecord};
+use super::grasp::{GraspRecord, Outcome, PoseRecord, PredictionRecord};
 use super::layout::{Layout, METADATA_JSONL, Stage};
 use super::lock::DatasetLock;
 use super::reader::{Dataset, grasp_ids};
 use super::record_file::read_grasp;
-use super::writer::failed;
 use gripcast_base::error::Result;
-use gripcast_base::files::{FileKind, FileName, Label, ObjectName};
+use gripcast_base::files::{FileKind, FileName, GraspId, Label, ObjectName};
 use gripcast_imaging::Role;
 
 /// What the index keeps of a grasp.
@@ -134,7 +133,7 @@ pub(super) fn rewrite(disk: &dyn Disk, layout: &Layout) -> Result<ReindexReport>
     let changed = !is_stored(layout, &text);
     if changed {
         replace(disk, &layout.top(), METADATA_JSONL, text.as_bytes())
-            .map_err(|e| failed(layout, "cannot write the index", e))?;
+            .map_err(|e| layout.failed("cannot write the index", e))?;
     }
     Ok(ReindexReport {
         grasps: rows.len(),

@@ -1,11 +1,12 @@
 //! Names and places inside a dataset.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
 
-use super::grasp::{FileDigest, GraspId};
-use gripcast_base::files::{BeneathPath, FileName, Root, sha256_hex};
+use gripcast_base::error::{Error, ErrorKind};
+use gripcast_base::files::{BeneathPath, FileName, GraspId, Root};
 use gripcast_imaging::{PixelFormat, Role};
 
 /// Beginning of the name of a grasp's directory before the grasp is complete.
@@ -124,6 +125,24 @@ impl Layout {
         self.trash().join(id)
     }
 
+    /// An IO error of the dataset at its place, with what to do about it.
+    pub(super) fn failed(&self, what: &str, error: io::Error) -> Error {
+        let error = Error::io(what, error).at(self.root().display());
+        match error.kind() {
+            ErrorKind::DiskFull => error
+                .remedy("free some space on that disk and try again; all that was saved is safe"),
+            ErrorKind::Permission => error.remedy(
+                "the disk is read-only or belongs to someone else: make it writable and try again",
+            ),
+            ErrorKind::NotFound => error
+                .remedy("the dataset was moved or its disk has gone: bring it back and try again"),
+            ErrorKind::Io => {
+                error.remedy("the disk itself failed: look at `dmesg` and check the disk")
+            }
+            _ => error,
+        }
+    }
+
     /// Directories that a dataset has from the beginning.
     pub(super) fn directories(&self) -> [BeneathPath; 5] {
         [
@@ -164,7 +183,7 @@ pub fn approach_name(number: usize, format: PixelFormat) -> FileName {
 fn extension(format: PixelFormat) -> &'static str {
     match format {
         PixelFormat::Mjpg => "jpg",
-        PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => "png",
+        _ => "png",
     }
 }
 
@@ -182,18 +201,9 @@ pub(super) fn id_at(at: Timestamp, later: u64) -> GraspId {
     ])
 }
 
-/// Digest of a file's contents.
-pub(super) fn digest(bytes: &[u8]) -> FileDigest {
-    FileDigest {
-        bytes: bytes.len() as u64,
-        sha256: sha256_hex(bytes),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use gripcast_base::files::ContentKey;
 
     #[test]
     fn ids_sort_as_the_triggers_came() {
@@ -210,18 +220,6 @@ mod tests {
             "2026-11-20T10-15-04Z-0000"
         );
         assert!(id("2026-11-20T10:15:03.25Z", 0) < id("2026-11-20T10:15:03.26Z", 0));
-    }
-
-    #[test]
-    fn digests_agree_with_sha256sum() {
-        assert_eq!(
-            digest(b"abc"),
-            FileDigest {
-                bytes: 3,
-                sha256: "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad".into(),
-            }
-        );
-        assert_eq!(ContentKey::of(b"abc"), "ba7816bf8f01");
     }
 
     #[test]

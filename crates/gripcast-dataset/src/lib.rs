@@ -26,9 +26,11 @@ mod crash_test;
 #[cfg(test)]
 mod damage_test;
 mod descriptor;
+mod digest;
 mod disk;
 mod encode;
 mod grasp;
+mod immutable;
 mod index;
 mod layout;
 mod lock;
@@ -40,6 +42,7 @@ mod record_file;
 mod recover;
 #[cfg(any(test, feature = "testing"))]
 pub mod sample;
+mod schema;
 pub mod shard;
 mod split;
 mod summary;
@@ -51,16 +54,19 @@ mod writer;
 pub use capture::{CapturedCamera, GraspMeta, StageCapture};
 pub use counts::GraspCounts;
 pub use descriptor::{Descriptor, NewDataset};
+pub use digest::FileDigest;
 pub use grasp::{
-    BoardKeys, CameraRecord, FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard,
-    PoseQuality, PoseRecord, PredictionRecord, SCHEMA_VERSION, SimulatedTruth, StageRecord,
+    BoardKeys, CameraRecord, GraspRecord, Outcome, OverriddenGuard, PoseQuality, PoseRecord,
+    PredictionRecord, SimulatedTruth, StageRecord,
 };
+pub use gripcast_base::files::GraspId;
 pub use index::{ReindexReport, reindex};
 pub use layout::{Stage, approach_name, image_name};
 pub use opening::OpenReport;
 pub use reader::Dataset;
 pub use record_file::PendingInitial;
 pub use recover::{Action, ActionKind, RecoverReport, recover};
+pub use schema::SCHEMA_VERSION;
 pub use split::{SplitBy, SplitFile, SplitPart, SplitPlan, split};
 pub use summary::{Agreement, Summary, summary};
 pub use verify::{Problem, ProblemKind, VerifyReport, verify};

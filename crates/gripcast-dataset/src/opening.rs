@@ -13,7 +13,7 @@ use super::reader::grasp_ids;
 use super::record_file::{PendingInitial, read_grasp};
 use super::trash::set_aside;
 use super::unfinished::{Unfinished, unfinished};
-use super::writer::{DatasetWriter, failed};
+use super::writer::DatasetWriter;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::Root;
 
@@ -55,11 +55,11 @@ impl DatasetWriter {
         if created {
             let text = Descriptor::new(new).to_toml()?;
             replace(disk.as_ref(), &layout.top(), DATASET_TOML, text.as_bytes())
-                .map_err(|e| failed(&layout, "cannot begin the dataset", e))?;
+                .map_err(|e| layout.failed("cannot begin the dataset", e))?;
         }
         let descriptor = Descriptor::read(&layout)?;
         create_directories(disk.as_ref(), &layout)
-            .map_err(|e| failed(&layout, "cannot make the dataset's directories", e))?;
+            .map_err(|e| layout.failed("cannot make the dataset's directories", e))?;
         let mut writer = Self::new(layout, disk, lock, descriptor);
         let mut report = OpenReport {
             created,
@@ -140,14 +140,14 @@ fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
     let root = layout.root();
     match layout.top().entries() {
         Err(e) if e.kind() == io::ErrorKind::NotFound => create_all(disk, root)
-            .map_err(|e| failed(layout, "cannot make the dataset's directory", e)),
+            .map_err(|e| layout.failed("cannot make the dataset's directory", e)),
         Err(e) if e.kind() == io::ErrorKind::NotADirectory => Err(Error::new(
             ErrorKind::Input,
             "this is a file, not a directory",
         )
         .at(root.display())
         .remedy("give a directory that does not exist yet, is empty, or holds a dataset")),
-        Err(e) => Err(failed(layout, "cannot read the directory", e)),
+        Err(e) => Err(layout.failed("cannot read the directory", e)),
         Ok(_) if layout.dataset_toml().is_taken() => Ok(()),
         Ok(entries) => {
             // A crash may have come between the lock and the description.

@@ -9,11 +9,14 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use super::descriptor::SOFTWARE;
-use super::grasp::{CameraRecord, FileDigest, GraspId, GraspRecord, SCHEMA_VERSION, StageRecord};
-use super::layout::{APPROACH_PREFIX, GRASP_JSON, Stage, digest};
+use super::digest::FileDigest;
+use super::digest::digest;
+use super::grasp::{CameraRecord, GraspRecord, StageRecord};
+use super::layout::{APPROACH_PREFIX, GRASP_JSON, Stage};
 use super::picture;
 use super::reader::entries;
-use gripcast_base::files::{BeneathPath, FileKind, FileName, Label, ObjectName};
+use super::schema::SCHEMA_VERSION;
+use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, Label, ObjectName};
 use gripcast_imaging::Role;
 
 /// Whether the record is of a version that this build does not know.

@@ -5,11 +5,13 @@ use std::collections::BTreeMap;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use super::descriptor::check_schema;
-use super::grasp::{FileDigest, GraspId, GraspRecord, OverriddenGuard, StageRecord};
-use super::layout::{GRASP_JSON, INITIAL_JSON, digest};
+use super::digest::FileDigest;
+use super::digest::digest;
+use super::grasp::{GraspRecord, OverriddenGuard, StageRecord};
+use super::layout::{GRASP_JSON, INITIAL_JSON};
+use super::schema::check_schema;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, FileKind, FileName};
+use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
 
 /// A durable initial frame that waits for its grasp; the contents of `initial.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::descriptor::{Descriptor, NewDataset};
 use super::disk::{Disk, SystemDisk, replace};
-use super::grasp::{GraspId, GraspRecord};
+use super::grasp::GraspRecord;
 use super::index::{self, IndexRow};
 use super::layout::{DATASET_TOML, GRASP_JSON, Layout, METADATA_JSONL, pending_id};
 use super::lock::DatasetLock;
@@ -18,9 +18,8 @@ use super::rebuild::{is_newer, rebuild};
 use super::record_file::{check_files, read_grasp, to_json};
 use super::trash::set_aside;
 use super::unfinished::{Unfinished, unfinished};
-use super::writer::failed;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::BeneathPath;
+use gripcast_base::files::{BeneathPath, GraspId};
 
 /// What recovery does to an item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -65,14 +64,6 @@ pub struct RecoverReport {
     pub actions: Vec<Action>,
     /// Complete grasps afterwards.
     pub grasps: usize,
-}
-
-impl RecoverReport {
-    /// Whether something could not be rescued.
-    #[must_use]
-    pub fn has_losses(&self) -> bool {
-        self.actions.iter().any(|action| action.lost)
-    }
 }
 
 /// How an action is done.
@@ -124,7 +115,7 @@ pub fn recover(path: impl AsRef<Path>, dry_run: bool) -> Result<RecoverReport> {
     plan.index();
     if !dry_run {
         create_directories(&SystemDisk, &layout)
-            .map_err(|e| failed(&layout, "cannot make the dataset's directories", e))?;
+            .map_err(|e| layout.failed("cannot make the dataset's directories", e))?;
         for (action, step) in &plan.steps {
             execute(&layout, action, step)?;
         }
@@ -348,7 +339,7 @@ fn execute(layout: &Layout, action: &Action, step: &Step) -> Result<()> {
         Step::Reindex => return index::rewrite(disk, layout).map(|_report| ()),
         Step::Nothing => Ok(()),
     };
-    done.map_err(|e| failed(layout, &format!("cannot put {} in order", action.item), e))
+    done.map_err(|e| layout.failed(&format!("cannot put {} in order", action.item), e))
 }
 
 /// A description for a dataset that lost its own.

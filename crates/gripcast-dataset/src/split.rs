@@ -10,13 +10,13 @@ use rand_pcg::rand_core::{Rng as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use super::descriptor::check_schema;
 use super::disk::{Disk as _, SystemDisk, replace};
-use super::grasp::{GraspId, GraspRecord, Outcome, SCHEMA_VERSION};
-use super::reader::Dataset;
-use super::writer::failed;
+use super::grasp::{GraspRecord, Outcome};
+use super::reader::{Dataset, entries};
+use super::schema::SCHEMA_VERSION;
+use super::schema::check_schema;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, FileKind, FileName, read_regular};
+use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, read_regular};
 
 /// How many seeded orders are tried; the best balanced one is kept.
 const TRIALS: u64 = 64;
@@ -125,6 +125,33 @@ pub fn split(dataset: &Dataset, plan: &SplitPlan) -> Result<SplitFile> {
     Ok(file)
 }
 
+impl Dataset {
+    /// Names of the splits, sorted.
+    ///
+    /// # Errors
+    /// When `splits/` cannot be read.
+    pub fn split_names(&self) -> Result<Vec<String>> {
+        let dir = self.layout().splits();
+        if !dir.is_dir() {
+            return Ok(Vec::new());
+        }
+        let names = entries(&dir)?.into_iter().map(|entry| entry.name());
+        Ok(names
+            .filter(|name| !name.starts_with('.'))
+            .filter_map(|name| name.strip_suffix(".json").map(str::to_owned))
+            .collect())
+    }
+
+    /// A split, by its name.
+    ///
+    /// # Errors
+    /// `Usage`: no split can be called so. As of [`SplitFile::read`].
+    pub fn split(&self, name: &str) -> Result<SplitFile> {
+        let file = file_name(name)?;
+        SplitFile::read_beneath(&self.layout().splits().join(file))
+    }
+}
+
 impl SplitFile {
     /// Reads a split file.
     ///
@@ -201,7 +228,7 @@ impl SplitFile {
                 .and_then(|()| SystemDisk.sync_dir(&layout.top()))
         };
         made.and_then(|()| replace(&SystemDisk, &dir, name, &json))
-            .map_err(|e| failed(layout, &format!("cannot write splits/{name}"), e))
+            .map_err(|e| layout.failed(&format!("cannot write splits/{name}"), e))
     }
 }
 

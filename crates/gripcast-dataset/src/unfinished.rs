@@ -2,11 +2,11 @@
 
 use jiff::Timestamp;
 
-use super::grasp::GraspId;
 use super::layout::{Layout, pending_id};
 use super::reader::subdirectories;
 use super::record_file::{Pending, PendingInitial};
 use gripcast_base::error::Result;
+use gripcast_base::files::GraspId;
 
 /// What is to become of a `.tmp-<id>` directory.
 #[derive(Debug)]

@@ -1,7 +1,6 @@
 //! Finds everything that is wrong with a dataset.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -9,17 +8,18 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::descriptor::Descriptor;
+use super::digest::digest;
 use super::disk::is_partial;
-use super::grasp::{CameraRecord, GraspId, GraspRecord, Outcome};
+use super::grasp::{CameraRecord, GraspRecord, Outcome};
 use super::index::{IndexRow, to_jsonl};
-use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, digest, pending_id};
+use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, pending_id};
 use super::lock::DatasetLock;
 use super::picture;
 use super::reader::{entries, grasp_ids};
 use super::record_file::{Pending, read_grasp};
 use super::split::{SplitFile, check_name};
 use gripcast_base::error::{ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind};
+use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
 
 /// Class of a problem.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -58,25 +58,24 @@ pub enum ProblemKind {
     Leak,
 }
 
-impl fmt::Display for ProblemKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Descriptor => "descriptor",
-            Self::Torn => "torn",
-            Self::UnreadableRecord => "unreadable-record",
-            Self::IdMismatch => "id-mismatch",
-            Self::DuplicateId => "duplicate-id",
-            Self::MissingFile => "missing-file",
-            Self::ExtraFile => "extra-file",
-            Self::Altered => "altered",
-            Self::DamagedPicture => "damaged-picture",
-            Self::DuplicateContent => "duplicate-content",
-            Self::Calibration => "calibration",
-            Self::Model => "model",
-            Self::Index => "index",
-            Self::Split => "split",
-            Self::Leak => "leak",
-        })
+impl ProblemKind {
+    /// What to do about problems of this class.
+    fn remedy(self) -> &'static str {
+        match self {
+            Self::MissingFile | Self::Altered => {
+                "restore it from a copy, or run `gripcast dataset recover`"
+            }
+            Self::DamagedPicture => {
+                "the camera sent it damaged: leave the grasp out by moving it to trash/"
+            }
+            Self::DuplicateContent => "look at both, and move the grasp that is not real to trash/",
+            Self::Calibration | Self::Model => {
+                "restore it from a copy: its name is the beginning of its sha256"
+            }
+            Self::Index => "run `gripcast dataset reindex`",
+            Self::Split | Self::Leak => "make the split again with `gripcast dataset split`",
+            _ => "run `gripcast dataset recover`",
+        }
     }
 }
 
@@ -128,9 +127,8 @@ pub fn verify(
         found.add(
             ProblemKind::Descriptor,
             None,
-            Some("dataset.toml"),
+            "dataset.toml",
             "the file is missing",
-            RECOVER,
         );
     }
     if let Some(holder) = DatasetLock::holder(&layout) {
@@ -173,10 +171,6 @@ pub fn verify(
     })
 }
 
-const RECOVER: &str = "run `gripcast dataset recover`";
-const REINDEX: &str = "run `gripcast dataset reindex`";
-const SPLIT_AGAIN: &str = "make the split again with `gripcast dataset split`";
-
 #[derive(Default)]
 struct Findings {
     problems: Vec<Problem>,
@@ -188,14 +182,24 @@ impl Findings {
         &mut self,
         kind: ProblemKind,
         grasp: Option<&GraspId>,
-        file: Option<&str>,
+        file: &str,
+        detail: impl Into<String>,
+    ) {
+        self.add_with_remedy(kind, grasp, file, detail, kind.remedy());
+    }
+
+    fn add_with_remedy(
+        &mut self,
+        kind: ProblemKind,
+        grasp: Option<&GraspId>,
+        file: &str,
         detail: impl Into<String>,
         remedy: &str,
     ) {
         self.problems.push(Problem {
             kind,
             grasp: grasp.cloned(),
-            file: file.map(str::to_owned),
+            file: Some(file.to_owned()),
             detail: detail.into(),
             remedy: remedy.to_owned(),
         });
@@ -220,12 +224,11 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
     let record = match read_grasp(&dir) {
         Ok(record) => Some(record),
         Err(error) => {
-            let (kind, file) = if error.kind() == ErrorKind::NotFound {
-                (ProblemKind::MissingFile, GRASP_JSON)
-            } else {
-                (ProblemKind::UnreadableRecord, GRASP_JSON)
+            let kind = match error.kind() {
+                ErrorKind::NotFound => ProblemKind::MissingFile,
+                _ => ProblemKind::UnreadableRecord,
             };
-            found.add(kind, Some(id), Some(&at(file)), error.to_string(), RECOVER);
+            found.add(kind, Some(id), &at(GRASP_JSON), error.to_string());
             None
         }
     };
@@ -244,9 +247,8 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
             found.add(
                 ProblemKind::UnreadableRecord,
                 Some(id),
-                Some(&at(name)),
+                &at(name),
                 "the record has no digest of the file",
-                RECOVER,
             );
         }
         for (name, expected) in &record.files {
@@ -256,9 +258,8 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                     found.add(
                         ProblemKind::MissingFile,
                         Some(id),
-                        Some(&at(name)),
+                        &at(name),
                         format!("the record names the file, but it cannot be read: {error}"),
-                        "restore it from a copy, or run `gripcast dataset recover`",
                     );
                     continue;
                 }
@@ -268,12 +269,11 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                 found.add(
                     ProblemKind::Altered,
                     Some(id),
-                    Some(&at(name)),
+                    &at(name),
                     format!(
                         "stored were {} bytes with sha256 {}, found are {} bytes with {}",
                         expected.bytes, expected.sha256, digest.bytes, digest.sha256
                     ),
-                    "restore it from a copy, or run `gripcast dataset recover`",
                 );
             } else if let Some(fault) = cameras
                 .get(name.as_str())
@@ -282,9 +282,8 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                 found.add(
                     ProblemKind::DamagedPicture,
                     Some(id),
-                    Some(&at(name)),
+                    &at(name),
                     format!("{fault}; it was stored so"),
-                    "the camera sent it damaged: leave the grasp out by moving it to trash/",
                 );
             }
             contents.push((digest.sha256, at(name)));
@@ -312,7 +311,7 @@ fn extra_files(dir: &BeneathPath, id: &GraspId, record: &GraspRecord, found: &mu
         } else {
             (ProblemKind::ExtraFile, "no record names the file")
         };
-        found.add(kind, Some(id), Some(&at), detail, RECOVER);
+        found.add(kind, Some(id), &at, detail);
     }
 }
 
@@ -334,36 +333,21 @@ fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize
     for entry in entries(&layout.grasps())? {
         let name = entry.name();
         let at = format!("grasps/{name}");
-        if !entry.is_dir() {
-            found.add(
-                ProblemKind::ExtraFile,
-                None,
-                Some(&at),
-                "only directories of grasps belong here",
-                RECOVER,
-            );
-            continue;
-        }
-        if !name.starts_with('.') {
+        let is_dir = entry.is_dir();
+        if is_dir && !name.starts_with('.') {
             if let Err(error) = GraspId::parse(&name) {
                 found.add(
                     ProblemKind::IdMismatch,
                     None,
-                    Some(&at),
+                    &at,
                     format!("the folder is not named after a grasp: {}", error.what()),
-                    RECOVER,
                 );
             }
             continue;
         }
-        let Some(id) = pending_id(&name) else {
-            found.add(
-                ProblemKind::ExtraFile,
-                None,
-                Some(&at),
-                "only directories of grasps belong here",
-                RECOVER,
-            );
+        let Some(id) = pending_id(&name).filter(|_| is_dir) else {
+            let detail = "only directories of grasps belong here";
+            found.add(ProblemKind::ExtraFile, None, &at, detail);
             continue;
         };
         let detail = match Pending::inspect(&entry, &id) {
@@ -382,7 +366,7 @@ fn check_grasps_directory(layout: &Layout, found: &mut Findings) -> Result<usize
             Pending::Grasp => "the grasp is whole, but was not renamed".to_owned(),
             Pending::Torn(reason) => format!("was not written to its end: {reason}"),
         };
-        found.add(ProblemKind::Torn, Some(&id), Some(&at), detail, RECOVER);
+        found.add(ProblemKind::Torn, Some(&id), &at, detail);
     }
     Ok(pending)
 }
@@ -398,23 +382,13 @@ fn check_identity(grasps: &[CheckedGrasp], found: &mut Findings) {
     for (id, dirs) in owners {
         for dir in dirs.iter().copied().filter(|dir| *dir != id) {
             let at = format!("grasps/{dir}/{GRASP_JSON}");
-            if dirs.len() > 1 || names.contains(id) {
-                found.add(
-                    ProblemKind::DuplicateId,
-                    Some(dir),
-                    Some(&at),
-                    format!("the record is that of {id}, which is there as well"),
-                    RECOVER,
-                );
+            let (kind, more) = if dirs.len() > 1 || names.contains(id) {
+                (ProblemKind::DuplicateId, ", which is there as well")
             } else {
-                found.add(
-                    ProblemKind::IdMismatch,
-                    Some(dir),
-                    Some(&at),
-                    format!("the record is that of {id}"),
-                    RECOVER,
-                );
-            }
+                (ProblemKind::IdMismatch, "")
+            };
+            let detail = format!("the record is that of {id}{more}");
+            found.add(kind, Some(dir), &at, detail);
         }
     }
 }
@@ -435,9 +409,8 @@ fn check_duplicates(grasps: &[CheckedGrasp], found: &mut Findings) {
             found.add(
                 ProblemKind::DuplicateContent,
                 Some(id),
-                Some(file),
+                file,
                 format!("the same bytes as {first}: a frozen camera or a copied grasp"),
-                "look at both, and move the grasp that is not real to trash/",
             );
         }
     }
@@ -473,9 +446,8 @@ fn check_references(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findin
                 found.add(
                     ProblemKind::Calibration,
                     Some(&grasp.id),
-                    Some(&format!("calibration/{key}.toml")),
+                    &format!("calibration/{key}.toml"),
                     "the grasp refers to the calibration, but it is not there",
-                    "restore it from a copy: its name is the beginning of its sha256",
                 );
             }
         }
@@ -506,10 +478,10 @@ fn immutable_files(
             continue;
         }
         let Some(key) = name.strip_suffix(extension) else {
-            found.add(
+            found.add_with_remedy(
                 ProblemKind::ExtraFile,
                 None,
-                Some(&at),
+                &at,
                 format!("only *{extension} files belong here"),
                 "move it elsewhere",
             );
@@ -520,17 +492,10 @@ fn immutable_files(
             Ok(_) => found.add(
                 kind,
                 None,
-                Some(&at),
+                &at,
                 "the contents are not those the name was made from",
-                "restore it from a copy: its name is the beginning of its sha256",
             ),
-            Err(error) => found.add(
-                kind,
-                None,
-                Some(&at),
-                format!("cannot be read: {error}"),
-                "restore it from a copy",
-            ),
+            Err(error) => found.add(kind, None, &at, format!("cannot be read: {error}")),
         }
         files.push((key.to_owned(), at));
     }
@@ -550,13 +515,7 @@ fn check_index(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) {
         }
         Ok(_) => "the index does not say what the records say",
     };
-    found.add(
-        ProblemKind::Index,
-        None,
-        Some("metadata.jsonl"),
-        detail,
-        REINDEX,
-    );
+    found.add(ProblemKind::Index, None, "metadata.jsonl", detail);
 }
 
 fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) -> Result<()> {
@@ -574,10 +533,10 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
         }
         let at = format!("splits/{name}");
         if let Err(error) = check_name(name.trim_end_matches(".json")) {
-            found.add(
+            found.add_with_remedy(
                 ProblemKind::Split,
                 None,
-                Some(&at),
+                &at,
                 error.to_string(),
                 "give the file another name",
             );
@@ -585,13 +544,7 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
         let split = match SplitFile::read_beneath(&entry) {
             Ok(split) => split,
             Err(error) => {
-                found.add(
-                    ProblemKind::Split,
-                    None,
-                    Some(&at),
-                    error.to_string(),
-                    SPLIT_AGAIN,
-                );
+                found.add(ProblemKind::Split, None, &at, error.to_string());
                 continue;
             }
         };
@@ -599,13 +552,12 @@ fn check_splits(layout: &Layout, grasps: &[CheckedGrasp], found: &mut Findings) 
             found.add(
                 ProblemKind::Split,
                 Some(id),
-                Some(&at),
+                &at,
                 "the split names a grasp that is not there",
-                SPLIT_AGAIN,
             );
         }
         for leak in split.leaks(|id| records.get(id).copied()) {
-            found.add(ProblemKind::Leak, None, Some(&at), leak, SPLIT_AGAIN);
+            found.add(ProblemKind::Leak, None, &at, leak);
         }
     }
     Ok(())

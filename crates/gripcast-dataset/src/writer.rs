@@ -15,11 +15,9 @@ use jiff::Timestamp;
 use super::capture::{EncodedStage, GraspMeta, StageCapture};
 use super::counts::GraspCounts;
 use super::descriptor::{Descriptor, SOFTWARE};
+use super::digest::FileDigest;
 use super::disk::{Disk, is_partial, replace};
-use super::grasp::{
-    FileDigest, GraspId, GraspRecord, Outcome, OverriddenGuard, PoseRecord, SCHEMA_VERSION,
-    StageRecord,
-};
+use super::grasp::{GraspRecord, Outcome, OverriddenGuard, PoseRecord, StageRecord};
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{
     APPROACH_PREFIX, GRASP_JSON, INITIAL_JSON, Layout, METADATA_JSONL, Stage, id_at,
@@ -27,10 +25,11 @@ use super::layout::{
 use super::lock::DatasetLock;
 use super::reader::load_frame;
 use super::record_file::{PendingInitial, check_files, read_grasp, read_initial, to_json};
+use super::schema::SCHEMA_VERSION;
 use super::trash::free_slot;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, ContentKey, FileKind, FileName};
-use gripcast_imaging::{Frame, PixelFormat, Role};
+use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
+use gripcast_imaging::{Frame, Role};
 
 /// Writes a dataset; holds its lock.
 pub struct DatasetWriter {
@@ -88,8 +87,8 @@ impl DatasetWriter {
         Ok(pending)
     }
 
-    /// The frames of a pending initial, read back from the disk. Cameras whose frames were
-    /// converted when they were stored (YUYV) are left out.
+    /// The frames of a pending initial, read back from the disk; YUYV frames as RGB, with exactly
+    /// the pixels that the frame as sent decodes to.
     ///
     /// # Errors
     /// `NotFound` or `Input` when a file is missing or not what was stored.
@@ -100,7 +99,6 @@ impl DatasetWriter {
             .stage
             .cameras
             .iter()
-            .filter(|(_, camera)| camera.format != PixelFormat::Yuyv)
             .map(|(&role, camera)| Ok((role, load_frame(&dir, camera)?)))
             .collect()
     }
@@ -286,23 +284,6 @@ impl DatasetWriter {
         Ok(record)
     }
 
-    /// Stores a calibration; returns the key by which grasps refer to it.
-    ///
-    /// # Errors
-    /// `DiskFull`, `Io`, ….
-    pub fn put_calibration(&mut self, toml: &str) -> Result<ContentKey> {
-        self.put_immutable(&self.layout.calibration(), toml, ".toml")
-    }
-
-    /// Stores a model card; returns its key. The card holds the sha256 of the ONNX file, by which
-    /// predictions name their model.
-    ///
-    /// # Errors
-    /// `DiskFull`, `Io`, ….
-    pub fn put_model(&mut self, json: &str) -> Result<ContentKey> {
-        self.put_immutable(&self.layout.models(), json, ".json")
-    }
-
     /// Grasps that are there now.
     #[must_use]
     pub fn counts(&self) -> GraspCounts {
@@ -384,7 +365,7 @@ impl DatasetWriter {
     }
 
     pub(super) fn failed(&self, what: &str, error: io::Error) -> Error {
-        failed(&self.layout, what, error)
+        self.layout.failed(what, error)
     }
 
     fn insert(&mut self, record: &GraspRecord) {
@@ -432,13 +413,9 @@ impl DatasetWriter {
 
     fn free_id(&self, at: Timestamp) -> GraspId {
         let is_free = |id: &GraspId| {
-            [
-                self.layout.grasp(id),
-                self.layout.pending(id),
-                self.layout.trashed(id),
-            ]
-            .iter()
-            .all(|place| !place.is_taken())
+            let layout = &self.layout;
+            let places = [layout.grasp(id), layout.pending(id), layout.trashed(id)];
+            !places.iter().any(BeneathPath::is_taken)
         };
         let mut later = 0;
         loop {
@@ -535,22 +512,6 @@ impl DatasetWriter {
         })
     }
 
-    fn put_immutable(
-        &self,
-        dir: &BeneathPath,
-        text: &str,
-        suffix: &'static str,
-    ) -> Result<ContentKey> {
-        let key = ContentKey::of(text.as_bytes());
-        let name = key.with_suffix(suffix);
-        let there = dir.join(&name).read(FileKind::Record);
-        if !there.is_ok_and(|found| found == text.as_bytes()) {
-            replace(self.disk.as_ref(), dir, &name, text.as_bytes())
-                .map_err(|e| self.failed(&format!("cannot store {name}"), e))?;
-        }
-        Ok(key)
-    }
-
     fn log_file(&mut self) -> io::Result<&File> {
         if self.log.is_none() {
             let name = Timestamp::now().strftime("%Y-%m-%dT%H-%M-%SZ");
@@ -632,23 +593,5 @@ fn link_or_copy(disk: &dyn Disk, from: &BeneathPath, to: &BeneathPath) -> io::Re
             disk.write(to, &from.read(FileKind::Image)?)
         }
         other => other,
-    }
-}
-
-/// An IO error of the dataset at its place, with what to do about it.
-pub(super) fn failed(layout: &Layout, what: &str, error: io::Error) -> Error {
-    let error = Error::io(what, error).at(layout.root().display());
-    match error.kind() {
-        ErrorKind::DiskFull => {
-            error.remedy("free some space on that disk and try again; all that was saved is safe")
-        }
-        ErrorKind::Permission => error.remedy(
-            "the disk is read-only or belongs to someone else: make it writable and try again",
-        ),
-        ErrorKind::NotFound => {
-            error.remedy("the dataset was moved or its disk has gone: bring it back and try again")
-        }
-        ErrorKind::Io => error.remedy("the disk itself failed: look at `dmesg` and check the disk"),
-        _ => error,
     }
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::frame::PixelFormat;
+use super::frame::{LARGEST_SIDE, PixelFormat};
 use super::jpeg::JpegDamage;
 use gripcast_base::error::{Error, ErrorKind};
 
@@ -104,8 +104,7 @@ impl fmt::Display for FrameDamage {
             ),
             Self::TargetSize { width, height } => write!(
                 f,
-                "cannot make a picture of {width}×{height} pixels: expected 1 to {} a side",
-                super::LARGEST_SIDE
+                "cannot make a picture of {width}×{height} pixels: expected 1 to {LARGEST_SIDE} a side"
             ),
             Self::NoDepth { format } => {
                 write!(f, "expected a Z16 depth frame, found a {format} frame")

@@ -5,12 +5,10 @@ use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
-use super::frame::{Frame, PixelFormat};
+use super::frame::{Frame, LARGEST_SIDE, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
 use super::png::decode_png_rgb;
-use super::resample::{
-    LARGEST_SIDE, Source, check_stored, check_target, crop_and_resize, resample, window_of,
-};
+use super::resample::{Source, check_stored, check_target, crop_and_resize, resample, window_of};
 use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
@@ -291,6 +289,7 @@ fn raw_to_rgb(frame: &Frame, rgb: &mut Vec<u8>) {
                 pixel.copy_from_slice(&z16::preview_colour(depth));
             }
         }
+        PixelFormat::Rgb => rgb.copy_from_slice(&frame.data),
         PixelFormat::Mjpg => {}
     }
 }

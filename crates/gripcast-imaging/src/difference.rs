@@ -11,7 +11,6 @@ pub struct TactileDifference {
     height: u32,
     /// Row by row, R, G, B of each pixel, −255 to 255.
     levels: Vec<i16>,
-    saturated: usize,
 }
 
 impl TactileDifference {
@@ -37,18 +36,10 @@ impl TactileDifference {
             .zip(initial.as_raw())
             .map(|(grasp, initial)| i16::from(*grasp) - i16::from(*initial))
             .collect();
-        let at_limit = |level: u8| level == 0 || level == 255;
-        let saturated = grasp
-            .as_raw()
-            .iter()
-            .zip(initial.as_raw())
-            .filter(|(grasp, initial)| at_limit(**grasp) || at_limit(**initial))
-            .count();
         Ok(Self {
             width,
             height,
             levels,
-            saturated,
         })
     }
 
@@ -132,13 +123,6 @@ impl TactileDifference {
             .count();
         (changed as f64 * 3.0 / self.levels.len() as f64) as f32
     }
-
-    /// Fraction (0 to 1) of values where one of the pictures is at 0 or 255, so that the true
-    /// difference may be larger than the one seen.
-    #[must_use]
-    pub fn saturated_fraction(&self) -> f32 {
-        (self.saturated as f64 / self.levels.len() as f64) as f32
-    }
 }
 
 #[cfg(test)]
@@ -165,10 +149,9 @@ mod tests {
     }
 
     #[test]
-    fn extremes_fit_and_count_as_saturated() {
+    fn extremes_fit() {
         let d = TactileDifference::between(&plain([0, 7, 255]), &plain([255, 7, 0])).unwrap();
         assert_eq!(&d.levels()[..3], &[255, 0, -255]);
-        assert!((d.saturated_fraction() - 2.0 / 3.0).abs() < 1e-6);
         assert_eq!(d.to_picture(0.5).get_pixel(0, 0).0, [255, 128, 1]);
     }
 

@@ -35,7 +35,7 @@ pub use crop::{CropProfile, CropWindow};
 pub use damage::FrameDamage;
 pub use decode::{Decoder, check_structure};
 pub use difference::TactileDifference;
-pub use frame::{Frame, FrameBytes, FramePool, PixelFormat, Role};
+pub use frame::{Frame, FrameBytes, FramePool, LARGEST_SIDE, PixelFormat, Role};
 pub use gel_pattern::{GelContact, gel_picture, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};
 pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};
@@ -46,5 +46,3 @@ pub use png::{
 pub use resample::crop_and_resize;
 pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};
 pub use z16::DepthImage;
-
-use resample::LARGEST_SIDE;

@@ -6,10 +6,8 @@ use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
+use super::frame::LARGEST_SIDE;
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
-
-/// Largest side of a picture that is decoded or produced, in pixels.
-pub(super) const LARGEST_SIDE: u32 = 16_384;
 
 /// Most that the pixels of a stored picture may take, bytes; a camera of 20 Mpx needs half of it.
 pub(super) const MOST_STORED_BYTES: u64 = 128 << 20;

@@ -3,3 +3,4 @@
 pub mod export;
 pub mod hdf5;
 pub mod import;
+mod left_out;

@@ -18,6 +18,14 @@ pub trait Clock: Send + Sync {
 
     /// Returns once `now_ns()` has reached `deadline_ns`.
     fn sleep_until(&self, deadline_ns: u64);
+
+    /// Waits until `due_ns`, at most `timeout`; whether that time has come.
+    fn wait_for(&self, due_ns: u64, timeout: Duration) -> bool {
+        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
+        let latest_ns = self.now_ns().saturating_add(timeout_ns);
+        self.sleep_until(due_ns.min(latest_ns));
+        due_ns <= latest_ns
+    }
 }
 
 /// `CLOCK_MONOTONIC`.

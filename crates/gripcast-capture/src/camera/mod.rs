@@ -14,13 +14,11 @@ mod v4l2_fake;
 mod v4l2_ioctl;
 mod v4l2_node;
 mod v4l2_shared;
-mod virtual_camera;
-mod virtual_scene;
 
 pub use clock::{Clock, ManualClock, MonotonicClock, monotonic_ns};
 pub use recorder::Recorder;
-pub use replay::{ReplayOpener, ReplayPace, ReplaySource};
-pub use rig_sources::RigSources;
+pub use replay::{ReplayOpener, ReplaySource};
+pub use rig_sources::{NoVirtualCameras, RigSources, VirtualCameras};
 pub use source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
@@ -38,8 +36,3 @@ pub use v4l2_node::{
     VideoNode, VideoNodes,
 };
 pub use v4l2_shared::SharedBytes;
-pub use virtual_camera::{VirtualOpener, VirtualRig};
-pub use virtual_scene::{
-    Film, FilmFiles, FilmKeys, FilmLibrary, HandGoal, SceneMoment, ShootSettings, VirtualHand,
-    shoot,
-};

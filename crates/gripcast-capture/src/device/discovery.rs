@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use nusb::MaybeFuture as _;
 
-use super::access::NodeOwner;
+use super::owner::NodeOwner;
 use super::sysfs::{SystemRoot, attribute, file_name, hex_attribute};
 use crate::camera::{CameraIdentity, FrameSize, VideoNode, VideoNodes};
 use gripcast_base::error::{Error, Result};

@@ -6,13 +6,15 @@ mod access;
 mod bandwidth;
 mod binding;
 mod discovery;
+mod owner;
 mod sysfs;
 #[cfg(test)]
 mod tests;
 
-pub use access::{LOCAL_UDEV_RULES, NodeOwner, open_error, permission_error, udev_rule};
+pub use access::{LOCAL_UDEV_RULES, open_error, permission_error, udev_rule};
 pub use bandwidth::{crowded_buses, no_bandwidth_error};
 pub use binding::{bind, is_candidate};
 pub(crate) use discovery::modes;
 pub use discovery::{Access, Mode, VideoDevice, probe, scan};
+pub use owner::NodeOwner;
 pub use sysfs::SystemRoot;

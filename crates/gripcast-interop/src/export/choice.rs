@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::plan::{ExportFormat, ExportPlan};
-use super::report::LeftOut;
+use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, SplitFile, Stage};
 use gripcast_imaging::Role;

@@ -7,6 +7,7 @@
 //! `docs/exports.md` says what each format holds.
 
 mod choice;
+mod format;
 mod lerobot;
 mod parquet;
 mod plan;
@@ -22,6 +23,7 @@ mod zarr;
 #[cfg(test)]
 mod export_test;
 
+pub use crate::left_out::LeftOut;
 pub use plan::{ExportFormat, ExportPlan};
-pub use report::{ExportReport, LeftOut};
+pub use report::ExportReport;
 pub use run::export;

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use serde_json::json;
 
-use super::run::{Setting, Writer};
+use super::format::{Setting, Writer};
 use super::shard_files::ShardFiles;
 use super::source::Grasp;
 use gripcast_base::error::{Error, Result};

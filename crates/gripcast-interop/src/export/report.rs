@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use crate::left_out::LeftOut;
 use gripcast_dataset::Outcome;
 
 /// What was written, and what was not.
@@ -32,13 +33,4 @@ pub struct ExportReport {
     pub notes: Vec<String>,
     /// Damaged grasps, and those that the format cannot hold.
     pub left_out: Vec<LeftOut>,
-}
-
-/// A grasp that is not in the export.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct LeftOut {
-    /// Its id.
-    pub id: String,
-    /// The reason.
-    pub why: String,
 }

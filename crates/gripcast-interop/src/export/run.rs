@@ -3,47 +3,20 @@
 use std::fs;
 use std::path::Path;
 
-use super::choice::{Choice, Survey, choose};
+use super::choice::{Choice, choose};
+use super::format::{Setting, Writer};
 use super::lerobot::LeRobot;
 use super::parquet::ParquetShards;
 use super::plan::{ExportFormat, ExportPlan};
-use super::report::{ExportReport, LeftOut};
-use super::source::{Grasp, Source};
+use super::report::ExportReport;
+use super::source::Source;
 use super::staged::StagedFolder;
 use super::training::TrainingShards;
 use super::webdataset::TarShards;
 use super::zarr::{self, ReplayBuffer};
+use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::{Dataset, Descriptor};
-
-/// A format that is being written.
-pub(super) trait Writer {
-    /// All further grasps are of this part.
-    fn begin_part(&mut self, part: &str) -> Result<()>;
-
-    /// Adds a grasp, or says why the format cannot hold it; nothing of it is written then.
-    ///
-    /// # Errors
-    /// The export cannot be written.
-    fn push(&mut self, grasp: Grasp) -> Result<Option<Error>>;
-
-    /// Writes the rest; what the format cannot hold of the grasps.
-    ///
-    /// # Errors
-    /// The export cannot be written.
-    fn finish(self: Box<Self>) -> Result<Vec<String>>;
-}
-
-/// What a writer is made from.
-#[derive(Clone, Copy)]
-pub(super) struct Setting<'a> {
-    pub(super) folder: &'a StagedFolder,
-    pub(super) plan: &'a ExportPlan,
-    pub(super) survey: &'a Survey,
-    pub(super) descriptor: &'a Descriptor,
-    /// Names of the parts.
-    pub(super) parts: &'a [(String, Vec<gripcast_dataset::GraspId>)],
-}
+use gripcast_dataset::Dataset;
 
 /// Writes a dataset in another format to `out`, whole or not at all.
 ///

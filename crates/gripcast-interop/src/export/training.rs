@@ -7,8 +7,8 @@
 
 use serde_json::json;
 
+use super::format::{Setting, Writer};
 use super::plan::SIZE;
-use super::run::{Setting, Writer};
 use super::shard_files::ShardFiles;
 use super::source::{Grasp, Picture};
 use gripcast_base::error::{Error, ErrorKind, Result};

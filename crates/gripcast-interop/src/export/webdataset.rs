@@ -7,7 +7,7 @@ use std::io::{BufWriter, Write as _};
 
 use tar::{Builder, EntryType, Header};
 
-use super::run::{Setting, Writer};
+use super::format::{Setting, Writer};
 use super::source::Grasp;
 use super::staged::write_failed;
 use gripcast_base::error::{Error, ErrorKind, Result};

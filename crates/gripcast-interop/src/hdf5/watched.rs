@@ -1,5 +1,7 @@
 //! A file that remembers what was read of it, for the one kind of attribute that the library has no
 //! value for: PyTables writes a boolean as a bit field of one byte.
+//!
+//! Needed until `hdf5-pure` reads bit fields; it then has these attributes like all others.
 
 use std::fs;
 use std::io;

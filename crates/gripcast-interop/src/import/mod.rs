@@ -11,5 +11,6 @@ mod run;
 #[cfg(test)]
 mod import_test;
 
-pub use report::{ImportReport, ImportedPart, LeftOut, SourceFile};
+pub use crate::left_out::LeftOut;
+pub use report::{ImportReport, ImportedPart, SourceFile};
 pub use run::import_feeling_of_success;

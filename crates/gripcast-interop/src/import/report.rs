@@ -6,6 +6,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, Printable, Root};
 use gripcast_dataset::shard::Split;
@@ -55,16 +56,6 @@ pub struct ImportedPart {
     pub slip: usize,
     /// Objects.
     pub objects: usize,
-}
-
-/// A grasp that could not be read.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LeftOut {
-    /// Its id, as it would have been.
-    pub id: String,
-    /// Why.
-    pub why: String,
 }
 
 impl ImportReport {

@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::feeling_of_success::{CROP, GraspFacts, GraspFile, images};
-use super::report::{ImportReport, ImportedPart, LeftOut, SourceFile};
+use super::report::{ImportReport, ImportedPart, SourceFile};
+use crate::left_out::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Label, Printable, Root};
 use gripcast_dataset::shard::{

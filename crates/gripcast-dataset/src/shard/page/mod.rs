@@ -1,4 +1,7 @@
 //! The pages of a column chunk, with every size checked before memory is taken.
+//!
+//! Needed as long as the page reader of the `parquet` crate allocates what a header declares
+//! without checking it (arrow-rs issue 10734); replace it by theirs once a release does.
 
 mod codec;
 mod header;

@@ -9,7 +9,7 @@ mod frames;
 mod info;
 mod stats;
 
-use super::run::{Setting, Writer};
+use super::format::{Setting, Writer};
 use super::source::Grasp;
 use features::Features;
 use frames::Frames;

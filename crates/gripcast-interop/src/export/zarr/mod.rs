@@ -14,7 +14,7 @@ use std::path::Path;
 use image::RgbImage;
 use serde_json::json;
 
-use super::run::{Setting, Writer};
+use super::format::{Setting, Writer};
 use super::source::Grasp;
 use array::{Kind, Pictures, Rows};
 use gripcast_base::error::{Error, ErrorKind, Result};

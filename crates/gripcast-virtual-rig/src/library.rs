@@ -15,19 +15,19 @@ macro_rules! films {
             $name,
             FilmFiles {
                 trace: Cow::Borrowed(include_bytes!(concat!(
-                    "../../../../../calib/virtual-rig/", $name, ".trace.bin"
+                    "../../../calib/virtual-rig/", $name, ".trace.bin"
                 ))),
                 colour: Cow::Borrowed(include_bytes!(concat!(
-                    "../../../../../calib/virtual-rig/", $name, ".colour.jpg"
+                    "../../../calib/virtual-rig/", $name, ".colour.jpg"
                 ))),
                 depth: Cow::Borrowed(include_bytes!(concat!(
-                    "../../../../../calib/virtual-rig/", $name, ".depth.png"
+                    "../../../calib/virtual-rig/", $name, ".depth.png"
                 ))),
                 outside: Cow::Borrowed(include_bytes!(concat!(
-                    "../../../../../calib/virtual-rig/", $name, ".outside.jpg"
+                    "../../../calib/virtual-rig/", $name, ".outside.jpg"
                 ))),
                 sheet: Cow::Borrowed(include_bytes!(concat!(
-                    "../../../../../calib/virtual-rig/", $name, ".sheet.toml"
+                    "../../../calib/virtual-rig/", $name, ".sheet.toml"
                 ))),
             },
         )),*]

@@ -9,18 +9,18 @@ use std::time::Duration;
 
 use fast_image_resize::images::Image as ResizeImage;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
-use turbojpeg::{Compressor, Image, PixelFormat as JpegPixels, Subsamp};
+use image::RgbImage;
 
-use super::clock::Clock;
-use super::source::{
-    CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
-};
-use super::virtual_scene::{
-    ColourPainter, DepthPainter, FilmLibrary, GelPainter, Place, SceneMoment, VirtualHand,
-};
-use crate::calibration::CameraConfig;
+use super::gel::GelPainter;
+use super::hand::{SceneMoment, VirtualHand};
+use super::library::FilmLibrary;
+use super::view::{ColourPainter, DepthPainter, Place};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_imaging::{Frame, PixelFormat, Role};
+use gripcast_capture::calibration::CameraConfig;
+use gripcast_capture::camera::{
+    CameraIdentity, CameraOpener, CaptureError, Clock, ControlValues, FrameSource, StreamInfo,
+};
+use gripcast_imaging::{Frame, PixelFormat, Role, encode_jpeg};
 
 /// Pictures are painted at most this wide and enlarged.
 const PAINTED_WIDTH: u32 = 640;
@@ -31,7 +31,7 @@ const PAINTED_OUTSIDE_WIDTH: u32 = 1280;
 /// Frames that wait for a late reader, like the buffers of a driver.
 const BUFFERS: u64 = 4;
 const DEPTH_UNIT_M: f64 = 0.001;
-const JPEG_QUALITY: i32 = 92;
+const JPEG_QUALITY: u8 = 92;
 
 /// The virtual rig: one hand and the cameras that see it.
 #[derive(Clone)]
@@ -82,7 +82,11 @@ impl VirtualRig {
         let depth = role == Role::Depth;
         if depth != (config.format == PixelFormat::Z16) {
             let found = config.format;
-            let wanted = if depth { "Z16" } else { "MJPG, YUYV or GREY" };
+            let wanted = if depth {
+                "Z16"
+            } else {
+                "MJPG, YUYV, GREY or RGB"
+            };
             return Err(wrong(format!(
                 "the virtual camera cannot deliver {found}, expected {wanted}"
             )));
@@ -239,13 +243,9 @@ impl FrameSource for VirtualCamera {
         let now_ns = self.rig.clock.now_ns();
         let number = self.schedule.upcoming(now_ns);
         let due_ns = self.schedule.time_ns(number);
-        let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
-        let patience_ns = now_ns.saturating_add(timeout_ns);
-        if due_ns > patience_ns {
-            self.rig.clock.sleep_until(patience_ns);
+        if !self.rig.clock.wait_for(due_ns, timeout) {
             return Err(CaptureError::Timeout);
         }
-        self.rig.clock.sleep_until(due_ns);
         self.schedule.next = number + 1;
         let moment = self.rig.hand.moment(due_ns);
         let data = self
@@ -280,7 +280,6 @@ struct Painter {
     painted: (u32, u32),
     info: StreamInfo,
     resizer: Resizer,
-    compressor: Option<Compressor>,
 }
 
 impl Painter {
@@ -304,18 +303,11 @@ impl Painter {
             Role::Depth => Scene::Depth(DepthPainter::new(rig.seed, painted)),
             Role::External => Scene::Colour(ColourPainter::new(Place::Outside, rig.seed, painted)),
         };
-        let compressor = match info.format {
-            PixelFormat::Mjpg => Some(jpeg_compressor().map_err(|error| {
-                Error::new(ErrorKind::Internal, "cannot start the JPEG encoder").because(error)
-            })?),
-            _ => None,
-        };
         Ok(Self {
             scene,
             painted,
             info: info.clone(),
             resizer: Resizer::new(),
-            compressor,
         })
     }
 
@@ -329,13 +321,15 @@ impl Painter {
             Scene::Colour(painter) => painter.paint(moment, frame)?,
         };
         let rgb = self.enlarged(painted)?;
-        match (self.info.format, &mut self.compressor) {
-            (PixelFormat::Mjpg, Some(compressor)) => {
-                encode_jpeg(compressor, &rgb, self.info.width, self.info.height)
+        Ok(match self.info.format {
+            PixelFormat::Mjpg => {
+                let picture = RgbImage::from_raw(self.info.width, self.info.height, rgb);
+                encode_jpeg(&picture.unwrap_or_default(), JPEG_QUALITY)?
             }
-            (PixelFormat::Grey, _) => Ok(rgb.chunks_exact(3).map(luminance).collect()),
-            _ => Ok(yuyv_bytes(&rgb)),
-        }
+            PixelFormat::Grey => rgb.chunks_exact(3).map(luminance).collect(),
+            PixelFormat::Rgb => rgb,
+            PixelFormat::Yuyv | PixelFormat::Z16 => yuyv_bytes(&rgb),
+        })
     }
 
     fn enlarged(&mut self, painted: Vec<u8>) -> Result<Vec<u8>> {
@@ -378,31 +372,6 @@ impl Painter {
     }
 }
 
-fn jpeg_compressor() -> turbojpeg::Result<Compressor> {
-    let mut compressor = Compressor::new()?;
-    compressor.set_quality(JPEG_QUALITY)?;
-    compressor.set_subsamp(Subsamp::Sub2x1)?;
-    Ok(compressor)
-}
-
-fn encode_jpeg(
-    compressor: &mut Compressor,
-    rgb: &[u8],
-    width: u32,
-    height: u32,
-) -> Result<Vec<u8>> {
-    let image = Image {
-        pixels: rgb,
-        width: width as usize,
-        pitch: 3 * width as usize,
-        height: height as usize,
-        format: JpegPixels::RGB,
-    };
-    compressor.compress_to_vec(image).map_err(|error| {
-        Error::new(ErrorKind::Internal, "cannot encode a virtual picture").because(error)
-    })
-}
-
 /// BT.601 luminance of an RGB pixel, full range.
 fn luminance(rgb: &[u8]) -> u8 {
     let [r, g, b] = [0, 1, 2].map(|n| u32::from(rgb[n]));
@@ -410,7 +379,7 @@ fn luminance(rgb: &[u8]) -> u8 {
 }
 
 /// BT.601 limited range; the two pixels of a pair share their mean chroma.
-fn yuyv_bytes(rgb: &[u8]) -> Vec<u8> {
+pub(super) fn yuyv_bytes(rgb: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(rgb.len() / 3 * 2);
     for pair in rgb.chunks_exact(6) {
         let p = |n: usize| i32::from(pair[n]);
@@ -422,193 +391,4 @@ fn yuyv_bytes(rgb: &[u8]) -> Vec<u8> {
         bytes.extend_from_slice(&[luma(0), u as u8, luma(3), v as u8]);
     }
     bytes
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::calibration::SourceKind;
-    use crate::camera::{HandGoal, ManualClock};
-
-    const MS: u64 = 1_000_000;
-    const TIMEOUT: Duration = Duration::from_millis(100);
-
-    fn config(format: PixelFormat, width: u32, height: u32, fps: f64) -> CameraConfig {
-        CameraConfig {
-            source: SourceKind::Virtual,
-            product: String::new(),
-            serial: None,
-            interface: None,
-            port: None,
-            path: None,
-            unpaced: false,
-            format,
-            width,
-            height,
-            fps,
-            crop_profile: None,
-            depth_unit_m: None,
-            intrinsics: None,
-            controls: BTreeMap::from([("gain".to_owned(), 7)]),
-        }
-    }
-
-    fn rig() -> (VirtualRig, Arc<ManualClock>) {
-        let clock = Arc::new(ManualClock::at(1_000 * MS));
-        let films = FilmLibrary::built_in().unwrap();
-        (VirtualRig::new(films, 1, clock.clone()), clock)
-    }
-
-    #[test]
-    fn every_role_delivers_its_format() {
-        let (rig, _) = rig();
-        for (role, format, width, height) in [
-            (Role::Left, PixelFormat::Mjpg, 640, 480),
-            (Role::Right, PixelFormat::Mjpg, 3280, 2464),
-            (Role::Rgb, PixelFormat::Yuyv, 1280, 720),
-            (Role::Depth, PixelFormat::Z16, 848, 480),
-            (Role::External, PixelFormat::Grey, 320, 240),
-        ] {
-            let mut opener = rig
-                .camera(role, &config(format, width, height, 30.0))
-                .unwrap();
-            let mut camera = opener.open().unwrap();
-            let frame = camera.next_frame(TIMEOUT).unwrap();
-            assert_eq!(
-                (frame.format, frame.width, frame.height),
-                (format, width, height)
-            );
-            match format.frame_bytes(width, height) {
-                Some(bytes) => assert_eq!(frame.data.len(), bytes, "{role}"),
-                None => {
-                    let header = turbojpeg::read_header(&frame.data).unwrap();
-                    let size = (header.width, header.height);
-                    assert_eq!(size, (width as usize, height as usize));
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn a_camera_is_gone_while_its_role_stands_in_the_file() {
-        let (rig, _) = rig();
-        let file = tempfile::NamedTempFile::new().unwrap();
-        let rig = rig.with_unplugged(file.path().to_owned());
-        let config = config(PixelFormat::Mjpg, 160, 120, 25.0);
-        let mut left = rig.camera(Role::Left, &config).unwrap();
-        let mut right = rig.camera(Role::Right, &config).unwrap();
-        let (mut seen, mut other) = (left.open().unwrap(), right.open().unwrap());
-        assert!(seen.next_frame(TIMEOUT).is_ok());
-        fs::write(file.path(), "depth left\n").unwrap();
-        assert!(matches!(seen.next_frame(TIMEOUT), Err(CaptureError::Gone)));
-        assert!(other.next_frame(TIMEOUT).is_ok());
-        assert_eq!(left.open().err().unwrap().kind(), ErrorKind::Device);
-        fs::write(file.path(), "").unwrap();
-        assert!(left.open().unwrap().next_frame(TIMEOUT).is_ok());
-    }
-
-    #[test]
-    fn frames_are_paced_and_a_late_reader_sees_a_gap() {
-        let (rig, clock) = rig();
-        let config = config(PixelFormat::Mjpg, 160, 120, 25.0);
-        let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
-        for number in 0..5 {
-            let frame = camera.next_frame(TIMEOUT).unwrap();
-            assert_eq!(frame.sequence, number);
-            assert_eq!(
-                frame.driver_time_ns,
-                (1_000 + 40 * (u64::from(number) + 1)) * MS
-            );
-            assert_eq!(frame.received_ns, frame.driver_time_ns);
-        }
-        // 40 ms · 20 later the oldest of four buffers is frame 25 − 4.
-        clock.advance(800 * MS);
-        let frame = camera.next_frame(TIMEOUT).unwrap();
-        assert_eq!(frame.sequence, 21);
-        assert_eq!(frame.driver_time_ns, (1_000 + 22 * 40) * MS);
-        assert_eq!(camera.next_frame(TIMEOUT).unwrap().sequence, 22);
-    }
-
-    #[test]
-    fn a_slow_camera_times_out_without_losing_its_frame() {
-        let (rig, clock) = rig();
-        let config = config(PixelFormat::Grey, 160, 120, 5.0);
-        let mut camera = rig.camera(Role::Rgb, &config).unwrap().open().unwrap();
-        let first = camera.next_frame(TIMEOUT);
-        assert!(matches!(first, Err(CaptureError::Timeout)));
-        assert_eq!(clock.now_ns(), 1_100 * MS);
-        assert_eq!(camera.next_frame(TIMEOUT).unwrap().sequence, 0);
-        assert_eq!(clock.now_ns(), 1_200 * MS);
-    }
-
-    #[test]
-    fn the_same_moment_is_the_same_picture() {
-        let picture = || {
-            let (rig, _) = rig();
-            rig.hand().go(HandGoal::Closed);
-            let config = config(PixelFormat::Mjpg, 320, 240, 1.0);
-            let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
-            camera.next_frame(Duration::from_secs(2)).unwrap().data
-        };
-        assert_eq!(picture(), picture());
-    }
-
-    #[test]
-    fn identity_and_controls_are_readable() {
-        let (rig, _) = rig();
-        let config = config(PixelFormat::Mjpg, 320, 240, 25.0);
-        let mut opener = rig.camera(Role::Right, &config).unwrap();
-        assert_eq!(
-            opener.describe(),
-            "Virtual GelSight Mini, serial VIRT-RIGHT, port virtual"
-        );
-        let controls = opener.open().unwrap().controls().unwrap();
-        assert_eq!(controls["gain"], 7);
-        assert_eq!(controls["exposure_time_absolute"], 180);
-    }
-
-    #[test]
-    fn impossible_modes_are_explained() {
-        let (rig, _) = rig();
-        for (role, config, part) in [
-            (
-                Role::Left,
-                config(PixelFormat::Z16, 640, 480, 25.0),
-                "expected MJPG",
-            ),
-            (
-                Role::Depth,
-                config(PixelFormat::Mjpg, 640, 480, 25.0),
-                "expected Z16",
-            ),
-            (
-                Role::Rgb,
-                config(PixelFormat::Yuyv, 641, 480, 25.0),
-                "641×480",
-            ),
-            (Role::Rgb, config(PixelFormat::Yuyv, 640, 0, 25.0), "640×0"),
-            (
-                Role::Rgb,
-                config(PixelFormat::Yuyv, 640, 480, 0.0),
-                "frame rate 0",
-            ),
-            (
-                Role::Rgb,
-                config(PixelFormat::Yuyv, 640, 480, f64::NAN),
-                "frame rate NaN",
-            ),
-        ] {
-            let error = rig.camera(role, &config).err().unwrap();
-            assert_eq!(error.kind(), ErrorKind::Config);
-            assert!(error.to_string().contains(part), "{error}");
-        }
-    }
-
-    #[test]
-    fn yuyv_keeps_grey_grey_and_red_red() {
-        assert_eq!(yuyv_bytes(&[128; 6]), [126, 128, 126, 128]);
-        let red = yuyv_bytes(&[255, 0, 0, 255, 0, 0]);
-        assert!(red[0] > 70 && red[0] < 90, "{red:?}");
-        assert!(red[1] < 100 && red[3] > 220, "{red:?}");
-    }
 }

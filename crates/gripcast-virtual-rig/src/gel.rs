@@ -18,7 +18,7 @@ use gripcast_tactile::{
 const OWN_COLOUR: f64 = 4.0;
 
 /// Paints one sensor's pictures at a fixed size.
-pub(in crate::camera) struct GelPainter {
+pub(super) struct GelPainter {
     finger: Finger,
     seed: u64,
     look: FrameLook,
@@ -35,7 +35,7 @@ pub(in crate::camera) struct GelPainter {
 impl GelPainter {
     /// A painter of `painted` pictures of the gel on `side` for a camera with frames of `full`
     /// pixels.
-    pub(in crate::camera) fn new(
+    pub(super) fn new(
         side: Role,
         seed: u64,
         painted: (u32, u32),
@@ -83,7 +83,7 @@ impl GelPainter {
     ///
     /// # Errors
     /// Where the object's mesh cannot be read.
-    pub(in crate::camera) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
+    pub(super) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
         let wanted = (moment.grasp, moment.step);
         if self.shown != Some(wanted) {
             let picture = self.render(&moment.film, moment.step)?;
@@ -117,7 +117,7 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::camera::FilmLibrary;
+    use crate::FilmLibrary;
     use gripcast_imaging::{CropProfile, crop_and_resize};
     use gripcast_tactile::ObjectDepthRenderer;
     use gripcast_tactile::SceneRenderer as _;

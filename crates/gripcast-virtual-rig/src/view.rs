@@ -19,7 +19,7 @@ const DEPTH_NOISE_STEPS: f64 = 16.0;
 
 /// Which camera of a film.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::camera) enum Place {
+pub(super) enum Place {
     /// Between the fingers.
     Hand,
     /// Beside the table.
@@ -27,7 +27,7 @@ pub(in crate::camera) enum Place {
 }
 
 /// Paints colour pictures at a fixed size.
-pub(in crate::camera) struct ColourPainter {
+pub(super) struct ColourPainter {
     place: Place,
     seed: u64,
     size: (u32, u32),
@@ -39,7 +39,7 @@ pub(in crate::camera) struct ColourPainter {
 
 impl ColourPainter {
     /// A painter of pictures of `size`.
-    pub(in crate::camera) fn new(place: Place, seed: u64, size: (u32, u32)) -> Self {
+    pub(super) fn new(place: Place, seed: u64, size: (u32, u32)) -> Self {
         let seed = mixed(seed, 0x7669_6577, place as u64);
         Self {
             place,
@@ -55,7 +55,7 @@ impl ColourPainter {
     ///
     /// # Errors
     /// `Input` where the film's strip is damaged.
-    pub(in crate::camera) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
+    pub(super) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
         let pictures = match self.shown.take() {
             Some((grasp, pictures)) if grasp == moment.grasp => pictures,
             _ => self.pictures(&moment.film)?,
@@ -103,7 +103,7 @@ impl ColourPainter {
 }
 
 /// Paints depth pictures at a fixed size.
-pub(in crate::camera) struct DepthPainter {
+pub(super) struct DepthPainter {
     seed: u64,
     size: (u32, u32),
     settings: DepthSettings,
@@ -113,7 +113,7 @@ pub(in crate::camera) struct DepthPainter {
 
 impl DepthPainter {
     /// A painter of pictures of `size`.
-    pub(in crate::camera) fn new(seed: u64, size: (u32, u32)) -> Self {
+    pub(super) fn new(seed: u64, size: (u32, u32)) -> Self {
         let seed = mixed(seed, 0x6465_7074, 0);
         Self {
             seed,
@@ -128,11 +128,7 @@ impl DepthPainter {
     ///
     /// # Errors
     /// `Input` where the film's strip is damaged.
-    pub(in crate::camera) fn paint_m(
-        &mut self,
-        moment: &SceneMoment,
-        frame: u64,
-    ) -> Result<Vec<f32>> {
+    pub(super) fn paint_m(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<f32>> {
         let pictures = match self.shown.take() {
             Some((grasp, pictures)) if grasp == moment.grasp => pictures,
             _ => moment.film.depth_mm()?,
@@ -188,7 +184,7 @@ fn centred(from: (u32, u32), to: (u32, u32)) -> [Axis; 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::FilmLibrary;
+    use crate::FilmLibrary;
 
     fn moment(number: usize, progress: f64) -> SceneMoment {
         let film = FilmLibrary::built_in().unwrap().films()[number].clone();

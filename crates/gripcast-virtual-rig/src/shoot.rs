@@ -308,7 +308,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::camera::virtual_scene::film::Film;
+    use crate::film::Film;
     use gripcast_geometry::{PrepareOptions, builtin, prepare};
     use gripcast_sim::fem::GelResolution;
     use gripcast_sim::grasp::GelForce;

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::film::Film;
 use super::library::FilmLibrary;
-use crate::camera::clock::Clock;
+use gripcast_capture::camera::Clock;
 use gripcast_dataset::SimulatedTruth;
 
 /// Time from open to closed, s.
@@ -157,7 +157,7 @@ impl VirtualHand {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::ManualClock;
+    use gripcast_capture::camera::ManualClock;
     use gripcast_sim::grasp::StageName;
 
     const MS: u64 = 1_000_000;

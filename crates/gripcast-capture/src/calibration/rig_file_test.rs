@@ -1,0 +1,176 @@
+use super::*;
+
+const GOOD: &str = r#"schema = 1
+id = "bench-1"
+
+[cameras.left]
+product = "GelSight Mini"
+serial = "2BNN4ZE7"
+format = "MJPG"
+width = 3280
+height = 2464
+fps = 25
+crop_profile = "gsmini-seventh-v1"
+controls = { auto_exposure = 1, exposure_time_absolute = 180 }
+
+[cameras.right]
+product = "GelSight Mini"
+serial = "28F5K4RR"
+format = "MJPG"
+width = 3280
+height = 2464
+fps = 25
+crop_profile = "gsmini-seventh-v1"
+
+[cameras.depth]
+source = "replay"
+path = "depth"
+format = "Z16"
+width = 640
+height = 480
+fps = 30
+depth_unit_m = 0.001
+"#;
+
+fn refusal(from: &str, to: &str) -> String {
+    assert!(GOOD.contains(from), "{from}");
+    let error = RigFile::parse(&GOOD.replacen(from, to, 1)).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::Config, "{error}");
+    error.to_string()
+}
+
+#[test]
+fn a_good_file_is_read_and_written_back_the_same() {
+    let rig = RigFile::parse(GOOD).unwrap();
+    assert_eq!(
+        rig.cameras[&Role::Left].controls["exposure_time_absolute"],
+        180
+    );
+    assert_eq!(rig.cameras[&Role::Depth].source, SourceKind::Replay);
+    let again = RigFile::parse(&toml::to_string(&rig).unwrap()).unwrap();
+    assert_eq!(again, rig);
+}
+
+#[test]
+fn misspelt_keys_are_refused_with_line_and_nearest_name() {
+    assert_eq!(
+        refusal("product =", "produkt ="),
+        "line 5: unknown field `produkt`\n  → did you mean `product`?"
+    );
+    assert_eq!(
+        refusal("[cameras.left]", "[cameras.lefft]"),
+        "line 4: unknown variant `lefft`\n  → did you mean `left`?"
+    );
+    assert_eq!(
+        refusal("\"MJPG\"", "\"MJPEG\""),
+        "line 7: unknown variant `MJPEG`\n  → did you mean `MJPG`?"
+    );
+    assert_eq!(
+        refusal("auto_exposure", "exposure_auto"),
+        "[cameras.left]: unknown control `exposure_auto`\n  → did you mean `auto_exposure`?"
+    );
+    assert!(refusal("auto_exposure", "gian").contains("did you mean `gain`?"));
+    assert!(refusal("auto_exposure", "f").contains("known are auto_exposure, "));
+    assert!(refusal("fps = 25", "fps = fast").starts_with("line 10: "));
+    assert!(refusal("width = 3280\n", "").contains("missing field `width`"));
+}
+
+#[test]
+fn files_that_cannot_work_are_refused() {
+    for (from, to, expected) in [
+        (
+            "schema = 1",
+            "schema = 2\nfuture = true",
+            "schema 2; this gripcast reads 1",
+        ),
+        ("schema = 1\n", "", "`schema` is missing"),
+        ("bench-1", "../x", "`id` is `../x`"),
+        (
+            "[cameras.right]",
+            "[cameras.external]",
+            "the camera `right` is missing",
+        ),
+        (
+            "product = \"GelSight Mini\"\n",
+            "",
+            "[cameras.left]: `product` is missing",
+        ),
+        ("width = 3280", "width = 0", "0×2464 pixels"),
+        ("fps = 25", "fps = 0", "`fps` is 0"),
+        ("fps = 25", "fps = inf", "`fps` is inf"),
+        (
+            "crop_profile = \"gsmini-seventh-v1\"\n",
+            "",
+            "`crop_profile` is missing",
+        ),
+        (
+            "format = \"MJPG\"",
+            "format = \"Z16\"",
+            "format Z16 does not fit the role left",
+        ),
+        ("depth_unit_m = 0.001\n", "", "`depth_unit_m` is missing"),
+        (
+            "depth_unit_m = 0.001",
+            "depth_unit_m = -1.0",
+            "`depth_unit_m` is -1",
+        ),
+        (
+            "path = \"depth\"\n",
+            "",
+            "[cameras.depth]: `path` is missing",
+        ),
+        ("28F5K4RR", "2BNN4ZE7", "describe the same camera"),
+    ] {
+        let message = refusal(from, to);
+        assert!(message.contains(expected), "{from} → {to}: {message}");
+    }
+}
+
+#[test]
+fn the_virtual_rig_holds_its_own_rules() {
+    let rig = RigFile::virtual_rig();
+    rig.validate().unwrap();
+    assert_eq!(RigFile::find_in("virtual", &[]).unwrap(), rig);
+    assert!(
+        rig.cameras
+            .values()
+            .all(|c| c.source == SourceKind::Virtual)
+    );
+    assert_eq!(rig.cameras.len(), 4);
+}
+
+#[test]
+fn rigs_are_found_by_name_and_path_and_listed_otherwise() {
+    let directory = tempfile::tempdir().unwrap();
+    let (first, second) = (directory.path().join("a"), directory.path().join("b"));
+    fs::create_dir_all(&first).unwrap();
+    fs::create_dir_all(&second).unwrap();
+    fs::write(second.join("bench-1.toml"), GOOD).unwrap();
+    let places = [first.clone(), second.clone()];
+    let rig = RigFile::find_in("bench-1", &places).unwrap();
+    assert_eq!(rig.id, "bench-1");
+    assert_eq!(rig.cameras[&Role::Depth].path, Some(second.join("depth")));
+    fs::write(
+        first.join("bench-1.toml"),
+        GOOD.replace("bench-1", "nearer"),
+    )
+    .unwrap();
+    assert_eq!(RigFile::find_in("bench-1", &places).unwrap().id, "nearer");
+
+    let error = RigFile::find_in("bench-2", &places).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::NotFound);
+    let text = error.to_string();
+    assert!(text.contains("did you mean `bench-1`?"), "{text}");
+    let known = "use one of virtual, virtual-external, bench-1, ";
+    assert!(text.contains(known), "{text}");
+
+    let path = second.join("bench-1.toml");
+    RigFile::find_in(path.to_str().unwrap(), &[]).unwrap();
+    fs::write(&path, GOOD.replace("serial", "serail")).unwrap();
+    let text = RigFile::load(&path).unwrap_err().to_string();
+    assert!(
+        text.contains("bench-1.toml: line 6: unknown field `serail`"),
+        "{text}"
+    );
+    assert!(RigFile::load(&second.join("none.toml")).is_err());
+}
