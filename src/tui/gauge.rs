@@ -10,7 +10,6 @@ use super::palette::Palette;
 use super::text::{clipped, columns, duration_ms, row, write, write_right};
 use crate::daemon::{EngineStatus, PredictionStatus};
 use gripcast_nn::predict::Verdict;
-use gripcast_session::Predicted;
 
 /// A prediction from a frame older than this is shown dim and named old, ms.
 const STALE_MS: f64 = 500.0;
@@ -35,18 +34,13 @@ pub(super) fn word(verdict: Verdict) -> &'static str {
     }
 }
 
-/// What was claimed of a grasp.
-pub(super) fn claimed(said: &Predicted) -> Verdict {
-    Verdict::of(said.p_stable, said.threshold, said.novelty)
-}
-
 /// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
 /// knows nothing of such pictures.
 pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
-    if is_stale(prediction) || !prediction.p_stable.is_finite() {
+    if is_stale(prediction) || !prediction.said.p_stable.is_finite() {
         "OLD"
     } else {
-        word(prediction.verdict())
+        word(prediction.verdict)
     }
 }
 
@@ -64,7 +58,7 @@ pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
 }
 
 fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
-    let Some(prediction) = prediction.filter(|p| p.p_stable.is_finite()) else {
+    let Some(prediction) = prediction.filter(|p| p.said.p_stable.is_finite()) else {
         return Reading {
             number: "-.--".to_owned(),
             verdict: "",
@@ -72,14 +66,14 @@ fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
             bar: None,
         };
     };
-    let p = prediction.p_stable;
+    let p = prediction.said.p_stable;
     let verdict = claim(prediction);
     let style = verdict_style(verdict, palette);
     Reading {
         number: format!("{:.2}", p.clamp(0.0, 1.0)),
         verdict,
         style,
-        bar: Some((p, prediction.threshold)),
+        bar: Some((p, prediction.said.threshold)),
     }
 }
 
@@ -246,12 +240,12 @@ fn write_title(
             Span::styled(words, palette.faint()),
         ])
     };
-    let latency = duration_ms(prediction.latency_ms);
+    let latency = duration_ms(prediction.said.latency_ms);
     let long = timing(format!(
         " · result in {latency} · model {:.1} ms ",
-        prediction.engine_ms
+        prediction.said.engine_ms
     ));
-    let name = clipped(&prediction.model, 28);
+    let name = clipped(&prediction.said.model, 28);
     let heuristic = u16::from(prediction.heuristic) * columns(" HEURISTIC ");
     let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
     let taken = match area.width.checked_sub(needed) {
@@ -265,7 +259,7 @@ fn write_title(
     if prediction.heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
-    if prediction.verdict() == Verdict::Unsure {
+    if prediction.verdict == Verdict::Unsure {
         left.push(Span::styled(
             "unlike the training pictures ",
             palette.warning(),
@@ -337,22 +331,30 @@ fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palet
 mod tests {
     use super::*;
     use crate::tui::palette::ColourDepth;
+    use gripcast_dataset::PredictionRecord;
 
     const PALETTE: Palette = Palette {
         depth: ColourDepth::True,
     };
 
-    fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
-        PredictionStatus {
+    fn prediction_on(p_stable: f64, novelty: Option<f64>, frame_age_ms: f64) -> PredictionStatus {
+        let said = PredictionRecord {
             p_stable,
-            novelty: None,
+            novelty,
             threshold: 0.5,
             model: "m".to_owned(),
-            frame_age_ms,
+            model_sha256: String::new(),
             latency_ms: 12.0,
             engine_ms: 3.0,
-            heuristic: false,
+        };
+        PredictionStatus {
+            frame_age_ms,
+            ..PredictionStatus::new(said, false)
         }
+    }
+
+    fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
+        prediction_on(p_stable, None, frame_age_ms)
     }
 
     #[test]
@@ -376,15 +378,12 @@ mod tests {
 
     #[test]
     fn nothing_is_claimed_of_pictures_that_the_model_does_not_know() {
-        let mut odd = prediction(0.97, 18.0);
-        odd.novelty = Some(1.01);
-        let read = reading(Some(&odd), PALETTE);
-        assert_eq!((read.verdict, read.style), ("UNSURE", PALETTE.warning()));
-        odd.novelty = Some(0.99);
-        assert_eq!(reading(Some(&odd), PALETTE).verdict, "STABLE");
-        odd = prediction(0.97, 900.0);
-        odd.novelty = Some(7.0);
-        assert_eq!(reading(Some(&odd), PALETTE).verdict, "OLD");
+        let read =
+            |novelty, age_ms| reading(Some(&prediction_on(0.97, Some(novelty), age_ms)), PALETTE);
+        let odd = read(1.01, 18.0);
+        assert_eq!((odd.verdict, odd.style), ("UNSURE", PALETTE.warning()));
+        assert_eq!(read(0.99, 18.0).verdict, "STABLE");
+        assert_eq!(read(7.0, 900.0).verdict, "OLD");
     }
 
     #[test]

@@ -20,9 +20,8 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], pa
     let mut index = 0;
     for camera in cameras {
         let trouble = trouble(camera);
-        let seen = camera.markers.as_ref().and_then(|seen| seen.as_ref().ok());
-        let (note, style) = match seen {
-            Some(seen) if trouble.is_empty() => (seen.clone(), palette.stable()),
+        let (note, style) = match &camera.markers {
+            Some(seen) if seen.ok && trouble.is_empty() => (seen.text.clone(), palette.stable()),
             _ => (trouble.clone(), palette.warning()),
         };
         let own_line = !note.is_empty() && troubled > 0;
@@ -105,6 +104,6 @@ fn trouble(camera: &CameraStatus) -> String {
 
 /// That there would be no pose, and why.
 fn markers(camera: &CameraStatus) -> Option<String> {
-    let reason = camera.markers.as_ref()?.as_ref().err()?;
-    Some(format!("no pose: {reason}"))
+    let markers = camera.markers.as_ref().filter(|markers| !markers.ok)?;
+    Some(format!("no pose: {}", markers.text))
 }

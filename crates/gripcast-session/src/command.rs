@@ -3,6 +3,9 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
 use gripcast_base::error::Error;
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_dataset::{GraspId, Outcome};
@@ -62,6 +65,49 @@ impl CommandSource {
             Self::Pedal => "pedal",
             Self::Script => "script",
             Self::Remote => "remote",
+        }
+    }
+}
+
+/// A command on its way through the session.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// Number by which its [result](super::Effect::Result) names it.
+    pub id: u64,
+    /// What is asked for.
+    pub command: Command,
+    /// Where it came from.
+    pub source: CommandSource,
+}
+
+/// What became of a command.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "result", rename_all = "snake_case")]
+pub enum CommandResult {
+    /// Carried out; what it changed is durable.
+    Accepted,
+    /// Refused: by guards, or because there was nothing to do.
+    Refused {
+        /// One for each guard, or what there was not to do.
+        reasons: Vec<String>,
+        /// Whether `override` can help.
+        can_override: bool,
+    },
+    /// It failed on disk; nothing changed.
+    Failed {
+        /// What failed, and how to mend it.
+        error: String,
+    },
+}
+
+impl CommandResult {
+    /// Why it was not carried out, in one line.
+    #[must_use]
+    pub fn complaint(&self) -> Option<String> {
+        match self {
+            Self::Accepted => None,
+            Self::Refused { reasons, .. } => Some(reasons.join("; ")),
+            Self::Failed { error } => Some(error.clone()),
         }
     }
 }
