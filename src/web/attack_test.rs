@@ -204,7 +204,6 @@ fn status() -> EngineStatus {
     });
     let preview = Preview {
         image: Arc::new(image),
-        contact: None,
         is_difference: false,
     };
     status.previews.insert(Role::Left, preview);
