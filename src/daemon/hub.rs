@@ -147,7 +147,7 @@ impl CameraSlot {
         make_room(&mut state.ring);
         let soundness = match frame.format {
             PixelFormat::Mjpg => Soundness::Unknown,
-            PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => Soundness::Sound,
+            _ => Soundness::Sound,
         };
         insert(&mut state.ring, Held { frame, soundness });
         drop(state);

@@ -110,7 +110,8 @@ fn raw_mbps(camera: &CameraConfig) -> Option<f64> {
     let bytes = match camera.format {
         PixelFormat::Yuyv | PixelFormat::Z16 => 2.0,
         PixelFormat::Grey => 1.0,
-        _ => return None,
+        PixelFormat::Rgb => 3.0,
+        PixelFormat::Mjpg => return None,
     };
     let pixels = f64::from(camera.width) * f64::from(camera.height);
     Some(8e-6 * bytes * pixels * camera.fps)

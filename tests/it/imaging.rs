@@ -494,7 +494,11 @@ proptest! {
     #[test]
     fn no_bytes_make_a_decoder_panic(
         format in prop::sample::select(vec![
-            PixelFormat::Mjpg, PixelFormat::Yuyv, PixelFormat::Z16, PixelFormat::Grey,
+            PixelFormat::Mjpg,
+            PixelFormat::Yuyv,
+            PixelFormat::Z16,
+            PixelFormat::Grey,
+            PixelFormat::Rgb,
         ]),
         width in prop_oneof![0u32..40, any::<u32>()],
         height in prop_oneof![0u32..40, any::<u32>()],

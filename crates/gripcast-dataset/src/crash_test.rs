@@ -431,7 +431,11 @@ fn found(disk: &FailingDisk, root: &Path, context: &str) -> Known {
         let frames = writer
             .pending_frames(pending)
             .unwrap_or_else(|e| panic!("{context}: {e}"));
-        assert_eq!(frames.len(), 2, "{context}: both gels come back");
+        assert_eq!(
+            frames.len(),
+            3,
+            "{context}: both gels and the colour camera come back"
+        );
     }
     drop(writer);
     let verified = verify(root, &|_, _| {}).unwrap();

@@ -10,6 +10,7 @@ use super::{
     SplitPlan, recover, split, verify,
 };
 use gripcast_base::error::ErrorKind;
+use gripcast_imaging::{CropProfile, Decoder, PixelFormat, Role};
 
 /// Three labelled grasps of three objects.
 fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
@@ -23,8 +24,7 @@ fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
             .save_initial(&capture(2 * number + 1), Vec::new())
             .unwrap();
         let mut meta = meta(object);
-        meta.calibration
-            .insert(gripcast_imaging::Role::Left, calibration.clone());
+        meta.calibration.insert(Role::Left, calibration.clone());
         let record = writer
             .save_grasp(&pending, &capture(2 * number + 2), meta)
             .unwrap();
@@ -148,10 +148,7 @@ fn a_record_of_the_wrong_shape_keeps_what_it_says() {
     let record = Dataset::open(dir.path()).unwrap().grasp(&ids[0]).unwrap();
     assert_eq!(record.object, "mug");
     assert_eq!(record.scene, "table", "from the index");
-    assert_eq!(
-        record.initial.cameras[&gripcast_imaging::Role::Left].serial,
-        "S-left"
-    );
+    assert_eq!(record.initial.cameras[&Role::Left].serial, "S-left");
 }
 
 #[test]
@@ -234,7 +231,7 @@ fn a_frozen_camera_shows() {
     let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     let initial = capture(1);
     let mut grasp = capture(2);
-    let left = gripcast_imaging::Role::Left;
+    let left = Role::Left;
     grasp.cameras.get_mut(&left).unwrap().frame.data = initial.cameras[&left].frame.data.clone();
     let pending = writer.save_initial(&initial, Vec::new()).unwrap();
     writer.save_grasp(&pending, &grasp, meta("mug")).unwrap();
@@ -253,7 +250,7 @@ fn a_picture_that_came_damaged_shows() {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     let mut initial = capture(1);
-    let left = gripcast_imaging::Role::Left;
+    let left = Role::Left;
     let frame = &mut initial.cameras.get_mut(&left).unwrap().frame;
     frame.data = frame.data[..frame.data.len() - 30].to_vec().into();
     let pending = writer.save_initial(&initial, Vec::new()).unwrap();
@@ -321,17 +318,21 @@ fn frames_come_back_as_they_were_sent() {
     let dataset = Dataset::open(dir.path()).unwrap();
     let record = dataset.grasp(&ids[0]).unwrap();
     let sent = capture(2);
-    for role in [gripcast_imaging::Role::Left, gripcast_imaging::Role::Depth] {
+    for role in [Role::Left, Role::Depth] {
         let frame = dataset
             .load_frame(&record, super::Stage::Grasp, role)
             .unwrap();
         assert_eq!(frame.data, sent.cameras[&role].frame.data, "{role}");
     }
-    let colour = gripcast_imaging::Role::Rgb;
-    let error = dataset
+    let colour = Role::Rgb;
+    let frame = dataset
         .load_frame(&record, super::Stage::Grasp, colour)
-        .unwrap_err();
-    assert_eq!(error.kind(), ErrorKind::Input);
+        .unwrap();
+    let mut decoder = Decoder::new().unwrap();
+    assert_eq!(
+        decoder.decode_full(&frame).unwrap(),
+        decoder.decode_full(&sent.cameras[&colour].frame).unwrap(),
+    );
     let path = dataset
         .path_of(&record, super::Stage::Grasp, colour)
         .unwrap();
@@ -339,8 +340,39 @@ fn frames_come_back_as_they_were_sent() {
         path.shown()
             .ends_with(format!("grasps/{}/grasp.rgb.png", ids[0]))
     );
-    let depth = gripcast_imaging::Role::Depth;
+    let depth = Role::Depth;
     assert_eq!(dataset.path_of(&record, super::Stage::Initial, depth), None);
+}
+
+/// A gel whose camera sends YUYV reaches inference after the initial trigger and after a restart
+/// with the same pixels as the live frame.
+#[test]
+fn initial_frames_of_yuyv_gels_decode_as_they_did_live() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut sent = capture(1);
+    for (role, salt) in [(Role::Left, 7_u8), (Role::Right, 11)] {
+        let frame = &mut sent.cameras.get_mut(&role).unwrap().frame;
+        frame.format = PixelFormat::Yuyv;
+        frame.data = (0..=255_u8)
+            .map(|i| i.wrapping_mul(salt))
+            .collect::<Vec<_>>()
+            .into();
+    }
+    let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
+    let fresh = writer.save_initial(&sent, Vec::new()).unwrap();
+    drop(writer);
+    let (writer, report) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
+    let resumed = report.pending.unwrap();
+    assert_eq!(resumed, fresh);
+    assert_eq!(resumed.stage.cameras[&Role::Left].format, PixelFormat::Yuyv);
+    let frames = writer.pending_frames(&resumed).unwrap();
+    let mut decoder = Decoder::new().unwrap();
+    let crop = Some(&CropProfile::GSMINI_SEVENTH);
+    for role in [Role::Left, Role::Right] {
+        let live = decoder.decode(&sent.cameras[&role].frame, crop, 8, 6);
+        assert_eq!(decoder.decode(&frames[&role], crop, 8, 6), live, "{role}");
+        assert!(live.is_ok(), "{role}: {live:?}");
+    }
 }
 
 #[test]

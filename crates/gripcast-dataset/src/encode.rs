@@ -10,7 +10,8 @@ use gripcast_imaging::{
     encode_png_rgb,
 };
 
-/// Bytes to store: a JPEG exactly as the camera sent it, raw formats as PNG.
+/// Bytes to store: a JPEG exactly as the camera sent it, raw formats as PNG (YUYV as the RGB
+/// picture that it decodes to).
 ///
 /// # Errors
 /// `Input` when the payload does not fit the frame's size.
@@ -20,7 +21,9 @@ pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
     }
     Ok(match frame.format {
         PixelFormat::Mjpg => Cow::Borrowed(&frame.data),
-        PixelFormat::Yuyv => encode_png_rgb(&Decoder::new()?.decode_full(frame)?)?.into(),
+        PixelFormat::Yuyv | PixelFormat::Rgb => {
+            encode_png_rgb(&Decoder::new()?.decode_full(frame)?)?.into()
+        }
         PixelFormat::Z16 => encode_png_grey16(&Decoder::new()?.depth(frame)?)?.into(),
         PixelFormat::Grey => {
             check_structure(frame)?;

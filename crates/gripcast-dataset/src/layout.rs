@@ -164,7 +164,7 @@ pub fn approach_name(number: usize, format: PixelFormat) -> FileName {
 fn extension(format: PixelFormat) -> &'static str {
     match format {
         PixelFormat::Mjpg => "jpg",
-        PixelFormat::Yuyv | PixelFormat::Z16 | PixelFormat::Grey => "png",
+        _ => "png",
     }
 }
 

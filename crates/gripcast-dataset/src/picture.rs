@@ -9,7 +9,7 @@ use gripcast_imaging::{PixelFormat, decode_png};
 pub(super) fn fault(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
     let found = match camera.format {
         PixelFormat::Mjpg => jpeg_size(bytes),
-        PixelFormat::Yuyv => png_size(bytes, ColorType::Rgb8),
+        PixelFormat::Yuyv | PixelFormat::Rgb => png_size(bytes, ColorType::Rgb8),
         PixelFormat::Grey => png_size(bytes, ColorType::L8),
         PixelFormat::Z16 => png_size(bytes, ColorType::L16),
     };

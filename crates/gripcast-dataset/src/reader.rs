@@ -182,11 +182,11 @@ impl Dataset {
         SplitFile::read_beneath(&self.layout.splits().join(file))
     }
 
-    /// A stored frame, as the camera sent it.
+    /// A stored frame, as the camera sent it; a YUYV frame as RGB, with exactly the pixels that
+    /// the frame as sent decodes to.
     ///
     /// # Errors
-    /// `NotFound` when there is none of that role at that stage; `Input` when the file is damaged,
-    /// and for YUYV frames, which are stored as RGB pictures: read those at [`Dataset::path_of`].
+    /// `NotFound` when there is none of that role at that stage; `Input` when the file is damaged.
     pub fn load_frame(&self, record: &GraspRecord, stage: Stage, role: Role) -> Result<Frame> {
         let camera = record.stage(stage).cameras.get(&role).ok_or_else(|| {
             Error::new(
@@ -218,13 +218,17 @@ pub(super) fn entries(path: &BeneathPath) -> Result<Vec<BeneathPath>> {
         .map_err(|e| Error::io("cannot read the directory", e).at(path.display()))
 }
 
-/// Reads a stored file back as the frame that it was made from.
+/// Reads a stored file back as the frame that it was made from; YUYV as RGB.
 pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Frame> {
     let path = dir.join(&camera.file);
     let bytes = path
         .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
-    let data = match camera.format {
+    let format = match camera.format {
+        PixelFormat::Yuyv => PixelFormat::Rgb,
+        other => other,
+    };
+    let data = match format {
         PixelFormat::Mjpg => bytes,
         PixelFormat::Z16 => match decode(&path, &bytes)? {
             image::DynamicImage::ImageLuma16(image) => image
@@ -238,17 +242,13 @@ pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Fra
             image::DynamicImage::ImageLuma8(image) => image.into_raw(),
             _ => return Err(other_picture(&path, "an 8-bit grey picture")),
         },
-        PixelFormat::Yuyv => {
-            return Err(Error::new(
-                ErrorKind::Input,
-                "a YUYV frame is stored as an RGB picture and cannot be had back",
-            )
-            .at(path.display())
-            .remedy("read the PNG file instead"));
-        }
+        PixelFormat::Yuyv | PixelFormat::Rgb => match decode(&path, &bytes)? {
+            image::DynamicImage::ImageRgb8(image) => image.into_raw(),
+            _ => return Err(other_picture(&path, "an RGB picture")),
+        },
     };
     Ok(Frame {
-        format: camera.format,
+        format,
         width: camera.width,
         height: camera.height,
         data: data.into(),

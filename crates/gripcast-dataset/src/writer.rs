@@ -30,7 +30,7 @@ use super::record_file::{PendingInitial, check_files, read_grasp, read_initial, 
 use super::trash::free_slot;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, FileName};
-use gripcast_imaging::{Frame, PixelFormat, Role};
+use gripcast_imaging::{Frame, Role};
 
 /// Writes a dataset; holds its lock.
 pub struct DatasetWriter {
@@ -88,8 +88,8 @@ impl DatasetWriter {
         Ok(pending)
     }
 
-    /// The frames of a pending initial, read back from the disk. Cameras whose frames were
-    /// converted when they were stored (YUYV) are left out.
+    /// The frames of a pending initial, read back from the disk; YUYV frames as RGB, with exactly
+    /// the pixels that the frame as sent decodes to.
     ///
     /// # Errors
     /// `NotFound` or `Input` when a file is missing or not what was stored.
@@ -100,7 +100,6 @@ impl DatasetWriter {
             .stage
             .cameras
             .iter()
-            .filter(|(_, camera)| camera.format != PixelFormat::Yuyv)
             .map(|(&role, camera)| Ok((role, load_frame(&dir, camera)?)))
             .collect()
     }

@@ -291,6 +291,7 @@ fn raw_to_rgb(frame: &Frame, rgb: &mut Vec<u8>) {
                 pixel.copy_from_slice(&z16::preview_colour(depth));
             }
         }
+        PixelFormat::Rgb => rgb.copy_from_slice(&frame.data),
         PixelFormat::Mjpg => {}
     }
 }

@@ -89,6 +89,8 @@ pub enum PixelFormat {
     Z16,
     /// 8-bit luminance.
     Grey,
+    /// 8-bit RGB, packed; a stored YUYV frame is read back as this.
+    Rgb,
 }
 
 impl PixelFormat {
@@ -100,13 +102,14 @@ impl PixelFormat {
             Self::Yuyv => *b"YUYV",
             Self::Z16 => *b"Z16 ",
             Self::Grey => *b"GREY",
+            Self::Rgb => *b"RGB3",
         }
     }
 
     /// The format of a V4L2 four-character code, if it is one that gripcast reads.
     #[must_use]
     pub fn from_fourcc(code: [u8; 4]) -> Option<Self> {
-        [Self::Mjpg, Self::Yuyv, Self::Z16, Self::Grey]
+        [Self::Mjpg, Self::Yuyv, Self::Z16, Self::Grey, Self::Rgb]
             .into_iter()
             .find(|format| format.fourcc() == code)
     }
@@ -119,6 +122,7 @@ impl PixelFormat {
             Self::Mjpg => None,
             Self::Yuyv | Self::Z16 => Some(pixels * 2),
             Self::Grey => Some(pixels),
+            Self::Rgb => Some(pixels * 3),
         }
     }
 }
@@ -130,6 +134,7 @@ impl fmt::Display for PixelFormat {
             Self::Yuyv => "YUYV",
             Self::Z16 => "Z16",
             Self::Grey => "GREY",
+            Self::Rgb => "RGB",
         })
     }
 }
@@ -221,6 +226,7 @@ mod tests {
             PixelFormat::Yuyv,
             PixelFormat::Z16,
             PixelFormat::Grey,
+            PixelFormat::Rgb,
         ] {
             assert_eq!(PixelFormat::from_fourcc(format.fourcc()), Some(format));
         }

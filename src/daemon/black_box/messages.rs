@@ -135,6 +135,7 @@ fn raw_encoding(format: PixelFormat) -> Option<(&'static str, u32)> {
         PixelFormat::Yuyv => Some(("yuyv", 2)),
         PixelFormat::Z16 => Some(("16UC1", 2)),
         PixelFormat::Grey => Some(("mono8", 1)),
+        PixelFormat::Rgb => Some(("rgb8", 3)),
     }
 }
 

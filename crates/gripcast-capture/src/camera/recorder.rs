@@ -90,6 +90,7 @@ fn extension(format: PixelFormat) -> &'static str {
         PixelFormat::Yuyv => "yuyv",
         PixelFormat::Z16 => "z16",
         PixelFormat::Grey => "grey",
+        PixelFormat::Rgb => "rgb",
     }
 }
 

@@ -334,6 +334,7 @@ impl Painter {
                 encode_jpeg(compressor, &rgb, self.info.width, self.info.height)
             }
             (PixelFormat::Grey, _) => Ok(rgb.chunks_exact(3).map(luminance).collect()),
+            (PixelFormat::Rgb, _) => Ok(rgb),
             _ => Ok(yuyv_bytes(&rgb)),
         }
     }

@@ -87,7 +87,7 @@ impl<'a> Source<'a> {
                 let bytes = jpeg::complete(&stored, &header).into_owned();
                 (bytes, header.components == 1)
             }
-            PixelFormat::Yuyv => (stored, false),
+            PixelFormat::Yuyv | PixelFormat::Rgb => (stored, false),
             PixelFormat::Grey | PixelFormat::Z16 => (stored, true),
         };
         Ok(Picture {
