@@ -1,6 +1,8 @@
 //! The engine: joins cameras, inference, session and dataset; everything slow has its own thread.
 
 mod commands;
+#[cfg(test)]
+mod engine_test;
 mod frames;
 mod script;
 mod start;
