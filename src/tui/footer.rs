@@ -6,7 +6,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
-use super::text::{clipped, row, write};
+use super::text::{clipped, write_all};
 use crate::daemon::verdict_of;
 use gripcast_dataset::Outcome;
 use gripcast_nn::predict::Verdict;
@@ -26,9 +26,7 @@ pub(super) fn draw(
         keys(session, area.width, palette),
     ];
     let skipped = lines.len().saturating_sub(usize::from(area.height));
-    for (index, line) in (0..).zip(&lines[skipped..]) {
-        write(buffer, row(area, index), line);
-    }
+    write_all(buffer, area, &lines[skipped..]);
 }
 
 /// The newest grasp: its label beside what was predicted, and what undo takes back.

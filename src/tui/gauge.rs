@@ -7,7 +7,9 @@ use ratatui::text::{Line, Span};
 
 use super::big_digits::{self, Size};
 use super::palette::Palette;
-use super::text::{clipped, columns, duration_ms, row, write, write_right};
+use super::text::{
+    clipped, columns, duration_ms, inset, row, trimmed, without_last, write, write_right,
+};
 use crate::daemon::{EngineStatus, PredictionStatus};
 use gripcast_nn::predict::Verdict;
 
@@ -104,20 +106,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     }
     let reading = reading(status.prediction.as_ref(), palette);
     write_title(buffer, row(area, 0), status.prediction.as_ref(), palette);
-    let body = Rect {
-        y: area.y + 1,
-        height: area.height - 1,
-        ..area
-    };
+    let body = inset(area, 0, 1);
     let used = match size(area.width, body.height.saturating_sub(1)) {
         Some(size) => draw_big(buffer, body, &reading, size, status, palette),
         None => draw_line(buffer, body, &reading, status, palette),
     };
-    let below = Rect {
-        y: body.y + used.min(body.height),
-        height: body.height.saturating_sub(used),
-        ..body
-    };
+    let below = inset(body, 0, used);
     let thick = u16::from(below.height >= 3);
     draw_bar(buffer, row(below, 0), ["▄", "▖"], &reading, palette);
     if thick == 1 {
@@ -135,29 +129,22 @@ fn draw_big(
     status: &EngineStatus,
     palette: Palette,
 ) -> u16 {
-    let left = area.x + 1;
-    let at = |x: u16, y: u16| Rect::new(x, y, area.right().saturating_sub(x), area.height);
-    big_digits::draw(
-        buffer,
-        at(left, area.y),
-        &reading.number,
-        size,
-        reading.style,
-    );
-    let x = left + size.columns("0.00") + GAP;
+    let (at, style) = (inset(area, 1, 0), reading.style);
+    big_digits::draw(buffer, at, &reading.number, size, style);
+    let x = 1 + size.columns("0.00") + GAP;
     if reading.verdict.is_empty() {
-        let reason = at(x, area.y + size.rows() / 2);
+        let reason = inset(area, x, size.rows() / 2);
         write_absence(buffer, reason, status, palette);
         return size.rows();
     }
-    let room = area.right().saturating_sub(x + 1);
+    let room = area.width.saturating_sub(x + 1);
     let word = Size::DESCENDING
         .into_iter()
         .find(|s| s.rows() <= size.rows() && s.columns(reading.verdict) <= room)
         .unwrap_or(Size::Small);
     let x = x + room.saturating_sub(word.columns(reading.verdict));
-    let y = area.y + (size.rows() - word.rows()) / 2;
-    big_digits::draw(buffer, at(x, y), reading.verdict, word, reading.style);
+    let at = inset(area, x, (size.rows() - word.rows()) / 2);
+    big_digits::draw(buffer, at, reading.verdict, word, style);
     size.rows()
 }
 
@@ -173,8 +160,7 @@ fn draw_line(
     let after = columns(&text).min(area.width);
     write(buffer, area, &Line::styled(text, reading.style));
     if reading.verdict.is_empty() {
-        let rest = Rect::new(area.x + after, area.y, area.width - after, area.height);
-        write_absence(buffer, rest, status, palette);
+        write_absence(buffer, inset(area, after, 0), status, palette);
     }
     1
 }
@@ -191,11 +177,8 @@ fn write_absence(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette
             0 => format!("no prediction: {now}"),
             _ => now.to_owned(),
         };
-        write(
-            buffer,
-            row(area, index),
-            &Line::styled(now, palette.faint()),
-        );
+        let now = Line::styled(now, palette.faint());
+        write(buffer, row(area, index), &now);
         rest = later;
     }
 }
@@ -229,11 +212,7 @@ fn write_title(
         return;
     };
     let age = format!("frame {} old", duration_ms(prediction.frame_age_ms));
-    let age_style = if is_stale(prediction) {
-        palette.warning()
-    } else {
-        palette.faint()
-    };
+    let age_style = palette.warning_if(is_stale(prediction), palette.faint());
     let timing = |words: String| {
         Line::from(vec![
             Span::styled(age.clone(), age_style),
@@ -252,18 +231,13 @@ fn write_title(
         Some(room) if long.width() <= usize::from(room) => write_right(buffer, area, &long),
         _ => write_right(buffer, area, &timing(format!(" · {latency} "))),
     };
-    let rest = Rect {
-        width: area.width.saturating_sub(taken + 1),
-        ..area
-    };
+    let rest = without_last(area, taken + 1);
     if prediction.heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
     if prediction.verdict == Verdict::Unsure {
-        left.push(Span::styled(
-            "unlike the training pictures ",
-            palette.warning(),
-        ));
+        let words = "unlike the training pictures ";
+        left.push(Span::styled(words, palette.warning()));
     }
     let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
     left.push(Span::styled(clipped(&name, room), palette.faint()));
@@ -295,15 +269,6 @@ fn draw_bar(
     }
 }
 
-/// One column free at each side.
-fn trimmed(area: Rect) -> Rect {
-    Rect {
-        x: area.x + area.width.min(1),
-        width: area.width.saturating_sub(2),
-        ..area
-    }
-}
-
 fn mark_column(area: Rect, threshold: f64) -> Option<u16> {
     let last = area.width.checked_sub(1)?;
     ((0.0..=1.0).contains(&threshold)).then(|| (threshold * f64::from(last)).round() as u16)
@@ -321,8 +286,8 @@ fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palet
         let label = format!("▲ {threshold:.2}");
         let room = area.width.saturating_sub(mark);
         if mark > 6 && columns(&label) + 9 <= room {
-            let at = Rect::new(area.x + mark, area.y, room, area.height);
-            write(buffer, at, &Line::styled(label, palette.strong()));
+            let label = Line::styled(label, palette.strong());
+            write(buffer, inset(area, mark, 0), &label);
         }
     }
 }

@@ -54,13 +54,7 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
     let age = camera
         .frame_age_ms
         .map_or_else(|| "–".to_owned(), duration_ms);
-    let marked = |warn: bool| {
-        if warn {
-            palette.warning()
-        } else {
-            Style::new()
-        }
-    };
+    let marked = |is_odd| palette.warning_if(is_odd, Style::new());
     Line::from(vec![
         role,
         flag,
@@ -71,20 +65,20 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
 
 /// A state in one or two words.
 pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
-    match state {
-        CameraState::Opening => ("opening …".to_owned(), palette.faint()),
-        CameraState::Live => ("live".to_owned(), palette.stable()),
-        CameraState::Silent { for_s } => (
-            format!("SILENT {}", duration_ms(for_s * 1e3)),
-            palette.slip(),
-        ),
-        CameraState::Frozen { for_s } => (
-            format!("FROZEN {}", duration_ms(for_s * 1e3)),
-            palette.slip(),
-        ),
-        CameraState::Lost { .. } => ("LOST".to_owned(), palette.slip()),
-        CameraState::Ended => ("recording ended".to_owned(), palette.faint()),
-    }
+    let style = match state {
+        CameraState::Opening | CameraState::Ended => palette.faint(),
+        CameraState::Live => palette.stable(),
+        _ => palette.slip(),
+    };
+    let words = match state {
+        CameraState::Opening => "opening …".to_owned(),
+        CameraState::Live => "live".to_owned(),
+        CameraState::Silent { for_s } => format!("SILENT {}", duration_ms(for_s * 1e3)),
+        CameraState::Frozen { for_s } => format!("FROZEN {}", duration_ms(for_s * 1e3)),
+        CameraState::Lost { .. } => "LOST".to_owned(),
+        CameraState::Ended => "recording ended".to_owned(),
+    };
+    (words, style)
 }
 
 /// Counters that are not zero, in words; late frames are left to the detail screen.
