@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::black_box::BlackBoxStatus;
+use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::Role;
 use gripcast_nn::predict::Verdict;
@@ -138,6 +139,28 @@ pub enum CameraState {
 }
 
 impl CameraState {
+    /// The state in a word.
+    #[must_use]
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Opening => "opening",
+            Self::Live => "live",
+            Self::Silent { .. } => "silent",
+            Self::Frozen { .. } => "frozen",
+            Self::Lost { .. } => "lost",
+            Self::Ended => "ended",
+        }
+    }
+
+    /// How long it is silent or frozen, s.
+    #[must_use]
+    pub fn since_s(&self) -> Option<f64> {
+        match self {
+            Self::Silent { for_s } | Self::Frozen { for_s } => Some(*for_s),
+            _ => None,
+        }
+    }
+
     /// Whether frames of this camera can be used.
     #[must_use]
     pub fn is_live(&self) -> bool {
@@ -174,16 +197,9 @@ pub struct CameraStatus {
     pub nominal_fps: f64,
     /// Age of the newest frame, ms.
     pub frame_age_ms: Option<f64>,
-    /// Frames received.
-    pub received: u64,
-    /// Frames lost before they reached us (gaps in the driver's counter).
-    pub sequence_gaps: u64,
-    /// Frames that were damaged.
-    pub damaged: u64,
-    /// Frames that came later than twice the nominal interval.
-    pub late: u64,
-    /// How often the camera had to be opened again.
-    pub reconnects: u64,
+    /// What was counted.
+    #[serde(flatten)]
+    pub counters: CameraCounters,
     /// What the newest frame shows of sheet and tags; none where they are not looked for.
     pub markers: Option<MarkerStatus>,
 }

@@ -36,15 +36,9 @@ fn part(role: Role) -> &'static str {
 }
 
 /// State in capitals, and for how long where that is known.
-fn trouble(state: &CameraState) -> (&'static str, String) {
-    match state {
-        CameraState::Silent { for_s } => ("SILENT", duration_ms(for_s * 1e3)),
-        CameraState::Frozen { for_s } => ("FROZEN", duration_ms(for_s * 1e3)),
-        CameraState::Lost { .. } => ("LOST", String::new()),
-        CameraState::Opening => ("OPENING", String::new()),
-        CameraState::Live => ("LIVE", String::new()),
-        CameraState::Ended => ("ENDED", String::new()),
-    }
+pub(super) fn trouble(state: &CameraState) -> (String, String) {
+    let since = state.since_s().map(|for_s| duration_ms(for_s * 1e3));
+    (state.word().to_uppercase(), since.unwrap_or_default())
 }
 
 /// The remedy in a word, for across the room.

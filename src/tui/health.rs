@@ -50,13 +50,13 @@ fn lines(camera: &CameraStatus, width: usize, palette: Palette) -> [Line<'static
         Line::raw(format!("{:10}{}", "", clipped(&identity.join("   "), room))),
         Line::from(vec![
             Span::styled(
-                format!("{:10}{} received", "", camera.received),
+                format!("{:10}{} received", "", camera.counters.received),
                 palette.faint(),
             ),
-            counter(camera.sequence_gaps, "lost", palette),
-            counter(camera.damaged, "damaged", palette),
-            counter(camera.late, "late", palette),
-            counter(camera.reconnects, "reopened", palette),
+            counter(camera.counters.sequence_gaps, "lost", palette),
+            counter(camera.counters.damaged, "damaged", palette),
+            counter(camera.counters.late, "late", palette),
+            counter(camera.counters.reconnects, "reopened", palette),
         ]),
     ]
 }

@@ -102,19 +102,17 @@ impl LinePrinter {
         status: &EngineStatus,
         now: Instant,
     ) -> Option<String> {
-        let (state, words) = match &camera.state {
+        let words = match &camera.state {
             CameraState::Opening => return None,
-            CameraState::Live => ("live", format!("{}: live ({})", camera.role, place(camera))),
-            CameraState::Ended => ("ended", format!("{}: the recording has ended", camera.role)),
-            CameraState::Silent { .. } => ("silent", format!("FAULT {}", sentence(camera, status))),
-            CameraState::Frozen { .. } => ("frozen", format!("FAULT {}", sentence(camera, status))),
-            CameraState::Lost { reason } => (
-                "lost",
-                format!("FAULT {}: {reason}", sentence(camera, status)),
-            ),
+            CameraState::Live => format!("{}: live ({})", camera.role, place(camera)),
+            CameraState::Ended => format!("{}: the recording has ended", camera.role),
+            CameraState::Lost { reason } => {
+                format!("FAULT {}: {reason}", sentence(camera, status))
+            }
+            _ => format!("FAULT {}", sentence(camera, status)),
         };
         let said = self.cameras.entry(camera.role).or_default();
-        said.is_news(state, now).then_some(words)
+        said.is_news(camera.state.word(), now).then_some(words)
     }
 
     /// Whether sheet and tags can be measured, when that changes.

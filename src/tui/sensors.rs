@@ -5,6 +5,7 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
+use super::fault::trouble;
 use super::palette::Palette;
 use super::text::{clipped, duration_ms, row, write};
 use crate::daemon::{CameraState, CameraStatus};
@@ -19,7 +20,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], pa
     let mut troubled = spare;
     let mut index = 0;
     for camera in cameras {
-        let trouble = trouble(camera);
+        let trouble = counted(camera);
         let (note, style) = match &camera.markers {
             Some(seen) if seen.ok && trouble.is_empty() => (seen.text.clone(), palette.stable()),
             _ => (trouble.clone(), palette.warning()),
@@ -70,23 +71,23 @@ pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
         CameraState::Live => palette.stable(),
         _ => palette.slip(),
     };
+    let (word, since) = trouble(state);
     let words = match state {
         CameraState::Opening => "opening …".to_owned(),
         CameraState::Live => "live".to_owned(),
-        CameraState::Silent { for_s } => format!("SILENT {}", duration_ms(for_s * 1e3)),
-        CameraState::Frozen { for_s } => format!("FROZEN {}", duration_ms(for_s * 1e3)),
-        CameraState::Lost { .. } => "LOST".to_owned(),
         CameraState::Ended => "recording ended".to_owned(),
+        CameraState::Lost { .. } => word,
+        _ => format!("{word} {since}"),
     };
     (words, style)
 }
 
 /// Counters that are not zero, in words; late frames are left to the detail screen.
-fn trouble(camera: &CameraStatus) -> String {
+fn counted(camera: &CameraStatus) -> String {
     [
-        (camera.sequence_gaps, "lost"),
-        (camera.damaged, "damaged"),
-        (camera.reconnects, "reopened"),
+        (camera.counters.sequence_gaps, "lost"),
+        (camera.counters.damaged, "damaged"),
+        (camera.counters.reconnects, "reopened"),
     ]
     .into_iter()
     .filter(|(count, _)| *count > 0)

@@ -189,11 +189,7 @@ fn status() -> EngineStatus {
         measured_fps: 25.0,
         nominal_fps: 25.0,
         frame_age_ms: None,
-        received: 0,
-        sequence_gaps: 0,
-        damaged: 0,
-        late: 0,
-        reconnects: 0,
+        counters: Default::default(),
         markers: None,
     });
     let mut noise = 1_u32;

@@ -94,15 +94,14 @@ impl Backend {
     /// # Errors
     /// 503 while too many commands wait or the engine ends, 504 when it does not answer.
     pub(crate) async fn ask(&self, command: Command) -> Result<CommandResult, Failure> {
-        let busy = |what| Failure::new(StatusCode::SERVICE_UNAVAILABLE, what);
         let (asked, answer) = Asked::with_answer(command, CommandSource::Remote);
         self.commands.try_send(asked).map_err(|e| match e {
-            mpsc::error::TrySendError::Full(_) => busy("too many commands wait already"),
-            mpsc::error::TrySendError::Closed(_) => busy("the daemon is ending"),
+            mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands wait already"),
+            mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is ending"),
         })?;
         match tokio::time::timeout(PATIENCE, answer).await {
             Ok(Ok(result)) => Ok(result),
-            Ok(Err(_)) => Err(busy("the daemon is ending")),
+            Ok(Err(_)) => Err(Failure::busy("the daemon is ending")),
             Err(_) => Err(Failure::new(
                 StatusCode::GATEWAY_TIMEOUT,
                 "the engine has not answered; the command may still be carried out",

@@ -7,7 +7,7 @@ use std::time::Duration;
 use axum::Extension;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, State as Shared};
-use axum::http::{StatusCode, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
 use super::access::{Pass, Peer};
@@ -43,12 +43,10 @@ pub(crate) async fn still(
     Segment(role): Segment<Role>,
 ) -> Result<Response, Failure> {
     let role = known(&backend, role)?;
-    let jpeg = backend.previews.jpeg(role).ok_or_else(|| {
-        Failure::new(
-            StatusCode::SERVICE_UNAVAILABLE,
-            format!("{role} has not shown anything yet"),
-        )
-    })?;
+    let jpeg = backend
+        .previews
+        .jpeg(role)
+        .ok_or_else(|| Failure::busy(format!("{role} has not shown anything yet")))?;
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
 
@@ -68,11 +66,8 @@ pub(crate) async fn stream(
 ) -> Result<Response, Failure> {
     let role = known(&backend, role)?;
     let place = backend.previews.streams.take(peer).ok_or_else(|| {
-        Failure::new(
-            StatusCode::SERVICE_UNAVAILABLE,
-            format!("{MAX_STREAMS} picture streams are open already"),
-        )
-        .remedy("close another page")
+        Failure::busy(format!("{MAX_STREAMS} picture streams are open already"))
+            .remedy("close another page")
     })?;
     // The next picture is made when the one before has been taken: nothing queues for a slow reader.
     let start = (backend, pass, place, Bytes::new());

@@ -94,11 +94,7 @@ pub(crate) async fn events(
             .remedy("open it as a WebSocket")
     })?;
     let place = backend.listeners.take(peer).ok_or_else(|| {
-        Failure::new(
-            axum::http::StatusCode::SERVICE_UNAVAILABLE,
-            "too many listen to events already",
-        )
-        .remedy("close another page")
+        Failure::busy("too many listen to events already").remedy("close another page")
     })?;
     // A frame is refused by its length, before any of it is kept.
     let upgrade = upgrade

@@ -48,13 +48,10 @@ async fn decode<T: Send + 'static>(
 ) -> Result<T, Failure> {
     let place = Arc::clone(&backend.decodes).acquire_owned();
     let Ok(Ok(place)) = tokio::time::timeout(backend.decode_patience, place).await else {
-        return Err(Failure::new(
-            StatusCode::SERVICE_UNAVAILABLE,
-            format!(
-                "the picture was not decoded within {} s: too many others are",
-                backend.decode_patience.as_secs_f64()
-            ),
-        )
+        return Err(Failure::busy(format!(
+            "the picture was not decoded within {} s: too many others are",
+            backend.decode_patience.as_secs_f64()
+        ))
         .remedy("ask again")
         .retry_after(DECODE_RETRY));
     };

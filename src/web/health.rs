@@ -144,18 +144,18 @@ impl Metrics {
                 c.frame_age_ms.map(|age_ms| age_ms * 1e-3)
             }),
             ("frames_total", "Frames received.", |c| {
-                Some(c.received as f64)
+                Some(c.counters.received as f64)
             }),
             (
                 "frames_lost_total",
                 "Frames lost before they arrived.",
-                |c| Some(c.sequence_gaps as f64),
+                |c| Some(c.counters.sequence_gaps as f64),
             ),
             ("frames_damaged_total", "Damaged frames.", |c| {
-                Some(c.damaged as f64)
+                Some(c.counters.damaged as f64)
             }),
             ("reconnects_total", "Times it was opened again.", |c| {
-                Some(c.reconnects as f64)
+                Some(c.counters.reconnects as f64)
             }),
         ];
         for (name, help, reading) in families {

@@ -10,6 +10,7 @@ use gripcast::daemon::{
 };
 use gripcast::tui::{ColourDepth, LinePrinter, Overlay, Palette, Reaction, ScreenState, draw};
 use gripcast_base::files::{Label, ObjectName};
+use gripcast_capture::camera::CameraCounters;
 use gripcast_dataset::{GraspId, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
 use gripcast_session::{
@@ -47,11 +48,10 @@ fn camera(role: Role, serial: &str, port: &str, nominal_fps: f64) -> CameraStatu
         measured_fps: nominal_fps - 0.1,
         nominal_fps,
         frame_age_ms: Some(18.0),
-        received: 1500,
-        sequence_gaps: 0,
-        damaged: 0,
-        late: 0,
-        reconnects: 0,
+        counters: CameraCounters {
+            received: 1500,
+            ..CameraCounters::default()
+        },
         markers: None,
     }
 }
@@ -113,8 +113,12 @@ fn waiting_for_grasp() -> EngineStatus {
         cameras: vec![
             camera(Role::Left, "2BNN4ZE7", "3-2.1", 25.0),
             CameraStatus {
-                sequence_gaps: 3,
-                reconnects: 1,
+                counters: CameraCounters {
+                    received: 1500,
+                    sequence_gaps: 3,
+                    reconnects: 1,
+                    ..CameraCounters::default()
+                },
                 ..camera(Role::Right, "2BKR9QX1", "3-2.2", 25.0)
             },
             camera(Role::Rgb, "842512070215", "4-1", 30.0),
@@ -459,8 +463,10 @@ prop_compose! {
             role, state,
             product: text.0, serial: text.1, port: text.2,
             measured_fps: numbers.0, nominal_fps: numbers.1, frame_age_ms: numbers.2,
-            received: count, sequence_gaps: count / 3, damaged: count / 5, late: count,
-            reconnects: count % 2,
+            counters: CameraCounters {
+                received: count, sequence_gaps: count / 3, damaged: count / 5, late: count,
+                duplicates: 0, reconnects: count % 2,
+            },
             markers: None,
         }
     }

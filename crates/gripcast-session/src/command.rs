@@ -138,6 +138,20 @@ impl fmt::Display for ParseCommandError {
 
 impl std::error::Error for ParseCommandError {}
 
+/// Commands of one word.
+const PLAIN: [(&str, Command); 10] = [
+    ("trigger", Command::Trigger),
+    ("initial", Command::Initial),
+    ("grasp", Command::Grasp),
+    ("stable", Command::Label(Outcome::Stable)),
+    ("slip", Command::Label(Outcome::Slip)),
+    ("unlabel", Command::Label(Outcome::Unlabelled)),
+    ("undo", Command::Undo),
+    ("redo", Command::Redo),
+    ("override", Command::Override),
+    ("quit", Command::Quit),
+];
+
 impl FromStr for Command {
     type Err = ParseCommandError;
 
@@ -161,34 +175,23 @@ impl FromStr for Command {
             }
         };
         let id = |text: &str| GraspId::parse(text).map_err(because);
-        let plain = match word {
-            "trash" => return Ok(Self::Trash(id(rest)?)),
-            "restore" => return Ok(Self::Restore(id(rest)?)),
+        match word {
+            "trash" => Ok(Self::Trash(id(rest)?)),
+            "restore" => Ok(Self::Restore(id(rest)?)),
             "relabel" => {
                 let (which, outcome) = rest.split_once(char::is_whitespace).ok_or_else(error)?;
                 let outcome = Outcome::by_name(outcome.trim()).ok_or_else(error)?;
-                return Ok(Self::Relabel(id(which)?, outcome));
+                Ok(Self::Relabel(id(which)?, outcome))
             }
-            "object" if rest.is_empty() => return Err(error()),
-            "object" => return ObjectName::parse(rest).map(Self::Object).map_err(because),
-            "scene" => return label().map(Self::Scene),
-            "operator" => return label().map(Self::Operator),
-            "trigger" => Self::Trigger,
-            "initial" => Self::Initial,
-            "grasp" => Self::Grasp,
-            "stable" => Self::Label(Outcome::Stable),
-            "slip" => Self::Label(Outcome::Slip),
-            "unlabel" => Self::Label(Outcome::Unlabelled),
-            "undo" => Self::Undo,
-            "redo" => Self::Redo,
-            "override" => Self::Override,
-            "quit" => Self::Quit,
-            _ => return Err(error()),
-        };
-        if rest.is_empty() {
-            Ok(plain)
-        } else {
-            Err(error())
+            "object" if rest.is_empty() => Err(error()),
+            "object" => ObjectName::parse(rest).map(Self::Object).map_err(because),
+            "scene" => label().map(Self::Scene),
+            "operator" => label().map(Self::Operator),
+            _ => {
+                let plain = PLAIN.iter().find(|(name, _)| *name == word);
+                let plain = plain.filter(|_| rest.is_empty()).ok_or_else(error)?;
+                Ok(plain.1.clone())
+            }
         }
     }
 }
@@ -196,22 +199,16 @@ impl FromStr for Command {
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Trigger => f.write_str("trigger"),
-            Self::Initial => f.write_str("initial"),
-            Self::Grasp => f.write_str("grasp"),
-            Self::Label(Outcome::Stable) => f.write_str("stable"),
-            Self::Label(Outcome::Slip) => f.write_str("slip"),
-            Self::Label(Outcome::Unlabelled) => f.write_str("unlabel"),
             Self::Relabel(id, outcome) => write!(f, "relabel {id} {outcome}"),
             Self::Trash(id) => write!(f, "trash {id}"),
             Self::Restore(id) => write!(f, "restore {id}"),
-            Self::Undo => f.write_str("undo"),
-            Self::Redo => f.write_str("redo"),
-            Self::Override => f.write_str("override"),
             Self::Object(name) => write!(f, "object {name}"),
             Self::Scene(name) => write!(f, "scene {name}"),
             Self::Operator(name) => write!(f, "operator {name}"),
-            Self::Quit => f.write_str("quit"),
+            plain => {
+                let named = PLAIN.iter().find(|(_, command)| command == plain);
+                f.write_str(named.map_or("", |(name, _)| name))
+            }
         }
     }
 }
