@@ -203,3 +203,62 @@ pub struct CameraStatus {
     /// What the newest frame shows of sheet and tags; none where they are not looked for.
     pub markers: Option<MarkerStatus>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the API says is the status itself: `collect --attach` gets back all but the pictures.
+    #[test]
+    fn a_status_comes_back_from_json() {
+        let said = PredictionRecord {
+            p_stable: 0.81,
+            novelty: Some(0.5),
+            threshold: 0.5,
+            model_sha256: "0".repeat(64),
+            model: "m".into(),
+            latency_ms: 12.0,
+            engine_ms: 3.0,
+        };
+        let camera = |role, state| CameraStatus {
+            role,
+            product: "GelSight".into(),
+            serial: String::new(),
+            port: "3-2".into(),
+            state,
+            measured_fps: 24.9,
+            nominal_fps: 25.0,
+            frame_age_ms: None,
+            counters: CameraCounters::default(),
+            markers: Some(MarkerStatus {
+                ok: true,
+                text: "sheet 13".into(),
+            }),
+        };
+        let status = EngineStatus {
+            cameras: vec![
+                camera(Role::Left, CameraState::Silent { for_s: 1.5 }),
+                camera(Role::Right, CameraState::Live),
+            ],
+            prediction: Some(PredictionStatus::new(said, true)),
+            contact: BTreeMap::from([(Role::Left, 8.5)]),
+            ..EngineStatus::starting("d", "bench", Labels::default())
+        };
+        let json = serde_json::to_value(&status).unwrap();
+        let camera = &json["cameras"][0];
+        assert_eq!(
+            (&camera["state"], &camera["for_s"]),
+            (&"silent".into(), &1.5.into())
+        );
+        assert_eq!(camera["received"], 0);
+        assert_eq!(json["prediction"]["verdict"], "stable");
+        assert_eq!(json["prediction"]["model"], "m");
+        assert_eq!(json["contact"]["left"], 8.5);
+        assert!(json.get("previews").is_none());
+        let back: EngineStatus = serde_json::from_value(json).unwrap();
+        assert_eq!(back.session, status.session);
+        assert_eq!(back.cameras, status.cameras);
+        assert_eq!(back.prediction, status.prediction);
+        assert_eq!(back.contact, status.contact);
+    }
+}
