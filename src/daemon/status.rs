@@ -77,8 +77,11 @@ pub struct Preview {
 /// The newest live prediction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PredictionStatus {
-    /// The prediction; its probability is steadied over the frames.
+    /// The prediction, with the keys of `PredictionRecord`; its probability is steadied over the
+    /// frames.
+    // The schema of the record allows no other keys beside its own.
     #[serde(flatten)]
+    #[schema(value_type = Object)]
     pub said: PredictionRecord,
     /// What it claims, were it not too old.
     pub verdict: Verdict,

@@ -52,7 +52,7 @@ impl FrameSource for YuyvGel {
         std::thread::sleep(INTERVAL);
         let rise = 60 * u8::from(self.is_pressed.load(Ordering::Relaxed));
         // Luma and chroma of a pixel in turn; a stripe is 40 pixels wide.
-        let pixel = |n: u32| [100 + rise * u8::from(n / 40 % 2 == 0), 128];
+        let pixel = |n: u32| [100 + rise * u8::from((n / 40).is_multiple_of(2)), 128];
         let data: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
         self.sequence += 1;
         Ok(Frame {
@@ -172,7 +172,7 @@ async fn a_rig_whose_gels_send_yuyv_saves_and_predicts() {
     let said = last.predicted.expect("a prediction");
     assert_eq!(report.grasps[0].p_stable, Some(said.p_stable));
 
-    let dataset = Dataset::open(&dir.path().join("d")).unwrap();
+    let dataset = Dataset::open(dir.path().join("d")).unwrap();
     let record = dataset.grasp(&last.id).unwrap();
     assert_eq!(record.prediction, Some(said));
     for stage in [Stage::Initial, Stage::Grasp] {
