@@ -12,10 +12,11 @@ use gripcast::daemon::{Asked, CameraState, CameraStatus, EngineStatus, Predictio
 use gripcast::tui::{Sound, Wiring, run};
 use gripcast_base::error::Result;
 use gripcast_base::files::{Label, ObjectName};
-use gripcast_dataset::{GraspId, Outcome};
+use gripcast_capture::camera::CameraCounters;
+use gripcast_dataset::{GraspId, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
 use gripcast_session::{
-    Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
+    Command, Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone,
 };
 use image::{Rgb, RgbImage};
 use tokio::sync::{mpsc, watch};
@@ -86,21 +87,33 @@ fn status_at(time_s: f64, moment: Option<&str>) -> EngineStatus {
             .map(|&role| camera(role, moment, time_s))
             .collect(),
         prediction: predicts.then(|| PredictionStatus {
-            p_stable: (1.3 * squeeze - 0.35).clamp(0.0, 1.0),
-            novelty: None,
-            threshold: 0.5,
-            model: "baseline-contact".to_owned(),
             frame_age_ms: 18.0 + 6.0 * (3.0 * time_s).sin(),
-            latency_ms: 12.4,
-            engine_ms: 3.1,
-            heuristic: true,
+            ..PredictionStatus::new(predicted((1.3 * squeeze - 0.35).clamp(0.0, 1.0)), true)
         }),
         prediction_absent: Some(match moment {
             "no-model" => "no model is loaded (--model FILE)".to_owned(),
             _ => "take the initial frame first".to_owned(),
         }),
+        contact: match step {
+            Step::Initial => BTreeMap::new(),
+            _ => [Role::Left, Role::Right]
+                .map(|role| (role, 9.0 * squeeze))
+                .into(),
+        },
         previews: previews(squeeze, step, time_s),
         black_box: None,
+    }
+}
+
+fn predicted(p_stable: f64) -> PredictionRecord {
+    PredictionRecord {
+        p_stable,
+        novelty: None,
+        threshold: 0.5,
+        model_sha256: String::new(),
+        model: "baseline-contact".to_owned(),
+        latency_ms: 12.4,
+        engine_ms: 3.1,
     }
 }
 
@@ -128,11 +141,7 @@ fn session(step: Step, moment: &str, time_s: f64) -> SessionView {
                     Step::Label => Outcome::Unlabelled,
                     _ => Outcome::Stable,
                 },
-                predicted: Some(Predicted {
-                    p_stable: 0.74,
-                    threshold: 0.5,
-                    novelty: None,
-                }),
+                predicted: Some(predicted(0.74)),
             }),
         undo: Some("label of 7f3a".to_owned()),
         redo: None,
@@ -176,11 +185,12 @@ fn camera(role: Role, moment: &str, time_s: f64) -> CameraStatus {
         measured_fps: nominal_fps - 0.1,
         nominal_fps,
         frame_age_ms: Some(18.0 + 3.0 * f64::from(role as u8)),
-        received: (time_s * nominal_fps) as u64,
-        sequence_gaps: if role == Role::Right { 3 } else { 0 },
-        damaged: 0,
-        late: 2,
-        reconnects: 0,
+        counters: CameraCounters {
+            received: (time_s * nominal_fps) as u64,
+            sequence_gaps: if role == Role::Right { 3 } else { 0 },
+            late: 2,
+            ..CameraCounters::default()
+        },
         markers: None,
     }
 }
@@ -189,12 +199,10 @@ fn previews(squeeze: f64, step: Step, time_s: f64) -> BTreeMap<Role, Preview> {
     let touched = step != Step::Initial;
     let tactile = |mirror: f64| Preview {
         image: Arc::new(tactile_picture(squeeze, mirror, touched)),
-        contact: touched.then_some(9.0 * squeeze),
         is_difference: touched,
     };
     let plain = |image| Preview {
         image: Arc::new(image),
-        contact: None,
         is_difference: false,
     };
     BTreeMap::from([

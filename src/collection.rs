@@ -29,6 +29,11 @@ use gripcast_virtual_rig::{VirtualHand, VirtualSource};
 /// Commands that wait for the engine; an operator cannot press faster than they are taken.
 pub(crate) const COMMAND_QUEUE: usize = 64;
 
+/// Name of the socket in the folder of runtime files.
+const SOCKET: &str = "gripcast.sock";
+/// Folder that the systemd unit makes.
+const SERVICE_FOLDER: &str = "/run/gripcast";
+
 /// What "stable" means in a new dataset.
 const LABEL_DEFINITION: &str = "stable: the object stayed in the gripper while it was lifted; \
                                 slip: it moved in the gripper or fell";
@@ -166,6 +171,15 @@ fn dataset_name(path: &Path) -> String {
         || "dataset".into(),
         |name| name.to_string_lossy().into_owned(),
     )
+}
+
+/// Where local programs look for the daemon.
+pub(crate) fn usual_socket() -> Option<PathBuf> {
+    let service = Path::new(SERVICE_FOLDER);
+    let folder = std::env::var_os("XDG_RUNTIME_DIR")
+        .map(PathBuf::from)
+        .or_else(|| service.is_dir().then(|| service.to_owned()))?;
+    Some(folder.join(SOCKET))
 }
 
 /// Starts to listen to the pedals; the threads end once `ended` is true.

@@ -11,9 +11,11 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 
 use super::collection::{COMMAND_QUEUE, start_pedals, stop_signals};
-use super::daemon::{self, CollectReport, EngineLinks, EngineSetup, EngineStatus, Stored, Tasks};
+use super::daemon::{
+    self, CollectReport, EngineLinks, EngineSetup, EngineStatus, ModelFacts, Stored, Tasks,
+};
 use super::tui;
-use super::web::{self, Access, Backend, Listeners, ModelInfo, News, Token};
+use super::web::{self, Access, Backend, Listeners, News, Token};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_capture::calibration::PedalConfig;
@@ -72,12 +74,7 @@ pub(crate) async fn run(
         command_sender.clone(),
         tasks.clone(),
         Arc::clone(&access),
-        setup.model.as_ref().map(|model| ModelInfo {
-            name: model.contract().name.clone(),
-            sha256: model.sha256().to_owned(),
-            threshold: model.contract().threshold,
-            heuristic: model.contract().is_heuristic(),
-        }),
+        setup.model.as_ref().map(ModelFacts::of),
         setup.dataset.clone(),
     ));
     let ended = Arc::new(AtomicBool::new(false));

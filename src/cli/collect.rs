@@ -9,7 +9,6 @@
 //! on stderr. The closing report goes to stdout. Exit codes: 0 ok, 3 a save failed, 69 a camera is
 //! missing at the start, 75 ended by SIGTERM, 130 by Ctrl-C.
 
-use std::fmt::Write as _;
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,16 +18,15 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
 
+use super::closing_report::conclude;
 use super::collection_flags::CollectionFlags;
-use super::{ConfigFlag, Context, print, print_json};
+use super::{ConfigFlag, Context, print};
 use crate::collection::{
     COMMAND_QUEUE, Start, chosen_dataset, chosen_rig, prepare, start_pedals, stop_signals,
+    usual_socket,
 };
 use crate::config::{FlagValue, Layered};
-use crate::daemon::{
-    self, Asked, BlackBoxReport, CollectReport, Ended, EngineLinks, EngineSetup, EngineStatus,
-    Tasks,
-};
+use crate::daemon::{self, Asked, CollectReport, EngineLinks, EngineSetup, EngineStatus, Tasks};
 use crate::note;
 use crate::rig_lock::RigLock;
 use crate::terminal_text::escaped_json;
@@ -132,34 +130,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         args.events,
         context.quiet,
     ))?;
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(summary(&report).trim_end())?;
-    }
-    match report.ended {
-        Ended::Interrupted => Err(Error::new(
-            ErrorKind::Interrupted,
-            "interrupted; everything that was acknowledged is on disk",
-        )),
-        Ended::Terminated => Err(Error::new(
-            ErrorKind::Stopped,
-            "asked to end; everything that was acknowledged is on disk",
-        )),
-        Ended::Quit | Ended::ScriptDone if report.session.failed > 0 => Err(saves_failed(&report)),
-        Ended::Quit | Ended::ScriptDone => Ok(()),
-    }
-}
-
-/// Some saves failed.
-pub(super) fn saves_failed(report: &CollectReport) -> Error {
-    Error::new(
-        ErrorKind::Partial,
-        format!(
-            "{} save(s) failed; see the messages above",
-            report.session.failed
-        ),
-    )
+    conclude(&report, args.json, false)
 }
 
 /// Runs the engine with its screen or lines and its pedals until it ends.
@@ -235,7 +206,7 @@ fn attach(place: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
         )
         .remedy("run it in a terminal; programs use the API (docs/api.md)"));
     }
-    let target = match (place, super::daemon::usual_socket()) {
+    let target = match (place, usual_socket()) {
         ("", Some(socket)) => Target::parse(&socket.display().to_string())?,
         ("", None) => {
             return Err(Error::new(
@@ -324,80 +295,4 @@ fn read_script(path: &Path) -> Result<Script> {
             .map(drop)
             .map_err(|e| e.to_string())
     })
-}
-
-/// The closing lines.
-pub(super) fn summary(report: &CollectReport) -> String {
-    let mut text = String::new();
-    for grasp in &report.grasps {
-        let predicted = grasp
-            .p_stable
-            .map_or_else(|| "no prediction".into(), |p| format!("predicted {p:.2}"));
-        let _ = writeln!(
-            text,
-            "{}  {:<16} {:<10} {predicted}",
-            grasp.id, grasp.object, grasp.outcome
-        );
-    }
-    let session = &report.session;
-    let _ = writeln!(
-        text,
-        "{} grasp(s) saved, {} label(s), {} trigger(s) refused, {} step(s) undone; dataset {}",
-        session.saved, session.labelled, session.refused, session.undone, report.dataset
-    );
-    for (role, camera) in &report.cameras {
-        let _ = writeln!(
-            text,
-            "{role:<9} {:>5.1} fps, {} frames, {} lost, {} damaged, {} late, {} reconnects",
-            camera.measured_fps,
-            camera.received,
-            camera.sequence_gaps,
-            camera.damaged,
-            camera.late,
-            camera.reconnects
-        );
-        for warning in &camera.warnings {
-            let _ = writeln!(text, "          {warning}");
-        }
-    }
-    let prediction = &report.prediction;
-    if let (Some(model), Some(p50), Some(p99)) = (
-        &prediction.model,
-        prediction.latency_p50_ms,
-        prediction.latency_p99_ms,
-    ) {
-        let _ = writeln!(
-            text,
-            "{} prediction(s) by {model}, frame to prediction {p50:.0} ms (median), {p99:.0} ms (p99)",
-            prediction.predictions
-        );
-    }
-    if let Some(black_box) = &report.black_box {
-        text.push_str(&black_box_summary(black_box));
-    }
-    text
-}
-
-fn black_box_summary(report: &BlackBoxReport) -> String {
-    let mut text = format!(
-        "black box: {} file(s), {:.1} MB in {}",
-        report.files,
-        report.bytes as f64 * 1e-6,
-        report.directory
-    );
-    if report.removed_files > 0 {
-        let _ = write!(text, ", {} old file(s) removed", report.removed_files);
-    }
-    text.push('\n');
-    for (role, frames) in &report.frames {
-        let _ = writeln!(
-            text,
-            "          {role:<9} {} frames, {} left out",
-            frames.written, frames.dropped
-        );
-    }
-    if let Some(reason) = &report.stopped {
-        let _ = writeln!(text, "          ended early: {reason}");
-    }
-    text
 }

@@ -11,11 +11,11 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use super::closing_report::conclude;
 use super::collection_flags::CollectionFlags;
-use super::{ConfigFlag, Context, collect, load_settings, print, print_json};
-use crate::collection::{Start, chosen_rig, prepare};
+use super::{ConfigFlag, Context, load_settings};
+use crate::collection::{Start, chosen_rig, prepare, usual_socket};
 use crate::config::{DaemonConfig, FlagValue, Layered};
-use crate::daemon::Ended;
 use crate::rig_lock::RigLock;
 use crate::service::{self, Reloaded, ServiceSettings};
 use crate::web::Token;
@@ -25,10 +25,6 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 const LAST_ANSWERS: Duration = Duration::from_millis(500);
 /// Added to the niceness of the threads that answer the API.
 const SERVING_NICE: i32 = 10;
-/// Name of the socket in the folder of runtime files.
-const SOCKET: &str = "gripcast.sock";
-/// Folder that the systemd unit makes.
-const SERVICE_FOLDER: &str = "/run/gripcast";
 
 /// Arguments of `daemon`.
 #[derive(Debug, clap::Args)]
@@ -103,21 +99,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let reload = || reloaded(&started, load()?);
     let report = runtime.block_on(service::run(setup, pedals, settings, reload));
     runtime.shutdown_timeout(LAST_ANSWERS);
-    let report = report?;
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(collect::summary(&report).trim_end())?;
-    }
-    match report.ended {
-        Ended::Interrupted => Err(Error::new(
-            ErrorKind::Interrupted,
-            "interrupted; everything that was acknowledged is on disk",
-        )),
-        _ if report.session.failed > 0 => Err(collect::saves_failed(&report)),
-        // A service that was asked to end has done what it should.
-        Ended::Terminated | Ended::Quit | Ended::ScriptDone => Ok(()),
-    }
+    conclude(&report?, args.json, true)
 }
 
 fn service_settings(config: &DaemonConfig, quiet: bool) -> Result<ServiceSettings> {
@@ -177,15 +159,6 @@ fn address(text: &str) -> Result<SocketAddr> {
 fn token(config: &DaemonConfig) -> Result<Option<Token>> {
     let file = Some(&config.token_file).filter(|file| !file.is_empty());
     file.map(|file| Token::read(Path::new(file))).transpose()
-}
-
-/// Where local programs look for the daemon.
-pub(super) fn usual_socket() -> Option<PathBuf> {
-    let service = Path::new(SERVICE_FOLDER);
-    let folder = std::env::var_os("XDG_RUNTIME_DIR")
-        .map(PathBuf::from)
-        .or_else(|| service.is_dir().then(|| service.to_owned()))?;
-    Some(folder.join(SOCKET))
 }
 
 /// What changes without a restart, and what would need one.

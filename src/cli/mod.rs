@@ -24,6 +24,7 @@ mod calibrate_convert;
 mod calibrate_gripper;
 mod calibrate_intrinsics;
 mod calibrate_live;
+mod closing_report;
 mod collect;
 mod collection_flags;
 mod completions;

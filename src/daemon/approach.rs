@@ -8,9 +8,10 @@ use std::time::{Duration, Instant};
 
 use image::imageops::grayscale;
 
-use super::capture::spawn;
 use super::hub::{CameraSlot, Hub, Soundness};
 use super::sheets::Boards;
+use super::status::MarkerStatus;
+use super::thread::spawn;
 use gripcast_annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::FileName;
@@ -41,8 +42,8 @@ struct Seen {
 struct Shared {
     object: String,
     ring: VecDeque<Seen>,
-    /// What the newest frame shows, in a few words.
-    newest: Option<Result<String, String>>,
+    /// What the newest frame shows.
+    newest: Option<MarkerStatus>,
 }
 
 /// The boards of the object that is labelled.
@@ -114,7 +115,7 @@ impl ApproachWatch {
     }
 
     /// What the newest frame shows.
-    pub(super) fn newest(&self) -> Option<Result<String, String>> {
+    pub(super) fn newest(&self) -> Option<MarkerStatus> {
         lock(&self.shared).newest.clone()
     }
 
@@ -250,7 +251,10 @@ fn run(
                     sheet: String::new(),
                 },
                 Some((observation, sheet)) => {
-                    shared.newest = Some(observation.as_ref().map(told).map_err(Clone::clone));
+                    shared.newest = Some(MarkerStatus {
+                        ok: observation.is_ok(),
+                        text: observation.as_ref().map_or_else(Clone::clone, told),
+                    });
                     Seen {
                         frame,
                         observation: Some(observation),

@@ -6,7 +6,7 @@ use std::thread::JoinHandle;
 
 use super::hub::{CameraSlot, Hub};
 use super::tasks::{Beat, Tasks};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::Result;
 use gripcast_capture::camera::{
     CameraEvent, CameraOpener, Health, MonotonicClock, SupervisionPolicy, run_camera,
 };
@@ -68,19 +68,6 @@ impl CaptureThreads {
             let _ = thread.join();
         }
     }
-}
-
-/// A named thread.
-pub(super) fn spawn<T: Send + 'static>(
-    name: String,
-    body: impl FnOnce() -> T + Send + 'static,
-) -> Result<JoinHandle<T>> {
-    std::thread::Builder::new()
-        .name(name.clone())
-        .spawn(body)
-        .map_err(|e| {
-            Error::new(ErrorKind::Io, format!("cannot start the thread `{name}`")).because(e)
-        })
 }
 
 fn take_in(slot: &CameraSlot, event: CameraEvent) {

@@ -7,16 +7,19 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use image::RgbImage;
+use serde::Serialize;
+use utoipa::ToSchema;
 
 use super::black_box::Topic;
 use super::histogram::Histogram;
 use super::hub::Hub;
-use super::status::Preview;
+use super::status::{PredictionStatus, Preview};
 use super::tasks::{Beat, Tasks};
 use gripcast_base::error::Result;
 use gripcast_capture::camera::monotonic_ns;
+use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::{Role, TactileDifference};
-use gripcast_nn::predict::{LivePredictor, Model, Smoothing};
+use gripcast_nn::predict::{LivePrediction, LivePredictor, Model, Smoothing};
 
 /// Difference from which a pixel counts as touched, grey levels: far above the sensor's noise
 /// (1–2 levels), far below a contact's (up to 120).
@@ -39,56 +42,56 @@ pub(super) enum InferRequest {
         /// Right gel, open gripper.
         right: Arc<RgbImage>,
     },
-    /// There is no initial frame any more. Contact is still told against the last one.
-    ClearInitial,
+    /// There is no initial frame any more, or none that can be subtracted, for this reason. Contact
+    /// is still told against the last one.
+    ClearInitial(String),
     /// Predict on exactly these pictures, against the present initial frame.
     Judge {
         /// Pictures by role.
         pictures: BTreeMap<Role, RgbImage>,
         /// Where the answer goes; `None` when there is no prediction.
-        reply: Sender<Option<Judgement>>,
+        reply: Sender<Option<PredictionRecord>>,
     },
     /// End.
     Stop,
 }
 
-/// A prediction on given pictures.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Judgement {
-    /// Probability that the grasp is stable.
-    pub(super) p_stable: f64,
-    /// Distance from the training pictures over what counts as known, where the model says it.
-    pub(super) novelty: Option<f64>,
-    /// Time of the model alone, ms.
-    pub(super) engine_ms: f64,
-}
-
-/// What the model is, for screens and records.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct ModelFacts {
+/// The model that predicts.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct ModelFacts {
     /// Name.
-    pub(super) name: String,
-    /// sha256 of its file.
-    pub(super) sha256: String,
-    /// Decision threshold.
-    pub(super) threshold: f64,
-    /// Whether it is a heuristic.
-    pub(super) heuristic: bool,
+    pub name: String,
+    /// Of the ONNX file.
+    pub sha256: String,
+    /// From this probability on a grasp counts as stable.
+    pub threshold: f64,
+    /// Whether it is a heuristic and not trained.
+    pub heuristic: bool,
 }
 
-/// The newest live prediction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Live {
-    /// Probability that the grasp is stable, steadied over the frames.
-    pub(super) p_stable: f64,
-    /// Distance from the training pictures over what counts as known, where the model says it.
-    pub(super) novelty: Option<f64>,
-    /// Driver time of the newest frame that it was made from, ns.
-    pub(super) frame_time_ns: u64,
-    /// Driver time of that frame to result, ms.
-    pub(super) latency_ms: f64,
-    /// Model alone, ms.
-    pub(super) engine_ms: f64,
+impl ModelFacts {
+    /// What a model says of itself.
+    #[must_use]
+    pub fn of(model: &Model) -> Self {
+        Self {
+            name: model.contract().name.clone(),
+            sha256: model.sha256().to_owned(),
+            threshold: model.contract().threshold,
+            heuristic: model.contract().is_heuristic(),
+        }
+    }
+
+    fn record(&self, said: &LivePrediction, latency_ms: f64) -> PredictionRecord {
+        PredictionRecord {
+            p_stable: said.p_stable,
+            novelty: said.novelty,
+            threshold: self.threshold,
+            model_sha256: self.sha256.clone(),
+            model: self.name.clone(),
+            latency_ms,
+            engine_ms: said.engine_ms,
+        }
+    }
 }
 
 /// Contact of one gel against the initial frame.
@@ -106,7 +109,7 @@ pub(super) struct Contact {
 #[derive(Debug, Default)]
 pub(super) struct Findings {
     /// Newest prediction; `None` without an initial frame.
-    pub(super) live: Option<Live>,
+    pub(super) live: Option<PredictionStatus>,
     /// Why there is none.
     pub(super) absent: Option<String>,
     /// Contact by gel, against the initial frame that came with `change`.
@@ -136,6 +139,12 @@ impl Findings {
         let contact = self.contact.get(&role).filter(|_| self.change == change)?;
         (contact.frame_time_ns > since_ns).then_some(contact.changed_fraction)
     }
+
+    /// Mean absolute difference of each gel, grey levels.
+    pub(super) fn contact_levels(&self) -> BTreeMap<Role, f64> {
+        let contacts = self.contact.iter();
+        contacts.map(|(role, c)| (*role, c.mean_abs)).collect()
+    }
 }
 
 /// The inference thread.
@@ -144,8 +153,7 @@ pub(super) struct Inference {
     findings: Arc<Mutex<Findings>>,
     requests: Sender<InferRequest>,
     thread: JoinHandle<()>,
-    /// The model, if there is one.
-    pub(super) model: Option<ModelFacts>,
+    model: Option<String>,
 }
 
 impl Inference {
@@ -159,12 +167,7 @@ impl Inference {
         (requests, inbox): (Sender<InferRequest>, Receiver<InferRequest>),
         tasks: &Tasks,
     ) -> Result<Self> {
-        let facts = model.as_ref().map(|model| ModelFacts {
-            name: model.contract().name.clone(),
-            sha256: model.sha256().to_owned(),
-            threshold: model.contract().threshold,
-            heuristic: model.contract().is_heuristic(),
-        });
+        let facts = model.as_ref().map(ModelFacts::of);
         let findings = Arc::new(Mutex::new(Findings {
             absent: Some(if model.is_some() {
                 "no initial frame".into()
@@ -173,15 +176,21 @@ impl Inference {
             }),
             ..Findings::default()
         }));
+        let name = facts.as_ref().map(|facts| facts.name.clone());
         let predictor = model.map(LivePredictor::new).transpose()?;
-        let mut worker = Worker::new(hub, predictor, &findings);
+        let mut worker = Worker::new(hub, predictor.zip(facts), &findings);
         let thread = tasks.spawn("inference", move |beat| worker.run(&inbox, beat))?;
         Ok(Self {
             findings,
             requests,
             thread,
-            model: facts,
+            model: name,
         })
+    }
+
+    /// Name of the model, if there is one.
+    pub(super) fn model(&self) -> Option<&str> {
+        self.model.as_deref()
     }
 
     /// Where to send requests.
@@ -209,7 +218,7 @@ fn lock(findings: &Mutex<Findings>) -> MutexGuard<'_, Findings> {
 
 struct Worker {
     hub: Hub,
-    predictor: Option<LivePredictor>,
+    predictor: Option<(LivePredictor, ModelFacts)>,
     initial: BTreeMap<Role, Arc<RgbImage>>,
     predicting: bool,
     smoothing: Smoothing,
@@ -219,7 +228,11 @@ struct Worker {
 }
 
 impl Worker {
-    fn new(hub: &Hub, predictor: Option<LivePredictor>, findings: &Arc<Mutex<Findings>>) -> Self {
+    fn new(
+        hub: &Hub,
+        predictor: Option<(LivePredictor, ModelFacts)>,
+        findings: &Arc<Mutex<Findings>>,
+    ) -> Self {
         Self {
             hub: hub.clone(),
             predictor,
@@ -265,7 +278,7 @@ impl Worker {
                 left,
                 right,
             } => self.set_initial(change, left, right),
-            InferRequest::ClearInitial => self.clear_initial(),
+            InferRequest::ClearInitial(reason) => self.clear_initial(reason),
             InferRequest::Judge { pictures, reply } => {
                 // The asker has given up when nobody receives.
                 let _ = reply.send(self.judge(pictures));
@@ -276,29 +289,25 @@ impl Worker {
     }
 
     fn set_initial(&mut self, change: u64, left: Arc<RgbImage>, right: Arc<RgbImage>) {
-        if let Some(predictor) = &mut self.predictor {
+        if let Some((predictor, _)) = &mut self.predictor {
             predictor.set_initial((*left).clone(), (*right).clone());
         }
         self.initial = BTreeMap::from([(Role::Left, left), (Role::Right, right)]);
         self.predicting = true;
         self.smoothing.clear();
-        {
-            let mut findings = lock(&self.findings);
-            findings.live = None;
-            findings.contact.clear();
-            findings.change = Some(change);
-        }
+        let mut findings = lock(&self.findings);
+        findings.live = None;
+        findings.contact.clear();
+        findings.change = Some(change);
     }
 
-    fn clear_initial(&mut self) {
-        if let Some(predictor) = &mut self.predictor {
-            predictor.clear_initial();
-        }
+    fn clear_initial(&mut self, reason: String) {
         self.predicting = false;
         let mut findings = lock(&self.findings);
         findings.live = None;
-        if self.predictor.is_some() {
-            findings.absent = Some("no initial frame".into());
+        if let Some((predictor, _)) = &mut self.predictor {
+            predictor.clear_initial();
+            findings.absent = Some(reason);
         }
     }
 
@@ -320,7 +329,6 @@ impl Worker {
         });
         let shown = difference.filter(|_| self.predicting);
         let preview = Preview {
-            contact: contact.map(|contact| contact.mean_abs),
             is_difference: shown.is_some(),
             image: shown.map_or_else(
                 || Arc::clone(&decoded.image),
@@ -334,7 +342,7 @@ impl Worker {
             }
             findings.previews.insert(role, preview);
         }
-        if let Some(predictor) = &mut self.predictor {
+        if let Some((predictor, _)) = &mut self.predictor {
             predictor.update(role, (*decoded.image).clone(), decoded.driver_time_ns);
             if role.is_tactile() {
                 self.predict();
@@ -343,7 +351,7 @@ impl Worker {
     }
 
     fn predict(&mut self) {
-        let Some(predictor) = &mut self.predictor else {
+        let Some((predictor, model)) = &mut self.predictor else {
             return;
         };
         let result = predictor.predict();
@@ -361,37 +369,36 @@ impl Worker {
                 findings.absent = Some(error.what().to_owned());
             }
             Some(Ok(prediction)) => {
-                let latency_ms = now_ns.saturating_sub(prediction.newest_frame_ns) as f64 * 1e-6;
+                let frame_time_ns = prediction.newest_frame_ns;
+                let latency_ms = now_ns.saturating_sub(frame_time_ns) as f64 * 1e-6;
                 findings.latency.add(latency_ms);
                 findings.predictions += 1;
                 findings.absent = None;
-                let frame_time_ns = prediction.newest_frame_ns;
-                let live = Live {
+                let said = PredictionRecord {
                     p_stable: self.smoothing.add(prediction.p_stable, frame_time_ns),
-                    novelty: prediction.novelty,
-                    frame_time_ns,
-                    latency_ms,
-                    engine_ms: prediction.engine_ms,
+                    ..model.record(&prediction, latency_ms)
                 };
-                findings.live = Some(live);
-                drop(findings);
-                self.hub.tap().note(Topic::Prediction, || {
-                    serde_json::json!({
-                        "p_stable": live.p_stable,
-                        "p_stable_frame": prediction.p_stable,
-                        "novelty": live.novelty,
-                        "frame_time_ns": live.frame_time_ns,
-                        "latency_ms": live.latency_ms,
-                        "engine_ms": live.engine_ms,
-                    })
+                let note = serde_json::json!({
+                    "p_stable": said.p_stable,
+                    "p_stable_frame": prediction.p_stable,
+                    "novelty": said.novelty,
+                    "frame_time_ns": frame_time_ns,
+                    "latency_ms": latency_ms,
+                    "engine_ms": said.engine_ms,
                 });
+                findings.live = Some(PredictionStatus {
+                    frame_time_ns,
+                    ..PredictionStatus::new(said, model.heuristic)
+                });
+                drop(findings);
+                self.hub.tap().note(Topic::Prediction, || note);
             }
         }
     }
 
     /// Predicts on saved pictures, then puts the live ones back.
-    fn judge(&mut self, pictures: BTreeMap<Role, RgbImage>) -> Option<Judgement> {
-        let predictor = self.predictor.as_mut().filter(|_| self.predicting)?;
+    fn judge(&mut self, pictures: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
+        let (predictor, model) = self.predictor.as_mut().filter(|_| self.predicting)?;
         for (role, picture) in pictures {
             predictor.update(role, picture, 0);
         }
@@ -402,12 +409,8 @@ impl Worker {
                 None => predictor.forget(role),
             }
         }
-        let prediction = result?.ok()?;
-        Some(Judgement {
-            p_stable: prediction.p_stable,
-            novelty: prediction.novelty,
-            engine_ms: prediction.engine_ms,
-        })
+        // Its latency is that of the live prediction at the trigger, which the store knows.
+        Some(model.record(&result?.ok()?, 0.0))
     }
 }
 

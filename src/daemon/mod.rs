@@ -25,12 +25,16 @@ mod sheets;
 mod status;
 mod store;
 mod tasks;
+mod thread;
 
-pub use asked::{Answered, Asked, Fate};
+pub use asked::Asked;
 pub use black_box::{BlackBoxReport, BlackBoxSettings, BlackBoxStatus, FrameCounts};
 pub use calibration::stored_intrinsics;
 pub use engine::{EngineLinks, EngineSetup, Stored, run};
+pub use infer::ModelFacts;
 pub use report::{CameraReport, CollectReport, Ended, GraspReport, PredictionReport};
 pub use sheets::{Boards, read_sheets};
-pub use status::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
+pub use status::{
+    CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview, verdict_of,
+};
 pub use tasks::{Beat, TaskReport, TaskState, Tasks};

@@ -8,7 +8,7 @@ use super::black_box::BlackBoxReport;
 use super::hub::{CameraSlot, Hub};
 use super::status::{CameraState, CameraStatus};
 use gripcast_capture::calibration::RigFile;
-use gripcast_capture::camera::Health;
+use gripcast_capture::camera::{CameraCounters, Health};
 use gripcast_dataset::Outcome;
 use gripcast_imaging::Role;
 use gripcast_session::Summary;
@@ -34,18 +34,9 @@ pub struct CameraReport {
     pub product: String,
     /// USB serial.
     pub serial: String,
-    /// Frames received.
-    pub received: u64,
-    /// Frames lost before they reached us.
-    pub sequence_gaps: u64,
-    /// Frames that were damaged.
-    pub damaged: u64,
-    /// Frames that came later than twice the nominal interval.
-    pub late: u64,
-    /// Frames with the same bytes as the one before.
-    pub duplicates: u64,
-    /// How often the camera was opened again.
-    pub reconnects: u64,
+    /// What was counted.
+    #[serde(flatten)]
+    pub counters: CameraCounters,
     /// Frames that arrived while the decoder was busy with the one before.
     pub not_decoded: u64,
     /// Measured frame rate at the end, 1/s.
@@ -154,11 +145,7 @@ pub(super) fn camera_status(slot: &CameraSlot, rig: &RigFile, now_ns: u64) -> Ca
         measured_fps: report.measured_fps,
         nominal_fps: rig.cameras.get(&role).map_or(0.0, |camera| camera.fps),
         frame_age_ms: newest_ns.map(|t| now_ns.saturating_sub(t) as f64 * 1e-6),
-        received: report.received,
-        sequence_gaps: report.sequence_gaps,
-        damaged: report.damaged,
-        late: report.late,
-        reconnects: report.reconnects,
+        counters: report.counters,
         markers: None,
     })
 }
@@ -194,12 +181,10 @@ pub(super) fn camera_report(slot: &CameraSlot, rig: &RigFile) -> CameraReport {
                 || config.and_then(|c| c.serial.clone()).unwrap_or_default(),
                 |i| i.serial.clone(),
             ),
-            received: facts.counters.received,
-            sequence_gaps: facts.counters.sequence_gaps,
-            damaged: facts.counters.damaged + facts.damaged_when_decoded,
-            late: facts.counters.late,
-            duplicates: facts.counters.duplicates,
-            reconnects: facts.counters.reconnects,
+            counters: CameraCounters {
+                damaged: facts.counters.damaged + facts.damaged_when_decoded,
+                ..facts.counters
+            },
             not_decoded: facts.not_decoded,
             measured_fps: facts.measured_fps,
             warnings: facts.warnings.clone(),

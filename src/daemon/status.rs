@@ -1,17 +1,22 @@
-//! A snapshot of the running engine: all that a screen needs, cheap to clone.
+//! A snapshot of the running engine, cheap to clone: what the screens draw, the API answers and
+//! `collect --attach` reads back.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use image::RgbImage;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use super::black_box::BlackBoxStatus;
+use gripcast_capture::camera::CameraCounters;
+use gripcast_dataset::PredictionRecord;
 use gripcast_imaging::Role;
 use gripcast_nn::predict::Verdict;
 use gripcast_session::{GuardLimits, Labels, OutcomeCounts, Session, SessionView};
 
 /// Snapshot of the engine.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize, ToSchema)]
 pub struct EngineStatus {
     /// Dataset name.
     pub dataset: String,
@@ -31,8 +36,11 @@ pub struct EngineStatus {
     pub prediction: Option<PredictionStatus>,
     /// Why there is no prediction, in a few words.
     pub prediction_absent: Option<String>,
-    /// Small pictures: tactile cameras show the difference to the initial frame (grey = no
+    /// Mean absolute difference of each gel to the initial frame, grey levels of 255.
+    pub contact: BTreeMap<Role, f64>,
+    /// Small pictures, which the API sends apart: tactile cameras show the difference to the initial frame (grey = no
     /// change) once there is one, the others what they see.
+    #[serde(skip)]
     pub previews: BTreeMap<Role, Preview>,
 }
 
@@ -51,6 +59,7 @@ impl EngineStatus {
             cameras: Vec::new(),
             prediction: None,
             prediction_absent: None,
+            contact: BTreeMap::new(),
             previews: BTreeMap::new(),
         }
     }
@@ -61,43 +70,53 @@ impl EngineStatus {
 pub struct Preview {
     /// RGB picture, at most 320×240.
     pub image: Arc<RgbImage>,
-    /// Mean absolute tactile difference, grey levels of 255; tactile cameras with an initial frame.
-    pub contact: Option<f64>,
     /// Whether the picture is a tactile difference.
     pub is_difference: bool,
 }
 
-/// The newest prediction.
-#[derive(Clone, Debug, PartialEq)]
+/// The newest live prediction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct PredictionStatus {
-    /// Probability that the grasp is stable, steadied over the frames.
-    pub p_stable: f64,
-    /// Distance of the tactile pictures from those of the training, over what counts as known.
-    pub novelty: Option<f64>,
-    /// Decision threshold.
-    pub threshold: f64,
-    /// Model name.
-    pub model: String,
-    /// Age of the tactile frame that it was made from, ms, now.
-    pub frame_age_ms: f64,
-    /// Driver time of the frame to result, ms.
-    pub latency_ms: f64,
-    /// Model alone, ms.
-    pub engine_ms: f64,
+    /// The prediction, with the keys of `PredictionRecord`; its probability is steadied over the
+    /// frames.
+    // The schema of the record allows no other keys beside its own.
+    #[serde(flatten)]
+    #[schema(value_type = Object)]
+    pub said: PredictionRecord,
+    /// What it claims, were it not too old.
+    pub verdict: Verdict,
     /// Whether the model is a heuristic and not trained.
     pub heuristic: bool,
+    /// Age of the tactile frame that it was made from, ms, now.
+    pub frame_age_ms: f64,
+    /// Driver time of that frame, ns; stays in the process.
+    #[serde(skip)]
+    pub frame_time_ns: u64,
 }
 
 impl PredictionStatus {
-    /// What it claims, were it not too old.
+    /// The status of a prediction on frames of this moment.
     #[must_use]
-    pub fn verdict(&self) -> Verdict {
-        Verdict::of(self.p_stable, self.threshold, self.novelty)
+    pub fn new(said: PredictionRecord, heuristic: bool) -> Self {
+        Self {
+            verdict: verdict_of(&said),
+            said,
+            heuristic,
+            frame_age_ms: 0.0,
+            frame_time_ns: 0,
+        }
     }
 }
 
+/// What a prediction claims.
+#[must_use]
+pub fn verdict_of(said: &PredictionRecord) -> Verdict {
+    Verdict::of(said.p_stable, said.threshold, said.novelty)
+}
+
 /// How a camera does.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "state", rename_all = "snake_case")]
 pub enum CameraState {
     /// Being opened for the first time.
     Opening,
@@ -123,6 +142,28 @@ pub enum CameraState {
 }
 
 impl CameraState {
+    /// The state in a word.
+    #[must_use]
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Opening => "opening",
+            Self::Live => "live",
+            Self::Silent { .. } => "silent",
+            Self::Frozen { .. } => "frozen",
+            Self::Lost { .. } => "lost",
+            Self::Ended => "ended",
+        }
+    }
+
+    /// How long it is silent or frozen, s.
+    #[must_use]
+    pub fn since_s(&self) -> Option<f64> {
+        match self {
+            Self::Silent { for_s } | Self::Frozen { for_s } => Some(*for_s),
+            _ => None,
+        }
+    }
+
     /// Whether frames of this camera can be used.
     #[must_use]
     pub fn is_live(&self) -> bool {
@@ -130,8 +171,17 @@ impl CameraState {
     }
 }
 
+/// Whether sheet and tags can be measured in a frame.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct MarkerStatus {
+    /// Whether they can.
+    pub ok: bool,
+    /// What it shows of them, or why they cannot.
+    pub text: String,
+}
+
 /// One camera.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CameraStatus {
     /// Role.
     pub role: Role,
@@ -142,6 +192,7 @@ pub struct CameraStatus {
     /// Port path.
     pub port: String,
     /// State.
+    #[serde(flatten)]
     pub state: CameraState,
     /// Measured frame rate over the last seconds, 1/s.
     pub measured_fps: f64,
@@ -149,17 +200,68 @@ pub struct CameraStatus {
     pub nominal_fps: f64,
     /// Age of the newest frame, ms.
     pub frame_age_ms: Option<f64>,
-    /// Frames received.
-    pub received: u64,
-    /// Frames lost before they reached us (gaps in the driver's counter).
-    pub sequence_gaps: u64,
-    /// Frames that were damaged.
-    pub damaged: u64,
-    /// Frames that came later than twice the nominal interval.
-    pub late: u64,
-    /// How often the camera had to be opened again.
-    pub reconnects: u64,
-    /// What the newest frame shows of sheet and tags, or why it cannot be measured; none where
-    /// they are not looked for.
-    pub markers: Option<Result<String, String>>,
+    /// What was counted.
+    #[serde(flatten)]
+    pub counters: CameraCounters,
+    /// What the newest frame shows of sheet and tags; none where they are not looked for.
+    pub markers: Option<MarkerStatus>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the API says is the status itself: `collect --attach` gets back all but the pictures.
+    #[test]
+    fn a_status_comes_back_from_json() {
+        let said = PredictionRecord {
+            p_stable: 0.81,
+            novelty: Some(0.5),
+            threshold: 0.5,
+            model_sha256: "0".repeat(64),
+            model: "m".into(),
+            latency_ms: 12.0,
+            engine_ms: 3.0,
+        };
+        let camera = |role, state| CameraStatus {
+            role,
+            product: "GelSight".into(),
+            serial: String::new(),
+            port: "3-2".into(),
+            state,
+            measured_fps: 24.9,
+            nominal_fps: 25.0,
+            frame_age_ms: None,
+            counters: CameraCounters::default(),
+            markers: Some(MarkerStatus {
+                ok: true,
+                text: "sheet 13".into(),
+            }),
+        };
+        let status = EngineStatus {
+            cameras: vec![
+                camera(Role::Left, CameraState::Silent { for_s: 1.5 }),
+                camera(Role::Right, CameraState::Live),
+            ],
+            prediction: Some(PredictionStatus::new(said, true)),
+            contact: BTreeMap::from([(Role::Left, 8.5)]),
+            ..EngineStatus::starting("d", "bench", Labels::default())
+        };
+        let json = serde_json::to_value(&status).unwrap();
+        let camera = &json["cameras"][0];
+        assert_eq!(
+            (&camera["state"], &camera["for_s"]),
+            (&"silent".into(), &1.5.into())
+        );
+        assert_eq!(camera["received"], 0);
+        assert_eq!(json["prediction"]["verdict"], "stable");
+        assert_eq!(json["prediction"]["model"], "m");
+        assert_eq!(json["contact"]["left"], 8.5);
+        assert!(json.get("previews").is_none());
+        let back: EngineStatus = serde_json::from_value(json).unwrap();
+        assert_eq!(back.session, status.session);
+        assert_eq!(back.cameras, status.cameras);
+        assert_eq!(back.prediction, status.prediction);
+        assert_eq!(back.contact, status.contact);
+    }
 }

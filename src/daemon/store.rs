@@ -7,22 +7,22 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use image::RgbImage;
 use jiff::Timestamp;
 use tokio::sync::mpsc::UnboundedSender;
 
-use super::capture::spawn;
 use super::decode::model_picture;
-use super::infer::{InferRequest, Judgement, ModelFacts};
+use super::infer::InferRequest;
 use super::tasks::{Beat, TaskState, Tasks};
+use super::thread::spawn;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::ContentKey;
 use gripcast_base::quiet_panic;
 use gripcast_dataset::{
-    BoardKeys, DatasetWriter, GraspId, GraspMeta, GraspRecord, PendingInitial, PredictionRecord,
-    StageCapture,
+    BoardKeys, DatasetWriter, GraspId, GraspMeta, PendingInitial, PredictionRecord, StageCapture,
 };
-use gripcast_imaging::{CropProfile, Decoder, Frame, Role};
-use gripcast_session::{PendingFrame, Predicted, StoreReply, StoreRequest};
+use gripcast_imaging::{CropProfile, Decoder, Frame, FrameDamage, Role};
+use gripcast_session::{Labels, PendingFrame, StoreReply, StoreRequest};
 
 /// Name of the thread.
 const TASK: &str = "store";
@@ -68,8 +68,8 @@ pub(super) struct StoreContext {
     pub(super) rig: String,
     /// Calibration by role.
     pub(super) calibration: BTreeMap<Role, ContentKey>,
-    /// Model, if there is one.
-    pub(super) model: Option<ModelFacts>,
+    /// Whether there is a model.
+    pub(super) has_model: bool,
     /// Crop of each tactile camera.
     pub(super) crops: BTreeMap<Role, CropProfile>,
 }
@@ -207,50 +207,30 @@ impl Worker {
             } => {
                 let capture = needed(capture)?;
                 let pending = self.pending(&initial)?;
+                let meta = self.grasp_meta(capture, labels, boards, latency_ms)?;
                 let meta = GraspMeta {
-                    object: labels.object,
-                    scene: labels.scene,
-                    operator: labels.operator,
-                    rig: self.context.rig.clone(),
-                    boards: boards.map(|texts| self.board_keys(&texts)).transpose()?,
-                    prediction: self.predict(capture, latency_ms),
                     overridden_guards: overridden,
-                    calibration: self.context.calibration.clone(),
-                    note: String::new(),
+                    ..meta
                 };
                 let record = self.writer.save_grasp(&pending, capture, meta)?;
                 self.pending.remove(&initial);
-                Ok(grasp_reply(record))
+                Ok(StoreReply::Grasp(record.into()))
             }
             StoreRequest::SetOutcome { id, outcome } => {
                 let before = self.writer.outcome(&id).map(|(_, outcome)| outcome);
                 let record = self.writer.set_outcome(&id, outcome, Timestamp::now())?;
                 Ok(StoreReply::Labelled {
+                    id,
                     object: record.object,
                     before: before.unwrap_or_default(),
                 })
             }
             StoreRequest::TrashGrasp { id } => {
-                let record = self.writer.trash_grasp(&id)?;
-                Ok(StoreReply::Trashed {
-                    object: record.object,
-                    outcome: record.outcome,
-                })
+                Ok(StoreReply::Trashed(self.writer.trash_grasp(&id)?.into()))
             }
             StoreRequest::RestoreGrasp { id } => {
-                let reopened = Some(&id);
-                if self
-                    .pending
-                    .values()
-                    .any(|p| p.reopened_from.as_ref() == reopened)
-                {
-                    return Err(Error::new(
-                        ErrorKind::Busy,
-                        format!("{id} was undone and its initial frame waits for a grasp again"),
-                    )
-                    .remedy("redo brings it back"));
-                }
-                Ok(grasp_reply(self.writer.redo_grasp(&id, None)?))
+                self.check_not_reopened(&id)?;
+                Ok(StoreReply::Grasp(self.writer.redo_grasp(&id, None)?.into()))
             }
             StoreRequest::DiscardInitial { id } => {
                 let pending = self.pending(&id)?;
@@ -272,9 +252,39 @@ impl Worker {
                 if let Some(reopened) = reopened {
                     self.pending.remove(&reopened.id);
                 }
-                Ok(grasp_reply(record))
+                Ok(StoreReply::Grasp(record.into()))
             }
         }
+    }
+
+    /// What a grasp record holds besides its frames and the guards that were overridden.
+    fn grasp_meta(
+        &mut self,
+        capture: &StageCapture,
+        labels: Labels,
+        boards: Option<[String; 2]>,
+        latency_ms: f64,
+    ) -> Result<GraspMeta> {
+        Ok(GraspMeta {
+            object: labels.object,
+            scene: labels.scene,
+            operator: labels.operator,
+            rig: self.context.rig.clone(),
+            boards: boards.map(|texts| self.board_keys(&texts)).transpose()?,
+            prediction: self.predict(capture, latency_ms),
+            calibration: self.context.calibration.clone(),
+            ..GraspMeta::default()
+        })
+    }
+
+    /// A grasp whose initial frame is pending again comes back by redo alone.
+    fn check_not_reopened(&self, id: &GraspId) -> Result<()> {
+        let is_from = |pending: &PendingInitial| pending.reopened_from.as_ref() == Some(id);
+        if !self.pending.values().any(is_from) {
+            return Ok(());
+        }
+        let what = format!("{id} was undone and its initial frame waits for a grasp again");
+        Err(Error::new(ErrorKind::Busy, what).remedy("redo brings it back"))
     }
 
     fn board_keys(&mut self, [sheet, tags]: &[String; 2]) -> Result<BoardKeys> {
@@ -299,62 +309,62 @@ impl Worker {
         StoreReply::Initial(frame)
     }
 
-    /// Hands the pictures of a pending initial frame to inference.
+    /// Hands the pictures of a pending initial frame to inference. Where that fails there is no
+    /// prediction, and the reason stands in its place.
     fn use_initial(&mut self, id: Option<&GraspId>, change: u64) {
-        let pictures = id
-            .and_then(|id| self.pending.get(id))
-            .and_then(|pending| self.writer.pending_frames(pending).ok())
-            .and_then(|frames| {
-                let left = self.picture(frames.get(&Role::Left)?, Role::Left)?;
-                let right = self.picture(frames.get(&Role::Right)?, Role::Right)?;
-                Some((left, right))
-            });
+        let pictures = match id {
+            Some(id) => self.initial_pictures(id),
+            None => Err(Error::new(ErrorKind::NotFound, "no initial frame")),
+        };
         let request = match pictures {
-            Some((left, right)) => InferRequest::SetInitial {
+            Ok([left, right]) => InferRequest::SetInitial {
                 change,
                 left: Arc::new(left),
                 right: Arc::new(right),
             },
-            None => InferRequest::ClearInitial,
+            Err(error) => InferRequest::ClearInitial(error.what().to_owned()),
         };
         // Inference ends after this thread; its absence means the process is ending.
         let _ = self.infer.send(request);
     }
 
-    fn picture(&mut self, frame: &Frame, role: Role) -> Option<image::RgbImage> {
+    /// The pictures of both gels of a pending initial frame.
+    fn initial_pictures(&mut self, id: &GraspId) -> Result<[RgbImage; 2]> {
+        let frames = self.writer.pending_frames(&self.pending(id)?)?;
+        let mut picture = |role| -> Result<RgbImage> {
+            let frame = frames.get(&role).ok_or_else(|| {
+                let what = format!("the initial frame has no picture of {role}");
+                Error::new(ErrorKind::NotFound, what)
+            })?;
+            Ok(self.picture(frame, role)?)
+        };
+        Ok([picture(Role::Left)?, picture(Role::Right)?])
+    }
+
+    fn picture(&mut self, frame: &Frame, role: Role) -> std::result::Result<RgbImage, FrameDamage> {
         let crop = self.context.crops.get(&role).copied();
-        model_picture(&mut self.decoder, frame, crop.as_ref()).ok()
+        model_picture(&mut self.decoder, frame, crop.as_ref())
     }
 
     /// The prediction on exactly the frames that are being saved, so that it can be repeated from
     /// the files.
     fn predict(&mut self, capture: &StageCapture, latency_ms: f64) -> Option<PredictionRecord> {
-        let model = self.context.model.clone()?;
+        if !self.context.has_model {
+            return None;
+        }
         let pictures = [Role::Left, Role::Right, Role::Rgb]
             .into_iter()
             .filter_map(|role| {
                 let frame = &capture.cameras.get(&role)?.frame;
-                Some((role, self.picture(frame, role)?))
+                Some((role, self.picture(frame, role).ok()?))
             })
             .collect();
         let (reply, answer) = channel();
         self.infer
             .send(InferRequest::Judge { pictures, reply })
             .ok()?;
-        let Judgement {
-            p_stable,
-            novelty,
-            engine_ms,
-        } = answer.recv_timeout(JUDGE_PATIENCE).ok()??;
-        Some(PredictionRecord {
-            p_stable,
-            novelty,
-            threshold: model.threshold,
-            model_sha256: model.sha256,
-            model: model.name,
-            latency_ms,
-            engine_ms,
-        })
+        let said = answer.recv_timeout(JUDGE_PATIENCE).ok()??;
+        Some(PredictionRecord { latency_ms, ..said })
     }
 }
 
@@ -388,18 +398,5 @@ pub(super) fn pending_frame(pending: &PendingInitial) -> PendingFrame {
             .get(&Role::External)
             .map(|camera| (camera.driver_time_ns, camera.file.clone())),
         controls,
-    }
-}
-
-fn grasp_reply(record: GraspRecord) -> StoreReply {
-    StoreReply::Grasp {
-        predicted: record.prediction.map(|said| Predicted {
-            p_stable: said.p_stable,
-            threshold: said.threshold,
-            novelty: said.novelty,
-        }),
-        id: record.id,
-        object: record.object,
-        outcome: record.outcome,
     }
 }

@@ -11,8 +11,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde::Serialize;
+use utoipa::ToSchema;
 
-use super::capture::spawn;
+use super::thread::spawn;
 use gripcast_base::error::Result;
 use gripcast_base::quiet_panic;
 use gripcast_capture::camera::monotonic_ns;
@@ -27,7 +28,7 @@ const STEADY: Duration = Duration::from_secs(60);
 const STUCK: Duration = Duration::from_secs(10);
 
 /// How a task does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TaskState {
     /// Working or waiting for work.
@@ -43,7 +44,7 @@ pub enum TaskState {
 }
 
 /// A task as the board tells it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct TaskReport {
     /// Name: `capture-left`, `inference`, ….
     pub name: String,

@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
 use super::state::{Overlay, ScreenState};
-use super::text::{row, write};
+use super::text::{inset, row, write};
 use super::{
     counts, fault, footer, gauge, header, health, help, preview, prompt, refusal, sensors, steps,
 };
@@ -85,13 +85,7 @@ fn draw_work(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     } else if let Some(refusal) = &status.session.refusal {
         refusal::draw(buffer, body, refusal, palette);
     } else {
-        let left = body.width.min(1);
-        let inset = Rect {
-            x: body.x + left,
-            width: body.width - left,
-            ..body
-        };
-        counts::draw(buffer, inset, &status.session, palette);
+        counts::draw(buffer, inset(body, 1, 0), &status.session, palette);
     }
 }
 
@@ -105,11 +99,7 @@ fn draw_body(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
         width: side_columns,
         ..area
     };
-    let rest = Rect {
-        x: side.right() + 2,
-        width: area.right().saturating_sub(side.right() + 2),
-        ..area
-    };
+    let rest = inset(area, side_columns + 3, 0);
     draw_side(buffer, side, status, palette);
     match &status.session.refusal {
         Some(refusal) => refusal::draw(buffer, rest, refusal, palette),
@@ -148,7 +138,7 @@ fn draw_tiny(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Pa
     let mut spans = Vec::new();
     if let Some(prediction) = &status.prediction {
         let claim = gauge::claim(prediction);
-        let text = format!("{:.2} {claim} ", prediction.p_stable);
+        let text = format!("{:.2} {claim} ", prediction.said.p_stable);
         spans.push(Span::styled(text, gauge::verdict_style(claim, palette)));
     }
     let mut line = Line::from(spans);
@@ -162,20 +152,10 @@ fn split(area: Rect, top: u16, bottom: u16) -> [Rect; 3] {
     let top = top.min(area.height);
     let bottom = bottom.min(area.height - top);
     let middle = area.height - top - bottom;
-    [
-        Rect {
-            height: top,
-            ..area
-        },
-        Rect {
-            y: area.y + top,
-            height: middle,
-            ..area
-        },
-        Rect {
-            y: area.y + top + middle,
-            height: bottom,
-            ..area
-        },
-    ]
+    let part = |y, height| Rect {
+        y: area.y + y,
+        height,
+        ..area
+    };
+    [part(0, top), part(top, middle), part(top + middle, bottom)]
 }

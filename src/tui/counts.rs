@@ -6,7 +6,8 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
-use super::text::{clipped, row, write};
+use super::text::{clipped, write_all};
+use gripcast_dataset::Outcome;
 use gripcast_session::{Counts, SessionView};
 
 /// Difference between the labels from which a hint is given: a tenth of all, at least this.
@@ -45,9 +46,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
         let slip = bar("slip", counts.slip, palette.slip());
         vec![object, this, stable, slip, hint]
     };
-    for (index, line) in (0..).zip(&lines) {
-        write(buffer, row(area, index), line);
-    }
+    write_all(buffer, area, &lines);
 }
 
 /// `88 stable  71 slip`.
@@ -74,24 +73,20 @@ fn balance(counts: &Counts, width: usize, palette: Palette) -> Line<'static> {
     let total = counts.stable + counts.slip;
     let difference = counts.stable.abs_diff(counts.slip);
     let hint = if difference >= HINT_AT_LEAST.max(total / 10) {
-        let wanted = if counts.stable > counts.slip {
-            "slip"
-        } else {
-            "stable"
+        let wanted = match counts.stable > counts.slip {
+            true => Outcome::Slip,
+            false => Outcome::Stable,
         };
         Span::styled(format!("{difference} {wanted} short "), palette.warning())
     } else {
         Span::styled("balanced ", palette.faint())
     };
+    let room = width.saturating_sub(hint.width());
     let open = match counts.unlabelled {
         0 => String::new(),
-        n => format!("· {n} unlabelled"),
-    };
-    let room = width.saturating_sub(hint.width());
-    let open = if open.chars().count() > room {
-        format!("· {} open", counts.unlabelled)
-    } else {
-        open
+        n => Some(format!("· {n} unlabelled"))
+            .filter(|long| long.chars().count() <= room)
+            .unwrap_or_else(|| format!("· {n} open")),
     };
     Line::from(vec![hint, Span::styled(open, palette.faint())])
 }

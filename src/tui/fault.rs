@@ -7,7 +7,7 @@ use ratatui::text::Line;
 use super::big_digits::{self, Size};
 use super::palette::Palette;
 use super::sensors;
-use super::text::{clipped, columns, duration_ms, fill, row, write};
+use super::text::{clipped, duration_ms, fill, inset, row, write, write_all};
 use crate::daemon::{CameraState, CameraStatus, EngineStatus};
 use gripcast_imaging::Role;
 use gripcast_session::Step;
@@ -36,15 +36,9 @@ fn part(role: Role) -> &'static str {
 }
 
 /// State in capitals, and for how long where that is known.
-fn trouble(state: &CameraState) -> (&'static str, String) {
-    match state {
-        CameraState::Silent { for_s } => ("SILENT", duration_ms(for_s * 1e3)),
-        CameraState::Frozen { for_s } => ("FROZEN", duration_ms(for_s * 1e3)),
-        CameraState::Lost { .. } => ("LOST", String::new()),
-        CameraState::Opening => ("OPENING", String::new()),
-        CameraState::Live => ("LIVE", String::new()),
-        CameraState::Ended => ("ENDED", String::new()),
-    }
+pub(super) fn trouble(state: &CameraState) -> (String, String) {
+    let since = state.since_s().map(|for_s| duration_ms(for_s * 1e3));
+    (state.word().to_uppercase(), since.unwrap_or_default())
 }
 
 /// The remedy in a word, for across the room.
@@ -124,22 +118,17 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     ];
     for other in failed.iter().skip(1) {
         let (word, since) = trouble(&other.state);
-        let text = format!(
-            "also: {} {word} {since}   {}",
-            part(other.role),
-            place(other)
-        );
-        lines.push(text);
+        let (part, place) = (part(other.role), place(other));
+        lines.push(format!("also: {part} {word} {since}   {place}"));
     }
     lines.push(match status.session.step {
         Step::Label => "the last grasp is saved; label it: s stable, f slip".to_owned(),
         _ => "all saved grasps are safe; this closes by itself (Esc makes it one line)".to_owned(),
     });
     lines.retain(|line| !line.is_empty());
-    for (index, line) in (used..).zip(&lines) {
-        let text = clipped(line, usize::from(inner.width));
-        write(buffer, row(inner, index), &Line::styled(text, style));
-    }
+    let clipped = |line: &String| Line::styled(clipped(line, usize::from(inner.width)), style);
+    let shown: Vec<_> = lines.iter().map(clipped).collect();
+    write_all(buffer, inset(inner, 0, used), &shown);
     let written = used + u16::try_from(lines.len()).unwrap_or(u16::MAX);
     let free = inner.height.saturating_sub(written.saturating_add(1));
     let word = remedy_word(&first.state);
@@ -147,19 +136,11 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
         .into_iter()
         .find(|size| size.rows() <= free && size.columns(word) <= inner.width);
     if let Some(size) = size {
-        let foot = Rect {
-            y: inner.bottom() - size.rows(),
-            height: size.rows(),
-            ..inner
-        };
+        let foot = inset(inner, 0, inner.height - size.rows());
         big_digits::draw(buffer, foot, word, size, style);
     }
-    let rest = Rect {
-        y: block.bottom(),
-        height: area.bottom().saturating_sub(block.bottom()),
-        ..area
-    };
-    sensors::draw(buffer, margin_sides(rest), &status.cameras, palette);
+    let rest = inset(area, 2, block.height);
+    sensors::draw(buffer, rest, &status.cameras, palette);
 }
 
 /// Part and state in blocks, or in text on small screens; returns the rows used.
@@ -185,23 +166,10 @@ fn draw_heading(buffer: &mut Buffer, area: Rect, camera: &CameraStatus, palette:
 }
 
 fn margin(area: Rect) -> Rect {
-    let sides = margin_sides(area);
-    match area.height {
-        ..6 => sides,
-        _ => Rect {
-            y: sides.y + 1,
-            height: sides.height - 2,
-            ..sides
-        },
-    }
-}
-
-fn margin_sides(area: Rect) -> Rect {
-    let left = area.width.min(2);
+    let inner = inset(area, 2, u16::from(area.height >= 6));
     Rect {
-        x: area.x + left,
-        width: area.width - left,
-        ..area
+        height: inner.height - u16::from(area.height >= 6),
+        ..inner
     }
 }
 
@@ -210,10 +178,7 @@ pub(super) fn draw_line(buffer: &mut Buffer, area: Rect, status: &EngineStatus, 
     if let Some(first) = faults(status).next() {
         fill(buffer, row(area, 0), palette.fault());
         let text = format!(" {}", sentence(first, status));
-        let text = match columns(&text) {
-            wide if wide > area.width => clipped(&text, usize::from(area.width)),
-            _ => text,
-        };
+        let text = clipped(&text, usize::from(area.width));
         write(buffer, area, &Line::styled(text, palette.fault()));
     }
 }

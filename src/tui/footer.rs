@@ -5,9 +5,9 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
-use super::gauge::claimed;
 use super::palette::Palette;
-use super::text::{clipped, row, write};
+use super::text::{clipped, write_all};
+use crate::daemon::verdict_of;
 use gripcast_dataset::Outcome;
 use gripcast_nn::predict::Verdict;
 use gripcast_session::{LastGrasp, MessageLevel, SessionView, Step};
@@ -26,9 +26,7 @@ pub(super) fn draw(
         keys(session, area.width, palette),
     ];
     let skipped = lines.len().saturating_sub(usize::from(area.height));
-    for (index, line) in (0..).zip(&lines[skipped..]) {
-        write(buffer, row(area, index), line);
-    }
+    write_all(buffer, area, &lines[skipped..]);
 }
 
 /// The newest grasp: its label beside what was predicted, and what undo takes back.
@@ -69,11 +67,11 @@ fn outcome(outcome: Outcome, palette: Palette) -> Span<'static> {
 /// `predicted 0.74 ✓`: a tick when the label agrees, a cross when it does not, a question mark where
 /// the model did not know such pictures.
 fn predicted(last: &LastGrasp, palette: Palette) -> Vec<Span<'static>> {
-    let Some(said) = last.predicted else {
+    let Some(said) = &last.predicted else {
         return Vec::new();
     };
     let p = said.p_stable;
-    let (mark, style) = match (claimed(&said), last.outcome) {
+    let (mark, style) = match (verdict_of(said), last.outcome) {
         (Verdict::Unsure, _) => (" ?", palette.warning()),
         (_, Outcome::Unlabelled) => ("", Style::new()),
         (Verdict::Stable, Outcome::Stable) | (Verdict::Slip, Outcome::Slip) => {
@@ -148,8 +146,7 @@ fn keys(session: &SessionView, width: u16, palette: Palette) -> Line<'static> {
 mod tests {
     use super::*;
     use crate::tui::palette::ColourDepth;
-    use gripcast_dataset::GraspId;
-    use gripcast_session::Predicted;
+    use gripcast_dataset::{GraspId, PredictionRecord};
 
     #[test]
     fn agreement_of_label_and_prediction_is_marked() {
@@ -161,10 +158,14 @@ mod tests {
                 id: GraspId::parse("2026-11-20T10-15-03Z-7f3a").unwrap(),
                 object: "mug".parse().unwrap(),
                 outcome,
-                predicted: Some(Predicted {
+                predicted: Some(PredictionRecord {
                     p_stable: p,
                     threshold: 0.5,
                     novelty,
+                    model: "m".to_owned(),
+                    model_sha256: String::new(),
+                    latency_ms: 12.0,
+                    engine_ms: 3.0,
                 }),
             };
             Line::from(predicted(&last, palette)).to_string()

@@ -7,10 +7,11 @@ use ratatui::text::{Line, Span};
 
 use super::big_digits::{self, Size};
 use super::palette::Palette;
-use super::text::{clipped, columns, duration_ms, row, write, write_right};
+use super::text::{
+    clipped, columns, duration_ms, inset, row, trimmed, without_last, write, write_right,
+};
 use crate::daemon::{EngineStatus, PredictionStatus};
 use gripcast_nn::predict::Verdict;
-use gripcast_session::Predicted;
 
 /// A prediction from a frame older than this is shown dim and named old, ms.
 const STALE_MS: f64 = 500.0;
@@ -35,18 +36,13 @@ pub(super) fn word(verdict: Verdict) -> &'static str {
     }
 }
 
-/// What was claimed of a grasp.
-pub(super) fn claimed(said: &Predicted) -> Verdict {
-    Verdict::of(said.p_stable, said.threshold, said.novelty)
-}
-
 /// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
 /// knows nothing of such pictures.
 pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
-    if is_stale(prediction) || !prediction.p_stable.is_finite() {
+    if is_stale(prediction) || !prediction.said.p_stable.is_finite() {
         "OLD"
     } else {
-        word(prediction.verdict())
+        word(prediction.verdict)
     }
 }
 
@@ -64,7 +60,7 @@ pub(super) fn verdict_style(verdict: &str, palette: Palette) -> Style {
 }
 
 fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
-    let Some(prediction) = prediction.filter(|p| p.p_stable.is_finite()) else {
+    let Some(prediction) = prediction.filter(|p| p.said.p_stable.is_finite()) else {
         return Reading {
             number: "-.--".to_owned(),
             verdict: "",
@@ -72,14 +68,14 @@ fn reading(prediction: Option<&PredictionStatus>, palette: Palette) -> Reading {
             bar: None,
         };
     };
-    let p = prediction.p_stable;
+    let p = prediction.said.p_stable;
     let verdict = claim(prediction);
     let style = verdict_style(verdict, palette);
     Reading {
         number: format!("{:.2}", p.clamp(0.0, 1.0)),
         verdict,
         style,
-        bar: Some((p, prediction.threshold)),
+        bar: Some((p, prediction.said.threshold)),
     }
 }
 
@@ -110,20 +106,12 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     }
     let reading = reading(status.prediction.as_ref(), palette);
     write_title(buffer, row(area, 0), status.prediction.as_ref(), palette);
-    let body = Rect {
-        y: area.y + 1,
-        height: area.height - 1,
-        ..area
-    };
+    let body = inset(area, 0, 1);
     let used = match size(area.width, body.height.saturating_sub(1)) {
         Some(size) => draw_big(buffer, body, &reading, size, status, palette),
         None => draw_line(buffer, body, &reading, status, palette),
     };
-    let below = Rect {
-        y: body.y + used.min(body.height),
-        height: body.height.saturating_sub(used),
-        ..body
-    };
+    let below = inset(body, 0, used);
     let thick = u16::from(below.height >= 3);
     draw_bar(buffer, row(below, 0), ["▄", "▖"], &reading, palette);
     if thick == 1 {
@@ -141,29 +129,22 @@ fn draw_big(
     status: &EngineStatus,
     palette: Palette,
 ) -> u16 {
-    let left = area.x + 1;
-    let at = |x: u16, y: u16| Rect::new(x, y, area.right().saturating_sub(x), area.height);
-    big_digits::draw(
-        buffer,
-        at(left, area.y),
-        &reading.number,
-        size,
-        reading.style,
-    );
-    let x = left + size.columns("0.00") + GAP;
+    let (at, style) = (inset(area, 1, 0), reading.style);
+    big_digits::draw(buffer, at, &reading.number, size, style);
+    let x = 1 + size.columns("0.00") + GAP;
     if reading.verdict.is_empty() {
-        let reason = at(x, area.y + size.rows() / 2);
+        let reason = inset(area, x, size.rows() / 2);
         write_absence(buffer, reason, status, palette);
         return size.rows();
     }
-    let room = area.right().saturating_sub(x + 1);
+    let room = area.width.saturating_sub(x + 1);
     let word = Size::DESCENDING
         .into_iter()
         .find(|s| s.rows() <= size.rows() && s.columns(reading.verdict) <= room)
         .unwrap_or(Size::Small);
     let x = x + room.saturating_sub(word.columns(reading.verdict));
-    let y = area.y + (size.rows() - word.rows()) / 2;
-    big_digits::draw(buffer, at(x, y), reading.verdict, word, reading.style);
+    let at = inset(area, x, (size.rows() - word.rows()) / 2);
+    big_digits::draw(buffer, at, reading.verdict, word, style);
     size.rows()
 }
 
@@ -179,8 +160,7 @@ fn draw_line(
     let after = columns(&text).min(area.width);
     write(buffer, area, &Line::styled(text, reading.style));
     if reading.verdict.is_empty() {
-        let rest = Rect::new(area.x + after, area.y, area.width - after, area.height);
-        write_absence(buffer, rest, status, palette);
+        write_absence(buffer, inset(area, after, 0), status, palette);
     }
     1
 }
@@ -197,11 +177,8 @@ fn write_absence(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette
             0 => format!("no prediction: {now}"),
             _ => now.to_owned(),
         };
-        write(
-            buffer,
-            row(area, index),
-            &Line::styled(now, palette.faint()),
-        );
+        let now = Line::styled(now, palette.faint());
+        write(buffer, row(area, index), &now);
         rest = later;
     }
 }
@@ -235,41 +212,32 @@ fn write_title(
         return;
     };
     let age = format!("frame {} old", duration_ms(prediction.frame_age_ms));
-    let age_style = if is_stale(prediction) {
-        palette.warning()
-    } else {
-        palette.faint()
-    };
+    let age_style = palette.warning_if(is_stale(prediction), palette.faint());
     let timing = |words: String| {
         Line::from(vec![
             Span::styled(age.clone(), age_style),
             Span::styled(words, palette.faint()),
         ])
     };
-    let latency = duration_ms(prediction.latency_ms);
+    let latency = duration_ms(prediction.said.latency_ms);
     let long = timing(format!(
         " · result in {latency} · model {:.1} ms ",
-        prediction.engine_ms
+        prediction.said.engine_ms
     ));
-    let name = clipped(&prediction.model, 28);
+    let name = clipped(&prediction.said.model, 28);
     let heuristic = u16::from(prediction.heuristic) * columns(" HEURISTIC ");
     let needed = columns(" STABILITY ") + columns(&name) + heuristic + 2;
     let taken = match area.width.checked_sub(needed) {
         Some(room) if long.width() <= usize::from(room) => write_right(buffer, area, &long),
         _ => write_right(buffer, area, &timing(format!(" · {latency} "))),
     };
-    let rest = Rect {
-        width: area.width.saturating_sub(taken + 1),
-        ..area
-    };
+    let rest = without_last(area, taken + 1);
     if prediction.heuristic {
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
-    if prediction.verdict() == Verdict::Unsure {
-        left.push(Span::styled(
-            "unlike the training pictures ",
-            palette.warning(),
-        ));
+    if prediction.verdict == Verdict::Unsure {
+        let words = "unlike the training pictures ";
+        left.push(Span::styled(words, palette.warning()));
     }
     let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
     left.push(Span::styled(clipped(&name, room), palette.faint()));
@@ -301,15 +269,6 @@ fn draw_bar(
     }
 }
 
-/// One column free at each side.
-fn trimmed(area: Rect) -> Rect {
-    Rect {
-        x: area.x + area.width.min(1),
-        width: area.width.saturating_sub(2),
-        ..area
-    }
-}
-
 fn mark_column(area: Rect, threshold: f64) -> Option<u16> {
     let last = area.width.checked_sub(1)?;
     ((0.0..=1.0).contains(&threshold)).then(|| (threshold * f64::from(last)).round() as u16)
@@ -327,8 +286,8 @@ fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palet
         let label = format!("▲ {threshold:.2}");
         let room = area.width.saturating_sub(mark);
         if mark > 6 && columns(&label) + 9 <= room {
-            let at = Rect::new(area.x + mark, area.y, room, area.height);
-            write(buffer, at, &Line::styled(label, palette.strong()));
+            let label = Line::styled(label, palette.strong());
+            write(buffer, inset(area, mark, 0), &label);
         }
     }
 }
@@ -337,22 +296,30 @@ fn draw_scale(buffer: &mut Buffer, area: Rect, reading: &Reading, palette: Palet
 mod tests {
     use super::*;
     use crate::tui::palette::ColourDepth;
+    use gripcast_dataset::PredictionRecord;
 
     const PALETTE: Palette = Palette {
         depth: ColourDepth::True,
     };
 
-    fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
-        PredictionStatus {
+    fn prediction_on(p_stable: f64, novelty: Option<f64>, frame_age_ms: f64) -> PredictionStatus {
+        let said = PredictionRecord {
             p_stable,
-            novelty: None,
+            novelty,
             threshold: 0.5,
             model: "m".to_owned(),
-            frame_age_ms,
+            model_sha256: String::new(),
             latency_ms: 12.0,
             engine_ms: 3.0,
-            heuristic: false,
+        };
+        PredictionStatus {
+            frame_age_ms,
+            ..PredictionStatus::new(said, false)
         }
+    }
+
+    fn prediction(p_stable: f64, frame_age_ms: f64) -> PredictionStatus {
+        prediction_on(p_stable, None, frame_age_ms)
     }
 
     #[test]
@@ -376,15 +343,12 @@ mod tests {
 
     #[test]
     fn nothing_is_claimed_of_pictures_that_the_model_does_not_know() {
-        let mut odd = prediction(0.97, 18.0);
-        odd.novelty = Some(1.01);
-        let read = reading(Some(&odd), PALETTE);
-        assert_eq!((read.verdict, read.style), ("UNSURE", PALETTE.warning()));
-        odd.novelty = Some(0.99);
-        assert_eq!(reading(Some(&odd), PALETTE).verdict, "STABLE");
-        odd = prediction(0.97, 900.0);
-        odd.novelty = Some(7.0);
-        assert_eq!(reading(Some(&odd), PALETTE).verdict, "OLD");
+        let read =
+            |novelty, age_ms| reading(Some(&prediction_on(0.97, Some(novelty), age_ms)), PALETTE);
+        let odd = read(1.01, 18.0);
+        assert_eq!((odd.verdict, odd.style), ("UNSURE", PALETTE.warning()));
+        assert_eq!(read(0.99, 18.0).verdict, "STABLE");
+        assert_eq!(read(7.0, 900.0).verdict, "OLD");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
-use super::text::{clipped, write, write_right};
+use super::text::{clipped, without_last, write, write_right};
 use crate::daemon::{BlackBoxStatus, EngineStatus};
 
 const LOW_DISK_BYTES: u64 = 5_000_000_000;
@@ -15,22 +15,18 @@ const FULL_DISK_BYTES: u64 = 1_000_000_000;
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let right = right(status, palette);
     let taken = write_right(buffer, area, &right);
-    let left = Rect {
-        width: area.width.saturating_sub(taken + 1),
-        ..area
-    };
+    let left = without_last(area, taken + 1);
     let all_live = status.cameras.iter().all(|camera| camera.state.is_live());
-    let (mark, mark_style) = if all_live {
-        ("✓", palette.stable())
-    } else {
-        ("✗", palette.slip())
+    let mark = match all_live {
+        true => Span::styled("✓", palette.stable()),
+        false => Span::styled("✗", palette.slip()),
     };
     let session = &status.session;
     let mut spans = vec![
         Span::styled(" gripcast ", palette.strong()),
         Span::styled(clipped(&status.dataset, 24), palette.key()),
         Span::raw(format!("  rig {} ", clipped(&status.rig, 16))),
-        Span::styled(mark, mark_style),
+        mark,
     ];
     for (name, value) in [("scene", &session.scene), ("by", &session.operator)] {
         if !value.is_empty() {

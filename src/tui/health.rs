@@ -6,7 +6,7 @@ use ratatui::text::{Line, Span};
 
 use super::palette::Palette;
 use super::sensors::state;
-use super::text::{clipped, duration_ms, fill, row, write};
+use super::text::{clipped, duration_ms, fill, inset, write, write_all};
 use crate::daemon::{CameraState, CameraStatus};
 
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], palette: Palette) {
@@ -14,17 +14,10 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], pa
     fill(buffer, area, style);
     let title = " Sensors — h closes ";
     write(buffer, area, &Line::styled(title, palette.entry()));
-    let per_camera = if usize::from(area.height) > cameras.len() * 4 {
-        4
-    } else {
-        3
-    };
+    let per_camera = 3 + u16::from(usize::from(area.height) > cameras.len() * 4);
     for (index, camera) in (0..).zip(cameras) {
         let lines = lines(camera, usize::from(area.width), palette);
-        for (offset, line) in (0..).zip(lines) {
-            let at = row(area, 1 + index * per_camera + offset);
-            write(buffer, at, &line);
-        }
+        write_all(buffer, inset(area, 0, 1 + index * per_camera), &lines);
     }
 }
 
@@ -54,35 +47,28 @@ fn lines(camera: &CameraStatus, width: usize, palette: Palette) -> [Line<'static
                 camera.measured_fps, camera.nominal_fps
             )),
         ]),
-        Line::raw(format!(
-            "          {}",
-            clipped(&identity.join("   "), room)
-        )),
+        Line::raw(format!("{:10}{}", "", clipped(&identity.join("   "), room))),
         Line::from(vec![
             Span::styled(
-                format!("          {} received", camera.received),
+                format!("{:10}{} received", "", camera.counters.received),
                 palette.faint(),
             ),
-            counter(camera.sequence_gaps, "lost", palette),
-            counter(camera.damaged, "damaged", palette),
-            counter(camera.late, "late", palette),
-            counter(camera.reconnects, "reopened", palette),
+            counter(camera.counters.sequence_gaps, "lost", palette),
+            counter(camera.counters.damaged, "damaged", palette),
+            counter(camera.counters.late, "late", palette),
+            counter(camera.counters.reconnects, "reopened", palette),
         ]),
     ]
 }
 
 fn named(name: &str, value: &str) -> String {
-    if value.is_empty() {
-        String::new()
-    } else {
-        format!("{name} {value}")
+    match value {
+        "" => String::new(),
+        value => format!("{name} {value}"),
     }
 }
 
 fn counter(count: u64, word: &str, palette: Palette) -> Span<'static> {
-    let style = match count {
-        0 => palette.faint(),
-        _ => palette.warning(),
-    };
+    let style = palette.warning_if(count > 0, palette.faint());
     Span::styled(format!("  {count} {word}"), style)
 }

@@ -7,8 +7,11 @@ use std::time::{Duration, Instant};
 use tokio::sync::watch;
 
 use super::fault::{place, sentence};
-use super::gauge::{claimed, word};
-use crate::daemon::{BlackBoxStatus, CameraState, CameraStatus, EngineStatus, PredictionStatus};
+use super::gauge::word;
+use crate::daemon::{
+    BlackBoxStatus, CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus,
+    verdict_of,
+};
 use crate::note;
 use gripcast_dataset::Outcome;
 use gripcast_imaging::Role;
@@ -99,29 +102,28 @@ impl LinePrinter {
         status: &EngineStatus,
         now: Instant,
     ) -> Option<String> {
-        let (state, words) = match &camera.state {
+        let words = match &camera.state {
             CameraState::Opening => return None,
-            CameraState::Live => ("live", format!("{}: live ({})", camera.role, place(camera))),
-            CameraState::Ended => ("ended", format!("{}: the recording has ended", camera.role)),
-            CameraState::Silent { .. } => ("silent", format!("FAULT {}", sentence(camera, status))),
-            CameraState::Frozen { .. } => ("frozen", format!("FAULT {}", sentence(camera, status))),
-            CameraState::Lost { reason } => (
-                "lost",
-                format!("FAULT {}: {reason}", sentence(camera, status)),
-            ),
+            CameraState::Live => format!("{}: live ({})", camera.role, place(camera)),
+            CameraState::Ended => format!("{}: the recording has ended", camera.role),
+            CameraState::Lost { reason } => {
+                format!("FAULT {}: {reason}", sentence(camera, status))
+            }
+            _ => format!("FAULT {}", sentence(camera, status)),
         };
         let said = self.cameras.entry(camera.role).or_default();
-        said.is_news(state, now).then_some(words)
+        said.is_news(camera.state.word(), now).then_some(words)
     }
 
     /// Whether sheet and tags can be measured, when that changes.
     fn markers(&mut self, camera: &CameraStatus, now: Instant) -> Option<String> {
-        let (state, words) = match camera.markers.as_ref()? {
-            Ok(seen) => (
+        let MarkerStatus { ok, text } = camera.markers.as_ref()?;
+        let (state, words) = match ok {
+            true => (
                 "seen",
-                format!("{}: pose can be measured ({seen})", camera.role),
+                format!("{}: pose can be measured ({text})", camera.role),
             ),
-            Err(reason) => ("not seen", format!("{}: no pose: {reason}", camera.role)),
+            false => ("not seen", format!("{}: no pose: {text}", camera.role)),
         };
         self.markers.is_news(state, now).then_some(words)
     }
@@ -139,7 +141,7 @@ impl LinePrinter {
         let (news, words) = match status.dropped {
             0 => (
                 BlackBoxNews::Logging,
-                format!("black box: logging to {}", status.directory.display()),
+                format!("black box: logging to {}", status.directory),
             ),
             dropped => (
                 BlackBoxNews::LeftOut(dropped),
@@ -153,7 +155,7 @@ impl LinePrinter {
     fn prediction(&mut self, status: &EngineStatus, now: Instant) -> Option<String> {
         if let Some(prediction) = &status.prediction {
             self.absence = None;
-            let verdict = match prediction.verdict() {
+            let verdict = match prediction.verdict {
                 Verdict::Unsure => "UNSURE, unlike the training pictures",
                 known => word(known),
             };
@@ -179,9 +181,9 @@ impl LinePrinter {
         let mut lines = Vec::new();
         let known = before.as_ref().filter(|before| before.id == last.id);
         if known.is_none() {
-            let predicted = last.predicted.map_or_else(
+            let predicted = last.predicted.as_ref().map_or_else(
                 || "no prediction".to_owned(),
-                |said| format!("predicted {:.2} {}", said.p_stable, word(claimed(&said))),
+                |said| format!("predicted {:.2} {}", said.p_stable, word(verdict_of(said))),
             );
             lines.push(format!("saved {} {}: {predicted}", last.id, last.object));
         }
@@ -213,7 +215,7 @@ fn live(prediction: &PredictionStatus, verdict: &str) -> String {
     };
     format!(
         "predicting {:.2} {verdict} ({}{kind})",
-        prediction.p_stable, prediction.model
+        prediction.said.p_stable, prediction.said.model
     )
 }
 

@@ -117,6 +117,11 @@ impl Palette {
         self.text(AMBER).add_modifier(Modifier::BOLD)
     }
 
+    /// A warning where `is_odd`, else `style`.
+    pub(super) fn warning_if(self, is_odd: bool, style: Style) -> Style {
+        if is_odd { self.warning() } else { style }
+    }
+
     /// Text that explains; still readable on dark and light backgrounds.
     pub(super) fn faint(self) -> Style {
         match self.depth {

@@ -43,7 +43,14 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
             cell.width,
             cell.height,
         );
-        draw_tile(buffer, tile, *role, status.previews.get(role), palette);
+        let contact = status.contact.get(role).copied();
+        draw_tile(
+            buffer,
+            tile,
+            *role,
+            (status.previews.get(role), contact),
+            palette,
+        );
     }
 }
 
@@ -72,7 +79,7 @@ fn draw_tile(
     buffer: &mut Buffer,
     tile: Rect,
     role: Role,
-    preview: Option<&Preview>,
+    (preview, contact): (Option<&Preview>, Option<f64>),
     palette: Palette,
 ) {
     if tile.height < 2 || tile.width < 3 {
@@ -81,7 +88,7 @@ fn draw_tile(
     write(
         buffer,
         row(tile, 0),
-        &caption(role, preview, tile.width, palette),
+        &caption(role, (preview, contact), tile.width, palette),
     );
     let below = Rect {
         y: tile.y + 1,
@@ -102,17 +109,19 @@ fn draw_tile(
     }
 }
 
-fn caption(role: Role, preview: Option<&Preview>, width: u16, palette: Palette) -> Line<'static> {
+fn caption(
+    role: Role,
+    (preview, contact): (Option<&Preview>, Option<f64>),
+    width: u16,
+    palette: Palette,
+) -> Line<'static> {
     let room = usize::from(width).saturating_sub(role.name().len());
-    let detail = match preview {
-        Some(Preview {
-            contact: Some(contact),
-            ..
-        }) => match format!(" contact {contact:.1}") {
+    let detail = match (contact, preview) {
+        (Some(contact), _) => match format!(" contact {contact:.1}") {
             long if long.len() <= room => long,
             _ => format!(" {contact:.1}"),
         },
-        Some(preview) if preview.is_difference => " difference".to_owned(),
+        (None, Some(preview)) if preview.is_difference => " difference".to_owned(),
         _ => String::new(),
     };
     Line::from(vec![
@@ -207,7 +216,6 @@ mod tests {
     fn preview(image: RgbImage, is_difference: bool) -> Preview {
         Preview {
             image: Arc::new(image),
-            contact: None,
             is_difference,
         }
     }

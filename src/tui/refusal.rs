@@ -6,7 +6,7 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::{Paragraph, Widget, Wrap};
 
 use super::palette::Palette;
-use super::text::fill;
+use super::text::{fill, trimmed};
 use gripcast_session::Refusal;
 
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, refusal: &Refusal, palette: Palette) {
@@ -34,13 +34,8 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, refusal: &Refusal, palette: 
             panel,
         )
     });
-    let inner = Rect {
-        x: area.x + area.width.min(1),
-        width: area.width.saturating_sub(2),
-        ..area
-    };
     Paragraph::new(lines)
         .style(panel)
         .wrap(Wrap { trim: false })
-        .render(inner, buffer);
+        .render(trimmed(area), buffer);
 }

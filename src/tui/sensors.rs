@@ -5,6 +5,7 @@ use ratatui::layout::Rect;
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
+use super::fault::trouble;
 use super::palette::Palette;
 use super::text::{clipped, duration_ms, row, write};
 use crate::daemon::{CameraState, CameraStatus};
@@ -19,10 +20,9 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, cameras: &[CameraStatus], pa
     let mut troubled = spare;
     let mut index = 0;
     for camera in cameras {
-        let trouble = trouble(camera);
-        let seen = camera.markers.as_ref().and_then(|seen| seen.as_ref().ok());
-        let (note, style) = match seen {
-            Some(seen) if trouble.is_empty() => (seen.clone(), palette.stable()),
+        let trouble = counted(camera);
+        let (note, style) = match &camera.markers {
+            Some(seen) if seen.ok && trouble.is_empty() => (seen.text.clone(), palette.stable()),
             _ => (trouble.clone(), palette.warning()),
         };
         let own_line = !note.is_empty() && troubled > 0;
@@ -55,13 +55,7 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
     let age = camera
         .frame_age_ms
         .map_or_else(|| "–".to_owned(), duration_ms);
-    let marked = |warn: bool| {
-        if warn {
-            palette.warning()
-        } else {
-            Style::new()
-        }
-    };
+    let marked = |is_odd| palette.warning_if(is_odd, Style::new());
     Line::from(vec![
         role,
         flag,
@@ -72,28 +66,28 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
 
 /// A state in one or two words.
 pub(super) fn state(state: &CameraState, palette: Palette) -> (String, Style) {
-    match state {
-        CameraState::Opening => ("opening …".to_owned(), palette.faint()),
-        CameraState::Live => ("live".to_owned(), palette.stable()),
-        CameraState::Silent { for_s } => (
-            format!("SILENT {}", duration_ms(for_s * 1e3)),
-            palette.slip(),
-        ),
-        CameraState::Frozen { for_s } => (
-            format!("FROZEN {}", duration_ms(for_s * 1e3)),
-            palette.slip(),
-        ),
-        CameraState::Lost { .. } => ("LOST".to_owned(), palette.slip()),
-        CameraState::Ended => ("recording ended".to_owned(), palette.faint()),
-    }
+    let style = match state {
+        CameraState::Opening | CameraState::Ended => palette.faint(),
+        CameraState::Live => palette.stable(),
+        _ => palette.slip(),
+    };
+    let (word, since) = trouble(state);
+    let words = match state {
+        CameraState::Opening => "opening …".to_owned(),
+        CameraState::Live => "live".to_owned(),
+        CameraState::Ended => "recording ended".to_owned(),
+        CameraState::Lost { .. } => word,
+        _ => format!("{word} {since}"),
+    };
+    (words, style)
 }
 
 /// Counters that are not zero, in words; late frames are left to the detail screen.
-fn trouble(camera: &CameraStatus) -> String {
+fn counted(camera: &CameraStatus) -> String {
     [
-        (camera.sequence_gaps, "lost"),
-        (camera.damaged, "damaged"),
-        (camera.reconnects, "reopened"),
+        (camera.counters.sequence_gaps, "lost"),
+        (camera.counters.damaged, "damaged"),
+        (camera.counters.reconnects, "reopened"),
     ]
     .into_iter()
     .filter(|(count, _)| *count > 0)
@@ -105,6 +99,6 @@ fn trouble(camera: &CameraStatus) -> String {
 
 /// That there would be no pose, and why.
 fn markers(camera: &CameraStatus) -> Option<String> {
-    let reason = camera.markers.as_ref()?.as_ref().err()?;
-    Some(format!("no pose: {reason}"))
+    let markers = camera.markers.as_ref().filter(|markers| !markers.ok)?;
+    Some(format!("no pose: {}", markers.text))
 }

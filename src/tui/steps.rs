@@ -7,7 +7,7 @@ use ratatui::text::{Line, Span};
 
 use super::big_digits::{self, Size};
 use super::palette::Palette;
-use super::text::{duration_ms, fill, row, write};
+use super::text::{duration_ms, fill, inset, row, write, write_all};
 use gripcast_session::{SessionView, Step};
 
 /// What the banner says.
@@ -20,52 +20,61 @@ struct Banner {
     style: Style,
 }
 
+impl Banner {
+    /// The longest instruction of at most `columns`.
+    fn fitting(&self, columns: usize) -> &'static str {
+        match self.instruction.chars().count() <= columns {
+            true => self.instruction,
+            false => self.brief,
+        }
+    }
+}
+
 fn banner(session: &SessionView, palette: Palette) -> Banner {
     let number = match session.step {
         Step::Initial => 1,
         Step::Grasp => 2,
         Step::Label => 3,
     };
-    if session.saving {
-        return Banner {
-            number,
-            verb: "SAVING",
-            instruction: "SAVING — hold still",
-            brief: "SAVING — hold still",
-            style: palette.busy_step(),
-        };
-    }
-    if session.refusal.is_some() {
-        return Banner {
-            number,
-            verb: "REFUSED",
-            instruction: "NOT TAKEN — mend it and trigger again",
-            brief: "NOT TAKEN — see reasons",
-            style: palette.refusal(),
-        };
-    }
-    match session.step {
-        Step::Initial => Banner {
-            number,
-            verb: "OPEN",
-            instruction: "OPEN THE GRIPPER, then SPACE or pedal",
-            brief: "OPEN GRIPPER, then SPACE/pedal",
-            style: palette.initial_step(),
-        },
-        Step::Grasp => Banner {
-            number,
-            verb: "CLOSE",
-            instruction: "CLOSE THE GRIPPER, then SPACE or pedal",
-            brief: "CLOSE GRIPPER, then SPACE/pedal",
-            style: palette.grasp_step(),
-        },
-        Step::Label => Banner {
-            number,
-            verb: "LIFT",
-            instruction: "LIFT IT — held: S (stable)   lost: F (slip)",
-            brief: "LIFT — held: S   lost: F",
-            style: palette.label_step(),
-        },
+    let is_refused = session.refusal.is_some();
+    let (verb, instruction, brief, style) = match session.step {
+        _ if session.saving => (
+            "SAVING",
+            "SAVING — hold still",
+            "SAVING — hold still",
+            palette.busy_step(),
+        ),
+        _ if is_refused => (
+            "REFUSED",
+            "NOT TAKEN — mend it and trigger again",
+            "NOT TAKEN — see reasons",
+            palette.refusal(),
+        ),
+        Step::Initial => (
+            "OPEN",
+            "OPEN THE GRIPPER, then SPACE or pedal",
+            "OPEN GRIPPER, then SPACE/pedal",
+            palette.initial_step(),
+        ),
+        Step::Grasp => (
+            "CLOSE",
+            "CLOSE THE GRIPPER, then SPACE or pedal",
+            "CLOSE GRIPPER, then SPACE/pedal",
+            palette.grasp_step(),
+        ),
+        Step::Label => (
+            "LIFT",
+            "LIFT IT — held: S (stable)   lost: F (slip)",
+            "LIFT — held: S   lost: F",
+            palette.label_step(),
+        ),
+    };
+    Banner {
+        number,
+        verb,
+        instruction,
+        brief,
+        style,
     }
 }
 
@@ -78,57 +87,28 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, session: &SessionView, palet
         3.. if area.width >= 60 => Size::Small,
         _ => {
             write(buffer, area, &line(&banner, area.width));
-            write(
-                buffer,
-                row(inset(area, 1, 0), 1),
-                &progress(session, banner.style),
-            );
+            let below = row(inset(area, 1, 0), 1);
+            write(buffer, below, &progress(session, banner.style));
             return;
         }
     };
-    big_digits::draw(
-        buffer,
-        inset(area, 1, (area.height - size.rows()) / 2),
-        banner.verb,
-        size,
-        banner.style,
-    );
+    let at = inset(area, 1, (area.height - size.rows()) / 2);
+    big_digits::draw(buffer, at, banner.verb, size, banner.style);
     // The widest verb that stays for long; `REFUSED` and `SAVING` push the words to the right.
     let verb = size.columns(banner.verb).max(size.columns("CLOSE"));
     let words = inset(area, verb + 4, (area.height - 3) / 2);
-    let heading = Line::styled(format!("STEP {}/3", banner.number), banner.style);
-    write(buffer, words, &heading);
-    let instruction = if usize::from(words.width) < banner.instruction.chars().count() {
-        banner.brief
-    } else {
-        banner.instruction
-    };
-    write(
-        buffer,
-        row(words, 1),
-        &Line::styled(instruction, banner.style),
-    );
-    write(buffer, row(words, 2), &progress(session, banner.style));
-}
-
-fn inset(area: Rect, left: u16, top: u16) -> Rect {
-    let left = left.min(area.width);
-    let top = top.min(area.height);
-    Rect::new(
-        area.x + left,
-        area.y + top,
-        area.width - left,
-        area.height - top,
-    )
+    let heading = format!("STEP {}/3", banner.number);
+    let instruction = banner.fitting(usize::from(words.width));
+    let lines = [
+        Line::styled(heading, banner.style),
+        Line::styled(instruction, banner.style),
+        progress(session, banner.style),
+    ];
+    write_all(buffer, words, &lines);
 }
 
 fn line(banner: &Banner, width: u16) -> Line<'static> {
-    let room = usize::from(width).saturating_sub(11);
-    let words = if banner.instruction.chars().count() <= room {
-        banner.instruction
-    } else {
-        banner.brief
-    };
+    let words = banner.fitting(usize::from(width).saturating_sub(11));
     Line::styled(format!(" STEP {}/3  {words}", banner.number), banner.style)
 }
 

@@ -51,6 +51,36 @@ pub(super) fn row(area: Rect, index: u16) -> Rect {
     Rect::new(area.x, area.y + index, area.width, 1)
 }
 
+/// `area` without its first columns and rows.
+pub(super) fn inset(area: Rect, left: u16, top: u16) -> Rect {
+    let (left, top) = (left.min(area.width), top.min(area.height));
+    let (width, height) = (area.width - left, area.height - top);
+    Rect::new(area.x + left, area.y + top, width, height)
+}
+
+/// `area` without a column at each side.
+pub(super) fn trimmed(area: Rect) -> Rect {
+    Rect {
+        width: area.width.saturating_sub(2),
+        ..inset(area, 1, 0)
+    }
+}
+
+/// `area` without its last columns.
+pub(super) fn without_last(area: Rect, columns: u16) -> Rect {
+    Rect {
+        width: area.width.saturating_sub(columns),
+        ..area
+    }
+}
+
+/// Writes lines one below the other, as many as there are rows.
+pub(super) fn write_all(buffer: &mut Buffer, area: Rect, lines: &[Line<'_>]) {
+    for (line, at) in lines.iter().zip(area.rows()) {
+        write(buffer, at, line);
+    }
+}
+
 /// Writes `line` into the first row of `area`, cut at its right edge.
 pub(super) fn write(buffer: &mut Buffer, area: Rect, line: &Line<'_>) {
     if !area.is_empty() {

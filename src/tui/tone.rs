@@ -41,16 +41,12 @@ pub enum Sound {
     Off,
 }
 
-/// One piece of a tone.
-struct Note {
-    /// 0 is a rest.
-    frequency_hz: f64,
-    duration_ms: u32,
-}
+/// One piece of a tone: frequency, Hz, 0 for a rest; and duration, ms.
+type Note = (f64, u32);
 
 /// The melody of a tone: up is good, down is bad, long and alternating is trouble.
-fn melody(tone: Tone) -> Vec<Note> {
-    let notes: &[(f64, u32)] = match tone {
+fn melody(tone: Tone) -> &'static [Note] {
+    match tone {
         Tone::InitialSaved => &[(660.0, 130)],
         Tone::GraspSaved => &[(660.0, 90), (0.0, 30), (880.0, 150)],
         Tone::Stable => &[(523.0, 90), (659.0, 90), (1047.0, 200)],
@@ -65,12 +61,7 @@ fn melody(tone: Tone) -> Vec<Note> {
             (988.0, 150),
             (622.0, 150),
         ],
-    };
-    let note = |&(frequency_hz, duration_ms)| Note {
-        frequency_hz,
-        duration_ms,
-    };
-    notes.iter().map(note).collect()
+    }
 }
 
 /// When the bell rings for a tone, ms after it was asked for.
@@ -91,12 +82,12 @@ fn samples(notes: &[Note]) -> Vec<i16> {
     let rate = f64::from(SAMPLE_RATE_HZ);
     let ramp = 0.008 * rate;
     let mut samples = Vec::new();
-    for note in notes {
-        let count = note.duration_ms * SAMPLE_RATE_HZ / 1000;
+    for &(frequency_hz, duration_ms) in notes {
+        let count = duration_ms * SAMPLE_RATE_HZ / 1000;
         for index in 0..count {
             let from_edge = f64::from(index.min(count - 1 - index));
             let envelope = (from_edge / ramp).min(1.0);
-            let phase = TAU * note.frequency_hz * f64::from(index) / rate;
+            let phase = TAU * frequency_hz * f64::from(index) / rate;
             // The overtones carry low notes through small loudspeakers.
             let wave = 0.7 * phase.sin() + 0.2 * (2.0 * phase).sin() + 0.1 * (3.0 * phase).sin();
             samples.push((wave * envelope * LOUDNESS * f64::from(i16::MAX)) as i16);
@@ -108,7 +99,7 @@ fn samples(notes: &[Note]) -> Vec<i16> {
 /// A WAV file of the tone: 16 kHz, mono, 16 bit.
 fn wav(tone: Tone) -> Vec<u8> {
     const BYTES_PER_SAMPLE: u32 = 2;
-    let samples = samples(&melody(tone));
+    let samples = samples(melody(tone));
     let data_bytes = samples.len() as u32 * BYTES_PER_SAMPLE;
     let mut file = Vec::with_capacity(44 + data_bytes as usize);
     file.extend(b"RIFF");
@@ -277,23 +268,15 @@ fn wait(mut child: Child, stop: &AtomicBool) -> std::io::Result<()> {
     let deadline = Instant::now() + PLAYER_LIMIT;
     loop {
         if let Some(status) = child.try_wait()? {
-            return if status.success() {
-                Ok(())
-            } else {
-                Err(std::io::Error::other(format!(
-                    "the player ended with {status}"
-                )))
-            };
+            let failed = || std::io::Error::other(format!("the player ended with {status}"));
+            return status.success().then_some(()).ok_or_else(failed);
         }
         let stopped = stop.load(Ordering::Relaxed);
         if stopped || Instant::now() >= deadline {
             child.kill()?;
             child.wait()?;
-            return if stopped {
-                Ok(())
-            } else {
-                Err(std::io::ErrorKind::TimedOut.into())
-            };
+            let hung = std::io::ErrorKind::TimedOut.into();
+            return stopped.then_some(()).ok_or(hung);
         }
         std::thread::sleep(PLAYER_POLL);
     }
@@ -325,7 +308,10 @@ mod tests {
             assert_eq!(word(28), SAMPLE_RATE_HZ * 2);
             assert_eq!(&file[36..40], b"data");
             assert_eq!(word(40) as usize, file.len() - 44);
-            let duration_ms: u32 = melody(tone).iter().map(|note| note.duration_ms).sum();
+            let duration_ms: u32 = melody(tone)
+                .iter()
+                .map(|(_, duration_ms)| duration_ms)
+                .sum();
             assert_eq!(
                 word(40),
                 duration_ms * SAMPLE_RATE_HZ / 1000 * 2,
@@ -337,7 +323,7 @@ mod tests {
     #[test]
     fn tones_are_loud_do_not_clip_and_start_and_end_quietly() {
         for tone in TONES {
-            let samples = samples(&melody(tone));
+            let samples = samples(melody(tone));
             let peak = samples.iter().map(|s| s.unsigned_abs()).max().unwrap();
             assert!((12_000..=24_000).contains(&peak), "{tone:?} {peak}");
             assert_eq!(samples[0], 0);

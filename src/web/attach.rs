@@ -17,7 +17,6 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error as WsError, Message};
 
 use super::access::Token;
-use super::state::{State, ToneName};
 use crate::daemon::{Asked, EngineStatus, Preview};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -78,10 +77,10 @@ pub(crate) enum Attached {
 #[serde(tag = "type", rename_all = "snake_case")]
 enum Heard {
     State {
-        state: Box<State>,
+        state: Box<EngineStatus>,
     },
     Tone {
-        tone: ToneName,
+        tone: Tone,
     },
     Answer {
         error: Option<String>,
@@ -149,7 +148,7 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
                 Some(Ok(Message::Text(text))) => match serde_json::from_str(&text) {
                     Ok(Heard::State { state }) => shown.state = Some(*state),
                     // A screen that has gone asks to leave next.
-                    Ok(Heard::Tone { tone }) => drop(screen.tones.send(tone.into())),
+                    Ok(Heard::Tone { tone }) => drop(screen.tones.send(tone)),
                     Ok(Heard::Answer { error: Some(error) }) => note!("{error}"),
                     Ok(Heard::Bye) => return Ok(Attached::Ended),
                     Ok(Heard::Answer { error: None } | Heard::Other) => continue,
@@ -180,7 +179,7 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
 struct Shown {
     decoder: Decoder,
     previews: BTreeMap<Role, Preview>,
-    state: Option<State>,
+    state: Option<EngineStatus>,
 }
 
 impl Shown {
@@ -193,21 +192,19 @@ impl Shown {
         let Some((role, image)) = role.zip(self.decoder.stored_picture(jpeg).ok()) else {
             return;
         };
-        let state = self.state.as_ref();
+        let has_initial = |state: &EngineStatus| state.session.initial_at.is_some();
         let preview = Preview {
             image: Arc::new(image),
-            contact: state.and_then(|state| state.contact(role)),
-            is_difference: role.is_tactile() && state.is_some_and(State::shows_differences),
+            is_difference: role.is_tactile() && self.state.as_ref().is_some_and(has_initial),
         };
         self.previews.insert(role, preview);
     }
 
-    fn status(&mut self) -> Option<EngineStatus> {
-        let state = self.state.as_ref()?;
-        for (role, preview) in &mut self.previews {
-            preview.contact = state.contact(*role);
-        }
-        Some(state.clone().into_status(self.previews.clone()))
+    fn status(&self) -> Option<EngineStatus> {
+        Some(EngineStatus {
+            previews: self.previews.clone(),
+            ..self.state.clone()?
+        })
     }
 }
 

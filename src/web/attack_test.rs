@@ -189,11 +189,7 @@ fn status() -> EngineStatus {
         measured_fps: 25.0,
         nominal_fps: 25.0,
         frame_age_ms: None,
-        received: 0,
-        sequence_gaps: 0,
-        damaged: 0,
-        late: 0,
-        reconnects: 0,
+        counters: Default::default(),
         markers: None,
     });
     let mut noise = 1_u32;
@@ -204,7 +200,6 @@ fn status() -> EngineStatus {
     });
     let preview = Preview {
         image: Arc::new(image),
-        contact: None,
         is_difference: false,
     };
     status.previews.insert(Role::Left, preview);

@@ -5,18 +5,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
-use serde::Serialize;
 use tokio::sync::{Semaphore, broadcast, mpsc, watch};
-use utoipa::ToSchema;
 
 use super::access::Access;
-use super::cameras::Previews;
 use super::failure::Failure;
 use super::grasp_list::GraspList;
 use super::places::Places;
-use super::state::State;
-use crate::daemon::{Answered, Asked, EngineStatus, Fate, Stored, Tasks};
-use gripcast_session::{Command, CommandSource, Tone};
+use super::previews::Previews;
+use crate::daemon::{Asked, EngineStatus, ModelFacts, Stored, Tasks};
+use gripcast_session::{Command, CommandResult, CommandSource, Tone};
 
 /// News that wait for a reader that is slow; it misses the oldest.
 const NEWS_QUEUE: usize = 64;
@@ -40,18 +37,6 @@ pub(crate) enum News {
     Bye,
 }
 
-/// The model that predicts.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct ModelInfo {
-    pub(crate) name: String,
-    /// Of the ONNX file.
-    pub(crate) sha256: String,
-    /// From this probability on a grasp counts as stable.
-    pub(crate) threshold: f64,
-    /// Whether it is a heuristic and not trained.
-    pub(crate) heuristic: bool,
-}
-
 /// What all handlers share.
 pub(crate) struct Backend {
     pub(crate) status: watch::Receiver<Arc<EngineStatus>>,
@@ -59,7 +44,7 @@ pub(crate) struct Backend {
     pub(crate) news: broadcast::Sender<News>,
     pub(crate) tasks: Tasks,
     pub(crate) access: Arc<Access>,
-    pub(crate) model: Option<ModelInfo>,
+    pub(crate) model: Option<ModelFacts>,
     pub(crate) grasps: GraspList,
     pub(crate) previews: Previews,
     pub(crate) started: Instant,
@@ -78,7 +63,7 @@ impl Backend {
         commands: mpsc::Sender<Asked>,
         tasks: Tasks,
         access: Arc<Access>,
-        model: Option<ModelInfo>,
+        model: Option<ModelFacts>,
         dataset: PathBuf,
     ) -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -100,37 +85,27 @@ impl Backend {
     }
 
     /// The engine now.
-    pub(crate) fn state(&self) -> State {
-        State::of(&Arc::clone(&self.status.borrow()))
+    pub(crate) fn state(&self) -> EngineStatus {
+        EngineStatus::clone(&self.status.borrow())
     }
 
     /// Asks the engine and waits until what was asked for is durable.
     ///
     /// # Errors
     /// 503 while too many commands wait or the engine ends, 504 when it does not answer.
-    pub(crate) async fn ask(&self, command: Command) -> Result<Answered, Failure> {
-        let busy = |what| Failure::new(StatusCode::SERVICE_UNAVAILABLE, what);
+    pub(crate) async fn ask(&self, command: Command) -> Result<CommandResult, Failure> {
         let (asked, answer) = Asked::with_answer(command, CommandSource::Remote);
         self.commands.try_send(asked).map_err(|e| match e {
-            mpsc::error::TrySendError::Full(_) => busy("too many commands wait already"),
-            mpsc::error::TrySendError::Closed(_) => busy("the daemon is ending"),
+            mpsc::error::TrySendError::Full(_) => Failure::busy("too many commands wait already"),
+            mpsc::error::TrySendError::Closed(_) => Failure::busy("the daemon is ending"),
         })?;
         match tokio::time::timeout(PATIENCE, answer).await {
-            Ok(Ok(answered)) => Ok(answered),
-            Ok(Err(_)) => Err(busy("the daemon is ending")),
+            Ok(Ok(result)) => Ok(result),
+            Ok(Err(_)) => Err(Failure::busy("the daemon is ending")),
             Err(_) => Err(Failure::new(
                 StatusCode::GATEWAY_TIMEOUT,
                 "the engine has not answered; the command may still be carried out",
             )),
         }
-    }
-}
-
-/// The status code of an answered command.
-pub(crate) fn status_of(fate: Fate) -> StatusCode {
-    match fate {
-        Fate::CarriedOut => StatusCode::OK,
-        Fate::Refused => StatusCode::CONFLICT,
-        Fate::Failed => StatusCode::INTERNAL_SERVER_ERROR,
     }
 }

@@ -1,78 +1,27 @@
-//! Small live pictures: each is encoded once, however many look, and only while somebody does.
+//! Small live pictures over HTTP: one at a time, or as a stream.
 
-use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Extension;
 use axum::body::{Body, Bytes};
 use axum::extract::{Path, State as Shared};
-use axum::http::{StatusCode, header};
+use axum::http::header;
 use axum::response::{IntoResponse, Response};
-use tokio::sync::watch;
 
 use super::access::{Pass, Peer};
 use super::backend::Backend;
 use super::failure::{Complaint, Failure};
-use super::places::Places;
-use super::state::RoleName;
-use crate::daemon::EngineStatus;
-use gripcast_imaging::{Role, encode_jpeg};
+use super::previews::MAX_STREAMS;
+use gripcast_imaging::Role;
 
-/// Quality of the pictures.
-const QUALITY: u8 = 75;
 /// Pause between two pictures of a stream.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Streams at a time, over TCP and over the socket; a browser has one a camera.
-const MAX_STREAMS: usize = 32;
 /// Text between two pictures of a stream.
 const BOUNDARY: &str = "gripcast-frame";
 
-/// The newest picture of each camera as JPEG, made when it is asked for.
-pub(crate) struct Previews {
-    status: watch::Receiver<Arc<EngineStatus>>,
-    encoded: Mutex<BTreeMap<Role, Encoded>>,
-    /// Places for streams.
-    pub(crate) streams: Places,
-}
-
-struct Encoded {
-    /// The picture that it was made from; holding it keeps its address its own.
-    of: Arc<image::RgbImage>,
-    jpeg: Bytes,
-}
-
-impl Previews {
-    /// Pictures of the status.
-    pub(crate) fn new(status: watch::Receiver<Arc<EngineStatus>>) -> Self {
-        Self {
-            status,
-            encoded: Mutex::new(BTreeMap::new()),
-            streams: Places::new(MAX_STREAMS, MAX_STREAMS),
-        }
-    }
-
-    /// The newest picture; `None` before the first.
-    pub(crate) fn jpeg(&self, role: Role) -> Option<Bytes> {
-        let status = Arc::clone(&self.status.borrow());
-        let picture = Arc::clone(&status.previews.get(&role)?.image);
-        let mut encoded = self.encoded.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = encoded.get(&role).filter(|e| Arc::ptr_eq(&e.of, &picture)) {
-            return Some(known.jpeg.clone());
-        }
-        let jpeg = Bytes::from(encode_jpeg(&picture, QUALITY).ok()?);
-        let made = Encoded {
-            of: picture,
-            jpeg: jpeg.clone(),
-        };
-        encoded.insert(role, made);
-        Some(jpeg)
-    }
-}
-
-fn known(backend: &Backend, role: RoleName) -> Result<Role, Failure> {
-    let role = Role::from(role);
+fn known(backend: &Backend, role: Role) -> Result<Role, Failure> {
     let status = backend.status.borrow();
     if status.cameras.iter().any(|camera| camera.role == role) {
         return Ok(role);
@@ -86,20 +35,18 @@ fn known(backend: &Backend, role: RoleName) -> Result<Role, Failure> {
 ///
 /// At most 320×240; a gel shows the difference to the initial frame once there is one.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.jpg", tag = "cameras",
-    params(("role" = RoleName, Path)),
+    params(("role" = Role, Path)),
     responses((status = 200, content_type = "image/jpeg", body = [u8]), (status = 400, body = Complaint),
         (status = 404, body = Complaint), (status = 503, body = Complaint)))]
 pub(crate) async fn still(
     Shared(backend): Shared<Arc<Backend>>,
-    Segment(role): Segment<RoleName>,
+    Segment(role): Segment<Role>,
 ) -> Result<Response, Failure> {
     let role = known(&backend, role)?;
-    let jpeg = backend.previews.jpeg(role).ok_or_else(|| {
-        Failure::new(
-            StatusCode::SERVICE_UNAVAILABLE,
-            format!("{role} has not shown anything yet"),
-        )
-    })?;
+    let jpeg = backend
+        .previews
+        .jpeg(role)
+        .ok_or_else(|| Failure::busy(format!("{role} has not shown anything yet")))?;
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
 
@@ -108,22 +55,19 @@ pub(crate) async fn still(
 /// `multipart/x-mixed-replace`, ten pictures a second at most. A reader that is slow misses
 /// pictures.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.mjpg", tag = "cameras",
-    params(("role" = RoleName, Path)),
+    params(("role" = Role, Path)),
     responses((status = 200, content_type = "multipart/x-mixed-replace", body = [u8]),
         (status = 400, body = Complaint), (status = 404, body = Complaint), (status = 503, body = Complaint)))]
 pub(crate) async fn stream(
     Shared(backend): Shared<Arc<Backend>>,
     Extension(peer): Extension<Peer>,
     Extension(pass): Extension<Pass>,
-    Segment(role): Segment<RoleName>,
+    Segment(role): Segment<Role>,
 ) -> Result<Response, Failure> {
     let role = known(&backend, role)?;
     let place = backend.previews.streams.take(peer).ok_or_else(|| {
-        Failure::new(
-            StatusCode::SERVICE_UNAVAILABLE,
-            format!("{MAX_STREAMS} picture streams are open already"),
-        )
-        .remedy("close another page")
+        Failure::busy(format!("{MAX_STREAMS} picture streams are open already"))
+            .remedy("close another page")
     })?;
     // The next picture is made when the one before has been taken: nothing queues for a slow reader.
     let start = (backend, pass, place, Bytes::new());

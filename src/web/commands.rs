@@ -10,12 +10,11 @@ use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::backend::{Backend, status_of};
+use super::backend::Backend;
 use super::failure::{Complaint, Failure};
-use super::state::State;
-use crate::daemon::{Answered, Fate};
+use crate::daemon::EngineStatus;
 use gripcast_base::error::Error;
-use gripcast_session::Command;
+use gripcast_session::{Command, CommandResult};
 
 /// A command as in scripts and on pedals.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -36,30 +35,12 @@ pub(crate) struct NameRequest {
 }
 
 /// What became of a command.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Serialize, ToSchema)]
 pub(crate) struct CommandAnswer {
-    /// Whether it was carried out; then all that it changed is on disk.
-    pub(crate) carried_out: bool,
-    /// What the session says.
-    pub(crate) message: Option<String>,
-    /// Reasons of a refusal, one a guard.
-    pub(crate) reasons: Vec<String>,
-    /// Whether `override` can help.
-    pub(crate) can_override: bool,
+    #[serde(flatten)]
+    result: CommandResult,
     /// The engine after it.
-    pub(crate) state: State,
-}
-
-impl CommandAnswer {
-    fn of(answered: Answered, state: State) -> Self {
-        Self {
-            carried_out: answered.fate == Fate::CarriedOut,
-            message: answered.message,
-            reasons: answered.reasons,
-            can_override: answered.can_override,
-            state,
-        }
-    }
+    state: EngineStatus,
 }
 
 /// Status and body of an answered command.
@@ -67,10 +48,14 @@ pub(crate) type Reply = Result<(StatusCode, Json<CommandAnswer>), Failure>;
 
 /// Carries out a command and tells what became of it.
 pub(crate) async fn carry_out(backend: &Backend, command: Command) -> Reply {
-    let answered = backend.ask(command).await?;
-    let status = status_of(answered.fate);
-    let answer = CommandAnswer::of(answered, backend.state());
-    Ok((status, Json(answer)))
+    let result = backend.ask(command).await?;
+    let status = match &result {
+        CommandResult::Accepted => StatusCode::OK,
+        CommandResult::Refused { .. } => StatusCode::CONFLICT,
+        CommandResult::Failed { .. } => StatusCode::INTERNAL_SERVER_ERROR,
+    };
+    let state = backend.state();
+    Ok((status, Json(CommandAnswer { result, state })))
 }
 
 /// The command that a text from outside means.

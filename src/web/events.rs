@@ -22,9 +22,9 @@ use super::access::{Pass, Peer};
 use super::backend::{Backend, News};
 use super::commands::{CommandAnswer, carry_out, parse};
 use super::failure::Failure;
-use super::state::{State, ToneName};
-use crate::daemon::Stored;
+use crate::daemon::{EngineStatus, Stored};
 use gripcast_imaging::Role;
+use gripcast_session::Tone;
 
 /// Shortest time between two states.
 const PAUSE: Duration = Duration::from_millis(100);
@@ -47,9 +47,9 @@ pub(crate) struct Wishes {
 #[serde(tag = "type", rename_all = "snake_case")]
 pub(crate) enum Event {
     /// The engine now, ten times a second at most.
-    State { state: Box<State> },
+    State { state: Box<EngineStatus> },
     /// A sound.
-    Tone { tone: ToneName },
+    Tone { tone: Tone },
     /// A change of the dataset was answered.
     Stored {
         #[schema(value_type = serde_json::Value)]
@@ -94,11 +94,7 @@ pub(crate) async fn events(
             .remedy("open it as a WebSocket")
     })?;
     let place = backend.listeners.take(peer).ok_or_else(|| {
-        Failure::new(
-            axum::http::StatusCode::SERVICE_UNAVAILABLE,
-            "too many listen to events already",
-        )
-        .remedy("close another page")
+        Failure::busy("too many listen to events already").remedy("close another page")
     })?;
     // A frame is refused by its length, before any of it is kept.
     let upgrade = upgrade
@@ -141,7 +137,7 @@ impl Listener {
         loop {
             tokio::select! {
                 heard = news.recv() => match heard {
-                    Ok(News::Tone(tone)) => self.say(&Event::Tone { tone: tone.into() }).await?,
+                    Ok(News::Tone(tone)) => self.say(&Event::Tone { tone }).await?,
                     Ok(News::Stored(stored)) => {
                         let stored = Box::new((*stored).clone());
                         self.say(&Event::Stored { stored }).await?;

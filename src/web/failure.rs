@@ -87,6 +87,11 @@ impl Failure {
         Self::new(StatusCode::NOT_FOUND, what)
     }
 
+    /// Not now.
+    pub(crate) fn busy(what: impl Into<String>) -> Self {
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, what)
+    }
+
     /// What the client sent cannot be used.
     pub(crate) fn input(what: impl Into<String>) -> Self {
         Self::new(StatusCode::UNPROCESSABLE_ENTITY, what)

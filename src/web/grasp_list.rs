@@ -8,9 +8,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
-use super::state::{OutcomeName, RoleName};
+use crate::daemon::verdict_of;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome};
+use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, PredictionRecord};
+use gripcast_imaging::Role;
 use gripcast_nn::predict::Verdict;
 
 /// Grasps in an answer where no number is asked for.
@@ -25,23 +26,21 @@ pub(crate) struct GraspSummary {
     object: String,
     scene: String,
     operator: String,
-    outcome: OutcomeName,
+    outcome: Outcome,
     labelled_at: Option<String>,
     captured_at: String,
-    predicted_p_stable: Option<f64>,
-    predicted_threshold: Option<f64>,
-    predicted_model: Option<String>,
+    /// What was predicted before the lift.
+    prediction: Option<PredictionRecord>,
     /// Whether the prediction says what the label says; null without one of them, or where the
     /// model was not sure.
     agrees: Option<bool>,
     /// Cameras that saw it.
-    roles: Vec<RoleName>,
+    roles: Vec<Role>,
 }
 
 impl GraspSummary {
     fn of(record: &GraspRecord) -> Self {
-        let prediction = record.prediction.as_ref();
-        let claimed = prediction.map(|p| Verdict::of(p.p_stable, p.threshold, p.novelty));
+        let claimed = record.prediction.as_ref().map(verdict_of);
         let agrees = match (claimed, record.outcome) {
             (Some(Verdict::Stable), Outcome::Stable) | (Some(Verdict::Slip), Outcome::Slip) => {
                 Some(true)
@@ -56,19 +55,12 @@ impl GraspSummary {
             object: record.object.to_string(),
             scene: record.scene.to_string(),
             operator: record.operator.to_string(),
-            outcome: record.outcome.into(),
+            outcome: record.outcome,
             labelled_at: record.labelled_at.clone(),
             captured_at: record.grasp.captured_at.clone(),
-            predicted_p_stable: prediction.map(|p| p.p_stable),
-            predicted_threshold: prediction.map(|p| p.threshold),
-            predicted_model: prediction.map(|p| p.model.clone()),
+            prediction: record.prediction.clone(),
             agrees,
-            roles: record
-                .grasp
-                .cameras
-                .keys()
-                .map(|role| (*role).into())
-                .collect(),
+            roles: record.grasp.cameras.keys().copied().collect(),
         }
     }
 }
@@ -86,7 +78,7 @@ pub(crate) struct Wanted {
     /// Only those of this object.
     object: Option<String>,
     /// Only those of this outcome.
-    outcome: Option<OutcomeName>,
+    outcome: Option<Outcome>,
     /// Only those whose label is not what was predicted (true) or is (false).
     disagree: Option<bool>,
 }
@@ -239,7 +231,7 @@ mod tests {
         list.forget(&saved[0]);
         writer.trash_grasp(&saved[1]).unwrap();
         let slips = page(Wanted {
-            outcome: Some(OutcomeName::Slip),
+            outcome: Some(Outcome::Slip),
             ..Wanted::default()
         });
         assert_eq!(ids(&slips), [saved[0].as_str()]);
@@ -248,8 +240,8 @@ mod tests {
             disagree: Some(true),
             ..Wanted::default()
         });
-        let claims = slips.grasps[0].predicted_p_stable;
-        let expected = usize::from(claims.is_some_and(|p| p >= 0.5));
+        let claims = slips.grasps[0].prediction.as_ref();
+        let expected = usize::from(claims.is_some_and(|said| said.p_stable >= 0.5));
         assert_eq!(wrong.grasps.len(), expected);
     }
 }

@@ -15,10 +15,9 @@ use super::cameras::Segment;
 use super::commands::{Body, Reply, carry_out};
 use super::failure::{Complaint, Failure};
 use super::grasp_list::{GraspPage, Wanted};
-use super::state::OutcomeName;
 use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
 use gripcast_base::files::FileKind;
-use gripcast_dataset::{Dataset, GraspId, GraspRecord, Stage};
+use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, Stage};
 use gripcast_imaging::{
     CropProfile, Decoder, DepthImage, Frame, PixelFormat, Role, TactileDifference,
     decode_png_grey16, encode_jpeg,
@@ -39,7 +38,7 @@ const DIFFERENCE_GAIN: f32 = 1.5;
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct LabelRequest {
-    outcome: OutcomeName,
+    outcome: Outcome,
 }
 
 /// Decodes pictures off the threads that serve; not more at a time than there are cores.
@@ -49,13 +48,10 @@ async fn decode<T: Send + 'static>(
 ) -> Result<T, Failure> {
     let place = Arc::clone(&backend.decodes).acquire_owned();
     let Ok(Ok(place)) = tokio::time::timeout(backend.decode_patience, place).await else {
-        return Err(Failure::new(
-            StatusCode::SERVICE_UNAVAILABLE,
-            format!(
-                "the picture was not decoded within {} s: too many others are",
-                backend.decode_patience.as_secs_f64()
-            ),
-        )
+        return Err(Failure::busy(format!(
+            "the picture was not decoded within {} s: too many others are",
+            backend.decode_patience.as_secs_f64()
+        ))
         .remedy("ask again")
         .retry_after(DECODE_RETRY));
     };
@@ -280,7 +276,7 @@ pub(crate) async fn label(
     Body(request): Body<LabelRequest>,
 ) -> Reply {
     let id = existing(&backend, &id).await?;
-    carry_out(&backend, Command::Relabel(id, request.outcome.into())).await
+    carry_out(&backend, Command::Relabel(id, request.outcome)).await
 }
 
 /// Move a grasp to the trash

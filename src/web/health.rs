@@ -10,10 +10,11 @@ use axum::response::IntoResponse;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::backend::{Backend, ModelInfo};
+use super::backend::Backend;
 use super::failure::{Complaint, Failure};
-use super::state::State;
-use crate::daemon::{TaskReport, TaskState};
+use crate::daemon::{
+    CameraStatus, EngineStatus, ModelFacts, PredictionStatus, TaskReport, TaskState,
+};
 
 /// Health of the daemon.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -22,29 +23,7 @@ pub(crate) struct Health {
     ok: bool,
     version: &'static str,
     uptime_s: f64,
-    tasks: Vec<Task>,
-}
-
-/// A task of the daemon.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub(crate) struct Task {
-    name: String,
-    /// `running`, `restarting`, `stuck`, `failed` or `ended`.
-    #[schema(value_type = String)]
-    state: TaskState,
-    restarts: u64,
-    last_error: Option<String>,
-}
-
-impl From<TaskReport> for Task {
-    fn from(report: TaskReport) -> Self {
-        Self {
-            name: report.name,
-            state: report.state,
-            restarts: report.restarts,
-            last_error: report.last_error,
-        }
-    }
+    tasks: Vec<TaskReport>,
 }
 
 /// Whether all tasks work: what the watchdog is told.
@@ -55,8 +34,8 @@ pub(crate) fn is_healthy(tasks: &[TaskReport]) -> bool {
 }
 
 /// The engine at this moment
-#[utoipa::path(get, path = "/api/state", tag = "session", responses((status = 200, body = State)))]
-pub(crate) async fn state(Shared(backend): Shared<Arc<Backend>>) -> Json<State> {
+#[utoipa::path(get, path = "/api/state", tag = "session", responses((status = 200, body = EngineStatus)))]
+pub(crate) async fn state(Shared(backend): Shared<Arc<Backend>>) -> Json<EngineStatus> {
     Json(backend.state())
 }
 
@@ -75,17 +54,17 @@ pub(crate) async fn health(Shared(backend): Shared<Arc<Backend>>) -> (StatusCode
         ok,
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: backend.started.elapsed().as_secs_f64(),
-        tasks: tasks.into_iter().map(Task::from).collect(),
+        tasks,
     };
     (status, Json(health))
 }
 
 /// The model that predicts
 #[utoipa::path(get, path = "/api/model", tag = "daemon",
-    responses((status = 200, body = ModelInfo), (status = 404, body = Complaint)))]
+    responses((status = 200, body = ModelFacts), (status = 404, body = Complaint)))]
 pub(crate) async fn model(
     Shared(backend): Shared<Arc<Backend>>,
-) -> Result<Json<ModelInfo>, Failure> {
+) -> Result<Json<ModelFacts>, Failure> {
     let model = backend.model.clone();
     model
         .map(Json)
@@ -98,139 +77,125 @@ pub(crate) async fn model(
 pub(crate) async fn metrics(Shared(backend): Shared<Arc<Backend>>) -> impl IntoResponse {
     let status = Arc::clone(&backend.status.borrow());
     let mut text = Metrics::default();
-    let counts = status.session.counts;
-    text.family(
-        "gripcast_grasps",
-        "gauge",
-        "Grasps in the dataset by outcome.",
-    );
-    for (outcome, count) in [
-        ("stable", counts.stable),
-        ("slip", counts.slip),
-        ("unlabelled", counts.unlabelled),
-    ] {
-        text.value("gripcast_grasps", &[("outcome", outcome)], count as f64);
-    }
-    if let Some(free) = status.disk_free_bytes {
-        text.family(
-            "gripcast_disk_free_bytes",
-            "gauge",
-            "Free space on the dataset's disk.",
-        );
-        text.value("gripcast_disk_free_bytes", &[], free as f64);
-    }
-    type Reading = fn(&crate::daemon::CameraStatus) -> Option<f64>;
-    let cameras: [(&str, &str, &str, Reading); 7] = [
-        (
-            "gripcast_camera_live",
-            "gauge",
-            "1 while frames arrive.",
-            |c| Some(f64::from(u8::from(c.state.is_live()))),
-        ),
-        (
-            "gripcast_camera_fps",
-            "gauge",
-            "Measured frame rate.",
-            |c| Some(c.measured_fps),
-        ),
-        (
-            "gripcast_camera_frame_age_seconds",
-            "gauge",
-            "Age of the newest frame.",
-            |c| c.frame_age_ms.map(|age_ms| age_ms * 1e-3),
-        ),
-        (
-            "gripcast_camera_frames_total",
-            "counter",
-            "Frames received.",
-            |c| Some(c.received as f64),
-        ),
-        (
-            "gripcast_camera_frames_lost_total",
-            "counter",
-            "Frames lost before they arrived.",
-            |c| Some(c.sequence_gaps as f64),
-        ),
-        (
-            "gripcast_camera_frames_damaged_total",
-            "counter",
-            "Damaged frames.",
-            |c| Some(c.damaged as f64),
-        ),
-        (
-            "gripcast_camera_reconnects_total",
-            "counter",
-            "Times it was opened again.",
-            |c| Some(c.reconnects as f64),
-        ),
-    ];
-    for (name, kind, help, reading) in cameras {
-        text.family(name, kind, help);
-        for camera in &status.cameras {
-            if let Some(value) = reading(camera) {
-                text.value(name, &[("role", camera.role.name())], value);
-            }
-        }
-    }
-    if let Some(prediction) = &status.prediction {
-        text.family(
-            "gripcast_p_stable",
-            "gauge",
-            "Live probability that the grasp holds.",
-        );
-        text.value("gripcast_p_stable", &[], prediction.p_stable);
-        text.family(
-            "gripcast_prediction_latency_seconds",
-            "gauge",
-            "Frame to prediction.",
-        );
-        text.value(
-            "gripcast_prediction_latency_seconds",
-            &[],
-            prediction.latency_ms * 1e-3,
-        );
-    }
-    text.family(
-        "gripcast_task_restarts_total",
-        "counter",
-        "Restarts of a task.",
-    );
-    let tasks = backend.tasks.report();
-    for task in &tasks {
-        let labels = [("task", task.name.as_str())];
-        text.value(
-            "gripcast_task_restarts_total",
-            &labels,
-            task.restarts as f64,
-        );
-    }
-    text.family("gripcast_healthy", "gauge", "1 while every task works.");
-    text.value(
-        "gripcast_healthy",
-        &[],
-        f64::from(u8::from(is_healthy(&tasks))),
-    );
+    text.dataset(&status);
+    text.cameras(&status.cameras);
+    text.predictions(status.prediction.as_ref());
+    text.tasks(&backend.tasks.report());
     let format = "text/plain; version=0.0.4; charset=utf-8";
     ([(header::CONTENT_TYPE, format)], text.0)
 }
+
+/// A label of a value, and the value.
+type Labelled<'a> = (Option<(&'static str, &'a str)>, f64);
 
 /// Prometheus text, exposition format 0.0.4.
 #[derive(Default)]
 struct Metrics(String);
 
 impl Metrics {
-    fn family(&mut self, name: &str, kind: &str, help: &str) {
+    /// A family of values that may go up and down, or only up where its name ends in `_total`.
+    fn family<'a>(
+        &mut self,
+        name: &str,
+        help: &str,
+        values: impl IntoIterator<Item = Labelled<'a>>,
+    ) {
+        let kind = match name.ends_with("_total") {
+            true => "counter",
+            false => "gauge",
+        };
         // Writing to a string cannot fail.
         let _ = writeln!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}");
+        for (label, value) in values {
+            let label = label.map_or_else(String::new, |(key, of)| format!("{{{key}=\"{of}\"}}"));
+            let _ = writeln!(self.0, "{name}{label} {value}");
+        }
     }
 
-    fn value(&mut self, name: &str, labels: &[(&str, &str)], value: f64) {
-        let labels: Vec<String> = labels.iter().map(|(k, v)| format!("{k}=\"{v}\"")).collect();
-        let labels = match labels.is_empty() {
-            true => String::new(),
-            false => format!("{{{}}}", labels.join(",")),
+    fn dataset(&mut self, status: &EngineStatus) {
+        let counts = status.session.counts;
+        let grasps = [
+            ("stable", counts.stable),
+            ("slip", counts.slip),
+            ("unlabelled", counts.unlabelled),
+        ];
+        self.family(
+            "gripcast_grasps",
+            "Grasps in the dataset by outcome.",
+            grasps.map(|(outcome, count)| (Some(("outcome", outcome)), count as f64)),
+        );
+        if let Some(free) = status.disk_free_bytes {
+            self.family(
+                "gripcast_disk_free_bytes",
+                "Free space on the dataset's disk.",
+                [(None, free as f64)],
+            );
+        }
+    }
+
+    fn cameras(&mut self, cameras: &[CameraStatus]) {
+        type Reading = fn(&CameraStatus) -> Option<f64>;
+        let families: [(&str, &str, Reading); 7] = [
+            ("live", "1 while frames arrive.", |c| {
+                Some(f64::from(u8::from(c.state.is_live())))
+            }),
+            ("fps", "Measured frame rate.", |c| Some(c.measured_fps)),
+            ("frame_age_seconds", "Age of the newest frame.", |c| {
+                c.frame_age_ms.map(|age_ms| age_ms * 1e-3)
+            }),
+            ("frames_total", "Frames received.", |c| {
+                Some(c.counters.received as f64)
+            }),
+            (
+                "frames_lost_total",
+                "Frames lost before they arrived.",
+                |c| Some(c.counters.sequence_gaps as f64),
+            ),
+            ("frames_damaged_total", "Damaged frames.", |c| {
+                Some(c.counters.damaged as f64)
+            }),
+            ("reconnects_total", "Times it was opened again.", |c| {
+                Some(c.counters.reconnects as f64)
+            }),
+        ];
+        for (name, help, reading) in families {
+            let values = cameras
+                .iter()
+                .filter_map(|c| Some((Some(("role", c.role.name())), reading(c)?)));
+            self.family(&format!("gripcast_camera_{name}"), help, values);
+        }
+    }
+
+    fn predictions(&mut self, prediction: Option<&PredictionStatus>) {
+        let Some(PredictionStatus { said, .. }) = prediction else {
+            return;
         };
-        let _ = writeln!(self.0, "{name}{labels} {value}");
+        self.family(
+            "gripcast_p_stable",
+            "Live probability that the grasp holds.",
+            [(None, said.p_stable)],
+        );
+        self.family(
+            "gripcast_prediction_latency_seconds",
+            "Frame to prediction.",
+            [(None, said.latency_ms * 1e-3)],
+        );
+    }
+
+    fn tasks(&mut self, tasks: &[TaskReport]) {
+        let restarts = tasks
+            .iter()
+            .map(|task| (Some(("task", task.name.as_str())), task.restarts as f64));
+        self.family(
+            "gripcast_task_restarts_total",
+            "Restarts of a task.",
+            restarts,
+        );
+        self.family(
+            "gripcast_healthy",
+            "1 while every task works.",
+            [(None, f64::from(u8::from(is_healthy(tasks))))],
+        );
     }
 }
 
@@ -258,12 +223,12 @@ mod tests {
     #[test]
     fn metrics_are_one_line_a_value() {
         let mut metrics = Metrics::default();
-        metrics.family("a", "gauge", "Help.");
-        metrics.value("a", &[], 1.5);
-        metrics.value("a", &[("role", "left")], 2.0);
+        metrics.family("a", "Help.", [(None, 1.5), (Some(("role", "left")), 2.0)]);
+        metrics.family("b_total", "Help.", []);
         assert_eq!(
             metrics.0,
-            "# HELP a Help.\n# TYPE a gauge\na 1.5\na{role=\"left\"} 2\n"
+            "# HELP a Help.\n# TYPE a gauge\na 1.5\na{role=\"left\"} 2\n\
+             # HELP b_total Help.\n# TYPE b_total counter\n"
         );
     }
 }

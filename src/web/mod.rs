@@ -1,7 +1,7 @@
 //! The daemon's API and page: the running engine for browsers and programs, over HTTP.
 //!
 //! ```text
-//!  engine ── status, 20 a second ──► State ──► GET /api/state, /api/events
+//!  engine ── status, 20 a second ──► EngineStatus ──► GET /api/state, /api/events
 //!         ◄── Asked ── answer ────── POST /api/commands, labels, names, trash
 //!  previews ──► encoder, one a camera, while somebody looks ──► MJPEG
 //!  dataset ──► list of grasps, files, small pictures
@@ -24,18 +24,18 @@ mod login;
 mod origin;
 mod page;
 mod places;
+mod previews;
 mod router;
 mod serve;
 mod sessions;
 mod stall;
-mod state;
 
 #[cfg(test)]
 mod attack_test;
 
 pub(crate) use access::{Access, Token};
 pub(crate) use attach::{Attached, Screen, Target, attach};
-pub(crate) use backend::{Backend, ModelInfo, News};
+pub(crate) use backend::{Backend, News};
 pub(crate) use health::is_healthy;
 pub(crate) use router::router;
 pub(crate) use serve::{Listeners, serve};

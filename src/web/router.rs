@@ -11,7 +11,8 @@ use utoipa_axum::routes;
 
 use super::backend::Backend;
 use super::failure::Failure;
-use super::{access, cameras, commands, events, grasps, health, login, page, state};
+use super::{access, cameras, commands, events, grasps, health, login, page};
+use gripcast_imaging::Role;
 
 /// Largest body that is taken, bytes.
 const LARGEST_BODY: usize = 16 * 1024;
@@ -22,7 +23,7 @@ const LARGEST_BODY: usize = 16 * 1024;
         title = "gripcast",
         description = "The running collection: state, commands, grasps, pictures."
     ),
-    components(schemas(events::Event, grasps::PreviewKind, state::RoleName)),
+    components(schemas(events::Event, grasps::PreviewKind, Role)),
     tags(
         (name = "session", description = "Step, prediction and commands"),
         (name = "grasps", description = "What was saved"),

@@ -153,8 +153,8 @@ impl Daemon {
             .to_owned();
         let (status, answer) = self.command(outcome);
         assert_eq!(
-            (status, &answer["carried_out"]),
-            (200, &json!(true)),
+            (status, &answer["result"]),
+            (200, &json!("accepted")),
             "{answer}"
         );
         id
@@ -554,8 +554,8 @@ fn all_who_listen_hear_the_same_and_one_that_reads_nothing_holds_up_nobody() {
     one.send(tungstenite::Message::text(message)).unwrap();
     let [answer] = hear_all(&mut one, [&|event| event["type"] == "answer"]);
     assert_eq!(
-        (&answer["id"], &answer["answer"]["carried_out"]),
-        (&json!(7), &json!(true))
+        (&answer["id"], &answer["answer"]["result"]),
+        (&json!(7), &json!("accepted"))
     );
     hear_all(
         &mut two,
@@ -582,11 +582,11 @@ fn a_dataset_that_goes_away_is_told_and_nothing_is_lost() {
         }
     };
     assert_eq!(
-        (status, &answer["carried_out"]),
-        (500, &json!(false)),
+        (status, &answer["result"]),
+        (500, &json!("failed")),
         "{answer}"
     );
-    let message = answer["message"].as_str().unwrap();
+    let message = answer["error"].as_str().unwrap();
     assert!(message.contains("NOT saved"), "{message}");
     assert_eq!(daemon.ask("GET", "/api/grasps", None).0, 404);
     fs::rename(&away, place.dataset()).unwrap();

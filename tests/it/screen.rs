@@ -5,24 +5,31 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
-use gripcast::daemon::{CameraState, CameraStatus, EngineStatus, PredictionStatus, Preview};
+use gripcast::daemon::{
+    CameraState, CameraStatus, EngineStatus, MarkerStatus, PredictionStatus, Preview,
+};
 use gripcast::tui::{ColourDepth, LinePrinter, Overlay, Palette, Reaction, ScreenState, draw};
 use gripcast_base::files::{Label, ObjectName};
-use gripcast_dataset::{GraspId, Outcome};
+use gripcast_capture::camera::CameraCounters;
+use gripcast_dataset::{GraspId, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
 use gripcast_session::{
-    Command, Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step,
+    Command, Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step,
 };
 use image::{Rgb, RgbImage};
 use proptest::prelude::*;
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 
-fn predicted(p_stable: f64, novelty: Option<f64>) -> Predicted {
-    Predicted {
+fn predicted(p_stable: f64, novelty: Option<f64>) -> PredictionRecord {
+    PredictionRecord {
         p_stable,
-        threshold: 0.5,
         novelty,
+        threshold: 0.5,
+        model_sha256: String::new(),
+        model: "baseline-contact".to_owned(),
+        latency_ms: 12.4,
+        engine_ms: 3.1,
     }
 }
 
@@ -41,11 +48,10 @@ fn camera(role: Role, serial: &str, port: &str, nominal_fps: f64) -> CameraStatu
         measured_fps: nominal_fps - 0.1,
         nominal_fps,
         frame_age_ms: Some(18.0),
-        received: 1500,
-        sequence_gaps: 0,
-        damaged: 0,
-        late: 0,
-        reconnects: 0,
+        counters: CameraCounters {
+            received: 1500,
+            ..CameraCounters::default()
+        },
         markers: None,
     }
 }
@@ -64,7 +70,6 @@ fn preview(is_difference: bool) -> Preview {
     });
     Preview {
         image: Arc::new(image),
-        contact: is_difference.then_some(8.4),
         is_difference,
     }
 }
@@ -108,24 +113,23 @@ fn waiting_for_grasp() -> EngineStatus {
         cameras: vec![
             camera(Role::Left, "2BNN4ZE7", "3-2.1", 25.0),
             CameraStatus {
-                sequence_gaps: 3,
-                reconnects: 1,
+                counters: CameraCounters {
+                    received: 1500,
+                    sequence_gaps: 3,
+                    reconnects: 1,
+                    ..CameraCounters::default()
+                },
                 ..camera(Role::Right, "2BKR9QX1", "3-2.2", 25.0)
             },
             camera(Role::Rgb, "842512070215", "4-1", 30.0),
             camera(Role::Depth, "842512070215", "4-1", 30.0),
         ],
         prediction: Some(PredictionStatus {
-            p_stable: 0.81,
-            novelty: None,
-            threshold: 0.5,
-            model: "baseline-contact".to_owned(),
             frame_age_ms: 18.0,
-            latency_ms: 12.4,
-            engine_ms: 3.1,
-            heuristic: true,
+            ..PredictionStatus::new(predicted(0.81, None), true)
         }),
         prediction_absent: None,
+        contact: BTreeMap::from([(Role::Left, 8.4), (Role::Right, 8.4)]),
         previews: BTreeMap::from([
             (Role::Left, preview(true)),
             (Role::Right, preview(true)),
@@ -141,6 +145,7 @@ fn waiting_for_initial() -> EngineStatus {
     status.session.initial_age_s = None;
     status.prediction = None;
     status.prediction_absent = Some("take the initial frame first".to_owned());
+    status.contact.clear();
     for (role, preview) in &mut status.previews {
         if role.is_tactile() {
             *preview = self::preview(false);
@@ -152,11 +157,14 @@ fn waiting_for_initial() -> EngineStatus {
 fn labelling() -> EngineStatus {
     let mut status = waiting_for_grasp();
     status.session.step = Step::Label;
-    if let Some(prediction) = &mut status.prediction {
-        prediction.p_stable = 0.12;
-        prediction.heuristic = false;
-        prediction.model = "gripnet-3".to_owned();
-    }
+    let said = PredictionRecord {
+        model: "gripnet-3".to_owned(),
+        ..predicted(0.12, None)
+    };
+    status.prediction = Some(PredictionStatus {
+        frame_age_ms: 18.0,
+        ..PredictionStatus::new(said, false)
+    });
     if let Some(last) = &mut status.session.last {
         last.outcome = Outcome::Unlabelled;
         last.predicted = Some(predicted(0.12, Some(0.4)));
@@ -285,7 +293,10 @@ fn what_the_external_camera_sees_of_the_markers_is_told() {
     let with = |markers: Result<&str, &str>| {
         let mut status = waiting_for_initial();
         status.cameras.push(CameraStatus {
-            markers: Some(markers.map(str::to_owned).map_err(str::to_owned)),
+            markers: Some(MarkerStatus {
+                ok: markers.is_ok(),
+                text: markers.unwrap_or_else(|why| why).to_owned(),
+            }),
             ..camera(Role::External, "9F2C", "3-3", 30.0)
         });
         status
@@ -452,8 +463,10 @@ prop_compose! {
             role, state,
             product: text.0, serial: text.1, port: text.2,
             measured_fps: numbers.0, nominal_fps: numbers.1, frame_age_ms: numbers.2,
-            received: count, sequence_gaps: count / 3, damaged: count / 5, late: count,
-            reconnects: count % 2,
+            counters: CameraCounters {
+                received: count, sequence_gaps: count / 3, damaged: count / 5, late: count,
+                duplicates: 0, reconnects: count % 2,
+            },
             markers: None,
         }
     }
@@ -463,11 +476,11 @@ prop_compose! {
     fn any_prediction()(n in (any_number(), any_number(), any_number()), model in any_text())
         -> PredictionStatus
     {
-        PredictionStatus {
-            p_stable: n.0, threshold: n.1, model, frame_age_ms: n.2, latency_ms: n.0,
-            novelty: None,
-            engine_ms: n.1, heuristic: n.2 > 0.5,
-        }
+        let said = PredictionRecord {
+            threshold: n.1, model, latency_ms: n.0, engine_ms: n.1,
+            ..predicted(n.0, None)
+        };
+        PredictionStatus { frame_age_ms: n.2, ..PredictionStatus::new(said, n.2 > 0.5) }
     }
 }
 
@@ -517,13 +530,14 @@ prop_compose! {
     ) -> EngineStatus {
         let preview = Preview {
             image: Arc::new(RgbImage::new(picture.0, picture.1)),
-            contact: prediction.as_ref().map(|p| p.p_stable),
             is_difference: picture.2,
         };
+        let contact = prediction.as_ref().map(|p| (Role::Left, p.said.p_stable));
         EngineStatus {
             black_box: None,
             dataset: text.clone(), rig: text.clone(), clock: text,
             disk_free_bytes: disk,
+            contact: contact.into_iter().collect(),
             session, cameras, prediction,
             prediction_absent: absent,
             previews: BTreeMap::from([(Role::Left, preview.clone()), (Role::External, preview)]),

@@ -157,8 +157,8 @@ class Mock:
         return {
             "role": role, "product": product, "serial": serial, "port": port,
             "state": fault["state"] if fault else "live",
-            "for_s": round(t % 60, 1) if fault and fault["state"] != "lost" else None,
-            "reason": "no device with this serial is plugged in" if fault and fault["state"] == "lost" else None,
+            **({"for_s": round(t % 60, 1)} if fault and fault["state"] in ("silent", "frozen") else {}),
+            **({"reason": "no device with this serial is plugged in"} if fault and fault["state"] == "lost" else {}),
             "measured_fps": 0.0 if fault else round(fps - 0.4 * (1 + math.sin(t)), 1), "nominal_fps": fps,
             "frame_age_ms": None if fault else round(age, 1), "received": int(t * fps),
             "sequence_gaps": 6 if role == "left" else 0, "damaged": 0, "late": 0, "reconnects": 0,
@@ -175,14 +175,13 @@ class Mock:
         verdict = "unsure" if (c["novelty"] or 0) > 1 else "stable" if p >= 0.51 else "slip"
         return {
             "p_stable": p, "verdict": verdict, "novelty": c["novelty"], "threshold": 0.51,
-            "model": "baseline-contact" if c["heuristic"] else "gripcast-vt", "heuristic": c["heuristic"],
+            "model": "baseline-contact" if c["heuristic"] else "gripcast-vt", "model_sha256": "0" * 64, "heuristic": c["heuristic"],
             "frame_age_ms": 1400.0 if c["stale"] else 30.0 + 20 * self.random.random(), "latency_ms": 17.0, "engine_ms": 7.3,
         }, None  # fmt: skip
 
     def state(self):
         prediction, absent = self.prediction()
         last = self.grasps.get(self.last)
-        touch = 26.8 if self.pending else None
         return {
             "dataset": "demo", "rig": "virtual", "clock": time.strftime("%H:%M:%S"), "disk_free_bytes": 7.0e10,
             "session": {
@@ -191,13 +190,13 @@ class Mock:
                 "initial_age_s": self.pending and time.monotonic() - self.pending[2],
                 "counts": self.counts(),
                 "last": last and {"id": last["id"], "object": last["object"], "outcome": last["outcome"],
-                                  "predicted": last["prediction"] and {"p_stable": last["prediction"]["p_stable"], "threshold": 0.51, "novelty": None}},
+                                  "predicted": last["prediction"]},
                 "undo": self.undos[-1][0] if self.undos else None,
                 "redo": self.redos[-1][0] if self.redos else None,
                 "message": self.message, "refusal": self.refusal, "saving": self.saving,
             },
             "cameras": [self.camera(role) for role in self.roles],
-            "prediction": prediction, "prediction_absent": absent, "contact": {"left": touch, "right": touch},
+            "prediction": prediction, "prediction_absent": absent, "contact": {"left": 26.8, "right": 26.8} if self.pending else {},
         }  # fmt: skip
 
     def say(self, text, level="info"):
@@ -351,9 +350,11 @@ def routes(mock):
     async def answered(done, reasons):
         await mock.publish()
         body = {
-            "carried_out": bool(done), "message": mock.message and mock.message["text"], "reasons": reasons,
-            "can_override": bool(mock.refusal and mock.refusal["can_override"]), "state": mock.state(),
-        }  # fmt: skip
+            True: {"result": "accepted"},
+            False: {"result": "refused", "reasons": reasons,
+                    "can_override": bool(mock.refusal and mock.refusal["can_override"])},
+            None: {"result": "failed", "error": mock.message and mock.message["text"]},
+        }[done] | {"state": mock.state()}  # fmt: skip
         return web.json_response(body, status=200 if done else 500 if done is None else 409)
 
     @table.get("/api/state")
@@ -515,7 +516,7 @@ def summary(grasp):
     return {
         **{name: grasp[name] for name in ("id", "object", "scene", "operator", "outcome", "labelled_at")},
         "captured_at": grasp["grasp"]["captured_at"], "agrees": agrees, "roles": list(grasp["grasp"]["cameras"]),
-        **{f"predicted_{name}": said and said[name] for name in ("p_stable", "threshold", "model")},
+        "prediction": said,
     }  # fmt: skip
 
 

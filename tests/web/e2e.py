@@ -601,7 +601,7 @@ async def cable(d, context):
     await d.shot(page, "cable")
     answer = d.server.call("/api/commands", "POST", {"command": "trigger"})
     reasons = json.dumps(answer.get("reasons"))
-    d.check("nothing is taken without the camera", not answer["carried_out"] and "left" in reasons, answer)
+    d.check("nothing is taken without the camera", answer["result"] == "refused" and "left" in reasons, answer)
     back = time.monotonic()
     d.server.unplug()
     for each in (page, other):

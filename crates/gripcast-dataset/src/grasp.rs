@@ -5,6 +5,7 @@ use std::fmt;
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use super::digest::FileDigest;
 use super::layout::Stage;
@@ -20,7 +21,18 @@ const POSE_FRAME: &str = "t_object_gripper";
 
 /// Whether the object stayed in the gripper during the lift.
 #[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    PartialOrd,
+    Ord,
+    Hash,
+    Serialize,
+    Deserialize,
+    ToSchema,
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Outcome {
@@ -305,7 +317,7 @@ pub struct SimulatedTruth {
 }
 
 /// What the model said before the lift.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PredictionRecord {
     /// Probability that the grasp is stable.

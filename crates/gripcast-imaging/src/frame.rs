@@ -6,6 +6,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use gripcast_base::error::{Error, ErrorKind};
 
@@ -13,7 +14,9 @@ use gripcast_base::error::{Error, ErrorKind};
 pub const LARGEST_SIDE: u32 = 16_384;
 
 /// What a camera is for; the key of everything that is stored per camera.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
+)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
     /// Tactile sensor on the left finger (−x of the gripper frame).

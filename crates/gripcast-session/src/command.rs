@@ -3,6 +3,9 @@
 use std::fmt;
 use std::str::FromStr;
 
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
 use gripcast_base::error::Error;
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_dataset::{GraspId, Outcome};
@@ -66,6 +69,49 @@ impl CommandSource {
     }
 }
 
+/// A command on its way through the session.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// Number by which its [result](super::Effect::Result) names it.
+    pub id: u64,
+    /// What is asked for.
+    pub command: Command,
+    /// Where it came from.
+    pub source: CommandSource,
+}
+
+/// What became of a command.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "result", rename_all = "snake_case")]
+pub enum CommandResult {
+    /// Carried out; what it changed is durable.
+    Accepted,
+    /// Refused: by guards, or because there was nothing to do.
+    Refused {
+        /// One for each guard, or what there was not to do.
+        reasons: Vec<String>,
+        /// Whether `override` can help.
+        can_override: bool,
+    },
+    /// It failed on disk; nothing changed.
+    Failed {
+        /// What failed, and how to mend it.
+        error: String,
+    },
+}
+
+impl CommandResult {
+    /// Why it was not carried out, in one line.
+    #[must_use]
+    pub fn complaint(&self) -> Option<String> {
+        match self {
+            Self::Accepted => None,
+            Self::Refused { reasons, .. } => Some(reasons.join("; ")),
+            Self::Failed { error } => Some(error.clone()),
+        }
+    }
+}
+
 /// A text that is no command.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ParseCommandError {
@@ -92,6 +138,20 @@ impl fmt::Display for ParseCommandError {
 
 impl std::error::Error for ParseCommandError {}
 
+/// Commands of one word.
+const PLAIN: [(&str, Command); 10] = [
+    ("trigger", Command::Trigger),
+    ("initial", Command::Initial),
+    ("grasp", Command::Grasp),
+    ("stable", Command::Label(Outcome::Stable)),
+    ("slip", Command::Label(Outcome::Slip)),
+    ("unlabel", Command::Label(Outcome::Unlabelled)),
+    ("undo", Command::Undo),
+    ("redo", Command::Redo),
+    ("override", Command::Override),
+    ("quit", Command::Quit),
+];
+
 impl FromStr for Command {
     type Err = ParseCommandError;
 
@@ -115,34 +175,23 @@ impl FromStr for Command {
             }
         };
         let id = |text: &str| GraspId::parse(text).map_err(because);
-        let plain = match word {
-            "trash" => return Ok(Self::Trash(id(rest)?)),
-            "restore" => return Ok(Self::Restore(id(rest)?)),
+        match word {
+            "trash" => Ok(Self::Trash(id(rest)?)),
+            "restore" => Ok(Self::Restore(id(rest)?)),
             "relabel" => {
                 let (which, outcome) = rest.split_once(char::is_whitespace).ok_or_else(error)?;
                 let outcome = Outcome::by_name(outcome.trim()).ok_or_else(error)?;
-                return Ok(Self::Relabel(id(which)?, outcome));
+                Ok(Self::Relabel(id(which)?, outcome))
             }
-            "object" if rest.is_empty() => return Err(error()),
-            "object" => return ObjectName::parse(rest).map(Self::Object).map_err(because),
-            "scene" => return label().map(Self::Scene),
-            "operator" => return label().map(Self::Operator),
-            "trigger" => Self::Trigger,
-            "initial" => Self::Initial,
-            "grasp" => Self::Grasp,
-            "stable" => Self::Label(Outcome::Stable),
-            "slip" => Self::Label(Outcome::Slip),
-            "unlabel" => Self::Label(Outcome::Unlabelled),
-            "undo" => Self::Undo,
-            "redo" => Self::Redo,
-            "override" => Self::Override,
-            "quit" => Self::Quit,
-            _ => return Err(error()),
-        };
-        if rest.is_empty() {
-            Ok(plain)
-        } else {
-            Err(error())
+            "object" if rest.is_empty() => Err(error()),
+            "object" => ObjectName::parse(rest).map(Self::Object).map_err(because),
+            "scene" => label().map(Self::Scene),
+            "operator" => label().map(Self::Operator),
+            _ => {
+                let plain = PLAIN.iter().find(|(name, _)| *name == word);
+                let plain = plain.filter(|_| rest.is_empty()).ok_or_else(error)?;
+                Ok(plain.1.clone())
+            }
         }
     }
 }
@@ -150,22 +199,16 @@ impl FromStr for Command {
 impl fmt::Display for Command {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Trigger => f.write_str("trigger"),
-            Self::Initial => f.write_str("initial"),
-            Self::Grasp => f.write_str("grasp"),
-            Self::Label(Outcome::Stable) => f.write_str("stable"),
-            Self::Label(Outcome::Slip) => f.write_str("slip"),
-            Self::Label(Outcome::Unlabelled) => f.write_str("unlabel"),
             Self::Relabel(id, outcome) => write!(f, "relabel {id} {outcome}"),
             Self::Trash(id) => write!(f, "trash {id}"),
             Self::Restore(id) => write!(f, "restore {id}"),
-            Self::Undo => f.write_str("undo"),
-            Self::Redo => f.write_str("redo"),
-            Self::Override => f.write_str("override"),
             Self::Object(name) => write!(f, "object {name}"),
             Self::Scene(name) => write!(f, "scene {name}"),
             Self::Operator(name) => write!(f, "operator {name}"),
-            Self::Quit => f.write_str("quit"),
+            plain => {
+                let named = PLAIN.iter().find(|(_, command)| command == plain);
+                f.write_str(named.map_or("", |(name, _)| name))
+            }
         }
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::machine::PendingFrame;
+use super::pending::PendingFrame;
 use gripcast_imaging::Role;
 
 /// Limits of the guards; section `[guards]` of the configuration.

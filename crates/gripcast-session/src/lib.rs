@@ -10,20 +10,21 @@
 //! A trigger is held against the guards ([`GuardLimits`]); a refusal names its reasons, and
 //! [`Command::Override`] repeats the trigger and records what was overridden. The engine carries
 //! out [`Effect`]s, one [`StoreRequest`] at a time, and answers with [`StoreReply`]; nothing is
-//! called saved before the answer.
+//! called saved before the answer. The last effect of a command is its [`CommandResult`].
 
 mod command;
 mod guard;
+mod history;
 mod machine;
 #[cfg(test)]
 mod machine_test;
+mod pending;
+mod store;
 mod view;
 
-pub use command::{Command, CommandSource, ParseCommandError};
+pub use command::{Command, CommandResult, CommandSource, ParseCommandError, Request};
 pub use guard::{CameraCondition, Conditions, Guard, GuardLimits, Objection};
-pub use machine::{
-    Effect, Labels, OutcomeCounts, PendingFrame, Session, StoreReply, StoreRequest, Summary,
-};
-pub use view::{
-    Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
-};
+pub use machine::{Effect, OutcomeCounts, Session, Summary};
+pub use pending::PendingFrame;
+pub use store::{Labels, StoreReply, StoreRequest};
+pub use view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};

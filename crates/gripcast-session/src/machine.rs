@@ -5,40 +5,14 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::Command;
+use super::command::{Command, CommandResult, Request};
 use super::guard::{self, Conditions, Guard, GuardLimits, Objection};
-use super::view::{
-    Counts, LastGrasp, Message, MessageLevel, Predicted, Refusal, SessionView, Step, Tone,
-};
-use gripcast_base::files::{FileName, Label, ObjectName};
-use gripcast_dataset::{GraspId, Outcome, OverriddenGuard};
-use gripcast_imaging::Role;
-
-/// Names that go into every grasp.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Labels {
-    /// What is grasped.
-    pub object: ObjectName,
-    /// Where.
-    pub scene: Label,
-    /// Who holds the gripper.
-    pub operator: Label,
-}
-
-/// An initial frame that waits for its grasp.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct PendingFrame {
-    /// Key of the grasp that it begins.
-    pub id: GraspId,
-    /// Wall clock, RFC 3339 UTC.
-    pub captured_at: String,
-    /// `CLOCK_MONOTONIC` of the trigger, ns; 0 when it was taken before this process started.
-    pub trigger_time_ns: u64,
-    /// Control values of each camera at that time.
-    pub controls: BTreeMap<Role, BTreeMap<String, i64>>,
-    /// The external camera's frame: its driver time, ns, and file.
-    pub external: Option<(u64, FileName)>,
-}
+use super::history::Done;
+use super::pending::PendingFrame;
+use super::store::{Labels, StoreReply, StoreRequest};
+use super::view::{Counts, LastGrasp, Message, MessageLevel, Refusal, SessionView, Step, Tone};
+use gripcast_base::files::ObjectName;
+use gripcast_dataset::{GraspId, Outcome, OverriddenGuard, Stage};
 
 /// Grasps by object and outcome.
 pub type OutcomeCounts = BTreeMap<ObjectName, BTreeMap<Outcome, usize>>;
@@ -52,155 +26,25 @@ pub enum Effect {
     Tone(Tone),
     /// The frame that is subtracted has changed; `None` = there is none.
     UseInitial(Option<GraspId>),
+    /// A command has been answered: nothing more follows from it.
+    Result {
+        /// Number of the request.
+        id: u64,
+        /// What became of it.
+        result: CommandResult,
+    },
     /// End.
     Quit,
 }
 
-/// A change of the dataset. At most one is under way.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StoreRequest {
-    /// Save the present frames as initial.
-    SaveInitial {
-        /// Guards that the operator overrode.
-        overridden: Vec<OverriddenGuard>,
-    },
-    /// Save the present frames as the grasp that `initial` began.
-    SaveGrasp {
-        /// The pending initial frame.
-        initial: GraspId,
-        /// Names.
-        labels: Labels,
-        /// Guards that the operator overrode.
-        overridden: Vec<OverriddenGuard>,
-    },
-    /// Set the outcome of a grasp.
-    SetOutcome {
-        /// Which.
-        id: GraspId,
-        /// To what.
-        outcome: Outcome,
-    },
-    /// Move a grasp to the trash.
-    TrashGrasp {
-        /// Which.
-        id: GraspId,
-    },
-    /// Take a grasp back from the trash.
-    RestoreGrasp {
-        /// Which.
-        id: GraspId,
-    },
-    /// Move a pending initial frame to the trash.
-    DiscardInitial {
-        /// Which.
-        id: GraspId,
-    },
-    /// Take it back from the trash.
-    RestoreInitial {
-        /// Which.
-        id: GraspId,
-    },
-    /// Move a grasp to the trash; its initial frame becomes pending again under a new key.
-    UndoGrasp {
-        /// Which.
-        id: GraspId,
-    },
-    /// Take it back from the trash; `reopened` is the pending frame that goes away.
-    RedoGrasp {
-        /// Which.
-        id: GraspId,
-        /// The pending frame that the undo made.
-        reopened: Option<GraspId>,
-    },
-}
-
-/// Answer to a [`StoreRequest`].
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum StoreReply {
-    /// An initial frame is durable (saved, restored, or reopened by an undone grasp).
-    Initial(PendingFrame),
-    /// A grasp is durable (saved, or taken back from the trash).
-    Grasp {
-        /// Its key.
-        id: GraspId,
-        /// Its object.
-        object: ObjectName,
-        /// Its outcome.
-        outcome: Outcome,
-        /// What was predicted before the lift.
-        predicted: Option<Predicted>,
-    },
-    /// An outcome is durable.
-    Labelled {
-        /// The grasp's object.
-        object: ObjectName,
-        /// Its outcome before.
-        before: Outcome,
-    },
-    /// A grasp is in the trash.
-    Trashed {
-        /// Its object.
-        object: ObjectName,
-        /// Its outcome.
-        outcome: Outcome,
-    },
-    /// Done; nothing to tell.
-    Done,
-    /// Nothing changed on disk.
-    Failed {
-        /// Why, and how to mend it.
-        message: String,
-    },
-}
-
-/// A step that can be taken back.
-#[derive(Clone, Debug, PartialEq)]
-enum Done {
-    Initial {
-        id: GraspId,
-        replaced: Option<PendingFrame>,
-    },
-    Grasp {
-        last: LastGrasp,
-        before: Option<LastGrasp>,
-        /// Pending frame that an undo made from the grasp's initial frame.
-        reopened: Option<GraspId>,
-    },
-    Label {
-        id: GraspId,
-        object: ObjectName,
-        before: Outcome,
-        after: Outcome,
-    },
-    Trash {
-        id: GraspId,
-        object: ObjectName,
-        outcome: Outcome,
-        /// The newest grasp of the session, if it is this one.
-        was_last: Option<LastGrasp>,
-    },
-    Restore {
-        id: GraspId,
-        object: ObjectName,
-        outcome: Outcome,
-    },
-}
-
 /// What the request under way is for.
 #[derive(Clone, Debug)]
-enum InFlight {
+pub(crate) enum InFlight {
     Initial,
     DiscardReplaced,
     Grasp,
-    Label {
-        id: GraspId,
-        outcome: Outcome,
-    },
-    Trash {
-        id: GraspId,
-    },
+    Label(Outcome),
+    Trash,
     Restore,
     Undo(Done),
     Redo(Done),
@@ -216,14 +60,17 @@ pub struct Session {
     limits: GuardLimits,
     labels: Labels,
     counts: OutcomeCounts,
-    pending: Option<PendingFrame>,
-    last: Option<LastGrasp>,
-    undo: Vec<Done>,
-    redo: Vec<Done>,
+    pub(crate) pending: Option<PendingFrame>,
+    pub(crate) last: Option<LastGrasp>,
+    pub(crate) undo: Vec<Done>,
+    pub(crate) redo: Vec<Done>,
     in_flight: Option<InFlight>,
-    refused: Option<(Command, Vec<Objection>)>,
+    /// Number of the newest command, and what became of it so far.
+    command: (u64, CommandResult),
+    /// The trigger that guards refused, and why.
+    refused: Option<(Stage, Vec<Objection>)>,
     message: Option<Message>,
-    summary: Summary,
+    pub(crate) summary: Summary,
     /// Time of the last capture, ns; 0 before the first.
     captured_ns: u64,
 }
@@ -274,6 +121,7 @@ impl Session {
             undo: Vec::new(),
             redo: Vec::new(),
             in_flight: None,
+            command: (0, CommandResult::Accepted),
             refused: None,
             message,
             summary: Summary::default(),
@@ -332,48 +180,41 @@ impl Session {
         self.refused.is_some()
     }
 
-    /// Takes a command. Must not be called while [`Session::is_storing`].
-    pub fn handle(&mut self, command: Command, now: &Conditions) -> Vec<Effect> {
+    /// Whether a command would take frames now; the cameras are looked at for these alone.
+    #[must_use]
+    pub fn is_trigger(&self, command: &Command) -> bool {
+        match command {
+            Command::Initial | Command::Grasp => true,
+            Command::Trigger => self.step() != Step::Label,
+            Command::Override => self
+                .refused
+                .as_ref()
+                .is_some_and(|(_, objections)| can_override(objections)),
+            _ => false,
+        }
+    }
+
+    /// Takes a command; `now` is what the cameras show where it [is a trigger](Self::is_trigger).
+    /// Must not be called while [`Session::is_storing`].
+    pub fn handle(&mut self, request: Request, now: Option<&Conditions>) -> Vec<Effect> {
+        self.command = (request.id, CommandResult::Accepted);
         let refused = self.refused.take();
         self.message = None;
-        match command {
+        let effects = match request.command {
             Command::Override => match refused {
-                Some((command, objections)) if objections.iter().all(|o| o.can_override) => {
-                    self.summary.overridden += 1;
-                    self.capture(command, now, true)
-                }
-                Some((command, objections)) => {
-                    let reason = objections
-                        .iter()
-                        .find(|o| !o.can_override)
-                        .map_or_else(String::new, |o| o.reason.clone());
-                    self.refused = Some((command, objections));
-                    self.say(
-                        MessageLevel::Warning,
-                        format!("this cannot be overridden: {reason}"),
-                    );
-                    vec![Effect::Tone(Tone::Refused)]
-                }
+                Some((stage, objections)) => self.override_guards(stage, objections, now),
                 None => self.nothing("there is nothing to override"),
             },
             Command::Trigger => match self.step() {
-                Step::Initial => self.capture(Command::Initial, now, false),
-                Step::Grasp => self.capture(Command::Grasp, now, false),
+                Step::Initial => self.capture(Stage::Initial, now, false),
+                Step::Grasp => self.capture(Stage::Grasp, now, false),
                 Step::Label => self.nothing("lift, then label the grasp: s stable, f slip"),
             },
-            Command::Initial | Command::Grasp => self.capture(command, now, false),
+            Command::Initial => self.capture(Stage::Initial, now, false),
+            Command::Grasp => self.capture(Stage::Grasp, now, false),
             Command::Label(outcome) => self.label(outcome),
-            Command::Relabel(id, outcome) => self.store(
-                InFlight::Label {
-                    id: id.clone(),
-                    outcome,
-                },
-                StoreRequest::SetOutcome { id, outcome },
-            ),
-            Command::Trash(id) => self.store(
-                InFlight::Trash { id: id.clone() },
-                StoreRequest::TrashGrasp { id },
-            ),
+            Command::Relabel(id, outcome) => self.set_outcome(id, outcome),
+            Command::Trash(id) => self.store(InFlight::Trash, StoreRequest::TrashGrasp { id }),
             Command::Restore(id) => {
                 self.store(InFlight::Restore, StoreRequest::RestoreGrasp { id })
             }
@@ -383,7 +224,8 @@ impl Session {
             Command::Scene(name) => self.rename(name, |labels| &mut labels.scene, "scene"),
             Command::Operator(name) => self.rename(name, |labels| &mut labels.operator, "operator"),
             Command::Quit => vec![Effect::Quit],
-        }
+        };
+        self.concluded(effects)
     }
 
     /// Takes the answer to the request under way.
@@ -391,55 +233,34 @@ impl Session {
         let Some(in_flight) = self.in_flight.take() else {
             return Vec::new();
         };
-        if let StoreReply::Failed { message } = reply {
-            return self.store_failed(in_flight, message);
-        }
-        match (in_flight, reply) {
+        let effects = match (in_flight, reply) {
+            (in_flight, StoreReply::Failed { message }) => self.store_failed(in_flight, &message),
             (InFlight::Initial, StoreReply::Initial(frame)) => self.initial_saved(frame),
-            (
-                InFlight::Grasp,
-                StoreReply::Grasp {
-                    id,
-                    object,
-                    outcome,
-                    predicted,
-                },
-            ) => self.grasp_saved(LastGrasp {
-                id,
-                object,
-                outcome,
-                predicted,
-            }),
-            (InFlight::Label { id, outcome }, StoreReply::Labelled { object, before }) => {
+            (InFlight::Grasp, StoreReply::Grasp(grasp)) => self.grasp_saved(grasp),
+            (InFlight::Label(outcome), StoreReply::Labelled { id, object, before }) => {
                 self.labelled(id, object, before, outcome)
             }
-            (InFlight::Trash { id }, StoreReply::Trashed { object, outcome }) => {
-                self.trashed(id, object, outcome)
-            }
-            (
-                InFlight::Restore,
-                StoreReply::Grasp {
-                    id,
-                    object,
-                    outcome,
-                    ..
-                },
-            ) => self.restored(id, object, outcome),
+            (InFlight::Trash, StoreReply::Trashed(grasp)) => self.trashed(grasp),
+            (InFlight::Restore, StoreReply::Grasp(grasp)) => self.restored(grasp),
             (InFlight::Undo(done), reply) => self.undone(done, reply),
             (InFlight::Redo(done), reply) => self.redone(done, reply),
             (InFlight::UndoRestore, StoreReply::Initial(frame)) => {
                 self.pending = Some(frame);
                 self.finish_undo("the initial frame before is back")
             }
-            (InFlight::RedoRestore(done), _) => {
-                let Done::Initial { ref id, .. } = done else {
-                    return Vec::new();
-                };
-                let id = id.clone();
-                self.store(InFlight::Redo(done), StoreRequest::RestoreInitial { id })
-            }
-            (InFlight::DiscardReplaced, _) | (_, _) => Vec::new(),
+            (InFlight::RedoRestore(done), _) => self.redo_restore(done),
+            _ => Vec::new(),
+        };
+        self.concluded(effects)
+    }
+
+    /// Adds the command's result once nothing more follows from it.
+    fn concluded(&mut self, mut effects: Vec<Effect>) -> Vec<Effect> {
+        if !self.is_storing() {
+            let (id, result) = self.command.clone();
+            effects.push(Effect::Result { id, result });
         }
+        effects
     }
 
     /// The session for a screen; `now_ns` is `CLOCK_MONOTONIC`.
@@ -471,13 +292,13 @@ impl Session {
             initial_age_s,
             counts: self.counts(),
             last: self.last.clone(),
-            undo: self.undo.last().map(describe),
-            redo: self.redo.last().map(describe),
+            undo: self.undo.last().map(Done::describe),
+            redo: self.redo.last().map(Done::describe),
             message,
-            refusal: self.refused.as_ref().map(|(command, objections)| Refusal {
-                stage: command.to_string(),
-                reasons: objections.iter().map(|o| o.reason.clone()).collect(),
-                can_override: objections.iter().all(|o| o.can_override),
+            refusal: self.refused.as_ref().map(|(stage, objections)| Refusal {
+                stage: stage.name().into(),
+                reasons: reasons(objections),
+                can_override: can_override(objections),
             }),
             saving: self.in_flight.is_some(),
         }
@@ -498,21 +319,35 @@ impl Session {
         counts
     }
 
-    fn say(&mut self, level: MessageLevel, text: impl Into<String>) {
+    pub(crate) fn say(&mut self, level: MessageLevel, text: impl Into<String>) {
         self.message = Some(Message {
             level,
             text: text.into(),
         });
     }
 
-    fn nothing(&mut self, why: &str) -> Vec<Effect> {
+    /// Refuses because there is nothing to do.
+    pub(crate) fn nothing(&mut self, why: &str) -> Vec<Effect> {
         self.say(MessageLevel::Info, why);
+        self.refuse(vec![why.to_owned()], false)
+    }
+
+    fn refuse(&mut self, reasons: Vec<String>, can_override: bool) -> Vec<Effect> {
+        self.command.1 = CommandResult::Refused {
+            reasons,
+            can_override,
+        };
         vec![Effect::Tone(Tone::Refused)]
     }
 
-    fn store(&mut self, in_flight: InFlight, request: StoreRequest) -> Vec<Effect> {
+    pub(crate) fn store(&mut self, in_flight: InFlight, request: StoreRequest) -> Vec<Effect> {
         self.in_flight = Some(in_flight);
         vec![Effect::Store(request)]
+    }
+
+    /// The frame that is subtracted now.
+    pub(crate) fn use_initial(&self) -> Effect {
+        Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone()))
     }
 
     fn rename<T: fmt::Display>(
@@ -526,10 +361,28 @@ impl Session {
         Vec::new()
     }
 
-    fn capture(&mut self, command: Command, now: &Conditions, overriding: bool) -> Vec<Effect> {
-        let grasp = command == Command::Grasp;
+    fn override_guards(
+        &mut self,
+        stage: Stage,
+        objections: Vec<Objection>,
+        now: Option<&Conditions>,
+    ) -> Vec<Effect> {
+        let Some(firm) = objections.iter().find(|o| !o.can_override) else {
+            self.summary.overridden += 1;
+            return self.capture(stage, now, true);
+        };
+        let text = format!("this cannot be overridden: {}", firm.reason);
+        self.refused = Some((stage, objections));
+        self.say(MessageLevel::Warning, text.as_str());
+        self.refuse(vec![text], false)
+    }
+
+    fn capture(&mut self, stage: Stage, now: Option<&Conditions>, overriding: bool) -> Vec<Effect> {
+        let Some(now) = now else {
+            return self.nothing("the cameras were not looked at");
+        };
         let mut objections = guard::check_frames(&self.limits, now, self.captured_ns);
-        if grasp {
+        if stage == Stage::Grasp {
             match &self.pending {
                 Some(initial) => {
                     objections.extend(guard::check_against_initial(&self.limits, now, initial))
@@ -541,24 +394,24 @@ impl Session {
                 }),
             }
         }
-        let blocked = objections.iter().any(|o| !o.can_override);
-        if blocked || (!objections.is_empty() && !overriding) {
+        let can_override = can_override(&objections);
+        if !can_override || (!objections.is_empty() && !overriding) {
             self.summary.refused += 1;
-            self.refused = Some((command, objections));
-            return vec![Effect::Tone(Tone::Refused)];
+            let reasons = reasons(&objections);
+            self.refused = Some((stage, objections));
+            return self.refuse(reasons, can_override);
         }
         self.captured_ns = now.now_ns;
-        let stage = if grasp { "grasp" } else { "initial" };
         let overridden = objections
             .into_iter()
             .map(|o| OverriddenGuard {
                 guard: o.guard.name().into(),
-                stage: stage.into(),
+                stage: stage.name().into(),
                 reason: o.reason,
             })
             .collect();
         match &self.pending {
-            Some(initial) if grasp => {
+            Some(initial) if stage == Stage::Grasp => {
                 let request = StoreRequest::SaveGrasp {
                     initial: initial.id.clone(),
                     labels: self.labels.clone(),
@@ -572,21 +425,15 @@ impl Session {
 
     fn initial_saved(&mut self, frame: PendingFrame) -> Vec<Effect> {
         self.summary.initials += 1;
-        let replaced = self.pending.replace(frame.clone());
+        let id = frame.id.clone();
+        let replaced = self.pending.replace(frame);
         let replaced_id = replaced.as_ref().map(|r| r.id.clone());
-        self.undo.push(Done::Initial {
-            id: frame.id.clone(),
-            replaced,
-        });
-        self.redo.clear();
+        self.record(Done::Initial { id, replaced });
         self.say(
             MessageLevel::Info,
             "initial frame saved: close the gripper, then trigger",
         );
-        let mut effects = vec![
-            Effect::UseInitial(Some(frame.id)),
-            Effect::Tone(Tone::InitialSaved),
-        ];
+        let mut effects = vec![self.use_initial(), Effect::Tone(Tone::InitialSaved)];
         if let Some(id) = replaced_id {
             effects.extend(self.store(
                 InFlight::DiscardReplaced,
@@ -605,13 +452,12 @@ impl Session {
             MessageLevel::Info,
             format!("grasp {} saved: lift, then label it", last.id.short()),
         );
-        self.undo.push(Done::Grasp {
+        self.record(Done::Grasp {
             last,
             before,
             reopened: None,
         });
-        self.redo.clear();
-        vec![Effect::UseInitial(None), Effect::Tone(Tone::GraspSaved)]
+        vec![self.use_initial(), Effect::Tone(Tone::GraspSaved)]
     }
 
     fn label(&mut self, outcome: Outcome) -> Vec<Effect> {
@@ -622,12 +468,12 @@ impl Session {
             let text = format!("grasp {} is labelled {outcome} already", last.id.short());
             return self.nothing(&text);
         }
-        let id = last.id.clone();
+        self.set_outcome(last.id.clone(), outcome)
+    }
+
+    fn set_outcome(&mut self, id: GraspId, outcome: Outcome) -> Vec<Effect> {
         self.store(
-            InFlight::Label {
-                id: id.clone(),
-                outcome,
-            },
+            InFlight::Label(outcome),
             StoreRequest::SetOutcome { id, outcome },
         )
     }
@@ -645,13 +491,12 @@ impl Session {
             MessageLevel::Info,
             format!("grasp {} labelled {outcome}", id.short()),
         );
-        self.undo.push(Done::Label {
+        self.record(Done::Label {
             id,
             object,
             before,
             after: outcome,
         });
-        self.redo.clear();
         vec![Effect::Tone(match outcome {
             Outcome::Stable => Tone::Stable,
             Outcome::Slip => Tone::Slip,
@@ -660,7 +505,13 @@ impl Session {
     }
 
     /// Brings memory in line with a label that was written.
-    fn relabel(&mut self, id: &GraspId, object: &ObjectName, from: Outcome, to: Outcome) {
+    pub(crate) fn relabel(
+        &mut self,
+        id: &GraspId,
+        object: &ObjectName,
+        from: Outcome,
+        to: Outcome,
+    ) {
         if let Some(last) = self.last.as_mut().filter(|last| last.id == *id) {
             last.outcome = to;
         }
@@ -668,264 +519,47 @@ impl Session {
         self.count(object, to, 1);
     }
 
-    fn trashed(&mut self, id: GraspId, object: ObjectName, outcome: Outcome) -> Vec<Effect> {
-        let was_last = self.leave_out(&id, &object, outcome);
+    fn trashed(&mut self, grasp: LastGrasp) -> Vec<Effect> {
+        let was_last = self.leave_out(&grasp);
+        let id = grasp.id.short();
         self.say(
             MessageLevel::Info,
-            format!("grasp {} is in the trash; undo brings it back", id.short()),
+            format!("grasp {id} is in the trash; undo brings it back"),
         );
-        self.undo.push(Done::Trash {
-            id,
-            object,
-            outcome,
-            was_last,
-        });
-        self.redo.clear();
+        self.record(Done::Trash { grasp, was_last });
         vec![Effect::Tone(Tone::Undone)]
     }
 
-    fn restored(&mut self, id: GraspId, object: ObjectName, outcome: Outcome) -> Vec<Effect> {
-        self.count(&object, outcome, 1);
+    fn restored(&mut self, grasp: LastGrasp) -> Vec<Effect> {
+        self.count(&grasp.object, grasp.outcome, 1);
+        let id = grasp.id.short();
         self.say(
             MessageLevel::Info,
-            format!("grasp {} is back from the trash", id.short()),
+            format!("grasp {id} is back from the trash"),
         );
-        self.undo.push(Done::Restore {
-            id,
-            object,
-            outcome,
-        });
-        self.redo.clear();
+        self.record(Done::Restore(grasp));
         vec![Effect::Tone(Tone::Undone)]
     }
 
-    /// A grasp has gone to the trash; returns it if it was the newest of the session.
-    fn leave_out(
-        &mut self,
-        id: &GraspId,
-        object: &ObjectName,
-        outcome: Outcome,
-    ) -> Option<LastGrasp> {
-        self.count(object, outcome, -1);
-        self.last.take_if(|last| last.id == *id)
+    /// A grasp has gone to the trash; returns whether it was the newest of the session.
+    pub(crate) fn leave_out(&mut self, grasp: &LastGrasp) -> bool {
+        self.count(&grasp.object, grasp.outcome, -1);
+        self.last.take_if(|last| last.id == grasp.id).is_some()
     }
 
-    fn count(&mut self, object: &ObjectName, outcome: Outcome, by: isize) {
+    pub(crate) fn count(&mut self, object: &ObjectName, outcome: Outcome, by: isize) {
         let object = self.counts.entry(object.clone()).or_default();
         let n = object.entry(outcome).or_default();
         *n = n.saturating_add_signed(by);
     }
 
-    fn undo(&mut self) -> Vec<Effect> {
-        let Some(done) = self.undo.pop() else {
-            return self.nothing("nothing to undo");
-        };
-        let request = match &done {
-            Done::Initial { id, .. } => StoreRequest::DiscardInitial { id: id.clone() },
-            Done::Grasp { last, .. } => StoreRequest::UndoGrasp {
-                id: last.id.clone(),
-            },
-            Done::Label { id, before, .. } => StoreRequest::SetOutcome {
-                id: id.clone(),
-                outcome: *before,
-            },
-            Done::Trash { id, .. } => StoreRequest::RestoreGrasp { id: id.clone() },
-            Done::Restore { id, .. } => StoreRequest::TrashGrasp { id: id.clone() },
-        };
-        self.store(InFlight::Undo(done), request)
-    }
-
-    fn undone(&mut self, done: Done, reply: StoreReply) -> Vec<Effect> {
-        match done {
-            Done::Initial { id, replaced } => {
-                self.pending = None;
-                let earlier = replaced.as_ref().map(|r| r.id.clone());
-                self.redo.push(Done::Initial { id, replaced });
-                match earlier {
-                    Some(id) => {
-                        self.store(InFlight::UndoRestore, StoreRequest::RestoreInitial { id })
-                    }
-                    None => self.finish_undo("initial frame taken back"),
-                }
-            }
-            Done::Grasp { last, before, .. } => {
-                let StoreReply::Initial(frame) = reply else {
-                    return Vec::new();
-                };
-                self.rename_initial(&last.id, &frame.id);
-                self.count(&last.object, last.outcome, -1);
-                self.last = before.clone();
-                let text = format!("grasp {} taken back", last.id.short());
-                self.redo.push(Done::Grasp {
-                    last,
-                    before,
-                    reopened: Some(frame.id.clone()),
-                });
-                self.pending = Some(frame);
-                self.finish_undo(&text)
-            }
-            Done::Label {
-                id,
-                object,
-                before,
-                after,
-            } => {
-                self.relabel(&id, &object, after, before);
-                let text = format!("grasp {} is {before} again", id.short());
-                self.redo.push(Done::Label {
-                    id,
-                    object,
-                    before,
-                    after,
-                });
-                self.finish_undo(&text)
-            }
-            Done::Trash {
-                ref id,
-                ref object,
-                outcome,
-                ref was_last,
-            } => {
-                self.count(object, outcome, 1);
-                self.last = was_last.clone().or_else(|| self.last.take());
-                let text = format!("grasp {} is back from the trash", id.short());
-                self.redo.push(done);
-                self.finish_undo(&text)
-            }
-            Done::Restore {
-                ref id,
-                ref object,
-                outcome,
-            } => {
-                self.leave_out(id, object, outcome);
-                let text = format!("grasp {} is in the trash again", id.short());
-                self.redo.push(done);
-                self.finish_undo(&text)
-            }
-        }
-    }
-
-    /// An undone grasp's initial frame is pending under a new key: the step that took the frame
-    /// has to name it, or it could not be taken back itself.
-    fn rename_initial(&mut self, from: &GraspId, to: &GraspId) {
-        for done in &mut self.undo {
-            if let Done::Initial { id, .. } = done
-                && id == from
-            {
-                id.clone_from(to);
-            }
-        }
-    }
-
-    fn finish_undo(&mut self, text: &str) -> Vec<Effect> {
-        self.summary.undone += 1;
-        self.say(MessageLevel::Info, text);
-        vec![
-            Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone())),
-            Effect::Tone(Tone::Undone),
-        ]
-    }
-
-    fn redo(&mut self) -> Vec<Effect> {
-        let Some(done) = self.redo.pop() else {
-            return self.nothing("nothing to redo");
-        };
-        match &done {
-            Done::Initial { id, replaced } => match replaced {
-                Some(earlier) => {
-                    let request = StoreRequest::DiscardInitial {
-                        id: earlier.id.clone(),
-                    };
-                    self.store(InFlight::RedoRestore(done), request)
-                }
-                None => {
-                    let request = StoreRequest::RestoreInitial { id: id.clone() };
-                    self.store(InFlight::Redo(done), request)
-                }
-            },
-            Done::Grasp { last, reopened, .. } => {
-                let request = StoreRequest::RedoGrasp {
-                    id: last.id.clone(),
-                    reopened: reopened.clone(),
-                };
-                self.store(InFlight::Redo(done), request)
-            }
-            Done::Label { id, after, .. } => {
-                let request = StoreRequest::SetOutcome {
-                    id: id.clone(),
-                    outcome: *after,
-                };
-                self.store(InFlight::Redo(done), request)
-            }
-            Done::Trash { id, .. } => {
-                let request = StoreRequest::TrashGrasp { id: id.clone() };
-                self.store(InFlight::Redo(done), request)
-            }
-            Done::Restore { id, .. } => {
-                let request = StoreRequest::RestoreGrasp { id: id.clone() };
-                self.store(InFlight::Redo(done), request)
-            }
-        }
-    }
-
-    fn redone(&mut self, done: Done, reply: StoreReply) -> Vec<Effect> {
-        match (&done, reply) {
-            (Done::Initial { .. }, StoreReply::Initial(frame)) => self.pending = Some(frame),
-            (Done::Grasp { last, reopened, .. }, _) => {
-                if let Some(reopened) = reopened {
-                    self.rename_initial(reopened, &last.id);
-                }
-                self.count(&last.object, last.outcome, 1);
-                self.last = Some(last.clone());
-                self.pending = None;
-            }
-            (
-                Done::Label {
-                    id,
-                    object,
-                    before,
-                    after,
-                },
-                _,
-            ) => self.relabel(id, object, *before, *after),
-            (
-                Done::Trash {
-                    id,
-                    object,
-                    outcome,
-                    ..
-                },
-                _,
-            ) => {
-                self.leave_out(id, object, *outcome);
-            }
-            (
-                Done::Restore {
-                    object, outcome, ..
-                },
-                _,
-            ) => self.count(object, *outcome, 1),
-            (Done::Initial { .. }, _) => return Vec::new(),
-        }
-        self.summary.redone += 1;
-        self.say(
-            MessageLevel::Info,
-            format!("done again: {}", describe(&done)),
-        );
-        self.undo.push(done);
-        vec![
-            Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone())),
-            Effect::Tone(Tone::Undone),
-        ]
-    }
-
-    fn store_failed(&mut self, in_flight: InFlight, message: String) -> Vec<Effect> {
+    fn store_failed(&mut self, in_flight: InFlight, message: &str) -> Vec<Effect> {
         self.summary.failed += 1;
         let what = match in_flight {
             InFlight::Initial => "the initial frame was NOT saved",
             InFlight::Grasp => "the grasp was NOT saved; its initial frame still is",
-            InFlight::Label { .. } => "the label was NOT saved",
-            InFlight::Trash { .. } => "the grasp was NOT moved to the trash",
+            InFlight::Label(_) => "the label was NOT saved",
+            InFlight::Trash => "the grasp was NOT moved to the trash",
             InFlight::Restore => "the grasp was NOT taken back from the trash",
             InFlight::DiscardReplaced => "the initial frame before could not be moved to the trash",
             InFlight::Undo(done) => {
@@ -938,20 +572,17 @@ impl Session {
                 "redo failed"
             }
         };
-        self.say(MessageLevel::Error, format!("{what}: {message}"));
-        vec![
-            Effect::UseInitial(self.pending.as_ref().map(|frame| frame.id.clone())),
-            Effect::Tone(Tone::Fault),
-        ]
+        let error = format!("{what}: {message}");
+        self.say(MessageLevel::Error, error.as_str());
+        self.command.1 = CommandResult::Failed { error };
+        vec![self.use_initial(), Effect::Tone(Tone::Fault)]
     }
 }
 
-fn describe(done: &Done) -> String {
-    match done {
-        Done::Initial { .. } => "initial frame".into(),
-        Done::Grasp { last, .. } => format!("grasp {}", last.id.short()),
-        Done::Label { id, after, .. } => format!("label {after} of {}", id.short()),
-        Done::Trash { id, .. } => format!("trash of {}", id.short()),
-        Done::Restore { id, .. } => format!("return of {}", id.short()),
-    }
+fn can_override(objections: &[Objection]) -> bool {
+    objections.iter().all(|o| o.can_override)
+}
+
+fn reasons(objections: &[Objection]) -> Vec<String> {
+    objections.iter().map(|o| o.reason.clone()).collect()
 }

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use proptest::prelude::*;
 
-use super::machine::*;
-use super::{CameraCondition, Command, Conditions, Guard, GuardLimits, Step, Tone};
+use super::*;
 use gripcast_base::files::ObjectName;
 use gripcast_dataset::{GraspId, Outcome};
 use gripcast_imaging::Role;
@@ -40,12 +39,7 @@ impl Store {
 
     fn grasp(&self, id: GraspId) -> StoreReply {
         let (object, outcome) = self.grasps[id.as_str()].clone();
-        StoreReply::Grasp {
-            id,
-            object,
-            outcome,
-            predicted: None,
-        }
+        StoreReply::Grasp(last_grasp(id, object, outcome))
     }
 
     fn carry_out(&mut self, request: StoreRequest) -> StoreReply {
@@ -73,6 +67,7 @@ impl Store {
                 StoreReply::Labelled {
                     object: grasp.0.clone(),
                     before,
+                    id,
                 }
             }
             StoreRequest::TrashGrasp { id } => {
@@ -81,7 +76,7 @@ impl Store {
                 };
                 self.trashed_grasps
                     .insert(id.to_string(), (object.clone(), outcome));
-                StoreReply::Trashed { object, outcome }
+                StoreReply::Trashed(last_grasp(id, object, outcome))
             }
             StoreRequest::RestoreGrasp { id } => {
                 let reopened = self.reopened.get(id.as_str());
@@ -155,6 +150,15 @@ impl Store {
     }
 }
 
+fn last_grasp(id: GraspId, object: ObjectName, outcome: Outcome) -> LastGrasp {
+    LastGrasp {
+        id,
+        object,
+        outcome,
+        predicted: None,
+    }
+}
+
 fn good() -> Conditions {
     let camera = |role| CameraCondition {
         role,
@@ -180,10 +184,35 @@ fn session() -> Session {
     Session::new(GuardLimits::default(), labels, OutcomeCounts::new(), None)
 }
 
+/// Handles a command as the engine does: only triggers see the cameras.
+fn handle(session: &mut Session, command: Command, now: &Conditions) -> Vec<Effect> {
+    let now = session.is_trigger(&command).then_some(now);
+    let request = Request {
+        id: 7,
+        command,
+        source: CommandSource::Keyboard,
+    };
+    session.handle(request, now)
+}
+
+/// The result among the effects.
+fn result(effects: &[Effect]) -> &CommandResult {
+    let Some(Effect::Result { id: 7, result }) = effects.last() else {
+        panic!("{effects:?}");
+    };
+    result
+}
+
+fn is_refused(effects: &[Effect]) -> bool {
+    effects[0] == Effect::Tone(Tone::Refused)
+        && matches!(result(effects), CommandResult::Refused { .. })
+}
+
 /// Handles a command and carries out all that follows from it.
 fn play(session: &mut Session, store: &mut Store, command: Command, now: &Conditions) -> Vec<Tone> {
-    let mut effects = session.handle(command, now);
+    let mut effects = handle(session, command, now);
     let mut tones = Vec::new();
+    let mut results = 0;
     while !effects.is_empty() {
         let mut next = Vec::new();
         for effect in effects {
@@ -193,11 +222,16 @@ fn play(session: &mut Session, store: &mut Store, command: Command, now: &Condit
                     next.extend(session.completed(reply));
                 }
                 Effect::Tone(tone) => tones.push(tone),
+                Effect::Result { id, .. } => {
+                    assert_eq!(id, 7);
+                    results += 1;
+                }
                 Effect::UseInitial(_) | Effect::Quit => {}
             }
         }
         effects = next;
     }
+    assert_eq!(results, 1, "a command has one result");
     assert!(!session.is_storing(), "a request stayed unanswered");
     tones
 }
@@ -241,12 +275,9 @@ fn every_guard_refuses_and_override_records_it() {
         play(&mut session, &mut store, Command::Initial, &good());
         let mut bad = good();
         spoil(&mut bad);
-        assert_eq!(
-            session.handle(Command::Grasp, &bad),
-            [Effect::Tone(Tone::Refused)]
-        );
+        assert!(is_refused(&handle(&mut session, Command::Grasp, &bad)));
         assert!(session.view(0).refusal.unwrap().can_override, "{guard:?}");
-        let effects = session.handle(Command::Override, &bad);
+        let effects = handle(&mut session, Command::Override, &bad);
         let [Effect::Store(StoreRequest::SaveGrasp { overridden, .. })] = &effects[..] else {
             panic!("{guard:?}: {effects:?}");
         };
@@ -254,6 +285,41 @@ fn every_guard_refuses_and_override_records_it() {
         assert_eq!(overridden[0].guard, guard.name());
         assert_eq!(overridden[0].stage, "grasp");
     }
+}
+
+#[test]
+fn only_triggers_look_at_the_cameras() {
+    let (mut session, mut store) = (session(), Store::default());
+    let trigger = |session: &Session, text: &str| session.is_trigger(&text.parse().unwrap());
+    for text in ["undo", "redo", "object cup", "stable", "override", "quit"] {
+        assert!(!trigger(&session, text), "{text}");
+    }
+    assert!(!trigger(&session, "relabel 2026-11-20T10-15-03Z-7f3a slip"));
+    for text in ["trigger", "initial", "grasp"] {
+        assert!(trigger(&session, text), "{text}");
+    }
+    handle(&mut session, Command::Grasp, &good());
+    assert!(!trigger(&session, "override"), "cannot be overridden");
+    play(&mut session, &mut store, Command::Trigger, &good());
+    let mut bad = good();
+    bad.skew_ms = 90.0;
+    handle(&mut session, Command::Grasp, &bad);
+    assert!(trigger(&session, "override"));
+    play(&mut session, &mut store, Command::Override, &bad);
+    assert_eq!(session.step(), Step::Label);
+    assert!(!trigger(&session, "trigger"), "a label is awaited");
+}
+
+#[test]
+fn nothing_is_saved_without_a_look_at_the_cameras() {
+    let mut session = session();
+    let request = Request {
+        id: 7,
+        command: Command::Initial,
+        source: CommandSource::Script,
+    };
+    assert!(is_refused(&session.handle(request, None)));
+    assert!(!session.is_storing());
 }
 
 #[test]
@@ -270,7 +336,7 @@ fn changed_exposure_is_refused_with_both_values() {
     );
     let mut now = good();
     now.cameras[0].controls = controls(220);
-    session.handle(Command::Grasp, &now);
+    handle(&mut session, Command::Grasp, &now);
     let reasons = session.view(0).refusal.unwrap().reasons;
     assert!(
         reasons[0].contains("exposure_time_absolute 180 → 220"),
@@ -281,21 +347,19 @@ fn changed_exposure_is_refused_with_both_values() {
 #[test]
 fn a_missing_gel_and_a_missing_initial_cannot_be_overridden() {
     let (mut session, mut store) = (session(), Store::default());
-    assert_eq!(
-        session.handle(Command::Grasp, &good()),
-        [Effect::Tone(Tone::Refused)]
-    );
-    assert_eq!(
-        session.handle(Command::Override, &good()),
-        [Effect::Tone(Tone::Refused)]
-    );
+    assert!(is_refused(&handle(&mut session, Command::Grasp, &good())));
+    assert!(is_refused(&handle(
+        &mut session,
+        Command::Override,
+        &good()
+    )));
     play(&mut session, &mut store, Command::Initial, &good());
     let mut bad = good();
     bad.cameras[1].age_ms = None;
     bad.cameras[1].fault = Some("unplugged".into());
-    session.handle(Command::Grasp, &bad);
+    handle(&mut session, Command::Grasp, &bad);
     assert!(!session.view(0).refusal.unwrap().can_override);
-    session.handle(Command::Override, &bad);
+    handle(&mut session, Command::Override, &bad);
     assert_eq!(store.grasps.len(), 0);
     assert_eq!(session.step(), Step::Grasp);
 }
@@ -310,7 +374,7 @@ fn the_initial_frame_is_never_saved_as_the_grasp() {
     }
     play(&mut session, &mut store, Command::Initial, &now);
     now.now_ns = 1_010;
-    session.handle(Command::Grasp, &now);
+    handle(&mut session, Command::Grasp, &now);
     let refusal = session.view(0).refusal.unwrap();
     assert!(!refusal.can_override && refusal.reasons[0].contains("since the last capture"));
     for camera in &mut now.cameras {
@@ -328,7 +392,7 @@ fn unknown_contact_is_refused() {
     for camera in &mut now.cameras {
         camera.contact_fraction = None;
     }
-    session.handle(Command::Grasp, &now);
+    handle(&mut session, Command::Grasp, &now);
     assert!(session.view(0).refusal.unwrap().reasons[0].contains("not known"));
 }
 
@@ -336,10 +400,14 @@ fn unknown_contact_is_refused() {
 fn a_failed_save_keeps_the_step_and_says_so() {
     let (mut session, mut store) = (session(), Store::default());
     play(&mut session, &mut store, Command::Trigger, &good());
-    session.handle(Command::Trigger, &good());
+    handle(&mut session, Command::Trigger, &good());
     let message = "no storage space".to_owned();
     let effects = session.completed(StoreReply::Failed { message });
     assert!(effects.contains(&Effect::Tone(Tone::Fault)));
+    let CommandResult::Failed { error } = result(&effects) else {
+        panic!("{effects:?}");
+    };
+    assert!(error.contains("NOT saved") && error.contains("no storage space"));
     assert_eq!(session.step(), Step::Grasp);
     assert!(
         session

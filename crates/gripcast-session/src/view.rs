@@ -1,12 +1,14 @@
-//! What a screen shows of the session.
+//! What screens and the API show of the session.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use gripcast_base::files::{Label, ObjectName};
-use gripcast_dataset::{GraspId, Outcome};
+use gripcast_dataset::{GraspId, GraspRecord, Outcome, PredictionRecord};
 
 /// Step of the cycle that comes next.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum Step {
     /// Gripper open: take the initial frame.
     Initial,
@@ -17,7 +19,8 @@ pub enum Step {
 }
 
 /// Sounds; distinct enough to work with eyes on the object.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum Tone {
     /// The initial frame is on disk.
     InitialSaved,
@@ -36,7 +39,8 @@ pub enum Tone {
 }
 
 /// Weight of a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum MessageLevel {
     /// Something happened as asked.
     Info,
@@ -47,7 +51,7 @@ pub enum MessageLevel {
 }
 
 /// The line under the gauge.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Message {
     /// Weight.
     pub level: MessageLevel,
@@ -56,7 +60,7 @@ pub struct Message {
 }
 
 /// A refused trigger; `!` overrides it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Refusal {
     /// `initial` or `grasp`.
     pub stage: String,
@@ -67,7 +71,7 @@ pub struct Refusal {
 }
 
 /// Labels so far.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Counts {
     /// Labelled stable in the dataset.
     pub stable: usize,
@@ -81,41 +85,45 @@ pub struct Counts {
     pub object_slip: usize,
 }
 
-/// What the model said of a grasp before the lift.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Predicted {
-    /// Probability that it holds.
-    pub p_stable: f64,
-    /// Decision threshold of the model.
-    pub threshold: f64,
-    /// Distance of the tactile pictures from those of the training, over what counts as known;
-    /// none where the model does not say.
-    pub novelty: Option<f64>,
-}
-
 /// The newest grasp.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct LastGrasp {
     /// Its key.
+    #[schema(value_type = String)]
     pub id: GraspId,
     /// Object.
+    #[schema(value_type = String)]
     pub object: ObjectName,
     /// Label.
     pub outcome: Outcome,
     /// What was predicted before the lift.
-    pub predicted: Option<Predicted>,
+    pub predicted: Option<PredictionRecord>,
+}
+
+impl From<GraspRecord> for LastGrasp {
+    fn from(record: GraspRecord) -> Self {
+        Self {
+            id: record.id,
+            object: record.object,
+            outcome: record.outcome,
+            predicted: record.prediction,
+        }
+    }
 }
 
 /// State of the session, complete for a screen.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionView {
     /// Step that comes next.
     pub step: Step,
     /// Present object.
+    #[schema(value_type = String)]
     pub object: ObjectName,
     /// Present scene.
+    #[schema(value_type = String)]
     pub scene: Label,
     /// Present operator.
+    #[schema(value_type = String)]
     pub operator: Label,
     /// When the pending initial frame was taken, RFC 3339 UTC.
     pub initial_at: Option<String>,

@@ -26,14 +26,15 @@ use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 use self::clock::WallClock;
 use self::queue::Queue;
 pub(super) use self::queue::{Tap, Topic};
 use self::shelf::{DirectoryShelf, Shelf};
 use self::writer::Writer;
-use super::capture::spawn;
+use super::thread::spawn;
 use gripcast_base::error::Result;
 use gripcast_imaging::Role;
 
@@ -60,10 +61,10 @@ pub struct BlackBoxSettings {
 pub(super) type Origin = BTreeMap<String, String>;
 
 /// How the black box does.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct BlackBoxStatus {
     /// Directory of the files.
-    pub directory: PathBuf,
+    pub directory: String,
     /// Written in this collection, bytes.
     pub bytes: u64,
     /// Frames that are not in the log because the queue was full, all cameras.
@@ -115,7 +116,7 @@ struct Progress {
 /// The running black box.
 #[derive(Debug)]
 pub(super) struct BlackBox {
-    directory: PathBuf,
+    directory: String,
     queue: Arc<Queue>,
     progress: Arc<Mutex<Progress>>,
     ended: Receiver<()>,
@@ -136,7 +137,7 @@ impl BlackBox {
     }
 
     fn on(shelf: Box<dyn Shelf>, settings: BlackBoxSettings, origin: Origin) -> Result<Self> {
-        let directory = settings.directory.clone();
+        let directory = settings.directory.display().to_string();
         let clock = WallClock::now();
         let queue = Arc::new(Queue::new(settings.queue_bytes, clock));
         let progress = Arc::new(Mutex::new(Progress::default()));
@@ -190,7 +191,7 @@ impl BlackBox {
         let unfinished =
             || (!is_ended).then(|| "the disk took too long to close the file".to_owned());
         BlackBoxReport {
-            directory: self.directory.display().to_string(),
+            directory: self.directory.clone(),
             files: progress.files,
             bytes: progress.bytes,
             removed_files: progress.removed_files,

@@ -69,7 +69,7 @@ export async function command(text) {
     const answer = await change("POST", "api/commands", { command: text });
     const shown = answer.state?.session;
     // What the state says is on the page already, on every page.
-    if (!answer.carried_out && !shown?.refusal && !shown?.message) toast(whyNot(answer), "error");
+    if (answer.result !== "accepted" && !shown?.refusal && !shown?.message) toast(whyNot(answer), "error");
   } catch (error) {
     const lost = error instanceof ApiError && error.status === 0;
     toast(lost ? `no answer to “${text}”: look at the step before you press again` : `${text}: ${/** @type {Error} */ (error).message}`, "error");

@@ -60,13 +60,13 @@ export async function version() {
  */
 export async function change(method, path, body) {
   const { response, answer } = await send(method, path, body);
-  if (typeof answer?.carried_out === "boolean") return answer;
+  if (typeof answer?.result === "string") return answer;
   throw refusal(response, answer);
 }
 
 /** Why a command was not carried out, in one line. @param {CommandAnswer} answer */
 export function whyNot(answer) {
-  return [answer.message, ...answer.reasons].filter(Boolean).join("; ") || "refused";
+  return answer.error ?? (answer.reasons?.join("; ") || "refused");
 }
 
 /** Whether this browser has logged in; the cookie itself cannot be read here. @returns {Promise<boolean>} */

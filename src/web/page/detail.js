@@ -164,9 +164,9 @@ async function alter(path, body, failure) {
   busy = true;
   try {
     const answer = await change("POST", path, body);
-    if (!answer.carried_out) toast(`${failure}: ${whyNot(answer)}`, "error");
+    if (answer.result !== "accepted") toast(`${failure}: ${whyNot(answer)}`, "error");
     await refreshDetail();
-    return answer.carried_out;
+    return answer.result === "accepted";
   } catch (error) {
     toast(`${failure}: ${/** @type {Error} */ (error).message}`, "error");
     return false;

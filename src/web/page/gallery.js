@@ -82,8 +82,8 @@ function draw() {
 function cardButton(grasp) {
   const mark = { true: "✓", false: "✗", null: "" }[String(grasp.agrees)] ?? "";
   const node = button("", () => openDetail(grasp.id), "card");
-  const p = grasp.predicted_p_stable;
-  const said = p === null ? "no prediction" : `predicted ${p.toFixed(2)}`;
+  const p = grasp.prediction?.p_stable;
+  const said = p === undefined ? "no prediction" : `predicted ${p.toFixed(2)}`;
   node.setAttribute("aria-label", `grasp ${short(grasp.id)}, ${grasp.object || "no object"}, ${OUTCOMES[grasp.outcome]}, ${said}${mark === "✗" ? ", disagree" : ""}`);
   const pictures = make("span", "thumbs", ...thumbs(grasp));
   const line = make("span", "line", outcomeNode(grasp.outcome), make("span", "faint", ` ${said} `));
@@ -134,7 +134,7 @@ export function noteTrashed(id, object) {
 export async function restore(id) {
   try {
     const answer = await change("POST", `api/grasps/${encodeURIComponent(id)}/restore`);
-    if (!answer.carried_out) return toast(whyNot(answer), "error");
+    if (answer.result !== "accepted") return toast(whyNot(answer), "error");
     trashed.delete(id);
     drawTrashed();
     toast(`grasp ${short(id)} is back`);

@@ -157,7 +157,7 @@ export function startNames() {
     if (dialog.returnValue !== "ok" || !name || name === session?.[asked]) return;
     try {
       const answer = await change("PUT", `api/${asked}`, { name });
-      if (!answer.carried_out) toast(whyNot(answer), "error");
+      if (answer.result !== "accepted") toast(whyNot(answer), "error");
     } catch (error) {
       toast(`${asked} not changed: ${/** @type {Error} */ (error).message}`, "error");
     }

@@ -9,7 +9,10 @@
  * @typedef {object} Predicted what the model said of a grasp before the lift
  * @property {number} p_stable
  * @property {number} threshold
- * @property {number|null} [novelty] above 1: unlike the training pictures
+ * @property {number} [novelty] above 1: unlike the training pictures
+ * @property {string} model
+ * @property {number} latency_ms
+ * @property {number} engine_ms
  *
  * @typedef {object} LastGrasp
  * @property {string} id
@@ -50,8 +53,8 @@
  * @property {string} serial
  * @property {string} port
  * @property {"opening"|"live"|"silent"|"frozen"|"lost"|"ended"} state
- * @property {number|null} for_s
- * @property {string|null} reason
+ * @property {number} [for_s] since when it is silent or frozen
+ * @property {string} [reason] why it is lost
  * @property {number} measured_fps
  * @property {number} nominal_fps
  * @property {number|null} frame_age_ms
@@ -62,16 +65,7 @@
  * @property {number} reconnects
  * @property {{ok: boolean, text: string}|null} markers
  *
- * @typedef {object} Prediction
- * @property {number} p_stable
- * @property {"stable"|"slip"|"unsure"} verdict
- * @property {number|null} novelty
- * @property {number} threshold
- * @property {string} model
- * @property {boolean} heuristic
- * @property {number} frame_age_ms
- * @property {number} latency_ms
- * @property {number} engine_ms
+ * @typedef {Predicted & {verdict: "stable"|"slip"|"unsure", heuristic: boolean, frame_age_ms: number}} Prediction
  *
  * @typedef {object} State
  * @property {string} dataset
@@ -82,13 +76,13 @@
  * @property {Camera[]} cameras
  * @property {Prediction|null} prediction
  * @property {string|null} prediction_absent
- * @property {{left?: number|null, right?: number|null}} contact
+ * @property {{left?: number, right?: number}} contact
  *
  * @typedef {object} CommandAnswer
- * @property {boolean} carried_out
- * @property {string|null} message
- * @property {string[]} reasons
- * @property {boolean} can_override
+ * @property {"accepted"|"refused"|"failed"} result
+ * @property {string[]} [reasons] of a refusal
+ * @property {boolean} [can_override]
+ * @property {string} [error] of a failure
  * @property {State} state
  *
  * @typedef {object} GraspSummary
@@ -99,9 +93,7 @@
  * @property {Outcome} outcome
  * @property {string|null} labelled_at
  * @property {string} captured_at
- * @property {number|null} predicted_p_stable
- * @property {number|null} predicted_threshold
- * @property {string|null} predicted_model
+ * @property {Predicted|null} prediction
  * @property {boolean|null} agrees
  * @property {Role[]} roles
  *

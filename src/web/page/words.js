@@ -138,7 +138,7 @@ export function stateWords({ state, for_s }) {
   if (state === "opening") return "opening …";
   if (state === "ended") return "recording ended";
   if (state === "live") return "live";
-  return for_s === null ? state.toUpperCase() : `${state.toUpperCase()} ${duration(for_s * 1e3)}`;
+  return for_s === undefined ? state.toUpperCase() : `${state.toUpperCase()} ${duration(for_s * 1e3)}`;
 }
 
 /** Which part has failed, and what helps. @param {Camera} camera */

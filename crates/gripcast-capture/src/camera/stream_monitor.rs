@@ -2,6 +2,9 @@
 
 use std::collections::VecDeque;
 
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
 /// Limits of supervision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SupervisionPolicy {
@@ -72,7 +75,7 @@ pub enum Health {
 }
 
 /// What has been counted since the program started; survives reopening.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct CameraCounters {
     /// Usable frames.
     pub received: u64,

@@ -1,7 +1,11 @@
 //! What may be claimed of a prediction.
 
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
 /// A claim in one word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// The grasp will hold.
     Stable,
