@@ -137,7 +137,7 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<Figures> {
         vision: true,
     };
     let mut draw = SeedStream::named(0, "bench train");
-    let mut network = Network::new(architecture, senses, 0, || draw.uniform());
+    let mut network = Network::new(architecture, senses, || draw.uniform());
     let count = usize::from(args.batch);
     let picture: usize = PICTURE.iter().product();
     let mut pictures = |pictures: usize| -> Vec<f32> {
@@ -150,7 +150,6 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<Figures> {
         vision: pictures(count),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: vec![1.0; count],
-        quantities: Vec::new(),
     };
     let mut gradient = vec![0.0; network.parameters.len()];
     let mut adam = Adam::new(network.parameters.len());

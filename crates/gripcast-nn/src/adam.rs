@@ -75,7 +75,7 @@ mod tests {
             touch: true,
             vision: false,
         };
-        let layout = Layout::of(&Architecture::gripcast(), senses, 0);
+        let layout = Layout::of(&Architecture::gripcast(), senses);
         let mut parameters = vec![1.0; layout.len()];
         let mut adam = Adam::new(layout.len());
         for _ in 0..400 {

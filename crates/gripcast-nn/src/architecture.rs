@@ -186,15 +186,13 @@ pub struct Layout {
     pub(super) vision: Option<EncoderParts>,
     /// Weight and bias of the hidden and of the last layer.
     pub(super) head: [[Part; 2]; 2],
-    /// Weight and bias of what guesses quantities beside the label; only training has it.
-    pub(super) quantities: Option<[Part; 2]>,
     parts: Vec<Part>,
     moments: usize,
 }
 
 impl Layout {
-    /// The layout of an architecture that guesses so many `quantities` beside the label.
-    pub fn of(architecture: &Architecture, senses: Senses, quantities: usize) -> Self {
+    /// The layout of an architecture.
+    pub fn of(architecture: &Architecture, senses: Senses) -> Self {
         let mut parts: Vec<Part> = Vec::new();
         let mut moments = 0;
         let mut part = |name: String, shape: [usize; 2]| {
@@ -251,21 +249,10 @@ impl Layout {
                 part("head.logit.bias".to_owned(), [1, 1]),
             ],
         ];
-        // Last, so that the others are drawn alike with and without it.
-        let quantities = (quantities > 0).then(|| {
-            [
-                part(
-                    "quantities.projection.weight".to_owned(),
-                    [joined, quantities],
-                ),
-                part("quantities.projection.bias".to_owned(), [1, quantities]),
-            ]
-        });
         Self {
             touch,
             vision,
             head,
-            quantities,
             parts,
             moments,
         }

@@ -125,7 +125,9 @@ fn all_processors_find_the_same() {
         .into_iter()
         .map(|isa| {
             let mut packed = Packed::default();
-            packed.pack_for(isa, [shape.fan_in(), shape.channels], &w);
+            packed.pack_for(isa, [shape.fan_in(), shape.channels], |row, column| {
+                w[row * shape.channels + column]
+            });
             let mut y = vec![0.0; outputs];
             isa.run(Multiply {
                 a: &x,

@@ -19,6 +19,7 @@ mod adam;
 mod architecture;
 mod batch_norm;
 mod conv;
+mod export;
 mod inference;
 mod lanes;
 mod network;
@@ -27,7 +28,6 @@ mod product;
 
 pub use adam::{Adam, linear_schedule};
 pub use architecture::{Architecture, ConvSpec, Layout, PICTURE, Part, Senses};
-pub use conv::ConvShape;
-pub use inference::{Convolution, Dense, Padded};
+pub use export::to_onnx;
 pub use lanes::vector_bits;
-pub use network::{Batch, FoldedConvolution, Losses, Network, Sense, Step};
+pub use network::{Batch, Network, Step};

@@ -20,13 +20,10 @@ pub struct Batch {
     pub touch: Vec<f32>,
     /// Colour pictures.
     pub vision: Vec<f32>,
-    /// 1 for a stable grasp, 0 for a lost one, or between.
+    /// 1 for a stable grasp, 0 for a lost one.
     pub targets: Vec<f32>,
     /// What each sample's loss counts.
     pub weights: Vec<f32>,
-    /// Quantities of each sample that the network guesses beside the label, one after the other,
-    /// NaN where one is not known; empty for none.
-    pub quantities: Vec<f32>,
 }
 
 /// What a step of training needs beside the data.
@@ -36,43 +33,41 @@ pub struct Step {
     pub number: u64,
     /// What the hidden floats of each sample are multiplied with; empty for nothing.
     pub dropout: Vec<f32>,
-    /// What the error of the quantities counts beside that of the label.
-    pub quantity_weight: f32,
-}
-
-/// Losses of a batch.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Losses {
-    /// Mean binary cross entropy of the label, nats.
-    pub label: f64,
-    /// Half of the mean squared error of the known quantities.
-    pub quantities: f64,
 }
 
 /// One of the encoders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sense {
+pub(crate) enum Sense {
     /// Of tactile differences.
     Touch,
     /// Of the colour picture.
     Vision,
 }
 
+impl Sense {
+    /// Its name in the names of parts.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Touch => "touch",
+            Self::Vision => "vision",
+        }
+    }
+}
+
 /// A convolution and its normalisation in one.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FoldedConvolution {
+pub(crate) struct FoldedConvolution {
     /// KH·KW·C rows, a column for each output channel.
-    pub weight: Vec<f32>,
+    pub(crate) weight: Vec<f32>,
     /// One for each output channel.
-    pub bias: Vec<f32>,
+    pub(crate) bias: Vec<f32>,
 }
 
 /// Parameters and what belongs to them.
 #[derive(Clone, Debug)]
 pub struct Network {
     shapes: Vec<ConvShape>,
-    pooled: [usize; 3],
-    pool: [usize; 2],
+    architecture: Architecture,
     layout: Layout,
     senses: Senses,
     /// All parameters, by [`Layout`].
@@ -112,15 +107,12 @@ struct EncoderPass {
 impl Network {
     /// A network whose parameters are drawn by `uniform` from [0, 1): weights uniform within
     /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, the rest 0.
-    ///
-    /// Its training guesses so many `quantities` beside the label.
     pub fn new(
         architecture: &Architecture,
         senses: Senses,
-        quantities: usize,
         mut uniform: impl FnMut() -> f64,
     ) -> Self {
-        let layout = Layout::of(architecture, senses, quantities);
+        let layout = Layout::of(architecture, senses);
         let mut parameters = vec![0.0; layout.len()];
         for part in layout.parts() {
             let values = &mut parameters[part.range()];
@@ -141,8 +133,7 @@ impl Network {
         }
         Self {
             shapes: architecture.shapes(),
-            pooled: architecture.pooled(),
-            pool: architecture.pool,
+            architecture: architecture.clone(),
             layout,
             senses,
             parameters,
@@ -157,27 +148,22 @@ impl Network {
     }
 
     /// The values of a part.
-    pub fn part(&self, part: &Part) -> &[f32] {
+    pub(crate) fn part(&self, part: &Part) -> &[f32] {
         &self.parameters[part.range()]
     }
 
     /// Shapes of an encoder's convolutions.
-    pub fn shapes(&self) -> &[ConvShape] {
+    pub(crate) fn shapes(&self) -> &[ConvShape] {
         &self.shapes
     }
 
-    /// Height, width and channels of the means that are projected.
-    pub fn pooled(&self) -> [usize; 3] {
-        self.pooled
-    }
-
-    /// Height and width of the windows whose means are projected.
-    pub fn pool_window(&self) -> [usize; 2] {
-        self.pool
+    /// Its sizes.
+    pub(crate) fn architecture(&self) -> &Architecture {
+        &self.architecture
     }
 
     /// Weight and bias of the hidden and of the last layer.
-    pub fn head(&self) -> &[[Part; 2]; 2] {
+    pub(crate) fn head(&self) -> &[[Part; 2]; 2] {
         &self.layout.head
     }
 
@@ -189,13 +175,13 @@ impl Network {
     }
 
     /// Weight and bias of an encoder's projection; none where the classifier lacks the sense.
-    pub fn projection(&self, sense: Sense) -> Option<&[Part; 2]> {
+    pub(crate) fn projection(&self, sense: Sense) -> Option<&[Part; 2]> {
         self.encoder(sense).map(|parts| &parts.projection)
     }
 
     /// Convolutions of an encoder with their normalisation by the running moments in them; none
     /// where the classifier lacks the sense.
-    pub fn folded(&self, sense: Sense) -> Option<Vec<FoldedConvolution>> {
+    pub(crate) fn folded(&self, sense: Sense) -> Option<Vec<FoldedConvolution>> {
         let parts = self.encoder(sense)?;
         let folded = parts.convolutions.iter().zip(&parts.moments);
         let folded = folded.map(|([weight, gamma, beta], moments)| {
@@ -219,10 +205,9 @@ impl Network {
         self.decide(&passes, None).logits
     }
 
-    /// Losses of a batch; adds the gradient of all parameters to `gradient` and updates the running
-    /// moments. The gradient is that of the label's loss and [`Step::quantity_weight`] times that of
-    /// the quantities (Caruana, "Multitask learning", 1997).
-    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> Losses {
+    /// Mean binary cross entropy of a batch, nats; adds the gradient of all parameters to `gradient`
+    /// and updates the running moments.
+    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
         let mut workspace = std::mem::take(&mut self.workspace);
         let Workspace { passes, gradients } = &mut workspace;
         self.encode(batch, true, passes);
@@ -239,9 +224,7 @@ impl Network {
                 (weight * (1.0 / (1.0 + (-x).exp()) - y)) as f32
             })
             .collect();
-        let mut djoined = self.backward_head(&head, step, &dlogits, gradient);
-        let quantities =
-            self.backward_quantities(&head.joined, batch, step, &mut djoined, gradient);
+        let djoined = self.backward_head(&head, step, &dlogits, gradient);
         let dembeddings = self.split(passes, &djoined);
         let mut first = 0;
         let encoders = self.encoder_parts().into_iter().zip(&*passes);
@@ -259,10 +242,7 @@ impl Network {
         }
         self.update_moments(passes, step.number);
         self.workspace = workspace;
-        Losses {
-            label: loss,
-            quantities,
-        }
+        loss
     }
 
     /// Gives the batch's moments their share in the running ones.
@@ -362,27 +342,39 @@ impl Network {
         self.shapes.last().map_or(PICTURE, ConvShape::output)
     }
 
+    /// The windows of what the last convolution gives.
+    fn windows(&self) -> Windows {
+        let [_, width, channels] = self.last();
+        let [rows, columns, _] = self.architecture.pooled();
+        let [tall, wide] = self.architecture.pool;
+        let mut pixels = Vec::with_capacity(rows * tall * columns * wide);
+        for window in 0..rows * columns {
+            let (row, column) = (window / columns * tall, window % columns * wide);
+            for y in row..row + tall {
+                for x in column..column + wide {
+                    pixels.push([(y * width + x) * channels, window * channels]);
+                }
+            }
+        }
+        Windows {
+            image: self.last().iter().product(),
+            pooled: rows * columns * channels,
+            channels,
+            pixels,
+            share: 1.0 / (tall * wide) as f32,
+        }
+    }
+
     /// Means over windows.
     fn pool(&self, a: &[f32], count: usize) -> Vec<f32> {
-        let [_, width, channels] = self.last();
-        let image: usize = self.last().iter().product();
-        let [rows, columns, _] = self.pooled;
-        let [tall, wide] = self.pool;
-        let share = 1.0 / (tall * wide) as f32;
-        let mut pooled = vec![0.0; count * rows * columns * channels];
-        for (a, pooled) in a
-            .chunks_exact(image)
-            .zip(pooled.chunks_exact_mut(rows * columns * channels))
-        {
-            for (window, pooled) in pooled.chunks_exact_mut(channels).enumerate() {
-                let (row, column) = (window / columns * tall, window % columns * wide);
-                for y in row..row + tall {
-                    let from = (y * width + column) * channels;
-                    for pixel in a[from..from + wide * channels].chunks_exact(channels) {
-                        for (pooled, a) in pooled.iter_mut().zip(pixel) {
-                            *pooled += share * a;
-                        }
-                    }
+        let windows = self.windows();
+        let mut pooled = vec![0.0; count * windows.pooled];
+        let images = a.chunks_exact(windows.image);
+        for (a, pooled) in images.zip(pooled.chunks_exact_mut(windows.pooled)) {
+            for [pixel, window] in &windows.pixels {
+                let pixel = &a[*pixel..][..windows.channels];
+                for (pooled, a) in pooled[*window..].iter_mut().zip(pixel) {
+                    *pooled += windows.share * a;
                 }
             }
         }
@@ -391,27 +383,15 @@ impl Network {
 
     /// Gradient of what the last convolution gives.
     fn unpool(&self, dpooled: &[f32], d: &mut Vec<f32>) {
-        let [_, width, channels] = self.last();
-        let image: usize = self.last().iter().product();
-        let [rows, columns, _] = self.pooled;
-        let [tall, wide] = self.pool;
-        let share = 1.0 / (tall * wide) as f32;
-        let count = dpooled.len() / (rows * columns * channels);
+        let windows = self.windows();
         d.clear();
-        d.resize(count * image, 0.0);
-        for (d, dpooled) in d
-            .chunks_exact_mut(image)
-            .zip(dpooled.chunks_exact(rows * columns * channels))
-        {
-            for (window, dpooled) in dpooled.chunks_exact(channels).enumerate() {
-                let (row, column) = (window / columns * tall, window % columns * wide);
-                for y in row..row + tall {
-                    let from = (y * width + column) * channels;
-                    for pixel in d[from..from + wide * channels].chunks_exact_mut(channels) {
-                        for (d, dpooled) in pixel.iter_mut().zip(dpooled) {
-                            *d = share * dpooled;
-                        }
-                    }
+        d.resize(dpooled.len() / windows.pooled * windows.image, 0.0);
+        let images = d.chunks_exact_mut(windows.image);
+        for (d, dpooled) in images.zip(dpooled.chunks_exact(windows.pooled)) {
+            for [pixel, window] in &windows.pixels {
+                let pixel = &mut d[*pixel..][..windows.channels];
+                for (d, dpooled) in pixel.iter_mut().zip(&dpooled[*window..]) {
+                    *d = windows.share * dpooled;
                 }
             }
         }
@@ -477,36 +457,6 @@ impl Network {
             *d *= factor;
         }
         backward_linear(&head.joined, &dhidden, self, weight, bias, gradient)
-    }
-
-    /// Loss of the quantities; adds its gradient to that of the joined embeddings.
-    fn backward_quantities(
-        &self,
-        joined: &[f32],
-        batch: &Batch,
-        step: &Step,
-        djoined: &mut [f32],
-        gradient: &mut [f32],
-    ) -> f64 {
-        let known = batch.quantities.iter().filter(|q| !q.is_nan()).count();
-        let Some([weight, bias]) = self.layout.quantities.as_ref().filter(|_| known > 0) else {
-            return 0.0;
-        };
-        let share = step.quantity_weight / known as f32;
-        let mut errors = linear(joined, self.part(weight), self.part(bias), false);
-        let mut squares = 0.0;
-        for (error, quantity) in errors.iter_mut().zip(&batch.quantities) {
-            let off = if quantity.is_nan() {
-                0.0
-            } else {
-                *error - quantity
-            };
-            squares += f64::from(off).powi(2);
-            *error = share * off;
-        }
-        let more = backward_linear(joined, &errors, self, weight, bias, gradient);
-        add(djoined, &more);
-        0.5 * squares / known as f64
     }
 
     /// Gradients of the encoders' embeddings, in the order of the passes.
@@ -583,6 +533,18 @@ impl Network {
             std::mem::swap(d, dx);
         }
     }
+}
+
+/// Windows whose means are projected.
+struct Windows {
+    /// Floats of a picture, and of its means.
+    image: usize,
+    pooled: usize,
+    channels: usize,
+    /// Where each pixel's channels begin in the picture, and those of its window in the means.
+    pixels: Vec<[usize; 2]>,
+    /// Of a pixel in its window's mean.
+    share: f32,
 }
 
 /// What the head keeps on its way forwards.

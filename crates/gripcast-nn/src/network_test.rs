@@ -41,24 +41,19 @@ fn batch(senses: Senses, count: usize, draw: &mut impl FnMut() -> f64) -> Batch 
         vision: pictures(count * usize::from(senses.vision)),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: (0..count).map(|i| 0.5 + i as f32).collect(),
-        // The second one of every sample is not known.
-        quantities: (0..3 * count)
-            .map(|i| if i % 3 == 1 { f32::NAN } else { i as f32 - 2.0 })
-            .collect(),
     }
 }
 
 #[test]
 fn every_gradient_is_the_slope_of_the_loss() {
     let mut draw = uniform(5);
-    let network = Network::new(&tiny(), BOTH, 3, &mut draw);
+    let network = Network::new(&tiny(), BOTH, &mut draw);
     let batch = batch(BOTH, 4, &mut draw);
     let step = Step {
         number: 0,
         dropout: (0..4 * 16)
             .map(|i| if i % 5 == 0 { 0.0 } else { 1.25 })
             .collect(),
-        quantity_weight: 0.3,
     };
     let mut gradient = vec![0.0; network.parameters.len()];
     network.clone().learn(&batch, &step, &mut gradient);
@@ -73,8 +68,7 @@ fn every_gradient_is_the_slope_of_the_loss() {
             for (parameter, slope) in moved.parameters[part.range()].iter_mut().zip(of_part) {
                 *parameter += (way * f64::from(*slope) / norm) as f32;
             }
-            let losses = moved.learn(&batch, &step, &mut vec![0.0; gradient.len()]);
-            losses.label + f64::from(step.quantity_weight) * losses.quantities
+            moved.learn(&batch, &step, &mut vec![0.0; gradient.len()])
         };
         // ReLUs bend the loss, floats round it: one of the steps is between both.
         let off = [1e-2, 3e-3, 1e-3].map(|share| {
@@ -89,7 +83,7 @@ fn every_gradient_is_the_slope_of_the_loss() {
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let mut draw = uniform(6);
-    let network = Network::new(&tiny(), BOTH, 3, &mut draw);
+    let network = Network::new(&tiny(), BOTH, &mut draw);
     let batch = batch(BOTH, 5, &mut draw);
     let learn = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
@@ -111,7 +105,7 @@ fn running_moments_follow_those_of_batches() {
         touch: false,
         vision: true,
     };
-    let mut network = Network::new(&tiny(), senses, 0, &mut draw);
+    let mut network = Network::new(&tiny(), senses, &mut draw);
     let batch = batch(senses, 4, &mut draw);
     let passes = |network: &Network, is_training| {
         let mut passes = Vec::new();
@@ -140,7 +134,7 @@ fn swapped_sensors_swap_their_embeddings() {
         touch: true,
         vision: false,
     };
-    let network = Network::new(&tiny(), senses, 0, &mut draw);
+    let network = Network::new(&tiny(), senses, &mut draw);
     let batch = batch(senses, 3, &mut draw);
     let half = batch.touch.len() / 2;
     let swapped = Batch {

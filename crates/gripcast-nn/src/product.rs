@@ -39,13 +39,19 @@ pub(super) struct Packed {
 }
 
 impl Packed {
-    /// Packs what `at(row, column)` gives, for vectors of `lanes` floats.
-    fn pack(
+    /// Packs what `at(row, column)` gives.
+    pub(super) fn pack(&mut self, sizes: [usize; 2], at: impl Fn(usize, usize) -> f32) {
+        self.pack_for(Isa::best(), sizes, at);
+    }
+
+    /// The same for another processor.
+    pub(super) fn pack_for(
         &mut self,
+        isa: Isa,
         [rows, columns]: [usize; 2],
-        lanes: usize,
         at: impl Fn(usize, usize) -> f32,
     ) {
+        let lanes = isa.lanes();
         self.rows = rows;
         self.columns = columns;
         self.lanes = lanes;
@@ -67,22 +73,14 @@ impl Packed {
 
     /// Packs a matrix that lies row after row.
     pub(super) fn pack_rows(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
-        self.pack_for(Isa::best(), [rows, columns], values);
-    }
-
-    /// The same for another processor.
-    pub(super) fn pack_for(&mut self, isa: Isa, [rows, columns]: [usize; 2], values: &[f32]) {
-        self.pack([rows, columns], isa.lanes(), |row, column| {
+        self.pack([rows, columns], |row, column| {
             values[row * columns + column]
         });
     }
 
     /// Packs a matrix that lies column after column.
     pub(super) fn pack_columns(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
-        let lanes = Isa::best().lanes();
-        self.pack([rows, columns], lanes, |row, column| {
-            values[column * rows + row]
-        });
+        self.pack([rows, columns], |row, column| values[column * rows + row]);
     }
 
     pub(super) fn columns(&self) -> usize {

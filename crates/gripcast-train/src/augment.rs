@@ -138,15 +138,6 @@ pub(super) struct InputWriter {
     noise: Vec<f32>,
 }
 
-/// How a sample's gripper is seen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct SeenGripper {
-    /// With the left finger on the right.
-    pub(super) is_swapped: bool,
-    /// With its other side in front.
-    pub(super) is_turned: bool,
-}
-
 /// How one sample is seen.
 struct Pose {
     swap: bool,
@@ -172,14 +163,14 @@ impl InputWriter {
     }
 
     /// Writes left and right tactile difference and the colour picture, HWC; slices that are empty
-    /// stay empty. Returns how the gripper is seen then.
+    /// stay empty.
     pub(super) fn write(
         &self,
         pictures: &SamplePictures,
         seed: Option<u64>,
         [left, right]: [&mut [f32]; 2],
         rgb: &mut [f32],
-    ) -> SeenGripper {
+    ) {
         let augmentation = if seed.is_some() {
             self.augmentation
         } else {
@@ -207,10 +198,6 @@ impl InputWriter {
         }
         if !rgb.is_empty() {
             self.write_rgb(&augmentation, &pictures.rgb, &pose, &mut draw, rgb);
-        }
-        SeenGripper {
-            is_swapped: pose.swap,
-            is_turned: turned,
         }
     }
 

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::export::to_onnx;
 use super::known::known_touch;
 use super::look::{Logit, logits};
 use super::metrics::{Summary, fit_temperature, youden_threshold};
@@ -14,6 +13,7 @@ use gripcast_base::error::Result;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
 use gripcast_nn::predict::{ModelContract, novelty};
+use gripcast_nn::to_onnx;
 
 /// Metadata with the names of the objects that a model was trained on.
 pub(super) const OBJECTS: &str = "gripcast.train.objects";

@@ -8,13 +8,11 @@ mod augment;
 mod batches;
 mod evaluate;
 mod experiment;
-mod export;
 mod finish;
 mod known;
 mod look;
 pub mod metrics;
 mod page;
-mod quantities;
 mod run;
 #[cfg(test)]
 mod sample_dataset;
@@ -31,7 +29,6 @@ pub use experiment::{
     Condition, ConditionDifference, ConditionResult, ExperimentEvent, ExperimentReport,
     ExperimentSettings, TestSet, experiment,
 };
-pub use export::to_onnx;
 pub use finish::{Finished, finish};
 pub use look::{Logit, logits};
 pub use page::page;

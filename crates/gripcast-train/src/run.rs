@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::augment::InputWriter;
-use super::batches::{Batches, colour_normalisation, mix};
+use super::batches::{Batches, colour_normalisation};
 use super::look::{Scores, logits};
-use super::quantities::QuantityScale;
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::{self, Position};
@@ -19,11 +19,13 @@ use gripcast_base::files::{BeneathPath, FileKind, Root};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::RgbNormalisation;
-use gripcast_nn::{Adam, Batch, Losses, Network, Step, linear_schedule};
+use gripcast_nn::{Adam, Batch, Network, Step, linear_schedule};
 
 /// Parts of a dataset that a run reads.
 const TRAIN: &str = "train";
 const VALIDATION: &str = "validation";
+/// Settings of earlier versions, which did nothing at zero.
+const RETIRED: [&str; 3] = ["mix", "quantity_weight", "average"];
 /// Steps between checkpoints.
 const CHECKPOINT_STEPS: u64 = 100;
 
@@ -198,12 +200,25 @@ impl RunFolder {
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(Error::io("cannot read the run", e).at(place.display())),
         };
-        let found = serde_json::from_slice(&text).map_err(|e| {
+        let unreadable = |e| {
             Error::new(ErrorKind::Input, "the run's description cannot be read")
                 .because(e)
                 .at(place.display())
-        })?;
-        Ok(Some(found))
+        };
+        let mut found: Value = serde_json::from_slice(&text).map_err(unreadable)?;
+        for name in RETIRED {
+            let settings = found["settings"].as_object_mut();
+            let value = settings.and_then(|settings| settings.remove(name));
+            if let Some(value) = value.filter(|value| value.as_f64() != Some(0.0)) {
+                let what =
+                    format!("the run was begun with `{name}` {value}, which is no longer there");
+                let error = Error::new(ErrorKind::Usage, what).at(place.display());
+                return Err(error.remedy(
+                    "go on with the gripcast that began it (`software`), or name another folder",
+                ));
+            }
+        }
+        serde_json::from_value(found).map(Some).map_err(unreadable)
     }
 
     /// The network of the best checkpoint, and what was measured there.
@@ -214,23 +229,18 @@ impl RunFolder {
         let place = self.best();
         let (figures, arrays): (EpochFigures, _) = state::load(&place)?;
         let mut network = untrained(settings, || 0.5);
-        match <[Vec<f32>; 2]>::try_from(arrays) {
-            Ok([parameters, moments])
-                if parameters.len() == network.parameters.len()
-                    && moments.len() == network.moments.len() =>
-            {
-                network.parameters = parameters;
-                network.moments = moments;
-                Ok((network, figures))
-            }
-            _ => Err(foreign_checkpoint(&place)),
-        }
+        let sizes = [network.parameters.len(), network.moments.len()];
+        let [parameters, moments] =
+            state::of_sizes(arrays, sizes).ok_or_else(|| foreign_checkpoint(&place))?;
+        network.parameters = parameters;
+        network.moments = moments;
+        Ok((network, figures))
     }
 }
 
 fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) -> Network {
     let (architecture, senses) = (&settings.architecture, settings.senses());
-    Network::new(architecture, senses, settings.quantities(), uniform)
+    Network::new(architecture, senses, uniform)
 }
 
 fn foreign_checkpoint(place: &BeneathPath) -> Error {
@@ -362,11 +372,8 @@ struct Training<'a> {
     train: &'a Samples,
     validation: &'a Samples,
     network: Network,
-    /// Running mean of the network, where there is one.
-    averaged: Option<Network>,
     adam: Adam,
     position: Position,
-    scale: Option<QuantityScale>,
 }
 
 impl<'a> Training<'a> {
@@ -385,10 +392,8 @@ impl<'a> Training<'a> {
             normalisation: file.normalisation(),
             train,
             validation,
-            averaged: (settings.average > 0.0).then(|| network.clone()),
             adam: Adam::new(network.parameters.len()),
             network,
-            scale: (settings.quantities() > 0).then(|| QuantityScale::of(train)),
             position: Position {
                 epoch: 0,
                 step: 0,
@@ -407,24 +412,14 @@ impl<'a> Training<'a> {
     }
 
     fn restore(&mut self, place: &BeneathPath) -> Result<()> {
-        let (position, mut arrays): (Position, Vec<Vec<f32>>) = state::load(place)?;
+        let (position, arrays): (Position, _) = state::load(place)?;
         let network = &self.network;
-        let [parameters, moments] = [network.parameters.len(), network.moments.len()];
-        let mut expected = vec![parameters, moments, parameters, parameters];
-        if self.averaged.is_some() {
-            expected.extend([parameters, moments]);
-        }
-        if !arrays.iter().map(Vec::len).eq(expected) {
-            return Err(foreign_checkpoint(place));
-        }
-        let mut next = || arrays.remove(0);
-        self.network.parameters = next();
-        self.network.moments = next();
-        let (first, second) = (next(), next());
-        if let Some(averaged) = &mut self.averaged {
-            averaged.parameters = next();
-            averaged.moments = next();
-        }
+        let [all, moments] = [network.parameters.len(), network.moments.len()];
+        let [parameters, moments, first, second] =
+            state::of_sizes(arrays, [all, moments, all, all])
+                .ok_or_else(|| foreign_checkpoint(place))?;
+        self.network.parameters = parameters;
+        self.network.moments = moments;
         self.position = position;
         self.adam = Adam {
             first,
@@ -436,15 +431,12 @@ impl<'a> Training<'a> {
 
     fn save(&mut self) -> Result<()> {
         self.position.steps = self.adam.steps;
-        let mut arrays: Vec<&[f32]> = vec![
+        let arrays: [&[f32]; 4] = [
             &self.network.parameters,
             &self.network.moments,
             &self.adam.first,
             &self.adam.second,
         ];
-        if let Some(averaged) = &self.averaged {
-            arrays.extend([&averaged.parameters[..], &averaged.moments]);
-        }
         state::save(&self.folder.state(), &self.position, &arrays)
     }
 
@@ -500,8 +492,7 @@ impl<'a> Training<'a> {
             let figures = self.epoch(told)?;
             let accuracy = [figures.validation_accuracy, figures.validation_loss];
             if self.position.best.is_none_or(|best| figures.beats(best)) {
-                let network = self.measured();
-                let arrays: [&[f32]; 2] = [&network.parameters, &network.moments];
+                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
                 state::save(&self.folder.best(), &figures, &arrays)?;
                 self.position.best = Some(accuracy);
                 self.position.best_epoch = Some(figures.epoch);
@@ -534,23 +525,13 @@ impl<'a> Training<'a> {
         let of_epoch = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(of_epoch, settings.memory);
         let writer = InputWriter::new(settings.augmentation, self.normalisation);
-        let mut batches = Batches::new(train, senses, writer, settings.memory)
-            .balanced()
-            .with_quantities(self.scale);
+        let mut batches = Batches::new(train, senses, writer, settings.memory).balanced();
         let mut read = |step: u64| -> Result<Batch> {
             let first = step as usize * settings.batch;
             let samples = &order[first..first + settings.batch];
             let seed = |at: &usize| SeedStream::named(of_epoch, &train.facts()[*at].id).bits();
             let seeds: Vec<u64> = samples.iter().map(seed).collect();
-            let mut batch = batches.batch(samples, Some(&seeds))?;
-            if settings.mix > 0.0 {
-                let mut draw = SeedStream::named(of_epoch, &format!("mix {step}"));
-                let shares = samples
-                    .iter()
-                    .map(|_| draw.between(0.0, settings.mix) as f32);
-                mix(&mut batch, &shares.collect::<Vec<_>>());
-            }
-            Ok(batch)
+            batches.batch(samples, Some(&seeds))
         };
         let steps = self.steps_per_epoch();
         let all = steps * u64::from(settings.epochs);
@@ -567,12 +548,12 @@ impl<'a> Training<'a> {
             let drop = self.dropped(of_epoch, step);
             gradient.fill(0.0);
             let network = &mut self.network;
-            let (losses, read) = rayon::join(
+            let (loss, read) = rayon::join(
                 || network.learn(&batch, &drop, &mut gradient),
                 || (step + 1 < steps).then(|| read(step + 1)).transpose(),
             );
             next = read?;
-            self.check_loss(losses, &gradient, epoch, step)?;
+            self.check_loss(loss, &gradient, epoch, step)?;
             let share = linear_schedule(self.adam.steps, settings.warm_up, all);
             let learning_rate = share * settings.learning_rate as f32;
             let layout = self.network.layout().clone();
@@ -583,12 +564,11 @@ impl<'a> Training<'a> {
                 learning_rate,
                 settings.weight_decay as f32,
             );
-            self.average();
-            self.position.loss += losses.label;
+            self.position.loss += loss;
             self.position.step += 1;
             told(TrainEvent::Step {
                 at: [u64::from(epoch) * steps + step + 1, all],
-                loss: losses.label,
+                loss,
                 learning_rate: f64::from(learning_rate),
             });
             if self.position.step.is_multiple_of(CHECKPOINT_STEPS) {
@@ -619,33 +599,10 @@ impl<'a> Training<'a> {
         Step {
             number: self.adam.steps,
             dropout: hidden.collect(),
-            quantity_weight: self.settings.quantity_weight as f32,
         }
     }
 
-    /// What is measured and kept.
-    fn measured(&self) -> &Network {
-        self.averaged.as_ref().unwrap_or(&self.network)
-    }
-
-    /// Gives the network of this step its share in the running mean.
-    fn average(&mut self) {
-        let Some(averaged) = &mut self.averaged else {
-            return;
-        };
-        // At the beginning the mean of few steps: the parameters of the start stand for nothing.
-        let steps = self.adam.steps as f64;
-        let kept = self.settings.average.min(steps / (10.0 + steps));
-        let share = (1.0 - kept) as f32;
-        let means = averaged.parameters.iter_mut().chain(&mut averaged.moments);
-        let now = self.network.parameters.iter().chain(&self.network.moments);
-        for (mean, now) in means.zip(now) {
-            *mean += share * (now - *mean);
-        }
-    }
-
-    fn check_loss(&self, losses: Losses, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
-        let loss = losses.label + losses.quantities;
+    fn check_loss(&self, loss: f64, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
         // A ReLU hides what is no number from the loss, but not from the gradient.
         if loss.is_finite() && gradient.iter().all(|slope| slope.is_finite()) {
             return Ok(());
@@ -668,7 +625,7 @@ impl<'a> Training<'a> {
     fn look(&self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
         let all = self.validation.facts().len();
         let scored = logits(
-            self.measured(),
+            &self.network,
             self.validation,
             self.settings,
             self.normalisation,

@@ -14,7 +14,7 @@ use tract_onnx::prelude::{
 use super::contract::{self, InputName, ModelContract};
 use super::input::ModelInput;
 use super::novelty::{self, Novelty};
-use super::plan::Plan;
+use super::own_engine::OwnEngine;
 use super::{baseline, onnx};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::sha256_hex;
@@ -33,7 +33,7 @@ pub struct Model {
 #[derive(Debug)]
 enum Engine {
     /// Ours, for the networks that gripcast trains.
-    Own(Box<Plan>),
+    Own(Box<OwnEngine>),
     /// The general one.
     Tract {
         /// Inputs in the order of the graph.
@@ -84,8 +84,8 @@ impl Model {
         let novelty = contract.other.get(novelty::METADATA);
         let novelty = novelty.map(|text| Novelty::of_metadata(text)).transpose()?;
         proto.graph.iter_mut().for_each(contract::close_batch);
-        let engine = match Plan::of(&proto) {
-            Some(plan) => Engine::Own(Box::new(plan)),
+        let engine = match OwnEngine::of(&proto, contract.variant) {
+            Some(own) => Engine::Own(Box::new(own)),
             None => Engine::Tract {
                 order: input_order(&proto, &contract),
                 model: guarded("build the model's graph", || optimise(&proto))?,
@@ -122,10 +122,10 @@ impl Model {
     }
 
     /// What our own engine answers zeros for a graph; none if it leaves the graph to the general one.
-    #[cfg(any(test, feature = "testing"))]
-    pub fn own_answer_to_zeros(proto: &ModelProto, contract: &ModelContract) -> Option<f32> {
+    #[cfg(test)]
+    pub(crate) fn own_answer_to_zeros(proto: &ModelProto, contract: &ModelContract) -> Option<f32> {
         let zeros = ModelInput::zeros(contract).ok()?;
-        Plan::of(proto)?.run(&zeros)
+        OwnEngine::of(proto, contract.variant)?.run(&zeros)
     }
 
     /// Whether our own engine runs it.
@@ -165,7 +165,7 @@ impl Model {
     pub fn predict(&self, input: &ModelInput) -> Result<Prediction> {
         let started = Instant::now();
         let p_stable = match &self.engine {
-            Engine::Own(plan) => plan.run(input).ok_or_else(missing_input)?,
+            Engine::Own(own) => own.run(input).ok_or_else(missing_input)?,
             Engine::Tract { order, model } => run_tract(order, model, input)?,
         };
         if !(0.0..=1.0).contains(&p_stable) {

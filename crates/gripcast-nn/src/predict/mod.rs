@@ -14,7 +14,7 @@ mod live;
 mod named;
 pub mod novelty;
 pub mod onnx;
-mod plan;
+mod own_engine;
 mod smoothing;
 mod timing;
 mod verdict;

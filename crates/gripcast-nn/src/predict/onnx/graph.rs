@@ -22,6 +22,11 @@ const BATCH_NAME: &str = "batch";
 pub struct Value(String);
 
 impl Value {
+    /// The tensor of this name, which the graph has when it is written.
+    pub(crate) fn named(name: &str) -> Self {
+        Self(name.to_owned())
+    }
+
     /// Name in the file.
     pub fn name(&self) -> &str {
         &self.0
@@ -72,7 +77,7 @@ impl OnnxGraphBuilder {
     pub fn input(&mut self, name: &str, shape: &[i64]) -> Result<Value> {
         self.claim(name)?;
         self.graph.input.push(value_info(name, shape));
-        Ok(Value(name.to_owned()))
+        Ok(Value::named(name))
     }
 
     /// Declares `value` as an f32 output of the graph.
@@ -85,17 +90,24 @@ impl OnnxGraphBuilder {
     /// # Errors
     /// When `data` does not fill `shape`, or the name is taken.
     pub fn constant(&mut self, name: &str, shape: &[i64], data: &[f32]) -> Result<Value> {
-        let bytes = data.iter().flat_map(|x| x.to_le_bytes()).collect();
-        self.tensor(name, DataType::Float, shape, data.len(), bytes)
-    }
-
-    /// Stores an i64 tensor, row-major: shapes, axes, indices.
-    ///
-    /// # Errors
-    /// When `data` does not fill `shape`, or the name is taken.
-    pub fn constant_i64(&mut self, name: &str, shape: &[i64], data: &[i64]) -> Result<Value> {
-        let bytes = data.iter().flat_map(|x| x.to_le_bytes()).collect();
-        self.tensor(name, DataType::Int64, shape, data.len(), bytes)
+        let elements = data.len();
+        let expected = shape
+            .iter()
+            .try_fold(1_usize, |n, &d| n.checked_mul(usize::try_from(d).ok()?));
+        if expected != Some(elements) {
+            return Err(self.defect(&format!(
+                "got {elements} elements for the constant `{name}` of shape {shape:?}"
+            )));
+        }
+        self.claim(name)?;
+        self.graph.initializer.push(TensorProto {
+            name: name.to_owned(),
+            dims: shape.to_vec(),
+            data_type: DataType::Float as i32,
+            raw_data: data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            ..TensorProto::default()
+        });
+        Ok(Value::named(name))
     }
 
     /// Appends an operator with one result, which gets the node's name.
@@ -118,7 +130,12 @@ impl OnnxGraphBuilder {
             attribute: attributes.into_iter().map(Attribute::into_proto).collect(),
             ..NodeProto::default()
         });
-        Ok(Value(name.to_owned()))
+        Ok(Value::named(name))
+    }
+
+    /// All operators so far.
+    pub(crate) fn nodes(&self) -> &[NodeProto] {
+        &self.graph.node
     }
 
     /// Sets one pair of the file's `metadata_props`.
@@ -174,33 +191,6 @@ impl OnnxGraphBuilder {
     /// As [`OnnxGraphBuilder::into_proto`].
     pub fn to_bytes(self) -> Result<Vec<u8>> {
         Ok(self.into_proto()?.encode_to_vec())
-    }
-
-    fn tensor(
-        &mut self,
-        name: &str,
-        data_type: DataType,
-        shape: &[i64],
-        elements: usize,
-        raw_data: Vec<u8>,
-    ) -> Result<Value> {
-        let expected = shape
-            .iter()
-            .try_fold(1_usize, |n, &d| n.checked_mul(usize::try_from(d).ok()?));
-        if expected != Some(elements) {
-            return Err(self.defect(&format!(
-                "got {elements} elements for the constant `{name}` of shape {shape:?}"
-            )));
-        }
-        self.claim(name)?;
-        self.graph.initializer.push(TensorProto {
-            name: name.to_owned(),
-            dims: shape.to_vec(),
-            data_type: data_type as i32,
-            raw_data,
-            ..TensorProto::default()
-        });
-        Ok(Value(name.to_owned()))
     }
 
     fn claim(&mut self, name: &str) -> Result<()> {

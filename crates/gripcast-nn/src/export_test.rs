@@ -1,13 +1,10 @@
 use tract_onnx::pb::{GraphProto, ModelProto};
 
 use super::*;
-use crate::settings::senses;
+use crate::predict::contract::{InputSpec, Origin, RgbNormalisation, Variant};
+use crate::predict::{Model, ModelInput, onnx};
+use crate::{Batch, Senses};
 use gripcast_base::random::SeedStream;
-use gripcast_nn::Batch;
-use gripcast_nn::predict::contract::InputSpec;
-use gripcast_nn::predict::contract::{Origin, RgbNormalisation, Variant};
-use gripcast_nn::predict::{Model, ModelInput, onnx};
-use gripcast_nn::{Architecture, Senses};
 
 fn contract(variant: Variant, temperature: f64) -> ModelContract {
     let normalisation = RgbNormalisation {
@@ -37,9 +34,16 @@ fn contract(variant: Variant, temperature: f64) -> ModelContract {
     }
 }
 
+fn senses(variant: Variant) -> Senses {
+    Senses {
+        touch: variant != Variant::V,
+        vision: variant != Variant::T,
+    }
+}
+
 /// A network whose running moments and scales are no longer those of the beginning.
 fn network(architecture: &Architecture, senses: Senses, draw: &mut SeedStream) -> Network {
-    let mut network = Network::new(architecture, senses, 0, || draw.uniform());
+    let mut network = Network::new(architecture, senses, || draw.uniform());
     for part in network.layout().clone().parts() {
         if !part.is_weight() {
             for value in &mut network.parameters[part.range()] {
@@ -123,7 +127,7 @@ fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
     let (input, _) = pictures(&whole, &mut draw);
     let expected = whole.predict(&input).unwrap().p_stable;
     let altered = |change: &dyn Fn(&mut GraphProto)| {
-        let mut proto = gripcast_nn::predict::onnx::decode(&bytes).unwrap();
+        let mut proto = onnx::decode(&bytes).unwrap();
         change(proto.graph.as_mut().unwrap());
         let model = Model::from_bytes(&prost::Message::encode_to_vec(&proto)).unwrap();
         assert!(!model.is_on_own_engine());
