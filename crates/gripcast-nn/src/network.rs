@@ -229,16 +229,12 @@ impl Network {
         let mut first = 0;
         let encoders = self.encoder_parts().into_iter().zip(&*passes);
         for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
-            let length = pass.embedding.len();
-            self.backward_encoder(
-                encoder,
-                pass,
-                images,
-                &dembeddings[first..first + length],
-                gradients,
-                gradient,
-            );
-            first += length;
+            let dembedding = &dembeddings[first..][..pass.embedding.len()];
+            let [weight, bias] = &encoder.projection;
+            let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
+            self.unpool(&dpooled, &mut gradients[0]);
+            self.backward_convolutions(encoder, pass, images, gradients, gradient);
+            first += dembedding.len();
         }
         self.update_moments(passes, step.number);
         self.workspace = workspace;
@@ -473,32 +469,26 @@ impl Network {
         split
     }
 
-    fn backward_encoder(
+    /// Adds the gradients of an encoder's convolutions, from that of what the last one gives.
+    fn backward_convolutions(
         &self,
         parts: &EncoderParts,
         pass: &EncoderPass,
         images: &[f32],
-        dembedding: &[f32],
         [d, dx]: &mut [Vec<f32>; 2],
         gradient: &mut [f32],
     ) {
-        let [weight, bias] = &parts.projection;
-        let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
-        self.unpool(&dpooled, d);
         for (i, shape) in self.shapes.iter().enumerate().rev() {
             let [weight, gamma, beta] = &parts.convolutions[i];
             let input: usize = shape.input.iter().product();
             let output: usize = shape.output().iter().product();
-            let (mut dgamma, mut dbeta) = (vec![0.0; gamma.len()], vec![0.0; beta.len()]);
-            batch_norm::backward(
-                &pass.z[i],
-                &pass.a[i],
-                output,
-                &pass.moments[i],
-                self.part(gamma),
-                d,
-                [&mut dgamma, &mut dbeta],
-            );
+            let of_layer = batch_norm::Pass {
+                z: &pass.z[i],
+                a: &pass.a[i],
+                image: output,
+                moments: &pass.moments[i],
+            };
+            let [dgamma, dbeta] = batch_norm::backward(of_layer, self.part(gamma), d);
             add(&mut gradient[gamma.range()], &dgamma);
             add(&mut gradient[beta.range()], &dbeta);
             let x = if i == 0 { images } else { &pass.a[i - 1][..] };

@@ -163,7 +163,9 @@ impl InputWriter {
     }
 
     /// Writes left and right tactile difference and the colour picture, HWC; slices that are empty
-    /// stay empty.
+    /// stay empty. Unchanged pictures give the floats of
+    /// [`ModelInput`](gripcast_nn::predict::ModelInput) but for the last bits: here levels are
+    /// multiplied with gains, there divided by 255.
     pub(super) fn write(
         &self,
         pictures: &SamplePictures,
@@ -191,9 +193,9 @@ impl InputWriter {
         } else {
             [of_left, of_right]
         };
-        for ([initial, grasp], to) in pairs.into_iter().zip([left, right]) {
+        for (pair, to) in pairs.into_iter().zip([left, right]) {
             if !to.is_empty() {
-                self.write_difference(&augmentation, initial, grasp, mirrored, &mut draw, to);
+                self.write_difference(&augmentation, pair, mirrored, &mut draw, to);
             }
         }
         if !rgb.is_empty() {
@@ -204,8 +206,7 @@ impl InputWriter {
     fn write_difference(
         &self,
         augmentation: &Augmentation,
-        initial: &RgbImage,
-        grasp: &RgbImage,
+        [initial, grasp]: &[RgbImage; 2],
         upside_down: bool,
         draw: &mut SeedStream,
         to: &mut [f32],

@@ -375,44 +375,91 @@ impl ModelEvaluation {
 
 impl Difference {
     fn between(first: &ModelEvaluation, second: &ModelEvaluation) -> Self {
-        let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
-        let objects: Vec<usize> = first
-            .predictions
-            .iter()
-            .map(|sample| {
-                let next = numbers.len();
-                *numbers.entry(&sample.object).or_insert(next)
-            })
-            .collect();
-        let [one, other] = [first, second].map(|e| Figures::new(&e.scored(), e.summary.threshold));
-        let bootstrap = Bootstrap::new(SEED);
+        let [one, other] = [first, second].map(|e| Resampled::new(std::slice::from_ref(e)));
+        let [auroc, balanced_accuracy] = one.better_than(&other);
         let names = |e: &ModelEvaluation| format!("{} ({})", e.name, e.file);
         Self {
             first: names(first),
             second: names(second),
-            auroc: bootstrap.paired_interval(
-                &objects,
-                |times| one.auroc(times),
-                |times| other.auroc(times),
-            ),
-            balanced_accuracy: bootstrap.paired_interval(
-                &objects,
-                |times| one.balanced_accuracy(times),
-                |times| other.balanced_accuracy(times),
-            ),
+            auroc,
+            balanced_accuracy,
         }
     }
 }
 
+/// Figures of models on resamples of the same samples, for intervals over objects.
+pub(super) struct Resampled {
+    objects: Vec<usize>,
+    models: Vec<Figures>,
+}
+
+impl Resampled {
+    pub(super) fn new(models: &[ModelEvaluation]) -> Self {
+        let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
+        let first = models.first().map_or(&[][..], |e| &e.predictions);
+        let objects = first.iter().map(|sample| {
+            let next = numbers.len();
+            *numbers.entry(&sample.object).or_insert(next)
+        });
+        Self {
+            objects: objects.collect(),
+            models: models
+                .iter()
+                .map(|e| Figures::new(&e.scored(), e.summary.threshold))
+                .collect(),
+        }
+    }
+
+    fn mean(&self, of: impl Fn(&Figures) -> Option<f64>) -> Option<f64> {
+        let values: Option<Vec<f64>> = self.models.iter().map(of).collect();
+        let values = values.filter(|values| !values.is_empty())?;
+        Some(values.iter().sum::<f64>() / values.len() as f64)
+    }
+
+    fn auroc(&self, times: &[u32]) -> Option<f64> {
+        self.mean(|figures| figures.auroc(times))
+    }
+
+    fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
+        self.mean(|figures| figures.balanced_accuracy(times))
+    }
+
+    /// Intervals of the models' mean AUROC and balanced accuracy.
+    pub(super) fn intervals(&self) -> [Option<Interval>; 2] {
+        let bootstrap = Bootstrap::new(SEED);
+        [
+            bootstrap.interval(&self.objects, |times| self.auroc(times)),
+            bootstrap.interval(&self.objects, |times| self.balanced_accuracy(times)),
+        ]
+    }
+
+    /// Intervals of how much better these models are than others, by AUROC and balanced accuracy.
+    pub(super) fn better_than(&self, other: &Self) -> [Option<Interval>; 2] {
+        let bootstrap = Bootstrap::new(SEED);
+        [
+            bootstrap.paired_interval(
+                &self.objects,
+                |times| self.auroc(times),
+                |times| other.auroc(times),
+            ),
+            bootstrap.paired_interval(
+                &self.objects,
+                |times| self.balanced_accuracy(times),
+                |times| other.balanced_accuracy(times),
+            ),
+        ]
+    }
+}
+
 /// Figures of resamples.
-pub(super) struct Figures {
+struct Figures {
     ranking: Ranking,
     /// 1 for right, 0 for wrong, no number for the other label: of lost and of stable grasps.
     right: [Vec<f64>; 2],
 }
 
 impl Figures {
-    pub(super) fn new(scored: &[Scored], threshold: f64) -> Self {
+    fn new(scored: &[Scored], threshold: f64) -> Self {
         let right = [false, true].map(|label| {
             let of = scored.iter().map(|sample| {
                 let is_right = (sample.p_stable >= threshold) == sample.stable;
@@ -430,11 +477,11 @@ impl Figures {
         }
     }
 
-    pub(super) fn auroc(&self, times: &[u32]) -> Option<f64> {
+    fn auroc(&self, times: &[u32]) -> Option<f64> {
         self.ranking.resampled_auroc(times)
     }
 
-    pub(super) fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
+    fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
         let [lost, stable] = &self.right;
         Some(0.5 * (resampled_mean(lost, times)? + resampled_mean(stable, times)?))
     }
@@ -485,16 +532,11 @@ pub fn sample_pictures(samples: &Samples, sample: usize) -> Result<[image::RgbIm
     };
     let mut decoder = Decoder::new()?;
     let pictures = SamplePictures::decode(&mut decoder, &rows[*row].images, [true, true])?;
+    let [left, right] = &pictures.tactile;
     let change = |[initial, grasp]: &[image::RgbImage; 2]| {
-        let mut change = grasp.clone();
-        for (to, from) in change.iter_mut().zip(initial.iter()) {
-            let level = 128 + 2 * (i16::from(*to) - i16::from(*from));
-            *to = level.clamp(0, 255) as u8;
-        }
-        change
+        TactileDifference::between(initial, grasp).map(|change| change.to_picture(2.0))
     };
-    let [left, right] = pictures.tactile.each_ref().map(change);
-    Ok([left, right, pictures.rgb])
+    Ok([change(left)?, change(right)?, pictures.rgb])
 }
 
 #[cfg(test)]

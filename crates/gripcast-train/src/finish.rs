@@ -6,7 +6,7 @@ use std::path::Path;
 use super::known::known_touch;
 use super::look::{Logit, logits};
 use super::metrics::{Summary, fit_temperature, youden_threshold};
-use super::run::{EpochFigures, RunFile, RunFolder};
+use super::run_folder::{EpochFigures, RunFile, RunFolder};
 use super::samples::Samples;
 use super::state::write;
 use gripcast_base::error::Result;

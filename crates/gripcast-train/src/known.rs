@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::augment::{FLOATS, InputWriter};
 use super::batches::Batches;
-use super::run::RunFile;
+use super::run_folder::RunFile;
 use super::samples::Samples;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;

@@ -14,6 +14,7 @@ mod look;
 pub mod metrics;
 mod page;
 mod run;
+mod run_folder;
 #[cfg(test)]
 mod sample_dataset;
 mod samples;
@@ -32,6 +33,7 @@ pub use experiment::{
 pub use finish::{Finished, finish};
 pub use look::{Logit, logits};
 pub use page::page;
-pub use run::{EpochFigures, PartCounts, RunFile, RunFolder, RunStart, TrainEvent, Trained, train};
+pub use run::{PartCounts, RunStart, TrainEvent, Trained, train};
+pub use run_folder::{EpochFigures, RunFile, RunFolder};
 pub use samples::{SampleFacts, Samples, dataset_sha256};
 pub use settings::TrainSettings;

@@ -2,6 +2,7 @@ use std::panic::AssertUnwindSafe;
 
 use super::*;
 use crate::augment::{Augmentation, SamplePictures};
+use crate::run_folder::RETIRED;
 use crate::sample_dataset::{row, write_dataset, write_part};
 use crate::samples::SampleReader;
 use crate::{finish, logits};
