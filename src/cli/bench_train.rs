@@ -12,7 +12,8 @@ use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_base::workers::process_cpu_s;
-use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Senses, Step};
+use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Step};
 
 const PEER_SCRIPT: &str = include_str!("../../benches/peers/torch_train.py");
 /// Steps before those that are measured.
@@ -132,12 +133,8 @@ fn table(figures: &Figures, peers: &Map<String, Value>) -> String {
 }
 
 fn measure(architecture: &Architecture, args: &Args) -> Result<Figures> {
-    let senses = Senses {
-        touch: true,
-        vision: true,
-    };
     let mut draw = SeedStream::named(0, "bench train");
-    let mut network = Network::new(architecture, senses, || draw.uniform());
+    let mut network = Network::new(architecture, Variant::Vt, || draw.uniform());
     let count = usize::from(args.batch);
     let picture: usize = PICTURE.iter().product();
     let mut pictures = |pictures: usize| -> Vec<f32> {

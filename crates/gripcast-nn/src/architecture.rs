@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::conv::ConvShape;
+use crate::predict::contract::Variant;
 
 /// Height, width and channels of the pictures that go in.
 pub const PICTURE: [usize; 3] = [240, 320, 3];
@@ -119,22 +120,6 @@ impl Architecture {
     }
 }
 
-/// Which pictures a classifier sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Senses {
-    /// Both tactile differences.
-    pub touch: bool,
-    /// The colour picture.
-    pub vision: bool,
-}
-
-impl Senses {
-    /// Embeddings that the head sees.
-    pub fn embeddings(self) -> usize {
-        2 * usize::from(self.touch) + usize::from(self.vision)
-    }
-}
-
 /// A named part of the parameters.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Part {
@@ -191,8 +176,8 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// The layout of an architecture.
-    pub fn of(architecture: &Architecture, senses: Senses) -> Self {
+    /// The layout of an architecture for a classifier with these senses.
+    pub fn of(architecture: &Architecture, variant: Variant) -> Self {
         let mut parts: Vec<Part> = Vec::new();
         let mut moments = 0;
         let mut part = |name: String, shape: [usize; 2]| {
@@ -235,9 +220,9 @@ impl Layout {
                 moments: ranges.collect(),
             }
         };
-        let touch = senses.touch.then(|| encoder("touch"));
-        let vision = senses.vision.then(|| encoder("vision"));
-        let joined = senses.embeddings() * architecture.embedding;
+        let touch = variant.has_touch().then(|| encoder("touch"));
+        let vision = variant.has_vision().then(|| encoder("vision"));
+        let joined = variant.inputs().len() * architecture.embedding;
         let hidden = architecture.hidden;
         let head = [
             [

@@ -1,9 +1,9 @@
 use tract_onnx::pb::{GraphProto, ModelProto};
 
 use super::*;
+use crate::Batch;
 use crate::predict::contract::{InputSpec, Origin, RgbNormalisation, Variant};
 use crate::predict::{Model, ModelInput, onnx};
-use crate::{Batch, Senses};
 use gripcast_base::random::SeedStream;
 
 fn contract(variant: Variant, temperature: f64) -> ModelContract {
@@ -34,16 +34,9 @@ fn contract(variant: Variant, temperature: f64) -> ModelContract {
     }
 }
 
-fn senses(variant: Variant) -> Senses {
-    Senses {
-        touch: variant != Variant::V,
-        vision: variant != Variant::T,
-    }
-}
-
 /// A network whose running moments and scales are no longer those of the beginning.
-fn network(architecture: &Architecture, senses: Senses, draw: &mut SeedStream) -> Network {
-    let mut network = Network::new(architecture, senses, || draw.uniform());
+fn network(architecture: &Architecture, variant: Variant, draw: &mut SeedStream) -> Network {
+    let mut network = Network::new(architecture, variant, || draw.uniform());
     for part in network.layout().clone().parts() {
         if !part.is_weight() {
             for value in &mut network.parameters[part.range()] {
@@ -98,7 +91,7 @@ fn the_network_and_both_engines_agree_on_its_file() {
         (Architecture::gripcast(), Variant::T),
         (Architecture::paper(), Variant::V),
     ] {
-        let network = network(&architecture, senses(variant), &mut draw);
+        let network = network(&architecture, variant, &mut draw);
         let contract = contract(variant, 1.7);
         let bytes = to_onnx(&network, &contract).unwrap();
         let own = Model::from_bytes(&bytes).unwrap();
@@ -121,7 +114,7 @@ fn the_network_and_both_engines_agree_on_its_file() {
 fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
     let mut draw = SeedStream::named(4, "export");
     let architecture = Architecture::gripcast();
-    let network = network(&architecture, senses(Variant::T), &mut draw);
+    let network = network(&architecture, Variant::T, &mut draw);
     let bytes = to_onnx(&network, &contract(Variant::T, 1.0)).unwrap();
     let whole = Model::from_bytes(&bytes).unwrap();
     let (input, _) = pictures(&whole, &mut draw);
@@ -209,7 +202,7 @@ fn damage(proto: &ModelProto, mut look: impl FnMut(&ModelProto)) {
 fn no_damage_makes_our_engine_panic_or_answer_what_is_no_probability() {
     let mut draw = SeedStream::named(5, "export");
     let architecture = Architecture::gripcast();
-    let network = network(&architecture, senses(Variant::T), &mut draw);
+    let network = network(&architecture, Variant::T, &mut draw);
     let contract = contract(Variant::T, 1.0);
     let proto = onnx::decode(&to_onnx(&network, &contract).unwrap()).unwrap();
     assert!(Model::own_answer_to_zeros(&proto, &contract).is_some());

@@ -6,9 +6,6 @@
 //!
 //! Not on `pulp`: its AVX-512 is a feature of the whole program, and would change the width, and so
 //! the order of sums, of the simulator's solvers.
-//!
-//! Not on `pulp`: its AVX-512 is a feature of the whole program, and would change the width, and so
-//! the order of sums, of the simulator and its solvers.
 
 #![allow(unsafe_code)]
 

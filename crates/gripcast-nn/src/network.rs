@@ -2,10 +2,11 @@
 
 use rayon::prelude::*;
 
-use super::architecture::{Architecture, EncoderParts, Layout, PICTURE, Part, Senses};
+use super::architecture::{Architecture, EncoderParts, Layout, PICTURE, Part};
 use super::batch_norm::{self, Moments};
 use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
+use crate::predict::contract::Variant;
 
 /// Share of a batch's moments in the running ones, at least.
 const MOMENTUM: f32 = 0.1;
@@ -69,7 +70,7 @@ pub struct Network {
     shapes: Vec<ConvShape>,
     architecture: Architecture,
     layout: Layout,
-    senses: Senses,
+    variant: Variant,
     /// All parameters, by [`Layout`].
     pub parameters: Vec<f32>,
     /// Running means and variances of the convolutions' channels.
@@ -109,10 +110,10 @@ impl Network {
     /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, the rest 0.
     pub fn new(
         architecture: &Architecture,
-        senses: Senses,
+        variant: Variant,
         mut uniform: impl FnMut() -> f64,
     ) -> Self {
-        let layout = Layout::of(architecture, senses);
+        let layout = Layout::of(architecture, variant);
         let mut parameters = vec![0.0; layout.len()];
         for part in layout.parts() {
             let values = &mut parameters[part.range()];
@@ -135,7 +136,7 @@ impl Network {
             shapes: architecture.shapes(),
             architecture: architecture.clone(),
             layout,
-            senses,
+            variant,
             parameters,
             moments,
             workspace: Workspace::default(),
@@ -277,8 +278,8 @@ impl Network {
     }
 
     fn inputs<'a>(&self, batch: &'a Batch) -> Vec<&'a [f32]> {
-        let touch = self.senses.touch.then_some(&batch.touch[..]);
-        let vision = self.senses.vision.then_some(&batch.vision[..]);
+        let touch = self.variant.has_touch().then_some(&batch.touch[..]);
+        let vision = self.variant.has_vision().then_some(&batch.vision[..]);
         touch.into_iter().chain(vision).collect()
     }
 
@@ -414,7 +415,7 @@ impl Network {
     fn join(&self, passes: &[EncoderPass]) -> Vec<f32> {
         let width = self.embedding();
         let count = self.count(passes);
-        let mut joined = Vec::with_capacity(count * self.senses.embeddings() * width);
+        let mut joined = Vec::with_capacity(count * self.variant.inputs().len() * width);
         for sample in 0..count {
             for pass in passes {
                 for row in (sample..pass.embedding.len() / width).step_by(count) {
@@ -426,12 +427,12 @@ impl Network {
     }
 
     fn embedding(&self) -> usize {
-        self.layout.head[0][0].shape[0] / self.senses.embeddings()
+        self.layout.head[0][0].shape[0] / self.variant.inputs().len()
     }
 
     fn count(&self, passes: &[EncoderPass]) -> usize {
         let floats: usize = passes.iter().map(|pass| pass.embedding.len()).sum();
-        floats / (self.embedding() * self.senses.embeddings())
+        floats / (self.embedding() * self.variant.inputs().len())
     }
 
     /// Gradient of the joined embeddings.
@@ -459,9 +460,9 @@ impl Network {
     fn split(&self, passes: &[EncoderPass], djoined: &[f32]) -> Vec<f32> {
         let width = self.embedding();
         let count = self.count(passes);
-        let row = self.senses.embeddings() * width;
+        let row = self.variant.inputs().len() * width;
         let mut split = Vec::with_capacity(djoined.len());
-        for which in 0..self.senses.embeddings() {
+        for which in 0..self.variant.inputs().len() {
             for sample in 0..count {
                 split.extend_from_slice(&djoined[sample * row + which * width..][..width]);
             }

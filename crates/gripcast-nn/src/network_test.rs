@@ -28,17 +28,12 @@ fn tiny() -> Architecture {
     }
 }
 
-const BOTH: Senses = Senses {
-    touch: true,
-    vision: true,
-};
-
-fn batch(senses: Senses, count: usize, draw: &mut impl FnMut() -> f64) -> Batch {
+fn batch(variant: Variant, count: usize, draw: &mut impl FnMut() -> f64) -> Batch {
     let picture: usize = PICTURE.iter().product();
     let mut pictures = |n: usize| (0..n * picture).map(|_| (draw() - 0.5) as f32).collect();
     Batch {
-        touch: pictures(2 * count * usize::from(senses.touch)),
-        vision: pictures(count * usize::from(senses.vision)),
+        touch: pictures(2 * count * usize::from(variant.has_touch())),
+        vision: pictures(count * usize::from(variant.has_vision())),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: (0..count).map(|i| 0.5 + i as f32).collect(),
     }
@@ -47,8 +42,8 @@ fn batch(senses: Senses, count: usize, draw: &mut impl FnMut() -> f64) -> Batch 
 #[test]
 fn every_gradient_is_the_slope_of_the_loss() {
     let mut draw = uniform(5);
-    let network = Network::new(&tiny(), BOTH, &mut draw);
-    let batch = batch(BOTH, 4, &mut draw);
+    let network = Network::new(&tiny(), Variant::Vt, &mut draw);
+    let batch = batch(Variant::Vt, 4, &mut draw);
     let step = Step {
         number: 0,
         dropout: (0..4 * 16)
@@ -83,8 +78,8 @@ fn every_gradient_is_the_slope_of_the_loss() {
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let mut draw = uniform(6);
-    let network = Network::new(&tiny(), BOTH, &mut draw);
-    let batch = batch(BOTH, 5, &mut draw);
+    let network = Network::new(&tiny(), Variant::Vt, &mut draw);
+    let batch = batch(Variant::Vt, 5, &mut draw);
     let learn = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -101,10 +96,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn running_moments_follow_those_of_batches() {
     let mut draw = uniform(7);
-    let senses = Senses {
-        touch: false,
-        vision: true,
-    };
+    let senses = Variant::V;
     let mut network = Network::new(&tiny(), senses, &mut draw);
     let batch = batch(senses, 4, &mut draw);
     let passes = |network: &Network, is_training| {
@@ -130,10 +122,7 @@ fn running_moments_follow_those_of_batches() {
 #[test]
 fn swapped_sensors_swap_their_embeddings() {
     let mut draw = uniform(8);
-    let senses = Senses {
-        touch: true,
-        vision: false,
-    };
+    let senses = Variant::T;
     let network = Network::new(&tiny(), senses, &mut draw);
     let batch = batch(senses, 3, &mut draw);
     let half = batch.touch.len() / 2;

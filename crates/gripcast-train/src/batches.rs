@@ -8,8 +8,8 @@ use super::augment::{FLOATS, InputWriter, SamplePictures};
 use super::samples::{SampleFacts, SampleReader, Samples};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Decoder;
-use gripcast_nn::predict::contract::RgbNormalisation;
-use gripcast_nn::{Batch, Senses};
+use gripcast_nn::Batch;
+use gripcast_nn::predict::contract::{RgbNormalisation, Variant};
 
 /// Samples from which mean and deviation of the colour picture are taken.
 const NORMALISATION_SAMPLES: usize = 256;
@@ -19,7 +19,7 @@ const NORMALISATION_SAMPLES: usize = 256;
 pub(super) struct Batches<'a> {
     samples: &'a Samples,
     reader: SampleReader<'a>,
-    senses: Senses,
+    variant: Variant,
     writer: InputWriter,
     /// What each sample counts.
     weights: Vec<f32>,
@@ -29,14 +29,14 @@ impl<'a> Batches<'a> {
     /// Batches for a network with these senses; `memory` bytes of encoded pictures are kept.
     pub(super) fn new(
         samples: &'a Samples,
-        senses: Senses,
+        variant: Variant,
         writer: InputWriter,
         memory: usize,
     ) -> Self {
         Self {
             samples,
             reader: SampleReader::new(samples, memory),
-            senses,
+            variant,
             writer,
             weights: vec![1.0; samples.facts().len()],
         }
@@ -77,9 +77,11 @@ impl<'a> Batches<'a> {
         let rows = self.reader.rows(samples)?;
         let count = samples.len();
         let floats = |is_seen, pictures: usize| vec![0.0; usize::from(is_seen) * pictures * FLOATS];
-        let mut touch = floats(self.senses.touch, 2 * count);
-        let mut vision = floats(self.senses.vision, count);
-        let (left, right) = touch.split_at_mut(usize::from(self.senses.touch) * count * FLOATS);
+        let senses = [self.variant.has_touch(), self.variant.has_vision()];
+        let mut touch = floats(senses[0], 2 * count);
+        let mut vision = floats(senses[1], count);
+        let half = touch.len() / 2;
+        let (left, right) = touch.split_at_mut(half);
         let mut slots: Vec<[&mut [f32]; 3]> = Vec::with_capacity(count);
         let mut vision_slots = vision.chunks_exact_mut(FLOATS);
         let (mut left, mut right) = (
@@ -93,7 +95,6 @@ impl<'a> Batches<'a> {
                 vision_slots.next().unwrap_or_default(),
             ]);
         }
-        let senses = [self.senses.touch, self.senses.vision];
         slots
             .into_par_iter()
             .zip(rows)
@@ -193,11 +194,7 @@ mod tests {
                     std: [1.0; 3],
                 },
             );
-            let senses = Senses {
-                touch: true,
-                vision: false,
-            };
-            let batches = Batches::new(&samples, senses, writer, 0).balanced();
+            let batches = Batches::new(&samples, Variant::T, writer, 0).balanced();
             let facts = samples.facts().iter().zip(&batches.weights);
             facts
                 .map(|(facts, weight)| {

@@ -315,19 +315,12 @@ impl ModelEvaluation {
             .filter(|(_, found)| found.in_contact)
             .map(|(scored, _)| *scored)
             .collect();
-        let by = |name: &dyn Fn(usize) -> String| {
-            let all: Vec<String> = (0..facts.len()).map(name).collect();
-            let mut names: Vec<String> = all.clone();
-            names.sort();
-            names.dedup();
-            let groups: Vec<usize> = all
-                .iter()
-                .map(|name| names.binary_search(name).unwrap_or(0))
-                .collect();
+        let by = |name: &dyn Fn(&SampleFacts) -> String| {
+            let (names, groups) = numbered(facts, name);
             summarise_groups(&scored, &groups, &names, threshold)
         };
-        let objects = numbered(facts, |facts| &facts.object);
-        let lifts = numbered(facts, |facts| &facts.lift);
+        let (_, objects) = numbered(facts, |facts| facts.object.clone());
+        let (_, lifts) = numbered(facts, |facts| facts.lift.clone());
         let figures = Figures::new(&scored, threshold);
         let bootstrap = Bootstrap::new(SEED);
         Self {
@@ -343,9 +336,9 @@ impl ModelEvaluation {
             reliability: ReliabilityTable::new(&scored),
             ece_by_chance: ChanceCalibration::new(&scored, &lifts, SEED),
             at_base_rate: BaseRateCalibration::new(&scored),
-            categories: by(&|at| facts[at].category.clone()),
-            per_object: by(&|at| facts[at].object.clone()),
-            forces: by(&|at| match facts[at].stop_force_n {
+            categories: by(&|facts| facts.category.clone()),
+            per_object: by(&|facts| facts.object.clone()),
+            forces: by(&|facts| match facts.stop_force_n {
                 Some(force_n) => format!("{force_n:>4} N"),
                 None => "unknown".to_owned(),
             }),
@@ -487,13 +480,17 @@ impl Figures {
     }
 }
 
-/// A name of each sample as a number.
-fn numbered(facts: &[SampleFacts], name: impl Fn(&SampleFacts) -> &str) -> Vec<usize> {
-    let mut names: Vec<&str> = facts.iter().map(&name).collect();
+/// All names, sorted, and the number of each sample's.
+fn numbered(
+    facts: &[SampleFacts],
+    name: impl Fn(&SampleFacts) -> String,
+) -> (Vec<String>, Vec<usize>) {
+    let mut names: Vec<String> = facts.iter().map(&name).collect();
     names.sort_unstable();
     names.dedup();
     let number = |facts| names.binary_search(&name(facts)).unwrap_or(0);
-    facts.iter().map(number).collect()
+    let numbers = facts.iter().map(number).collect();
+    (names, numbers)
 }
 
 /// The most confident mistakes of each label, the worst first; one of each object at most.

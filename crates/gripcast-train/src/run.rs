@@ -169,7 +169,7 @@ fn begun(
     }
     fs::create_dir_all(out)
         .map_err(|e| Error::io("cannot make the folder of the run", e).at(out.display()))?;
-    let normalisation = if settings.senses().vision {
+    let normalisation = if settings.variant.has_vision() {
         colour_normalisation(train)?
     } else {
         RgbNormalisation {
@@ -365,11 +365,11 @@ impl<'a> Training<'a> {
     fn epoch(&mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochFigures> {
         let settings = self.settings;
         let epoch = self.position.epoch;
-        let (train, senses) = (self.train, settings.senses());
+        let (train, variant) = (self.train, settings.variant);
         let of_epoch = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(of_epoch, settings.memory);
         let writer = InputWriter::new(settings.augmentation, self.normalisation);
-        let mut batches = Batches::new(train, senses, writer, settings.memory).balanced();
+        let mut batches = Batches::new(train, variant, writer, settings.memory).balanced();
         let mut read = |step: u64| -> Result<Batch> {
             let first = step as usize * settings.batch;
             let samples = &order[first..first + settings.batch];

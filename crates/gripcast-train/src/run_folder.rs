@@ -157,8 +157,7 @@ impl RunFolder {
 }
 
 pub(super) fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) -> Network {
-    let (architecture, senses) = (&settings.architecture, settings.senses());
-    Network::new(architecture, senses, uniform)
+    Network::new(&settings.architecture, settings.variant, uniform)
 }
 
 pub(super) fn foreign_checkpoint(place: &BeneathPath) -> Error {

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use super::augment::Augmentation;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Variant;
-use gripcast_nn::{Architecture, Senses};
 
 /// Everything that decides what a run learns. A run goes on only under the same settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,11 +56,6 @@ impl TrainSettings {
         }
     }
 
-    /// Senses of the network.
-    pub fn senses(&self) -> Senses {
-        senses(self.variant)
-    }
-
     /// Refuses settings that cannot train anything.
     ///
     /// # Errors
@@ -82,13 +77,5 @@ impl TrainSettings {
         within("learning-rate", self.learning_rate, 1e-9, 1.0)?;
         within("weight-decay", self.weight_decay, 0.0, 1.0)?;
         within("dropout", self.dropout, 0.0, 0.95)
-    }
-}
-
-/// Senses of a variant.
-pub(super) fn senses(variant: Variant) -> Senses {
-    Senses {
-        touch: variant != Variant::V,
-        vision: variant != Variant::T,
     }
 }

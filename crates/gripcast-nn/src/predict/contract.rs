@@ -114,6 +114,18 @@ impl Variant {
         }
     }
 
+    /// Whether it sees the tactile differences.
+    #[must_use]
+    pub fn has_touch(self) -> bool {
+        self != Self::V
+    }
+
+    /// Whether it sees the colour picture.
+    #[must_use]
+    pub fn has_vision(self) -> bool {
+        self != Self::T
+    }
+
     /// Name in the metadata.
     #[must_use]
     pub fn name(self) -> &'static str {

@@ -249,10 +249,7 @@ mod tests {
         let shape = [Attribute::ints("kernel_shape", &[1, 1])];
         let y = graph.node("Conv", "conv", &[&x, &w, &b], shape).unwrap();
         let y = graph.node("Relu", "relu", &[&y], []).unwrap();
-        let pool = [
-            Attribute::ints("kernel_shape", &[4, 4]),
-            Attribute::string("auto_pad", "NOTSET"),
-        ];
+        let pool = [Attribute::ints("kernel_shape", &[4, 4])];
         let y = graph.node("AveragePool", "pool", &[&y], pool).unwrap();
         let axis = Attribute::int("axis", 1);
         let y = graph
@@ -260,10 +257,10 @@ mod tests {
             .unwrap();
         let y = graph.node("Concat", "both", &[&y, &y], [axis]).unwrap();
         let fc = graph
-            .constant("fc", &[1, 4], &[1.0, 1.0, -1.0, 1.0])
+            .constant("fc", &[1, 4], &[2.0, 2.0, -2.0, 2.0])
             .unwrap();
         let zero = graph.constant("zero", &[1], &[0.0]).unwrap();
-        let gemm = [Attribute::int("transB", 1), Attribute::float("alpha", 2.0)];
+        let gemm = [Attribute::int("transB", 1)];
         let y = graph
             .node("Gemm", "logit", &[&y, &fc, &zero], gemm)
             .unwrap();
@@ -287,7 +284,7 @@ mod tests {
             let y = plan.run(tvec!(x.into())).unwrap();
             y[0].cast_to_scalar::<f32>().unwrap()
         };
-        // relu(x + 0.5) cancels, relu(−x) counts twice, alpha doubles.
+        // relu(x + 0.5) cancels, relu(−x) counts four times.
         for x in [1.0_f32, -0.75] {
             let expected = 1.0 / (1.0 + (-4.0 * (-x).max(0.0)).exp());
             assert!((run(x) - expected).abs() < 1e-6, "{x}");
@@ -295,9 +292,44 @@ mod tests {
     }
 
     #[test]
-    fn bytes_depend_only_on_the_calls() {
-        let one = small_network().to_bytes().unwrap();
-        assert_eq!(one, small_network().to_bytes().unwrap());
+    fn the_file_is_what_was_called_whatever_the_order_of_metadata() {
+        let with = |pairs: [(&str, &str); 2]| {
+            let mut graph = small_network();
+            for (key, value) in pairs {
+                graph.metadata(key, value);
+            }
+            graph.to_bytes().unwrap()
+        };
+        let bytes = with([("b", "2"), ("a", "1")]);
+        assert_eq!(bytes, with([("a", "1"), ("b", "2")]));
+        let file = ModelProto::decode(&bytes[..]).unwrap();
+        assert_eq!((file.ir_version, file.opset_import[0].version), (8, 17));
+        let keys: Vec<_> = file.metadata_props.iter().map(|e| &*e.key).collect();
+        assert_eq!(keys, ["a", "b"]);
+        let graph = file.graph.unwrap();
+        let nodes = graph.node.iter().map(|node| {
+            let inputs: Vec<&str> = node.input.iter().map(String::as_str).collect();
+            format!(
+                "{} = {}({})",
+                node.output[0],
+                node.op_type,
+                inputs.join(", ")
+            )
+        });
+        let expected = [
+            "conv = Conv(x, w, b)",
+            "relu = Relu(conv)",
+            "pool = AveragePool(relu)",
+            "flat = Flatten(pool)",
+            "both = Concat(flat, flat)",
+            "logit = Gemm(both, fc, zero)",
+            "p = Sigmoid(logit)",
+        ];
+        assert_eq!(nodes.collect::<Vec<_>>(), expected);
+        let weight = &graph.initializer[0];
+        assert_eq!((&*weight.name, &weight.dims[..]), ("w", &[2, 1, 1, 1][..]));
+        let ones = [1.0_f32, -1.0].map(f32::to_le_bytes).concat();
+        assert_eq!(weight.raw_data, ones);
     }
 
     #[test]
