@@ -332,7 +332,7 @@ fn statistics_that_cannot_normalise_are_refused() {
             ..NORMALISATION
         });
         let error = spec.check().unwrap_err();
-        assert!(error.what().contains("input `rgb` needs `mean`"), "{error}");
+        assert!(error.contains("input `rgb` needs `mean`"), "{error}");
     }
 }
 

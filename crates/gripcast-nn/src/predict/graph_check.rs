@@ -1,14 +1,15 @@
 //! Holds the graph of a model file against its contract.
 
 use std::collections::BTreeSet;
+use std::fmt::Display;
 
 use tract_onnx::pb::tensor_proto::{DataLocation, DataType};
 use tract_onnx::pb::tensor_shape_proto::Dimension as TensorDimension;
 use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
 
-use super::contract::{INPUT_SHAPE, ModelContract, OUTPUT, OUTPUT_SHAPE, list, refusal};
-use gripcast_base::error::Result;
+use super::tensors::{INPUT_SHAPE, OUTPUT, OUTPUT_SHAPE, Variant};
+use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// Operator sets that the engine implements.
 const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
@@ -19,7 +20,7 @@ const LARGEST_WINDOW: i64 = 4096;
 ///
 /// # Errors
 /// `Input`, with what was expected and what was found.
-pub(super) fn check_graph(contract: &ModelContract, model: &ModelProto) -> Result<()> {
+pub(super) fn check_graph(variant: Variant, model: &ModelProto) -> Result<()> {
     check_operator_sets(model)?;
     let graph = model
         .graph
@@ -29,12 +30,12 @@ pub(super) fn check_graph(contract: &ModelContract, model: &ModelProto) -> Resul
     check_windows(graph)?;
     let found = graph_inputs(graph);
     let names: BTreeSet<&str> = found.iter().map(|input| input.name.as_str()).collect();
-    let expected: BTreeSet<&str> = contract.variant.inputs().iter().map(|n| n.name()).collect();
+    let expected: BTreeSet<&str> = variant.inputs().iter().map(|n| n.name()).collect();
     if names != expected || found.len() != expected.len() {
         return Err(refusal(format!(
             "the contract (variant {}) and the graph disagree on the inputs: expected {}, the \
              graph has {}",
-            contract.variant,
+            variant,
             list(expected),
             list(found.iter().map(|input| &input.name))
         )));
@@ -203,4 +204,17 @@ fn check_tensor(
     .remedy(
         "export the model with fixed shapes; only the batch may be open, everywhere or nowhere",
     ))
+}
+
+pub(super) fn refusal(what: impl Into<String>) -> Error {
+    Error::new(ErrorKind::Input, what)
+}
+
+pub(super) fn list<T: Display>(items: impl IntoIterator<Item = T>) -> String {
+    let names: Vec<String> = items.into_iter().map(|item| format!("`{item}`")).collect();
+    if names.is_empty() {
+        "none".to_owned()
+    } else {
+        names.join(", ")
+    }
 }

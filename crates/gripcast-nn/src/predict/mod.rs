@@ -17,6 +17,7 @@ pub mod novelty;
 pub mod onnx;
 mod own_engine;
 mod smoothing;
+mod tensors;
 mod timing;
 mod verdict;
 
