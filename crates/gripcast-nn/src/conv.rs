@@ -37,12 +37,6 @@ impl ConvShape {
         self.kernel * self.kernel * self.input[2]
     }
 
-    /// Multiplications of a picture.
-    pub fn products(&self) -> usize {
-        let [height, width, channels] = self.output();
-        height * width * channels * self.fan_in()
-    }
-
     /// Height and width of the input with the zeros that windows reach.
     fn padded(&self) -> [usize; 2] {
         let [height, width, _] = self.output();

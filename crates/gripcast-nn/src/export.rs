@@ -7,7 +7,7 @@
 use tract_onnx::pb::{GraphProto, NodeProto, TensorProto, tensor_proto::DataType};
 
 use crate::architecture::{Architecture, ConvSpec, PICTURE, Part};
-use crate::network::{FoldedConvolution, Network, Sense};
+use crate::network::{Network, Sense};
 use crate::predict::ModelContract;
 use crate::predict::contract::{INPUT_SHAPE, InputName, OUTPUT, OUTPUT_SHAPE};
 use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
@@ -86,8 +86,7 @@ fn write_encoder(graph: &mut OnnxGraphBuilder, network: &Network, sense: Sense) 
     else {
         return Ok(());
     };
-    for (i, (shape, folded)) in network.shapes().iter().zip(folded).enumerate() {
-        let FoldedConvolution { weight, bias } = folded;
+    for (i, (shape, [weight, bias])) in network.shapes().iter().zip(folded).enumerate() {
         let [kernel, inputs, outputs] = [shape.kernel, shape.input[2], shape.channels];
         let weight = outputs_first(&weight, kernel, inputs, outputs);
         let size = [outputs, inputs, kernel, kernel].map(|side| side as i64);

@@ -55,15 +55,6 @@ impl Sense {
     }
 }
 
-/// A convolution and its normalisation in one.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct FoldedConvolution {
-    /// KH·KW·C rows, a column for each output channel.
-    pub(crate) weight: Vec<f32>,
-    /// One for each output channel.
-    pub(crate) bias: Vec<f32>,
-}
-
 /// Parameters and what belongs to them.
 #[derive(Clone, Debug)]
 pub struct Network {
@@ -180,9 +171,10 @@ impl Network {
         self.encoder(sense).map(|parts| &parts.projection)
     }
 
-    /// Convolutions of an encoder with their normalisation by the running moments in them; none
-    /// where the classifier lacks the sense.
-    pub(crate) fn folded(&self, sense: Sense) -> Option<Vec<FoldedConvolution>> {
+    /// Weight, KH·KW·C rows with a column for each output channel, and bias of an encoder's
+    /// convolutions with their normalisation by the running moments in them; none where the
+    /// classifier lacks the sense.
+    pub(crate) fn folded(&self, sense: Sense) -> Option<Vec<[Vec<f32>; 2]>> {
         let parts = self.encoder(sense)?;
         let folded = parts.convolutions.iter().zip(&parts.moments);
         let folded = folded.map(|([weight, gamma, beta], moments)| {
@@ -191,10 +183,7 @@ impl Network {
             let (scale, bias) = moments.scale_and_shift(self.part(gamma), self.part(beta));
             let rows = self.part(weight).chunks_exact(scale.len());
             let weight = rows.flat_map(|row| row.iter().zip(&scale).map(|(w, scale)| w * scale));
-            FoldedConvolution {
-                weight: weight.collect(),
-                bias,
-            }
+            [weight.collect(), bias]
         });
         Some(folded.collect())
     }
@@ -339,39 +328,27 @@ impl Network {
         self.shapes.last().map_or(PICTURE, ConvShape::output)
     }
 
-    /// The windows of what the last convolution gives.
-    fn windows(&self) -> Windows {
-        let [_, width, channels] = self.last();
-        let [rows, columns, _] = self.architecture.pooled();
-        let [tall, wide] = self.architecture.pool;
-        let mut pixels = Vec::with_capacity(rows * tall * columns * wide);
-        for window in 0..rows * columns {
-            let (row, column) = (window / columns * tall, window % columns * wide);
-            for y in row..row + tall {
-                for x in column..column + wide {
-                    pixels.push([(y * width + x) * channels, window * channels]);
-                }
-            }
-        }
-        Windows {
-            image: self.last().iter().product(),
-            pooled: rows * columns * channels,
-            channels,
-            pixels,
-            share: 1.0 / (tall * wide) as f32,
-        }
-    }
-
     /// Means over windows.
     fn pool(&self, a: &[f32], count: usize) -> Vec<f32> {
-        let windows = self.windows();
-        let mut pooled = vec![0.0; count * windows.pooled];
-        let images = a.chunks_exact(windows.image);
-        for (a, pooled) in images.zip(pooled.chunks_exact_mut(windows.pooled)) {
-            for [pixel, window] in &windows.pixels {
-                let pixel = &a[*pixel..][..windows.channels];
-                for (pooled, a) in pooled[*window..].iter_mut().zip(pixel) {
-                    *pooled += windows.share * a;
+        let [_, width, channels] = self.last();
+        let image: usize = self.last().iter().product();
+        let [rows, columns, _] = self.architecture.pooled();
+        let [tall, wide] = self.architecture.pool;
+        let share = 1.0 / (tall * wide) as f32;
+        let mut pooled = vec![0.0; count * rows * columns * channels];
+        for (a, pooled) in a
+            .chunks_exact(image)
+            .zip(pooled.chunks_exact_mut(rows * columns * channels))
+        {
+            for (window, pooled) in pooled.chunks_exact_mut(channels).enumerate() {
+                let (row, column) = (window / columns * tall, window % columns * wide);
+                for y in row..row + tall {
+                    let from = (y * width + column) * channels;
+                    for pixel in a[from..from + wide * channels].chunks_exact(channels) {
+                        for (pooled, a) in pooled.iter_mut().zip(pixel) {
+                            *pooled += share * a;
+                        }
+                    }
                 }
             }
         }
@@ -380,15 +357,27 @@ impl Network {
 
     /// Gradient of what the last convolution gives.
     fn unpool(&self, dpooled: &[f32], d: &mut Vec<f32>) {
-        let windows = self.windows();
+        let [_, width, channels] = self.last();
+        let image: usize = self.last().iter().product();
+        let [rows, columns, _] = self.architecture.pooled();
+        let [tall, wide] = self.architecture.pool;
+        let share = 1.0 / (tall * wide) as f32;
+        let count = dpooled.len() / (rows * columns * channels);
         d.clear();
-        d.resize(dpooled.len() / windows.pooled * windows.image, 0.0);
-        let images = d.chunks_exact_mut(windows.image);
-        for (d, dpooled) in images.zip(dpooled.chunks_exact(windows.pooled)) {
-            for [pixel, window] in &windows.pixels {
-                let pixel = &mut d[*pixel..][..windows.channels];
-                for (d, dpooled) in pixel.iter_mut().zip(&dpooled[*window..]) {
-                    *d = windows.share * dpooled;
+        d.resize(count * image, 0.0);
+        for (d, dpooled) in d
+            .chunks_exact_mut(image)
+            .zip(dpooled.chunks_exact(rows * columns * channels))
+        {
+            for (window, dpooled) in dpooled.chunks_exact(channels).enumerate() {
+                let (row, column) = (window / columns * tall, window % columns * wide);
+                for y in row..row + tall {
+                    let from = (y * width + column) * channels;
+                    for pixel in d[from..from + wide * channels].chunks_exact_mut(channels) {
+                        for (d, dpooled) in pixel.iter_mut().zip(dpooled) {
+                            *d = share * dpooled;
+                        }
+                    }
                 }
             }
         }
@@ -524,18 +513,6 @@ impl Network {
             std::mem::swap(d, dx);
         }
     }
-}
-
-/// Windows whose means are projected.
-struct Windows {
-    /// Floats of a picture, and of its means.
-    image: usize,
-    pooled: usize,
-    channels: usize,
-    /// Where each pixel's channels begin in the picture, and those of its window in the means.
-    pixels: Vec<[usize; 2]>,
-    /// Of a pixel in its window's mean.
-    share: f32,
 }
 
 /// What the head keeps on its way forwards.
