@@ -189,6 +189,7 @@ fn damage(proto: &ModelProto, mut look: impl FnMut(&ModelProto)) {
         with(&|graph| graph.initializer[at].dims.reverse());
         with(&|graph| graph.initializer[at].dims.clear());
         with(&|graph| graph.initializer[at].dims.fill(1 << 40));
+        with(&|graph| graph.initializer[at].dims.fill(i64::MAX));
         with(&|graph| graph.initializer[at].dims.fill(-1));
         with(&|graph| {
             graph.initializer.remove(at);

@@ -57,12 +57,14 @@ impl OwnEngine {
                 let [weight, bias] = graph.convolution(sense, at, shape.input[2])?;
                 Some(Convolution::new(*shape, &weight, bias, true))
             });
+            // Before their channels are multiplied: the file's sides are then those of its data.
+            let convolutions = convolutions.collect::<Option<_>>()?;
             let layer = format!("{}.projection", sense.name());
             let means = height * width * channels;
             let [weight, bias] = graph.dense(&layer, means, architecture.embedding)?;
             Some(Encoder {
                 inputs,
-                convolutions: convolutions.collect::<Option<_>>()?,
+                convolutions,
                 projection: Dense::of_planes([height * width, channels], &weight, bias),
             })
         };
