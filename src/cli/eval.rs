@@ -135,7 +135,7 @@ fn text(report: &EvalReport) -> String {
             "{} − {}: AUROC {}",
             difference.first,
             difference.second,
-            interval(difference.auroc.as_ref()),
+            interval(difference.auroc),
         ));
     }
     lines.join("\n")
@@ -150,7 +150,7 @@ fn row(model: &ModelEvaluation) -> String {
         s.n,
         figure(s.accuracy),
         figure(s.balanced_accuracy),
-        interval(model.auroc.as_ref()),
+        interval(model.auroc),
         figure(s.ece),
         model
             .ece_by_chance
@@ -171,8 +171,6 @@ fn at_base_rate(model: &ModelEvaluation) -> Option<String> {
     ))
 }
 
-fn interval(found: Option<&Interval>) -> String {
-    found.map_or("–".to_owned(), |i| {
-        format!("{:.3} [{:.3}, {:.3}]", i.estimate, i.low, i.high)
-    })
+fn interval(found: Option<Interval>) -> String {
+    found.map_or("–".to_owned(), |found| found.to_string())
 }

@@ -113,11 +113,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 }
 
 fn text(report: &ExperimentReport) -> String {
-    let interval = |found: Option<Interval>| {
-        found.map_or("–".to_owned(), |i| {
-            format!("{:.3} [{:.3}, {:.3}]", i.estimate, i.low, i.high)
-        })
-    };
+    let interval = |found: Option<Interval>| found.map_or("–".to_owned(), |i| i.to_string());
     let mut lines = vec![format!(
         "{:<12} {:<12} {:>6} {:>22} {:>22}",
         "test", "trained on", "n", "balanced accuracy", "AUROC"

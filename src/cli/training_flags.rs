@@ -26,16 +26,6 @@ pub(super) struct TrainingFlags {
     /// Share of the hidden floats that are left out at random
     #[arg(long, default_value_t = 0.2)]
     dropout: f64,
-    /// Largest share of another sample that a sample is mixed with
-    #[arg(long, default_value_t = 0.0)]
-    mix: f64,
-    /// What the error of the quantities that a simulation knows beside the label counts (place of
-    /// the object in the gripper, opening, mass, friction, force); 0 leaves them out
-    #[arg(long, default_value_t = 0.0)]
-    quantity_weight: f64,
-    /// Share of itself that the running mean of the parameters keeps in a step; 0 for no mean
-    #[arg(long, default_value_t = 0.0)]
-    average: f64,
     /// Epochs without a better validation accuracy after which training ends; 0 for never
     #[arg(long, default_value_t = 0)]
     patience: u32,
@@ -60,9 +50,6 @@ impl TrainingFlags {
             learning_rate: self.learning_rate,
             weight_decay: self.weight_decay,
             dropout: self.dropout,
-            mix: self.mix,
-            quantity_weight: self.quantity_weight,
-            average: self.average,
             patience: self.patience,
             augmentation: if self.no_augmentation {
                 Augmentation::NONE

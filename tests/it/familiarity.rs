@@ -51,6 +51,9 @@ fn share_unknown(novelties: &[f64]) -> f64 {
     novelties.iter().filter(|novelty| **novelty > 1.0).count() as f64 / novelties.len() as f64
 }
 
+/// The presses are of the sensor that the simulated sensors' profile was fitted to: this holds the
+/// limit for that sensor. Presses of another Mini without markers are not at hand; only the untouched
+/// gels below are of others.
 #[test]
 fn real_presses_of_a_gelsight_mini_are_known() {
     let Some(folder) = shared("data/gsmini_taxim_ball") else {

@@ -10,7 +10,8 @@ use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_base::workers::process_cpu_s;
-use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Senses, Step};
+use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Step};
 use serde_json::json;
 
 use crate::peer::Peer;
@@ -93,14 +94,11 @@ fn row(name: &str, per_s: f64, per_cpu_s: f64) -> String {
     format!("\n{name:<14} {per_s:>11.1} {per_cpu_s:>11.1}")
 }
 
-/// Samples per second of wall and of CPU time, medians.
-fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
-    let senses = Senses {
-        touch: true,
-        vision: true,
-    };
+use gripcast_nn::predict::contract::Variant;
+use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Step};
+use serde_json::json;
     let mut draw = SeedStream::named(0, "bench train");
-    let mut network = Network::new(architecture, senses, 0, || draw.uniform());
+    let mut network = Network::new(architecture, Variant::Vt, || draw.uniform());
     let count = usize::from(args.batch);
     let picture: usize = PICTURE.iter().product();
     let mut pictures = |pictures: usize| -> Vec<f32> {
@@ -113,7 +111,6 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
         vision: pictures(count),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: vec![1.0; count],
-        quantities: Vec::new(),
     };
     let mut gradient = vec![0.0; network.parameters.len()];
     let mut adam = Adam::new(network.parameters.len());

@@ -67,15 +67,12 @@ pub fn linear_schedule(step: u64, warm_up: u64, all: u64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Architecture, Senses};
+    use crate::Architecture;
+    use crate::predict::contract::Variant;
 
     #[test]
     fn it_finds_the_lowest_point_and_weights_shrink() {
-        let senses = Senses {
-            touch: true,
-            vision: false,
-        };
-        let layout = Layout::of(&Architecture::gripcast(), senses, 0);
+        let layout = Layout::of(&Architecture::gripcast(), Variant::T);
         let mut parameters = vec![1.0; layout.len()];
         let mut adam = Adam::new(layout.len());
         for _ in 0..400 {

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::conv::ConvShape;
+use crate::predict::contract::Variant;
 
 /// Height, width and channels of the pictures that go in.
 pub const PICTURE: [usize; 3] = [240, 320, 3];
@@ -119,22 +120,6 @@ impl Architecture {
     }
 }
 
-/// Which pictures a classifier sees.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Senses {
-    /// Both tactile differences.
-    pub touch: bool,
-    /// The colour picture.
-    pub vision: bool,
-}
-
-impl Senses {
-    /// Embeddings that the head sees.
-    pub fn embeddings(self) -> usize {
-        2 * usize::from(self.touch) + usize::from(self.vision)
-    }
-}
-
 /// A named part of the parameters.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Part {
@@ -186,15 +171,13 @@ pub struct Layout {
     pub(super) vision: Option<EncoderParts>,
     /// Weight and bias of the hidden and of the last layer.
     pub(super) head: [[Part; 2]; 2],
-    /// Weight and bias of what guesses quantities beside the label; only training has it.
-    pub(super) quantities: Option<[Part; 2]>,
     parts: Vec<Part>,
     moments: usize,
 }
 
 impl Layout {
-    /// The layout of an architecture that guesses so many `quantities` beside the label.
-    pub fn of(architecture: &Architecture, senses: Senses, quantities: usize) -> Self {
+    /// The layout of an architecture for a classifier with these senses.
+    pub fn of(architecture: &Architecture, variant: Variant) -> Self {
         let mut parts: Vec<Part> = Vec::new();
         let mut moments = 0;
         let mut part = |name: String, shape: [usize; 2]| {
@@ -237,9 +220,9 @@ impl Layout {
                 moments: ranges.collect(),
             }
         };
-        let touch = senses.touch.then(|| encoder("touch"));
-        let vision = senses.vision.then(|| encoder("vision"));
-        let joined = senses.embeddings() * architecture.embedding;
+        let touch = variant.has_touch().then(|| encoder("touch"));
+        let vision = variant.has_vision().then(|| encoder("vision"));
+        let joined = variant.inputs().len() * architecture.embedding;
         let hidden = architecture.hidden;
         let head = [
             [
@@ -251,21 +234,10 @@ impl Layout {
                 part("head.logit.bias".to_owned(), [1, 1]),
             ],
         ];
-        // Last, so that the others are drawn alike with and without it.
-        let quantities = (quantities > 0).then(|| {
-            [
-                part(
-                    "quantities.projection.weight".to_owned(),
-                    [joined, quantities],
-                ),
-                part("quantities.projection.bias".to_owned(), [1, quantities]),
-            ]
-        });
         Self {
             touch,
             vision,
             head,
-            quantities,
             parts,
             moments,
         }

@@ -83,16 +83,25 @@ pub(super) fn normalise(z: &[f32], image: usize, scale: &[f32], shift: &[f32], a
         .for_each(|(a, z)| Isa::best().run(Normalise { z, scale, shift, a }));
 }
 
+/// What a layer did on its way forwards, for pictures of `image` floats.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pass<'a> {
+    /// Before normalisation.
+    pub(super) z: &'a [f32],
+    /// After ReLU.
+    pub(super) a: &'a [f32],
+    pub(super) image: usize,
+    pub(super) moments: &'a Moments,
+}
+
 /// Gradients of γ and β; turns the gradient of `a` in `d` into that of `z`.
-pub(super) fn backward(
-    z: &[f32],
-    a: &[f32],
-    image: usize,
-    moments: &Moments,
-    gamma: &[f32],
-    d: &mut [f32],
-    [dgamma, dbeta]: [&mut [f32]; 2],
-) {
+pub(super) fn backward(pass: Pass<'_>, gamma: &[f32], d: &mut [f32]) -> [Vec<f32>; 2] {
+    let Pass {
+        z,
+        a,
+        image,
+        moments,
+    } = pass;
     let channels = gamma.len();
     let parts: Vec<Vec<[f64; 2]>> = d
         .par_chunks_mut(image)
@@ -108,13 +117,14 @@ pub(super) fn backward(
         .collect();
     let count = (z.len() / channels) as f64;
     let inverse: Vec<f32> = moments.inverse_deviation().collect();
+    let (mut dgamma, mut dbeta) = (Vec::new(), Vec::new());
     let (mut factor, mut slope, mut offset) = (Vec::new(), Vec::new(), Vec::new());
     for (c, [sum, with_z]) in added(&parts, channels).into_iter().enumerate() {
         let (mean, inverse) = (f64::from(moments.mean[c]), f64::from(inverse[c]));
         // Σ d·(z − mean)/deviation.
         let with_normal = (with_z - mean * sum) * inverse;
-        dgamma[c] += with_normal as f32;
-        dbeta[c] += sum as f32;
+        dgamma.push(with_normal as f32);
+        dbeta.push(sum as f32);
         // dz = γ/deviation·(d − mean(d) − normal·mean(d·normal)), as factor·d + slope·z + offset.
         let scale = f64::from(gamma[c]) * inverse;
         let of_z = -scale * inverse * with_normal / count;
@@ -133,6 +143,7 @@ pub(super) fn backward(
                 offset: &offset,
             });
         });
+    [dgamma, dbeta]
 }
 
 /// Sums of `z` and of `z·other` for each channel; those of a row of pixels in floats.

@@ -4,7 +4,7 @@
 //! as there are output channels.
 
 use super::lanes::{Isa, Lanes, WithLanes};
-use super::product::{Finish, Output, Packed, Rows, multiply, multiply_transposed};
+use super::product::{Finish, Output, Packed, Rows, Transposed, multiply, multiply_transposed};
 
 /// Output pixels whose gradients are spread at once; their products stay in the cache.
 const SPREAD_PIXELS: usize = 80;
@@ -35,12 +35,6 @@ impl ConvShape {
     /// Rows of the weights.
     pub fn fan_in(&self) -> usize {
         self.kernel * self.kernel * self.input[2]
-    }
-
-    /// Multiplications of a picture.
-    pub fn products(&self) -> usize {
-        let [height, width, channels] = self.output();
-        height * width * channels * self.fan_in()
     }
 
     /// Height and width of the input with the zeros that windows reach.
@@ -153,11 +147,13 @@ pub(super) fn backward_weights(
 ) {
     let (rows, lines) = shape.rows();
     Isa::best().run(MultiplyTransposed {
-        a: shape.pad(x, &mut scratch.padded),
-        rows,
-        lines,
-        b: dy,
-        columns: shape.channels,
+        terms: Transposed {
+            a: shape.pad(x, &mut scratch.padded),
+            rows,
+            lines,
+            b: dy,
+            columns: shape.channels,
+        },
         c: dweights,
     });
 }
@@ -183,12 +179,7 @@ pub(super) fn backward_input(
         let pixels = lines * width;
         Isa::best().run(Multiply {
             a: &dy[line * width * shape.channels..],
-            rows: Rows {
-                step: shape.channels,
-                runs: 1,
-                run: shape.channels,
-                run_step: 0,
-            },
+            rows: rows_of(shape.channels),
             lines: [1, 0, pixels],
             b: weights,
             c: Output {
@@ -238,11 +229,13 @@ pub(super) fn linear_backward_weights(
     dweights: &mut [f32],
 ) {
     Isa::best().run(MultiplyTransposed {
-        a: x,
-        rows: rows_of(inputs),
-        lines: [1, 0, x.len() / inputs],
-        b: dy,
-        columns: outputs,
+        terms: Transposed {
+            a: x,
+            rows: rows_of(inputs),
+            lines: [1, 0, x.len() / inputs],
+            b: dy,
+            columns: outputs,
+        },
         c: dweights,
     });
 }
@@ -274,11 +267,7 @@ impl WithLanes for Multiply<'_> {
 }
 
 struct MultiplyTransposed<'a> {
-    a: &'a [f32],
-    rows: Rows,
-    lines: [usize; 3],
-    b: &'a [f32],
-    columns: usize,
+    terms: Transposed<'a>,
     c: &'a mut [f32],
 }
 
@@ -287,15 +276,7 @@ impl WithLanes for MultiplyTransposed<'_> {
 
     #[inline(always)]
     fn with_lanes<S: Lanes>(self, lanes: S) {
-        let Self {
-            a,
-            rows,
-            lines,
-            b,
-            columns,
-            c,
-        } = self;
-        multiply_transposed(lanes, a, rows, lines, b, columns, c);
+        multiply_transposed(lanes, &self.terms, self.c);
     }
 }
 

@@ -125,7 +125,9 @@ fn all_processors_find_the_same() {
         .into_iter()
         .map(|isa| {
             let mut packed = Packed::default();
-            packed.pack_for(isa, [shape.fan_in(), shape.channels], &w);
+            packed.pack_for(isa, [shape.fan_in(), shape.channels], |row, column| {
+                w[row * shape.channels + column]
+            });
             let mut y = vec![0.0; outputs];
             isa.run(Multiply {
                 a: &x,
@@ -140,15 +142,18 @@ fn all_processors_find_the_same() {
             });
             let mut dw = vec![0.0; w.len()];
             isa.run(MultiplyTransposed {
-                a: &x,
-                rows,
-                lines,
-                b: &dy,
-                columns: shape.channels,
+                terms: Transposed {
+                    a: &x,
+                    rows,
+                    lines,
+                    b: &dy,
+                    columns: shape.channels,
+                },
                 c: &mut dw,
             });
             y.extend(dw);
-            (isa.is_fused(), y)
+            let is_fused = isa != Isa::Portable || cfg!(target_arch = "aarch64");
+            (is_fused, y)
         })
         .collect();
     let Some((_, best)) = found.first() else {

@@ -9,7 +9,7 @@ const PATCH_SIDES: [usize; 3] = [2, 4, 8];
 
 /// A picture HWC with a border of zeros, which windows may read.
 #[derive(Clone, Debug)]
-pub struct Padded {
+pub(crate) struct Padded {
     size: [usize; 3],
     border: usize,
     values: Vec<f32>,
@@ -17,7 +17,7 @@ pub struct Padded {
 
 impl Padded {
     /// A black picture of height, width and channels with a border of so many pixels.
-    pub fn new(size: [usize; 3], border: usize) -> Self {
+    pub(crate) fn new(size: [usize; 3], border: usize) -> Self {
         let [height, width, channels] = size;
         let floats = (height + 2 * border) * (width + 2 * border) * channels;
         Self {
@@ -25,16 +25,6 @@ impl Padded {
             border,
             values: vec![0.0; floats],
         }
-    }
-
-    /// Height, width and channels.
-    pub fn size(&self) -> [usize; 3] {
-        self.size
-    }
-
-    /// Zeros around it, pixels.
-    pub fn border(&self) -> usize {
-        self.border
     }
 
     /// Floats from a row to the next.
@@ -49,7 +39,7 @@ impl Padded {
     }
 
     /// Copies planes, one for each channel.
-    pub fn set_planes(&mut self, planes: &[f32]) {
+    pub(crate) fn set_planes(&mut self, planes: &[f32]) {
         let [height, width, channels] = self.size;
         let (first, step) = (self.at(0), self.row());
         for (channel, plane) in planes.chunks_exact(height * width).enumerate() {
@@ -62,12 +52,11 @@ impl Padded {
         }
     }
 
-    /// Means over windows of `window` pixels side by side, HWC.
-    pub fn pooled(&self, window: [usize; 2], means: &mut Vec<f32>) {
+    /// Appends means over windows of `window` pixels side by side, HWC.
+    pub(crate) fn pool(&self, window: [usize; 2], means: &mut Vec<f32>) {
         let [height, width, channels] = self.size;
         let [tall, wide] = window;
         let share = 1.0 / (tall * wide) as f32;
-        means.clear();
         for y in 0..height / tall {
             for x in 0..width / wide {
                 let begun = means.len();
@@ -88,7 +77,7 @@ impl Padded {
 
 /// A convolution with its bias, and ReLU where there is one.
 #[derive(Clone, Debug)]
-pub struct Convolution {
+pub(crate) struct Convolution {
     shape: ConvShape,
     weights: Packed,
     /// The same for windows in planes, where they lie side by side.
@@ -98,26 +87,23 @@ pub struct Convolution {
 }
 
 impl Convolution {
-    /// A convolution; `weights` has a row for each float of a window (rows, columns, channels) and
-    /// a column for each output channel.
-    pub fn new(shape: ConvShape, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
-        let mut packed = Packed::default();
-        shape.pack(weights, &mut packed);
+    /// A convolution; `weights` are outputs × inputs × rows × columns of the window.
+    pub(crate) fn new(shape: ConvShape, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
         let [height, width, inputs] = shape.input;
+        let sizes = [shape.fan_in(), shape.channels];
+        let window = shape.kernel * shape.kernel;
+        let mut packed = Packed::default();
+        packed.pack(sizes, |row, output| {
+            weights[(output * inputs + row % inputs) * window + row / inputs]
+        });
         let is_patch = shape.stride == shape.kernel
             && shape.pad == 0
             && PATCH_SIDES.contains(&shape.kernel)
             && height % shape.kernel == 0
             && width % shape.kernel == 0;
         let patches = is_patch.then(|| {
-            let window = shape.kernel * shape.kernel;
-            let rows = (0..inputs).flat_map(|input| (0..window).map(move |at| at * inputs + input));
-            let planar: Vec<f32> = rows
-                .flat_map(|row| &weights[row * shape.channels..][..shape.channels])
-                .copied()
-                .collect();
             let mut packed = Packed::default();
-            shape.pack(&planar, &mut packed);
+            packed.pack_columns(sizes, weights);
             packed
         });
         Self {
@@ -129,13 +115,8 @@ impl Convolution {
         }
     }
 
-    /// Sizes.
-    pub fn shape(&self) -> &ConvShape {
-        &self.shape
-    }
-
     /// Whether it reads planes as they are, see [`Convolution::of_planes`].
-    pub fn reads_planes(&self) -> bool {
+    pub(crate) fn reads_planes(&self) -> bool {
         self.patches.is_some()
     }
 
@@ -147,7 +128,7 @@ impl Convolution {
     }
 
     /// Convolves a picture whose border is as wide as the convolution's padding.
-    pub fn of(&self, x: &Padded, y: &mut Padded) {
+    pub(crate) fn of(&self, x: &Padded, y: &mut Padded) {
         let (rows, [height, _, width]) = self.shape.rows();
         let step = x.row();
         let rows = super::product::Rows {
@@ -170,7 +151,7 @@ impl Convolution {
 
     /// Convolves planes, one for each channel; nothing where it does not [read
     /// them](Convolution::reads_planes).
-    pub fn of_planes(&self, planes: &[f32], y: &mut Padded) {
+    pub(crate) fn of_planes(&self, planes: &[f32], y: &mut Padded) {
         let Some(weights) = &self.patches else { return };
         let [height, width, _] = self.shape.input;
         let (first, line_step) = (y.at(0), y.row());
@@ -218,7 +199,7 @@ impl WithLanes for Patches<'_> {
 
 /// `x·weights + bias`, and ReLU where there is one.
 #[derive(Clone, Debug)]
-pub struct Dense {
+pub(crate) struct Dense {
     inputs: usize,
     weights: Packed,
     bias: Vec<f32>,
@@ -227,7 +208,7 @@ pub struct Dense {
 
 impl Dense {
     /// A layer; `weights` has a row for each input and a column for each output.
-    pub fn new(inputs: usize, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
+    pub(crate) fn new(inputs: usize, weights: &[f32], bias: Vec<f32>, relu: bool) -> Self {
         let mut packed = Packed::default();
         packed.pack_rows([inputs, bias.len()], weights);
         Self {
@@ -238,18 +219,27 @@ impl Dense {
         }
     }
 
-    /// Number of inputs.
-    pub fn inputs(&self) -> usize {
-        self.inputs
-    }
-
-    /// Number of outputs.
-    pub fn outputs(&self) -> usize {
-        self.bias.len()
+    /// A layer of the pixels of a picture HWC; `weights` has its rows for planes.
+    pub(crate) fn of_planes(
+        [pixels, channels]: [usize; 2],
+        weights: &[f32],
+        bias: Vec<f32>,
+    ) -> Self {
+        let (inputs, outputs) = (pixels * channels, bias.len());
+        let mut packed = Packed::default();
+        packed.pack([inputs, outputs], |at, output| {
+            weights[(at % channels * pixels + at / channels) * outputs + output]
+        });
+        Self {
+            inputs,
+            weights: packed,
+            bias,
+            relu: false,
+        }
     }
 
     /// Of rows of inputs.
-    pub fn of(&self, x: &[f32], y: &mut Vec<f32>) {
+    pub(crate) fn of(&self, x: &[f32], y: &mut Vec<f32>) {
         y.clear();
         y.resize(x.len() / self.inputs * self.bias.len(), 0.0);
         let finish = Finish {

@@ -3,6 +3,9 @@
 //! Every sum runs over its terms in one order whatever the width, and each lane is a sum of its
 //! own, so results are the same with 8 and 16 lanes. Without fused multiply-add they differ in the
 //! last bits.
+//!
+//! Not on `pulp`: its AVX-512 is a feature of the whole program, and would change the width, and so
+//! the order of sums, of the simulator's solvers.
 
 #![allow(unsafe_code)]
 
@@ -100,12 +103,6 @@ impl Isa {
             found.push(Self::Portable);
         }
         found
-    }
-
-    /// Whether products and sums are rounded once.
-    #[cfg(test)]
-    pub(super) fn is_fused(self) -> bool {
-        self != Self::Portable || cfg!(target_arch = "aarch64")
     }
 
     /// Floats in a vector.

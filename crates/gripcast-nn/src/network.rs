@@ -2,10 +2,11 @@
 
 use rayon::prelude::*;
 
-use super::architecture::{Architecture, EncoderParts, Layout, PICTURE, Part, Senses};
+use super::architecture::{Architecture, EncoderParts, Layout, PICTURE, Part};
 use super::batch_norm::{self, Moments};
 use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
+use crate::predict::contract::Variant;
 
 /// Share of a batch's moments in the running ones, at least.
 const MOMENTUM: f32 = 0.1;
@@ -20,13 +21,10 @@ pub struct Batch {
     pub touch: Vec<f32>,
     /// Colour pictures.
     pub vision: Vec<f32>,
-    /// 1 for a stable grasp, 0 for a lost one, or between.
+    /// 1 for a stable grasp, 0 for a lost one.
     pub targets: Vec<f32>,
     /// What each sample's loss counts.
     pub weights: Vec<f32>,
-    /// Quantities of each sample that the network guesses beside the label, one after the other,
-    /// NaN where one is not known; empty for none.
-    pub quantities: Vec<f32>,
 }
 
 /// What a step of training needs beside the data.
@@ -36,45 +34,34 @@ pub struct Step {
     pub number: u64,
     /// What the hidden floats of each sample are multiplied with; empty for nothing.
     pub dropout: Vec<f32>,
-    /// What the error of the quantities counts beside that of the label.
-    pub quantity_weight: f32,
-}
-
-/// Losses of a batch.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Losses {
-    /// Mean binary cross entropy of the label, nats.
-    pub label: f64,
-    /// Half of the mean squared error of the known quantities.
-    pub quantities: f64,
 }
 
 /// One of the encoders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sense {
+pub(crate) enum Sense {
     /// Of tactile differences.
     Touch,
     /// Of the colour picture.
     Vision,
 }
 
-/// A convolution and its normalisation in one.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FoldedConvolution {
-    /// KH·KW·C rows, a column for each output channel.
-    pub weight: Vec<f32>,
-    /// One for each output channel.
-    pub bias: Vec<f32>,
+impl Sense {
+    /// Its name in the names of parts.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Touch => "touch",
+            Self::Vision => "vision",
+        }
+    }
 }
 
 /// Parameters and what belongs to them.
 #[derive(Clone, Debug)]
 pub struct Network {
     shapes: Vec<ConvShape>,
-    pooled: [usize; 3],
-    pool: [usize; 2],
+    architecture: Architecture,
     layout: Layout,
-    senses: Senses,
+    variant: Variant,
     /// All parameters, by [`Layout`].
     pub parameters: Vec<f32>,
     /// Running means and variances of the convolutions' channels.
@@ -112,15 +99,12 @@ struct EncoderPass {
 impl Network {
     /// A network whose parameters are drawn by `uniform` from [0, 1): weights uniform within
     /// ±√(6/fan-in) before a ReLU (He et al., 2015) and ±√(3/fan-in) elsewhere, γ = 1, the rest 0.
-    ///
-    /// Its training guesses so many `quantities` beside the label.
     pub fn new(
         architecture: &Architecture,
-        senses: Senses,
-        quantities: usize,
+        variant: Variant,
         mut uniform: impl FnMut() -> f64,
     ) -> Self {
-        let layout = Layout::of(architecture, senses, quantities);
+        let layout = Layout::of(architecture, variant);
         let mut parameters = vec![0.0; layout.len()];
         for part in layout.parts() {
             let values = &mut parameters[part.range()];
@@ -141,10 +125,9 @@ impl Network {
         }
         Self {
             shapes: architecture.shapes(),
-            pooled: architecture.pooled(),
-            pool: architecture.pool,
+            architecture: architecture.clone(),
             layout,
-            senses,
+            variant,
             parameters,
             moments,
             workspace: Workspace::default(),
@@ -157,27 +140,22 @@ impl Network {
     }
 
     /// The values of a part.
-    pub fn part(&self, part: &Part) -> &[f32] {
+    pub(crate) fn part(&self, part: &Part) -> &[f32] {
         &self.parameters[part.range()]
     }
 
     /// Shapes of an encoder's convolutions.
-    pub fn shapes(&self) -> &[ConvShape] {
+    pub(crate) fn shapes(&self) -> &[ConvShape] {
         &self.shapes
     }
 
-    /// Height, width and channels of the means that are projected.
-    pub fn pooled(&self) -> [usize; 3] {
-        self.pooled
-    }
-
-    /// Height and width of the windows whose means are projected.
-    pub fn pool_window(&self) -> [usize; 2] {
-        self.pool
+    /// Its sizes.
+    pub(crate) fn architecture(&self) -> &Architecture {
+        &self.architecture
     }
 
     /// Weight and bias of the hidden and of the last layer.
-    pub fn head(&self) -> &[[Part; 2]; 2] {
+    pub(crate) fn head(&self) -> &[[Part; 2]; 2] {
         &self.layout.head
     }
 
@@ -189,13 +167,14 @@ impl Network {
     }
 
     /// Weight and bias of an encoder's projection; none where the classifier lacks the sense.
-    pub fn projection(&self, sense: Sense) -> Option<&[Part; 2]> {
+    pub(crate) fn projection(&self, sense: Sense) -> Option<&[Part; 2]> {
         self.encoder(sense).map(|parts| &parts.projection)
     }
 
-    /// Convolutions of an encoder with their normalisation by the running moments in them; none
-    /// where the classifier lacks the sense.
-    pub fn folded(&self, sense: Sense) -> Option<Vec<FoldedConvolution>> {
+    /// Weight, KH·KW·C rows with a column for each output channel, and bias of an encoder's
+    /// convolutions with their normalisation by the running moments in them; none where the
+    /// classifier lacks the sense.
+    pub(crate) fn folded(&self, sense: Sense) -> Option<Vec<[Vec<f32>; 2]>> {
         let parts = self.encoder(sense)?;
         let folded = parts.convolutions.iter().zip(&parts.moments);
         let folded = folded.map(|([weight, gamma, beta], moments)| {
@@ -204,10 +183,7 @@ impl Network {
             let (scale, bias) = moments.scale_and_shift(self.part(gamma), self.part(beta));
             let rows = self.part(weight).chunks_exact(scale.len());
             let weight = rows.flat_map(|row| row.iter().zip(&scale).map(|(w, scale)| w * scale));
-            FoldedConvolution {
-                weight: weight.collect(),
-                bias,
-            }
+            [weight.collect(), bias]
         });
         Some(folded.collect())
     }
@@ -219,10 +195,9 @@ impl Network {
         self.decide(&passes, None).logits
     }
 
-    /// Losses of a batch; adds the gradient of all parameters to `gradient` and updates the running
-    /// moments. The gradient is that of the label's loss and [`Step::quantity_weight`] times that of
-    /// the quantities (Caruana, "Multitask learning", 1997).
-    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> Losses {
+    /// Mean binary cross entropy of a batch, nats; adds the gradient of all parameters to `gradient`
+    /// and updates the running moments.
+    pub fn learn(&mut self, batch: &Batch, step: &Step, gradient: &mut [f32]) -> f64 {
         let mut workspace = std::mem::take(&mut self.workspace);
         let Workspace { passes, gradients } = &mut workspace;
         self.encode(batch, true, passes);
@@ -239,30 +214,21 @@ impl Network {
                 (weight * (1.0 / (1.0 + (-x).exp()) - y)) as f32
             })
             .collect();
-        let mut djoined = self.backward_head(&head, step, &dlogits, gradient);
-        let quantities =
-            self.backward_quantities(&head.joined, batch, step, &mut djoined, gradient);
+        let djoined = self.backward_head(&head, step, &dlogits, gradient);
         let dembeddings = self.split(passes, &djoined);
         let mut first = 0;
         let encoders = self.encoder_parts().into_iter().zip(&*passes);
         for ((encoder, pass), images) in encoders.zip(self.inputs(batch)) {
-            let length = pass.embedding.len();
-            self.backward_encoder(
-                encoder,
-                pass,
-                images,
-                &dembeddings[first..first + length],
-                gradients,
-                gradient,
-            );
-            first += length;
+            let dembedding = &dembeddings[first..][..pass.embedding.len()];
+            let [weight, bias] = &encoder.projection;
+            let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
+            self.unpool(&dpooled, &mut gradients[0]);
+            self.backward_convolutions(encoder, pass, images, gradients, gradient);
+            first += dembedding.len();
         }
         self.update_moments(passes, step.number);
         self.workspace = workspace;
-        Losses {
-            label: loss,
-            quantities,
-        }
+        loss
     }
 
     /// Gives the batch's moments their share in the running ones.
@@ -301,8 +267,8 @@ impl Network {
     }
 
     fn inputs<'a>(&self, batch: &'a Batch) -> Vec<&'a [f32]> {
-        let touch = self.senses.touch.then_some(&batch.touch[..]);
-        let vision = self.senses.vision.then_some(&batch.vision[..]);
+        let touch = self.variant.has_touch().then_some(&batch.touch[..]);
+        let vision = self.variant.has_vision().then_some(&batch.vision[..]);
         touch.into_iter().chain(vision).collect()
     }
 
@@ -366,8 +332,8 @@ impl Network {
     fn pool(&self, a: &[f32], count: usize) -> Vec<f32> {
         let [_, width, channels] = self.last();
         let image: usize = self.last().iter().product();
-        let [rows, columns, _] = self.pooled;
-        let [tall, wide] = self.pool;
+        let [rows, columns, _] = self.architecture.pooled();
+        let [tall, wide] = self.architecture.pool;
         let share = 1.0 / (tall * wide) as f32;
         let mut pooled = vec![0.0; count * rows * columns * channels];
         for (a, pooled) in a
@@ -393,8 +359,8 @@ impl Network {
     fn unpool(&self, dpooled: &[f32], d: &mut Vec<f32>) {
         let [_, width, channels] = self.last();
         let image: usize = self.last().iter().product();
-        let [rows, columns, _] = self.pooled;
-        let [tall, wide] = self.pool;
+        let [rows, columns, _] = self.architecture.pooled();
+        let [tall, wide] = self.architecture.pool;
         let share = 1.0 / (tall * wide) as f32;
         let count = dpooled.len() / (rows * columns * channels);
         d.clear();
@@ -438,7 +404,7 @@ impl Network {
     fn join(&self, passes: &[EncoderPass]) -> Vec<f32> {
         let width = self.embedding();
         let count = self.count(passes);
-        let mut joined = Vec::with_capacity(count * self.senses.embeddings() * width);
+        let mut joined = Vec::with_capacity(count * self.variant.inputs().len() * width);
         for sample in 0..count {
             for pass in passes {
                 for row in (sample..pass.embedding.len() / width).step_by(count) {
@@ -450,12 +416,12 @@ impl Network {
     }
 
     fn embedding(&self) -> usize {
-        self.layout.head[0][0].shape[0] / self.senses.embeddings()
+        self.layout.head[0][0].shape[0] / self.variant.inputs().len()
     }
 
     fn count(&self, passes: &[EncoderPass]) -> usize {
         let floats: usize = passes.iter().map(|pass| pass.embedding.len()).sum();
-        floats / (self.embedding() * self.senses.embeddings())
+        floats / (self.embedding() * self.variant.inputs().len())
     }
 
     /// Gradient of the joined embeddings.
@@ -479,43 +445,13 @@ impl Network {
         backward_linear(&head.joined, &dhidden, self, weight, bias, gradient)
     }
 
-    /// Loss of the quantities; adds its gradient to that of the joined embeddings.
-    fn backward_quantities(
-        &self,
-        joined: &[f32],
-        batch: &Batch,
-        step: &Step,
-        djoined: &mut [f32],
-        gradient: &mut [f32],
-    ) -> f64 {
-        let known = batch.quantities.iter().filter(|q| !q.is_nan()).count();
-        let Some([weight, bias]) = self.layout.quantities.as_ref().filter(|_| known > 0) else {
-            return 0.0;
-        };
-        let share = step.quantity_weight / known as f32;
-        let mut errors = linear(joined, self.part(weight), self.part(bias), false);
-        let mut squares = 0.0;
-        for (error, quantity) in errors.iter_mut().zip(&batch.quantities) {
-            let off = if quantity.is_nan() {
-                0.0
-            } else {
-                *error - quantity
-            };
-            squares += f64::from(off).powi(2);
-            *error = share * off;
-        }
-        let more = backward_linear(joined, &errors, self, weight, bias, gradient);
-        add(djoined, &more);
-        0.5 * squares / known as f64
-    }
-
     /// Gradients of the encoders' embeddings, in the order of the passes.
     fn split(&self, passes: &[EncoderPass], djoined: &[f32]) -> Vec<f32> {
         let width = self.embedding();
         let count = self.count(passes);
-        let row = self.senses.embeddings() * width;
+        let row = self.variant.inputs().len() * width;
         let mut split = Vec::with_capacity(djoined.len());
-        for which in 0..self.senses.embeddings() {
+        for which in 0..self.variant.inputs().len() {
             for sample in 0..count {
                 split.extend_from_slice(&djoined[sample * row + which * width..][..width]);
             }
@@ -523,32 +459,26 @@ impl Network {
         split
     }
 
-    fn backward_encoder(
+    /// Adds the gradients of an encoder's convolutions, from that of what the last one gives.
+    fn backward_convolutions(
         &self,
         parts: &EncoderParts,
         pass: &EncoderPass,
         images: &[f32],
-        dembedding: &[f32],
         [d, dx]: &mut [Vec<f32>; 2],
         gradient: &mut [f32],
     ) {
-        let [weight, bias] = &parts.projection;
-        let dpooled = backward_linear(&pass.pooled, dembedding, self, weight, bias, gradient);
-        self.unpool(&dpooled, d);
         for (i, shape) in self.shapes.iter().enumerate().rev() {
             let [weight, gamma, beta] = &parts.convolutions[i];
             let input: usize = shape.input.iter().product();
             let output: usize = shape.output().iter().product();
-            let (mut dgamma, mut dbeta) = (vec![0.0; gamma.len()], vec![0.0; beta.len()]);
-            batch_norm::backward(
-                &pass.z[i],
-                &pass.a[i],
-                output,
-                &pass.moments[i],
-                self.part(gamma),
-                d,
-                [&mut dgamma, &mut dbeta],
-            );
+            let of_layer = batch_norm::Pass {
+                z: &pass.z[i],
+                a: &pass.a[i],
+                image: output,
+                moments: &pass.moments[i],
+            };
+            let [dgamma, dbeta] = batch_norm::backward(of_layer, self.part(gamma), d);
             add(&mut gradient[gamma.range()], &dgamma);
             add(&mut gradient[beta.range()], &dbeta);
             let x = if i == 0 { images } else { &pass.a[i - 1][..] };

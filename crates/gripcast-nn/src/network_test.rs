@@ -28,37 +28,27 @@ fn tiny() -> Architecture {
     }
 }
 
-const BOTH: Senses = Senses {
-    touch: true,
-    vision: true,
-};
-
-fn batch(senses: Senses, count: usize, draw: &mut impl FnMut() -> f64) -> Batch {
+fn batch(variant: Variant, count: usize, draw: &mut impl FnMut() -> f64) -> Batch {
     let picture: usize = PICTURE.iter().product();
     let mut pictures = |n: usize| (0..n * picture).map(|_| (draw() - 0.5) as f32).collect();
     Batch {
-        touch: pictures(2 * count * usize::from(senses.touch)),
-        vision: pictures(count * usize::from(senses.vision)),
+        touch: pictures(2 * count * usize::from(variant.has_touch())),
+        vision: pictures(count * usize::from(variant.has_vision())),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: (0..count).map(|i| 0.5 + i as f32).collect(),
-        // The second one of every sample is not known.
-        quantities: (0..3 * count)
-            .map(|i| if i % 3 == 1 { f32::NAN } else { i as f32 - 2.0 })
-            .collect(),
     }
 }
 
 #[test]
 fn every_gradient_is_the_slope_of_the_loss() {
     let mut draw = uniform(5);
-    let network = Network::new(&tiny(), BOTH, 3, &mut draw);
-    let batch = batch(BOTH, 4, &mut draw);
+    let network = Network::new(&tiny(), Variant::Vt, &mut draw);
+    let batch = batch(Variant::Vt, 4, &mut draw);
     let step = Step {
         number: 0,
         dropout: (0..4 * 16)
             .map(|i| if i % 5 == 0 { 0.0 } else { 1.25 })
             .collect(),
-        quantity_weight: 0.3,
     };
     let mut gradient = vec![0.0; network.parameters.len()];
     network.clone().learn(&batch, &step, &mut gradient);
@@ -73,8 +63,7 @@ fn every_gradient_is_the_slope_of_the_loss() {
             for (parameter, slope) in moved.parameters[part.range()].iter_mut().zip(of_part) {
                 *parameter += (way * f64::from(*slope) / norm) as f32;
             }
-            let losses = moved.learn(&batch, &step, &mut vec![0.0; gradient.len()]);
-            losses.label + f64::from(step.quantity_weight) * losses.quantities
+            moved.learn(&batch, &step, &mut vec![0.0; gradient.len()])
         };
         // ReLUs bend the loss, floats round it: one of the steps is between both.
         let off = [1e-2, 3e-3, 1e-3].map(|share| {
@@ -89,8 +78,8 @@ fn every_gradient_is_the_slope_of_the_loss() {
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let mut draw = uniform(6);
-    let network = Network::new(&tiny(), BOTH, 3, &mut draw);
-    let batch = batch(BOTH, 5, &mut draw);
+    let network = Network::new(&tiny(), Variant::Vt, &mut draw);
+    let batch = batch(Variant::Vt, 5, &mut draw);
     let learn = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
@@ -107,11 +96,8 @@ fn results_do_not_depend_on_the_number_of_threads() {
 #[test]
 fn running_moments_follow_those_of_batches() {
     let mut draw = uniform(7);
-    let senses = Senses {
-        touch: false,
-        vision: true,
-    };
-    let mut network = Network::new(&tiny(), senses, 0, &mut draw);
+    let senses = Variant::V;
+    let mut network = Network::new(&tiny(), senses, &mut draw);
     let batch = batch(senses, 4, &mut draw);
     let passes = |network: &Network, is_training| {
         let mut passes = Vec::new();
@@ -136,11 +122,8 @@ fn running_moments_follow_those_of_batches() {
 #[test]
 fn swapped_sensors_swap_their_embeddings() {
     let mut draw = uniform(8);
-    let senses = Senses {
-        touch: true,
-        vision: false,
-    };
-    let network = Network::new(&tiny(), senses, 0, &mut draw);
+    let senses = Variant::T;
+    let network = Network::new(&tiny(), senses, &mut draw);
     let batch = batch(senses, 3, &mut draw);
     let half = batch.touch.len() / 2;
     let swapped = Batch {

@@ -39,13 +39,19 @@ pub(super) struct Packed {
 }
 
 impl Packed {
-    /// Packs what `at(row, column)` gives, for vectors of `lanes` floats.
-    fn pack(
+    /// Packs what `at(row, column)` gives.
+    pub(super) fn pack(&mut self, sizes: [usize; 2], at: impl Fn(usize, usize) -> f32) {
+        self.pack_for(Isa::best(), sizes, at);
+    }
+
+    /// The same for another processor.
+    pub(super) fn pack_for(
         &mut self,
+        isa: Isa,
         [rows, columns]: [usize; 2],
-        lanes: usize,
         at: impl Fn(usize, usize) -> f32,
     ) {
+        let lanes = isa.lanes();
         self.rows = rows;
         self.columns = columns;
         self.lanes = lanes;
@@ -67,22 +73,14 @@ impl Packed {
 
     /// Packs a matrix that lies row after row.
     pub(super) fn pack_rows(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
-        self.pack_for(Isa::best(), [rows, columns], values);
-    }
-
-    /// The same for another processor.
-    pub(super) fn pack_for(&mut self, isa: Isa, [rows, columns]: [usize; 2], values: &[f32]) {
-        self.pack([rows, columns], isa.lanes(), |row, column| {
+        self.pack([rows, columns], |row, column| {
             values[row * columns + column]
         });
     }
 
     /// Packs a matrix that lies column after column.
     pub(super) fn pack_columns(&mut self, [rows, columns]: [usize; 2], values: &[f32]) {
-        let lanes = Isa::best().lanes();
-        self.pack([rows, columns], lanes, |row, column| {
-            values[column * rows + row]
-        });
+        self.pack([rows, columns], |row, column| values[column * rows + row]);
     }
 
     pub(super) fn columns(&self) -> usize {
@@ -355,64 +353,63 @@ fn patches<S: Lanes, const SIDE: usize, const M: usize, const V: usize>(
     to.store(lanes, &sums);
 }
 
-/// `c[k][column] += Σ a[row][k]·b[row][column]` over lines of rows as in [`multiply`]; `b` has a
-/// row of `columns` floats for each row of `a`.
+/// Sums that are added to a gradient, see [`multiply_transposed`].
+#[derive(Debug)]
+pub(super) struct Transposed<'a> {
+    pub(super) a: &'a [f32],
+    pub(super) rows: Rows,
+    /// Lines, distance from a line to the next, rows of a line, as in [`multiply`].
+    pub(super) lines: [usize; 3],
+    /// A row of `columns` floats for each row of `a`.
+    pub(super) b: &'a [f32],
+    pub(super) columns: usize,
+}
+
+/// `c[k][column] += Σ a[row][k]·b[row][column]` over lines of rows as in [`multiply`].
 #[inline(always)]
-pub(super) fn multiply_transposed<S: Lanes>(
-    lanes: S,
-    a: &[f32],
-    rows: Rows,
-    lines: [usize; 3],
-    b: &[f32],
-    columns: usize,
-    c: &mut [f32],
-) {
+pub(super) fn multiply_transposed<S: Lanes>(lanes: S, terms: &Transposed<'_>, c: &mut [f32]) {
+    let rows = terms.rows;
     for run in 0..rows.runs {
         let mut k = 0;
         while k < rows.run {
-            let a = &a[run * rows.run_step + k..];
-            let c = &mut c[(run * rows.run + k) * columns..];
-            let step = rows.step;
+            let a = &terms.a[run * rows.run_step + k..];
+            let c = &mut c[(run * rows.run + k) * terms.columns..];
             k += match rows.run - k {
-                12.. if S::ROWS == 10 => transposed::<S, 12>(lanes, a, step, lines, b, columns, c),
-                6.. => transposed::<S, 6>(lanes, a, step, lines, b, columns, c),
-                3.. => transposed::<S, 3>(lanes, a, step, lines, b, columns, c),
-                _ => transposed::<S, 1>(lanes, a, step, lines, b, columns, c),
+                12.. if S::ROWS == 10 => transposed::<S, 12>(lanes, a, terms, c),
+                6.. => transposed::<S, 6>(lanes, a, terms, c),
+                3.. => transposed::<S, 3>(lanes, a, terms, c),
+                _ => transposed::<S, 1>(lanes, a, terms, c),
             };
         }
     }
 }
 
-/// The first `M` rows of `c`; gives `M`.
+/// The first `M` rows of `c`, from the floats that `a` begins with; gives `M`.
 #[inline(always)]
 fn transposed<S: Lanes, const M: usize>(
     lanes: S,
     a: &[f32],
-    step: usize,
-    lines: [usize; 3],
-    b: &[f32],
-    columns: usize,
+    terms: &Transposed<'_>,
     c: &mut [f32],
 ) -> usize {
+    let columns = terms.columns;
     let mut column = 0;
     while column + 2 * S::COUNT <= columns {
-        let (b, c) = (&b[column..], &mut c[column..]);
-        transposed_block::<S, M, 2>(lanes, a, step, lines, b, columns, c);
+        transposed_block::<S, M, 2>(lanes, a, terms, column, c);
         column += 2 * S::COUNT;
     }
     while column + S::COUNT <= columns {
-        let (b, c) = (&b[column..], &mut c[column..]);
-        transposed_block::<S, M, 1>(lanes, a, step, lines, b, columns, c);
+        transposed_block::<S, M, 1>(lanes, a, terms, column, c);
         column += S::COUNT;
     }
-    let [lines, line_step, count] = lines;
+    let [lines, line_step, count] = terms.lines;
     for column in column..columns {
         for m in 0..M {
             let mut sum = 0.0;
             for line in 0..lines {
                 for row in 0..count {
-                    let b = b[(line * count + row) * columns + column];
-                    sum += a[line * line_step + row * step + m] * b;
+                    let b = terms.b[(line * count + row) * columns + column];
+                    sum += a[line * line_step + row * terms.rows.step + m] * b;
                 }
             }
             c[m * columns + column] += sum;
@@ -425,12 +422,13 @@ fn transposed<S: Lanes, const M: usize>(
 fn transposed_block<S: Lanes, const M: usize, const V: usize>(
     lanes: S,
     a: &[f32],
-    step: usize,
-    [lines, line_step, count]: [usize; 3],
-    b: &[f32],
-    columns: usize,
+    terms: &Transposed<'_>,
+    column: usize,
     c: &mut [f32],
 ) {
+    let (step, columns) = (terms.rows.step, terms.columns);
+    let [lines, line_step, count] = terms.lines;
+    let (b, c) = (&terms.b[column..], &mut c[column..]);
     let mut sums = [[lanes.splat(0.0); V]; M];
     for line in 0..lines {
         let a = &a[line * line_step..];

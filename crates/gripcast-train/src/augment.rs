@@ -138,15 +138,6 @@ pub(super) struct InputWriter {
     noise: Vec<f32>,
 }
 
-/// How a sample's gripper is seen.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct SeenGripper {
-    /// With the left finger on the right.
-    pub(super) is_swapped: bool,
-    /// With its other side in front.
-    pub(super) is_turned: bool,
-}
-
 /// How one sample is seen.
 struct Pose {
     swap: bool,
@@ -172,14 +163,16 @@ impl InputWriter {
     }
 
     /// Writes left and right tactile difference and the colour picture, HWC; slices that are empty
-    /// stay empty. Returns how the gripper is seen then.
+    /// stay empty. Unchanged pictures give the floats of
+    /// [`ModelInput`](gripcast_nn::predict::ModelInput) but for the last bits: here levels are
+    /// multiplied with gains, there divided by 255.
     pub(super) fn write(
         &self,
         pictures: &SamplePictures,
         seed: Option<u64>,
         [left, right]: [&mut [f32]; 2],
         rgb: &mut [f32],
-    ) -> SeenGripper {
+    ) {
         let augmentation = if seed.is_some() {
             self.augmentation
         } else {
@@ -200,25 +193,20 @@ impl InputWriter {
         } else {
             [of_left, of_right]
         };
-        for ([initial, grasp], to) in pairs.into_iter().zip([left, right]) {
+        for (pair, to) in pairs.into_iter().zip([left, right]) {
             if !to.is_empty() {
-                self.write_difference(&augmentation, initial, grasp, mirrored, &mut draw, to);
+                self.write_difference(&augmentation, pair, mirrored, &mut draw, to);
             }
         }
         if !rgb.is_empty() {
             self.write_rgb(&augmentation, &pictures.rgb, &pose, &mut draw, rgb);
-        }
-        SeenGripper {
-            is_swapped: pose.swap,
-            is_turned: turned,
         }
     }
 
     fn write_difference(
         &self,
         augmentation: &Augmentation,
-        initial: &RgbImage,
-        grasp: &RgbImage,
+        [initial, grasp]: &[RgbImage; 2],
         upside_down: bool,
         draw: &mut SeedStream,
         to: &mut [f32],

@@ -5,12 +5,11 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 
 use super::augment::{FLOATS, InputWriter, SamplePictures};
-use super::quantities::QuantityScale;
 use super::samples::{SampleFacts, SampleReader, Samples};
-use gripcast_base::error::Result;
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Decoder;
-use gripcast_nn::predict::contract::RgbNormalisation;
-use gripcast_nn::{Batch, Senses};
+use gripcast_nn::Batch;
+use gripcast_nn::predict::contract::{RgbNormalisation, Variant};
 
 /// Samples from which mean and deviation of the colour picture are taken.
 const NORMALISATION_SAMPLES: usize = 256;
@@ -20,37 +19,27 @@ const NORMALISATION_SAMPLES: usize = 256;
 pub(super) struct Batches<'a> {
     samples: &'a Samples,
     reader: SampleReader<'a>,
-    senses: Senses,
+    variant: Variant,
     writer: InputWriter,
     /// What each sample counts.
     weights: Vec<f32>,
-    /// Scale of the quantities beside the label, where they are wanted.
-    scale: Option<QuantityScale>,
 }
 
 impl<'a> Batches<'a> {
     /// Batches for a network with these senses; `memory` bytes of encoded pictures are kept.
     pub(super) fn new(
         samples: &'a Samples,
-        senses: Senses,
+        variant: Variant,
         writer: InputWriter,
         memory: usize,
     ) -> Self {
         Self {
             samples,
             reader: SampleReader::new(samples, memory),
-            senses,
+            variant,
             writer,
             weights: vec![1.0; samples.facts().len()],
-            scale: None,
         }
-    }
-
-    /// With the quantities beside the label, where a scale is given.
-    #[must_use]
-    pub(super) fn with_quantities(mut self, scale: Option<QuantityScale>) -> Self {
-        self.scale = scale;
-        self
     }
 
     /// Lets both labels count the same in sum, at each stopping force if all have both: weak grasps
@@ -88,9 +77,11 @@ impl<'a> Batches<'a> {
         let rows = self.reader.rows(samples)?;
         let count = samples.len();
         let floats = |is_seen, pictures: usize| vec![0.0; usize::from(is_seen) * pictures * FLOATS];
-        let mut touch = floats(self.senses.touch, 2 * count);
-        let mut vision = floats(self.senses.vision, count);
-        let (left, right) = touch.split_at_mut(usize::from(self.senses.touch) * count * FLOATS);
+        let senses = [self.variant.has_touch(), self.variant.has_vision()];
+        let mut touch = floats(senses[0], 2 * count);
+        let mut vision = floats(senses[1], count);
+        let half = touch.len() / 2;
+        let (left, right) = touch.split_at_mut(half);
         let mut slots: Vec<[&mut [f32]; 3]> = Vec::with_capacity(count);
         let mut vision_slots = vision.chunks_exact_mut(FLOATS);
         let (mut left, mut right) = (
@@ -104,12 +95,11 @@ impl<'a> Batches<'a> {
                 vision_slots.next().unwrap_or_default(),
             ]);
         }
-        let senses = [self.senses.touch, self.senses.vision];
-        let seen = slots
+        slots
             .into_par_iter()
             .zip(rows)
             .enumerate()
-            .map_init(
+            .try_for_each_init(
                 || None,
                 |decoder, (at, ([left, right, rgb], (rows, row)))| {
                     let decoder = match decoder {
@@ -120,78 +110,19 @@ impl<'a> Batches<'a> {
                     let pictures = SamplePictures::decode(decoder, &row.images, senses)
                         .map_err(|e| e.at(&row.facts.id))?;
                     let seed = seeds.and_then(|seeds| seeds.get(at)).copied();
-                    Ok(self.writer.write(&pictures, seed, [left, right], rgb))
+                    self.writer.write(&pictures, seed, [left, right], rgb);
+                    Ok::<(), Error>(())
                 },
-            )
-            .collect::<Result<Vec<_>>>()?;
-        let facts: Vec<_> = samples
-            .iter()
-            .map(|at| &self.samples.facts()[*at])
-            .collect();
-        let quantities = self.scale.iter().flat_map(|scale| {
-            let samples = facts.iter().zip(&seen);
-            samples.flat_map(|(facts, seen)| {
-                scale.seen(&facts.quantities, seen.is_swapped, seen.is_turned)
-            })
-        });
+            )?;
         Ok(Batch {
             touch,
             vision,
-            targets: facts
+            targets: samples
                 .iter()
-                .map(|f| f32::from(u8::from(f.is_stable)))
+                .map(|at| f32::from(u8::from(self.samples.facts()[*at].is_stable)))
                 .collect(),
             weights: samples.iter().map(|at| self.weights[*at]).collect(),
-            quantities: quantities.collect(),
         })
-    }
-}
-
-/// Mixes each sample of a batch with the next one, which gets the share given for it (Zhang et al.,
-/// "mixup", 2018).
-pub(super) fn mix(batch: &mut Batch, shares: &[f32]) {
-    let count = shares.len();
-    if count < 2 {
-        return;
-    }
-    let weights = batch.weights.clone();
-    let of_next = |at: usize| (at + 1) % count;
-    for at in 0..count {
-        let (next, share) = (of_next(at), shares[at]);
-        let [own, other] = [(1.0 - share) * weights[at], share * weights[next]];
-        batch.weights[at] = own + other;
-    }
-    let targets = batch.targets.clone();
-    for at in 0..count {
-        let (next, share) = (of_next(at), shares[at]);
-        let sum = (1.0 - share) * weights[at] * targets[at] + share * weights[next] * targets[next];
-        batch.targets[at] = sum / batch.weights[at];
-    }
-    for (floats, pictures) in [(&mut batch.touch, 2), (&mut batch.vision, 1)] {
-        let (is_seen, size) = (!floats.is_empty(), floats.len() / (pictures * count));
-        if is_seen {
-            let of_picture = floats.par_chunks_exact_mut(count * size);
-            of_picture.for_each(|floats| mix_rows(floats, size, shares));
-        }
-    }
-    if !batch.quantities.is_empty() {
-        let size = batch.quantities.len() / count;
-        mix_rows(&mut batch.quantities, size, shares);
-    }
-}
-
-fn mix_rows(floats: &mut [f32], size: usize, shares: &[f32]) {
-    let first = floats[..size].to_vec();
-    for (at, share) in shares.iter().enumerate() {
-        let (row, rest) = floats[at * size..].split_at_mut(size);
-        let next = if rest.is_empty() {
-            &first[..]
-        } else {
-            &rest[..size]
-        };
-        for (own, other) in row.iter_mut().zip(next) {
-            *own += share * (other - *own);
-        }
     }
 }
 
@@ -240,25 +171,6 @@ mod tests {
     use crate::sample_dataset::{row, write_part};
 
     #[test]
-    fn each_sample_is_mixed_with_the_next_as_it_was() {
-        let mut batch = Batch {
-            touch: [[0.0; 2], [4.0; 2], [8.0; 2], [1.0; 2], [1.0; 2], [5.0; 2]].concat(),
-            vision: vec![0.0, 10.0, 20.0],
-            targets: vec![1.0, 0.0, 1.0],
-            weights: vec![1.0, 3.0, 1.0],
-            quantities: vec![2.0, f32::NAN, 4.0],
-        };
-        mix(&mut batch, &[0.25, 0.5, 0.5]);
-        let touch = [[1.0; 2], [6.0; 2], [4.0; 2], [1.0; 2], [3.0; 2], [3.0; 2]];
-        assert_eq!(batch.touch, touch.concat());
-        assert_eq!(batch.vision, [2.5, 15.0, 10.0]);
-        assert_eq!(batch.weights, [1.5, 2.0, 1.0]);
-        assert_eq!(batch.targets, [0.5, 0.25, 1.0]);
-        assert!(batch.quantities[0].is_nan() && batch.quantities[1].is_nan());
-        assert_eq!(batch.quantities[2], 3.0);
-    }
-
-    #[test]
     fn labels_count_the_same_at_each_force_that_has_both() {
         let folder = tempfile::tempdir().unwrap();
         let weights = |lost_force_n: f64| -> Vec<[f64; 3]> {
@@ -282,11 +194,7 @@ mod tests {
                     std: [1.0; 3],
                 },
             );
-            let senses = Senses {
-                touch: true,
-                vision: false,
-            };
-            let batches = Batches::new(&samples, senses, writer, 0).balanced();
+            let batches = Batches::new(&samples, Variant::T, writer, 0).balanced();
             let facts = samples.facts().iter().zip(&batches.weights);
             facts
                 .map(|(facts, weight)| {

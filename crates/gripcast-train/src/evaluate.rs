@@ -315,19 +315,12 @@ impl ModelEvaluation {
             .filter(|(_, found)| found.in_contact)
             .map(|(scored, _)| *scored)
             .collect();
-        let by = |name: &dyn Fn(usize) -> String| {
-            let all: Vec<String> = (0..facts.len()).map(name).collect();
-            let mut names: Vec<String> = all.clone();
-            names.sort();
-            names.dedup();
-            let groups: Vec<usize> = all
-                .iter()
-                .map(|name| names.binary_search(name).unwrap_or(0))
-                .collect();
+        let by = |name: &dyn Fn(&SampleFacts) -> String| {
+            let (names, groups) = numbered(facts, name);
             summarise_groups(&scored, &groups, &names, threshold)
         };
-        let objects = numbered(facts, |facts| &facts.object);
-        let lifts = numbered(facts, |facts| &facts.lift);
+        let (_, objects) = numbered(facts, |facts| facts.object.clone());
+        let (_, lifts) = numbered(facts, |facts| facts.lift.clone());
         let figures = Figures::new(&scored, threshold);
         let bootstrap = Bootstrap::new(SEED);
         Self {
@@ -343,9 +336,9 @@ impl ModelEvaluation {
             reliability: ReliabilityTable::new(&scored),
             ece_by_chance: ChanceCalibration::new(&scored, &lifts, SEED),
             at_base_rate: BaseRateCalibration::new(&scored),
-            categories: by(&|at| facts[at].category.clone()),
-            per_object: by(&|at| facts[at].object.clone()),
-            forces: by(&|at| match facts[at].stop_force_n {
+            categories: by(&|facts| facts.category.clone()),
+            per_object: by(&|facts| facts.object.clone()),
+            forces: by(&|facts| match facts.stop_force_n {
                 Some(force_n) => format!("{force_n:>4} N"),
                 None => "unknown".to_owned(),
             }),
@@ -375,44 +368,91 @@ impl ModelEvaluation {
 
 impl Difference {
     fn between(first: &ModelEvaluation, second: &ModelEvaluation) -> Self {
-        let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
-        let objects: Vec<usize> = first
-            .predictions
-            .iter()
-            .map(|sample| {
-                let next = numbers.len();
-                *numbers.entry(&sample.object).or_insert(next)
-            })
-            .collect();
-        let [one, other] = [first, second].map(|e| Figures::new(&e.scored(), e.summary.threshold));
-        let bootstrap = Bootstrap::new(SEED);
+        let [one, other] = [first, second].map(|e| Resampled::new(std::slice::from_ref(e)));
+        let [auroc, balanced_accuracy] = one.better_than(&other);
         let names = |e: &ModelEvaluation| format!("{} ({})", e.name, e.file);
         Self {
             first: names(first),
             second: names(second),
-            auroc: bootstrap.paired_interval(
-                &objects,
-                |times| one.auroc(times),
-                |times| other.auroc(times),
-            ),
-            balanced_accuracy: bootstrap.paired_interval(
-                &objects,
-                |times| one.balanced_accuracy(times),
-                |times| other.balanced_accuracy(times),
-            ),
+            auroc,
+            balanced_accuracy,
         }
     }
 }
 
+/// Figures of models on resamples of the same samples, for intervals over objects.
+pub(super) struct Resampled {
+    objects: Vec<usize>,
+    models: Vec<Figures>,
+}
+
+impl Resampled {
+    pub(super) fn new(models: &[ModelEvaluation]) -> Self {
+        let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
+        let first = models.first().map_or(&[][..], |e| &e.predictions);
+        let objects = first.iter().map(|sample| {
+            let next = numbers.len();
+            *numbers.entry(&sample.object).or_insert(next)
+        });
+        Self {
+            objects: objects.collect(),
+            models: models
+                .iter()
+                .map(|e| Figures::new(&e.scored(), e.summary.threshold))
+                .collect(),
+        }
+    }
+
+    fn mean(&self, of: impl Fn(&Figures) -> Option<f64>) -> Option<f64> {
+        let values: Option<Vec<f64>> = self.models.iter().map(of).collect();
+        let values = values.filter(|values| !values.is_empty())?;
+        Some(values.iter().sum::<f64>() / values.len() as f64)
+    }
+
+    fn auroc(&self, times: &[u32]) -> Option<f64> {
+        self.mean(|figures| figures.auroc(times))
+    }
+
+    fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
+        self.mean(|figures| figures.balanced_accuracy(times))
+    }
+
+    /// Intervals of the models' mean AUROC and balanced accuracy.
+    pub(super) fn intervals(&self) -> [Option<Interval>; 2] {
+        let bootstrap = Bootstrap::new(SEED);
+        [
+            bootstrap.interval(&self.objects, |times| self.auroc(times)),
+            bootstrap.interval(&self.objects, |times| self.balanced_accuracy(times)),
+        ]
+    }
+
+    /// Intervals of how much better these models are than others, by AUROC and balanced accuracy.
+    pub(super) fn better_than(&self, other: &Self) -> [Option<Interval>; 2] {
+        let bootstrap = Bootstrap::new(SEED);
+        [
+            bootstrap.paired_interval(
+                &self.objects,
+                |times| self.auroc(times),
+                |times| other.auroc(times),
+            ),
+            bootstrap.paired_interval(
+                &self.objects,
+                |times| self.balanced_accuracy(times),
+                |times| other.balanced_accuracy(times),
+            ),
+        ]
+    }
+}
+
 /// Figures of resamples.
-pub(super) struct Figures {
+struct Figures {
     ranking: Ranking,
     /// 1 for right, 0 for wrong, no number for the other label: of lost and of stable grasps.
     right: [Vec<f64>; 2],
 }
 
 impl Figures {
-    pub(super) fn new(scored: &[Scored], threshold: f64) -> Self {
+    fn new(scored: &[Scored], threshold: f64) -> Self {
         let right = [false, true].map(|label| {
             let of = scored.iter().map(|sample| {
                 let is_right = (sample.p_stable >= threshold) == sample.stable;
@@ -430,23 +470,27 @@ impl Figures {
         }
     }
 
-    pub(super) fn auroc(&self, times: &[u32]) -> Option<f64> {
+    fn auroc(&self, times: &[u32]) -> Option<f64> {
         self.ranking.resampled_auroc(times)
     }
 
-    pub(super) fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
+    fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
         let [lost, stable] = &self.right;
         Some(0.5 * (resampled_mean(lost, times)? + resampled_mean(stable, times)?))
     }
 }
 
-/// A name of each sample as a number.
-fn numbered(facts: &[SampleFacts], name: impl Fn(&SampleFacts) -> &str) -> Vec<usize> {
-    let mut names: Vec<&str> = facts.iter().map(&name).collect();
+/// All names, sorted, and the number of each sample's.
+fn numbered(
+    facts: &[SampleFacts],
+    name: impl Fn(&SampleFacts) -> String,
+) -> (Vec<String>, Vec<usize>) {
+    let mut names: Vec<String> = facts.iter().map(&name).collect();
     names.sort_unstable();
     names.dedup();
     let number = |facts| names.binary_search(&name(facts)).unwrap_or(0);
-    facts.iter().map(number).collect()
+    let numbers = facts.iter().map(number).collect();
+    (names, numbers)
 }
 
 /// The most confident mistakes of each label, the worst first; one of each object at most.
@@ -485,16 +529,11 @@ pub fn sample_pictures(samples: &Samples, sample: usize) -> Result<[image::RgbIm
     };
     let mut decoder = Decoder::new()?;
     let pictures = SamplePictures::decode(&mut decoder, &rows[*row].images, [true, true])?;
+    let [left, right] = &pictures.tactile;
     let change = |[initial, grasp]: &[image::RgbImage; 2]| {
-        let mut change = grasp.clone();
-        for (to, from) in change.iter_mut().zip(initial.iter()) {
-            let level = 128 + 2 * (i16::from(*to) - i16::from(*from));
-            *to = level.clamp(0, 255) as u8;
-        }
-        change
+        TactileDifference::between(initial, grasp).map(|change| change.to_picture(2.0))
     };
-    let [left, right] = pictures.tactile.each_ref().map(change);
-    Ok([left, right, pictures.rgb])
+    Ok([change(left)?, change(right)?, pictures.rgb])
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 use super::*;
-use crate::sample_dataset::{row, write_dataset, write_part};
+use crate::sample_dataset::{graded_row, row, write_dataset, write_part};
 use crate::{dataset_sha256, page};
-use gripcast_nn::predict::Model;
+use gripcast_nn::predict::{Model, SHIPPED};
 
 fn evaluated(root: &std::path::Path, models: usize) -> (EvalReport, Samples) {
     let samples = Samples::open(root, "test").unwrap();
@@ -105,4 +105,45 @@ fn one_label_and_pictures_of_another_crop_are_told() {
         report.warnings
     );
     assert_eq!(report.models[0].summary.auroc, None);
+}
+
+/// The set is drawn, not simulated: figures on it say nothing of the model's worth. They show that
+/// nothing between JPEG files, the shipped model and its figures has changed.
+#[test]
+fn the_shipped_model_has_the_figures_on_a_drawn_set_that_it_had() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = (0..24_u64).map(|number| {
+        let contact = (number * 7 % 24) as f32 / 24.0;
+        // The clearer the contact, the more often it holds.
+        let is_stable = (contact > 0.4) != (number % 5 == 0);
+        let mut row = graded_row("test", number, is_stable, contact);
+        row.facts.crop_profile = "gsmini-seventh-v1".to_owned();
+        row
+    });
+    write_part(folder.path(), "test", rows);
+    let samples = Samples::open(folder.path(), "test").unwrap();
+    let model = Model::named(SHIPPED).unwrap();
+    let models = [(SHIPPED.to_owned(), model)];
+    let report = evaluate(&models, &samples, None, "", &|_, _| {}).unwrap();
+    let summary = &report.models[0].summary;
+    let matrix = &summary.confusion;
+    let counts = [
+        matrix.true_stable,
+        matrix.false_stable,
+        matrix.true_unstable,
+        matrix.false_unstable,
+    ];
+    let figures = [
+        summary.auroc,
+        summary.average_precision,
+        summary.brier,
+        summary.log_loss,
+        summary.ece,
+    ]
+    .map(Option::unwrap);
+    eprintln!("FROZEN {counts:?} {figures:?}");
+    assert_eq!(counts, [0; 4]);
+    for (found, expected) in figures.into_iter().zip([0.0; 5]) {
+        assert!((found - expected).abs() < 1e-6, "{figures:?}");
+    }
 }

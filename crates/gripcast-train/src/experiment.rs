@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::evaluate::{Figures, ModelEvaluation, evaluate};
+use super::evaluate::{ModelEvaluation, Resampled, evaluate};
 use super::finish::finish;
 use super::metrics::plot::{Bar, BarChart, BarGroup, Reference, bars};
-use super::metrics::{Bootstrap, Interval, Scored, SeedSummary, Summary};
-use super::run::{RunFolder, TrainEvent, train};
+use super::metrics::{Interval, SeedSummary, Summary};
+use super::run::{TrainEvent, train};
+use super::run_folder::RunFolder;
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::write;
@@ -19,9 +20,6 @@ use gripcast_base::files::{FileKind, Root};
 use gripcast_base::workers::one_per_core;
 use gripcast_nn::predict::Model;
 use gripcast_nn::predict::contract::Variant;
-
-/// Of the bootstrap.
-const SEED: u64 = 0;
 
 /// What is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -285,53 +283,6 @@ struct Tested {
     evaluation: ModelEvaluation,
 }
 
-/// Predictions of all seeds on one test.
-struct OverSeeds {
-    objects: Vec<usize>,
-    seeds: Vec<Figures>,
-}
-
-impl OverSeeds {
-    fn new(evaluations: &[ModelEvaluation]) -> Self {
-        let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
-        let first = evaluations.first().map_or(&[][..], |e| &e.predictions);
-        let objects = first.iter().map(|sample| {
-            let next = numbers.len();
-            *numbers.entry(&sample.object).or_insert(next)
-        });
-        let objects = objects.collect();
-        let seeds = evaluations.iter().map(|evaluation| {
-            let scored: Vec<Scored> = evaluation
-                .predictions
-                .iter()
-                .map(|sample| Scored {
-                    p_stable: sample.p_stable,
-                    stable: sample.stable,
-                })
-                .collect();
-            Figures::new(&scored, evaluation.summary.threshold)
-        });
-        Self {
-            objects,
-            seeds: seeds.collect(),
-        }
-    }
-
-    fn mean(&self, of: impl Fn(&Figures) -> Option<f64>) -> Option<f64> {
-        let values: Option<Vec<f64>> = self.seeds.iter().map(of).collect();
-        let values = values.filter(|values| !values.is_empty())?;
-        Some(values.iter().sum::<f64>() / values.len() as f64)
-    }
-
-    fn auroc(&self, times: &[u32]) -> Option<f64> {
-        self.mean(|figures| figures.auroc(times))
-    }
-
-    fn balanced_accuracy(&self, times: &[u32]) -> Option<f64> {
-        self.mean(|figures| figures.balanced_accuracy(times))
-    }
-}
-
 impl ExperimentSettings {
     /// The conditions for which there are data, in the order of the figure.
     fn conditions(&self) -> impl Iterator<Item = Condition> + '_ {
@@ -365,17 +316,17 @@ impl ExperimentSettings {
         &self,
         found: &BTreeMap<(&str, Condition), Vec<ModelEvaluation>>,
     ) -> Result<ExperimentReport> {
-        let bootstrap = Bootstrap::new(SEED);
         let mut results = Vec::new();
         let mut differences = Vec::new();
         for test in &self.tests {
-            let mut of_test: BTreeMap<Condition, OverSeeds> = BTreeMap::new();
+            let mut of_test: BTreeMap<Condition, Resampled> = BTreeMap::new();
             for condition in self.conditions() {
                 let key = (test.name, condition);
                 let Some(evaluations) = found.get(&key) else {
                     continue;
                 };
-                let over = OverSeeds::new(evaluations);
+                let over = Resampled::new(evaluations);
+                let [auroc, balanced_accuracy] = over.intervals();
                 let summaries: Vec<Summary> =
                     evaluations.iter().map(|e| e.summary.clone()).collect();
                 results.push(ConditionResult {
@@ -385,9 +336,8 @@ impl ExperimentSettings {
                     stable: summaries.first().map_or(0, |s| s.stable),
                     over_seeds: SeedSummary::new(&summaries),
                     seeds: summaries,
-                    balanced_accuracy: bootstrap
-                        .interval(&over.objects, |times| over.balanced_accuracy(times)),
-                    auroc: bootstrap.interval(&over.objects, |times| over.auroc(times)),
+                    balanced_accuracy,
+                    auroc,
                 });
                 of_test.insert(condition, over);
             }
@@ -401,20 +351,13 @@ impl ExperimentSettings {
                 let (Some(one), Some(other)) = (of_test.get(&first), of_test.get(&second)) else {
                     continue;
                 };
+                let [auroc, balanced_accuracy] = one.better_than(other);
                 differences.push(ConditionDifference {
                     first,
                     second,
                     test: test.name.to_owned(),
-                    balanced_accuracy: bootstrap.paired_interval(
-                        &one.objects,
-                        |times| one.balanced_accuracy(times),
-                        |times| other.balanced_accuracy(times),
-                    ),
-                    auroc: bootstrap.paired_interval(
-                        &one.objects,
-                        |times| one.auroc(times),
-                        |times| other.auroc(times),
-                    ),
+                    balanced_accuracy,
+                    auroc,
                 });
             }
         }

@@ -3,17 +3,17 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::export::to_onnx;
 use super::known::known_touch;
 use super::look::{Logit, logits};
 use super::metrics::{Summary, fit_temperature, youden_threshold};
-use super::run::{EpochFigures, RunFile, RunFolder};
+use super::run_folder::{EpochFigures, RunFile, RunFolder};
 use super::samples::Samples;
 use super::state::write;
 use gripcast_base::error::Result;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::{InputName, InputSpec, Origin};
 use gripcast_nn::predict::{ModelContract, novelty};
+use gripcast_nn::to_onnx;
 
 /// Metadata with the names of the objects that a model was trained on.
 pub(super) const OBJECTS: &str = "gripcast.train.objects";

@@ -4,12 +4,12 @@ use rayon::prelude::*;
 
 use super::augment::{FLOATS, InputWriter};
 use super::batches::Batches;
-use super::run::RunFile;
+use super::run_folder::RunFile;
 use super::samples::Samples;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
-use gripcast_nn::Senses;
 use gripcast_nn::predict::Novelty;
+use gripcast_nn::predict::contract::Variant;
 use gripcast_nn::predict::novelty::{Features, features};
 
 /// Most samples that are looked at, evenly spread: two sensors each, enough for one in a thousand.
@@ -26,15 +26,11 @@ const MEMORY: usize = 1 << 25;
 /// Those of reading and decoding.
 pub(super) fn known_touch(samples: &Samples, file: &RunFile) -> Result<Option<Novelty>> {
     let settings = &file.settings;
-    if !settings.senses().touch {
+    if !settings.variant.has_touch() {
         return Ok(None);
     }
-    let senses = Senses {
-        touch: true,
-        vision: false,
-    };
     let writer = InputWriter::new(settings.augmentation, file.normalisation());
-    let mut batches = Batches::new(samples, senses, writer, MEMORY);
+    let mut batches = Batches::new(samples, Variant::T, writer, MEMORY);
     let step = samples.facts().len().div_ceil(MOST_SAMPLES).max(1);
     let some: Vec<usize> = (0..samples.facts().len()).step_by(step).collect();
     let mut draw = SeedStream::named(settings.seed, "known touch");

@@ -8,14 +8,13 @@ mod augment;
 mod batches;
 mod evaluate;
 mod experiment;
-mod export;
 mod finish;
 mod known;
 mod look;
 pub mod metrics;
 mod page;
-mod quantities;
 mod run;
+mod run_folder;
 #[cfg(test)]
 mod sample_dataset;
 mod samples;
@@ -31,10 +30,10 @@ pub use experiment::{
     Condition, ConditionDifference, ConditionResult, ExperimentEvent, ExperimentReport,
     ExperimentSettings, TestSet, experiment,
 };
-pub use export::to_onnx;
 pub use finish::{Finished, finish};
 pub use look::{Logit, logits};
 pub use page::page;
-pub use run::{EpochFigures, PartCounts, RunFile, RunFolder, RunStart, TrainEvent, Trained, train};
+pub use run::{PartCounts, RunStart, TrainEvent, Trained, train};
+pub use run_folder::{EpochFigures, RunFile, RunFolder};
 pub use samples::{SampleFacts, Samples, dataset_sha256};
 pub use settings::TrainSettings;

@@ -45,7 +45,7 @@ pub fn logits(
     told: &dyn Fn(usize),
 ) -> Result<Vec<Logit>> {
     let writer = InputWriter::new(Augmentation::NONE, normalisation);
-    let mut batches = Batches::new(samples, settings.senses(), writer, MEMORY);
+    let mut batches = Batches::new(samples, settings.variant, writer, MEMORY);
     let all: Vec<usize> = (0..samples.facts().len()).collect();
     let mut found = Vec::with_capacity(all.len());
     for some in all.chunks(BATCH) {

@@ -2,87 +2,28 @@
 
 use std::fs;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
-use serde::{Deserialize, Serialize};
-
 use super::augment::InputWriter;
-use super::batches::{Batches, colour_normalisation, mix};
+use super::batches::{Batches, colour_normalisation};
 use super::look::{Scores, logits};
-use super::quantities::QuantityScale;
+use super::run_folder::{EpochFigures, RunFile, RunFolder, foreign_checkpoint, untrained};
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::{self, Position};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, FileKind, Root};
+use gripcast_base::files::{BeneathPath, FileKind};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::CropProfile;
 use gripcast_nn::predict::contract::RgbNormalisation;
-use gripcast_nn::{Adam, Batch, Losses, Network, Step, linear_schedule};
+use gripcast_nn::{Adam, Batch, Network, Step, linear_schedule};
 
 /// Parts of a dataset that a run reads.
 const TRAIN: &str = "train";
 const VALIDATION: &str = "validation";
 /// Steps between checkpoints.
 const CHECKPOINT_STEPS: u64 = 100;
-
-/// What `run.json` says.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RunFile {
-    /// Of this file.
-    pub version: u32,
-    /// Of gripcast.
-    pub software: String,
-    /// What the run is made by.
-    pub settings: TrainSettings,
-    /// [`dataset_sha256`] of the dataset.
-    pub dataset_sha256: String,
-    /// Mean and deviation of the colour pictures.
-    pub rgb_mean: [f32; 3],
-    /// Deviation.
-    pub rgb_std: [f32; 3],
-    /// Crop profile of the tactile pictures.
-    pub crop_profile: String,
-    /// Objects that are trained on.
-    pub objects: Vec<String>,
-}
-
-impl RunFile {
-    /// Mean and deviation of the colour pictures.
-    pub fn normalisation(&self) -> RgbNormalisation {
-        RgbNormalisation {
-            mean: self.rgb_mean,
-            std: self.rgb_std,
-        }
-    }
-}
-
-/// One line of `metrics.jsonl`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct EpochFigures {
-    /// From 1.
-    pub epoch: u32,
-    /// Mean loss over its steps, nats.
-    pub train_loss: f64,
-    /// On the validation part: mean loss of balanced labels, nats.
-    pub validation_loss: f64,
-    /// Balanced accuracy there at a probability of one half.
-    pub validation_accuracy: f64,
-    /// Area under the ROC curve there.
-    pub validation_auroc: Option<f64>,
-    /// Samples learned from in a second of wall time.
-    pub samples_per_s: f64,
-}
-
-impl EpochFigures {
-    /// Whether it is a better checkpoint than one of this accuracy and loss on the validation part.
-    pub fn beats(&self, [accuracy, loss]: [f64; 2]) -> bool {
-        self.validation_accuracy > accuracy
-            || (self.validation_accuracy == accuracy && self.validation_loss < loss)
-    }
-}
 
 /// How much there is of a part of a dataset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -150,93 +91,6 @@ pub struct Trained {
     pub best_epoch: u32,
     /// What was measured there.
     pub best: EpochFigures,
-}
-
-/// Files of a run.
-#[derive(Clone, Debug)]
-pub struct RunFolder(BeneathPath);
-
-impl RunFolder {
-    /// The run in a folder.
-    pub fn at(folder: impl Into<PathBuf>) -> Self {
-        Self(Root::new(folder).top())
-    }
-
-    /// Its settings and origin.
-    pub fn run(&self) -> BeneathPath {
-        self.0.join("run.json")
-    }
-
-    /// Figures of its epochs.
-    pub fn metrics(&self) -> BeneathPath {
-        self.0.join("metrics.jsonl")
-    }
-
-    /// The last checkpoint.
-    pub fn state(&self) -> BeneathPath {
-        self.0.join("state.bin")
-    }
-
-    /// The best one.
-    pub fn best(&self) -> BeneathPath {
-        self.0.join("best.bin")
-    }
-
-    /// The model that came out.
-    pub fn model(&self) -> BeneathPath {
-        self.0.join("model.onnx")
-    }
-
-    /// Reads `run.json`; none where there is no run.
-    ///
-    /// # Errors
-    /// `Input`: the file is damaged. Those of reading it.
-    pub fn read(&self) -> Result<Option<RunFile>> {
-        let place = self.run();
-        let text = match place.read(FileKind::List) {
-            Ok(text) => text,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(Error::io("cannot read the run", e).at(place.display())),
-        };
-        let found = serde_json::from_slice(&text).map_err(|e| {
-            Error::new(ErrorKind::Input, "the run's description cannot be read")
-                .because(e)
-                .at(place.display())
-        })?;
-        Ok(Some(found))
-    }
-
-    /// The network of the best checkpoint, and what was measured there.
-    ///
-    /// # Errors
-    /// `Input`: it is damaged, or of other settings. Those of reading it.
-    pub fn best_network(&self, settings: &TrainSettings) -> Result<(Network, EpochFigures)> {
-        let place = self.best();
-        let (figures, arrays): (EpochFigures, _) = state::load(&place)?;
-        let mut network = untrained(settings, || 0.5);
-        match <[Vec<f32>; 2]>::try_from(arrays) {
-            Ok([parameters, moments])
-                if parameters.len() == network.parameters.len()
-                    && moments.len() == network.moments.len() =>
-            {
-                network.parameters = parameters;
-                network.moments = moments;
-                Ok((network, figures))
-            }
-            _ => Err(foreign_checkpoint(&place)),
-        }
-    }
-}
-
-fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) -> Network {
-    let (architecture, senses) = (&settings.architecture, settings.senses());
-    Network::new(architecture, senses, settings.quantities(), uniform)
-}
-
-fn foreign_checkpoint(place: &BeneathPath) -> Error {
-    let what = "the checkpoint is of a network with other sizes";
-    let error = Error::new(ErrorKind::Input, what).at(place.display());
-    error.remedy("name another folder for the run")
 }
 
 /// Trains a classifier, or goes on with it where it was stopped.
@@ -315,7 +169,7 @@ fn begun(
     }
     fs::create_dir_all(out)
         .map_err(|e| Error::io("cannot make the folder of the run", e).at(out.display()))?;
-    let normalisation = if settings.senses().vision {
+    let normalisation = if settings.variant.has_vision() {
         colour_normalisation(train)?
     } else {
         RgbNormalisation {
@@ -362,11 +216,8 @@ struct Training<'a> {
     train: &'a Samples,
     validation: &'a Samples,
     network: Network,
-    /// Running mean of the network, where there is one.
-    averaged: Option<Network>,
     adam: Adam,
     position: Position,
-    scale: Option<QuantityScale>,
 }
 
 impl<'a> Training<'a> {
@@ -385,10 +236,8 @@ impl<'a> Training<'a> {
             normalisation: file.normalisation(),
             train,
             validation,
-            averaged: (settings.average > 0.0).then(|| network.clone()),
             adam: Adam::new(network.parameters.len()),
             network,
-            scale: (settings.quantities() > 0).then(|| QuantityScale::of(train)),
             position: Position {
                 epoch: 0,
                 step: 0,
@@ -407,24 +256,14 @@ impl<'a> Training<'a> {
     }
 
     fn restore(&mut self, place: &BeneathPath) -> Result<()> {
-        let (position, mut arrays): (Position, Vec<Vec<f32>>) = state::load(place)?;
+        let (position, arrays): (Position, _) = state::load(place)?;
         let network = &self.network;
-        let [parameters, moments] = [network.parameters.len(), network.moments.len()];
-        let mut expected = vec![parameters, moments, parameters, parameters];
-        if self.averaged.is_some() {
-            expected.extend([parameters, moments]);
-        }
-        if !arrays.iter().map(Vec::len).eq(expected) {
-            return Err(foreign_checkpoint(place));
-        }
-        let mut next = || arrays.remove(0);
-        self.network.parameters = next();
-        self.network.moments = next();
-        let (first, second) = (next(), next());
-        if let Some(averaged) = &mut self.averaged {
-            averaged.parameters = next();
-            averaged.moments = next();
-        }
+        let [all, moments] = [network.parameters.len(), network.moments.len()];
+        let [parameters, moments, first, second] =
+            state::of_sizes(arrays, [all, moments, all, all])
+                .ok_or_else(|| foreign_checkpoint(place))?;
+        self.network.parameters = parameters;
+        self.network.moments = moments;
         self.position = position;
         self.adam = Adam {
             first,
@@ -436,15 +275,12 @@ impl<'a> Training<'a> {
 
     fn save(&mut self) -> Result<()> {
         self.position.steps = self.adam.steps;
-        let mut arrays: Vec<&[f32]> = vec![
+        let arrays: [&[f32]; 4] = [
             &self.network.parameters,
             &self.network.moments,
             &self.adam.first,
             &self.adam.second,
         ];
-        if let Some(averaged) = &self.averaged {
-            arrays.extend([&averaged.parameters[..], &averaged.moments]);
-        }
         state::save(&self.folder.state(), &self.position, &arrays)
     }
 
@@ -500,8 +336,7 @@ impl<'a> Training<'a> {
             let figures = self.epoch(told)?;
             let accuracy = [figures.validation_accuracy, figures.validation_loss];
             if self.position.best.is_none_or(|best| figures.beats(best)) {
-                let network = self.measured();
-                let arrays: [&[f32]; 2] = [&network.parameters, &network.moments];
+                let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
                 state::save(&self.folder.best(), &figures, &arrays)?;
                 self.position.best = Some(accuracy);
                 self.position.best_epoch = Some(figures.epoch);
@@ -530,27 +365,17 @@ impl<'a> Training<'a> {
     fn epoch(&mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochFigures> {
         let settings = self.settings;
         let epoch = self.position.epoch;
-        let (train, senses) = (self.train, settings.senses());
+        let (train, variant) = (self.train, settings.variant);
         let of_epoch = SeedStream::named(settings.seed, &format!("epoch {epoch}")).bits();
         let order = train.shuffled(of_epoch, settings.memory);
         let writer = InputWriter::new(settings.augmentation, self.normalisation);
-        let mut batches = Batches::new(train, senses, writer, settings.memory)
-            .balanced()
-            .with_quantities(self.scale);
+        let mut batches = Batches::new(train, variant, writer, settings.memory).balanced();
         let mut read = |step: u64| -> Result<Batch> {
             let first = step as usize * settings.batch;
             let samples = &order[first..first + settings.batch];
             let seed = |at: &usize| SeedStream::named(of_epoch, &train.facts()[*at].id).bits();
             let seeds: Vec<u64> = samples.iter().map(seed).collect();
-            let mut batch = batches.batch(samples, Some(&seeds))?;
-            if settings.mix > 0.0 {
-                let mut draw = SeedStream::named(of_epoch, &format!("mix {step}"));
-                let shares = samples
-                    .iter()
-                    .map(|_| draw.between(0.0, settings.mix) as f32);
-                mix(&mut batch, &shares.collect::<Vec<_>>());
-            }
-            Ok(batch)
+            batches.batch(samples, Some(&seeds))
         };
         let steps = self.steps_per_epoch();
         let all = steps * u64::from(settings.epochs);
@@ -567,12 +392,12 @@ impl<'a> Training<'a> {
             let drop = self.dropped(of_epoch, step);
             gradient.fill(0.0);
             let network = &mut self.network;
-            let (losses, read) = rayon::join(
+            let (loss, read) = rayon::join(
                 || network.learn(&batch, &drop, &mut gradient),
                 || (step + 1 < steps).then(|| read(step + 1)).transpose(),
             );
             next = read?;
-            self.check_loss(losses, &gradient, epoch, step)?;
+            self.check_loss(loss, &gradient, epoch, step)?;
             let share = linear_schedule(self.adam.steps, settings.warm_up, all);
             let learning_rate = share * settings.learning_rate as f32;
             let layout = self.network.layout().clone();
@@ -583,12 +408,11 @@ impl<'a> Training<'a> {
                 learning_rate,
                 settings.weight_decay as f32,
             );
-            self.average();
-            self.position.loss += losses.label;
+            self.position.loss += loss;
             self.position.step += 1;
             told(TrainEvent::Step {
                 at: [u64::from(epoch) * steps + step + 1, all],
-                loss: losses.label,
+                loss,
                 learning_rate: f64::from(learning_rate),
             });
             if self.position.step.is_multiple_of(CHECKPOINT_STEPS) {
@@ -619,33 +443,10 @@ impl<'a> Training<'a> {
         Step {
             number: self.adam.steps,
             dropout: hidden.collect(),
-            quantity_weight: self.settings.quantity_weight as f32,
         }
     }
 
-    /// What is measured and kept.
-    fn measured(&self) -> &Network {
-        self.averaged.as_ref().unwrap_or(&self.network)
-    }
-
-    /// Gives the network of this step its share in the running mean.
-    fn average(&mut self) {
-        let Some(averaged) = &mut self.averaged else {
-            return;
-        };
-        // At the beginning the mean of few steps: the parameters of the start stand for nothing.
-        let steps = self.adam.steps as f64;
-        let kept = self.settings.average.min(steps / (10.0 + steps));
-        let share = (1.0 - kept) as f32;
-        let means = averaged.parameters.iter_mut().chain(&mut averaged.moments);
-        let now = self.network.parameters.iter().chain(&self.network.moments);
-        for (mean, now) in means.zip(now) {
-            *mean += share * (now - *mean);
-        }
-    }
-
-    fn check_loss(&self, losses: Losses, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
-        let loss = losses.label + losses.quantities;
+    fn check_loss(&self, loss: f64, gradient: &[f32], epoch: u32, step: u64) -> Result<()> {
         // A ReLU hides what is no number from the loss, but not from the gradient.
         if loss.is_finite() && gradient.iter().all(|slope| slope.is_finite()) {
             return Ok(());
@@ -668,7 +469,7 @@ impl<'a> Training<'a> {
     fn look(&self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
         let all = self.validation.facts().len();
         let scored = logits(
-            self.measured(),
+            &self.network,
             self.validation,
             self.settings,
             self.normalisation,

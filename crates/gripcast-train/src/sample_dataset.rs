@@ -15,6 +15,11 @@ use gripcast_imaging::{encode_jpeg, synthetic_gel};
 /// Rows of two objects; `part` keeps those of one part of a dataset apart from the others'.
 pub(super) fn row(part: &str, number: u64) -> ShardRow {
     let is_stable = number % 2 == 1;
+    graded_row(part, number, is_stable, if is_stable { 0.9 } else { 0.05 })
+}
+
+/// A row of another label and contact, 0 for none and 1 for a full one.
+pub(super) fn graded_row(part: &str, number: u64, is_stable: bool, contact: f32) -> ShardRow {
     let facts = ShardFacts {
         id: format!("{part}-{number:04}"),
         simulation: format!("{part}-{number:04}"),
@@ -49,7 +54,6 @@ pub(super) fn row(part: &str, number: u64) -> ShardRow {
         )
         .unwrap()
     };
-    let contact = if is_stable { 0.9 } else { 0.05 };
     let rgb = RgbImage::from_fn(320, 240, |x, y| {
         Rgb([(x / 2) as u8, (y + number as u32 % 16) as u8, 90])
     });

@@ -7,7 +7,6 @@ use std::sync::Arc;
 
 use sha2::{Digest as _, Sha256};
 
-use super::quantities::{Quantities, quantities};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, FileKind, hex};
 use gripcast_base::random::SeedStream;
@@ -28,15 +27,12 @@ pub struct SampleFacts {
     pub is_stable: bool,
     /// Mean normal force at which the fingers stopped closing, N, where it is known.
     pub stop_force_n: Option<f64>,
-    /// What else is known.
-    pub(super) quantities: Quantities,
 }
 
 impl From<ShardFacts> for SampleFacts {
     fn from(facts: ShardFacts) -> Self {
         Self {
             is_stable: facts.outcome.label() == 1,
-            quantities: quantities(&facts),
             id: facts.id,
             lift: facts.simulation,
             object: facts.object,

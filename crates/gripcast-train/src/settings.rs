@@ -3,10 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::augment::Augmentation;
-use super::quantities::QUANTITIES;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Variant;
-use gripcast_nn::{Architecture, Senses};
 
 /// Everything that decides what a run learns. A run goes on only under the same settings.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -30,17 +29,6 @@ pub struct TrainSettings {
     pub weight_decay: f64,
     /// Share of the hidden floats that are left out at random.
     pub dropout: f64,
-    /// Largest share of another sample that a sample is mixed with (Zhang et al., "mixup", 2018).
-    #[serde(default)]
-    pub mix: f64,
-    /// What the error of the quantities beside the label (where the object lies in the gripper,
-    /// opening, mass, friction, force) counts in training; 0 leaves them out.
-    #[serde(default)]
-    pub quantity_weight: f64,
-    /// Share of itself that the running mean of the parameters keeps in a step (Polyak and Juditsky,
-    /// 1992); that mean is what is measured and kept. 0 takes the parameters as they are.
-    #[serde(default)]
-    pub average: f64,
     /// Epochs without a better validation accuracy after which training ends; 0 for never.
     pub patience: u32,
     /// How pictures are changed.
@@ -62,26 +50,9 @@ impl TrainSettings {
             warm_up: 100,
             weight_decay: 0.01,
             dropout: 0.2,
-            mix: 0.0,
-            quantity_weight: 0.0,
-            average: 0.0,
             patience: 0,
             augmentation: Augmentation::USUAL,
             memory: 1 << 30,
-        }
-    }
-
-    /// Senses of the network.
-    pub fn senses(&self) -> Senses {
-        senses(self.variant)
-    }
-
-    /// Quantities that the network guesses beside the label.
-    pub(super) fn quantities(&self) -> usize {
-        if self.quantity_weight > 0.0 {
-            QUANTITIES
-        } else {
-            0
         }
     }
 
@@ -105,17 +76,6 @@ impl TrainSettings {
         }
         within("learning-rate", self.learning_rate, 1e-9, 1.0)?;
         within("weight-decay", self.weight_decay, 0.0, 1.0)?;
-        within("dropout", self.dropout, 0.0, 0.95)?;
-        within("mix", self.mix, 0.0, 0.5)?;
-        within("average", self.average, 0.0, 0.9999)?;
-        within("quantity-weight", self.quantity_weight, 0.0, 100.0)
-    }
-}
-
-/// Senses of a variant.
-pub(super) fn senses(variant: Variant) -> Senses {
-    Senses {
-        touch: variant != Variant::V,
-        vision: variant != Variant::T,
+        within("dropout", self.dropout, 0.0, 0.95)
     }
 }

@@ -77,6 +77,16 @@ pub(super) fn load<H: DeserializeOwned>(place: &BeneathPath) -> Result<(H, Vec<V
     })
 }
 
+/// Arrays of these sizes; none where there are others.
+pub(super) fn of_sizes<const N: usize>(
+    arrays: Vec<Vec<f32>>,
+    sizes: [usize; N],
+) -> Option<[Vec<f32>; N]> {
+    let arrays = <[Vec<f32>; N]>::try_from(arrays).ok()?;
+    let is_whole = arrays.iter().map(Vec::len).eq(sizes);
+    is_whole.then_some(arrays)
+}
+
 fn parse<H: DeserializeOwned>(bytes: &[u8]) -> Option<(H, Vec<Vec<f32>>)> {
     let (body, hash) = bytes.split_at_checked(bytes.len().checked_sub(HASH)?)?;
     if Sha256::digest(body)[..] != *hash {

@@ -11,12 +11,14 @@
 //! The constants separate no contact from contact on real GelSight pictures; nothing was fitted to
 //! the outcome of a lift.
 
-use super::BASELINE;
 use super::contract::{
     INPUT_SHAPE, InputName, InputSpec, ModelContract, OUTPUT, OUTPUT_SHAPE, Origin, Variant,
 };
 use super::onnx::{Attribute, OnnxGraphBuilder, Value};
 use gripcast_base::error::Result;
+
+/// Name of the heuristic, `models/baseline-contact.onnx`.
+pub const BASELINE: &str = "baseline-contact";
 
 /// Side of a patch, pixels; averages 16 pixels, so noise falls to a quarter.
 const PATCH_PX: i64 = 4;

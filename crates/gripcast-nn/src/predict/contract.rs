@@ -20,122 +20,27 @@
 //! | `gripcast.card` | Markdown: intended use, data, limits, licence |
 //! | other `gripcast.*` | validation figures, split digests, simulator, date; kept as they are |
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::fmt::{self, Debug, Display};
+use std::collections::BTreeMap;
 use std::str::FromStr;
 
-use serde::{Deserialize, Serialize};
-use tract_onnx::pb::tensor_proto::{DataLocation, DataType};
-use tract_onnx::pb::tensor_shape_proto::Dimension as TensorDimension;
-use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
-use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
+use serde::Serialize;
+use tract_onnx::pb::ModelProto;
 
+use super::graph_check::{check_graph, list, refusal};
 use super::onnx::OnnxGraphBuilder;
+pub use super::tensors::{
+    IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec, OUTPUT, OUTPUT_SHAPE,
+    RgbNormalisation, Variant,
+};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_imaging::{CropProfile, Role};
+use gripcast_imaging::CropProfile;
 
 /// Version of the contract that this build reads and writes.
 pub const SCHEMA: u32 = 1;
-/// Width of every picture that becomes a tensor, pixels.
-pub const IMAGE_WIDTH: u32 = 320;
-/// Height of every picture that becomes a tensor, pixels.
-pub const IMAGE_HEIGHT: u32 = 240;
-/// Shape of every input: one picture, NCHW.
-pub const INPUT_SHAPE: [i64; 4] = [1, 3, IMAGE_HEIGHT as i64, IMAGE_WIDTH as i64];
-/// Name of the output, the probability that the grasp is stable; shape `[1, 1]`.
-pub const OUTPUT: &str = "p_stable";
-/// Shape of the output.
-pub const OUTPUT_SHAPE: [i64; 2] = [1, 1];
-
-/// Operator sets that the engine implements.
-const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
 /// Crop profile of a model that does not depend on the crop.
 const ANY_CROP: &str = "any";
 const NONE: &str = "none";
-/// Largest kernel, stride, dilation or padding, pixels; beyond any picture that is an input.
-const LARGEST_WINDOW: i64 = 4096;
 const HOW_TO_EXPORT: &str = "export the model again with gripcast's contract, see models/README.md";
-
-/// An input tensor; the name in the graph.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum InputName {
-    /// Difference of the left tactile sensor.
-    TactileLeft,
-    /// Difference of the right tactile sensor.
-    TactileRight,
-    /// Picture of the colour camera.
-    Rgb,
-}
-
-impl InputName {
-    /// Name in the graph.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::TactileLeft => "tactile_left",
-            Self::TactileRight => "tactile_right",
-            Self::Rgb => "rgb",
-        }
-    }
-
-    /// Camera whose pictures it is made from.
-    #[must_use]
-    pub fn role(self) -> Role {
-        match self {
-            Self::TactileLeft => Role::Left,
-            Self::TactileRight => Role::Right,
-            Self::Rgb => Role::Rgb,
-        }
-    }
-}
-
-impl Display for InputName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-/// Senses that a model uses.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Variant {
-    /// Vision alone.
-    V,
-    /// Touch alone.
-    T,
-    /// Vision and touch.
-    #[serde(rename = "VT")]
-    Vt,
-}
-
-impl Variant {
-    /// Inputs of a model of this variant.
-    #[must_use]
-    pub fn inputs(self) -> &'static [InputName] {
-        use InputName::{Rgb, TactileLeft, TactileRight};
-        match self {
-            Self::V => &[Rgb],
-            Self::T => &[TactileLeft, TactileRight],
-            Self::Vt => &[TactileLeft, TactileRight, Rgb],
-        }
-    }
-
-    /// Name in the metadata.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::V => "V",
-            Self::T => "T",
-            Self::Vt => "VT",
-        }
-    }
-}
-
-impl Display for Variant {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
 
 /// Where a model comes from.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -160,140 +65,6 @@ impl Origin {
             Self::Trained { .. } => "trained",
             Self::Heuristic => "heuristic",
         }
-    }
-}
-
-/// One input tensor and how it is made from pictures.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct InputSpec {
-    /// Name in the graph.
-    pub name: InputName,
-    /// `[1, 3, 240, 320]`.
-    pub shape: Vec<i64>,
-    /// `f32`.
-    pub dtype: String,
-    /// `NCHW`.
-    pub layout: String,
-    /// `RGB`: order of the channels.
-    pub colour: String,
-    /// `diff` (tactile difference) or `normalised` (colour picture).
-    pub encoding: String,
-    /// How a value follows from 8-bit pixels.
-    pub formula: String,
-    /// Smallest and largest value, tactile differences.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub range: Option<[f32; 2]>,
-    /// Mean of each channel of [0, 1] pixels, colour picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub mean: Option<[f32; 3]>,
-    /// Standard deviation of each channel of [0, 1] pixels, colour picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub std: Option<[f32; 3]>,
-    /// How a picture of another size becomes 320×240, colour picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub resize: Option<String>,
-    /// Crop before the resize, colour picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub crop: Option<String>,
-}
-
-impl InputSpec {
-    /// A tactile difference.
-    pub fn tactile(name: InputName) -> Self {
-        Self {
-            name,
-            shape: INPUT_SHAPE.to_vec(),
-            dtype: "f32".to_owned(),
-            layout: "NCHW".to_owned(),
-            colour: "RGB".to_owned(),
-            encoding: "diff".to_owned(),
-            formula: "(grasp-initial)/255".to_owned(),
-            range: Some([-1.0, 1.0]),
-            mean: None,
-            std: None,
-            resize: None,
-            crop: None,
-        }
-    }
-
-    /// The colour picture, standardised with the statistics of the training data.
-    pub fn rgb(normalisation: RgbNormalisation) -> Self {
-        Self {
-            encoding: "normalised".to_owned(),
-            formula: "(x/255-mean)/std".to_owned(),
-            range: None,
-            mean: Some(normalisation.mean),
-            std: Some(normalisation.std),
-            resize: Some("bilinear-antialias".to_owned()),
-            crop: Some(CropProfile::FULL.name().to_owned()),
-            ..Self::tactile(InputName::Rgb)
-        }
-    }
-
-    /// Mean and deviation of a colour picture.
-    pub fn normalisation(&self) -> Option<RgbNormalisation> {
-        Some(RgbNormalisation {
-            mean: self.mean?,
-            std: self.std?,
-        })
-    }
-
-    fn check(&self) -> Result<()> {
-        let expected = match self.name {
-            InputName::TactileLeft | InputName::TactileRight => Self::tactile(self.name),
-            InputName::Rgb => {
-                let normalisation = self
-                    .normalisation()
-                    .filter(RgbNormalisation::is_usable)
-                    .ok_or_else(|| {
-                        refusal(format!(
-                            "input `rgb` needs `mean` (three finite numbers) and `std` (three \
-                             numbers above 0), found mean {:?} and std {:?}",
-                            self.mean, self.std
-                        ))
-                    })?;
-                Self::rgb(normalisation)
-            }
-        };
-        let same = |field: &str, found: &dyn Debug, expected: &dyn Debug| {
-            let (found, expected) = (format!("{found:?}"), format!("{expected:?}"));
-            if found == expected {
-                Ok(())
-            } else {
-                Err(refusal(format!(
-                    "input `{}`: expected {field} {expected}, found {found}",
-                    self.name
-                )))
-            }
-        };
-        same("shape", &self.shape, &expected.shape)?;
-        same("dtype", &self.dtype, &expected.dtype)?;
-        same("layout", &self.layout, &expected.layout)?;
-        same("colour", &self.colour, &expected.colour)?;
-        same("encoding", &self.encoding, &expected.encoding)?;
-        same("formula", &self.formula, &expected.formula)?;
-        same("range", &self.range, &expected.range)?;
-        same("mean", &self.mean, &expected.mean)?;
-        same("std", &self.std, &expected.std)?;
-        same("resize", &self.resize, &expected.resize)?;
-        same("crop", &self.crop, &expected.crop)
-    }
-}
-
-/// Mean and standard deviation of each channel of [0, 1] pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RgbNormalisation {
-    /// Mean, red green blue.
-    pub mean: [f32; 3],
-    /// Standard deviation, red green blue.
-    pub std: [f32; 3],
-}
-
-impl RgbNormalisation {
-    fn is_usable(&self) -> bool {
-        self.mean.iter().all(|x| x.is_finite())
-            && self.std.iter().all(|&x| x > 0.0 && x.is_finite())
     }
 }
 
@@ -328,7 +99,7 @@ impl ModelContract {
     pub fn of(model: &ModelProto) -> Result<Self> {
         let read = || {
             let contract = Self::from_metadata(model)?;
-            contract.check_graph(model)?;
+            check_graph(contract.variant, model)?;
             Ok(contract)
         };
         read().map_err(|error: Error| error.remedy(HOW_TO_EXPORT))
@@ -517,196 +288,10 @@ impl ModelContract {
                 list(&named)
             )));
         }
-        self.inputs.iter().try_for_each(InputSpec::check)
+        self.inputs
+            .iter()
+            .try_for_each(|input| input.check().map_err(refusal))
     }
-
-    fn check_graph(&self, model: &ModelProto) -> Result<()> {
-        check_operator_sets(model)?;
-        let graph = model
-            .graph
-            .as_ref()
-            .ok_or_else(|| refusal("the file has no graph"))?;
-        check_constants(graph)?;
-        check_windows(graph)?;
-        let found = graph_inputs(graph);
-        let names: BTreeSet<&str> = found.iter().map(|input| input.name.as_str()).collect();
-        let expected: BTreeSet<&str> = self.variant.inputs().iter().map(|n| n.name()).collect();
-        if names != expected || found.len() != expected.len() {
-            return Err(refusal(format!(
-                "the contract (variant {}) and the graph disagree on the inputs: expected {}, the \
-                 graph has {}",
-                self.variant,
-                list(expected),
-                list(found.iter().map(|input| &input.name))
-            )));
-        }
-        let batch = batch_name(found.first().copied());
-        for input in found {
-            check_tensor("input", input, &INPUT_SHAPE, batch)?;
-        }
-        match graph.output.as_slice() {
-            [output] if output.name == OUTPUT => {
-                check_tensor("output", output, &OUTPUT_SHAPE, batch)
-            }
-            outputs => Err(refusal(format!(
-                "the graph must have the one output `{OUTPUT}`, found {}",
-                list(outputs.iter().map(|output| &output.name))
-            ))),
-        }
-    }
-}
-
-/// Inputs of a graph in the engine's order; constants may be listed among them and are not meant.
-pub(super) fn graph_inputs(graph: &GraphProto) -> Vec<&ValueInfoProto> {
-    let constants: BTreeSet<&str> = graph.initializer.iter().map(|t| t.name.as_str()).collect();
-    graph
-        .input
-        .iter()
-        .filter(|input| !constants.contains(input.name.as_str()))
-        .collect()
-}
-
-fn check_operator_sets(model: &ModelProto) -> Result<()> {
-    let is_default = |domain: &str| domain.is_empty() || domain == "ai.onnx";
-    let mut version = None;
-    for import in &model.opset_import {
-        if is_default(&import.domain) {
-            version = Some(import.version);
-        } else {
-            return Err(refusal(format!(
-                "the model needs the operator set `{}` {}; only the standard operators are \
-                 supported",
-                import.domain, import.version
-            ))
-            .remedy("export the model with standard ONNX operators, opset 17"));
-        }
-    }
-    match version {
-        Some(version) if OPSETS.contains(&version) => Ok(()),
-        found => Err(refusal(format!(
-            "operator set: expected {} to {}, found {}",
-            OPSETS.start(),
-            OPSETS.end(),
-            found.map_or("none".to_owned(), |v| v.to_string())
-        ))
-        .remedy("export the model with opset 17")),
-    }
-}
-
-fn check_constants(graph: &GraphProto) -> Result<()> {
-    let external = Some(DataLocation::External as i32);
-    match graph
-        .initializer
-        .iter()
-        .find(|t| t.data_location == external)
-    {
-        None => Ok(()),
-        Some(tensor) => Err(refusal(format!(
-            "the weights `{}` are in another file; a gripcast model is one file",
-            tensor.name
-        ))
-        .remedy("export the model without external data")),
-    }
-}
-
-/// Windows of convolutions and pools. The engine computes shapes from them without a check, so a
-/// damaged one could ask for any amount of memory.
-fn check_windows(graph: &GraphProto) -> Result<()> {
-    for node in &graph.node {
-        for attribute in &node.attribute {
-            let least = match attribute.name.as_str() {
-                "kernel_shape" | "strides" | "dilations" => 1,
-                "pads" => 0,
-                _ => continue,
-            };
-            let allowed = least..=LARGEST_WINDOW;
-            if let Some(found) = attribute.ints.iter().find(|x| !allowed.contains(x)) {
-                return Err(refusal(format!(
-                    "operator `{}` ({}): expected `{}` between {least} and {LARGEST_WINDOW}, \
-                     found {found}",
-                    node.name, node.op_type, attribute.name
-                ))
-                .remedy("the file is damaged; copy or export it again"));
-            }
-        }
-    }
-    Ok(())
-}
-
-fn shape_of(value: &ValueInfoProto) -> &[TensorDimension] {
-    let tensor = match value.r#type.as_ref().and_then(|t| t.value.as_ref()) {
-        Some(type_proto::Value::TensorType(tensor)) => tensor,
-        _ => return &[],
-    };
-    tensor.shape.as_ref().map_or(&[], |shape| &shape.dim)
-}
-
-/// Name of the first side of a tensor, where its size is left open.
-fn batch_name(value: Option<&ValueInfoProto>) -> Option<&str> {
-    match &shape_of(value?).first()?.value {
-        Some(Dimension::DimParam(symbol)) if !symbol.is_empty() => Some(symbol),
-        _ => None,
-    }
-}
-
-/// Closes a batch of any size to one picture, which the general engine is much quicker with.
-pub(super) fn close_batch(graph: &mut GraphProto) {
-    for value in graph.input.iter_mut().chain(&mut graph.output) {
-        if batch_name(Some(value)).is_none() {
-            continue;
-        }
-        if let Some(type_proto::Value::TensorType(tensor)) =
-            value.r#type.as_mut().and_then(|t| t.value.as_mut())
-            && let Some(side) = tensor.shape.as_mut().and_then(|s| s.dim.first_mut())
-        {
-            side.value = Some(Dimension::DimValue(1));
-        }
-    }
-}
-
-/// `batch` is the name of the first side where the graph takes any number of pictures at once.
-fn check_tensor(
-    role: &str,
-    value: &ValueInfoProto,
-    expected: &[i64],
-    batch: Option<&str>,
-) -> Result<()> {
-    let name = &value.name;
-    let Some(type_proto::Value::TensorType(tensor)) =
-        value.r#type.as_ref().and_then(|t| t.value.as_ref())
-    else {
-        return Err(refusal(format!("{role} `{name}` of the graph has no type")));
-    };
-    if tensor.elem_type != DataType::Float as i32 {
-        let found = DataType::try_from(tensor.elem_type)
-            .map_or_else(|_| tensor.elem_type.to_string(), |t| format!("{t:?}"));
-        return Err(refusal(format!(
-            "{role} `{name}` of the graph: expected 32-bit floats, found {found}"
-        )));
-    }
-    let found: Vec<String> = shape_of(value)
-        .iter()
-        .map(|dimension| match &dimension.value {
-            Some(Dimension::DimValue(size)) => size.to_string(),
-            Some(Dimension::DimParam(symbol)) => format!("`{symbol}`"),
-            None => "?".to_owned(),
-        })
-        .collect();
-    let mut expected: Vec<String> = expected.iter().map(ToString::to_string).collect();
-    if let Some(batch) = batch {
-        expected[0] = format!("`{batch}`");
-    }
-    if found == expected {
-        return Ok(());
-    }
-    Err(refusal(format!(
-        "{role} `{name}` of the graph: expected shape [{}], found [{}]",
-        expected.join(", "),
-        found.join(", ")
-    ))
-    .remedy(
-        "export the model with fixed shapes; only the batch may be open, everywhere or nowhere",
-    ))
 }
 
 /// `metadata_props` as a map that is emptied while it is read.
@@ -769,19 +354,6 @@ fn is_sha256(text: &str) -> bool {
         && text
             .bytes()
             .all(|b| b.is_ascii_digit() || (b'a'..=b'f').contains(&b))
-}
-
-fn refusal(what: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Input, what)
-}
-
-fn list<T: Display>(items: impl IntoIterator<Item = T>) -> String {
-    let names: Vec<String> = items.into_iter().map(|item| format!("`{item}`")).collect();
-    if names.is_empty() {
-        "none".to_owned()
-    } else {
-        names.join(", ")
-    }
 }
 
 #[cfg(test)]

@@ -1,5 +1,10 @@
+use tract_onnx::pb::tensor_proto::{DataLocation, DataType};
+use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
+use tract_onnx::pb::{GraphProto, ValueInfoProto, type_proto};
+
 use super::*;
 use crate::predict::baseline;
+use crate::predict::graph_check::close_batch;
 use crate::predict::onnx::{self, pb};
 
 const NORMALISATION: RgbNormalisation = RgbNormalisation {
@@ -327,7 +332,7 @@ fn statistics_that_cannot_normalise_are_refused() {
             ..NORMALISATION
         });
         let error = spec.check().unwrap_err();
-        assert!(error.what().contains("input `rgb` needs `mean`"), "{error}");
+        assert!(error.contains("input `rgb` needs `mean`"), "{error}");
     }
 }
 

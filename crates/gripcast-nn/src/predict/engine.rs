@@ -12,10 +12,11 @@ use tract_onnx::prelude::{
 };
 
 use super::contract::{self, InputName, ModelContract};
+use super::graph_check;
 use super::input::ModelInput;
 use super::novelty::{self, Novelty};
-use super::plan::Plan;
-use super::{baseline, onnx};
+use super::onnx;
+use super::own_engine::OwnEngine;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::sha256_hex;
 use gripcast_base::quiet_panic;
@@ -33,7 +34,7 @@ pub struct Model {
 #[derive(Debug)]
 enum Engine {
     /// Ours, for the networks that gripcast trains.
-    Own(Box<Plan>),
+    Own(Box<OwnEngine>),
     /// The general one.
     Tract {
         /// Inputs in the order of the graph.
@@ -65,14 +66,6 @@ impl Model {
         Ok(model)
     }
 
-    /// The built-in contact-strength heuristic; the same bytes as `models/baseline-contact.onnx`.
-    ///
-    /// # Errors
-    /// As [`Model::from_bytes`]; a defect of gripcast.
-    pub fn baseline() -> Result<Self> {
-        Self::from_bytes(&baseline::onnx_bytes()?)
-    }
-
     /// As [`Model::load`], from the bytes of a file.
     ///
     /// # Errors
@@ -83,9 +76,9 @@ impl Model {
         let contract = ModelContract::of(&proto)?;
         let novelty = contract.other.get(novelty::METADATA);
         let novelty = novelty.map(|text| Novelty::of_metadata(text)).transpose()?;
-        proto.graph.iter_mut().for_each(contract::close_batch);
-        let engine = match Plan::of(&proto) {
-            Some(plan) => Engine::Own(Box::new(plan)),
+        proto.graph.iter_mut().for_each(graph_check::close_batch);
+        let engine = match OwnEngine::of(&proto, contract.variant) {
+            Some(own) => Engine::Own(Box::new(own)),
             None => Engine::Tract {
                 order: input_order(&proto, &contract),
                 model: guarded("build the model's graph", || optimise(&proto))?,
@@ -112,7 +105,7 @@ impl Model {
     /// As [`Model::load`].
     pub fn on_tract(bytes: &[u8]) -> Result<Self> {
         let mut proto = onnx::decode(bytes)?;
-        proto.graph.iter_mut().for_each(contract::close_batch);
+        proto.graph.iter_mut().for_each(graph_check::close_batch);
         let mut model = Self::from_bytes(bytes)?;
         model.engine = Engine::Tract {
             order: input_order(&proto, &model.contract),
@@ -122,10 +115,10 @@ impl Model {
     }
 
     /// What our own engine answers zeros for a graph; none if it leaves the graph to the general one.
-    #[cfg(any(test, feature = "testing"))]
-    pub fn own_answer_to_zeros(proto: &ModelProto, contract: &ModelContract) -> Option<f32> {
+    #[cfg(test)]
+    pub(crate) fn own_answer_to_zeros(proto: &ModelProto, contract: &ModelContract) -> Option<f32> {
         let zeros = ModelInput::zeros(contract).ok()?;
-        Plan::of(proto)?.run(&zeros)
+        OwnEngine::of(proto, contract.variant)?.run(&zeros)
     }
 
     /// Whether our own engine runs it.
@@ -165,7 +158,7 @@ impl Model {
     pub fn predict(&self, input: &ModelInput) -> Result<Prediction> {
         let started = Instant::now();
         let p_stable = match &self.engine {
-            Engine::Own(plan) => plan.run(input).ok_or_else(missing_input)?,
+            Engine::Own(own) => own.run(input).ok_or_else(missing_input)?,
             Engine::Tract { order, model } => run_tract(order, model, input)?,
         };
         if !(0.0..=1.0).contains(&p_stable) {
@@ -222,7 +215,7 @@ fn optimise(proto: &ModelProto) -> TractResult<Arc<TypedRunnableModel>> {
 }
 
 fn input_order(proto: &ModelProto, contract: &ModelContract) -> Vec<InputName> {
-    let inputs = proto.graph.iter().flat_map(contract::graph_inputs);
+    let inputs = proto.graph.iter().flat_map(graph_check::graph_inputs);
     inputs
         .filter_map(|input| {
             let names = contract.variant.inputs().iter();
@@ -256,6 +249,7 @@ fn milliseconds_since(started: Instant) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::predict::baseline;
     use crate::predict::contract::{INPUT_SHAPE, OUTPUT, OUTPUT_SHAPE};
     use crate::predict::onnx::OnnxGraphBuilder;
 

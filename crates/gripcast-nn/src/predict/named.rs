@@ -2,11 +2,10 @@
 
 use std::path::Path;
 
-use super::{Model, baseline, onnx};
+use super::baseline::{self, BASELINE};
+use super::{Model, onnx};
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// Name of the built-in contact-strength heuristic, `models/baseline-contact.onnx`.
-pub const BASELINE: &str = "baseline-contact";
 /// Name of the built-in classifier, `models/gripcast-vt.onnx`, trained on simulated grasps.
 pub const SHIPPED: &str = "gripcast-vt";
 
@@ -35,6 +34,14 @@ fn with_built_in_names(error: Error) -> Error {
 }
 
 impl Model {
+    /// The built-in contact-strength heuristic; the same bytes as `models/baseline-contact.onnx`.
+    ///
+    /// # Errors
+    /// As [`Model::from_bytes`]; a defect of gripcast.
+    pub fn baseline() -> Result<Self> {
+        Self::from_bytes(&baseline::onnx_bytes()?)
+    }
+
     /// The model of a name, as of [`model_bytes`].
     ///
     /// # Errors

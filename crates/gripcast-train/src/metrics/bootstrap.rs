@@ -1,6 +1,8 @@
 //! Confidence intervals over objects: grasps of one object resemble each other, so objects are
 //! drawn, not grasps (cluster bootstrap; Davison & Hinkley 1997, §3.8).
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 /// Resamples unless told otherwise.
@@ -30,6 +32,13 @@ pub struct Interval {
     pub high: f64,
     /// Resamples in which the figure is defined; the others are left out.
     pub resamples: usize,
+}
+
+impl fmt::Display for Interval {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let text = format!("{:.3} [{:.3}, {:.3}]", self.estimate, self.low, self.high);
+        f.pad(&text)
+    }
 }
 
 impl Bootstrap {

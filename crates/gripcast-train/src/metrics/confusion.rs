@@ -33,30 +33,14 @@ impl ConfusionMatrix {
     pub fn at(samples: &[Scored], threshold: f64) -> Self {
         let mut matrix = Self::default();
         for sample in present(samples) {
-            matrix.count(sample, threshold, 1);
+            *match (sample.p_stable >= threshold, sample.stable) {
+                (true, true) => &mut matrix.true_stable,
+                (true, false) => &mut matrix.false_stable,
+                (false, false) => &mut matrix.true_unstable,
+                (false, true) => &mut matrix.false_unstable,
+            } += 1;
         }
         matrix
-    }
-
-    /// Of a resample: sample `i` counts `multiplicities[i]` times, not at all if that is missing.
-    pub fn resampled(samples: &[Scored], threshold: f64, multiplicities: &[u32]) -> Self {
-        let mut matrix = Self::default();
-        for (sample, &times) in samples.iter().zip(multiplicities) {
-            if sample.p_stable.is_finite() {
-                matrix.count(sample, threshold, times as usize);
-            }
-        }
-        matrix
-    }
-
-    fn count(&mut self, sample: &Scored, threshold: f64, times: usize) {
-        let cell = match (sample.p_stable >= threshold, sample.stable) {
-            (true, true) => &mut self.true_stable,
-            (true, false) => &mut self.false_stable,
-            (false, false) => &mut self.true_unstable,
-            (false, true) => &mut self.false_unstable,
-        };
-        *cell += times;
     }
 
     /// All samples.
@@ -107,24 +91,6 @@ impl ConfusionMatrix {
             specificity: share(self.true_stable, self.n_stable()),
         }
     }
-
-    /// Matthews correlation coefficient, −1..1 (Matthews 1975). None where one class or one
-    /// decision is missing.
-    pub fn matthews_correlation(&self) -> Option<f64> {
-        let [ts, fs, tu, fu] = [
-            self.true_stable,
-            self.false_stable,
-            self.true_unstable,
-            self.false_unstable,
-        ]
-        .map(|count| count as f64);
-        // Roots one by one, so that the product of four large counts does not lose digits.
-        let scale = [ts + fs, ts + fu, tu + fs, tu + fu]
-            .map(f64::sqrt)
-            .iter()
-            .product::<f64>();
-        (scale > 0.0).then(|| ((ts * tu - fs * fu) / scale).clamp(-1.0, 1.0))
-    }
 }
 
 fn share(part: usize, whole: usize) -> Option<f64> {
@@ -133,7 +99,7 @@ fn share(part: usize, whole: usize) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::reference_test::{dyadic_samples, scored};
+    use super::super::reference_test::scored;
     use super::*;
 
     #[test]
@@ -174,47 +140,17 @@ mod tests {
     fn what_is_undefined_is_none() {
         let nothing = ConfusionMatrix::at(&[], 0.5);
         assert_eq!(nothing.accuracy(), None);
-        assert_eq!(nothing.matthews_correlation(), None);
         let stable = ConfusionMatrix::at(&scored(&[(0.9, true), (0.2, true)]), 0.5);
         assert_eq!(stable.accuracy(), Some(0.5));
         assert_eq!(stable.balanced_accuracy(), None);
         assert_eq!(stable.false_stable_rate(), None);
         assert_eq!(stable.unstable().recall, None);
         assert_eq!(stable.unstable().precision, Some(0.0));
-        assert_eq!(stable.matthews_correlation(), None);
-    }
-
-    #[test]
-    fn perfect_and_inverted_decisions_correlate_fully() {
-        let good = scored(&[(0.9, true), (0.8, true), (0.1, false)]);
-        let bad = scored(&[(0.1, true), (0.2, true), (0.9, false)]);
-        let correlation = |samples: &[Scored]| {
-            let matrix = ConfusionMatrix::at(samples, 0.5);
-            matrix.matthews_correlation().unwrap()
-        };
-        assert!((correlation(&good) - 1.0).abs() < 1e-12);
-        assert!((correlation(&bad) + 1.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn multiplicities_are_copies() {
-        let samples = dyadic_samples(40, 2);
-        let multiplicities: Vec<u32> = (0..40).map(|i| i * 5 % 3).collect();
-        let mut copies = Vec::new();
-        for (sample, &times) in samples.iter().zip(&multiplicities) {
-            copies.extend((0..times).map(|_| *sample));
-        }
-        assert_eq!(
-            ConfusionMatrix::resampled(&samples, 0.5, &multiplicities),
-            ConfusionMatrix::at(&copies, 0.5)
-        );
     }
 
     #[test]
     fn a_prediction_that_is_no_number_is_not_counted() {
         let samples = scored(&[(f64::NAN, false), (0.7, true)]);
         assert_eq!(ConfusionMatrix::at(&samples, 0.5).n(), 1);
-        let resampled = ConfusionMatrix::resampled(&samples, 0.5, &[3, 2]);
-        assert_eq!((resampled.n(), resampled.true_stable), (2, 2));
     }
 }

@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::ranking::Tie;
 use gripcast_report::polyline;
 
 /// Most points of a curve.
@@ -10,6 +9,17 @@ pub(super) const MAX_POINTS: usize = 512;
 
 /// Points closer than this to the line through those that stay are not needed.
 const TOLERANCE: f64 = 1e-9;
+
+/// Samples that share one prediction.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Tie {
+    /// The prediction.
+    pub(super) p_stable: f64,
+    /// How many of them are stable.
+    pub(super) stable: u64,
+    /// How many are unstable.
+    pub(super) unstable: u64,
+}
 
 /// A point of a receiver operating characteristic (ROC) curve; stable is positive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

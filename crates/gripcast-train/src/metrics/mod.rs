@@ -8,7 +8,7 @@
 //! | part | what it gives |
 //! | --- | --- |
 //! | [`Ranking`] | AUROC, average precision and their curves, also of resampled samples |
-//! | [`ConfusionMatrix`], [`youden_threshold`], [`threshold_at_false_stable_rate`] | decisions at a threshold and its choice |
+//! | [`ConfusionMatrix`], [`youden_threshold`] | decisions at a threshold and its choice |
 //! | [`brier_score`], [`log_loss`], [`ReliabilityTable`], [`ChanceCalibration`], [`BaseRateCalibration`], [`fit_temperature`] | calibration |
 //! | [`Summary`], [`summarise_groups`], [`SeedSummary`] | all figures of a model, by object or category, over seeds |
 //! | [`Bootstrap`] | 95 % intervals over objects |
@@ -38,7 +38,7 @@ pub use ranking::{Ranking, auroc, average_precision};
 pub use seeds::{SeedSummary, Spread};
 pub use summary::{GroupSummary, Summary, summarise_groups};
 pub use temperature::{TemperatureFit, fit_temperature, probability_of_logit};
-pub use threshold::{threshold_at_false_stable_rate, youden_threshold};
+pub use threshold::youden_threshold;
 
 /// A grasp's prediction and outcome.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Figures that depend only on the order of the predictions: AUROC and average precision.
 
 use super::Scored;
-use super::curve::{PrecisionRecallPoint, RocPoint, precision_recall_points, roc_points};
+use super::curve::{PrecisionRecallPoint, RocPoint, Tie, precision_recall_points, roc_points};
 
 /// Area under the ROC curve: the probability that a stable grasp gets a higher prediction than an
 /// unstable one, ties count half (Hanley & McNeil 1982). None with one class only.
@@ -30,17 +30,6 @@ struct Entry {
     scored: Scored,
     /// Whether the next prediction is lower.
     ends_tie: bool,
-}
-
-/// Samples that share one prediction.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Tie {
-    /// The prediction.
-    pub(super) p_stable: f64,
-    /// How many of them are stable.
-    pub(super) stable: u64,
-    /// How many are unstable.
-    pub(super) unstable: u64,
 }
 
 impl Ranking {
@@ -73,18 +62,25 @@ impl Ranking {
 
     /// See [`average_precision`].
     pub fn average_precision(&self) -> Option<f64> {
-        self.weighted_average_precision(|_| 1)
+        let (mut stable, mut predicted) = (0_u64, 0_u64);
+        let mut sum = 0.0;
+        self.for_each_tie(
+            |_| 1,
+            |tie| {
+                stable += tie.stable;
+                predicted += tie.stable + tie.unstable;
+                if tie.stable > 0 {
+                    sum += tie.stable as f64 * stable as f64 / predicted as f64;
+                }
+            },
+        );
+        (stable > 0).then(|| sum / stable as f64)
     }
 
     /// AUROC of a resample: sample `i` counts `multiplicities[i]` times, not at all if that is
     /// missing.
     pub fn resampled_auroc(&self, multiplicities: &[u32]) -> Option<f64> {
         self.weighted_auroc(|sample| multiplicity(multiplicities, sample))
-    }
-
-    /// Average precision of a resample, counted as in [`Ranking::resampled_auroc`].
-    pub fn resampled_average_precision(&self, multiplicities: &[u32]) -> Option<f64> {
-        self.weighted_average_precision(|sample| multiplicity(multiplicities, sample))
     }
 
     /// ROC curve from (0, 0) to (1, 1), at most 512 points; straight between them, as ties count
@@ -135,19 +131,6 @@ impl Ranking {
         });
         let pairs = u128::from(stable) * u128::from(unstable);
         (pairs > 0).then(|| 0.5 * doubled_wins as f64 / pairs as f64)
-    }
-
-    fn weighted_average_precision(&self, weight: impl Fn(usize) -> u64) -> Option<f64> {
-        let (mut stable, mut predicted) = (0_u64, 0_u64);
-        let mut sum = 0.0;
-        self.for_each_tie(weight, |tie| {
-            stable += tie.stable;
-            predicted += tie.stable + tie.unstable;
-            if tie.stable > 0 {
-                sum += tie.stable as f64 * stable as f64 / predicted as f64;
-            }
-        });
-        (stable > 0).then(|| sum / stable as f64)
     }
 }
 
@@ -222,8 +205,6 @@ mod tests {
         }
         let ranking = Ranking::new(&samples);
         assert_eq!(ranking.resampled_auroc(&multiplicities), auroc(&copies));
-        let resampled = ranking.resampled_average_precision(&multiplicities);
-        assert_eq!(resampled, average_precision(&copies));
         assert_eq!(ranking.resampled_auroc(&[]), None);
         assert_eq!(ranking.resampled_auroc(&[u32::MAX; 60]), ranking.auroc());
     }

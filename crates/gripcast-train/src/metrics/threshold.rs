@@ -2,7 +2,8 @@
 //! figures of the data that it was chosen on are too good.
 
 use super::Scored;
-use super::ranking::{Ranking, Tie};
+use super::curve::Tie;
+use super::ranking::Ranking;
 
 /// Threshold that maximises Youden's J, the true minus the false positive rate (Youden 1950). None
 /// with one class only.
@@ -28,18 +29,6 @@ pub fn youden_threshold(samples: &[Scored]) -> Option<f64> {
         }
     }
     best.map(|cut| cut.threshold)
-}
-
-/// Lowest threshold at which at most `rate` (0..1) of the unstable grasps are predicted stable. None
-/// without an unstable sample or where no threshold can do it (`rate` negative or no number).
-///
-/// Thresholds between the same two predictions decide alike; the middle of them is returned, above
-/// the highest prediction the next number, and 0 where every grasp may be predicted stable.
-pub fn threshold_at_false_stable_rate(samples: &[Scored], rate: f64) -> Option<f64> {
-    let cuts = cuts(&Ranking::new(samples).ties());
-    let unstable = cuts.last().map(|all| all.unstable).filter(|&n| n > 0)?;
-    let allowed = |cut: &&Cut| cut.unstable as f64 / unstable as f64 <= rate;
-    cuts.iter().rfind(allowed).map(|cut| cut.threshold)
 }
 
 /// A way to divide the samples: those of the highest predictions are stable.
@@ -154,38 +143,9 @@ mod tests {
     }
 
     #[test]
-    fn the_false_stable_rate_is_kept_by_the_lowest_threshold() {
-        let samples = dyadic_samples(200, 4);
-        for rate in [0.0, 0.05, 0.1, 0.35, 0.999] {
-            let threshold = threshold_at_false_stable_rate(&samples, rate).unwrap();
-            let rate_at = |t| ConfusionMatrix::at(&samples, t).false_stable_rate();
-            assert!(rate_at(threshold).unwrap() <= rate);
-            let lower = samples
-                .iter()
-                .map(|s| s.p_stable)
-                .filter(|&p| p < threshold);
-            let next = lower.fold(f64::NEG_INFINITY, f64::max);
-            assert!(rate_at(next).unwrap() > rate, "{rate}");
-        }
-    }
-
-    #[test]
-    fn the_ends_of_the_false_stable_rate() {
-        let samples = scored(&[(0.9, false), (0.5, true), (0.1, false)]);
-        let threshold = |rate| threshold_at_false_stable_rate(&samples, rate);
-        assert_eq!(threshold(0.0), Some(0.9_f64.next_up()));
-        assert_eq!(threshold(0.5), Some(0.5 * (0.1 + 0.5)));
-        assert_eq!(threshold(1.0), Some(0.0));
-        assert_eq!(threshold(-0.1), None);
-        assert_eq!(threshold(f64::NAN), None);
-    }
-
-    #[test]
     fn one_class_has_no_threshold() {
         let stable = scored(&[(0.9, true), (f64::NAN, false)]);
         assert_eq!(youden_threshold(&stable), None);
-        assert_eq!(threshold_at_false_stable_rate(&stable, 0.1), None);
         assert_eq!(youden_threshold(&[]), None);
-        assert_eq!(threshold_at_false_stable_rate(&[], 0.1), None);
     }
 }

@@ -23,22 +23,6 @@ impl Attribute {
         })
     }
 
-    /// A number, for instance `alpha`.
-    pub fn float(name: &str, value: f32) -> Self {
-        Self(AttributeProto {
-            f: value,
-            ..Self::empty(name, AttributeType::Float)
-        })
-    }
-
-    /// A text, for instance `auto_pad`.
-    pub fn string(name: &str, value: &str) -> Self {
-        Self(AttributeProto {
-            s: value.as_bytes().to_vec(),
-            ..Self::empty(name, AttributeType::String)
-        })
-    }
-
     pub(super) fn into_proto(self) -> AttributeProto {
         self.0
     }

@@ -22,6 +22,11 @@ const BATCH_NAME: &str = "batch";
 pub struct Value(String);
 
 impl Value {
+    /// The tensor of this name, which the graph has when it is written.
+    pub(crate) fn named(name: &str) -> Self {
+        Self(name.to_owned())
+    }
+
     /// Name in the file.
     pub fn name(&self) -> &str {
         &self.0
@@ -72,7 +77,7 @@ impl OnnxGraphBuilder {
     pub fn input(&mut self, name: &str, shape: &[i64]) -> Result<Value> {
         self.claim(name)?;
         self.graph.input.push(value_info(name, shape));
-        Ok(Value(name.to_owned()))
+        Ok(Value::named(name))
     }
 
     /// Declares `value` as an f32 output of the graph.
@@ -85,17 +90,24 @@ impl OnnxGraphBuilder {
     /// # Errors
     /// When `data` does not fill `shape`, or the name is taken.
     pub fn constant(&mut self, name: &str, shape: &[i64], data: &[f32]) -> Result<Value> {
-        let bytes = data.iter().flat_map(|x| x.to_le_bytes()).collect();
-        self.tensor(name, DataType::Float, shape, data.len(), bytes)
-    }
-
-    /// Stores an i64 tensor, row-major: shapes, axes, indices.
-    ///
-    /// # Errors
-    /// When `data` does not fill `shape`, or the name is taken.
-    pub fn constant_i64(&mut self, name: &str, shape: &[i64], data: &[i64]) -> Result<Value> {
-        let bytes = data.iter().flat_map(|x| x.to_le_bytes()).collect();
-        self.tensor(name, DataType::Int64, shape, data.len(), bytes)
+        let elements = data.len();
+        let expected = shape
+            .iter()
+            .try_fold(1_usize, |n, &d| n.checked_mul(usize::try_from(d).ok()?));
+        if expected != Some(elements) {
+            return Err(self.defect(&format!(
+                "got {elements} elements for the constant `{name}` of shape {shape:?}"
+            )));
+        }
+        self.claim(name)?;
+        self.graph.initializer.push(TensorProto {
+            name: name.to_owned(),
+            dims: shape.to_vec(),
+            data_type: DataType::Float as i32,
+            raw_data: data.iter().flat_map(|x| x.to_le_bytes()).collect(),
+            ..TensorProto::default()
+        });
+        Ok(Value::named(name))
     }
 
     /// Appends an operator with one result, which gets the node's name.
@@ -118,7 +130,12 @@ impl OnnxGraphBuilder {
             attribute: attributes.into_iter().map(Attribute::into_proto).collect(),
             ..NodeProto::default()
         });
-        Ok(Value(name.to_owned()))
+        Ok(Value::named(name))
+    }
+
+    /// All operators so far.
+    pub(crate) fn nodes(&self) -> &[NodeProto] {
+        &self.graph.node
     }
 
     /// Sets one pair of the file's `metadata_props`.
@@ -174,33 +191,6 @@ impl OnnxGraphBuilder {
     /// As [`OnnxGraphBuilder::into_proto`].
     pub fn to_bytes(self) -> Result<Vec<u8>> {
         Ok(self.into_proto()?.encode_to_vec())
-    }
-
-    fn tensor(
-        &mut self,
-        name: &str,
-        data_type: DataType,
-        shape: &[i64],
-        elements: usize,
-        raw_data: Vec<u8>,
-    ) -> Result<Value> {
-        let expected = shape
-            .iter()
-            .try_fold(1_usize, |n, &d| n.checked_mul(usize::try_from(d).ok()?));
-        if expected != Some(elements) {
-            return Err(self.defect(&format!(
-                "got {elements} elements for the constant `{name}` of shape {shape:?}"
-            )));
-        }
-        self.claim(name)?;
-        self.graph.initializer.push(TensorProto {
-            name: name.to_owned(),
-            dims: shape.to_vec(),
-            data_type: data_type as i32,
-            raw_data,
-            ..TensorProto::default()
-        });
-        Ok(Value(name.to_owned()))
     }
 
     fn claim(&mut self, name: &str) -> Result<()> {
@@ -259,10 +249,7 @@ mod tests {
         let shape = [Attribute::ints("kernel_shape", &[1, 1])];
         let y = graph.node("Conv", "conv", &[&x, &w, &b], shape).unwrap();
         let y = graph.node("Relu", "relu", &[&y], []).unwrap();
-        let pool = [
-            Attribute::ints("kernel_shape", &[4, 4]),
-            Attribute::string("auto_pad", "NOTSET"),
-        ];
+        let pool = [Attribute::ints("kernel_shape", &[4, 4])];
         let y = graph.node("AveragePool", "pool", &[&y], pool).unwrap();
         let axis = Attribute::int("axis", 1);
         let y = graph
@@ -270,10 +257,10 @@ mod tests {
             .unwrap();
         let y = graph.node("Concat", "both", &[&y, &y], [axis]).unwrap();
         let fc = graph
-            .constant("fc", &[1, 4], &[1.0, 1.0, -1.0, 1.0])
+            .constant("fc", &[1, 4], &[2.0, 2.0, -2.0, 2.0])
             .unwrap();
         let zero = graph.constant("zero", &[1], &[0.0]).unwrap();
-        let gemm = [Attribute::int("transB", 1), Attribute::float("alpha", 2.0)];
+        let gemm = [Attribute::int("transB", 1)];
         let y = graph
             .node("Gemm", "logit", &[&y, &fc, &zero], gemm)
             .unwrap();
@@ -297,7 +284,7 @@ mod tests {
             let y = plan.run(tvec!(x.into())).unwrap();
             y[0].cast_to_scalar::<f32>().unwrap()
         };
-        // relu(x + 0.5) cancels, relu(−x) counts twice, alpha doubles.
+        // relu(x + 0.5) cancels, relu(−x) counts four times.
         for x in [1.0_f32, -0.75] {
             let expected = 1.0 / (1.0 + (-4.0 * (-x).max(0.0)).exp());
             assert!((run(x) - expected).abs() < 1e-6, "{x}");
@@ -305,9 +292,44 @@ mod tests {
     }
 
     #[test]
-    fn bytes_depend_only_on_the_calls() {
-        let one = small_network().to_bytes().unwrap();
-        assert_eq!(one, small_network().to_bytes().unwrap());
+    fn the_file_is_what_was_called_whatever_the_order_of_metadata() {
+        let with = |pairs: [(&str, &str); 2]| {
+            let mut graph = small_network();
+            for (key, value) in pairs {
+                graph.metadata(key, value);
+            }
+            graph.to_bytes().unwrap()
+        };
+        let bytes = with([("b", "2"), ("a", "1")]);
+        assert_eq!(bytes, with([("a", "1"), ("b", "2")]));
+        let file = ModelProto::decode(&bytes[..]).unwrap();
+        assert_eq!((file.ir_version, file.opset_import[0].version), (8, 17));
+        let keys: Vec<_> = file.metadata_props.iter().map(|e| &*e.key).collect();
+        assert_eq!(keys, ["a", "b"]);
+        let graph = file.graph.unwrap();
+        let nodes = graph.node.iter().map(|node| {
+            let inputs: Vec<&str> = node.input.iter().map(String::as_str).collect();
+            format!(
+                "{} = {}({})",
+                node.output[0],
+                node.op_type,
+                inputs.join(", ")
+            )
+        });
+        let expected = [
+            "conv = Conv(x, w, b)",
+            "relu = Relu(conv)",
+            "pool = AveragePool(relu)",
+            "flat = Flatten(pool)",
+            "both = Concat(flat, flat)",
+            "logit = Gemm(both, fc, zero)",
+            "p = Sigmoid(logit)",
+        ];
+        assert_eq!(nodes.collect::<Vec<_>>(), expected);
+        let weight = &graph.initializer[0];
+        assert_eq!((&*weight.name, &weight.dims[..]), ("w", &[2, 1, 1, 1][..]));
+        let ones = [1.0_f32, -1.0].map(f32::to_le_bytes).concat();
+        assert_eq!(weight.raw_data, ones);
     }
 
     #[test]

@@ -1,13 +1,10 @@
 use tract_onnx::pb::{GraphProto, ModelProto};
 
 use super::*;
-use crate::settings::senses;
+use crate::Batch;
+use crate::predict::contract::{InputSpec, Origin, RgbNormalisation, Variant};
+use crate::predict::{Model, ModelInput, onnx};
 use gripcast_base::random::SeedStream;
-use gripcast_nn::Batch;
-use gripcast_nn::predict::contract::InputSpec;
-use gripcast_nn::predict::contract::{Origin, RgbNormalisation, Variant};
-use gripcast_nn::predict::{Model, ModelInput, onnx};
-use gripcast_nn::{Architecture, Senses};
 
 fn contract(variant: Variant, temperature: f64) -> ModelContract {
     let normalisation = RgbNormalisation {
@@ -38,8 +35,8 @@ fn contract(variant: Variant, temperature: f64) -> ModelContract {
 }
 
 /// A network whose running moments and scales are no longer those of the beginning.
-fn network(architecture: &Architecture, senses: Senses, draw: &mut SeedStream) -> Network {
-    let mut network = Network::new(architecture, senses, 0, || draw.uniform());
+fn network(architecture: &Architecture, variant: Variant, draw: &mut SeedStream) -> Network {
+    let mut network = Network::new(architecture, variant, || draw.uniform());
     for part in network.layout().clone().parts() {
         if !part.is_weight() {
             for value in &mut network.parameters[part.range()] {
@@ -94,7 +91,7 @@ fn the_network_and_both_engines_agree_on_its_file() {
         (Architecture::gripcast(), Variant::T),
         (Architecture::paper(), Variant::V),
     ] {
-        let network = network(&architecture, senses(variant), &mut draw);
+        let network = network(&architecture, variant, &mut draw);
         let contract = contract(variant, 1.7);
         let bytes = to_onnx(&network, &contract).unwrap();
         let own = Model::from_bytes(&bytes).unwrap();
@@ -117,13 +114,13 @@ fn the_network_and_both_engines_agree_on_its_file() {
 fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
     let mut draw = SeedStream::named(4, "export");
     let architecture = Architecture::gripcast();
-    let network = network(&architecture, senses(Variant::T), &mut draw);
+    let network = network(&architecture, Variant::T, &mut draw);
     let bytes = to_onnx(&network, &contract(Variant::T, 1.0)).unwrap();
     let whole = Model::from_bytes(&bytes).unwrap();
     let (input, _) = pictures(&whole, &mut draw);
     let expected = whole.predict(&input).unwrap().p_stable;
     let altered = |change: &dyn Fn(&mut GraphProto)| {
-        let mut proto = gripcast_nn::predict::onnx::decode(&bytes).unwrap();
+        let mut proto = onnx::decode(&bytes).unwrap();
         change(proto.graph.as_mut().unwrap());
         let model = Model::from_bytes(&prost::Message::encode_to_vec(&proto)).unwrap();
         assert!(!model.is_on_own_engine());
@@ -192,6 +189,7 @@ fn damage(proto: &ModelProto, mut look: impl FnMut(&ModelProto)) {
         with(&|graph| graph.initializer[at].dims.reverse());
         with(&|graph| graph.initializer[at].dims.clear());
         with(&|graph| graph.initializer[at].dims.fill(1 << 40));
+        with(&|graph| graph.initializer[at].dims.fill(i64::MAX));
         with(&|graph| graph.initializer[at].dims.fill(-1));
         with(&|graph| {
             graph.initializer.remove(at);
@@ -205,7 +203,7 @@ fn damage(proto: &ModelProto, mut look: impl FnMut(&ModelProto)) {
 fn no_damage_makes_our_engine_panic_or_answer_what_is_no_probability() {
     let mut draw = SeedStream::named(5, "export");
     let architecture = Architecture::gripcast();
-    let network = network(&architecture, senses(Variant::T), &mut draw);
+    let network = network(&architecture, Variant::T, &mut draw);
     let contract = contract(Variant::T, 1.0);
     let proto = onnx::decode(&to_onnx(&network, &contract).unwrap()).unwrap();
     assert!(Model::own_answer_to_zeros(&proto, &contract).is_some());

@@ -1,0 +1,316 @@
+//! A trained network as an ONNX file, and such a file recognised as our network.
+//!
+//! Batch normalisation becomes part of the convolutions, the temperature part of the last layer;
+//! the left and the right sensor share the weights of one encoder. The batch is of any size. A file
+//! is recognised by writing the nodes of a network of its sizes again: both must be equal.
+
+use tract_onnx::pb::{GraphProto, NodeProto, TensorProto, tensor_proto::DataType};
+
+use crate::architecture::{Architecture, ConvSpec, PICTURE, Part};
+use crate::network::{Network, Sense};
+use crate::predict::ModelContract;
+use crate::predict::contract::{INPUT_SHAPE, InputName, OUTPUT, OUTPUT_SHAPE};
+use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
+use gripcast_base::error::{Error, ErrorKind, Result};
+
+/// Widest padding of a recognised convolution, pixels.
+const MOST_PAD: usize = 16;
+
+/// The bytes of a model's file.
+///
+/// # Errors
+/// A contract that would be refused, or that has inputs for which the network has no encoder.
+pub fn to_onnx(network: &Network, contract: &ModelContract) -> Result<Vec<u8>> {
+    let mut graph = OnnxGraphBuilder::new(&contract.name);
+    graph.description("Grasp stability from touch and sight, trained on simulated grasps");
+    contract.write(&mut graph)?;
+    let inputs: Vec<InputName> = contract.inputs.iter().map(|input| input.name).collect();
+    for name in &inputs {
+        graph.input(name.name(), &of_any_batch(INPUT_SHAPE))?;
+        if network.projection(sense(*name)).is_none() {
+            let what = format!("the network has no encoder for `{name}`");
+            return Err(Error::new(ErrorKind::Internal, what));
+        }
+    }
+    for sense in [Sense::Touch, Sense::Vision] {
+        write_encoder(&mut graph, network, sense)?;
+    }
+    let [hidden, last] = network.head();
+    write_linear(&mut graph, network, hidden, 1.0)?;
+    write_linear(&mut graph, network, last, contract.temperature)?;
+    let p_stable = write_nodes(&mut graph, network.architecture(), &inputs)?;
+    graph.output(&p_stable, &of_any_batch(OUTPUT_SHAPE));
+    graph.to_bytes()
+}
+
+fn sense(input: InputName) -> Sense {
+    match input {
+        InputName::TactileLeft | InputName::TactileRight => Sense::Touch,
+        InputName::Rgb => Sense::Vision,
+    }
+}
+
+/// A shape for any number of pictures at once.
+fn of_any_batch<const N: usize>(mut shape: [i64; N]) -> [i64; N] {
+    shape[0] = OPEN_BATCH;
+    shape
+}
+
+/// Weight and bias of a layer, divided by the temperature.
+fn write_linear(
+    graph: &mut OnnxGraphBuilder,
+    network: &Network,
+    layer: &[Part; 2],
+    temperature: f64,
+) -> Result<()> {
+    for part in layer {
+        let values = network.part(part).iter();
+        let cooled: Vec<f32> = values
+            .map(|x| (f64::from(*x) / temperature) as f32)
+            .collect();
+        let [rows, columns] = part.shape.map(|side| side as i64);
+        let is_weight = part.is_weight();
+        let shape = if is_weight {
+            &[rows, columns][..]
+        } else {
+            &[columns]
+        };
+        graph.constant(&part.name, shape, &cooled)?;
+    }
+    Ok(())
+}
+
+/// Weights of an encoder, where the network has the sense.
+fn write_encoder(graph: &mut OnnxGraphBuilder, network: &Network, sense: Sense) -> Result<()> {
+    let (Some(folded), Some([weight, bias])) = (network.folded(sense), network.projection(sense))
+    else {
+        return Ok(());
+    };
+    for (i, (shape, [weight, bias])) in network.shapes().iter().zip(folded).enumerate() {
+        let [kernel, inputs, outputs] = [shape.kernel, shape.input[2], shape.channels];
+        let weight = outputs_first(&weight, kernel, inputs, outputs);
+        let size = [outputs, inputs, kernel, kernel].map(|side| side as i64);
+        graph.constant(&convolution_part(sense, i, "weight"), &size, &weight)?;
+        graph.constant(&convolution_part(sense, i, "bias"), &size[..1], &bias)?;
+    }
+    let [height, width, channels] = network.architecture().pooled();
+    let [rows, columns] = weight.shape;
+    let values = channels_first(network.part(weight), [height * width, channels], columns);
+    graph.constant(&weight.name, &[rows as i64, columns as i64], &values)?;
+    graph.constant(&bias.name, &[columns as i64], network.part(bias))?;
+    Ok(())
+}
+
+fn convolution_part(sense: Sense, at: usize, what: &str) -> String {
+    format!("{}.conv{}.{what}", sense.name(), at + 1)
+}
+
+/// Appends the nodes of a network. The graph has its inputs and constants under their names.
+fn write_nodes(
+    graph: &mut OnnxGraphBuilder,
+    architecture: &Architecture,
+    inputs: &[InputName],
+) -> Result<Value> {
+    let mut embeddings = Vec::new();
+    for input in inputs {
+        embeddings.push(write_encoder_nodes(graph, architecture, *input)?);
+    }
+    let joined = match &embeddings[..] {
+        [one] => one.clone(),
+        many => {
+            let axis = [Attribute::int("axis", 1)];
+            graph.node("Concat", "joined", &many.iter().collect::<Vec<_>>(), axis)?
+        }
+    };
+    let sums = write_gemm(graph, "hidden", &joined, "head.hidden")?;
+    let active = graph.node("Relu", "hidden_relu", &[&sums], [])?;
+    let logit = write_gemm(graph, "logit", &active, "head.logit")?;
+    graph.node("Sigmoid", OUTPUT, &[&logit], [])
+}
+
+fn write_encoder_nodes(
+    graph: &mut OnnxGraphBuilder,
+    architecture: &Architecture,
+    input: InputName,
+) -> Result<Value> {
+    let (name, sense) = (input.name(), sense(input));
+    let mut x = Value::named(name);
+    for (i, spec) in architecture.convolutions.iter().enumerate() {
+        let [kernel, stride, pad] = [spec.kernel, spec.stride, spec.pad].map(|n| n as i64);
+        let step = format!("{name}_conv{}", i + 1);
+        let attributes = [
+            Attribute::ints("kernel_shape", &[kernel; 2]),
+            Attribute::ints("strides", &[stride; 2]),
+            Attribute::ints("pads", &[pad; 4]),
+        ];
+        let [weight, bias] =
+            ["weight", "bias"].map(|what| Value::named(&convolution_part(sense, i, what)));
+        let z = graph.node("Conv", &step, &[&x, &weight, &bias], attributes)?;
+        x = graph.node("Relu", &format!("{step}_relu"), &[&z], [])?;
+    }
+    let pool = architecture.pool.map(|side| side as i64);
+    let attributes = [
+        Attribute::ints("kernel_shape", &pool),
+        Attribute::ints("strides", &pool),
+    ];
+    let pooled = graph.node("AveragePool", &format!("{name}_pool"), &[&x], attributes)?;
+    let axis = [Attribute::int("axis", 1)];
+    let flat = graph.node("Flatten", &format!("{name}_flat"), &[&pooled], axis)?;
+    let projection = format!("{}.projection", sense.name());
+    write_gemm(graph, &format!("{name}_embedding"), &flat, &projection)
+}
+
+fn write_gemm(graph: &mut OnnxGraphBuilder, name: &str, x: &Value, layer: &str) -> Result<Value> {
+    let [weight, bias] = ["weight", "bias"].map(|what| Value::named(&format!("{layer}.{what}")));
+    graph.node("Gemm", name, &[x, &weight, &bias], [])
+}
+
+/// Weights KH·KW·C × outputs as outputs × C × KH × KW.
+fn outputs_first(weight: &[f32], kernel: usize, inputs: usize, outputs: usize) -> Vec<f32> {
+    let window = kernel * kernel;
+    let mut values = Vec::with_capacity(weight.len());
+    for output in 0..outputs {
+        for input in 0..inputs {
+            let rows = (0..window).map(|at| at * inputs + input);
+            values.extend(rows.map(|row| weight[row * outputs + output]));
+        }
+    }
+    values
+}
+
+/// Rows for pixels × channels as rows for channels × pixels.
+fn channels_first(weight: &[f32], [pixels, channels]: [usize; 2], columns: usize) -> Vec<f32> {
+    let mut values = Vec::with_capacity(weight.len());
+    for channel in 0..channels {
+        for pixel in 0..pixels {
+            let row = pixel * channels + channel;
+            values.extend_from_slice(&weight[row * columns..][..columns]);
+        }
+    }
+    values
+}
+
+const _: () = {
+    // The file's inputs and the network's pictures are of one size.
+    assert!(INPUT_SHAPE[1] as usize == PICTURE[2] && INPUT_SHAPE[2] as usize == PICTURE[0]);
+};
+
+/// A file's graph that is one of our networks.
+#[derive(Debug)]
+pub(crate) struct Recognised<'a> {
+    graph: &'a GraphProto,
+    pub(crate) architecture: Architecture,
+}
+
+/// Weight and bias of a layer as they are in the file.
+pub(crate) type Layer = [Vec<f32>; 2];
+
+impl<'a> Recognised<'a> {
+    /// The graph, if it is that of a network with these inputs; none where a node differs.
+    pub(crate) fn new(graph: &'a GraphProto, inputs: &[InputName]) -> Option<Self> {
+        let architecture = sizes(graph, *inputs.first()?)?;
+        let mut again = OnnxGraphBuilder::new("");
+        write_nodes(&mut again, &architecture, inputs).ok()?;
+        let is_ours = again.nodes() == graph.node;
+        is_ours.then_some(Self {
+            graph,
+            architecture,
+        })
+    }
+
+    /// Weight, outputs × C × KH × KW, and bias of a convolution with so many input channels.
+    pub(crate) fn convolution(&self, sense: Sense, at: usize, inputs: usize) -> Option<Layer> {
+        let spec = self.architecture.convolutions.get(at)?;
+        let weight = convolution_part(sense, at, "weight");
+        let bias = convolution_part(sense, at, "bias");
+        let sides = [spec.channels, inputs, spec.kernel, spec.kernel];
+        Some([
+            self.floats(&weight, &sides)?,
+            self.floats(&bias, &[spec.channels])?,
+        ])
+    }
+
+    /// Weight, inputs × outputs, and bias of a dense layer.
+    pub(crate) fn dense(&self, layer: &str, inputs: usize, outputs: usize) -> Option<Layer> {
+        Some([
+            self.floats(&format!("{layer}.weight"), &[inputs, outputs])?,
+            self.floats(&format!("{layer}.bias"), &[outputs])?,
+        ])
+    }
+
+    /// The values of an f32 constant of these sides.
+    fn floats(&self, name: &str, sides: &[usize]) -> Option<Vec<f32>> {
+        let tensor = constant(self.graph, name)?;
+        let mut all = sides.iter();
+        let count = all.try_fold(1_usize, |count, side| count.checked_mul(*side))?;
+        let is_float = tensor.data_type == DataType::Float as i32;
+        if !is_float || dims(tensor)? != sides {
+            return None;
+        }
+        let values: Vec<f32> = if tensor.raw_data.is_empty() {
+            tensor.float_data.clone()
+        } else {
+            let floats = tensor.raw_data.as_chunks::<4>().0.iter();
+            floats.map(|bytes| f32::from_le_bytes(*bytes)).collect()
+        };
+        (values.len() == count && count > 0).then_some(values)
+    }
+}
+
+/// Sizes of the network that a graph may be, read off the encoder of an input.
+fn sizes(graph: &GraphProto, input: InputName) -> Option<Architecture> {
+    let sense = sense(input);
+    let outputs = |name: &str, at: usize| dims(constant(graph, name)?)?.get(at).copied();
+    let mut side = [PICTURE[0], PICTURE[1]];
+    let mut convolutions = Vec::new();
+    while let Some(node) = node(graph, &format!("{input}_conv{}", convolutions.len() + 1)) {
+        let first = |name: &str| ints(node, name)?.first().copied();
+        let spec = ConvSpec {
+            channels: outputs(&convolution_part(sense, convolutions.len(), "weight"), 0)?,
+            kernel: first("kernel_shape")?,
+            stride: first("strides")?,
+            pad: first("pads")?,
+        };
+        if spec.kernel == 0 || spec.stride == 0 || spec.pad > MOST_PAD {
+            return None;
+        }
+        for side in &mut side {
+            *side = (*side + 2 * spec.pad).checked_sub(spec.kernel)? / spec.stride + 1;
+        }
+        convolutions.push(spec);
+    }
+    let pool = ints(node(graph, &format!("{input}_pool"))?, "kernel_shape")?;
+    let pool = <[usize; 2]>::try_from(pool).ok()?;
+    let fits = |(pool, side): (&usize, &usize)| (1..=*side).contains(pool);
+    let is_usable = !convolutions.is_empty() && pool.iter().zip(&side).all(fits);
+    is_usable.then_some(Architecture {
+        name: String::new(),
+        convolutions,
+        pool,
+        embedding: outputs(&format!("{}.projection.weight", sense.name()), 1)?,
+        hidden: outputs("head.hidden.weight", 1)?,
+    })
+}
+
+fn node<'a>(graph: &'a GraphProto, name: &str) -> Option<&'a NodeProto> {
+    graph.node.iter().find(|node| node.name == name)
+}
+
+fn constant<'a>(graph: &'a GraphProto, name: &str) -> Option<&'a TensorProto> {
+    graph.initializer.iter().find(|found| found.name == name)
+}
+
+fn dims(tensor: &TensorProto) -> Option<Vec<usize>> {
+    let sides = tensor.dims.iter().map(|&side| usize::try_from(side).ok());
+    sides.collect()
+}
+
+fn ints(node: &NodeProto, name: &str) -> Option<Vec<usize>> {
+    let attribute = node.attribute.iter().find(|found| found.name == name)?;
+    let values = attribute.ints.iter().map(|&x| usize::try_from(x).ok());
+    values.collect()
+}
+
+#[cfg(test)]
+#[path = "export_test.rs"]
+mod tests;
