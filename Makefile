@@ -11,11 +11,12 @@ SHELL := /bin/bash
 CARGO := . tools/env.sh; cargo
 DATASET ?= demo-dataset
 
-.PHONY: help run test test-fast lint bench kernel setup setup-test setup-package package-files deb try-deb tarball
+.PHONY: help run test test-fast test-peers lint bench kernel setup setup-test setup-package package-files deb try-deb tarball
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' $(MAKEFILE_LIST)
-	@echo "make test-fast   tests without kernel and Slurm; make bench   all measurements"
+	@echo "make test-fast   tests without kernel and Slurm; make test-peers   longer checks against other"
+	@echo "programs' libraries; make bench   all measurements"
 
 setup:
 	@tools/setup.sh build
@@ -59,6 +60,10 @@ test: setup-test lint kernel
 
 test-fast: lint
 	@GRIPCAST_SKIP_KERNEL=1 GRIPCAST_SKIP_SLURM=1 tools/run-tests.sh
+
+test-peers: setup-test
+	@$(CARGO) build --release --bin gripcast
+	@tools/test-peers.sh
 
 bench: setup
 	@$(CARGO) build --release --bin gripcast

@@ -40,6 +40,22 @@ pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
     write_stdout(format_args!("{}", escaped_json(&text)))
 }
 
+/// Prints what a command found: as JSON with `--json`, else as text for people.
+///
+/// # Errors
+/// As [`print`] and [`print_json`].
+pub(crate) fn print_report<T: serde::Serialize>(
+    as_json: bool,
+    report: &T,
+    text: impl FnOnce(&T) -> String,
+) -> Result<()> {
+    if as_json {
+        print_json(report)
+    } else {
+        print(&text(report))
+    }
+}
+
 /// One line of JSON for stdout or a file, without unsafe characters.
 pub(crate) fn escaped_json(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());

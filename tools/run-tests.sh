@@ -8,6 +8,9 @@ cd "$(dirname "$0")/.."
 mkdir -p target/skipped
 : >target/skipped/tests
 export GRIPCAST_SKIPS=$PWD/target/skipped/tests
+if [ -z "${GRIPCAST_PYTHON:-}" ] && python=$(tools/peers.sh path); then
+    export GRIPCAST_PYTHON=$python
+fi
 code=0
 cargo test --workspace "$@" || code=$?
 tools/skipped.sh

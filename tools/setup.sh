@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Installs what gripcast needs to be built on Debian 12/13 and Ubuntu 22.04/24.04.
 #   tools/setup.sh build   compiler, cmake, nasm, libclang, Rust toolchain
-#   tools/setup.sh test    the same, and what the kernel tests build and boot, and the Slurm of the
-#                          cluster test
+#   tools/setup.sh test    the same, and what the kernel tests build and boot, the Slurm of the
+#                          cluster test, and the Python libraries that read what gripcast writes
 #   tools/setup.sh package the same as build, and what makes packages
 # Idempotent; asks apt only for what is missing; uses sudo when it is not root.
 set -euo pipefail
@@ -14,8 +14,8 @@ packages=(ca-certificates curl gcc g++ make pkg-config cmake nasm libclang-dev l
 case "$want" in
     build) ;;
     # The kernel of the kernel tests is built from the distribution's source; mandoc reads the
-    # manual pages.
-    test) packages+=(flex bison bc libelf-dev xz-utils bzip2 mandoc) ;;
+    # manual pages; the Python libraries live in an environment of their own.
+    test) packages+=(flex bison bc libelf-dev xz-utils bzip2 mandoc python3-venv) ;;
     # dpkg-dev finds the libraries that a package depends on.
     package) packages+=(dpkg-dev python3) ;;
     *)
@@ -95,3 +95,11 @@ cargo --version >/dev/null || {
     echo "setup: cargo does not start; Rust $version is needed (rustup toolchain install $version)" >&2
     exit 1
 }
+
+# Without them their tests are skipped; GRIPCAST_REQUIRE_PYTHON=1 makes that an error.
+if [ "$want" = test ] && [ -z "${GRIPCAST_PYTHON:-}" ]; then
+    tools/peers.sh install || {
+        echo "SKIPPED: no Python libraries (network?); the tests with them will be skipped" >&2
+        [ -z "${GRIPCAST_REQUIRE_PYTHON:-}" ]
+    }
+fi

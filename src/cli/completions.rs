@@ -1,8 +1,6 @@
 //! `gripcast completions SHELL`: prints a completion script.
 
-use clap::CommandFactory as _;
-
-use super::{Cli, Context};
+use super::{Context, command};
 use gripcast_base::error::Result;
 
 /// Arguments of `completions`.
@@ -14,7 +12,7 @@ pub(crate) struct Args {
 
 /// Runs the verb.
 pub(crate) fn run(_context: &Context, args: &Args) -> Result<()> {
-    let mut command = Cli::command();
+    let mut command = command();
     clap_complete::generate(args.shell, &mut command, "gripcast", &mut std::io::stdout());
     Ok(())
 }

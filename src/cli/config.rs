@@ -1,7 +1,10 @@
 //! `gripcast config show`: every setting, its value and where it comes from.
 
-use super::{ConfigFlag, Context, print, print_json};
-use crate::config::Ignored;
+use serde_json::json;
+use toml::Value;
+
+use super::{ConfigFlag, Context, print_report};
+use crate::config::{Ignored, Layered, Origin};
 use gripcast_base::error::Result;
 
 /// Arguments of `config`.
@@ -27,36 +30,25 @@ enum Action {
 pub(crate) fn run(_context: &Context, args: Args) -> Result<()> {
     let Action::Show { file, json } = args.action;
     let layered = file.load(&[])?;
-    if json {
-        let object: serde_json::Map<String, serde_json::Value> = layered
-            .values
-            .iter()
-            .map(|(key, (value, origin))| {
-                let mut entry = serde_json::json!({"value": value, "origin": origin.to_string()});
-                if let Some(Ignored { value, file }) = layered.ignored.get(key) {
-                    entry["ignored"] = serde_json::json!({"value": value, "file": file});
-                }
-                (key.clone(), entry)
-            })
-            .collect();
-        print_json(&object)?;
-    } else {
-        for (key, (value, origin)) in &layered.values {
-            let ignored = layered
-                .ignored
-                .get(key)
-                .map_or_else(String::new, |ignored| {
-                    format!(
-                        "; {} in {} is ignored",
-                        ignored.value,
-                        ignored.file.display()
-                    )
-                });
-            print(&format!(
-                "{key:<32} {:<24} {origin}{ignored}",
-                value.to_string()
-            ))?;
+    let entry = |(key, (value, origin)): (&String, &(Value, Origin))| {
+        let mut entry = json!({"value": value, "origin": origin.to_string()});
+        if let Some(Ignored { value, file }) = layered.ignored.get(key) {
+            entry["ignored"] = json!({"value": value, "file": file});
         }
-    }
-    Ok(())
+        (key.clone(), entry)
+    };
+    let entries: serde_json::Map<_, _> = layered.values.iter().map(entry).collect();
+    print_report(json, &entries, |_| text(&layered))
+}
+
+fn text(layered: &Layered) -> String {
+    let line = |(key, (value, origin)): (&String, &(Value, Origin))| {
+        let ignored = layered.ignored.get(key);
+        let ignored = ignored.map_or_else(String::new, |Ignored { value, file }| {
+            format!("; {value} in {} is ignored", file.display())
+        });
+        format!("{key:<32} {:<24} {origin}{ignored}", value.to_string())
+    };
+    let lines: Vec<String> = layered.values.iter().map(line).collect();
+    lines.join("\n")
 }

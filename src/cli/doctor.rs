@@ -9,7 +9,7 @@ use std::time::Duration;
 use serde_json::json;
 
 use super::working::interruptible;
-use super::{ConfigFlag, Context, print, print_json};
+use super::{ConfigFlag, Context, print_report};
 use crate::config::Layered;
 use crate::doctor::{Finding, Patient, Verdict};
 use gripcast_base::error::{Error, ErrorKind, Result};
@@ -81,11 +81,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     })??;
     let worst = findings.iter().map(|finding| finding.verdict).max();
     let worst = worst.unwrap_or(Verdict::Ok);
-    if args.json {
-        print_json(&json!({ "findings": findings, "rig": name, "verdict": worst }))?;
-    } else {
-        print(&text(&findings))?;
-    }
+    let report = json!({ "findings": findings, "rig": name, "verdict": worst });
+    print_report(args.json, &report, |_| text(&findings))?;
     if worst < Verdict::Fail {
         return Ok(());
     }

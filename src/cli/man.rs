@@ -3,15 +3,13 @@
 //! The date of the pages is today's, or that of `SOURCE_DATE_EPOCH`, so that a release built again
 //! has the same bytes.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use clap::CommandFactory as _;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
 use jiff::Timestamp;
 
-use super::{Cli, Context};
+use super::{Context, command, create_folder};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::save;
@@ -45,9 +43,8 @@ pub(crate) struct Args {
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let date = date(std::env::var("SOURCE_DATE_EPOCH").ok().as_deref())?;
-    fs::create_dir_all(&args.out)
-        .map_err(|e| Error::io("cannot create the folder", e).at(args.out.display()))?;
-    let mut command = Cli::command().disable_help_subcommand(true);
+    create_folder(&args.out)?;
+    let mut command = command().disable_help_subcommand(true);
     command.build();
     let written = write_pages(&command, &date, &args.out)?;
     if !context.quiet {
@@ -120,6 +117,8 @@ fn exit_codes() -> Roff {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

@@ -1,14 +1,15 @@
 //! The command line: one file a verb. stdout is data, stderr is for people.
 
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 
 use crate::config::{self as settings, ConfigFile, FlagValue, Layered};
 use crate::note;
-pub(crate) use crate::terminal_text::{print, print_json};
-use gripcast_base::error::Result;
+pub(crate) use crate::terminal_text::{print, print_json, print_report};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::allow_links_into;
 
 mod annotate;
@@ -120,6 +121,12 @@ pub(crate) fn load_settings(file: Option<&ConfigFile>, flags: &[FlagValue]) -> R
     Ok(layered)
 }
 
+/// Creates a folder for what a command writes, and those above it.
+pub(crate) fn create_folder(path: &Path) -> Result<()> {
+    fs::create_dir_all(path)
+        .map_err(|e| Error::io("cannot create the folder", e).at(path.display()))
+}
+
 #[derive(Debug, Subcommand)]
 enum Verb {
     /// Collect grasps: live cameras, triggers, prediction, crash-safe saving
@@ -162,6 +169,12 @@ enum Verb {
     Completions(completions::Args),
     /// Write the manual pages
     Man(man::Args),
+}
+
+/// The command line with all its verbs, for manual pages, completions and tests.
+#[must_use]
+pub fn command() -> clap::Command {
+    Cli::command()
 }
 
 /// Runs the command line of this process.

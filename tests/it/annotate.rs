@@ -7,6 +7,7 @@ use std::path::Path;
 use gripcast_pose::BoardFile;
 use serde_json::{Value, json};
 
+use crate::json_schema::assert_schema;
 use crate::program::{collect_on, grasps, gripcast, script, stderr, succeed, verify};
 
 /// Every built-in film once.
@@ -81,6 +82,7 @@ fn poses_of_the_virtual_rig_are_true() {
     let output = annotate(&dataset, &["--again"]);
     assert!(output.status.success(), "{}", stderr(&output));
     let done = summary(&output);
+    assert_schema("annotate", &[&done]);
     assert_eq!(count(&done, "annotated"), GRASPS);
     let mut off_mm = Vec::new();
     let mut off_deg = Vec::new();

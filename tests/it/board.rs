@@ -9,6 +9,7 @@ use gripcast_geometry::MeshQuery;
 use gripcast_pose::{BoardFile, BoardMarker, Part};
 use gripcast_visual::gripper_parts;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
 
 fn board(words: &str) -> Command {
@@ -34,6 +35,7 @@ fn a_sheet_is_written_in_three_formats_with_its_board() {
         at("mug.png")
     );
     let made = json(&succeed(&mut board(&words)));
+    assert_schema("board make", &[&made]);
     assert!(fs::read(at("mug.pdf")).unwrap().starts_with(b"%PDF"));
     let svg = fs::read_to_string(at("mug.svg")).unwrap();
     assert!(svg.contains("width=\"297mm\" height=\"210mm\""));
@@ -73,6 +75,7 @@ fn measured_rulers_change_the_board_alone() {
     assert_ne!(measured["hash"], plain["hash"]);
     let words = format!("show {} --json", dir.path().join("b.toml").display());
     let shown = json(&succeed(&mut board(&words)));
+    assert_schema("board show", &[&shown]);
     assert_eq!(shown["hash"], measured["hash"]);
     assert_eq!(shown["sheet"]["printed_hash"], plain["hash"]);
     assert_eq!(shown["sheet"]["measured_mm"][1], 100.25);
@@ -176,7 +179,8 @@ fn boards_of_other_programs_are_imported() {
     assert!(said.contains("table, wall"), "{said}");
     let out = dir.path().join("wall.toml");
     let words = format!("{words} --name wall --out {} --json", out.display());
-    assert_eq!(json(&succeed(&mut board(&words)))["ids"][5], 9);
+    let wall = json(&succeed(&mut board(&words)));
+    assert_eq!(wall["ids"][5], 9);
     let read = BoardFile::load(&out).unwrap();
     assert_eq!(
         (read.board.name.as_str(), read.board.markers.len()),
@@ -188,8 +192,8 @@ fn boards_of_other_programs_are_imported() {
         "target_type: 'aprilgrid'\ntagCols: 6\ntagRows: 6\ntagSize: 0.088\ntagSpacing: 0.3\n";
     fs::write(&kalibr, text).unwrap();
     let words = format!("import {} --json", kalibr.display());
-    let shown = json(&succeed(&mut board(&words)));
-    assert_eq!(shown["dictionary"], "36h11_border2");
+    let kalibr_shown = json(&succeed(&mut board(&words)));
+    assert_eq!(kalibr_shown["dictionary"], "36h11_border2");
 
     let own = dir.path().join("own.yml");
     let text = "%YAML:1.0\nnmarkers: 2\nmarkersize: 3\nmarker_0: \"101011001\"\n\
@@ -199,6 +203,7 @@ fn boards_of_other_programs_are_imported() {
         "import {} --json",
         own.display()
     ))));
+    assert_schema("board import", &[&wall, &kalibr_shown, &shown]);
     assert_eq!(shown["markers"], 2);
     let neither = dir.path().join("x.yaml");
     fs::write(&neither, "camera_matrix: 3\n").unwrap();

@@ -10,6 +10,7 @@ use gripcast_imaging::{Intrinsics, encode_png_grey8};
 use gripcast_pose::synthetic::{PictureConditions, Placed, render, test_camera};
 use gripcast_pose::{BoardFile, Part, load_intrinsics};
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
 
 const TAGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/calib/boards/gripper-umi.toml");
@@ -51,6 +52,7 @@ fn intrinsics_survive_every_format() {
             "show {} --json",
             at(name).display()
         ))));
+        assert_schema("calibrate show", &[&shown]);
         assert_eq!(shown["format"], to);
         assert_eq!(shown["width"], 1280);
         assert_eq!(shown["coefficients"][0], 1e-7);
@@ -174,6 +176,7 @@ fn tags_are_calibrated_from_a_folder() {
         ))
     };
     let report = json(&succeed(&mut run("--closed 00.png 01 --json")));
+    assert_schema("calibrate gripper", &[&report]);
     assert_eq!(report["pictures"], 10);
     assert_eq!(report["opening_zero_from"], "fingers");
     assert!(report["rms_px"].as_f64().unwrap() < 0.15, "{report}");

@@ -13,6 +13,7 @@ use gripcast_pose::synthetic::{PictureConditions, render_board};
 use image::GrayImage;
 use image::imageops::flip_horizontal;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
 
 const LENS: Intrinsics = Intrinsics {
@@ -103,7 +104,9 @@ fn a_folder_of_pictures_gives_the_lens() {
         said.contains("torn.jpg") && said.contains("empty.png: no marker"),
         "{said}"
     );
-    assert!(json(&output)["left_out"].as_array().unwrap().len() >= 2);
+    let some = json(&output);
+    assert!(some["left_out"].as_array().unwrap().len() >= 2);
+    assert_schema("calibrate intrinsics", &[&report, &some]);
 
     save(&shots, "z-small.png", &GrayImage::new(320, 240));
     let output = run().output().unwrap();

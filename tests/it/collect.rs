@@ -5,6 +5,7 @@ use std::path::Path;
 
 use serde_json::Value;
 
+use crate::json_schema::assert_schema;
 use crate::program::{
     collect, grasps, gripcast, json, script, stderr, succeed, verify, wait_until,
 };
@@ -16,6 +17,7 @@ fn three_grasps_are_collected_predicted_and_verified() {
     let three = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/three-grasps.txt");
     let report = json(&succeed(&mut collect(&three, &dataset)));
 
+    assert_schema("collect", &[&report]);
     assert_eq!(report["session"]["saved"], 3);
     assert_eq!(report["ended"], "quit");
     assert_eq!(report["grasps"].as_array().unwrap().len(), 3);
@@ -94,6 +96,7 @@ fn what_was_collected_is_evaluated(dataset: &Path, dir: &Path) {
         .arg(dataset);
     succeed(export.arg("--out").arg(&shards));
     let found = json(&succeed(evaluate(&shards).arg("--json")));
+    assert_schema("eval", &[&found]);
     assert_eq!(found["n"], 3, "{found}");
     assert_eq!(found["objects"], 3, "{found}");
     let base_rate = found["at_base_rate"]["base_rate"].as_f64().unwrap();
@@ -165,7 +168,9 @@ fn the_prediction_is_that_of_the_saved_files() {
             .arg("--rgb")
             .arg(file("grasp", "rgb")),
     );
-    let repeated = json(&output)["p_stable"].as_f64().unwrap();
+    let predicted = json(&output);
+    assert_schema("predict images", &[&predicted]);
+    let repeated = predicted["p_stable"].as_f64().unwrap();
     let stored = grasp["prediction"]["p_stable"].as_f64().unwrap();
     assert!(
         (repeated - stored).abs() < 1e-6,

@@ -12,7 +12,7 @@ use gripcast_dataset::{
 use gripcast_imaging::{Frame, PixelFormat, Role};
 use serde_json::Value;
 
-use gripcast_testing::{Needs, skip};
+use crate::peers::{agrees, peer};
 
 const WIDTH: u32 = 32;
 const HEIGHT: u32 = 24;
@@ -408,14 +408,10 @@ fn a_dataset_that_is_written_is_left_alone() {
     assert_eq!(gripcast(&["info"], dir.path()).status.code(), Some(0));
 }
 
-/// `GRIPCAST_PYTHON` names a Python with datasets, pandas and pillow.
 #[test]
 fn python_loads_all_image_columns() {
-    let Some(python) = std::env::var_os("GRIPCAST_PYTHON") else {
-        return skip(
-            Needs::Python,
-            "set GRIPCAST_PYTHON to a Python with datasets, pandas and pillow",
-        );
+    let Some(mut check) = peer("load_imagefolder.py") else {
+        return;
     };
     let dir = tempfile::tempdir().unwrap();
     let cache = tempfile::tempdir().unwrap();
@@ -433,18 +429,7 @@ fn python_loads_all_image_columns() {
     writer.undo_grasp(&id).unwrap();
     drop(writer);
     gripcast(&["split", "--name", "fold-1"], dir.path());
-    let output = Command::new(python)
-        .arg(concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/tests/peers/load_imagefolder.py"
-        ))
-        .arg(dir.path())
-        .env("HF_HOME", cache.path())
-        .env("HF_HUB_OFFLINE", "1")
-        .output()
-        .unwrap();
-    let text = stdout(&output) + &stderr(&output);
-    assert!(output.status.success(), "{text}");
+    let text = agrees(check.arg(dir.path()).env("HF_HOME", cache.path()));
     assert!(text.contains("7 image columns"), "{text}");
     println!("{text}");
 }

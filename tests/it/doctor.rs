@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr};
 use gripcast_testing::sysfs_tree::{Tree, mini};
 
@@ -58,6 +59,8 @@ fn the_virtual_rig_is_healthy_and_nothing_is_left_behind() {
         .arg(&dataset);
     let output = command.output().unwrap();
     let report = json(&output);
+    let bare = serde_json::from_slice(&doctor(&Tree::new(), &[]).stdout).unwrap();
+    assert_schema("doctor", &[&report, &bare]);
     assert_eq!(report["rig"], "virtual-external");
     let findings = report["findings"].as_array().unwrap().clone();
     for role in ["left", "right", "rgb", "depth", "external"] {

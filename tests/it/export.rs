@@ -8,7 +8,8 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::{Pid, Signal, kill_process};
 
 use super::dataset::{gripcast, json, stderr, stdout, tree, write_dataset};
-use gripcast_testing::{Needs, skip};
+use crate::json_schema::assert_schema;
+use crate::peers::{agrees, peer};
 
 const FORMATS: [&str; 5] = ["parquet", "webdataset", "lerobot", "zarr", "training"];
 
@@ -27,6 +28,7 @@ fn the_program_exports_and_replaces_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");
     write_dataset(&root, &["mug", "bottle", "sponge"]);
+    let mut reports = Vec::new();
     for format in FORMATS {
         let out = dir.path().join(format);
         let arguments = arguments(format, &out);
@@ -46,7 +48,9 @@ fn the_program_exports_and_replaces_nothing() {
             stderr(&again)
         );
         assert_eq!(tree(&out), before);
+        reports.push(report);
     }
+    assert_schema("dataset export", &reports.iter().collect::<Vec<_>>());
     let text = gripcast(&arguments("zarr", &dir.path().join("z.zip")), &root);
     assert!(stdout(&text).contains("3 grasps: 1 stable, 1 slip, 1 unlabelled"));
     for wrong in [
@@ -144,34 +148,21 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
     assert_eq!(fs::read(&picture).unwrap(), bytes);
 }
 
-/// `GRIPCAST_PYTHON` names a Python with datasets, pandas, pillow, webdataset and zarr; with lerobot
-/// its own reader is used as well.
 #[test]
 fn python_opens_every_export() {
-    let Some(python) = std::env::var_os("GRIPCAST_PYTHON") else {
-        return skip(
-            Needs::Python,
-            "set GRIPCAST_PYTHON to a Python with datasets, pandas, pillow, webdataset and zarr",
-        );
+    let Some(mut check) = peer("load_exports.py") else {
+        return;
     };
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");
     write_dataset(&root, &["mug", "bottle", "sponge"]);
-    let mut command = Command::new(python);
-    command
-        .arg(concat!(
-            env!("CARGO_MANIFEST_DIR"),
-            "/tests/peers/load_exports.py"
-        ))
-        .arg(&root);
+    check.arg(&root);
     for format in FORMATS {
         let out = dir.path().join(format);
         let output = gripcast(&arguments(format, &out), &root);
         assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-        command.arg(format!("--{format}")).arg(out);
+        check.arg(format!("--{format}")).arg(out);
     }
-    let output = command.env("HF_HUB_OFFLINE", "1").output().unwrap();
-    let text = stdout(&output) + &stderr(&output);
-    assert!(output.status.success(), "{text}");
-    println!("{text}");
+    let cache = dir.path().join("cache");
+    println!("{}", agrees(check.env("HF_HOME", cache)));
 }

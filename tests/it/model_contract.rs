@@ -4,8 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use crate::json_schema::assert_schema;
 use gripcast_imaging::{encode_png_rgb, synthetic_gel};
-use gripcast_nn::predict::{BASELINE, Model, baseline, contract, onnx};
+use gripcast_nn::predict::{BASELINE, Model, SHIPPED, baseline, contract, onnx};
 use serde_json::Value;
 
 fn gripcast(arguments: &[&str]) -> Output {
@@ -48,6 +49,8 @@ fn the_shipped_model_passes_and_says_what_it_is() {
         shipped().to_str().unwrap(),
         "--json",
     ]));
+    let trained = json(&gripcast(&["predict", "check", SHIPPED, "--json"]));
+    assert_schema("predict check", &[&report, &trained]);
     assert_eq!(report["kind"], "heuristic");
     assert_eq!(report["variant"], "T");
     assert_eq!(report["threshold"], 0.5);
@@ -215,6 +218,7 @@ fn one_grasp_is_predicted_from_picture_files() {
 #[test]
 fn the_bench_prints_the_promised_figures() {
     let report = json(&gripcast(&["bench", "predict", "--runs", "30", "--json"]));
+    assert_schema("bench predict", &[&report]);
     assert_eq!(report["name"], "predict");
     assert_eq!(report["params"]["runs"], 30);
     assert!(report["peers"].as_object().unwrap().is_empty());

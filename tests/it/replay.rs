@@ -7,6 +7,7 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::{Value, json};
 
+use crate::json_schema::assert_schema;
 use crate::program::{collect, grasps, gripcast, json, script, stderr, succeed, wait_until};
 
 /// Heights of the gripper over the middle of the box, m, and whether it held. The gel reaches
@@ -125,6 +126,7 @@ fn grasps_are_replayed_stopped_continued_and_reported() {
         .unwrap();
     assert!(output.status.success(), "{}", stderr(&output));
     let told = json(&output);
+    assert_schema("replay", &[&told]);
     assert_eq!(told["grasps"].as_array().unwrap().len(), GRASPS.len());
     assert_eq!(told["dataset"]["reality"]["kind"], "simulated");
     let made = report(&whole);

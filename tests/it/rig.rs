@@ -6,6 +6,7 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
+use crate::json_schema::assert_schema;
 use gripcast_testing::sysfs_tree::{Tree, d435, mini};
 
 fn gripcast(tree: &Tree, arguments: &[&str]) -> Output {
@@ -61,6 +62,7 @@ fn list_shows_cameras_and_leaves_metadata_nodes_out() {
     let output = gripcast(&tree, &["list", "--json"]);
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
     let value: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_schema("rig list", &[&value]);
     let cameras = value["cameras"].as_array().unwrap();
     assert_eq!(cameras.len(), 4);
     let left = &cameras[0];
@@ -122,6 +124,12 @@ fn check_tells_missing_cameras_from_failing_ones() {
     let output = gripcast(&tree, &["check", "--rig", rig, "--json"]);
     assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
     let value: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let painted = gripcast(
+        &tree,
+        &["check", "--rig", "virtual", "--seconds", "1", "--json"],
+    );
+    let painted = serde_json::from_slice(&painted.stdout).unwrap();
+    assert_schema("rig check", &[&value, &painted]);
     assert_eq!(value["rig"], "bench-1");
     let cameras = value["cameras"].as_array().unwrap();
     let roles: Vec<&str> = cameras

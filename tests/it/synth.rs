@@ -9,6 +9,7 @@ use std::process::{Child, Command, Output, Stdio};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed, wait_until};
 
 /// A plan of a few rigid grasps.
@@ -118,6 +119,7 @@ fn a_dataset_is_the_same_in_one_go_and_in_shards_that_were_killed() {
     let [whole, shards] = ["whole", "shards"].map(|name| dir.path().join(name));
     let told = json(&plan(&whole, &FEW));
     assert_eq!(json(&plan(&shards, &FEW))["sha256"], told["sha256"]);
+    assert_schema("synth plan", &[&told]);
     let simulations = told["simulations"].as_u64().unwrap() as usize;
     assert!(simulations >= 12, "{told}");
     succeed(synth("run", &whole).args(["--jobs", "2"]));
@@ -137,13 +139,16 @@ fn a_dataset_is_the_same_in_one_go_and_in_shards_that_were_killed() {
         assert_eq!(told["shard"], format!("{index}/3"));
     }
     let again = json(&succeed(synth("run", &shards).arg("--json")));
+    assert_schema("synth run", &[&again]);
     assert_eq!(again["simulated_now"], 0, "nothing is done twice");
     let status = json(&succeed(synth("status", &shards).arg("--json")));
+    assert_schema("synth status", &[&status]);
     assert_eq!(status["done"], simulations);
 
     let [a, b] = [&whole, &shards].map(|plan| {
         let out = plan.join("dataset");
-        succeed(&mut merge(plan, &out));
+        let merged = json(&succeed(&mut merge(plan, &out)));
+        assert_schema("synth merge", &[&merged]);
         files(&out)
     });
     assert!(
@@ -394,7 +399,8 @@ fn pictures_can_wait_until_labels_tell_which_are_needed() {
     assert!(files(&whole.join("dataset")) == files(&late.join("dataset")));
     let mut report = synth("report", &late);
     report.arg("--dataset").arg(late.join("dataset"));
-    succeed(report.arg("--out").arg(late.join("report")));
+    report.arg("--json").arg("--out").arg(late.join("report"));
+    assert_schema("synth report", &[&json(&succeed(&mut report))]);
 
     succeed(&mut synth("run", &late));
     let status = json(&succeed(synth("status", &late).arg("--json")));

@@ -16,6 +16,7 @@ use image::{Rgb, RgbImage};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed, wait_until};
 
 /// Epochs of a run, enough to be met in the middle of it.
@@ -139,6 +140,7 @@ fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
     write_dataset(&data);
     let [whole, broken] = ["whole", "broken"].map(|name| dir.path().join(name));
     let told = json(&succeed(&mut train(&data, &whole)));
+    assert_schema("train", &[&told]);
     assert_eq!(told["runs"][0]["epochs"], 4, "{told}");
 
     assert_eq!(signalled(&data, &broken, 1, Signal::KILL), None);
@@ -193,6 +195,23 @@ fn a_run_that_was_killed_and_stopped_ends_with_the_same_files() {
         "{}",
         stderr(&refused)
     );
+}
+
+#[test]
+fn the_comparison_of_the_paper_is_reported() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    write_dataset(&data);
+    write_part(&data, "test", (0..4).map(|n| row("test", n, n < 2)));
+    let mut command = gripcast();
+    command
+        .args(["experiment", "fig6", "--json", "--seeds", "1"])
+        .args(["--epochs", "1", "--batch", "4", "--fem"])
+        .arg(&data)
+        .arg("--out")
+        .arg(dir.path().join("fig6"));
+    let report = json(&succeed(&mut command));
+    assert_schema("experiment fig6", &[&report]);
 }
 
 /// The dashboard on a terminal of 80×24 that `script` makes; what it printed, and how it ended.

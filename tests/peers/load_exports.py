@@ -3,7 +3,7 @@
     python -m venv venv && venv/bin/pip install datasets pandas pillow numpy webdataset zarr lerobot
     gripcast dataset export DATASET --to parquet --out P        # and so on, any of them
     venv/bin/python tests/peers/load_exports.py DATASET [--parquet P] [--webdataset W]
-        [--lerobot L] [--zarr Z]
+        [--lerobot L] [--zarr Z] [--training T]
 
 DATASET must be without splits and faults. Z is a folder or a .zip. Compared are ids, outcomes,
 predictions, poses, and all pictures: equal pixels where bytes are kept, sizes and near colours in
@@ -24,7 +24,7 @@ from PIL import Image
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("dataset", type=pathlib.Path)
-for name in ("parquet", "webdataset", "lerobot", "zarr"):
+for name in ("parquet", "webdataset", "lerobot", "zarr", "training"):
     parser.add_argument(f"--{name}", type=pathlib.Path)
 args = parser.parse_args()
 faults = []
@@ -292,12 +292,29 @@ def crop(size, profile):
     return (0, 0, width, height)
 
 
+def check_training(root):
+    import pandas
+
+    tables = [pandas.read_parquet(path) for path in sorted(root.glob("data/*.parquet"))]
+    table = pandas.concat(tables)
+    labelled = [id for id in sorted(records) if records[id]["outcome"] != "unlabelled"]
+    expect(sorted(table["id"]) == labelled, f"training: ids {list(table['id'])}")
+    for row in table.to_dict("records"):
+        record, where = records[row["id"]], f"training {row['id']}"
+        expect(row["object"] == record["object"], f"{where}: object {row['object']}")
+        expect(row["label"] == (record["outcome"] == "stable"), f"{where}: label {row['label']}")
+        for column in ("initial_left", "initial_right", "grasp_left", "grasp_right", "grasp_rgb"):
+            picture = Image.open(io.BytesIO(row[column]["bytes"]))
+            expect(picture.size == (320, 240), f"{where}: {column} {picture.size}")
+
+
 asked = 0
 for name, check in (
     ("parquet", check_parquet),
     ("webdataset", check_webdataset),
     ("lerobot", check_lerobot),
     ("zarr", check_zarr),
+    ("training", check_training),
 ):
     place = getattr(args, name)
     if place is None:

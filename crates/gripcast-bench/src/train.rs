@@ -94,7 +94,6 @@ fn row(name: &str, per_s: f64, per_cpu_s: f64) -> String {
     format!("\n{name:<14} {per_s:>11.1} {per_cpu_s:>11.1}")
 }
 
-use gripcast_nn::predict::contract::Variant;
 use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Step};
 use serde_json::json;
     let mut draw = SeedStream::named(0, "bench train");

@@ -9,6 +9,7 @@ use gripcast_tactile::{FrameLook, SensorProfile, TactileRenderer};
 use serde_json::{Value, json as value};
 
 use super::{png, refused, render};
+use crate::json_schema::assert_schema;
 use crate::program::{json, succeed};
 use gripcast_testing::shared;
 
@@ -74,6 +75,7 @@ fn a_rendered_sensor_is_found_again() {
     let folder = rendered_presses(dir.path());
     let out = dir.path().join("sensor.toml");
     let report = calibrate(&folder, &format!("--serial AB12 --out {}", out.display()));
+    assert_schema("render calibrate", &[&report]);
     assert_eq!(report["held_out"], 4);
     let fve = report["fve"].as_f64().unwrap();
     assert!(fve > 0.95, "{fve}");

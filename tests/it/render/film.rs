@@ -3,6 +3,7 @@
 use std::fs;
 
 use super::{refused, render, trace};
+use crate::json_schema::assert_schema;
 use crate::program::{collect_on, grasps, json, script, stderr, succeed};
 
 #[test]
@@ -11,6 +12,7 @@ fn a_rig_plays_a_film_and_writes_its_truth() {
     let films = dir.path().join("films");
     let words = format!("--samples 1 --size 32x24 --out {} --json", films.display());
     let report = json(&succeed(render("film", &words).arg("--trace").arg(trace())));
+    assert_schema("render film", &[&report]);
     assert_eq!(report["pictures"][0]["name"], "mug");
     assert_eq!(fs::read_dir(&films).unwrap().count(), 5);
 

@@ -4,6 +4,7 @@ use std::fs;
 
 use super::calibrate::rendered_presses;
 use super::{depth_png, png, refused, render, trace};
+use crate::json_schema::assert_schema;
 use crate::program::{json, succeed};
 
 #[test]
@@ -16,6 +17,7 @@ fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
         out.display()
     );
     let report = json(&succeed(&mut render("tactile", &words)));
+    assert_schema("render tactile", &[&report]);
     let pictures = report["pictures"].as_array().unwrap();
     assert_eq!(pictures.len(), 4);
     for picture in pictures {

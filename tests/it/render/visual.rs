@@ -3,6 +3,7 @@
 use std::fs;
 
 use super::{depth_png, png, refused, render, trace};
+use crate::json_schema::assert_schema;
 use crate::program::{json, succeed};
 
 const SMALL: &str = "--size 48x36 --samples 4";
@@ -44,6 +45,7 @@ fn several_pictures_differ_in_light_and_ground() {
         out.display()
     );
     let report = json(&succeed(&mut render("visual", &words)));
+    assert_schema("render visual", &[&report]);
     assert_eq!(report["pictures"].as_array().unwrap().len(), 2);
     let [a, b] = [0, 1].map(|n| png(out.join(format!("builtin-mug.initial.{n}.png"))));
     assert!(a != b);

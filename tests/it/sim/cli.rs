@@ -8,6 +8,7 @@ use std::process::{Command, Output, Stdio};
 use gripcast_sim::grasp::TraceFile;
 use serde_json::Value;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
 
 /// A grasp on the coarse gel, as JSON.
@@ -64,6 +65,7 @@ fn a_mug_is_held_through_three_stages() {
         "builtin:mug",
         &format!("--stop-force-n 40 --plot {plot} --trace {trace}"),
     );
+    assert_schema("sim grasp", &[&found]);
     assert_eq!(found["outcome"], "success");
     let lifted = found["lifted_m"].as_f64().unwrap();
     assert!((0.045..0.055).contains(&lifted), "{lifted}");

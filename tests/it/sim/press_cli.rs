@@ -2,6 +2,7 @@
 
 use std::process::Command;
 
+use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
 
 fn sim(arguments: &str) -> Command {
@@ -15,6 +16,7 @@ fn a_plate_presses_as_stiffly_as_finite_elements_say() {
     let found = json(&succeed(&mut sim(
         "press --indenter plate --gel coarse --depth-m 1e-4,2e-4 --face-m 1e-3 --json",
     )));
+    assert_schema("sim press", &[&found]);
     assert_eq!(found["gel_nodes"][0], 13);
     let points = found["points"].as_array().unwrap();
     assert_eq!(points.len(), 2);
@@ -46,6 +48,7 @@ fn validation_counts_what_holds() {
     let found = json(&succeed(&mut sim(
         "validate --cases free-fall,momentum --json",
     )));
+    assert_schema("sim validate", &[&found]);
     assert_eq!(found["failed"], 0);
     assert_eq!(found["passed"], found["cases"].as_array().unwrap().len());
     let first = &found["cases"][0];

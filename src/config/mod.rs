@@ -1,0 +1,251 @@
+//! Configuration: defaults < TOML file < `GRIPCAST__SECTION__KEY` < flags.
+//!
+//! Every value remembers where it came from (`gripcast config show`); unknown keys are errors
+//! that name the nearest known one. A file that was only found in the current folder may not set
+//! all keys.
+
+mod layers;
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::daemon::BlackBoxSettings;
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::files::{Label, ObjectName};
+use gripcast_session::GuardLimits;
+
+pub use layers::{
+    ConfigFile, FlagValue, Ignored, Layered, Origin, default_file, linked_folders, load, merge,
+};
+
+/// All settings; empty text = not set.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// Collection.
+    pub collect: CollectConfig,
+    /// The service.
+    pub daemon: DaemonConfig,
+    /// Limits of the guards at the trigger.
+    pub guards: GuardLimits,
+    /// The continuous log of a collection.
+    pub black_box: BlackBoxConfig,
+    /// Files of datasets, plans and meshes.
+    pub files: FilesConfig,
+}
+
+/// Section `[files]`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FilesConfig {
+    /// Folders outside of a dataset into which its symbolic links may lead, with `:` between them
+    /// as in `PATH`.
+    pub linked_folders: String,
+}
+
+impl FilesConfig {
+    /// The folders.
+    #[must_use]
+    pub fn folders(&self) -> Vec<PathBuf> {
+        std::env::split_paths(&self.linked_folders)
+            .filter(|path| !path.as_os_str().is_empty())
+            .collect()
+    }
+}
+
+/// Most that waits in memory to be written to the black box, bytes: a third of a second of two
+/// GelSight Minis and a D435.
+const BLACK_BOX_QUEUE_BYTES: usize = 64 << 20;
+
+/// Section `[black_box]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BlackBoxConfig {
+    /// Whether there is one.
+    pub enabled: bool,
+    /// Directory that gets one directory for each dataset; empty = `blackbox` in the dataset.
+    pub directory: String,
+    /// Size from which a new file is begun, MiB.
+    pub file_mib: u64,
+    /// Most that a dataset's files may take, GiB; the oldest make room.
+    pub total_gib: f64,
+    /// Free space of the disk below which the log ends, GB.
+    pub reserve_gb: f64,
+}
+
+impl Default for BlackBoxConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            directory: String::new(),
+            file_mib: 1024,
+            total_gib: 20.0,
+            reserve_gb: 2.0,
+        }
+    }
+}
+
+impl BlackBoxConfig {
+    /// What the engine gets for a dataset; none where it is not enabled.
+    ///
+    /// # Errors
+    /// `Config` for limits that contradict each other or are out of range.
+    pub fn settings(&self, dataset: &Path) -> Result<Option<BlackBoxSettings>> {
+        if !self.enabled {
+            return Ok(None);
+        }
+        let wrong = |key: &str, expected: &str, found: &dyn fmt::Display| {
+            let what = format!("`black_box.{key}` must be {expected}, found {found}");
+            Error::new(ErrorKind::Config, what)
+        };
+        if !(1..=1 << 20).contains(&self.file_mib) {
+            return Err(wrong("file_mib", "between 1 and 1048576", &self.file_mib));
+        }
+        let file_bytes = self.file_mib << 20;
+        let total = self.total_gib * (1_u64 << 30) as f64;
+        if !(total.is_finite() && total >= file_bytes as f64) {
+            let expected = format!("at least one file of {} MiB", self.file_mib);
+            return Err(wrong("total_gib", &expected, &self.total_gib));
+        }
+        let reserve = self.reserve_gb * 1e9;
+        if !(reserve.is_finite() && reserve >= 0.0) {
+            return Err(wrong("reserve_gb", "0 or more", &self.reserve_gb));
+        }
+        let directory = if self.directory.is_empty() {
+            dataset.join("blackbox")
+        } else {
+            let name = dataset.file_name().unwrap_or(dataset.as_os_str());
+            Path::new(&self.directory).join(name)
+        };
+        Ok(Some(BlackBoxSettings {
+            directory,
+            file_bytes,
+            total_bytes: total as u64,
+            reserve_bytes: reserve as u64,
+            queue_bytes: BLACK_BOX_QUEUE_BYTES,
+        }))
+    }
+}
+
+/// Section `[daemon]`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DaemonConfig {
+    /// Address and port of page and API; `none` = not over TCP.
+    pub listen: String,
+    /// Unix socket for local programs; empty = in `$XDG_RUNTIME_DIR` or `/run/gripcast`, `none` =
+    /// no socket.
+    pub socket: String,
+    /// File with the token that clients over TCP must show.
+    pub token_file: String,
+}
+
+impl Default for DaemonConfig {
+    fn default() -> Self {
+        Self {
+            listen: "127.0.0.1:7471".into(),
+            socket: String::new(),
+            token_file: String::new(),
+        }
+    }
+}
+
+/// Section `[collect]`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CollectConfig {
+    /// Rig name or file.
+    pub rig: String,
+    /// Dataset directory.
+    pub dataset: String,
+    /// Object at the start.
+    pub object: ObjectName,
+    /// Scene at the start.
+    pub scene: Label,
+    /// Operator.
+    pub operator: Label,
+    /// ONNX file, `gripcast-vt` or `baseline-contact`; empty = the first of these that suits the
+    /// rig, `none` = no prediction.
+    pub model: String,
+    /// `auto`, `bell` or `off`.
+    pub sound: String,
+    /// Licence that is written into a new dataset.
+    pub licence: String,
+}
+
+impl Default for CollectConfig {
+    fn default() -> Self {
+        Self {
+            rig: String::new(),
+            dataset: String::new(),
+            object: ObjectName::default(),
+            scene: Label::nearest("scene"),
+            operator: Label::default(),
+            model: String::new(),
+            sound: "auto".into(),
+            licence: "not stated".into(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_black_box_is_off_and_its_limits_are_checked() {
+        let dataset = Path::new("/data/kitchen");
+        assert_eq!(BlackBoxConfig::default().settings(dataset).unwrap(), None);
+        let on = BlackBoxConfig {
+            enabled: true,
+            ..BlackBoxConfig::default()
+        };
+        let settings = on.settings(dataset).unwrap().unwrap();
+        assert_eq!(settings.directory, Path::new("/data/kitchen/blackbox"));
+        assert_eq!(settings.file_bytes, 1 << 30);
+        assert_eq!(settings.total_bytes, 20 << 30);
+        assert_eq!(settings.reserve_bytes, 2_000_000_000);
+        let apart = BlackBoxConfig {
+            directory: "/logs".into(),
+            ..on.clone()
+        };
+        let settings = apart.settings(dataset).unwrap().unwrap();
+        assert_eq!(settings.directory, Path::new("/logs/kitchen"));
+        for (wrong, key) in [
+            (
+                BlackBoxConfig {
+                    file_mib: 0,
+                    ..on.clone()
+                },
+                "file_mib",
+            ),
+            (
+                BlackBoxConfig {
+                    total_gib: 0.5,
+                    ..on.clone()
+                },
+                "total_gib",
+            ),
+            (
+                BlackBoxConfig {
+                    total_gib: f64::NAN,
+                    ..on.clone()
+                },
+                "total_gib",
+            ),
+            (
+                BlackBoxConfig {
+                    reserve_gb: -1.0,
+                    ..on.clone()
+                },
+                "reserve_gb",
+            ),
+        ] {
+            let error = wrong.settings(dataset).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::Config);
+            assert!(error.to_string().contains(key), "{error}");
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! The examples do what their headers say.
+
+use gripcast_nn::predict::Model;
+
+use crate::dataset::write_dataset;
+
+#[path = "../../examples/read_dataset.rs"]
+#[expect(dead_code, reason = "`main` is of the example alone")]
+mod read_dataset;
+#[path = "../../examples/simulate_and_render.rs"]
+#[expect(dead_code, reason = "`main` is of the example alone")]
+mod simulate_and_render;
+#[path = "../../examples/write_predictor.rs"]
+#[expect(dead_code, reason = "`main` is of the example alone")]
+mod write_predictor;
+
+#[test]
+fn a_dataset_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let ids = write_dataset(dir.path(), &["mug", "bottle", "sponge"]);
+    let table = read_dataset::table(dir.path().to_str().unwrap()).unwrap();
+    let lines: Vec<Vec<&str>> = table
+        .lines()
+        .map(|l| l.split_whitespace().collect())
+        .collect();
+    assert_eq!(lines.len(), 4, "{table}");
+    assert_eq!(lines[1][..4], [ids[0].as_str(), "mug", "Stable", "32x24"]);
+    assert_eq!(lines[2][..3], [ids[1].as_str(), "bottle", "Slip"]);
+    assert_eq!(lines[3][2], "Unlabelled");
+    let strength: f64 = lines[1][4].parse().unwrap();
+    assert!(strength > 1.0, "{table}");
+}
+
+#[test]
+fn a_grasp_is_simulated_and_rendered() {
+    let dir = tempfile::tempdir().unwrap();
+    let said = simulate_and_render::run("box", dir.path()).unwrap();
+    assert!(said.starts_with("Success, lifted "), "{said}");
+    for (name, size) in [
+        ("left", (320, 240)),
+        ("right", (320, 240)),
+        ("colour", (160, 120)),
+    ] {
+        let bytes = std::fs::read(dir.path().join(format!("{name}.png"))).unwrap();
+        let image = gripcast_imaging::decode_png_rgb(&bytes).unwrap();
+        assert_eq!(image.dimensions(), size, "{name}");
+        let first = image.get_pixel(0, 0);
+        assert!(
+            image.pixels().any(|pixel| pixel != first),
+            "{name} is blank"
+        );
+    }
+}
+
+#[test]
+fn an_own_predictor_is_written_and_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    write_dataset(dir.path(), &["mug", "bottle", "sponge"]);
+    let model = Model::from_bytes(&write_predictor::onnx().unwrap()).unwrap();
+    // Both labelled grasps have strong differences; the second slipped all the same.
+    let found = write_predictor::accuracy(&model, dir.path().to_str().unwrap()).unwrap();
+    assert_eq!(found, (1, 2));
+}

@@ -1,0 +1,58 @@
+//! Files and answers of gripcast, held against the libraries of others: quick checks. The longer ones
+//! are in tools/test-peers.sh.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use gripcast_testing::{Needs, skip};
+
+/// A script of tests/peers under `GRIPCAST_PYTHON`, which names a Python with the libraries of
+/// tests/peers/requirements.txt; without it, the calling test is skipped.
+pub(crate) fn peer(script: &str) -> Option<Command> {
+    let Some(python) = std::env::var_os("GRIPCAST_PYTHON").filter(|python| !python.is_empty())
+    else {
+        skip(
+            Needs::Python,
+            "the Python libraries of tests/peers/requirements.txt are not installed \
+             (tools/setup.sh test, or set GRIPCAST_PYTHON)",
+        );
+        return None;
+    };
+    let mut command = Command::new(python);
+    command
+        .arg(in_repository("tests/peers").join(script))
+        .env("HF_HUB_OFFLINE", "1");
+    Some(command)
+}
+
+/// Runs a script that has to find no fault; what it says.
+pub(crate) fn agrees(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    let said = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    assert!(output.status.success(), "{}", said.concat());
+    said.concat()
+}
+
+fn in_repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+#[test]
+fn onnxruntime_answers_as_gripcast_does() {
+    for model in ["baseline-contact", "gripcast-vt"] {
+        let Some(mut check) = peer("check_onnx.py") else {
+            return;
+        };
+        check
+            .arg(in_repository(&format!("models/{model}.onnx")))
+            .args(["--n", "2", "--gripcast", env!("CARGO_BIN_EXE_gripcast")]);
+        agrees(&mut check);
+    }
+}
+
+#[test]
+fn opencv_and_yaml_read_camera_files_and_gripcast_theirs() {
+    if let Some(mut check) = peer("camera_files.py") {
+        agrees(check.arg(env!("CARGO_BIN_EXE_gripcast")));
+    }
+}
