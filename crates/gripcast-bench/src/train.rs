@@ -94,8 +94,8 @@ fn row(name: &str, per_s: f64, per_cpu_s: f64) -> String {
     format!("\n{name:<14} {per_s:>11.1} {per_cpu_s:>11.1}")
 }
 
-use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Step};
-use serde_json::json;
+/// Samples per second of wall and of CPU time, medians.
+fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
     let mut draw = SeedStream::named(0, "bench train");
     let mut network = Network::new(architecture, Variant::Vt, || draw.uniform());
     let count = usize::from(args.batch);
