@@ -19,7 +19,7 @@ use gripcast_sim::{Engine, GraspSetup};
 
 /// Name of the format in the file.
 const FORMAT: &str = "gripcast-replay-case";
-/// Raised whenever the simulators may give another result for the same input.
+/// Raised whenever a simulator gives another result for the same input; a test notices it.
 const VERSION: u32 = 1;
 /// Suffix of traces.
 const TRACE: &str = "trace.bin";
@@ -272,3 +272,7 @@ fn has_gels(trace: &Trace) -> bool {
     let mut gels = trace.snapshots.iter().flat_map(|s| &s.gels);
     gels.any(|nodes| !nodes.is_empty())
 }
+
+#[cfg(test)]
+#[path = "case_test.rs"]
+mod tests;
