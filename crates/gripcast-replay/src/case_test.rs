@@ -6,10 +6,10 @@ use std::fs;
 
 use super::*;
 use crate::load_objects;
+use gripcast_sim::FemEngine;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{GraspSettings, Placement, resting_pose};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
-use gripcast_sim::FemEngine;
 
 /// A box gripped above its middle, in an engine.
 fn result(engine: &dyn Engine, force_n: f64) -> (u32, String) {
@@ -23,9 +23,7 @@ fn result(engine: &dyn Engine, force_n: f64) -> (u32, String) {
         offset_m: [0.004, 0.002],
         ..Placement::default()
     };
-    let placed = placement
-        .place(&object.mesh, &rest.t_world_object)
-        .unwrap();
+    let placed = placement.place(&object.mesh, &rest.t_world_object).unwrap();
     let case = Case {
         engine,
         setup: GraspSetup {

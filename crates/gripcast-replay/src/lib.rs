@@ -29,9 +29,7 @@ mod tactile_pair;
 
 pub use case::{Case, CaseRecord, CaseStore};
 pub use compare::{compare, read_report};
-pub use demo::{
-    DemoData, DemoObjectCounts, DemoProgress, DemoSettings, DemoStage, DemoWatch, build_demo,
-};
+pub use demo::{DemoData, DemoProgress, DemoSettings, DemoStage, DemoWatch, build_demo};
 pub use grasp_chart::plot;
 pub use html::page;
 pub use object_file::{ObjectFile, ReplayObject, load_objects};

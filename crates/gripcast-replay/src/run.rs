@@ -3,10 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
-
-use rayon::prelude::*;
 
 use super::case::{Case, CaseRecord, CaseStore};
 use super::object_file::ReplayObject;
@@ -23,6 +20,7 @@ use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, ObjectName, read_text};
+use gripcast_base::workers::{cores, one_per_core};
 use gripcast_dataset::Dataset;
 use gripcast_sim::grasp::{Snapshot, StageName};
 use gripcast_sim::{Engine, EngineKind};
@@ -334,15 +332,14 @@ impl<'a> Replayed<'a> {
         };
         let gel = SimulatedGel { grid, d_hat_m };
         let renderer = ObjectDepthRenderer::new(&self.settings.sensor)?;
-        let done = AtomicUsize::new(0);
-        let of_grasp = |index: usize, grasp: &RecordedGrasp| -> Result<Pictures> {
-            let case = &self.cases[self.chosen(fem, index)];
+        let view = ViewSettings {
+            samples,
+            seed: self.settings.seed,
+        };
+        let of_grasp = |(index, grasp): &(usize, &RecordedGrasp)| -> Result<Pictures> {
+            let case = &self.cases[self.chosen(fem, *index)];
             let snapshot = store.snapshot(case, StageName::Adjustment)?;
-            let pictures = snapshot.map_or(Pictures::default(), |snapshot| {
-                let view = ViewSettings {
-                    samples,
-                    seed: self.settings.seed,
-                };
+            Ok(snapshot.map_or(Pictures::default(), |snapshot| {
                 let parts = Parts {
                     dataset: self.input.dataset,
                     grasp,
@@ -350,25 +347,12 @@ impl<'a> Replayed<'a> {
                     snapshot: &snapshot,
                 };
                 parts.pictures(&gel, &mut renderer.clone(), &view, progress)
-            });
-            let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            let all = grasps.len();
-            progress(ReplayProgress::Pictures { done, all });
-            Ok(pictures)
+            }))
         };
-        self.pool()?.install(|| {
-            let grasps = grasps.par_iter().enumerate();
-            grasps
-                .map(|(index, grasp)| of_grasp(index, grasp))
-                .collect()
-        })
-    }
-
-    fn pool(&self) -> Result<rayon::ThreadPool> {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(self.settings.jobs.max(1))
-            .build()
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot start threads").because(e))
+        let all = grasps.len();
+        let told = |done| progress(ReplayProgress::Pictures { done, all });
+        let items: Vec<(usize, &RecordedGrasp)> = grasps.iter().enumerate().collect();
+        one_per_core(self.settings.jobs, &items, &of_grasp, &told)
     }
 
     fn objects(&self, progress: &Told<'_>) -> Result<Vec<ObjectFacts>> {
@@ -588,7 +572,7 @@ impl Parts<'_> {
 
 /// Name of the processor and how many of it there are.
 fn processor() -> String {
-    let cores = gripcast_base::workers::cores();
+    let cores = cores();
     let info = read_text(Path::new("/proc/cpuinfo"), FileKind::Record).unwrap_or_default();
     let name = info
         .lines()

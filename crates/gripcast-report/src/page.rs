@@ -180,7 +180,6 @@ pub struct Table {
     foot: Option<Markup>,
 }
 
-#[derive(Default)]
 struct Group {
     title: Option<Markup>,
     rows: Vec<Markup>,
@@ -223,29 +222,24 @@ impl Table {
 
     /// Appends a row; its first cell is its heading.
     pub fn row<'a>(&mut self, cells: impl IntoIterator<Item = &'a dyn Render>) {
-        self.styled_row("", cells);
-    }
-
-    /// Appends a row with a class.
-    pub fn styled_row<'a>(&mut self, class: &str, cells: impl IntoIterator<Item = &'a dyn Render>) {
-        let row = self.cells(class, cells);
-        if self.groups.is_empty() {
-            self.groups.push(Group::default());
+        let row = self.cells(cells);
+        match self.groups.last_mut() {
+            Some(group) => group.rows.push(row),
+            None => self.groups.push(Group {
+                title: None,
+                rows: vec![row],
+            }),
         }
-        self.groups
-            .last_mut()
-            .into_iter()
-            .for_each(|group| group.rows.push(row.clone()));
     }
 
     /// Sets the last row, which sums up the others.
     pub fn total<'a>(&mut self, cells: impl IntoIterator<Item = &'a dyn Render>) {
-        self.foot = Some(self.cells("", cells));
+        self.foot = Some(self.cells(cells));
     }
 
-    fn cells<'a>(&self, class: &str, cells: impl IntoIterator<Item = &'a dyn Render>) -> Markup {
+    fn cells<'a>(&self, cells: impl IntoIterator<Item = &'a dyn Render>) -> Markup {
         html! {
-            tr class=[(!class.is_empty()).then_some(class)] {
+            tr {
                 @for (i, (cell, column)) in cells.into_iter().zip(&self.columns).enumerate() {
                     @if i == 0 {
                         th scope="row" { (cell) }
@@ -346,14 +340,12 @@ mod tests {
     fn tables_have_groups_totals_and_aligned_numbers() {
         let mut table = Table::new("T", [text("name"), number("n")]);
         table.row([&"a" as &dyn Render, &1]);
-        table.styled_row("over", [&"b" as &dyn Render, &2]);
         table.total([&"all" as &dyn Render, &3]);
         let drawn = table.render().into_string();
         assert!(
             drawn.contains("<th scope=\"row\">a</th><td class=\"n\">1</td>"),
             "{drawn}"
         );
-        assert!(drawn.contains("<tr class=\"over\"><th"), "{drawn}");
         assert!(
             drawn.contains("<tfoot><tr><th scope=\"row\">all</th>"),
             "{drawn}"

@@ -9,7 +9,7 @@ use crate::{MISSING, fixed};
 /// Width and height of a cell, px.
 const CELL: [f64; 2] = [46.0, 32.0];
 /// Room for the names of the rows, px.
-const LEFT: f64 = 34.0;
+const LEFT: f64 = 40.0;
 const LIGHT: [f64; 3] = [240.0, 243.0, 246.0];
 const DARK: [f64; 3] = [8.0, 64.0, 116.0];
 
