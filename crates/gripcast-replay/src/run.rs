@@ -22,7 +22,7 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, ObjectName, read_text};
 use gripcast_base::workers::{cores, one_per_core};
 use gripcast_dataset::Dataset;
-use gripcast_sim::grasp::{Snapshot, StageName};
+use gripcast_sim::grasp::StageName;
 use gripcast_sim::{Engine, EngineKind};
 use gripcast_tactile::{ObjectDepthRenderer, SensorProfile, SimulatedGel};
 
@@ -338,16 +338,21 @@ impl<'a> Replayed<'a> {
         };
         let of_grasp = |(index, grasp): &(usize, &RecordedGrasp)| -> Result<Pictures> {
             let case = &self.cases[self.chosen(fem, *index)];
-            let snapshot = store.snapshot(case, StageName::Adjustment)?;
-            Ok(snapshot.map_or(Pictures::default(), |snapshot| {
-                let parts = Parts {
-                    dataset: self.input.dataset,
-                    grasp,
-                    object: case.object,
-                    snapshot: &snapshot,
-                };
-                parts.pictures(&gel, &mut renderer.clone(), &view, progress)
-            }))
+            let Some(snapshot) = store.snapshot(case, StageName::Adjustment)? else {
+                return Ok(Pictures::default());
+            };
+            let (dataset, object) = (self.input.dataset, case.object);
+            let mut renderer = renderer.clone();
+            let tactile = tactile_pairs(dataset, grasp, object, &gel, &snapshot, &mut renderer);
+            let view = view_pair(dataset, grasp, object, &snapshot, &view);
+            // What cannot be drawn is told and left out.
+            let told = |e: &Error| {
+                progress(ReplayProgress::Note(format!("{}: {e}", grasp.record.id)));
+            };
+            Ok(Pictures {
+                view: view.inspect_err(told).ok(),
+                tactile: tactile.inspect_err(told).unwrap_or_default(),
+            })
         };
         let all = grasps.len();
         let told = |done| progress(ReplayProgress::Pictures { done, all });
@@ -531,41 +536,6 @@ impl<'a> Replayed<'a> {
             cells,
             pose_samples,
             curves: (!record.curves.t_s.is_empty()).then(|| record.curves.clone()),
-        }
-    }
-}
-
-/// What the pictures of a grasp are made of.
-struct Parts<'a> {
-    dataset: &'a Dataset,
-    grasp: &'a RecordedGrasp,
-    object: &'a ReplayObject,
-    snapshot: &'a Snapshot,
-}
-
-impl Parts<'_> {
-    /// What cannot be drawn is told and left out.
-    fn pictures(
-        &self,
-        gel: &SimulatedGel,
-        renderer: &mut ObjectDepthRenderer,
-        view: &ViewSettings,
-        progress: &Told<'_>,
-    ) -> Pictures {
-        let Self {
-            dataset,
-            grasp,
-            object,
-            snapshot,
-        } = self;
-        let told = |e: &Error| {
-            progress(ReplayProgress::Note(format!("{}: {e}", grasp.record.id)));
-        };
-        let tactile = tactile_pairs(dataset, grasp, object, gel, snapshot, renderer);
-        let view = view_pair(dataset, grasp, object, snapshot, view);
-        Pictures {
-            view: view.inspect_err(told).ok(),
-            tactile: tactile.inspect_err(told).unwrap_or_default(),
         }
     }
 }

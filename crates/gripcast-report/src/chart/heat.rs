@@ -90,8 +90,8 @@ fn draw([x, y]: [f64; 2], cell: &HeatCell) -> Markup {
     html! {
         g.cell fill=(shade.text) {
             (rectangle("", [x, y], size, Some(&shade.fill)))
-            (text("number", [middle, y + 14.0], Anchor::Middle, &fixed(fraction, 2)))
-            (text("note", [middle, y + 25.0], Anchor::Middle, &cell.note))
+            (text("small number", [middle, y + 14.0], Anchor::Middle, &fixed(fraction, 2)))
+            (text("small note", [middle, y + 25.0], Anchor::Middle, &cell.note))
         }
     }
 }
@@ -132,31 +132,27 @@ impl Shade {
         let [r, g, b] = [mix(0), mix(1), mix(2)];
         Self {
             fill: format!("#{r:02x}{g:02x}{b:02x}"),
-            text: if luminance([r, g, b]) > 0.18 {
-                "#14181d"
-            } else {
-                "#ffffff"
-            },
+            text: if t < 0.65 { "#14181d" } else { "#ffffff" },
         }
     }
-}
-
-/// Relative luminance (WCAG 2).
-fn luminance(rgb: [u8; 3]) -> f64 {
-    let linear = rgb.map(|v| {
-        let v = f64::from(v) / 255.0;
-        if v <= 0.040_45 {
-            v / 12.92
-        } else {
-            ((v + 0.055) / 1.055).powf(2.4)
-        }
-    });
-    0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Relative luminance (WCAG 2).
+    fn luminance(rgb: [u8; 3]) -> f64 {
+        let linear = rgb.map(|v| {
+            let v = f64::from(v) / 255.0;
+            if v <= 0.040_45 {
+                v / 12.92
+            } else {
+                ((v + 0.055) / 1.055).powf(2.4)
+            }
+        });
+        0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+    }
 
     #[test]
     fn numbers_can_be_read_on_every_shade() {
@@ -169,5 +165,28 @@ mod tests {
             let (a, b) = (of(&shade.fill), of(shade.text));
             assert!(a.max(b) / a.min(b) >= 4.3, "{}", shade.fill);
         }
+    }
+
+    #[test]
+    fn cells_without_a_fraction_are_crossed_out_and_frames_come_last() {
+        let map = HeatMap {
+            title: "<map>".to_owned(),
+            description: "words".to_owned(),
+            rows: &["0.4".to_owned()],
+            columns: &["20".to_owned(), "40".to_owned()],
+        };
+        let chart = map.chart(|_, column| HeatCell {
+            fraction: [Some(0.75), Some(f64::NAN)][column],
+            note: "3 of 4".to_owned(),
+            frame: (column == 0).then_some("chosen"),
+        });
+        super::super::layout::check(&chart.to_svg());
+        let drawn = chart.inline().into_string();
+        assert_eq!(drawn.matches("<g class=\"cell\"").count(), 2);
+        assert_eq!(drawn.matches("<rect class=\"empty\"").count(), 1);
+        assert!(
+            drawn.find("\"chosen\"") > drawn.rfind("\"cell\""),
+            "{drawn}"
+        );
     }
 }
