@@ -186,9 +186,7 @@ impl GraspChart {
                 (panel.area(&format!("band-{}", i % 3), [from, to], [low, high]))
             }
             (panel.grid())
-            @if threshold.is_finite() {
-                (panel.guide([begin, threshold], [end, threshold]))
-            }
+            (panel.guide([begin, threshold], [end, threshold]))
             @for (class, values) in curves {
                 @let points = self.time_s.iter().zip(values).map(|(&t, &value)| [t, value]);
                 (panel.line(class, points))

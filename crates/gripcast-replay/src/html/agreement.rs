@@ -49,7 +49,7 @@ impl Square<'_> {
                         tr {
                             th scope="row" { (name) }
                             @for (column, count) in counts.into_iter().enumerate() {
-                                td.off[row != column] { (count) }
+                                td class=[(row != column).then_some("off")] { (count) }
                             }
                         }
                     }

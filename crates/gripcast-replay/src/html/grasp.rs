@@ -181,7 +181,7 @@ fn settings(replay: &GraspReplay) -> Markup {
 fn cell(replay: &GraspReplay, setting: Setting) -> Markup {
     let cell = replay.cells.iter().find(|cell| cell.setting == setting);
     html! {
-        td.chosen[setting == replay.chosen] {
+        td class=[(setting == replay.chosen).then_some("chosen")] {
             @match cell {
                 Some(cell) => (Agreement(cell.agrees).outcome(&cell.outcome)),
                 None => (MISSING),

@@ -95,7 +95,7 @@ impl Panel {
     pub fn line(&self, class: &str, points: impl Iterator<Item = [f64; 2]>) -> Markup {
         let (mut data, mut run) = (String::new(), Vec::new());
         for point in points {
-            if point.iter().all(|v| v.is_finite()) {
+            if are_finite(&[point]) {
                 run.push(self.place(point));
             } else {
                 append_run(&mut data, &mut run);
@@ -109,11 +109,12 @@ impl Panel {
         }
     }
 
-    /// The rectangle between two abscissas and two ordinates; nothing where it has no extent.
+    /// The rectangle between two abscissas and two ordinates; nothing where it has no width or a
+    /// number is missing.
     pub fn area(&self, class: &str, [x1, x2]: [f64; 2], [y1, y2]: [f64; 2]) -> Markup {
         let ([left, bottom], [right, top]) = (self.place([x1, y1]), self.place([x2, y2]));
         html! {
-            @if right > left && (bottom - top).abs() > 0.0 {
+            @if right > left && bottom.is_finite() && top.is_finite() {
                 rect class=(class) x=(px(left)) y=(px(top.min(bottom))) width=(px(right - left))
                     height=(px((bottom - top).abs())) {}
             }
@@ -123,7 +124,11 @@ impl Panel {
     /// A straight line between two points.
     pub fn segment(&self, class: &str, from: [f64; 2], to: [f64; 2]) -> Markup {
         let ([x1, y1], [x2, y2]) = (self.place(from).map(px), self.place(to).map(px));
-        html! { path class=(class) d={ "M" (x1) " " (y1) "L" (x2) " " (y2) } {} }
+        html! {
+            @if are_finite(&[from, to]) {
+                path class=(class) d={ "M" (x1) " " (y1) "L" (x2) " " (y2) } {}
+            }
+        }
     }
 
     /// A dashed line to compare with.
@@ -134,7 +139,11 @@ impl Panel {
     /// A dot.
     pub fn dot(&self, class: &str, at: [f64; 2], radius: f64) -> Markup {
         let [x, y] = self.place(at).map(px);
-        html! { circle class=(class) cx=(x) cy=(y) r=(radius) {} }
+        html! {
+            @if are_finite(&[at]) {
+                circle class=(class) cx=(x) cy=(y) r=(radius) {}
+            }
+        }
     }
 
     /// The mark of a series: shapes tell series apart where colours do not.
@@ -144,7 +153,11 @@ impl Panel {
             return self.dot(&class, at, 4.0);
         }
         let [x, y] = self.place(at).map(|v| px(v - 3.5));
-        html! { rect class=(class) x=(x) y=(y) width="7" height="7" {} }
+        html! {
+            @if are_finite(&[at]) {
+                rect class=(class) x=(x) y=(y) width="7" height="7" {}
+            }
+        }
     }
 
     /// An interval along an axis, with a cap at each end that is inside the panel.
@@ -163,8 +176,16 @@ impl Panel {
                 (true, false) => data.push_str(&format!("M{} {}v8", px(x), px(y - 4.0))),
             }
         }
-        html! { path class=(class) d=(data) {} }
+        html! {
+            @if are_finite(&ends) {
+                path class=(class) d=(data) {}
+            }
+        }
     }
+}
+
+fn are_finite(points: &[[f64; 2]]) -> bool {
+    points.iter().flatten().all(|v| v.is_finite())
 }
 
 /// Appends a run of places to the data of a path.
@@ -274,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn areas_without_extent_are_left_out() {
+    fn areas_without_width_are_left_out() {
         assert_eq!(panel().area("a", [0.5, 0.5], [0.0, 1.0]).into_string(), "");
         assert_eq!(
             panel().area("a", [0.0, 0.5], [f64::NAN, 1.0]).into_string(),
@@ -285,5 +306,19 @@ mod tests {
             bar.contains("x=\"10\" y=\"45\" width=\"50\" height=\"25\""),
             "{bar}"
         );
+    }
+
+    #[test]
+    fn marks_of_what_is_no_number_are_left_out() {
+        let (panel, nowhere) = (panel(), [0.5, f64::NAN]);
+        let marks = [
+            panel.dot("d", nowhere, 2.0),
+            panel.marker(0, nowhere),
+            panel.marker(1, nowhere),
+            panel.guide([0.0, 0.0], nowhere),
+            panel.whisker("w", [[0.5, 0.0], nowhere]),
+        ];
+        assert!(marks.iter().all(|mark| mark.0.is_empty()));
+        assert_ne!(panel.marker(0, [0.5; 2]).0, panel.marker(1, [0.5; 2]).0);
     }
 }

@@ -193,7 +193,7 @@ impl Layout {
         let across = |i: usize| (i as f64 + 0.5) / bar.seeds.len() as f64 - 0.5;
         html! {
             (self.panel.area(&class, [x - half, x + half], [0.0, bar.mean]))
-            @if let Some(ends) = finite(bar.interval) {
+            @if let Some(ends) = bar.interval {
                 (self.panel.whisker("whisker", ends.map(|end| [x, end])))
             }
             @for (i, &seed) in self.shown_seeds(bar) {
@@ -215,16 +215,12 @@ impl Layout {
             return text("small halo", at, Anchor::Middle, MISSING);
         };
         let y = |value: f64| self.panel.place([0.0, value])[1];
-        let ends = finite(bar.interval).into_iter().flatten().map(y);
+        let ends = bar.interval.into_iter().flatten().map(y);
         let seeds = self.shown_seeds(bar).map(|(_, seed)| y(*seed) - RADIUS);
         let top = ends.chain(seeds).fold(y(bar.mean).min(y(0.0)), f64::min);
         let value = fixed(bar.mean, self.decimals);
         text("small halo", [x, top - 5.0], Anchor::Middle, &value)
     }
-}
-
-fn finite(interval: Option<[f64; 2]>) -> Option<[f64; 2]> {
-    interval.filter(|ends| ends.iter().all(|end| end.is_finite()))
 }
 
 fn entries(chart: &BarChart, decimals: usize) -> Vec<Entry> {
