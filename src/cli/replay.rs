@@ -32,7 +32,7 @@ use gripcast_dataset::Dataset;
 use gripcast_replay::{
     CaseStore, DemoProgress, DemoSettings, DemoStage, DemoWatch, EngineSweep, Reality, Recording,
     ReplayInput, ReplayObject, ReplayProgress, ReplaySettings, Report, build_demo, compare,
-    load_objects, read_report, replay,
+    load_objects, page, read_report, replay,
 };
 use gripcast_sim::grasp::GraspSettings;
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
@@ -387,7 +387,7 @@ fn replayed(
     if let (Some(old), Some(path)) = (&old, &sweep.compare) {
         report.changes = Some(compare(old, &report, path));
     }
-    write_report(&report, &sweep.out)?;
+    write_report(&report, &page(&report)?, &sweep.out)?;
     Ok(Some((report, sweep.out.clone())))
 }
 

@@ -5,13 +5,14 @@ use std::path::Path;
 
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{BeneathPath, Root};
-use gripcast_replay::{Proportion, Reality, Report, page};
+use gripcast_replay::{Proportion, Reality, Report};
+use serde::Serialize;
 
-/// Writes `report.json`, then `report.html`.
+/// Writes `report.json`, then `report.html` with its page.
 ///
 /// # Errors
 /// Those of the disk.
-pub(super) fn write_report(report: &Report, out: &Path) -> Result<()> {
+pub(super) fn write_report(report: &impl Serialize, page: &str, out: &Path) -> Result<()> {
     let json = serde_json::to_vec_pretty(report)
         .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
     let save = |place: BeneathPath, bytes: &[u8]| {
@@ -20,7 +21,7 @@ pub(super) fn write_report(report: &Report, out: &Path) -> Result<()> {
     };
     let top = Root::new(out).top();
     save(top.join("report.json"), &json)?;
-    save(top.join("report.html"), page(report)?.as_bytes())
+    save(top.join("report.html"), page.as_bytes())
 }
 
 /// The result for people.

@@ -6,10 +6,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::replay_report::write_report;
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{BeneathPath, Root};
 use gripcast_base::workers::cores;
 use gripcast_synth::plan::Plan;
 use gripcast_synth::report::{SynthReport, SynthReportSettings, page, report};
@@ -52,7 +52,9 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             progress.at(done as u64, all as u64);
         })
     })??;
-    write(&report, &out)?;
+    fs::create_dir_all(&out)
+        .map_err(|e| Error::io("cannot make the folder of the report", e).at(out.display()))?;
+    write_report(&report, &page(&report)?, &out)?;
     if is_json {
         report.examples.clear();
         print_json(&report)?;
@@ -71,20 +73,6 @@ impl Args {
             jobs: self.jobs.map_or_else(cores, usize::from),
         }
     }
-}
-
-fn write(report: &SynthReport, out: &Path) -> Result<()> {
-    fs::create_dir_all(out)
-        .map_err(|e| Error::io("cannot make the folder of the report", e).at(out.display()))?;
-    let json = serde_json::to_vec_pretty(report)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
-    let save = |place: BeneathPath, bytes: &[u8]| {
-        let saved = place.replace(bytes);
-        saved.map_err(|e| Error::io("cannot write the report", e).at(place.display()))
-    };
-    let top = Root::new(out).top();
-    save(top.join("report.json"), &json)?;
-    save(top.join("report.html"), page(report)?.as_bytes())
 }
 
 /// The result for people.

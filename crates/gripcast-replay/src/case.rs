@@ -19,7 +19,7 @@ use gripcast_sim::{Engine, GraspSetup};
 
 /// Name of the format in the file.
 const FORMAT: &str = "gripcast-replay-case";
-/// Raised whenever the simulators may give another result for the same input.
+/// Raised whenever a simulator gives another result for the same input within a release.
 const VERSION: u32 = 1;
 /// Suffix of traces.
 const TRACE: &str = "trace.bin";
@@ -81,6 +81,8 @@ impl Case<'_> {
         } = &self.setup;
         Ok(json!({
             "version": VERSION,
+            // Another release may have other simulators.
+            "software": env!("CARGO_PKG_VERSION"),
             "engine": self.engine.kind().name(),
             "parameters": self.engine.parameters()?,
             "mesh_sha256": self.object.mesh_sha256,

@@ -10,7 +10,7 @@ mod case;
 mod compare;
 mod curves;
 mod demo;
-mod grasp_plot;
+mod grasp_chart;
 mod html;
 mod object_file;
 mod picture;
@@ -29,10 +29,8 @@ mod tactile_pair;
 
 pub use case::{Case, CaseRecord, CaseStore};
 pub use compare::{compare, read_report};
-pub use demo::{
-    DemoData, DemoObjectCounts, DemoProgress, DemoSettings, DemoStage, DemoWatch, build_demo,
-};
-pub use grasp_plot::plot;
+pub use demo::{DemoData, DemoProgress, DemoSettings, DemoStage, DemoWatch, build_demo};
+pub use grasp_chart::plot;
 pub use html::page;
 pub use object_file::{ObjectFile, ReplayObject, load_objects};
 pub use recording::{RecordedGrasp, Recording};

@@ -3,10 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
-
-use rayon::prelude::*;
 
 use super::case::{Case, CaseRecord, CaseStore};
 use super::object_file::ReplayObject;
@@ -23,8 +20,9 @@ use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, ObjectName, read_text};
+use gripcast_base::workers::{cores, one_per_core};
 use gripcast_dataset::Dataset;
-use gripcast_sim::grasp::{Snapshot, StageName};
+use gripcast_sim::grasp::StageName;
 use gripcast_sim::{Engine, EngineKind};
 use gripcast_tactile::{ObjectDepthRenderer, SensorProfile, SimulatedGel};
 
@@ -334,41 +332,32 @@ impl<'a> Replayed<'a> {
         };
         let gel = SimulatedGel { grid, d_hat_m };
         let renderer = ObjectDepthRenderer::new(&self.settings.sensor)?;
-        let done = AtomicUsize::new(0);
-        let of_grasp = |index: usize, grasp: &RecordedGrasp| -> Result<Pictures> {
-            let case = &self.cases[self.chosen(fem, index)];
-            let snapshot = store.snapshot(case, StageName::Adjustment)?;
-            let pictures = snapshot.map_or(Pictures::default(), |snapshot| {
-                let view = ViewSettings {
-                    samples,
-                    seed: self.settings.seed,
-                };
-                let parts = Parts {
-                    dataset: self.input.dataset,
-                    grasp,
-                    object: case.object,
-                    snapshot: &snapshot,
-                };
-                parts.pictures(&gel, &mut renderer.clone(), &view, progress)
-            });
-            let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            let all = grasps.len();
-            progress(ReplayProgress::Pictures { done, all });
-            Ok(pictures)
+        let view = ViewSettings {
+            samples,
+            seed: self.settings.seed,
         };
-        self.pool()?.install(|| {
-            let grasps = grasps.par_iter().enumerate();
-            grasps
-                .map(|(index, grasp)| of_grasp(index, grasp))
-                .collect()
-        })
-    }
-
-    fn pool(&self) -> Result<rayon::ThreadPool> {
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(self.settings.jobs.max(1))
-            .build()
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot start threads").because(e))
+        let of_grasp = |(index, grasp): &(usize, &RecordedGrasp)| -> Result<Pictures> {
+            let case = &self.cases[self.chosen(fem, *index)];
+            let Some(snapshot) = store.snapshot(case, StageName::Adjustment)? else {
+                return Ok(Pictures::default());
+            };
+            let (dataset, object) = (self.input.dataset, case.object);
+            let mut renderer = renderer.clone();
+            let tactile = tactile_pairs(dataset, grasp, object, &gel, &snapshot, &mut renderer);
+            let view = view_pair(dataset, grasp, object, &snapshot, &view);
+            // What cannot be drawn is told and left out.
+            let told = |e: &Error| {
+                progress(ReplayProgress::Note(format!("{}: {e}", grasp.record.id)));
+            };
+            Ok(Pictures {
+                view: view.inspect_err(told).ok(),
+                tactile: tactile.inspect_err(told).unwrap_or_default(),
+            })
+        };
+        let all = grasps.len();
+        let told = |done| progress(ReplayProgress::Pictures { done, all });
+        let items: Vec<(usize, &RecordedGrasp)> = grasps.iter().enumerate().collect();
+        one_per_core(self.settings.jobs, &items, &of_grasp, &told)
     }
 
     fn objects(&self, progress: &Told<'_>) -> Result<Vec<ObjectFacts>> {
@@ -551,44 +540,9 @@ impl<'a> Replayed<'a> {
     }
 }
 
-/// What the pictures of a grasp are made of.
-struct Parts<'a> {
-    dataset: &'a Dataset,
-    grasp: &'a RecordedGrasp,
-    object: &'a ReplayObject,
-    snapshot: &'a Snapshot,
-}
-
-impl Parts<'_> {
-    /// What cannot be drawn is told and left out.
-    fn pictures(
-        &self,
-        gel: &SimulatedGel,
-        renderer: &mut ObjectDepthRenderer,
-        view: &ViewSettings,
-        progress: &Told<'_>,
-    ) -> Pictures {
-        let Self {
-            dataset,
-            grasp,
-            object,
-            snapshot,
-        } = self;
-        let told = |e: &Error| {
-            progress(ReplayProgress::Note(format!("{}: {e}", grasp.record.id)));
-        };
-        let tactile = tactile_pairs(dataset, grasp, object, gel, snapshot, renderer);
-        let view = view_pair(dataset, grasp, object, snapshot, view);
-        Pictures {
-            view: view.inspect_err(told).ok(),
-            tactile: tactile.inspect_err(told).unwrap_or_default(),
-        }
-    }
-}
-
 /// Name of the processor and how many of it there are.
 fn processor() -> String {
-    let cores = gripcast_base::workers::cores();
+    let cores = cores();
     let info = read_text(Path::new("/proc/cpuinfo"), FileKind::Record).unwrap_or_default();
     let name = info
         .lines()

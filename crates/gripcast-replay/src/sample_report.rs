@@ -12,7 +12,7 @@ use super::report::{
 };
 
 /// What every free string of the sample carries.
-pub(super) const HOSTILE: &str = "<script>alert(\"1\")</script>&'";
+pub(super) const HOSTILE: &str = "<script>alert(\"1\")</script>&'\u{202e}";
 
 /// A JPEG header of 8 × 6 px; enough for whoever only asks for the size.
 pub(super) const PICTURE: &str = "data:image/jpeg;base64,/9j/wAALCAAGAAgBAREA";

@@ -1,12 +1,10 @@
 //! Pictures of a page: data URIs, checked before they get into it.
 
-use std::fmt::Write as _;
-
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use image::RgbImage;
+use maud::{Markup, html};
 
-use super::{Esc, put};
 use gripcast_base::error::Result;
 use gripcast_imaging::encode_jpeg;
 
@@ -22,40 +20,28 @@ pub fn data_uri(picture: &RgbImage) -> Result<String> {
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 
-/// Draws the picture and names it `id` for [`again`]; says so where it is none.
-pub fn picture(out: &mut String, uri: &str, id: &str, alt: &str) {
-    match size(uri) {
-        Some([width, height]) => put!(
-            out,
-            "<svg class=\"pic\" viewBox=\"0 0 {width} {height}\" role=\"img\" \
-             aria-label=\"{}\"><image id=\"{id}\" width=\"{width}\" height=\"{height}\" \
-             href=\"{uri}\"/></svg>",
-            Esc(alt)
-        ),
-        None => missing(out, alt),
-    }
+/// The picture, with an id for [`again`]; a placeholder where it is none.
+pub fn picture(uri: &str, id: &str, alt: &str) -> Markup {
+    frame(uri, alt, |[width, height]| {
+        html! { image id=(id) width=(width) height=(height) href=(uri) {} }
+    })
 }
 
-/// Draws a picture of another place of the page a second time, without its bytes.
-pub fn again(out: &mut String, uri: &str, id: &str, alt: &str) {
-    match size(uri) {
-        Some([width, height]) => put!(
-            out,
-            "<svg class=\"pic\" viewBox=\"0 0 {width} {height}\" role=\"img\" \
-             aria-label=\"{}\"><use href=\"#{id}\"/></svg>",
-            Esc(alt)
-        ),
-        None => missing(out, alt),
-    }
+/// A picture of another place of the page a second time, without its bytes.
+pub fn again(uri: &str, id: &str, alt: &str) -> Markup {
+    frame(uri, alt, |_| html! { use href={ "#" (id) } {} })
 }
 
-/// The place of a picture that is not there.
-pub fn missing(out: &mut String, alt: &str) {
-    put!(
-        out,
-        "<span class=\"nopic\" role=\"img\" aria-label=\"{}: missing\">no picture</span>",
-        Esc(alt)
-    );
+fn frame(uri: &str, alt: &str, content: impl Fn([u32; 2]) -> Markup) -> Markup {
+    html! {
+        @if let Some([width, height]) = size(uri) {
+            svg.pic viewBox={ "0 0 " (width) " " (height) } role="img" aria-label=(alt) {
+                (content([width, height]))
+            }
+        } @else {
+            span.nopic role="img" aria-label={ (alt) ": missing" } { "no picture" }
+        }
+    }
 }
 
 /// Width and height, px, of a JPEG or PNG data URI; none where it is something else.
@@ -130,8 +116,7 @@ mod tests {
             "data:image/jpeg;base64,\"/><script>",
             "data:image/jpeg;base64,AAAA",
         ] {
-            let mut out = String::new();
-            picture(&mut out, uri, "p", "the \"view\"");
+            let out = picture(uri, "p", "the \"view\"").into_string();
             assert!(
                 out.contains("no picture") && !out.contains("image id"),
                 "{uri}"

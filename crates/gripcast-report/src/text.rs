@@ -1,32 +1,19 @@
 //! Words and numbers of pages.
 
-use std::fmt;
-
 /// What stands where a number is missing.
 pub const MISSING: &str = "–";
 
-/// Text of the report, safe between tags and in quoted attributes.
-pub struct Esc<'a>(pub &'a str);
-
-impl fmt::Display for Esc<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for c in self.0.chars() {
-            match c {
-                '&' => f.write_str("&amp;")?,
-                '<' => f.write_str("&lt;")?,
-                '>' => f.write_str("&gt;")?,
-                '"' => f.write_str("&quot;")?,
-                '\'' => f.write_str("&#39;")?,
-                '\n' => f.write_str("\n")?,
-                c if c.is_control() || is_bidi_control(c) => f.write_str(" ")?,
-                c => fmt::Write::write_char(f, c)?,
-            }
-        }
-        Ok(())
+/// The text with a space in place of every character that no reader sees: control characters, and
+/// those that reorder the text around them.
+pub(crate) fn printable(text: String) -> String {
+    let is_hidden = |c: char| (c.is_control() && c != '\n') || is_bidi_control(c);
+    if text.contains(is_hidden) {
+        text.replace(is_hidden, " ")
+    } else {
+        text
     }
 }
 
-/// Characters that reorder the text around them: a name must not change what stands beside it.
 fn is_bidi_control(c: char) -> bool {
     matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
@@ -80,7 +67,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// What an engine is called, not escaped.
+/// What an engine is called.
 pub fn engine_name(engine: &str) -> &str {
     match engine {
         "fem" => "Finite elements",
@@ -89,7 +76,7 @@ pub fn engine_name(engine: &str) -> &str {
     }
 }
 
-/// What an outcome is called, not escaped.
+/// What an outcome is called.
 pub fn outcome_name(outcome: &str) -> &str {
     match outcome {
         "success" => "held",
@@ -113,9 +100,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn strings_are_escaped() {
-        let text = Esc("<b a=\"'\">&\u{0}\u{202e}é").to_string();
-        assert_eq!(text, "&lt;b a=&quot;&#39;&quot;&gt;&amp;  é");
+    fn hidden_characters_become_spaces() {
+        let hostile = "a\u{0}b\u{202e}c\u{1b}[1m\td\n\u{85}é".to_owned();
+        assert_eq!(printable(hostile), "a b c [1m d\n é");
     }
 
     #[test]

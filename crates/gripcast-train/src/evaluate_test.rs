@@ -63,6 +63,28 @@ fn the_heuristic_finds_the_contacts_of_the_sample_dataset() {
     });
     let html = page(&uneven, &samples).unwrap();
     assert!(html.contains("at base rate 0.75: "));
+    let html = page(&hostile(uneven), &samples).unwrap();
+    for wrong in ["<script", "alert(\"", "\u{1}", "\u{202e}", "NaN"] {
+        assert!(!html.contains(wrong), "{wrong:?}");
+    }
+    let escaped = "&lt;script&gt;alert(&quot;1&quot;)&lt;/script&gt;&amp;  ";
+    assert!(html.matches(escaped).count() >= 10, "{html}");
+}
+
+/// The report with names that want to break out.
+fn hostile(mut report: EvalReport) -> EvalReport {
+    let name = || "<script>alert(\"1\")</script>&\u{1}\u{202e}".to_owned();
+    report.software = name();
+    report.dataset = name();
+    report.split = name();
+    report.warnings = vec![name()];
+    report.differences[0].first = name();
+    let model = &mut report.models[0];
+    (model.file, model.name, model.sha256) = (name(), name(), name());
+    for groups in [&mut model.categories, &mut model.per_object] {
+        groups[0].name = name();
+    }
+    report
 }
 
 #[test]

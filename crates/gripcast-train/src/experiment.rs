@@ -208,7 +208,7 @@ pub fn experiment(
     let top = Root::new(out).top();
     write(&top.join("fig6.json"), &text)?;
     for (name, chart) in charts(&report, settings) {
-        write(&top.join(name), bars(&chart).as_bytes())?;
+        write(&top.join(name), bars(&chart).to_svg().as_bytes())?;
     }
     Ok(report)
 }

@@ -7,9 +7,8 @@ use std::path::{Path, PathBuf};
 use super::object::{DemoObject, objects};
 use super::pictures::Stand;
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
-use super::reality::Class;
 use super::recording::{Recorder, film};
-use super::selection::{Chosen, Selection, choose};
+use super::selection::{Chosen, choose};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::Root;
 
@@ -27,23 +26,6 @@ fn how(is_quick: bool) -> String {
     )
 }
 
-/// Grasps of one object.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DemoObjectCounts {
-    /// Object.
-    pub object: String,
-    /// Grasps that hold.
-    pub stable: usize,
-    /// Grasps that are lost.
-    pub lost: usize,
-    /// Grasps in whose pictures no pose was found.
-    pub without_pose: usize,
-    /// Candidates that were drawn.
-    pub drawn: usize,
-    /// Candidates that were simulated as reality.
-    pub simulated: usize,
-}
-
 /// Demo data that was built.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DemoData {
@@ -53,10 +35,6 @@ pub struct DemoData {
     pub objects: PathBuf,
     /// One sentence: how its reality differs from the default replay.
     pub how: String,
-    /// What is in it, by object.
-    pub counts: Vec<DemoObjectCounts>,
-    /// CPU time of all simulations, also those of earlier runs, s.
-    pub simulation_cpu_s: f64,
 }
 
 /// Builds the dataset `OUT/dataset` and the object files `OUT/objects`; simulations are kept in
@@ -82,25 +60,23 @@ pub fn build_demo(settings: &DemoSettings, out: &Path, watch: &DemoWatch<'_>) ->
     for object in &all {
         object.save(&object_files)?;
     }
-    let selection = choose(&all, settings, &simulated, watch)?;
-    let with_pose = record(settings, &all, &selection.grasps, &dataset, watch)?;
+    let grasps = choose(&all, settings, &simulated, watch)?;
+    record(settings, &all, &grasps, &dataset, watch)?;
     Ok(DemoData {
         dataset,
         objects: object_files.shown(),
         how: how(settings.quick),
-        counts: counts(&all, &selection, &with_pose),
-        simulation_cpu_s: selection.cpu_s,
     })
 }
 
-/// Records the grasps; tells which have a pose.
+/// Records the grasps.
 fn record(
     settings: &DemoSettings,
     all: &[DemoObject],
     grasps: &[Chosen],
     dataset: &Path,
     watch: &DemoWatch<'_>,
-) -> Result<Vec<bool>> {
+) -> Result<()> {
     let recorder = Recorder::open(dataset, settings.seed, settings.quick)?;
     let names: BTreeSet<String> = grasps.iter().map(|g| film(&all[g.object], g)).collect();
     if let Some(foreign) = recorder.foreign(&names) {
@@ -117,28 +93,6 @@ fn record(
         let at = chosen.object;
         recorder.record(&all[at], &stands[at], chosen, watch)
     };
-    let with_pose = watch.for_each(settings.jobs, DemoStage::Recording, grasps, &work)?;
-    recorder.finish()?;
-    Ok(with_pose)
-}
-
-fn counts(all: &[DemoObject], selection: &Selection, with_pose: &[bool]) -> Vec<DemoObjectCounts> {
-    let of_object = |(at, object): (usize, &DemoObject)| {
-        let count = |is: &dyn Fn(&Chosen, bool) -> bool| {
-            let grasps = selection.grasps.iter().zip(with_pose);
-            grasps
-                .filter(|(g, pose)| g.object == at && is(g, **pose))
-                .count()
-        };
-        let of_class = |class| count(&|g: &Chosen, _| g.simulated.class() == Some(class));
-        DemoObjectCounts {
-            object: object.name.clone(),
-            stable: of_class(Class::Stable),
-            lost: of_class(Class::Lost),
-            without_pose: count(&|_, with_pose| !with_pose),
-            drawn: selection.drawn[at],
-            simulated: selection.simulated[at],
-        }
-    };
-    all.iter().enumerate().map(of_object).collect()
+    watch.for_each(settings.jobs, DemoStage::Recording, grasps, &work)?;
+    recorder.finish()
 }

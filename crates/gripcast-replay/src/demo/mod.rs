@@ -16,5 +16,5 @@ mod sampler;
 mod selection;
 mod tactile;
 
-pub use build::{DemoData, DemoObjectCounts, build_demo};
+pub use build::{DemoData, build_demo};
 pub use plan::{DemoProgress, DemoSettings, DemoStage, DemoWatch};

@@ -64,8 +64,8 @@ struct Camera<'a> {
 /// Writes grasps; shared by the threads that make them.
 pub(super) struct Recorder {
     writer: Mutex<DatasetWriter>,
-    /// Names of the grasps that were recorded before, and whether they have a pose.
-    recorded: BTreeMap<String, bool>,
+    /// Names of the grasps that were recorded before.
+    recorded: BTreeSet<String>,
     /// An initial frame whose grasp was not saved before the building stopped.
     left: Mutex<Option<PendingInitial>>,
     sensors: Sensors,
@@ -89,7 +89,7 @@ impl Recorder {
                 .to_owned(),
         };
         let (mut writer, report) = DatasetWriter::open_or_create(folder, &new)?;
-        let mut recorded = BTreeMap::new();
+        let mut recorded = BTreeSet::new();
         for record in Dataset::open(folder)?.grasps()? {
             let record = record?;
             let Some(truth) = &record.truth else {
@@ -99,7 +99,7 @@ impl Recorder {
                 let at = time(&record.grasp.captured_at)?;
                 label(&mut writer, &record.id, truth.held, at)?;
             }
-            recorded.insert(truth.film.clone(), record.pose.is_some());
+            recorded.insert(truth.film.clone());
         }
         let engine = reality(is_quick).settings;
         Ok(Self {
@@ -117,10 +117,10 @@ impl Recorder {
 
     /// Grasps that are not of the plan, from an earlier one of another seed or size.
     pub(super) fn foreign(&self, names: &BTreeSet<String>) -> Option<&String> {
-        self.recorded.keys().find(|name| !names.contains(*name))
+        self.recorded.iter().find(|name| !names.contains(*name))
     }
 
-    /// Photographs a grasp, annotates and stores it. Returns whether its pose was found.
+    /// Photographs a grasp, annotates and stores it.
     ///
     /// # Errors
     /// Those of the renderers and of the writer.
@@ -130,17 +130,14 @@ impl Recorder {
         stand: &Stand,
         chosen: &Chosen,
         watch: &DemoWatch<'_>,
-    ) -> Result<bool> {
-        let name = film(object, chosen);
-        if let Some(with_pose) = self.recorded.get(&name) {
-            return Ok(*with_pose);
+    ) -> Result<()> {
+        if self.recorded.contains(&film(object, chosen)) {
+            return Ok(());
         }
         let shot = self.shoot(object, stand, chosen, watch)?;
         let pose = annotate(stand, &shot.pictures).ok();
-        let with_pose = pose.is_some();
         let [initial, grasp] = self.captures(object, chosen, shot, pose)?;
-        self.store(object, stand, chosen, &initial, &grasp)?;
-        Ok(with_pose)
+        self.store(object, stand, chosen, &initial, &grasp)
     }
 
     fn writer(&self) -> MutexGuard<'_, DatasetWriter> {

@@ -76,7 +76,7 @@ fn shot(number: usize) -> Shot {
 fn record(folder: &Path, object: &DemoObject, stand: &Stand, all: &[Chosen]) {
     let recorder = Recorder::open(folder, 1, false).unwrap();
     for one in all {
-        if recorder.recorded.contains_key(&film(object, one)) {
+        if recorder.recorded.contains(&film(object, one)) {
             continue;
         }
         let shot = shot(one.candidate.number);

@@ -32,8 +32,6 @@ struct Known {
     expected: BTreeMap<Class, Vec<Candidate>>,
     /// Those that were taken.
     taken: BTreeMap<Class, Vec<Chosen>>,
-    cpu_s: f64,
-    simulated: usize,
 }
 
 impl Known {
@@ -90,19 +88,7 @@ fn known_candidates(settings: &DemoSettings) -> &'static [Expected] {
     }
 }
 
-/// What was chosen, and what it took.
-pub(super) struct Selection {
-    /// By object and number of the candidate.
-    pub(super) grasps: Vec<Chosen>,
-    /// Candidates of each object that were drawn.
-    pub(super) drawn: Vec<usize>,
-    /// Candidates of each object that were simulated as reality.
-    pub(super) simulated: Vec<usize>,
-    /// CPU time of all simulations that the choice rests on, s.
-    pub(super) cpu_s: f64,
-}
-
-/// Chooses the grasps of all objects. Rounds are the same for any number of threads.
+/// Chooses the grasps of all objects, by object and number of the candidate. Rounds are the same for any number of threads.
 ///
 /// # Errors
 /// `Io`, `DiskFull`; `Stopped`.
@@ -111,7 +97,7 @@ pub(super) fn choose(
     settings: &DemoSettings,
     folder: &BeneathPath,
     watch: &DemoWatch<'_>,
-) -> Result<Selection> {
+) -> Result<Vec<Chosen>> {
     let wanted = settings.wanted_of_class();
     let mut known = objects
         .iter()
@@ -132,7 +118,6 @@ pub(super) fn choose(
             let stage = DemoStage::Screening;
             let found = watch.for_each(settings.jobs, stage, &batch, &look)?;
             for ((at, candidate), result) in batch.into_iter().zip(found) {
-                known[at].cpu_s += result.cpu_s;
                 if let Some(class) = result.class() {
                     known[at].expected.entry(class).or_default().push(candidate);
                 }
@@ -160,8 +145,6 @@ fn take(
     candidate: Candidate,
     simulated: Simulated,
 ) {
-    known.cpu_s += simulated.cpu_s;
-    known.simulated += 1;
     if let Some(class) = simulated.class()
         && simulated.grasped.is_some()
         && known.missing(class, wanted) > 0
@@ -212,20 +195,13 @@ fn to_simulate(known: &mut [Known], wanted: usize) -> Vec<(usize, Candidate)> {
     batch
 }
 
-fn selection(known: Vec<Known>) -> Selection {
-    let mut all = Selection {
-        grasps: Vec::new(),
-        drawn: known.iter().map(|known| known.drawn).collect(),
-        simulated: known.iter().map(|known| known.simulated).collect(),
-        cpu_s: known.iter().map(|known| known.cpu_s).sum(),
-    };
+fn selection(known: Vec<Known>) -> Vec<Chosen> {
     let taken = known
         .into_iter()
         .flat_map(|known| known.taken.into_values());
-    all.grasps = taken.flatten().collect();
-    all.grasps
-        .sort_by_key(|chosen| (chosen.object, chosen.candidate.number));
-    all
+    let mut grasps: Vec<Chosen> = taken.flatten().collect();
+    grasps.sort_by_key(|chosen| (chosen.object, chosen.candidate.number));
+    grasps
 }
 
 #[cfg(test)]
@@ -288,8 +264,7 @@ mod tests {
         }
         assert!(to_simulate(&mut all, 2).is_empty());
         let chosen = selection(all.into());
-        let numbers: Vec<usize> = chosen.grasps.iter().map(|g| g.candidate.number).collect();
+        let numbers: Vec<usize> = chosen.iter().map(|g| g.candidate.number).collect();
         assert_eq!(numbers, [0, 1, 4, 6]);
-        assert_eq!((chosen.simulated[0], chosen.cpu_s), (7, 7.0));
     }
 }

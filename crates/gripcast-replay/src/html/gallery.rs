@@ -1,39 +1,33 @@
 //! Grasps where an engine disagrees with reality, the most certain first.
 
-use std::fmt::Write as _;
-
+use super::Page;
 use super::grasp_index::disagreeing;
-use super::text::{Agreement, Esc, engine_name, fixed, label_name, outcome_name};
-use super::{Page, picture, put};
+use super::text::Agreement;
 use crate::report::{GraspFacts, GraspReplay};
+use gripcast_report::picture::again;
+use gripcast_report::{engine_name, fixed, label_name};
+use maud::{Markup, html};
 
-pub(super) fn section(page: &Page<'_>, out: &mut String) {
-    page.open_section(out, "failures", "Failures");
+pub(super) fn section(page: &Page<'_>) -> Markup {
     let failures = failures(page);
-    if failures.is_empty() {
-        put!(
-            out,
-            "<p>No engine disagrees with {} at the paper’s choice.</p>\n</section>\n",
-            page.reality()
-        );
-        return;
-    }
-    put!(
-        out,
-        "<p>{} of {} grasps where an engine disagrees with {} at the paper’s choice; ordered by \
-         the share of settings that disagree. Where all do, no choice of friction and force mends it.</p>\n\
-         <ol class=\"cards\">\n",
-        failures.len(),
-        page.report.grasps.len(),
-        page.reality()
-    );
-    for i in failures {
-        card(page, out, i, &page.report.grasps[i]);
-    }
-    out.push_str("</ol>\n</section>\n");
+    let body = html! {
+        @if failures.is_empty() {
+            p { "No engine disagrees with " (page.reality()) " at the paper’s choice." }
+        } @else {
+            p {
+                (failures.len()) " of " (page.report.grasps.len()) " grasps where an engine \
+                 disagrees with " (page.reality()) " at the paper’s choice; ordered by the share \
+                 of settings that disagree. Where all do, no choice of friction and force mends it."
+            }
+            ol.cards {
+                @for &i in &failures { (card(page, i, &page.report.grasps[i])) }
+            }
+        }
+    };
+    page.section("failures", "Failures", body)
 }
 
-/// Numbers of the grasps, by the greatest share of settings that disagree, then by the engines
+/// Numbers of the grasps, by the greatest fraction of settings that disagree, then by the engines
 /// that do.
 fn failures(page: &Page<'_>) -> Vec<usize> {
     let wrong = |grasp: &GraspFacts| -> (f64, usize) {
@@ -51,55 +45,48 @@ fn failures(page: &Page<'_>) -> Vec<usize> {
     found.into_iter().map(|(i, _)| i).collect()
 }
 
-fn card(page: &Page<'_>, out: &mut String, i: usize, grasp: &GraspFacts) {
-    put!(
-        out,
-        "<li><h3><a href=\"#g{i}\">{}</a> <span>{}</span></h3><div class=\"thumbs\">",
-        Esc(&grasp.id),
-        Esc(&grasp.object)
-    );
-    if let Some(view) = &grasp.view {
-        let alt = format!("grasp {}, camera, {}", grasp.id, page.real());
-        picture::again(out, &view.real, &format!("g{i}v"), &alt);
+fn card(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
+    let alt = |what: &str| format!("grasp {}, {what}, {}", grasp.id, page.real());
+    html! {
+        li {
+            h3 {
+                a href={ "#g" (i) } { (grasp.id) }
+                " " span { (grasp.object) }
+            }
+            div.thumbs {
+                @if let Some(view) = &grasp.view {
+                    (again(&view.real, &format!("g{i}v"), &alt("camera")))
+                }
+                @for (k, pair) in grasp.tactile.iter().take(2).enumerate() {
+                    @let alt = alt(&format!("{} sensor", pair.sensor));
+                    (again(&pair.pictures.real, &format!("g{i}r{k}"), &alt))
+                }
+            }
+            dl {
+                div {
+                    dt { (page.real()) }
+                    dd { (label_name(grasp.stable)) }
+                }
+                @for replay in &grasp.replays { (outcome(replay)) }
+            }
+        }
     }
-    for (k, pair) in grasp.tactile.iter().take(2).enumerate() {
-        let alt = format!(
-            "grasp {}, {} sensor, {}",
-            grasp.id,
-            pair.sensor,
-            page.real()
-        );
-        picture::again(out, &pair.pictures.real, &format!("g{i}r{k}"), &alt);
-    }
-    put!(
-        out,
-        "</div><dl><div><dt>{}</dt><dd>{}</dd></div>",
-        page.real(),
-        label_name(grasp.stable)
-    );
-    for replay in &grasp.replays {
-        outcome(out, replay);
-    }
-    out.push_str("</dl></li>\n");
 }
 
-fn outcome(out: &mut String, replay: &GraspReplay) {
-    let agreement = Agreement(replay.agrees);
-    put!(
-        out,
-        "<div class=\"{}\"><dt>{}</dt><dd>{} {} <small>{} settings disagree",
-        agreement.class(),
-        Esc(engine_name(&replay.engine)),
-        agreement.sign(),
-        Esc(outcome_name(&replay.case.outcome)),
-        disagreeing(replay)
-    );
-    if let (Some(samples), Some(false)) = (&replay.pose_samples, replay.agrees) {
-        put!(out, "; {} of {} poses held", samples.stable, samples.n);
+fn outcome(replay: &GraspReplay) -> Markup {
+    html! {
+        div {
+            dt { (engine_name(&replay.engine)) }
+            dd {
+                (Agreement(replay.agrees).outcome(&replay.case.outcome))
+                small {
+                    (disagreeing(replay)) " settings disagree"
+                    @if let (Some(samples), Some(false)) = (&replay.pose_samples, replay.agrees) {
+                        "; " (samples.stable) " of " (samples.n) " poses held"
+                    }
+                    "; height " (fixed(1e3 * replay.case.min_height_m, 1)) " mm"
+                }
+            }
+        }
     }
-    put!(
-        out,
-        "; height {} mm</small></dd></div>",
-        fixed(1e3 * replay.case.min_height_m, 1)
-    );
 }

@@ -1,139 +1,133 @@
 //! Every grasp: what was recorded and what each engine made of it.
 
-use std::fmt::Write as _;
-
-use super::grasp_index::{attributes, disagreeing};
-use super::grid::Grid;
-use super::text::{
-    Agreement, Esc, MISSING, duration, engine_name, fixed, force_name, label_name, optional,
-    outcome_name, trimmed,
-};
-use super::{Page, curves, picture, put};
+use super::Page;
+use super::grasp_index::{Marks, disagreeing};
+use super::settings::Grid;
+use super::text::{Agreement, setting};
+use crate::grasp_chart::inline;
 use crate::report::{GraspFacts, GraspReplay, PoseSamples, Setting, TactilePair};
+use gripcast_report::page::{definitions, nothing};
+use gripcast_report::picture::picture;
+use gripcast_report::{
+    MISSING, duration, engine_name, fixed, label_name, optional, outcome_name, trimmed,
+};
+use maud::{Markup, Render, html};
 
-pub(super) fn section(page: &Page<'_>, out: &mut String) {
-    page.open_section(out, "grasps", "Grasp by grasp");
-    put!(
-        out,
-        "<p>Pictures: {real} beside simulated. Tactile pictures are grasp minus initial, mid-grey \
-         is no change; the third is {real} minus simulated. IoU: overlap of both contact masks by \
-         their union; FVE: share of the variance that the simulation explains; PSNR and L1: of the \
-         difference picture. Curves are those of the paper’s choice; the bands behind them are closure, \
-         adjustment and lift.</p>\n",
-        real = page.real()
-    );
-    for (i, grasp) in page.report.grasps.iter().enumerate() {
-        article(page, out, i, grasp);
-    }
-    out.push_str("</section>\n");
+pub(super) fn section(page: &Page<'_>) -> Markup {
+    let real = page.real();
+    let body = html! {
+        p {
+            "Pictures: " (real) " beside simulated. Tactile pictures are grasp minus initial, \
+             mid-grey is no change; the third is " (real) " minus simulated. IoU: overlap of both \
+             contact masks by their union; FVE: share of the variance that the simulation explains; \
+             PSNR and L1: of the difference picture. Curves are those of the paper’s choice; the \
+             bands behind them are closure, adjustment and lift."
+        }
+        @for (i, grasp) in page.report.grasps.iter().enumerate() {
+            (article(page, i, grasp))
+        }
+    };
+    page.section("grasps", "Grasp by grasp", body)
 }
 
-fn article(page: &Page<'_>, out: &mut String, i: usize, grasp: &GraspFacts) {
-    put!(
-        out,
-        "<article id=\"g{i}\" {}>\n<h3>{} <span>{}</span></h3><p class=\"outcomes\">\
-         <span>{}: <b>{}</b></span>",
-        attributes(page, grasp),
-        Esc(&grasp.id),
-        Esc(&grasp.object),
-        page.real(),
-        label_name(grasp.stable)
-    );
-    for replay in &grasp.replays {
-        let agreement = Agreement(replay.agrees);
-        put!(
-            out,
-            "<span class=\"{}\">{}: <b>{}</b> {} {}</span>",
-            agreement.class(),
-            Esc(engine_name(&replay.engine)),
-            Esc(outcome_name(&replay.case.outcome)),
-            agreement.sign(),
-            agreement.word()
-        );
+fn article(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
+    let marks = Marks::of(page, grasp);
+    html! {
+        article id={ "g" (i) } data-object=[marks.object] data-marks=(marks.engines) {
+            h3 { (grasp.id) " " span { (grasp.object) } }
+            p.outcomes {
+                span { (page.real()) ": " b { (label_name(grasp.stable)) } }
+                @for replay in &grasp.replays {
+                    @let agreement = Agreement(replay.agrees);
+                    span class=(agreement.class()) {
+                        (engine_name(&replay.engine)) ": "
+                        b { (outcome_name(&replay.case.outcome)) }
+                        " " (agreement.sign()) " " (agreement.word())
+                    }
+                }
+            }
+            @if grasp.view.is_some() || !grasp.tactile.is_empty() {
+                (pictures(page, i, grasp))
+            }
+            div.engines {
+                @for replay in &grasp.replays { (engine(grasp, replay)) }
+            }
+            (pose(grasp))
+        }
     }
-    out.push_str("</p>\n");
-    pictures(page, out, i, grasp);
-    out.push_str("<div class=\"engines\">\n");
-    for replay in &grasp.replays {
-        engine(out, grasp, replay);
-    }
-    out.push_str("</div>\n");
-    pose(out, grasp);
-    out.push_str("</article>\n");
 }
 
-fn pictures(page: &Page<'_>, out: &mut String, i: usize, grasp: &GraspFacts) {
-    if grasp.view.is_none() && grasp.tactile.is_empty() {
-        return;
+fn pictures(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
+    let real = page.real();
+    let alt = |what: &str| format!("grasp {}, camera, {what}", grasp.id);
+    html! {
+        div.strip {
+            @if let Some(view) = &grasp.view {
+                figure.view {
+                    div {
+                        (picture(&view.real, &format!("g{i}v"), &alt(real)))
+                        (picture(&view.sim, &format!("g{i}w"), &alt("simulated")))
+                    }
+                    figcaption { "camera: " (real) " | simulated" }
+                }
+            }
+            div.gels {
+                @for (k, pair) in grasp.tactile.iter().enumerate() {
+                    (tactile(real, [i, k], &grasp.id, pair))
+                }
+            }
+        }
     }
-    out.push_str("<div class=\"strip\">\n");
-    if let Some(view) = &grasp.view {
-        out.push_str("<figure class=\"view\"><div>");
-        let alt = format!("grasp {}, camera, {}", grasp.id, page.real());
-        picture::picture(out, &view.real, &format!("g{i}v"), &alt);
-        let alt = format!("grasp {}, camera, simulated", grasp.id);
-        picture::picture(out, &view.sim, &format!("g{i}w"), &alt);
-        put!(
-            out,
-            "</div><figcaption>camera: {} | simulated</figcaption></figure>\n",
-            page.real()
-        );
-    }
-    out.push_str("<div class=\"gels\">");
-    for (k, pair) in grasp.tactile.iter().enumerate() {
-        tactile(page, out, &format!("g{i}"), k, &grasp.id, pair);
-    }
-    out.push_str("</div></div>\n");
 }
 
-fn tactile(page: &Page<'_>, out: &mut String, id: &str, k: usize, grasp: &str, pair: &TactilePair) {
-    out.push_str("<figure><div>");
-    let three = [
-        (&pair.pictures.real, "r", page.real()),
+fn tactile(real: &str, [i, k]: [usize; 2], grasp: &str, pair: &TactilePair) -> Markup {
+    let views = [
+        (&pair.pictures.real, "r", real),
         (&pair.pictures.sim, "s", "simulated"),
         (&pair.difference, "d", "difference"),
     ];
-    for (uri, letter, name) in three {
-        let alt = format!("grasp {grasp}, {} sensor, {name}", pair.sensor);
-        picture::picture(out, uri, &format!("{id}{letter}{k}"), &alt);
+    html! {
+        figure {
+            div {
+                @for (uri, letter, name) in views {
+                    @let alt = format!("grasp {grasp}, {} sensor, {name}", pair.sensor);
+                    (picture(uri, &format!("g{i}{letter}{k}"), &alt))
+                }
+            }
+            figcaption {
+                (pair.sensor) " sensor:" br; (real) " | simulated | difference"
+                span { "IoU " (optional(pair.contact_iou, 2)) }
+                span { "FVE " (optional(pair.fve, 2)) }
+                span { "PSNR " (optional(pair.psnr_db, 1)) " dB" }
+                span { "L1 " (optional(pair.l1, 1)) }
+            }
+        }
     }
-    put!(
-        out,
-        "</div><figcaption>{} sensor:<br>{} | simulated | difference<span>IoU {}</span>\
-         <span>FVE {}</span><span>PSNR {} dB</span><span>L1 {}</span></figcaption></figure>\n",
-        Esc(&pair.sensor),
-        page.real(),
-        optional(pair.contact_iou, 2),
-        optional(pair.fve, 2),
-        optional(pair.psnr_db, 1),
-        optional(pair.l1, 1)
-    );
 }
 
-fn engine(out: &mut String, grasp: &GraspFacts, replay: &GraspReplay) {
-    put!(
-        out,
-        "<div class=\"engine\"><h4>{} <span>friction {}, {} {} N</span></h4>\n",
-        Esc(engine_name(&replay.engine)),
-        trimmed(replay.chosen.friction, 3),
-        force_name(&replay.engine),
-        trimmed(replay.chosen.force_n, 2)
-    );
-    curves::figure(out, replay, &grasp.id);
-    if let Some(detail) = &replay.case.detail {
-        put!(out, "<p class=\"detail\">{}</p>\n", Esc(detail));
+fn engine(grasp: &GraspFacts, replay: &GraspReplay) -> Markup {
+    html! {
+        div.engine {
+            h4 {
+                (engine_name(&replay.engine)) " "
+                span { (setting(&replay.engine, replay.chosen)) }
+            }
+            @match inline(replay, &grasp.id) {
+                Some(chart) => (chart),
+                None => (nothing("No forces recorded.")),
+            }
+            @if let Some(detail) = &replay.case.detail {
+                p.detail { (detail) }
+            }
+            @if let Some(samples) = &replay.pose_samples {
+                p.detail { (pose_error(samples, grasp.stable, replay)) }
+            }
+            div.side {
+                (settings(replay))
+                (solver(replay))
+            }
+        }
     }
-    if let Some(samples) = &replay.pose_samples {
-        put!(
-            out,
-            "<p class=\"detail\">{}</p>\n",
-            pose_error(samples, grasp.stable, replay)
-        );
-    }
-    out.push_str("<div class=\"side\">");
-    settings(out, replay);
-    solver(out, replay);
-    out.push_str("</div></div>\n");
 }
 
 /// What poses drawn from the covariance say about a disagreement.
@@ -155,95 +149,81 @@ fn pose_error(samples: &PoseSamples, stable: bool, replay: &GraspReplay) -> Stri
 }
 
 /// Outcome at every setting.
-fn settings(out: &mut String, replay: &GraspReplay) {
+fn settings(replay: &GraspReplay) -> Markup {
     let grid = Grid::of(replay.cells.iter().map(|cell| cell.setting));
-    if grid.forces_n.is_empty() {
-        return;
-    }
-    put!(
-        out,
-        "<table class=\"cells\"><caption>{} settings disagree</caption><thead><tr>\
-         <th scope=\"col\">friction</th>",
-        disagreeing(replay)
-    );
-    for &force_n in &grid.forces_n {
-        put!(out, "<th scope=\"col\">{} N</th>", trimmed(force_n, 2));
-    }
-    out.push_str("</tr></thead><tbody>");
-    for &friction in grid.frictions.iter().rev() {
-        put!(out, "<tr><th scope=\"row\">{}</th>", trimmed(friction, 3));
-        for &force_n in &grid.forces_n {
-            setting(out, replay, Setting { friction, force_n });
+    html! {
+        @if !grid.forces_n.is_empty() {
+            table.cells {
+                caption { (disagreeing(replay)) " settings disagree" }
+                thead {
+                    tr {
+                        th scope="col" { "friction" }
+                        @for &force_n in &grid.forces_n {
+                            th scope="col" { (trimmed(force_n, 2)) " N" }
+                        }
+                    }
+                }
+                tbody {
+                    @for &friction in grid.frictions.iter().rev() {
+                        tr {
+                            th scope="row" { (trimmed(friction, 3)) }
+                            @for &force_n in &grid.forces_n {
+                                (cell(replay, Setting { friction, force_n }))
+                            }
+                        }
+                    }
+                }
+            }
         }
-        out.push_str("</tr>");
     }
-    out.push_str("</tbody></table>");
 }
 
-fn setting(out: &mut String, replay: &GraspReplay, setting: Setting) {
-    let Some(cell) = replay.cells.iter().find(|cell| cell.setting == setting) else {
-        put!(out, "<td>{MISSING}</td>");
-        return;
-    };
-    let agreement = Agreement(cell.agrees);
-    let chosen = if setting == replay.chosen {
-        " chosen"
-    } else {
-        ""
-    };
-    put!(
-        out,
-        "<td class=\"{}{chosen}\">{} {}</td>",
-        agreement.class(),
-        agreement.sign(),
-        Esc(outcome_name(&cell.outcome))
-    );
+fn cell(replay: &GraspReplay, setting: Setting) -> Markup {
+    let cell = replay.cells.iter().find(|cell| cell.setting == setting);
+    html! {
+        td class=[(setting == replay.chosen).then_some("chosen")] {
+            @match cell {
+                Some(cell) => (Agreement(cell.agrees).outcome(&cell.outcome)),
+                None => (MISSING),
+            }
+        }
+    }
 }
 
-fn solver(out: &mut String, replay: &GraspReplay) {
+fn solver(replay: &GraspReplay) -> Markup {
     let case = &replay.case;
-    out.push_str("<dl class=\"counts\">");
-    let mut fact = |name: &str, value: &str| {
-        put!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>");
-    };
-    let height = fixed(1e3 * case.min_height_m, 1);
-    fact("lowest point at the end", &format!("{height} mm"));
-    fact(
-        "centre of mass rose",
-        &format!("{} mm", fixed(1e3 * case.lifted_m, 1)),
-    );
-    fact(
-        "force before the lift",
-        &format!("{} N", optional(case.force_n, 1)),
-    );
-    fact("steps", &case.steps.to_string());
+    let mm = |metres: f64| format!("{} mm", fixed(1e3 * metres, 1));
+    let (lowest, rose) = (mm(case.min_height_m), mm(case.lifted_m));
+    let force = format!("{} N", optional(case.force_n, 1));
+    let mut facts: Vec<(&str, &dyn Render)> = vec![
+        ("lowest point at the end", &lowest),
+        ("centre of mass rose", &rose),
+        ("force before the lift", &force),
+        ("steps", &case.steps),
+    ];
+    let each = case.newton_iterations as f64 / case.steps.max(1) as f64;
+    let newton = format!("{} ({} a step)", case.newton_iterations, fixed(each, 1));
     if case.newton_iterations > 0 {
-        let each = case.newton_iterations as f64 / case.steps.max(1) as f64;
-        fact(
-            "Newton iterations",
-            &format!("{} ({} a step)", case.newton_iterations, fixed(each, 1)),
-        );
-        fact("steps not converged", &case.unconverged_steps.to_string());
+        facts.push(("Newton iterations", &newton));
+        facts.push(("steps not converged", &case.unconverged_steps));
     }
-    fact("CPU time", &duration(case.cpu_s));
-    out.push_str("</dl>");
+    let cpu = duration(case.cpu_s);
+    facts.push(("CPU time", &cpu));
+    definitions("counts", &facts)
 }
 
-fn pose(out: &mut String, grasp: &GraspFacts) {
+fn pose(grasp: &GraspFacts) -> Markup {
     let [x, y, z, quaternion @ ..] = grasp.t_object_gripper;
-    put!(
-        out,
-        "<p class=\"pose\">Gripper in the object’s frame: ({}) mm, quaternion wxyz ({})",
-        [x, y, z].map(|v| fixed(1e3 * v, 2)).join(", "),
-        quaternion.map(|v| fixed(v, 4)).join(", ")
-    );
-    if let Some(sd) = grasp.pose_sd_m {
-        let sd = sd.map(|v| fixed(1e3 * v, 2)).join(", ");
-        put!(out, "; standard deviation ({sd}) mm");
+    let mm = |values: [f64; 3]| values.map(|v| fixed(1e3 * v, 2)).join(", ");
+    html! {
+        p.pose {
+            "Gripper in the object’s frame: (" (mm([x, y, z])) ") mm, quaternion wxyz ("
+            (quaternion.map(|v| fixed(v, 4)).join(", ")) ")"
+            @if let Some(sd) = grasp.pose_sd_m { "; standard deviation (" (mm(sd)) ") mm" }
+            @if let Some(sd) = grasp.pose_sd_rad {
+                "; (" (sd.map(|v| fixed(v.to_degrees(), 2)).join(", ")) ")°"
+            }
+            "."
+        }
     }
-    if let Some(sd) = grasp.pose_sd_rad {
-        let sd = sd.map(|v| fixed(v.to_degrees(), 2)).join(", ");
-        put!(out, "; ({sd})°");
-    }
-    out.push_str(".</p>\n");
 }

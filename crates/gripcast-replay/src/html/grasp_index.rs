@@ -1,131 +1,128 @@
 //! All grasps as a table that the script can sort and filter.
 
-use std::fmt::Write as _;
-
-use super::text::{Agreement, Esc, MISSING, engine_name, fixed, label_name, outcome_name};
-use super::{Page, open_wide, put};
+use super::Page;
+use super::text::Agreement;
 use crate::report::{GraspFacts, GraspReplay};
+use gripcast_report::{MISSING, engine_name, fixed, label_name};
+use maud::{Markup, html};
 
-pub(super) fn section(page: &Page<'_>, out: &mut String) {
-    page.open_section(out, "index", "All grasps");
-    put!(
-        out,
-        "<p>Outcome at the paper’s choice, whether it agrees with {}, the share of settings that \
-         disagree, and the height of the object’s lowest point at the end.</p>\n",
-        page.reality()
-    );
-    filters(page, out);
-    open_wide(out, "All grasps");
-    heading(page, out);
-    out.push_str("<tbody>\n");
-    for (i, grasp) in page.report.grasps.iter().enumerate() {
-        row(page, out, i, grasp);
-    }
-    out.push_str("</tbody></table></div>\n</section>\n");
+pub(super) fn section(page: &Page<'_>) -> Markup {
+    let label_heading = match page.simulated() {
+        Some(_) => "As if real",
+        None => "Real",
+    };
+    let body = html! {
+        p {
+            "Outcome at the paper’s choice, whether it agrees with " (page.reality()) ", the share \
+             of settings that disagree, and the height of the object’s lowest point at the end."
+        }
+        (filters(page))
+        div.wide role="region" tabindex="0" aria-label="All grasps" {
+            table.data.index {
+                thead {
+                    tr {
+                        @for title in ["Grasp", "Object", label_heading] {
+                            th scope="col" { (title) }
+                        }
+                        @for engine in &page.report.engines {
+                            th scope="col" { (engine_name(&engine.name)) }
+                            th.n scope="col" { "settings that disagree" }
+                            th.n scope="col" { "height, mm" }
+                        }
+                    }
+                }
+                tbody {
+                    @for (i, grasp) in page.report.grasps.iter().enumerate() {
+                        (row(page, i, grasp))
+                    }
+                }
+            }
+        }
+    };
+    page.section("index", "All grasps", body)
 }
 
-/// What a grasp is found by; on its row and its article.
-pub(super) fn attributes(page: &Page<'_>, grasp: &GraspFacts) -> String {
-    let object = page
-        .report
-        .objects
-        .iter()
-        .position(|object| object.name == grasp.object)
-        .map_or_else(String::new, |i| i.to_string());
-    let mut marks = String::new();
-    for (i, engine) in page.report.engines.iter().enumerate() {
-        if let Some(replay) = replay_of(grasp, &engine.name) {
-            put!(marks, " {}{i}", Agreement(replay.agrees).class());
+/// What the script finds a grasp by; on its row and its article.
+pub(super) struct Marks {
+    /// Number of its object.
+    pub(super) object: Option<usize>,
+    /// By engine, whether it agrees.
+    pub(super) engines: String,
+}
+
+impl Marks {
+    pub(super) fn of(page: &Page<'_>, grasp: &GraspFacts) -> Self {
+        let mut objects = page.report.objects.iter();
+        let engines = page.report.engines.iter().enumerate();
+        let marks = engines.filter_map(|(i, engine)| {
+            let agrees = replay_of(grasp, &engine.name)?.agrees;
+            Some(format!("{}{i}", Agreement(agrees).class()))
+        });
+        Self {
+            object: objects.position(|object| object.name == grasp.object),
+            engines: marks.collect::<Vec<_>>().join(" "),
         }
     }
-    format!("data-object=\"{object}\" data-marks=\"{}\"", marks.trim())
 }
 
 /// What an engine made of a grasp.
-pub(super) fn replay_of<'a>(grasp: &'a GraspFacts, engine: &str) -> Option<&'a GraspReplay> {
+fn replay_of<'a>(grasp: &'a GraspFacts, engine: &str) -> Option<&'a GraspReplay> {
     grasp.replays.iter().find(|replay| replay.engine == engine)
 }
 
 /// Shown by the script alone: without it there is nothing to filter with.
-fn filters(page: &Page<'_>, out: &mut String) {
-    out.push_str(
-        "<form class=\"filters\" hidden><label>Object <select name=\"object\">\
-         <option value=\"\">all</option>",
-    );
-    for (i, object) in page.report.objects.iter().enumerate() {
-        put!(out, "<option value=\"{i}\">{}</option>", Esc(&object.name));
-    }
-    out.push_str(
-        "</select></label><label>Show <select name=\"mark\"><option value=\"\">all grasps</option>",
-    );
-    for (i, engine) in page.report.engines.iter().enumerate() {
-        let name = Esc(engine_name(&engine.name)).to_string();
-        put!(
-            out,
-            "<option value=\"no{i}\">{name}: disagrees</option>\
-             <option value=\"yes{i}\">{name}: agrees</option>\
-             <option value=\"none{i}\">{name}: no outcome</option>"
-        );
-    }
-    put!(
-        out,
-        "</select></label><label>Id contains <input type=\"search\" name=\"text\"></label>\
-         <output>{0} of {0} grasps</output></form>\n",
-        page.report.grasps.len()
-    );
-}
-
-fn heading(page: &Page<'_>, out: &mut String) {
-    out.push_str(
-        "<table class=\"data index\"><thead><tr><th scope=\"col\">Grasp</th>\
-         <th scope=\"col\">Object</th>",
-    );
-    put!(out, "<th scope=\"col\">{}</th>", label_heading(page));
-    for engine in &page.report.engines {
-        let name = Esc(engine_name(&engine.name)).to_string();
-        put!(
-            out,
-            "<th scope=\"col\">{name}</th><th scope=\"col\" class=\"n\">settings that \
-             disagree</th><th scope=\"col\" class=\"n\">height, mm</th>"
-        );
-    }
-    out.push_str("</tr></thead>\n");
-}
-
-fn label_heading(page: &Page<'_>) -> &'static str {
-    match page.simulated() {
-        Some(_) => "As if real",
-        None => "Real",
+fn filters(page: &Page<'_>) -> Markup {
+    let grasps = page.report.grasps.len();
+    html! {
+        form.filters hidden {
+            label {
+                "Object "
+                select name="object" {
+                    option value="" { "all" }
+                    @for (i, object) in page.report.objects.iter().enumerate() {
+                        option value=(i) { (object.name) }
+                    }
+                }
+            }
+            label {
+                "Show "
+                select name="mark" {
+                    option value="" { "all grasps" }
+                    @for (i, engine) in page.report.engines.iter().enumerate() {
+                        @for agreement in [Some(false), Some(true), None].map(Agreement) {
+                            option value={ (agreement.class()) (i) } {
+                                (engine_name(&engine.name)) ": " (agreement.word())
+                            }
+                        }
+                    }
+                }
+            }
+            label { "Id contains " input type="search" name="text"; }
+            output { (grasps) " of " (grasps) " grasps" }
+        }
     }
 }
 
-fn row(page: &Page<'_>, out: &mut String, i: usize, grasp: &GraspFacts) {
-    put!(
-        out,
-        "<tr {}><th scope=\"row\"><a href=\"#g{i}\">{}</a></th><td>{}</td><td>{}</td>",
-        attributes(page, grasp),
-        Esc(&grasp.id),
-        Esc(&grasp.object),
-        label_name(grasp.stable)
-    );
-    for engine in &page.report.engines {
-        let Some(replay) = replay_of(grasp, &engine.name) else {
-            put!(out, "<td>{MISSING}</td><td class=\"n\">{MISSING}</td>");
-            put!(out, "<td class=\"n\">{MISSING}</td>");
-            continue;
-        };
-        let agreement = Agreement(replay.agrees);
-        put!(
-            out,
-            "<td class=\"{}\">{} {}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>",
-            agreement.class(),
-            agreement.sign(),
-            Esc(outcome_name(&replay.case.outcome)),
-            disagreeing(replay),
-            fixed(1e3 * replay.case.min_height_m, 1)
-        );
+fn row(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
+    let marks = Marks::of(page, grasp);
+    html! {
+        tr data-object=[marks.object] data-marks=(marks.engines) {
+            th scope="row" { a href={ "#g" (i) } { (grasp.id) } }
+            td { (grasp.object) }
+            td { (label_name(grasp.stable)) }
+            @for engine in &page.report.engines {
+                @if let Some(replay) = replay_of(grasp, &engine.name) {
+                    td { (Agreement(replay.agrees).outcome(&replay.case.outcome)) }
+                    td.n { (disagreeing(replay)) }
+                    td.n { (fixed(1e3 * replay.case.min_height_m, 1)) }
+                } @else {
+                    td { (MISSING) }
+                    td.n { (MISSING) }
+                    td.n { (MISSING) }
+                }
+            }
+        }
     }
-    out.push_str("</tr>\n");
 }
 
 /// `3 of 9`: settings that disagree with reality, of those with an outcome.

@@ -1,11 +1,12 @@
-//! The verdict: one sentence with numbers, the intervals as a picture, and what was replayed.
+//! The verdict: one sentence with numbers, the intervals as a chart, and what was replayed.
 
-use std::fmt::Write as _;
-
-use super::plot::Panel;
-use super::text::{Esc, MISSING, duration, engine_name, fixed, interval, p_value, share};
-use super::{Page, put};
+use super::Page;
+use super::text::{interval, p_value, share};
 use crate::report::{EngineFacts, Proportion, Scores};
+use gripcast_report::chart::{Anchor, Axis, Chart, Panel, colour, text};
+use gripcast_report::page::definitions;
+use gripcast_report::{MISSING, duration, engine_name};
+use maud::{Markup, html};
 
 /// A way to choose the setting.
 pub(super) struct Way {
@@ -40,221 +41,154 @@ pub(super) const WAYS: [Way; 4] = [
     },
 ];
 
-pub(super) fn verdict(page: &Page<'_>, out: &mut String) {
+pub(super) fn verdict(page: &Page<'_>) -> Markup {
     let report = page.report;
-    put!(
-        out,
-        "<section id=\"verdict\">\n<h1>Replay of {}: does simulation agree with {}, grasp by \
-         grasp?</h1>\n",
-        Esc(&report.dataset.name),
-        page.reality()
-    );
-    page.banner(out);
-    sentence(page, out);
-    without_bias(page, out);
-    if !report.engines.is_empty() {
-        forest(page, out);
-    }
-    facts(page, out);
-    out.push_str("</section>\n");
-}
-
-fn sentence(page: &Page<'_>, out: &mut String) {
-    let report = page.report;
-    out.push_str("<p class=\"verdict\">");
-    if report.engines.is_empty() {
-        out.push_str("No engine was run.</p>\n");
-        return;
-    }
-    for (i, engine) in report.engines.iter().enumerate() {
-        let all = &engine.scores.paper.all;
-        let separator = if i == 0 { "" } else { "; " };
-        put!(
-            out,
-            "{separator}<b>{}</b> agree with {} on <b>{} of {}</b> grasps ({}, 95&nbsp;% \
-             interval {})",
-            Esc(engine_name(&engine.name)),
-            page.reality(),
-            all.agree,
-            all.n,
-            share(all),
-            interval(all)
-        );
-    }
-    if let Some(duel) = &report.duel {
-        put!(
-            out,
-            "; of the grasps where only one is right, {} go to finite elements and {} to rigid \
-             bodies (exact McNemar {})",
-            duel.only_fem,
-            duel.only_rigid,
-            p_value(duel.mcnemar_p)
-        );
-    }
-    out.push_str(".</p>\n");
-}
-
-fn without_bias(page: &Page<'_>, out: &mut String) {
-    let report = page.report;
-    if report.engines.is_empty() {
-        return;
-    }
-    out.push_str("<p>With the setting chosen without the grasp that is scored: ");
-    for (i, engine) in report.engines.iter().enumerate() {
-        let all = &engine.scores.leave_one_out.all;
-        put!(
-            out,
-            "{}{} {} of {} ({}, {})",
-            if i == 0 { "" } else { ", " },
-            Esc(&engine_name(&engine.name).to_lowercase()),
-            all.agree,
-            all.n,
-            share(all),
-            interval(all)
-        );
-    }
-    if let Some(duel) = &report.duel {
-        put!(out, "; {}", p_value(duel.leave_one_out_p));
-    }
-    out.push('.');
-    let without: usize = report.engines.iter().map(|e| e.without_outcome).sum();
-    if without > 0 {
-        put!(
-            out,
-            " {without} {} without outcome and not counted.",
-            if without == 1 {
-                "case at a chosen setting is"
-            } else {
-                "cases at a chosen setting are"
+    html! {
+        section id="verdict" {
+            h1 {
+                "Replay of " (report.dataset.name) ": does simulation agree with "
+                (page.reality()) ", grasp by grasp?"
             }
-        );
-    }
-    out.push_str("</p>\n");
-}
-
-/// Every way's share with its interval, by engine.
-fn forest(page: &Page<'_>, out: &mut String) {
-    const ROW: f64 = 15.0;
-    let engines = &page.report.engines;
-    let rows = (WAYS.len() * engines.len()) as f64;
-    let bottom = 6.0 + ROW * rows + 6.0 * (WAYS.len() as f64 - 1.0) + 4.0;
-    let panel = Panel::new([220.0, 620.0, 2.0, bottom], [0.0, 1.0], [0.0, 1.0]);
-    put!(
-        out,
-        "<figure><svg class=\"forest\" viewBox=\"0 0 740 {:.0}\" role=\"img\" \
-         aria-label=\"Share of grasps that agree, with 95 % intervals; the numbers are in the \
-         last column of Table 1\">",
-        bottom + 26.0
-    );
-    panel.abscissa(out, "share of grasps that agree", 5.0);
-    let mut y = 6.0 + 0.5 * ROW;
-    for way in &WAYS {
-        put!(
-            out,
-            "<text class=\"way\" x=\"0\" y=\"{:.1}\">{}</text>",
-            y + 3.5,
-            way.name
-        );
-        for (i, engine) in engines.iter().enumerate() {
-            whisker(out, &panel, y, i, engine, &(way.score)(&engine.scores).all);
-            y += ROW;
+            (page.banner())
+            @if report.engines.is_empty() {
+                p.verdict { "No engine was run." }
+            } @else {
+                (sentence(page))
+                (without_bias(page))
+                figure { (forest(&report.engines).inline()) }
+            }
+            (facts(page))
         }
-        y += 6.0;
     }
-    out.push_str("</svg></figure>\n");
 }
 
-fn whisker(
-    out: &mut String,
-    panel: &Panel,
-    y: f64,
-    i: usize,
-    engine: &EngineFacts,
-    p: &Proportion,
-) {
-    put!(
-        out,
-        "<text class=\"who\" x=\"212\" y=\"{:.1}\">{}</text>",
-        y + 3.5,
-        Esc(engine_name(&engine.name))
-    );
-    if p.n == 0 || !(p.low.is_finite() && p.high.is_finite() && p.share.is_finite()) {
-        put!(
-            out,
-            "<text class=\"num\" x=\"628\" y=\"{:.1}\">{MISSING}</text>",
-            y + 3.5
-        );
-        return;
+fn sentence(page: &Page<'_>) -> Markup {
+    html! {
+        p.verdict {
+            @for (i, engine) in page.report.engines.iter().enumerate() {
+                @let all = &engine.scores.paper.all;
+                @if i > 0 { "; " }
+                b { (engine_name(&engine.name)) }
+                " agree with " (page.reality()) " on " b { (all.agree) " of " (all.n) }
+                " grasps (" (share(all)) ", 95\u{a0}% interval " (interval(all)) ")"
+            }
+            @if let Some(duel) = &page.report.duel {
+                "; of the grasps where only one is right, " (duel.only_fem)
+                " go to finite elements and " (duel.only_rigid)
+                " to rigid bodies (exact McNemar " (p_value(duel.mcnemar_p)) ")"
+            }
+            "."
+        }
     }
-    let (low, high, x) = (panel.x(p.low), panel.x(p.high), panel.x(p.share));
-    put!(
-        out,
-        "<path class=\"whisker e{}\" d=\"M{low:.1} {y:.1}H{high:.1}M{low:.1} {:.1}v6M{high:.1} \
-         {:.1}v6\"/>",
-        i % 3,
-        y - 3.0,
-        y - 3.0
-    );
-    // Shapes tell the engines apart where colours do not.
-    match i % 2 {
-        0 => put!(
-            out,
-            "<circle class=\"e{}\" cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"4\"/>",
-            i % 3
-        ),
-        _ => put!(
-            out,
-            "<rect class=\"e{}\" x=\"{:.1}\" y=\"{:.1}\" width=\"7\" height=\"7\"/>",
-            i % 3,
-            x - 3.5,
-            y - 3.5
-        ),
-    }
-    put!(
-        out,
-        "<text class=\"num\" x=\"628\" y=\"{:.1}\">{}  [{}]</text>",
-        y + 3.5,
-        fixed(p.share, 2),
-        interval(p)
-    );
 }
 
-fn facts(page: &Page<'_>, out: &mut String) {
-    let report = page.report;
-    let dataset = &report.dataset;
-    out.push_str("<dl class=\"facts\">\n");
-    let mut fact = |name: &str, value: String| {
-        put!(out, "<div><dt>{name}</dt><dd>{value}</dd></div>\n");
+fn without_bias(page: &Page<'_>) -> Markup {
+    let without: usize = page.report.engines.iter().map(|e| e.without_outcome).sum();
+    html! {
+        p {
+            "With the setting chosen without the grasp that is scored: "
+            @for (i, engine) in page.report.engines.iter().enumerate() {
+                @let all = &engine.scores.leave_one_out.all;
+                @if i > 0 { ", " }
+                (engine_name(&engine.name).to_lowercase()) " " (all.agree) " of " (all.n)
+                " (" (share(all)) ", " (interval(all)) ")"
+            }
+            @if let Some(duel) = &page.report.duel { "; " (p_value(duel.leave_one_out_p)) }
+            "."
+            @if without > 0 {
+                " " (without) " "
+                @if without == 1 { "case at a chosen setting is" }
+                @else { "cases at a chosen setting are" }
+                " without outcome and not counted."
+            }
+        }
+    }
+}
+
+/// Every way's fraction with its interval, by engine.
+fn forest(engines: &[EngineFacts]) -> Chart {
+    const ROW: f64 = 16.0;
+    const GAP: f64 = 8.0;
+    const TOP: f64 = 4.0;
+    let group = ROW * engines.len() as f64 + GAP;
+    let height = group * WAYS.len() as f64;
+    let panel = Panel {
+        left: 250.0,
+        right: 620.0,
+        top: TOP,
+        bottom: TOP + height,
+        x: Axis::new("share of grasps that agree", [0.0, 1.0], 5.0),
+        // Downwards, in px.
+        y: Axis::of_px(height),
     };
-    fact("Dataset", format!("{}", Esc(&dataset.name)));
-    fact("at", format!("<code>{}</code>", Esc(&dataset.path)));
-    fact(
-        "SHA-256 of the records",
-        format!("<code>{}</code>", Esc(&dataset.sha256)),
-    );
-    fact(
-        "Grasps",
-        format!(
-            "{} in the dataset, {} replayed, {} left out",
-            dataset.grasps,
-            report.grasps.len(),
-            left_out_grasps(page)
-        ),
-    );
-    fact("Seed", report.seed.to_string());
-    fact("Software", format!("{}", Esc(&report.software)));
-    fact("Written", format!("{}", Esc(&report.written_at)));
-    fact("Processor", format!("{}", Esc(&report.cost.processor)));
-    let cpu: f64 = report.cost.cpu_s.values().sum();
-    fact(
-        "Cases",
-        format!("{}, {} of CPU time", report.cost.cases, duration(cpu)),
-    );
-    out.push_str("</dl>\n");
+    let row = |way: usize, engine: usize| {
+        height - group * way as f64 - 0.5 * GAP - ROW * (engine as f64 + 0.5)
+    };
+    let label = |x: f64, y: f64, anchor: Anchor, words: &str| {
+        text("small", [x, panel.bottom - y + 4.0], anchor, words)
+    };
+    let body = html! {
+        (panel.grid())
+        @for (k, way) in WAYS.iter().enumerate() {
+            (label(0.0, row(k, 0), Anchor::Start, way.name))
+            @for (i, engine) in engines.iter().enumerate() {
+                @let (y, p) = (row(k, i), &(way.score)(&engine.scores).all);
+                (label(panel.left - 10.0, y, Anchor::End, engine_name(&engine.name)))
+                @if is_known(p) {
+                    @let class = format!("interval {}", colour(i));
+                    (panel.whisker(&class, [[p.low, y], [p.high, y]]))
+                    (panel.marker(i, [p.share, y]))
+                    @let words = format!("{}  [{}]", share(p), interval(p));
+                    (label(panel.right + 10.0, y, Anchor::Start, &words))
+                } @else {
+                    (label(panel.right + 10.0, y, Anchor::Start, MISSING))
+                }
+            }
+        }
+        (panel.edges())
+    };
+    Chart {
+        size: [750.0, panel.bottom + Panel::ABSCISSA],
+        title: "Share of grasps that agree, with 95 % intervals".to_owned(),
+        description: "The numbers are in the last column of Table 1.".to_owned(),
+        body,
+    }
 }
 
-/// Grasps of the dataset that were not replayed at all.
-fn left_out_grasps(page: &Page<'_>) -> usize {
-    let total = page.report.dataset.grasps;
-    total.saturating_sub(page.report.grasps.len())
+fn is_known(p: &Proportion) -> bool {
+    p.n > 0 && [p.low, p.high, p.share].iter().all(|v| v.is_finite())
+}
+
+fn facts(page: &Page<'_>) -> Markup {
+    let (report, dataset) = (page.report, &page.report.dataset);
+    let cpu: f64 = report.cost.cpu_s.values().sum();
+    definitions(
+        "facts",
+        &[
+            ("Dataset", &dataset.name),
+            ("at", &html! { code { (dataset.path) } }),
+            (
+                "SHA-256 of the records",
+                &html! { code { (dataset.sha256) } },
+            ),
+            (
+                "Grasps",
+                &format!(
+                    "{} in the dataset, {} replayed, {} left out",
+                    dataset.grasps,
+                    report.grasps.len(),
+                    // Those that were not replayed at all.
+                    dataset.grasps.saturating_sub(report.grasps.len())
+                ),
+            ),
+            ("Seed", &report.seed),
+            ("Software", &report.software),
+            ("Written", &report.written_at),
+            ("Processor", &report.cost.processor),
+            (
+                "Cases",
+                &format!("{}, {} of CPU time", report.cost.cases, duration(cpu)),
+            ),
+        ],
+    )
 }

@@ -1,35 +1,23 @@
 //! The report as one page: no network, nothing but inline CSS, SVG and a little script without
-//! which everything can still be read.
-//!
-//! Every string of the report goes through [`text::Esc`]; pictures are data URIs that
-//! [`gripcast_report::picture`] has looked at. The page's policy allows no other source.
+//! which everything can still be read. The page's policy allows no other source.
 
+mod agreement;
 mod appendix;
 mod changes;
-mod confusion;
-mod curves;
 mod gallery;
 mod grasp;
 mod grasp_index;
-mod grid;
 mod head;
-mod heat;
 #[cfg(test)]
 mod page_test;
-mod plot;
+mod settings;
 mod tables;
 mod text;
 
-use std::fmt::Write as _;
-
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use sha2::{Digest as _, Sha256};
-
-use self::text::Esc;
 use super::report::{REPORT_FORMAT, REPORT_VERSION, Reality, Report};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_report::{open_wide, picture, put, theme_choice};
+use gripcast_report::page;
+use maud::{Markup, Render, html};
 
 const STYLE: &str = include_str!("style.css");
 const SCRIPT: &str = include_str!("script.js");
@@ -51,25 +39,44 @@ pub fn page(report: &Report) -> Result<String> {
         .remedy("replay again with this version of gripcast"));
     }
     let page = Page { report };
-    let mut out = String::new();
-    page.open(&mut out);
-    head::verdict(&page, &mut out);
-    tables::accuracy(&page, &mut out);
-    tables::parameters(&page, &mut out);
-    confusion::sections(&page, &mut out);
-    heat::section(&page, &mut out);
-    gallery::section(&page, &mut out);
-    grasp_index::section(&page, &mut out);
-    grasp::section(&page, &mut out);
-    appendix::left_out(&page, &mut out);
-    appendix::cost(&page, &mut out);
-    changes::section(&page, &mut out);
-    appendix::notes(&page, &mut out);
-    put!(
-        out,
-        "</main>\n<script>{SCRIPT}</script>\n</body>\n</html>\n"
-    );
-    Ok(out)
+    let mut sections = vec![
+        ("verdict", "Verdict"),
+        ("accuracy", "Table 1"),
+        ("parameters", "Table 2"),
+        ("confusion", "Confusion"),
+        ("settings", "Settings"),
+        ("failures", "Failures"),
+        ("index", "Grasps"),
+        ("left-out", "Left out"),
+        ("cost", "Cost"),
+    ];
+    sections.extend(report.changes.as_ref().map(|_| ("changes", "Changes")));
+    sections.push(("notes", "Notes"));
+    let whole = page::Page {
+        software: &report.software,
+        title: &format!("Replay of {}", report.dataset.name),
+        style: STYLE,
+        script: Some(SCRIPT),
+        sections: &sections,
+        flag: page.simulated().map(|_| "Reality is simulated"),
+        main: html! {
+            (head::verdict(&page))
+            (tables::accuracy(&page))
+            (tables::parameters(&page))
+            (agreement::section(&page))
+            (settings::section(&page))
+            (gallery::section(&page))
+            (grasp_index::section(&page))
+            (grasp::section(&page))
+            (appendix::left_out(&page))
+            (appendix::cost(&page))
+            @if let Some(changes) = &report.changes {
+                (changes::section(&page, changes))
+            }
+            (appendix::notes(&page))
+        },
+    };
+    Ok(whole.to_html())
 }
 
 /// What all sections need.
@@ -103,59 +110,15 @@ impl Page<'_> {
     }
 
     /// The statement under every heading that reality is simulated.
-    fn banner(&self, out: &mut String) {
-        if let Some(how) = self.simulated() {
-            put!(
-                out,
-                "<p class=\"simulated\" role=\"note\"><b>Reality is simulated here:</b> {}</p>\n",
-                Esc(how)
-            );
+    fn banner(&self) -> Markup {
+        html! {
+            @if let Some(how) = self.simulated() {
+                p.simulated role="note" { b { "Reality is simulated here:" } " " (how) }
+            }
         }
     }
 
-    fn open_section(&self, out: &mut String, id: &str, title: &str) {
-        put!(out, "<section id=\"{id}\">\n<h2>{title}</h2>\n");
-        self.banner(out);
-    }
-
-    fn open(&self, out: &mut String) {
-        let title = format!("Replay of {}", self.report.dataset.name);
-        let script = STANDARD.encode(Sha256::digest(SCRIPT.as_bytes()));
-        let script = format!("'sha256-{script}'");
-        gripcast_report::begin(out, &self.report.software, &title, STYLE, Some(&script));
-        if self.simulated().is_some() {
-            out.push_str("<div class=\"spine\" aria-hidden=\"true\">Reality is simulated</div>\n");
-        }
-        self.bar(out);
-        plot::shared_keys(out);
-        out.push_str("<main>\n");
-    }
-
-    fn bar(&self, out: &mut String) {
-        out.push_str("<header class=\"bar\"><nav aria-label=\"Sections\">");
-        let mut links = vec![
-            ("verdict", "Verdict"),
-            ("accuracy", "Table 1"),
-            ("parameters", "Table 2"),
-            ("confusion", "Confusion"),
-            ("settings", "Settings"),
-            ("failures", "Failures"),
-            ("index", "Grasps"),
-            ("left-out", "Left out"),
-            ("cost", "Cost"),
-        ];
-        if self.report.changes.is_some() {
-            links.push(("changes", "Changes"));
-        }
-        links.push(("notes", "Notes"));
-        for (id, name) in links {
-            put!(out, "<a href=\"#{id}\">{name}</a>");
-        }
-        out.push_str("</nav>");
-        if self.simulated().is_some() {
-            out.push_str("<span class=\"flag\">reality is simulated</span>");
-        }
-        theme_choice(out);
-        out.push_str("</header>\n");
+    fn section(&self, id: &str, title: &str, body: impl Render) -> Markup {
+        page::section(id, title, html! { (self.banner()) (body) })
     }
 }

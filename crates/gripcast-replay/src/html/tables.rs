@@ -1,189 +1,135 @@
 //! Tables 1 and 2 of the paper.
 
-use std::fmt::Write as _;
-
+use super::Page;
 use super::head::WAYS;
-use super::text::{
-    Esc, MISSING, engine_name, fixed, force_name, interval, optional, share, trimmed,
-};
-use super::{Page, open_wide, picture, put};
+use super::text::{force_name, interval, setting, share};
 use crate::report::{ObjectFacts, Score};
+use gripcast_report::page::{Table, text};
+use gripcast_report::picture::picture;
+use gripcast_report::{MISSING, engine_name, fixed, trimmed};
+use maud::{Markup, Render, html};
 
 /// Table 1: agreement by object, engine and way to choose the setting.
-pub(super) fn accuracy(page: &Page<'_>, out: &mut String) {
-    page.open_section(out, "accuracy", "Table 1. Agreement by object");
-    put!(
-        out,
-        "<p>Share of grasps whose simulated outcome is that of {}, below it the 95&nbsp;% Wilson \
-         interval. Avg is the mean over objects. Bold is the best engine of a column.</p>\n",
-        page.reality()
-    );
-    open_wide(out, "Table 1");
-    out.push_str("<table class=\"data\"><thead><tr><th scope=\"col\">Engine</th>");
-    for object in &page.report.objects {
-        put!(out, "<th scope=\"col\">{}</th>", Esc(&object.name));
-    }
-    out.push_str("<th scope=\"col\">Avg</th><th scope=\"col\">All grasps</th></tr></thead>\n");
-    let columns = page.report.objects.len() + 3;
+pub(super) fn accuracy(page: &Page<'_>) -> Markup {
+    let objects = page.report.objects.iter().map(|object| text(&object.name));
+    let columns = std::iter::once(text("Engine")).chain(objects);
+    let columns = columns.chain([text("Avg"), text("All grasps")]);
+    let mut table = Table::new("Table 1", columns);
     for way in &WAYS {
-        put!(
-            out,
-            "<tbody><tr class=\"group\"><th colspan=\"{columns}\" scope=\"rowgroup\">{} \
-             <span>{}</span></th></tr>\n",
-            way.name,
-            way.how
-        );
-        let scores: Vec<&Score> = page
-            .report
-            .engines
-            .iter()
-            .map(|engine| (way.score)(&engine.scores))
-            .collect();
-        for (engine, score) in page.report.engines.iter().zip(&scores) {
-            put!(
-                out,
-                "<tr><th scope=\"row\">{}</th>",
-                Esc(engine_name(&engine.name))
-            );
-            row(page, out, &scores, score);
-            out.push_str("</tr>\n");
+        table.group(html! { (way.name) " " span { (way.how) } });
+        let engines = || page.report.engines.iter();
+        let scores: Vec<&Score> = engines().map(|e| (way.score)(&e.scores)).collect();
+        for (engine, score) in engines().zip(&scores) {
+            let name = engine_name(&engine.name).render();
+            let cells: Vec<Markup> = std::iter::once(name)
+                .chain(row(page, &scores, score))
+                .collect();
+            table.row(cells.iter().map(|cell| cell as &dyn Render));
         }
-        out.push_str("</tbody>\n");
     }
-    out.push_str("</table></div>\n</section>\n");
+    let body = html! {
+        p {
+            "Share of grasps whose simulated outcome is that of " (page.reality()) ", below it the \
+             95\u{a0}% Wilson interval. Avg is the mean over objects. Bold is the best engine of a \
+             column."
+        }
+        (table)
+    };
+    page.section("accuracy", "Table 1. Agreement by object", body)
 }
 
-fn row(page: &Page<'_>, out: &mut String, all: &[&Score], score: &Score) {
-    for object in &page.report.objects {
+fn row(page: &Page<'_>, all: &[&Score], score: &Score) -> Vec<Markup> {
+    let objects = page.report.objects.iter().map(|object| {
         let of = |score: &Score| score.by_object.get(&object.name).copied();
         let Some(p) = of(score) else {
-            put!(out, "<td>{MISSING}</td>");
-            continue;
+            return MISSING.render();
         };
         let best = all.iter().filter_map(|s| of(s)).map(|p| p.share);
-        put!(
-            out,
-            "<td title=\"{} of {}\">{}<small>{}</small></td>",
-            p.agree,
-            p.n,
-            strong(&share(&p), is_best(p.share, best)),
-            interval(&p)
-        );
-    }
-    let means = all.iter().map(|s| s.mean);
+        html! {
+            span title={ (p.agree) " of " (p.n) } {
+                (strong(&share(&p), is_best(p.share, best)))
+                small { (interval(&p)) }
+            }
+        }
+    });
+    let mean = is_best(score.mean, all.iter().map(|s| s.mean));
     let p = &score.all;
-    let shares = all.iter().map(|s| s.all.share);
-    put!(
-        out,
-        "<td>{}</td><td>{}<small>{}</small><small>{} of {}</small></td>",
-        strong(&fixed(score.mean, 2), is_best(score.mean, means)),
-        strong(&share(p), is_best(p.share, shares)),
-        interval(p),
-        p.agree,
-        p.n
-    );
+    let best = is_best(p.share, all.iter().map(|s| s.all.share));
+    let all = html! {
+        (strong(&share(p), best))
+        small { (interval(p)) }
+        small { (p.agree) " of " (p.n) }
+    };
+    objects
+        .chain([strong(&fixed(score.mean, 2), mean), all])
+        .collect()
 }
 
 fn is_best(value: f64, all: impl Iterator<Item = f64> + Clone) -> bool {
     all.clone().count() > 1 && all.fold(f64::NEG_INFINITY, f64::max) <= value
 }
 
-fn strong(text: &str, is_best: bool) -> String {
-    if is_best {
-        format!("<b>{text}</b>")
-    } else {
-        text.to_owned()
+fn strong(text: &str, is_best: bool) -> Markup {
+    html! {
+        @if is_best { b { (text) } } @else { (text) }
     }
 }
 
 /// Table 2: what each object is and which setting was chosen for it.
-pub(super) fn parameters(page: &Page<'_>, out: &mut String) {
-    page.open_section(out, "parameters", "Table 2. Objects and chosen settings");
-    open_wide(out, "Table 2");
-    out.push_str("<table class=\"data\"><thead><tr><th scope=\"col\"></th>");
-    for (i, object) in page.report.objects.iter().enumerate() {
-        put!(out, "<th scope=\"col\">{}", Esc(&object.name));
-        if let Some(uri) = &object.picture {
-            picture::picture(
-                out,
-                uri,
-                &format!("o{i}"),
-                &format!("object {}", object.name),
-            );
-        }
-        out.push_str("</th>");
-    }
-    out.push_str("</tr></thead>\n<tbody>\n");
-    chosen(page, out);
-    properties(page, out);
-    out.push_str("</tbody></table></div>\n");
-    one_setting(page, out);
-    out.push_str("</section>\n");
-}
-
-fn chosen(page: &Page<'_>, out: &mut String) {
-    objects_row(page, out, "Mass, g", |o| fixed(1e3 * o.mass_kg, 0));
+pub(super) fn parameters(page: &Page<'_>) -> Markup {
+    let objects = page.report.objects.iter().enumerate();
+    let objects = objects.map(|(i, object)| {
+        text(html! {
+            (object.name)
+            @if let Some(uri) = &object.picture {
+                (picture(uri, &format!("o{i}"), &format!("object {}", object.name)))
+            }
+        })
+    });
+    let mut table = Table::new("Table 2", std::iter::once(text("")).chain(objects));
+    let mut row = |title: Markup, cell: &dyn Fn(&ObjectFacts) -> Markup| {
+        let cells = std::iter::once(title).chain(page.report.objects.iter().map(cell));
+        let cells: Vec<Markup> = cells.collect();
+        table.row(cells.iter().map(|cell| cell as &dyn Render));
+    };
+    row("Mass, g".render(), &|o| fixed(1e3 * o.mass_kg, 0).render());
     for engine in &page.report.engines {
-        let name = Esc(engine_name(&engine.name)).to_string();
-        let scores = &engine.scores;
-        let title = format!("{name}: friction coefficient");
-        objects_row(page, out, &title, |_| trimmed(scores.friction, 3));
-        let title = format!("{name}: {}, N", force_name(&engine.name));
-        objects_row(page, out, &title, |o| {
+        let (name, scores) = (engine_name(&engine.name), &engine.scores);
+        let title = html! { (name) ": friction coefficient" };
+        row(title, &|_| trimmed(scores.friction, 3).render());
+        let title = html! { (name) ": " (force_name(&engine.name)) ", N" };
+        row(title, &|o| {
             let force = scores.force_n.get(&o.name);
-            force.map_or_else(|| MISSING.to_owned(), |n| trimmed(*n, 2))
+            force
+                .map_or_else(|| MISSING.to_owned(), |n| trimmed(*n, 2))
+                .render()
         });
     }
-}
-
-fn properties(page: &Page<'_>, out: &mut String) {
-    objects_row(page, out, "Grasps replayed (held, lost)", |o| {
+    row("Grasps replayed (held, lost)".render(), &|o| {
         let lost = o.grasps.saturating_sub(o.stable);
-        format!("{} ({}, {lost})", o.grasps, o.stable)
+        format!("{} ({}, {lost})", o.grasps, o.stable).render()
     });
-    objects_row(page, out, "Size, mm", |o| {
-        o.size_m.map(|side| fixed(1e3 * side, 0)).join(" × ")
+    row("Size, mm".render(), &|o| {
+        let sides = o.size_m.map(|side| fixed(1e3 * side, 0));
+        sides.join(" × ").render()
     });
-    objects_row(page, out, "Mesh", |o| {
-        format!("<code>{}</code>", Esc(&o.mesh))
-    });
-    objects_row(page, out, "Triangles", |o| o.triangles.to_string());
-    objects_row(page, out, "SHA-256 of the mesh", |o| {
+    row("Mesh".render(), &|o| html! { code { (o.mesh) } });
+    row("Triangles".render(), &|o| o.triangles.render());
+    row("SHA-256 of the mesh".render(), &|o| {
         let short: String = o.mesh_sha256.chars().take(12).collect();
-        format!(
-            "<code title=\"{}\">{}</code>",
-            Esc(&o.mesh_sha256),
-            Esc(&short)
-        )
+        html! { code title=(o.mesh_sha256) { (short) } }
     });
-}
-
-fn objects_row(
-    page: &Page<'_>,
-    out: &mut String,
-    title: &str,
-    cell: impl Fn(&ObjectFacts) -> String,
-) {
-    put!(out, "<tr><th scope=\"row\">{title}</th>");
-    for object in &page.report.objects {
-        put!(out, "<td>{}</td>", cell(object));
-    }
-    out.push_str("</tr>\n");
-}
-
-fn one_setting(page: &Page<'_>, out: &mut String) {
-    out.push_str("<p>One setting for all objects: ");
-    for (i, engine) in page.report.engines.iter().enumerate() {
-        let one = engine.scores.one;
-        put!(
-            out,
-            "{}{} friction {}, {} {}&nbsp;N",
-            if i == 0 { "" } else { "; " },
-            Esc(&engine_name(&engine.name).to_lowercase()),
-            optional(Some(one.friction), 2),
-            force_name(&engine.name),
-            trimmed(one.force_n, 2)
-        );
-    }
-    out.push_str(".</p>\n");
+    let body = html! {
+        (table)
+        p {
+            "One setting for all objects: "
+            @for (i, engine) in page.report.engines.iter().enumerate() {
+                @if i > 0 { "; " }
+                (engine_name(&engine.name).to_lowercase()) " "
+                (setting(&engine.name, engine.scores.one))
+            }
+            "."
+        }
+    };
+    page.section("parameters", "Table 2. Objects and chosen settings", body)
 }

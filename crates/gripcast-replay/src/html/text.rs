@@ -1,9 +1,8 @@
 //! Words and numbers of the page.
 
-use crate::report::Proportion;
-pub(super) use gripcast_report::{
-    Esc, MISSING, duration, engine_name, fixed, label_name, optional, outcome_name, trimmed,
-};
+use crate::report::{Proportion, Setting};
+use gripcast_report::{MISSING, fixed, outcome_name, trimmed};
+use maud::{Markup, html};
 
 /// `p = 0.0012`, `p < 0.0001`.
 pub(super) fn p_value(p: f64) -> String {
@@ -11,17 +10,14 @@ pub(super) fn p_value(p: f64) -> String {
         return format!("p = {MISSING}");
     }
     if p < 1e-4 {
-        return "p &lt; 0.0001".to_owned();
+        return "p < 0.0001".to_owned();
     }
-    let digits = if p >= 0.1 { 2 } else { 1 + leading_zeros(p) };
+    let leading_zeros = (-p.log10().floor()).clamp(0.0, 6.0) as usize;
+    let digits = if p >= 0.1 { 2 } else { 1 + leading_zeros };
     format!("p = {}", fixed(p, digits))
 }
 
-fn leading_zeros(p: f64) -> usize {
-    (-p.log10().floor()).clamp(0.0, 6.0) as usize
-}
-
-/// The share of a proportion; [`MISSING`] where nothing was counted.
+/// The fraction of a proportion; [`MISSING`] where nothing was counted.
 pub(super) fn share(of: &Proportion) -> String {
     if of.n == 0 {
         MISSING.to_owned()
@@ -39,11 +35,18 @@ pub(super) fn interval(of: &Proportion) -> String {
     }
 }
 
-/// What its force is called, HTML.
-pub(super) fn force_name(engine: &str) -> &'static str {
-    match engine {
-        "fem" => "<i>F</i><sub>stop</sub>",
-        _ => "closing force",
+/// What the force of an engine is called.
+pub(super) fn force_name(engine: &str) -> Markup {
+    html! {
+        @if engine == "fem" { i { "F" } sub { "stop" } } @else { "closing force" }
+    }
+}
+
+/// `friction 0.4, closing force 40 N`.
+pub(super) fn setting(engine: &str, setting: Setting) -> Markup {
+    html! {
+        "friction " (trimmed(setting.friction, 3)) ", " (force_name(engine)) " "
+        (trimmed(setting.force_n, 2)) "\u{a0}N"
     }
 }
 
@@ -74,6 +77,11 @@ impl Agreement {
             None => "no outcome",
         }
     }
+
+    /// `✓ held`.
+    pub(super) fn outcome(&self, outcome: &str) -> Markup {
+        html! { span class=(self.class()) { (self.sign()) " " (outcome_name(outcome)) } }
+    }
 }
 
 #[cfg(test)]
@@ -83,16 +91,14 @@ mod tests {
     #[test]
     fn p_values_are_short() {
         let p = [0.62, 0.031, 0.0012, 1e-9, 1.0].map(p_value);
-        assert_eq!(
-            p,
-            [
-                "p = 0.62",
-                "p = 0.031",
-                "p = 0.0012",
-                "p &lt; 0.0001",
-                "p = 1.00"
-            ]
-        );
+        let expected = [
+            "p = 0.62",
+            "p = 0.031",
+            "p = 0.0012",
+            "p < 0.0001",
+            "p = 1.00",
+        ];
+        assert_eq!(p, expected);
     }
 
     #[test]

@@ -1,16 +1,16 @@
 //! An evaluation as one page: no network, no script, light and dark.
 
-mod pictures;
 mod tables;
 
-use std::fmt::Write as _;
-
-use super::evaluate::{EvalReport, ModelEvaluation};
+use super::evaluate::{EvalReport, ModelEvaluation, sample_pictures};
 use super::metrics::Scored;
-use super::metrics::plot::{PrecisionRecallCurve, RocCurve, precision_recall, reliability, roc};
+use super::metrics::plot::{ModelCurve, precision_recall, reliability, roc};
 use super::samples::Samples;
 use gripcast_base::error::Result;
-use gripcast_report::{Esc, open_section, put, section_links, theme_choice};
+use gripcast_report::fixed;
+use gripcast_report::page::{Page, definitions, grasp_card, nothing, section, warning};
+use gripcast_report::picture::{data_uri, picture};
+use maud::{Markup, Render, html};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -29,47 +29,45 @@ const SECTIONS: [(&str, &str); 6] = [
 /// # Errors
 /// Those of reading the samples.
 pub fn page(report: &EvalReport, samples: &Samples) -> Result<String> {
-    let mut out = String::new();
-    open(report, &mut out);
-    summary(report, &mut out);
-    curves(report, &mut out);
-    calibration(report, &mut out);
-    if let Some(model) = report.models.first() {
-        open_section(&mut out, "groups", "Categories, forces and objects");
-        tables::groups(model, &mut out);
-        out.push_str("</section>\n");
-        open_section(&mut out, "mistakes", "Most confident mistakes");
-        pictures::mistakes(model, samples, &mut out)?;
-        out.push_str("</section>\n");
-    }
-    notes(report, &mut out);
-    out.push_str("</main>\n</body>\n</html>\n");
-    Ok(out)
+    let first = report.models.first();
+    let mistakes = first.map(|model| mistakes(model, samples)).transpose()?;
+    let main = html! {
+        (summary(report))
+        (curves(report))
+        (calibration(report))
+        @if let Some(model) = first {
+            (section("groups", "Categories, forces and objects", tables::groups(model)))
+        }
+        @if let Some(mistakes) = mistakes {
+            (section("mistakes", "Most confident mistakes", mistakes))
+        }
+        (notes(report))
+    };
+    let page = Page {
+        software: &report.software,
+        title: &format!("Stability prediction on {}", report.dataset),
+        style: STYLE,
+        script: None,
+        sections: &SECTIONS,
+        flag: None,
+        main,
+    };
+    Ok(page.to_html())
 }
 
-fn open(report: &EvalReport, out: &mut String) {
-    let title = format!("Stability prediction on {}", report.dataset);
-    gripcast_report::begin(out, &report.software, &title, STYLE, None);
-    section_links(out, &SECTIONS);
-    theme_choice(out);
-    out.push_str("</header>\n<main>\n");
-}
-
-fn summary(report: &EvalReport, out: &mut String) {
-    out.push_str("<section id=\"summary\">\n<h1>Stability prediction before the lift</h1>\n");
+fn summary(report: &EvalReport) -> Markup {
     let n = report.models.first().map_or(0, |model| model.summary.n);
-    put!(
-        out,
-        "<p class=\"verdict\">{n} samples of {} objects, part <b>{}</b> of <code>{}</code></p>\n",
-        report.objects,
-        Esc(&report.split),
-        Esc(&report.dataset)
-    );
-    for warning in &report.warnings {
-        put!(out, "<p class=\"warning\">{}</p>\n", Esc(warning));
+    html! {
+        section id="summary" {
+            h1 { "Stability prediction before the lift" }
+            p.verdict {
+                (n) " samples of " (report.objects) " objects, split " b { (report.split) } " of "
+                code { (report.dataset) }
+            }
+            @for text in &report.warnings { (warning(text)) }
+            (tables::summary(report))
+        }
     }
-    tables::summary(report, out);
-    out.push_str("</section>\n");
 }
 
 fn scored(model: &ModelEvaluation) -> Vec<Scored> {
@@ -91,76 +89,128 @@ fn called(model: &ModelEvaluation) -> String {
     }
 }
 
-fn curves(report: &EvalReport, out: &mut String) {
-    open_section(out, "curves", "Curves");
-    let of_roc: Vec<RocCurve> = report
-        .models
-        .iter()
-        .map(|model| RocCurve::new(&called(model), &scored(model)).with_interval(model.auroc))
-        .collect();
-    let of_recall: Vec<PrecisionRecallCurve> = report
-        .models
-        .iter()
-        .map(|model| PrecisionRecallCurve::new(&called(model), &scored(model)))
+fn curves(report: &EvalReport) -> Markup {
+    let models = report.models.iter();
+    let curves: Vec<ModelCurve> = models
+        .map(|model| ModelCurve::new(&called(model), &scored(model), model.auroc))
         .collect();
     let stable = report.models.first().map(|model| &model.summary);
-    let share = stable.map(|s| s.stable as f64 / s.n.max(1) as f64);
-    put!(
-        out,
-        "<div class=\"figures\">\n<figure>{}</figure>\n<figure>{}</figure>\n</div>\n",
-        roc("Receiver operating characteristic", &of_roc),
-        precision_recall("Precision and recall", &of_recall, share)
-    );
-    out.push_str("</section>\n");
+    let stable = stable.map(|s| s.stable as f64 / s.n.max(1) as f64);
+    let body = html! {
+        div.figures {
+            figure { (roc(&curves).inline()) }
+            figure { (precision_recall(&curves, stable).inline()) }
+        }
+    };
+    section("curves", "Curves", body)
 }
 
-fn calibration(report: &EvalReport, out: &mut String) {
-    open_section(out, "calibration", "Calibration");
-    out.push_str(
-        "<p>How often grasps held that were given a probability. A calibrated model lies on the \
-         diagonal.</p>\n<div class=\"figures\">\n",
-    );
-    for model in report.models.iter().take(4) {
-        put!(
-            out,
-            "<figure>{}</figure>\n",
-            reliability(&called(model), &model.reliability)
-        );
-    }
-    out.push_str("</div>\n</section>\n");
+fn calibration(report: &EvalReport) -> Markup {
+    let body = html! {
+        p {
+            "How often grasps held that were given a probability. A calibrated model lies on the \
+             diagonal."
+        }
+        div.figures {
+            @for model in report.models.iter().take(4) {
+                figure {
+                    h3 { (called(model)) }
+                    (reliability(&called(model), &model.reliability).inline())
+                }
+            }
+        }
+    };
+    section("calibration", "Calibration", body)
 }
 
-fn notes(report: &EvalReport, out: &mut String) {
-    open_section(out, "notes", "Notes");
-    out.push_str(
-        "<dl class=\"notes\">\n\
-         <dt>Positive class</dt><dd>Stable. A grasp counts as predicted stable from the model's own \
-         threshold on, which was chosen on validation data.</dd>\n\
-         <dt>Intervals</dt><dd>95 %, of 2,000 resamples of objects with replacement: samples of one \
-         object are not independent.</dd>\n\
-         <dt>In contact</dt><dd>Samples in which at least 0.4 % of both tactile pictures changed by \
-         more than 25 grey levels. Grasps without visible contact are easy: they are lost.</dd>\n\
-         <dt>ECE</dt><dd>Mean distance of predicted probability and share of stable grasps over 15 \
-         bins of equal width. Small bins are never even: by chance alone, were every probability \
-         right, it would be below the figure named there in 95 % of such tests.</dd>\n</dl>\n",
-    );
-    out.push_str("<dl class=\"facts\">\n");
-    put!(
-        out,
-        "<div><dt>Dataset, SHA-256</dt><dd><code>{}</code></dd></div>\n",
-        Esc(&report.dataset_sha256)
-    );
-    for model in &report.models {
-        put!(
-            out,
-            "<div><dt>{}, SHA-256</dt><dd><code>{}</code></dd></div>\n",
-            Esc(&model.file),
-            Esc(&model.sha256)
-        );
+/// Confident mistakes with what the model saw.
+fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
+    let mut halves = Vec::new();
+    for (label, title) in [
+        (true, "Held, but predicted lost"),
+        (false, "Lost, but predicted stable"),
+    ] {
+        let mut cards = Vec::new();
+        for mistake in model.mistakes.iter().filter(|m| m.stable == label) {
+            let [left, right, rgb] = sample_pictures(samples, mistake.sample)?;
+            let mut pictures = Vec::new();
+            for (image, name) in [(&rgb, "colour"), (&left, "left"), (&right, "right")] {
+                let id = format!("m{}-{name}", mistake.sample);
+                let alt = format!("{} {name}", mistake.id);
+                pictures.push(picture(&data_uri(image)?, &id, &alt));
+            }
+            let text = html! {
+                b { (mistake.object) }
+                p { "probability of stable " (fixed(mistake.p_stable, 3)) }
+                p { (mistake.id) }
+            };
+            cards.push(grasp_card(
+                label,
+                html! { @for one in pictures { (one) } },
+                text,
+            ));
+        }
+        halves.push((title, cards));
     }
-    put!(
-        out,
-        "<div><dt>Software</dt><dd>{}</dd></div>\n</dl>\n</section>\n",
-        Esc(&report.software)
-    );
+    Ok(html! {
+        p {
+            "One of each object at most. The small pictures are the tactile changes, grasp minus \
+             initial, around grey: left above right."
+        }
+        @for (title, cards) in halves {
+            h3 { (title) }
+            @if cards.is_empty() {
+                (nothing("None."))
+            } @else {
+                ul.grasps { @for card in cards { (card) } }
+            }
+        }
+    })
+}
+
+fn notes(report: &EvalReport) -> Markup {
+    let notes: [(&str, &dyn Render); 4] = [
+        (
+            "Positive class",
+            &"Stable. A grasp counts as predicted stable from the model's own threshold on, which \
+              was chosen on validation data.",
+        ),
+        (
+            "Intervals",
+            &"95 %, of 2,000 resamples of objects with replacement: samples of one object are not \
+              independent.",
+        ),
+        (
+            "In contact",
+            &"Samples in which at least 0.4 % of both tactile pictures changed by more than 25 \
+              grey levels. Grasps without visible contact are easy: they are lost.",
+        ),
+        (
+            "ECE",
+            &"Mean distance of predicted probability and share of stable grasps over 15 bins of \
+              equal width. Small bins are never even: by chance alone, were every probability \
+              right, it would be below the figure named there in 95 % of such tests.",
+        ),
+    ];
+    let body = html! {
+        (definitions("notes", &notes))
+        dl.facts {
+            (hash("Dataset", &report.dataset_sha256))
+            @for model in &report.models { (hash(&model.file, &model.sha256)) }
+            div {
+                dt { "Software" }
+                dd { (report.software) }
+            }
+        }
+    };
+    section("notes", "Notes", body)
+}
+
+fn hash(of: &str, sha256: &str) -> Markup {
+    html! {
+        div {
+            dt { (of) ", SHA-256" }
+            dd { code { (sha256) } }
+        }
+    }
 }

@@ -1,149 +1,149 @@
 //! Figures in tables.
 
-use std::fmt::Write as _;
-
 use super::called;
 use crate::evaluate::{EvalReport, ModelEvaluation};
 use crate::metrics::{BaseRateCalibration, GroupSummary, Interval, Spread, Summary};
-use gripcast_report::{Esc, MISSING, fixed, open_wide, optional, put};
+use gripcast_report::page::{Table, number, text};
+use gripcast_report::{MISSING, fixed, optional};
+use maud::{Markup, Render, html};
 
 /// Objects that a page names.
 const MOST_OBJECTS: usize = 60;
 
-pub(super) fn summary(report: &EvalReport, out: &mut String) {
-    open_wide(out, "Figures of the models");
-    out.push_str(
-        "<table class=\"data\"><thead><tr><th>Model<th class=\"n\">n<th class=\"n\">Accuracy\
-         <th class=\"n\">Balanced accuracy<th class=\"n\">AUROC<th class=\"n\">Average precision\
-         <th class=\"n\">Brier<th class=\"n\">ECE<th class=\"n\">Threshold</tr></thead><tbody>\n",
-    );
-    for model in &report.models {
-        row(
-            out,
-            &called(model),
-            &model.summary,
-            [model.balanced_accuracy, model.auroc],
-            &calibration(model),
-        );
-        row(out, "in contact", &model.in_contact, [None, None], "");
-    }
-    if let Some(over) = &report.over_models {
-        put!(
-            out,
-            "<tr class=\"over\"><th>mean ± sd of {}<td><td class=\"n\">{}<td class=\"n\">{}\
-             <td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}<td></tr>\n",
-            over.seeds,
-            spread(over.accuracy),
-            spread(over.balanced_accuracy),
-            spread(over.auroc),
-            spread(over.average_precision),
-            spread(over.brier),
-            spread(over.ece)
-        );
-    }
-    out.push_str("</tbody></table></div>\n");
-    if let Some(model) = report.models.first() {
-        confusion(model, out);
-    }
-    if !report.differences.is_empty() {
-        open_wide(out, "Differences");
-        out.push_str(
-            "<table class=\"data\"><caption>Differences on the same samples</caption><thead><tr>\
-             <th>First<th>Minus<th class=\"n\">Balanced accuracy<th class=\"n\">AUROC</tr></thead>\
-             <tbody>\n",
-        );
-        for difference in &report.differences {
-            put!(
-                out,
-                "<tr><td>{}<td>{}<td class=\"n\">{}<td class=\"n\">{}</tr>\n",
-                Esc(&difference.first),
-                Esc(&difference.second),
-                interval(difference.balanced_accuracy),
-                interval(difference.auroc)
-            );
-        }
-        out.push_str("</tbody></table></div>\n");
+pub(super) fn summary(report: &EvalReport) -> Markup {
+    html! {
+        (models(report))
+        @if let Some(model) = report.models.first() { (confusion(model)) }
+        @if !report.differences.is_empty() { (differences(report)) }
     }
 }
 
-fn row(
-    out: &mut String,
+fn models(report: &EvalReport) -> Table {
+    let numbers = [
+        "n",
+        "Accuracy",
+        "Balanced accuracy",
+        "AUROC",
+        "Average precision",
+        "Brier",
+        "ECE",
+        "Threshold",
+    ];
+    let columns = std::iter::once(text("Model")).chain(numbers.map(number));
+    let mut table = Table::new("Figures of the models", columns);
+    for model in &report.models {
+        let intervals = [model.balanced_accuracy, model.auroc];
+        let name = called(model);
+        model_row(
+            &mut table,
+            &name,
+            &model.summary,
+            intervals,
+            &calibration(model),
+        );
+        model_row(
+            &mut table,
+            "in contact",
+            &model.in_contact,
+            [None; 2],
+            &html! {},
+        );
+    }
+    if let Some(over) = &report.over_models {
+        let name = format!("mean ± sd of {}", over.seeds);
+        table.total([
+            &name as &dyn Render,
+            &"",
+            &spread(over.accuracy),
+            &spread(over.balanced_accuracy),
+            &spread(over.auroc),
+            &spread(over.average_precision),
+            &spread(over.brier),
+            &spread(over.ece),
+            &"",
+        ]);
+    }
+    table
+}
+
+fn model_row(
+    table: &mut Table,
     name: &str,
     summary: &Summary,
     [balanced, auroc]: [Option<Interval>; 2],
-    calibration: &str,
+    calibration: &Markup,
 ) {
-    let small = |interval: Option<Interval>| {
-        interval.map_or_else(String::new, |i| {
-            format!("<small>{} – {}</small>", fixed(i.low, 3), fixed(i.high, 3))
-        })
-    };
-    put!(
-        out,
-        "<tr><th>{}<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}{}<td class=\"n\">{}{}\
-         <td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}{}<td class=\"n\">{}</tr>\n",
-        Esc(name),
-        summary.n,
-        optional(summary.accuracy, 3),
-        optional(summary.balanced_accuracy, 3),
-        small(balanced),
-        optional(summary.auroc, 3),
-        small(auroc),
-        optional(summary.average_precision, 3),
-        optional(summary.brier, 3),
-        optional(summary.ece, 3),
-        calibration,
-        fixed(summary.threshold, 2)
-    );
+    table.row([
+        &name as &dyn Render,
+        &summary.n,
+        &optional(summary.accuracy, 3),
+        &with_interval(summary.balanced_accuracy, balanced),
+        &with_interval(summary.auroc, auroc),
+        &optional(summary.average_precision, 3),
+        &optional(summary.brier, 3),
+        &html! { (optional(summary.ece, 3)) (calibration) },
+        &fixed(summary.threshold, 2),
+    ]);
 }
 
 /// What the calibration error is to be compared with.
-fn calibration(model: &ModelEvaluation) -> String {
-    let mut out = String::new();
-    if let Some(chance) = model.ece_by_chance {
-        put!(
-            out,
-            "<small>by chance &lt; {}</small>",
-            fixed(chance.high, 3)
-        );
+fn calibration(model: &ModelEvaluation) -> Markup {
+    html! {
+        @if let Some(chance) = model.ece_by_chance {
+            small { "by chance < " (fixed(chance.high, 3)) }
+        }
+        @if let Some(found) = model.at_base_rate.filter(BaseRateCalibration::is_uneven) {
+            small { "at base rate " (fixed(found.base_rate, 2)) ": " (fixed(found.ece, 3)) }
+        }
     }
-    if let Some(found) = model.at_base_rate.filter(BaseRateCalibration::is_uneven) {
-        put!(
-            out,
-            "<small>at base rate {}: {}</small>",
-            fixed(found.base_rate, 2),
-            fixed(found.ece, 3)
-        );
-    }
-    out
 }
 
-fn confusion(model: &ModelEvaluation, out: &mut String) {
+fn confusion(model: &ModelEvaluation) -> Table {
     let found = &model.summary.confusion;
-    open_wide(out, "Confusion");
-    put!(
-        out,
-        "<table class=\"data\"><caption>Confusion of {} at its threshold</caption><thead><tr><th>\
-         <th class=\"n\">predicted stable<th class=\"n\">predicted lost<th class=\"n\">right</tr>\
-         </thead><tbody>\n\
-         <tr><th>held<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}</tr>\n\
-         <tr><th>lost<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}</tr>\n\
-         </tbody></table></div>\n",
-        Esc(&called(model)),
-        found.true_stable,
-        found.false_unstable,
-        percent(found.true_stable, found.n_stable()),
-        found.false_stable,
-        found.true_unstable,
-        percent(found.true_unstable, found.n_unstable())
-    );
+    let caption = format!("Confusion of {} at its threshold", called(model));
+    let numbers = ["predicted stable", "predicted lost", "right"];
+    let columns = std::iter::once(text("")).chain(numbers.map(number));
+    let mut table = Table::new("Confusion", columns).caption(caption);
+    table.row([
+        &"held" as &dyn Render,
+        &found.true_stable,
+        &found.false_unstable,
+        &percent(found.true_stable, found.n_stable()),
+    ]);
+    table.row([
+        &"lost" as &dyn Render,
+        &found.false_stable,
+        &found.true_unstable,
+        &percent(found.true_unstable, found.n_unstable()),
+    ]);
+    table
+}
+
+fn differences(report: &EvalReport) -> Table {
+    let columns = [
+        text("First"),
+        text("Minus"),
+        number("Balanced accuracy"),
+        number("AUROC"),
+    ];
+    let mut table = Table::new("Differences", columns).caption("Differences on the same samples");
+    for difference in &report.differences {
+        let interval = |found: Option<Interval>| with_interval(found.map(|i| i.estimate), found);
+        table.row([
+            &difference.first as &dyn Render,
+            &difference.second,
+            &interval(difference.balanced_accuracy),
+            &interval(difference.auroc),
+        ]);
+    }
+    table
 }
 
 fn percent(part: usize, all: usize) -> String {
     if all == 0 {
         return MISSING.to_owned();
     }
-    format!("{}&nbsp;%", fixed(100.0 * part as f64 / all as f64, 1))
+    format!("{}\u{a0}%", fixed(100.0 * part as f64 / all as f64, 1))
 }
 
 fn spread(found: Option<Spread>) -> String {
@@ -156,24 +156,16 @@ fn spread(found: Option<Spread>) -> String {
     )
 }
 
-fn interval(found: Option<Interval>) -> String {
-    found.map_or_else(
-        || MISSING.to_owned(),
-        |i| {
-            format!(
-                "{}<small>{} – {}</small>",
-                fixed(i.estimate, 3),
-                fixed(i.low, 3),
-                fixed(i.high, 3)
-            )
-        },
-    )
+fn with_interval(value: Option<f64>, interval: Option<Interval>) -> Markup {
+    html! {
+        (optional(value, 3))
+        @if let Some(interval) = interval {
+            small { (fixed(interval.low, 3)) " – " (fixed(interval.high, 3)) }
+        }
+    }
 }
 
-pub(super) fn groups(model: &ModelEvaluation, out: &mut String) {
-    out.push_str("<div class=\"tables\">\n");
-    table(out, "Category", &model.categories, model.categories.len());
-    table(out, "Stopping force", &model.forces, model.forces.len());
+pub(super) fn groups(model: &ModelEvaluation) -> Markup {
     // The worst ones first.
     let mut objects = model.per_object.clone();
     objects.sort_by(|a, b| {
@@ -182,33 +174,30 @@ pub(super) fn groups(model: &ModelEvaluation, out: &mut String) {
             .total_cmp(&accuracy(b))
             .then(a.name.cmp(&b.name))
     });
-    table(out, "Object, the worst first", &objects, MOST_OBJECTS);
-    out.push_str("</div>\n");
+    html! {
+        div.tables {
+            (table("Category", &model.categories))
+            (table("Stopping force", &model.forces))
+            (table("Object, the worst first", &objects[..objects.len().min(MOST_OBJECTS)]))
+            @if objects.len() > MOST_OBJECTS {
+                p { (objects.len() - MOST_OBJECTS) " more are in eval.json." }
+            }
+        }
+    }
 }
 
-fn table(out: &mut String, name: &str, groups: &[GroupSummary], most: usize) {
-    put!(
-        out,
-        "<table class=\"data\"><thead><tr><th>{name}<th class=\"n\">n<th class=\"n\">held\
-         <th class=\"n\">Accuracy<th class=\"n\">AUROC</tr></thead><tbody>\n"
-    );
-    for group in groups.iter().take(most) {
-        put!(
-            out,
-            "<tr><th>{}<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}<td class=\"n\">{}</tr>\n",
-            Esc(group.name.trim()),
-            group.n,
-            group.stable,
-            optional(group.accuracy, 2),
-            optional(group.auroc, 2)
-        );
+fn table(name: &str, groups: &[GroupSummary]) -> Table {
+    let numbers = ["n", "held", "Accuracy", "AUROC"];
+    let columns = std::iter::once(text(name)).chain(numbers.map(number));
+    let mut table = Table::new(name, columns);
+    for group in groups {
+        table.row([
+            &group.name.trim() as &dyn Render,
+            &group.n,
+            &group.stable,
+            &optional(group.accuracy, 2),
+            &optional(group.auroc, 2),
+        ]);
     }
-    out.push_str("</tbody></table>\n");
-    if groups.len() > most {
-        put!(
-            out,
-            "<p>{} more are in eval.json.</p>\n",
-            groups.len() - most
-        );
-    }
+    table
 }

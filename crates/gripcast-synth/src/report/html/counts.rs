@@ -1,84 +1,84 @@
 //! Counts per category, as the paper's Figure 7, of all results and of the dataset.
 
-use std::fmt::Write as _;
-
 use super::{bar, key, percent};
 use crate::curate::{Apart, LeftOut};
 use crate::merge::PartFacts;
 use crate::report::facts::{DatasetFacts, Labels, SynthReport};
-use gripcast_report::{Esc, open_section, open_wide, outcome_name, put};
+use gripcast_report::outcome_name;
+use gripcast_report::page::{self, Table, nothing, number, text};
+use maud::{Markup, Render, html};
 
-pub(super) fn section(report: &SynthReport, out: &mut String) {
-    open_section(out, "counts", "Counts by category (Figure 7)");
-    out.push_str("<p>Simulations with a label. A grasp is a pose, simulated at every force.</p>\n");
-    key(out);
-    results(report, out);
-    match &report.dataset {
-        Some(dataset) => of_dataset(dataset, out),
-        None => out.push_str(
-            "<p class=\"nothing\">No dataset was given; <code>--dataset</code> adds what is in \
-             its parts.</p>\n",
-        ),
-    }
-    out.push_str("</section>\n");
+pub(super) fn section(report: &SynthReport) -> Markup {
+    let body = html! {
+        p { "Simulations with a label. A grasp is a pose, simulated at every force." }
+        (key())
+        (results(report))
+        @match &report.dataset {
+            Some(dataset) => (of_dataset(dataset)),
+            None => (nothing(html! {
+                "No dataset was given; " code { "--dataset" } " adds what is in its splits."
+            })),
+        }
+    };
+    page::section("counts", "Counts by category (Figure 7)", body)
 }
 
-fn results(report: &SynthReport, out: &mut String) {
+fn results(report: &SynthReport) -> Table {
+    let columns = [
+        text("Category"),
+        text("Simulations"),
+        number("held"),
+        number("lost"),
+        number("share held"),
+        number("objects"),
+        number("grasps"),
+    ];
+    let mut table = Table::new("Counts by category", columns).class("data categories");
     let all = report.categories.values().map(|facts| facts.labels.all());
     let most = all.max().unwrap_or(0);
-    open_wide(out, "Counts by category");
-    out.push_str(
-        "<table class=\"data categories\"><thead><tr><th scope=\"col\">Category</th>\
-         <th scope=\"col\" class=\"plot\">Simulations</th><th scope=\"col\" class=\"n\">held</th>\
-         <th scope=\"col\" class=\"n\">lost</th><th scope=\"col\" class=\"n\">share held</th>\
-         <th scope=\"col\" class=\"n\">objects</th><th scope=\"col\" class=\"n\">grasps</th></tr>\
-         </thead><tbody>\n",
-    );
-    let mut row = |name: &str, labels: Labels, full: usize, objects: usize, grasps: usize| {
-        put!(out, "<tr><th scope=\"row\">{}</th><td>", Esc(name));
-        bar(out, labels, full);
-        put!(
-            out,
-            "</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-             <td class=\"n\">{objects}</td><td class=\"n\">{grasps}</td></tr>\n",
-            labels.held,
-            labels.lost,
-            percent(labels.share())
-        );
-    };
+    let cells = |labels: Labels| (labels.held, labels.lost, percent(labels.share()));
     let (mut objects, mut grasps) = (0, 0);
     for (name, facts) in &report.categories {
-        row(name, facts.labels, most, facts.objects, facts.grasps);
+        let (held, lost, share) = cells(facts.labels);
+        let bar = bar(facts.labels, most);
+        let counts: [&dyn Render; 2] = [&facts.objects, &facts.grasps];
+        table.row([
+            name as &dyn Render,
+            &bar,
+            &held,
+            &lost,
+            &share,
+            counts[0],
+            counts[1],
+        ]);
         objects += facts.objects;
         grasps += facts.grasps;
     }
-    let all = report.progress.labels;
-    put!(out, "</tbody><tfoot>");
-    put!(
-        out,
-        "<tr><th scope=\"row\">all</th><td></td><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-         <td class=\"n\">{}</td><td class=\"n\">{objects}</td><td class=\"n\">{grasps}</td></tr>\
-         </tfoot></table></div>\n",
-        all.held,
-        all.lost,
-        percent(all.share())
-    );
+    let (held, lost, share) = cells(report.progress.labels);
+    table.total([
+        &"all" as &dyn Render,
+        &"",
+        &held,
+        &lost,
+        &share,
+        &objects,
+        &grasps,
+    ]);
+    table
 }
 
-fn of_dataset(dataset: &DatasetFacts, out: &mut String) {
-    let merge = &dataset.merge;
-    let apart = match merge.curation.apart {
-        Apart::Object => "no object is in two parts",
-        Apart::Category => "no category is in two parts",
+fn of_dataset(dataset: &DatasetFacts) -> Markup {
+    let curation = &dataset.merge.curation;
+    let apart = match curation.apart {
+        Apart::Object => "no object is in two splits",
+        Apart::Category => "no category is in two splits",
     };
-    put!(
-        out,
-        "<h3>The dataset <span>{apart}; seed {}</span></h3>\n",
-        merge.curation.seed
-    );
-    parts(dataset, out);
-    part_categories(dataset, out);
-    left_out(dataset, out);
+    html! {
+        h3 { "The dataset " span { (apart) "; seed " (curation.seed) } }
+        (splits(dataset))
+        (split_categories(dataset))
+        (left_out(dataset))
+    }
 }
 
 fn labels(part: &PartFacts) -> Labels {
@@ -88,91 +88,67 @@ fn labels(part: &PartFacts) -> Labels {
     }
 }
 
-fn parts(dataset: &DatasetFacts, out: &mut String) {
-    open_wide(out, "Parts of the dataset");
-    out.push_str(
-        "<table class=\"data\"><thead><tr><th scope=\"col\">Part</th>\
-         <th scope=\"col\" class=\"n\">held</th><th scope=\"col\" class=\"n\">lost</th>\
-         <th scope=\"col\" class=\"n\">objects</th><th scope=\"col\" class=\"n\">grasps</th>\
-         <th scope=\"col\" class=\"n\">renderings</th></tr></thead><tbody>\n",
-    );
+fn splits(dataset: &DatasetFacts) -> Table {
+    let numbers = ["held", "lost", "objects", "grasps", "renderings"];
+    let columns = std::iter::once(text("Split")).chain(numbers.map(number));
+    let mut table = Table::new("Splits of the dataset", columns);
     for (name, part) in &dataset.merge.parts {
         let labels = labels(part);
-        put!(
-            out,
-            "<tr><th scope=\"row\">{}</th><td class=\"n\">{}</td><td class=\"n\">{}</td>\
-             <td class=\"n\">{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td></tr>\n",
-            Esc(name),
-            labels.held,
-            labels.lost,
-            part.objects,
-            part.grasps,
-            part.rows
-        );
+        table.row([
+            name as &dyn Render,
+            &labels.held,
+            &labels.lost,
+            &part.objects,
+            &part.grasps,
+            &part.rows,
+        ]);
     }
-    out.push_str("</tbody></table></div>\n");
+    table
 }
 
-/// Bars of each part by category; each part has its own scale.
-fn part_categories(dataset: &DatasetFacts, out: &mut String) {
+/// Bars of each split by category; each split has its own scale.
+fn split_categories(dataset: &DatasetFacts) -> Table {
     let parts = &dataset.merge.parts;
     let mut categories: Vec<&String> = parts.values().flat_map(|p| p.categories.keys()).collect();
     categories.sort();
     categories.dedup();
-    open_wide(out, "Parts of the dataset by category");
-    out.push_str("<table class=\"data\"><thead><tr><th scope=\"col\">Category</th>");
-    for name in parts.keys() {
-        let name = Esc(name);
-        put!(
-            out,
-            "<th scope=\"col\">{name}</th><th scope=\"col\" class=\"n\">held</th>\
-             <th scope=\"col\" class=\"n\">lost</th>"
-        );
-    }
-    out.push_str("</tr></thead><tbody>\n");
+    let of_part = parts
+        .keys()
+        .flat_map(|name| [text(name), number("held"), number("lost")]);
+    let columns = std::iter::once(text("Category")).chain(of_part);
+    let mut table = Table::new("Splits of the dataset by category", columns);
     for category in categories {
-        put!(out, "<tr><th scope=\"row\">{}</th>", Esc(category));
+        let mut cells: Vec<Markup> = vec![category.render()];
         for part in parts.values() {
             let most = part.categories.values().map(|counts| counts[0] + counts[1]);
             let [held, lost] = part.categories.get(category).copied().unwrap_or_default();
-            out.push_str("<td>");
-            bar(out, Labels { held, lost }, most.max().unwrap_or(0));
-            put!(
-                out,
-                "</td><td class=\"n\">{held}</td><td class=\"n\">{lost}</td>"
-            );
+            cells.push(bar(Labels { held, lost }, most.max().unwrap_or(0)));
+            cells.extend([held.render(), lost.render()]);
         }
-        out.push_str("</tr>\n");
+        table.row(cells.iter().map(|cell| cell as &dyn Render));
     }
-    out.push_str("</tbody></table></div>\n");
+    table
 }
 
-fn left_out(dataset: &DatasetFacts, out: &mut String) {
+fn left_out(dataset: &DatasetFacts) -> Table {
     let merge = &dataset.merge;
-    let mut rows: Vec<(String, usize)> = Vec::new();
+    let mut table = Table::new(
+        "Simulations that are not in the dataset",
+        [text("Reason"), number("simulations")],
+    )
+    .caption("Simulations that are not in the dataset");
     for (reason, count) in &merge.left_out {
         let reason = match reason {
             LeftOut::CategoryCap => "its category has enough",
             LeftOut::Balance => "its label has enough",
         };
-        rows.push((reason.to_owned(), *count));
+        table.row([&reason as &dyn Render, count]);
     }
     for (outcome, count) in &merge.without_sample {
-        let outcome = Esc(outcome_name(outcome)).to_string();
-        rows.push((format!("nothing to see or no label: {outcome}"), *count));
+        let reason = format!("nothing to see or no label: {}", outcome_name(outcome));
+        table.row([&reason as &dyn Render, count]);
     }
-    rows.push(("could not be simulated".to_owned(), merge.failed));
-    rows.push(("no result when it was merged".to_owned(), merge.open));
-    out.push_str(
-        "<table class=\"data\"><caption>Simulations that are not in the dataset</caption><thead>\
-         <tr><th scope=\"col\">Reason</th><th scope=\"col\" class=\"n\">simulations</th></tr>\
-         </thead><tbody>\n",
-    );
-    for (reason, count) in rows {
-        put!(
-            out,
-            "<tr><th scope=\"row\">{reason}</th><td class=\"n\">{count}</td></tr>\n"
-        );
-    }
-    out.push_str("</tbody></table>\n");
+    table.row([&"could not be simulated" as &dyn Render, &merge.failed]);
+    table.row([&"no result when it was merged" as &dyn Render, &merge.open]);
+    table
 }

@@ -1,20 +1,20 @@
 //! The report as one page: no network, no script, light and dark; drawn from the facts alone.
 
 mod balance;
+mod contact;
 mod cost;
 mod counts;
 mod head;
 mod notes;
 #[cfg(test)]
 mod page_test;
-mod pictures;
 mod sheet;
-
-use std::fmt::Write as _;
 
 use super::facts::{Labels, SYNTH_REPORT_FORMAT, SYNTH_REPORT_VERSION, SynthReport};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_report::{MISSING, fixed, put, section_links, theme_choice};
+use gripcast_report::page::{Page, stack};
+use gripcast_report::{MISSING, fixed};
+use maud::{Markup, html};
 
 const STYLE: &str = include_str!("style.css");
 
@@ -46,28 +46,25 @@ pub fn page(report: &SynthReport) -> Result<String> {
         )
         .remedy("report again with this version of gripcast"));
     }
-    let mut out = String::new();
-    open(report, &mut out);
-    head::summary(report, &mut out);
-    counts::section(report, &mut out);
-    balance::section(report, &mut out);
-    sheet::section(report, &mut out);
-    pictures::section(report, &mut out);
-    cost::section(report, &mut out);
-    cost::unlabelled(report, &mut out);
-    notes::section(report, &mut out);
-    out.push_str("</main>\n</body>\n</html>\n");
-    Ok(out)
-}
-
-fn open(report: &SynthReport, out: &mut String) {
-    let title = format!("Simulated grasps of plan {}", short(&report.plan.sha256));
-    gripcast_report::begin(out, &report.software, &title, STYLE, None);
-    out.push_str("<div class=\"spine\" aria-hidden=\"true\">Everything is simulated</div>\n");
-    section_links(out, &SECTIONS);
-    out.push_str("<span class=\"flag\">everything is simulated</span>");
-    theme_choice(out);
-    out.push_str("</header>\n<main>\n");
+    let page = Page {
+        software: &report.software,
+        title: &format!("Simulated grasps of plan {}", short(&report.plan.sha256)),
+        style: STYLE,
+        script: None,
+        sections: &SECTIONS,
+        flag: Some("Everything is simulated"),
+        main: html! {
+            (head::summary(report))
+            (counts::section(report))
+            (balance::section(report))
+            (sheet::section(report))
+            (contact::section(report))
+            (cost::section(report))
+            (cost::unlabelled(report))
+            (notes::section(report))
+        },
+    };
+    Ok(page.to_html())
 }
 
 /// The begin of a hash.
@@ -76,23 +73,19 @@ fn short(hash: &str) -> String {
 }
 
 /// A bar of both labels, `full` simulations long where it fills its place.
-fn bar(out: &mut String, labels: Labels, full: usize) {
-    let percent = |count: usize| fixed(100.0 * count as f64 / full.max(1) as f64, 2);
-    out.push_str("<div class=\"stack\" aria-hidden=\"true\">");
-    for (class, count) in [("held", labels.held), ("lost", labels.lost)] {
-        if count > 0 {
-            let width = percent(count);
-            put!(out, "<i class=\"{class}\" style=\"width:{width}%\"></i>");
-        }
-    }
-    out.push_str("</div>");
+fn bar(labels: Labels, full: usize) -> Markup {
+    let fraction = |count: usize| count as f64 / full.max(1) as f64;
+    stack([
+        ("held", fraction(labels.held)),
+        ("lost", fraction(labels.lost)),
+    ])
 }
 
 /// `63 %`, or that there is nothing.
-fn percent(share: Option<f64>) -> String {
-    share.map_or_else(
+fn percent(fraction: Option<f64>) -> String {
+    fraction.map_or_else(
         || MISSING.to_owned(),
-        |share| format!("{}&nbsp;%", fixed(100.0 * share, 0)),
+        |fraction| format!("{}\u{a0}%", fixed(100.0 * fraction, 0)),
     )
 }
 
@@ -102,6 +95,11 @@ fn words(name: &str) -> String {
 }
 
 /// What the colours of the bars mean.
-fn key(out: &mut String) {
-    out.push_str("<p class=\"key\"><i class=\"held\"></i> held <i class=\"lost\"></i> lost</p>\n");
+fn key() -> Markup {
+    html! {
+        p.key {
+            i.held {} " held "
+            i.lost {} " lost"
+        }
+    }
 }

@@ -112,7 +112,7 @@ fn the_summary_says_what_is_not_finished_and_that_all_is_simulated() {
     let mut report = sample_report();
     let unfinished = page(&report).unwrap();
     assert!(unfinished.contains("<b>7 of 8</b> planned simulations"));
-    assert!(unfinished.contains("<b>3</b> held, <b>3</b> were lost (50&nbsp;% held)"));
+    assert!(unfinished.contains("<b>3</b> held, <b>3</b> were lost (50\u{a0}% held)"));
     assert!(unfinished.contains("Simulations without a result: 1."));
     assert!(unfinished.contains("Everything here is simulated"));
     report.progress.open = 0;
@@ -134,8 +134,8 @@ fn examples_are_in_their_halves() {
         ),
         (1, 0)
     );
-    assert!(lost.contains("40&nbsp;N, tilted, friction 0.46, 123&nbsp;g"));
-    assert!(lost.contains("squeezed out; rose 50.1&nbsp;mm"));
+    assert!(lost.contains("40\u{a0}N, tilted, friction 0.46, 123\u{a0}g"));
+    assert!(lost.contains("squeezed out; rose 50.1\u{a0}mm"));
 }
 
 #[test]

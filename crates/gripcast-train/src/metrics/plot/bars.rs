@@ -1,25 +1,26 @@
 //! Bar charts that compare models: groups of bars with error bars and the results of each seed.
 
-use std::fmt::Write as _;
+use super::with_legend;
+use gripcast_report::chart::{
+    Anchor, Axis, Chart, Entry, Key, NORMAL, Panel, SMALL, colour, text, width, wrapped,
+};
+use gripcast_report::{MISSING, fixed};
+use maud::{Markup, html};
 
-use super::figure::{colour, figure};
-use super::frame::{Axis, Frame};
-use super::legend::{self, Entry, Key};
-use super::text::{Anchor, NORMAL, SMALL, label, value, width, wrapped};
-use gripcast_report::{Esc, MISSING, fixed, put};
-
-/// Height of the frame, px.
+/// Height of the panel, px.
 const HEIGHT: f64 = 260.0;
-/// Room above the frame for the value of a bar that reaches the top, px.
+/// Room above the panel for the value of a bar that reaches the top, px.
 const HEADROOM: f64 = 20.0;
 /// Room between groups, px.
 const GAP: f64 = 22.0;
 /// Least width of a group and of all groups, px.
 const NARROWEST: [f64; 2] = [64.0, 260.0];
-/// Share of its room that a bar takes.
+/// Fraction of its room that a bar takes.
 const BAR: f64 = 0.84;
-/// Share of a bar over which the dots of seeds are spread.
+/// Fraction of a bar over which the dots of seeds are spread.
 const SEEDS: f64 = 0.8;
+/// Radius of a dot, px.
+const RADIUS: f64 = 2.4;
 /// Most lines of a group's name, and their distance, px.
 const NAME_LINES: usize = 3;
 const LINE: f64 = 15.0;
@@ -72,44 +73,64 @@ pub struct Reference {
     pub value: f64,
 }
 
-/// A bar chart as SVG. Six series are told apart by colour, more by their order.
-pub fn bars(chart: &BarChart) -> String {
+/// Draws a bar chart. Six series are told apart by colour, more by their order.
+pub fn bars(chart: &BarChart) -> Chart {
     let layout = Layout::new(chart);
-    let frame = &layout.frame;
-    // Values come after the line of the reference, which would cross them.
-    let (mut body, mut values) = (String::new(), String::new());
-    frame.draw_ordinate(&mut body);
-    let mut lowest_line = 1;
-    for (i, group) in chart.groups.iter().enumerate() {
-        let lines = layout.draw_name(&mut body, i, &group.name);
-        lowest_line = lowest_line.max(lines);
-        for (series, bar) in group.bars.iter().take(layout.series).enumerate() {
-            let bar = bar.as_ref().filter(|bar| bar.mean.is_finite());
-            layout.draw_place(&mut body, &mut values, [i, series], bar);
-        }
-    }
+    let panel = &layout.panel;
+    let width = panel.right - panel.left;
+    let names: Vec<Vec<String>> = chart.groups.iter().map(|g| layout.name(&g.name)).collect();
     let reference = chart.reference.as_ref().map(|reference| reference.value);
-    if let Some(y) = reference.filter(|&y| layout.shows(y)) {
-        frame.draw_guide(&mut body, [0.0, y], [1.0, y]);
-    }
-    body.push_str(&values);
-    frame.draw_edges(&mut body);
-    layout.draw_zero(&mut body);
-    let top = frame.bottom + 10.0 + lowest_line as f64 * LINE + 8.0;
+    let places = || {
+        let groups = chart.groups.iter().enumerate();
+        groups.flat_map(|(i, group)| {
+            let bars = group.bars.iter().take(layout.series).enumerate();
+            bars.map(move |(series, bar)| {
+                let bar = bar.as_ref().filter(|bar| bar.mean.is_finite());
+                ([i, series], bar)
+            })
+        })
+    };
+    let body = html! {
+        (panel.grid())
+        @for (i, (group, lines)) in chart.groups.iter().zip(&names).enumerate() {
+            g {
+                title { (group.name) }
+                @for (row, line) in lines.iter().enumerate() {
+                    @let y = panel.bottom + 18.0 + row as f64 * LINE;
+                    (text("", [panel.left + layout.middle(i), y], Anchor::Middle, line))
+                }
+            }
+        }
+        @for (place, bar) in places() {
+            @if let Some(bar) = bar { (layout.bar(place, bar)) }
+        }
+        @if let Some(y) = reference.filter(|&y| panel.y.shows(y)) {
+            (panel.guide([0.0, y], [width, y]))
+        }
+        // After the line of the reference, which would cross them.
+        @for (place, bar) in places() { (layout.value(place, bar)) }
+        (panel.edges())
+        @if panel.y.range()[0] < 0.0 && panel.y.shows(0.0) {
+            (panel.segment("axis", [0.0, 0.0], [width, 0.0]))
+        }
+    };
+    let rows = names.iter().map(Vec::len).fold(1, usize::max);
+    let top = panel.bottom + 10.0 + rows as f64 * LINE + 8.0;
+    let description = described(chart, layout.decimals);
     let entries = entries(chart, layout.decimals);
-    let height = legend::draw(&mut body, [8.0, top], frame.right - 8.0, &entries);
-    let size = [frame.right + 8.0, top + height + 4.0];
-    figure(
-        size,
+    with_legend(
         &chart.title,
-        &described(chart, layout.decimals),
-        &body,
+        description,
+        [panel.right, top],
+        body,
+        &entries,
     )
 }
 
 /// Where bars stand.
-struct Layout<'a> {
-    frame: Frame<'a>,
+struct Layout {
+    /// Its abscissa is in px.
+    panel: Panel,
     /// Bars in a group.
     series: usize,
     /// Decimals of values.
@@ -120,10 +141,10 @@ struct Layout<'a> {
     group: f64,
 }
 
-impl<'a> Layout<'a> {
-    fn new(chart: &'a BarChart) -> Self {
-        let ordinate = Axis::new(&chart.y_label, chart.y_range);
-        let [low, high] = ordinate.range;
+impl Layout {
+    fn new(chart: &BarChart) -> Self {
+        let y = Axis::new(&chart.y_label, chart.y_range, 5.0);
+        let [low, high] = y.range();
         let decimals = (3.0 - (high - low).log10().round()).clamp(0.0, 3.0) as usize;
         let all_bars = chart.groups.iter().flat_map(|group| &group.bars).flatten();
         let widths = all_bars.map(|bar| width(&fixed(bar.mean, decimals), SMALL));
@@ -131,20 +152,16 @@ impl<'a> Layout<'a> {
         let in_groups = chart.groups.iter().map(|group| group.bars.len()).max();
         let series = in_groups.unwrap_or(0).max(chart.series.len()).max(1);
         let group = (place * series as f64).max(NARROWEST[0]);
-        let left = ordinate.room();
-        let inner = (GAP + group) * chart.groups.len() as f64 + GAP;
+        let left = y.room();
+        let inner = ((GAP + group) * chart.groups.len() as f64 + GAP).max(NARROWEST[1]);
         Self {
-            frame: Frame {
+            panel: Panel {
                 left,
-                right: left + inner.max(NARROWEST[1]),
+                right: left + inner,
                 top: HEADROOM,
                 bottom: HEADROOM + HEIGHT,
-                abscissa: Axis {
-                    label: "",
-                    range: [0.0, 1.0],
-                    ticks: Vec::new(),
-                },
-                ordinate,
+                x: Axis::of_px(inner),
+                y,
             },
             series,
             decimals,
@@ -153,138 +170,90 @@ impl<'a> Layout<'a> {
         }
     }
 
-    /// Middle of a group, px.
+    /// Middle of a group, px from the left edge of the panel.
     fn middle(&self, group: usize) -> f64 {
-        self.frame.left + GAP + 0.5 * self.group + group as f64 * (GAP + self.group)
+        GAP + 0.5 * self.group + group as f64 * (GAP + self.group)
     }
 
-    /// Line from which bars of either sign start.
-    fn draw_zero(&self, out: &mut String) {
-        if self.frame.ordinate.range[0] < 0.0 && self.shows(0.0) {
-            let [left, y] = self.frame.place([0.0, 0.0]);
-            let right = self.frame.right;
-            put!(
-                out,
-                "<path class=\"axis\" d=\"M{left:.1} {y:.1}H{right:.1}\"/>"
-            );
-        }
-    }
-
-    /// Writes the name of a group; returns how many lines it takes.
-    fn draw_name(&self, out: &mut String, group: usize, name: &str) -> usize {
-        let lines = wrapped(name, NORMAL, self.group + 0.5 * GAP, NAME_LINES);
-        put!(out, "<g><title>{}</title>", Esc(name));
-        for (i, line) in lines.iter().enumerate() {
-            let y = self.frame.bottom + 18.0 + i as f64 * LINE;
-            label(out, [self.middle(group), y], Anchor::Middle, line);
-        }
-        put!(out, "</g>");
-        lines.len()
-    }
-
-    /// Draws a bar with its error bar, seeds and value, or a dash where there is none.
-    fn draw_place(
-        &self,
-        out: &mut String,
-        values: &mut String,
-        [group, series]: [usize; 2],
-        bar: Option<&Bar>,
-    ) {
+    /// Middle of a bar, px from the left edge of the panel.
+    fn x(&self, [group, series]: [usize; 2]) -> f64 {
         let from_middle = series as f64 + 0.5 - 0.5 * self.series as f64;
-        let x = self.middle(group) + from_middle * self.place;
+        self.middle(group) + from_middle * self.place
+    }
+
+    /// Lines of the name of a group.
+    fn name(&self, name: &str) -> Vec<String> {
+        wrapped(name, NORMAL, self.group + 0.5 * GAP, NAME_LINES)
+    }
+
+    /// A bar with its error bar and a dot of each seed, at the same place of every bar.
+    fn bar(&self, place: [usize; 2], bar: &Bar) -> Markup {
+        let (x, half) = (self.x(place), 0.5 * BAR * self.place);
+        let class = format!("bar {}", colour(place[1]));
+        let across = |i: usize| (i as f64 + 0.5) / bar.seeds.len() as f64 - 0.5;
+        html! {
+            (self.panel.area(&class, [x - half, x + half], [0.0, bar.mean]))
+            @if let Some(ends) = bar.interval {
+                (self.panel.whisker("whisker", ends.map(|end| [x, end])))
+            }
+            @for (i, &seed) in self.shown_seeds(bar) {
+                (self.panel.dot("seed", [x + 2.0 * SEEDS * half * across(i), seed], RADIUS))
+            }
+        }
+    }
+
+    fn shown_seeds<'a>(&'a self, bar: &'a Bar) -> impl Iterator<Item = (usize, &'a f64)> {
+        let seeds = bar.seeds.iter().enumerate();
+        seeds.filter(|(_, seed)| self.panel.y.shows(**seed))
+    }
+
+    /// The value of a bar above all that belongs to it, or a dash where there is none.
+    fn value(&self, place: [usize; 2], bar: Option<&Bar>) -> Markup {
+        let x = self.panel.left + self.x(place);
         let Some(bar) = bar else {
-            value(values, [x, self.frame.bottom - 5.0], MISSING);
-            return;
+            let at = [x, self.panel.bottom - 5.0];
+            return text("small halo", at, Anchor::Middle, MISSING);
         };
-        let [end, base] = [self.frame.y(bar.mean), self.frame.y(0.0)];
-        let top = end.min(base);
-        let half = 0.5 * BAR * self.place;
-        put!(
-            out,
-            "<rect class=\"bar {}\" x=\"{:.1}\" y=\"{top:.1}\" width=\"{:.1}\" height=\"{:.1}\"/>",
-            colour(series),
-            x - half,
-            2.0 * half,
-            (end - base).abs()
-        );
-        let whisker = self.draw_whisker(out, x, bar.interval).unwrap_or(top);
-        let seeds = self.draw_seeds(out, x, half, &bar.seeds);
-        let highest = top.min(whisker).min(seeds);
-        let mean = fixed(bar.mean, self.decimals);
-        value(values, [x, highest - 5.0], &mean);
-    }
-
-    /// Draws an error bar, without a cap where it leaves the frame; returns its upper end, px.
-    fn draw_whisker(&self, out: &mut String, x: f64, interval: Option<[f64; 2]>) -> Option<f64> {
-        let ends = interval.filter(|ends| ends.iter().all(|end| end.is_finite()))?;
-        let [low, high] = ends.map(|end| self.frame.y(end));
-        put!(
-            out,
-            "<path class=\"whisker\" d=\"M{x:.1} {low:.1}V{high:.1}"
-        );
-        for end in ends.into_iter().filter(|&end| self.shows(end)) {
-            put!(out, "M{:.1} {:.1}h8", x - 4.0, self.frame.y(end));
-        }
-        put!(out, "\"/>");
-        Some(low.min(high))
-    }
-
-    /// Whether a value is in the range of the axis.
-    fn shows(&self, value: f64) -> bool {
-        let [low, high] = self.frame.ordinate.range;
-        (low..=high).contains(&value)
-    }
-
-    /// Draws the dots of the seeds in the range, each at the same place of every bar; returns their upper edge, px.
-    fn draw_seeds(&self, out: &mut String, x: f64, half: f64, seeds: &[f64]) -> f64 {
-        const RADIUS: f64 = 2.4;
-        let mut upper_edge = f64::INFINITY;
-        for (i, &seed) in seeds.iter().enumerate().filter(|(_, s)| self.shows(**s)) {
-            let across = (i as f64 + 0.5) / seeds.len() as f64 - 0.5;
-            let y = self.frame.y(seed);
-            upper_edge = upper_edge.min(y - RADIUS);
-            put!(
-                out,
-                "<circle class=\"seed\" cx=\"{:.1}\" cy=\"{y:.1}\" r=\"{RADIUS}\"/>",
-                x + 2.0 * SEEDS * half * across
-            );
-        }
-        upper_edge
+        let y = |value: f64| self.panel.place([0.0, value])[1];
+        let ends = bar.interval.into_iter().flatten().map(y);
+        let seeds = self.shown_seeds(bar).map(|(_, seed)| y(*seed) - RADIUS);
+        let top = ends.chain(seeds).fold(y(bar.mean).min(y(0.0)), f64::min);
+        let value = fixed(bar.mean, self.decimals);
+        text("small halo", [x, top - 5.0], Anchor::Middle, &value)
     }
 }
 
 fn entries(chart: &BarChart, decimals: usize) -> Vec<Entry> {
     let bars = || chart.groups.iter().flat_map(|group| &group.bars).flatten();
-    let mut entries = Vec::new();
-    for (series, name) in chart.series.iter().enumerate() {
-        entries.push(Entry::new(Key::Bar(series), name));
-    }
+    let series = chart.series.iter().enumerate();
+    let mut entries: Vec<Entry> = series
+        .map(|(i, name)| Entry::new(Key::Bar(format!("bar {}", colour(i))), name))
+        .collect();
     if bars().any(|bar| bar.interval.is_some()) && !chart.interval_meaning.is_empty() {
         entries.push(Entry::new(Key::Whisker, &chart.interval_meaning));
     }
     if bars().any(|bar| !bar.seeds.is_empty()) {
-        entries.push(Entry::new(Key::Seed, "One seed"));
+        entries.push(Entry::new(Key::Dot("seed".to_owned()), "One seed"));
     }
     if let Some(reference) = &chart.reference {
         let value = fixed(reference.value, decimals);
         let name = format!("{} {value}", reference.name);
-        entries.push(Entry::new(Key::Guide, name));
+        entries.push(Entry::new(Key::Line("guide".to_owned()), name));
     }
     entries
 }
 
 /// The chart in words.
 fn described(chart: &BarChart, decimals: usize) -> String {
-    let mut text = format!("Bar chart: {}.", chart.y_label);
+    let mut words = format!("Bar chart: {}.", chart.y_label);
     for group in &chart.groups {
-        put!(text, " {}:", group.name);
-        for (series, bar) in group.bars.iter().enumerate() {
+        let bars = group.bars.iter().enumerate().map(|(series, bar)| {
             let name = chart.series.get(series).map_or("", String::as_str);
             let mean = bar.as_ref().map_or(f64::NAN, |bar| bar.mean);
-            let separator = if series == 0 { "" } else { "," };
-            put!(text, "{separator} {name} {}", fixed(mean, decimals));
-        }
-        text.push('.');
+            format!(" {name} {}", fixed(mean, decimals))
+        });
+        let bars: Vec<String> = bars.collect();
+        words.push_str(&format!(" {}:{}.", group.name, bars.join(",")));
     }
-    text
+    words
 }

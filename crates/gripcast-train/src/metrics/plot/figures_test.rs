@@ -1,7 +1,7 @@
 use super::super::reference_test::{dyadic_samples, flipped, scored, smooth_samples};
 use super::super::{Bootstrap, Ranking, ReliabilityTable, Scored};
-use super::layout_test::{check, number, tags, texts};
 use super::*;
+use gripcast_report::chart::layout::{check, number, tags, texts};
 
 /// A name that must be escaped and shortened.
 const LONG: &str = "A model <b>with</b> an exceedingly long name that no legend has room for";
@@ -22,7 +22,7 @@ fn curves(n: usize) -> Vec<(String, Vec<Scored>)> {
 #[test]
 fn roc_figures_are_laid_out_well() {
     for n in [0, 1, 3, 14] {
-        let curves: Vec<RocCurve> = curves(n)
+        let curves: Vec<ModelCurve> = curves(n)
             .iter()
             .map(|(name, samples)| {
                 let ranking = Ranking::new(samples);
@@ -33,10 +33,10 @@ fn roc_figures_are_laid_out_well() {
                 };
                 let interval = bootstrap.interval(&objects, |m| ranking.resampled_auroc(m));
                 assert!(interval.is_some());
-                RocCurve::new(name, samples).with_interval(interval)
+                ModelCurve::new(name, samples, interval)
             })
             .collect();
-        let svg = roc("<b>", &curves);
+        let svg = roc(&curves).to_svg();
         check(&svg);
         assert_eq!(svg.matches("class=\"curve ").count(), 2 * n);
     }
@@ -46,10 +46,8 @@ fn roc_figures_are_laid_out_well() {
 fn the_legend_of_a_roc_figure_has_the_areas() {
     let samples = scored(&[(0.9, true), (0.4, true), (0.4, false), (0.2, false)]);
     let one_class = scored(&[(0.9, true)]);
-    let svg = roc(
-        "ROC",
-        &[RocCurve::new("V", &samples), RocCurve::new("T", &one_class)],
-    );
+    let curves = [("V", &samples), ("T", &one_class)];
+    let svg = roc(&curves.map(|(name, samples)| ModelCurve::new(name, samples, None))).to_svg();
     check(&svg);
     let texts = texts(&svg);
     assert!(texts.contains(&"AUROC 0.875".to_owned()), "{texts:?}");
@@ -62,18 +60,18 @@ fn the_legend_of_a_roc_figure_has_the_areas() {
 
 /// The line through points of a square figure.
 fn path(points: &[[f64; 2]]) -> String {
-    let frame = roc::square("", "");
-    let mut out = String::new();
-    figure::polyline(&mut out, "", points.iter().map(|&p| frame.place(p)));
-    let (_, data) = out.split_once("d=").unwrap();
+    let drawn = square("", "")
+        .line("", points.iter().copied())
+        .into_string();
+    let (_, data) = drawn.split_once("d=").unwrap();
     data.to_owned()
 }
 
 #[test]
 fn a_precision_recall_figure_shows_steps_and_chance() {
     let samples = scored(&[(0.9, true), (0.6, false), (0.4, true)]);
-    let curve = PrecisionRecallCurve::new("V", &samples);
-    let svg = precision_recall("PR", &[curve], Some(0.25));
+    let curve = ModelCurve::new("V", &samples, None);
+    let svg = precision_recall(&[curve], Some(0.25)).to_svg();
     let third = 2.0 / 3.0;
     let steps = [
         [0.0, 1.0],
@@ -83,7 +81,8 @@ fn a_precision_recall_figure_shows_steps_and_chance() {
         [1.0, third],
     ];
     assert!(svg.contains(&path(&steps)), "{svg}");
-    assert!(svg.contains(&path(&[[0.0, 0.25], [1.0, 0.25]])), "{svg}");
+    let guide = square("", "").guide([0.0, 0.25], [1.0, 0.25]);
+    assert!(svg.contains(&guide.into_string()), "{svg}");
     let texts = texts(&svg);
     assert!(texts.contains(&"AP 0.833".to_owned()) && texts.contains(&"AP 0.250".to_owned()));
 }
@@ -91,17 +90,18 @@ fn a_precision_recall_figure_shows_steps_and_chance() {
 #[test]
 fn a_reliability_figure_shows_shares_at_mean_probabilities() {
     let samples = scored(&[(0.9, true), (0.9, true), (0.9, true), (0.9, false)]);
-    let svg = reliability("Reliability", &ReliabilityTable::new(&samples));
+    let svg = reliability("Reliability", &ReliabilityTable::new(&samples)).to_svg();
     let tags = tags(&svg);
     let drawn = |what: &str| tags.iter().find(|tag| tag.starts_with(what)).unwrap();
-    let frame = roc::square("", "");
-    let (point, bar) = (drawn("circle"), drawn("rect"));
-    assert!((number(point, "cx") - frame.x(0.9)).abs() < 0.1);
-    assert!((number(point, "cy") - frame.y(0.75)).abs() < 0.1);
-    assert!((number(bar, "y") - frame.y(0.75)).abs() < 0.1);
-    // The bin from 13/15 to 14/15.
-    assert!((number(bar, "x") - 1.0 - frame.x(13.0 / 15.0)).abs() < 0.1);
-    assert!((number(bar, "width") - frame.x(1.0 / 15.0) + frame.x(0.0) + 2.0).abs() < 0.1);
+    let panel = square("", "");
+    let (point, bar) = (drawn("circle"), drawn("rect class=\"pale"));
+    let [x, y] = panel.place([0.9, 0.75]);
+    assert!((number(point, "cx") - x).abs() < 0.1 && (number(point, "cy") - y).abs() < 0.1);
+    assert!((number(bar, "y") - y).abs() < 0.1);
+    // The bin from 13/15 to 14/15, with a little room at both sides.
+    let [left, right] = [13.0, 14.0].map(|k| panel.place([k / 15.0, 0.0])[0]);
+    let (x, width) = (number(bar, "x"), number(bar, "width"));
+    assert!(x > left && x + width < right && width > 0.8 * (right - left));
 }
 
 #[test]
@@ -112,11 +112,11 @@ fn precision_recall_figures_are_laid_out_well() {
         (9, Some(1.0)),
         (2, Some(f64::NAN)),
     ] {
-        let curves: Vec<PrecisionRecallCurve> = curves(n)
+        let curves: Vec<ModelCurve> = curves(n)
             .iter()
-            .map(|(name, samples)| PrecisionRecallCurve::new(name, samples))
+            .map(|(name, samples)| ModelCurve::new(name, samples, None))
             .collect();
-        let svg = precision_recall("PR", &curves, share);
+        let svg = precision_recall(&curves, share).to_svg();
         check(&svg);
         assert_eq!(svg.matches("class=\"curve ").count(), 2 * n);
         let has_chance = texts(&svg).contains(&"Chance".to_owned());
@@ -131,13 +131,13 @@ fn reliability_figures_are_laid_out_well() {
     let wrong = flipped(&scored(&[(0.0, false), (1.0, true)]));
     for samples in [&many[..], &few, &wrong, &[]] {
         let table = ReliabilityTable::new(samples);
-        let svg = reliability("Reliability", &table);
+        let svg = reliability("Reliability", &table).to_svg();
         check(&svg);
         let filled = table.bins.iter().filter(|bin| bin.n > 0).count();
         // The legend has one too.
-        assert_eq!(svg.matches("class=\"point\"").count(), filled + 1);
+        assert_eq!(svg.matches("class=\"point ").count(), filled + 1);
     }
-    let texts = texts(&reliability("", &ReliabilityTable::new(&wrong)));
+    let texts = texts(&reliability("", &ReliabilityTable::new(&wrong)).to_svg());
     assert!(
         texts.contains(&"ECE 1.000 over 2 grasps".to_owned()),
         "{texts:?}"
@@ -188,7 +188,7 @@ fn bar_charts_are_laid_out_well() {
     ] {
         for (series, groups) in [(0, 0), (0, 2), (1, 1), (1, 5), (3, 2), (8, 4)] {
             let chart = chart(range, series, groups);
-            let svg = bars(&chart);
+            let svg = bars(&chart).to_svg();
             check(&svg);
             // One more of each series in the legend.
             assert_eq!(svg.matches("class=\"bar ").count(), series * (groups + 1));
@@ -200,7 +200,7 @@ fn bar_charts_are_laid_out_well() {
 fn bars_end_at_their_values() {
     let mut chart = chart([0.0, 1.0], 1, 1);
     chart.groups[0].bars = vec![bar(0.75, 0.05)];
-    let svg = bars(&chart);
+    let svg = bars(&chart).to_svg();
     let tags = tags(&svg);
     let tag = tags.iter().find(|tag| tag.contains("\"bar ")).unwrap();
     let whole = svg.split("class=\"grid\" d=\"").nth(1).unwrap();
@@ -221,7 +221,7 @@ fn bars_end_at_their_values() {
 fn negative_bars_hang_from_zero() {
     let mut chart = chart([-0.5, 0.5], 2, 1);
     chart.groups[0].bars = vec![bar(-0.25, 0.01), bar(0.25, 0.01)];
-    let svg = bars(&chart);
+    let svg = bars(&chart).to_svg();
     check(&svg);
     let tags = tags(&svg);
     let [down, up]: [&str; 2] = tags
@@ -236,11 +236,8 @@ fn negative_bars_hang_from_zero() {
     assert!((number(up, "y") + number(up, "height") - zero).abs() < 0.2);
     assert!((number(up, "height") - number(down, "height")).abs() < 0.2);
     assert!(number(up, "height") > 20.0);
-    assert_eq!(
-        svg.matches(&format!("{zero:.1}H")).count(),
-        2,
-        "grid and axis"
-    );
+    assert_eq!(svg.matches(&format!("{zero}H")).count(), 1, "grid");
+    assert_eq!(svg.matches("class=\"axis\"").count(), 2, "edges and zero");
 }
 
 #[test]
@@ -251,7 +248,7 @@ fn what_is_out_of_range_or_missing_is_not_drawn() {
         name: "Majority class".to_owned(),
         value: 0.4,
     });
-    let svg = bars(&chart);
+    let svg = bars(&chart).to_svg();
     check(&svg);
     // One cap of the error bar from 0.93 to 1.03.
     let whisker = svg.split("class=\"whisker\"").nth(1).unwrap();

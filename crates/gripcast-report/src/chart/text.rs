@@ -1,19 +1,22 @@
-//! Text of figures: how much room it takes, and shortening it to what there is.
+//! Text of charts: how much room it takes, and shortening it to what there is.
 
-use std::fmt::Write as _;
+use maud::{Markup, html};
 
-use gripcast_report::{Esc, put};
+use super::px;
 
 /// Font size of names and labels, px; as in `style.css`.
-pub(super) const NORMAL: f64 = 12.0;
-/// Font size of numbers at axes and bars, px; as in `style.css`.
-pub(super) const SMALL: f64 = 11.0;
+pub const NORMAL: f64 = 12.0;
+/// Font size of text of the class `small`, px; as in `style.css`.
+pub const SMALL: f64 = 11.0;
 
-/// Where the reference point of a text is.
-#[derive(Clone, Copy)]
-pub(super) enum Anchor {
+/// Which point of a text is placed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Anchor {
+    /// Its beginning.
     Start,
+    /// Its middle.
     Middle,
+    /// Its end.
     End,
 }
 
@@ -27,46 +30,30 @@ impl Anchor {
     }
 }
 
-/// A line of text with its baseline at a point, of the size [`NORMAL`].
-pub(super) fn label(out: &mut String, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
-    put!(
-        out,
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{}\">{}</text>",
-        anchor.name(),
-        Esc(text)
-    );
+/// A line of text with its baseline at a point; nothing where it is empty. `small` and `halo` are
+/// classes that it may have.
+pub fn text(class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) -> Markup {
+    html! {
+        @if !text.is_empty() {
+            text class=[(!class.is_empty()).then_some(class)] x=(px(x)) y=(px(y))
+                text-anchor=(anchor.name()) { (text) }
+        }
+    }
 }
 
-/// A line of text of the size [`SMALL`].
-pub(super) fn small(out: &mut String, [x, y]: [f64; 2], anchor: Anchor, text: &str) {
-    put!(
-        out,
-        "<text class=\"small\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"{}\">{}</text>",
-        anchor.name(),
-        Esc(text)
-    );
-}
-
-/// A number of the size [`SMALL`], centred, that stays readable on lines.
-pub(super) fn value(out: &mut String, [x, y]: [f64; 2], text: &str) {
-    put!(
-        out,
-        "<text class=\"small value\" x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"middle\">{}</text>",
-        Esc(text)
-    );
-}
-
-/// A line of text that runs upwards, centred on a point of its baseline.
-pub(super) fn upright(out: &mut String, [x, y]: [f64; 2], text: &str) {
-    put!(
-        out,
-        "<text transform=\"translate({x:.1} {y:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
-        Esc(text)
-    );
+/// A line of text that runs upwards.
+pub fn upright(class: &str, [x, y]: [f64; 2], anchor: Anchor, text: &str) -> Markup {
+    html! {
+        @if !text.is_empty() {
+            text class=[(!class.is_empty()).then_some(class)]
+                transform={ "translate(" (px(x)) " " (px(y)) ") rotate(-90)" }
+                text-anchor=(anchor.name()) { (text) }
+        }
+    }
 }
 
 /// A count with its thousands set apart: `12,000`.
-pub(super) fn count(n: usize) -> String {
+pub fn count(n: usize) -> String {
     let digits = n.to_string();
     let mut text = String::new();
     for (i, digit) in digits.chars().enumerate() {
@@ -80,7 +67,7 @@ pub(super) fn count(n: usize) -> String {
 
 /// Room that a text takes at a font size, px. The font is the reader's, so this is the width in
 /// DejaVu Sans, one of the widest, rounded up.
-pub(super) fn width(text: &str, size: f64) -> f64 {
+pub fn width(text: &str, size: f64) -> f64 {
     size * text.chars().map(em).sum::<f64>()
 }
 
@@ -100,7 +87,7 @@ fn em(c: char) -> f64 {
 }
 
 /// The text, or as much of its beginning as fits into a width, with an ellipsis.
-pub(super) fn fitted(text: &str, size: f64, room: f64) -> String {
+pub fn fitted(text: &str, size: f64, room: f64) -> String {
     if width(text, size) <= room {
         return text.to_owned();
     }
@@ -117,7 +104,7 @@ pub(super) fn fitted(text: &str, size: f64, room: f64) -> String {
 }
 
 /// At most `limit` lines that fit into a width, broken between words; the last one is shortened.
-pub(super) fn wrapped(text: &str, size: f64, room: f64, limit: usize) -> Vec<String> {
+pub fn wrapped(text: &str, size: f64, room: f64, limit: usize) -> Vec<String> {
     let mut lines = Vec::new();
     let mut line = String::new();
     for word in text.split_whitespace() {

@@ -1,9 +1,14 @@
-//! What holds for every figure: well-formed, inside its size, no text on another.
+//! What holds for every chart: well-formed, inside its size, no text on another; for tests.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use super::text::{NORMAL, SMALL, width};
 
 /// Start tags in order, each checked to be closed.
-pub(super) fn tags(svg: &str) -> Vec<&str> {
+///
+/// # Panics
+/// Where one is not.
+pub fn tags(svg: &str) -> Vec<&str> {
     let (mut open, mut all) = (Vec::new(), Vec::new());
     for part in svg.split('<').skip(1) {
         let (tag, _) = part.split_once('>').expect("a tag ends");
@@ -26,7 +31,11 @@ fn attribute<'a>(tag: &'a str, name: &str) -> Option<&'a str> {
     rest.split('"').next()
 }
 
-pub(super) fn number(tag: &str, name: &str) -> f64 {
+/// The value of an attribute that is a number.
+///
+/// # Panics
+/// Where it is none.
+pub fn number(tag: &str, name: &str) -> f64 {
     attribute(tag, name).unwrap().parse().unwrap()
 }
 
@@ -74,12 +83,15 @@ fn room(tag: &str, text: &str) -> [f64; 4] {
 }
 
 /// Contents of all texts.
-pub(super) fn texts(svg: &str) -> Vec<String> {
+pub fn texts(svg: &str) -> Vec<String> {
     rooms(svg).into_iter().map(|room| room.text).collect()
 }
 
-/// Fails where a figure is not as it should be.
-pub(super) fn check(svg: &str) {
+/// Checks that a chart is well-formed, inside its size, and that no text lies on another.
+///
+/// # Panics
+/// Where it is not so.
+pub fn check(svg: &str) {
     let tags = tags(svg);
     let [page, title, desc, ..] = tags[..] else {
         panic!("too few tags");
@@ -88,6 +100,7 @@ pub(super) fn check(svg: &str) {
     for wrong in ["NaN", "inf", "<b>"] {
         assert!(!svg.contains(wrong), "{wrong}");
     }
+    assert!(!svg.contains("=\"\""), "an attribute without a value");
     let [right, bottom] = ["width", "height"].map(|name| number(page, name));
     let rooms = rooms(svg);
     for (i, room) in rooms.iter().enumerate() {
@@ -110,6 +123,7 @@ pub(super) fn check(svg: &str) {
     }
 }
 
+#[cfg(test)]
 #[test]
 fn an_overlap_would_be_noticed() {
     let svg = |y: f64| {
