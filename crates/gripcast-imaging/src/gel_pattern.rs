@@ -6,6 +6,7 @@
 //! its slope, each colour from its own side, as the three lamps do. It looks right and is
 //! repeatable; it is no optical model of the sensor.
 
+use gripcast_base::random::scramble;
 use image::RgbImage;
 
 /// A round contact, in fractions of the picture.
@@ -124,14 +125,6 @@ fn shade(colour: &mut [f32; 3], u: f32, v: f32, strength: f32) {
         let [lx, ly] = LAMPS[channel];
         colour[channel] += SHADING[channel] * strength * slope * (nx * lx + ny * ly);
     }
-}
-
-/// A bijective 64-bit mixer (the finaliser of SplitMix64).
-fn scramble(value: u64) -> u64 {
-    let mut z = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 #[cfg(test)]

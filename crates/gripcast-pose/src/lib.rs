@@ -20,6 +20,7 @@ mod chessboard;
 pub mod detect;
 mod detection;
 mod dictionary;
+mod least_squares;
 pub mod print;
 pub mod refine;
 #[cfg(test)]

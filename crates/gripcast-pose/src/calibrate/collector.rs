@@ -14,6 +14,7 @@ use crate::detect::{ApriltagDetector, ApriltagSettings};
 use crate::refine::sharpness;
 use crate::{BoardFile, Detection, MarkerDetector};
 use gripcast_base::error::Result;
+use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
@@ -344,13 +345,8 @@ fn width(points: &[BoardPoint]) -> f64 {
 
 /// Median way of the points that two pictures share, px.
 fn motion(before: &[BoardPoint], now: &[BoardPoint]) -> Option<f64> {
-    let mut ways: Vec<f64> = now
-        .iter()
-        .filter_map(|point| {
-            let same = before.iter().find(|b| b.number == point.number)?;
-            Some(same.pixel.distance(point.pixel))
-        })
-        .collect();
-    ways.sort_by(f64::total_cmp);
-    ways.get(ways.len() / 2).copied()
+    median(now.iter().filter_map(|point| {
+        let same = before.iter().find(|b| b.number == point.number)?;
+        Some(same.pixel.distance(point.pixel))
+    }))
 }

@@ -21,13 +21,15 @@
 
 use glam::DVec3;
 
-use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Sight, View};
+use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Sight, Solved, View};
 use super::gripper_check::{leave_one_out, rms_of_views, suspects};
 use super::gripper_frame::{Ties, conditions, tie};
 use super::gripper_report::{Loosened, Outcome, report};
+use super::gripper_result::{GripperCalibration, GripperPicture};
 use super::gripper_start::{LEAST_SIGHTS, Selection, select, start};
-use crate::{BoardFile, Detection, Part};
+use crate::{BoardFile, Part};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
 
 /// Fewest pictures with two markers or more.
@@ -50,114 +52,6 @@ const LINE_SIGMA_RAD: f64 = 0.0044;
 const HELD_OUT: usize = 5;
 /// A marker is loose if the others have less than this part of the error without it.
 const MUCH_BETTER: f64 = 0.75;
-
-/// A picture of the gripper.
-#[derive(Clone, Debug)]
-pub struct GripperPicture {
-    /// What people call it.
-    pub name: String,
-    /// The markers in it, refined.
-    pub detections: Vec<Detection>,
-    /// The fingers are closed: the gel faces touch, the opening is 0.
-    pub closed: bool,
-}
-
-/// What a freedom of the frame comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameSource {
-    /// The fingers: their motion, or pictures with closed fingers.
-    Fingers,
-    /// The description of the tags.
-    Description,
-    /// Nothing: there are no markers on fingers.
-    Nothing,
-}
-
-/// How a marker was found.
-#[derive(Clone, Debug, PartialEq)]
-pub enum MarkerState {
-    /// It was calibrated.
-    Calibrated,
-    /// It stays where it is described; the reason.
-    AsDescribed(&'static str),
-    /// It did not stay in its place during the pictures.
-    Loose {
-        /// The pictures between which it moved, by how much (m, rad); none if it moved more than
-        /// once.
-        moved: Option<([String; 2], f64, f64)>,
-    },
-}
-
-/// A marker of the calibrated board.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CalibratedMarker {
-    /// Its number in the dictionary.
-    pub id: u32,
-    /// What it is fixed to.
-    pub part: Part,
-    /// How it was found.
-    pub state: MarkerState,
-    /// Pictures that it was calibrated with.
-    pub pictures: usize,
-    /// Pictures in which it was an outlier.
-    pub outliers: usize,
-    /// From where it is described to where it is, along the gripper's axes, m.
-    pub shift_m: DVec3,
-    /// The turn between both, rad.
-    pub turn_rad: f64,
-    /// Covariance of [δt, δθ] of `t_part_marker`, m and rad along the gripper's axes, the frame
-    /// taken as exact; none for a marker that was not calibrated.
-    pub covariance: Option<[[f64; 6]; 6]>,
-    /// Root mean square reprojection error, px.
-    pub rms_px: Option<f64>,
-    /// The same where the pictures are solved without it.
-    pub left_out_rms_px: Option<f64>,
-}
-
-impl CalibratedMarker {
-    /// Standard deviations of its place (m) and its turn (rad), over all directions.
-    #[must_use]
-    pub fn sigma(&self) -> Option<(f64, f64)> {
-        let c = self.covariance?;
-        let root = |axes: std::ops::Range<usize>| axes.map(|i| c[i][i]).sum::<f64>().sqrt();
-        Some((root(0..3), root(3..6)))
-    }
-}
-
-/// A calibrated gripper.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GripperCalibration {
-    /// The markers where they are, under the ids of the description.
-    pub board: BoardFile,
-    /// The markers in the order of the description.
-    pub markers: Vec<CalibratedMarker>,
-    /// Pictures that took part.
-    pub pictures: usize,
-    /// Root mean square reprojection error, px.
-    pub rms_px: f64,
-    /// That of the same pictures with the markers where they are described.
-    pub described_rms_px: Option<f64>,
-    /// That of every fifth picture where the others calibrate.
-    pub holdout_rms_px: Option<f64>,
-    /// Standard deviation of one coordinate of a corner that the covariances assume, px.
-    pub corner_sigma_px: f64,
-    /// Smallest and largest opening, m; none without markers on the fingers.
-    pub openings_m: Option<[f64; 2]>,
-    /// What the direction of x comes from.
-    pub x_from: FrameSource,
-    /// Angle between the fingers' line and the described x axis, with its deviation, rad.
-    pub line_off_rad: Option<(f64, f64)>,
-    /// What the opening's zero comes from.
-    pub zero_from: FrameSource,
-    /// Estimated standard deviation of the frame's origin, over all directions, m.
-    pub frame_sigma_m: Option<f64>,
-    /// Estimated standard deviation of the frame's direction about its worst axis, rad.
-    pub frame_sigma_rad: Option<f64>,
-    /// Pictures that took no part, with the reason.
-    pub left_out: Vec<(String, String)>,
-    /// What a person should know.
-    pub notes: Vec<String>,
-}
 
 /// Calibrates the markers of a gripper: `nominal` is where they are supposed to be, to a
 /// centimetre and 15°; the sizes of the markers are taken from it.
@@ -226,14 +120,6 @@ pub fn calibrate_gripper(
         holdout_rms_px,
         described_rms_px,
     })
-}
-
-/// A minimum.
-pub(super) struct Solved {
-    pub(super) bundle: Bundle,
-    pub(super) loss_px: f64,
-    pub(super) sigma_px: f64,
-    pub(super) rms_px: f64,
 }
 
 /// Whether a picture with closed fingers shows them together with something else.
@@ -328,7 +214,7 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
     let count = errors.len() as f64;
     let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / count).sqrt();
     // An infinite median is of corners behind the camera.
-    if median(&errors) > CONTRADICTION_PX {
+    if median_error_px(&bundle) > CONTRADICTION_PX {
         return Err(Error::new(
             ErrorKind::Input,
             format!("the markers are {rms_px:.1} px from where the calibration puts them"),
@@ -354,22 +240,17 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
     })
 }
 
-fn median(errors: &[f64]) -> f64 {
-    let mut sorted = errors.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted
-        .get(sorted.len() / 2)
-        .copied()
-        .unwrap_or(f64::INFINITY)
+fn median_error_px(bundle: &Bundle) -> f64 {
+    median(bundle.all_errors_px()).unwrap_or(f64::INFINITY)
 }
 
 fn final_loss(bundle: &Bundle) -> f64 {
-    LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median(&bundle.all_errors_px()))
+    LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median_error_px(bundle))
 }
 
 /// Leaves out sightings that fit nowhere; whether there were any.
 fn leave_outliers(bundle: &mut Bundle) -> bool {
-    let limit = OUTLIER_PX.max(OUTLIER_OF_MEDIAN * median(&bundle.all_errors_px()));
+    let limit = OUTLIER_PX.max(OUTLIER_OF_MEDIAN * median_error_px(bundle));
     let fits: Vec<Vec<bool>> = bundle
         .views
         .iter()

@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::gripper::GripperPicture;
 use super::gripper_bundle::{Bundle, Marker, Sight, View};
+use super::gripper_result::GripperPicture;
 use crate::solve::{solve_gripper, solve_part};
 use crate::{Board, BoardMarker, Detection, Part};
 use gripcast_geometry::Pose;
@@ -30,15 +30,6 @@ pub(super) struct Selection {
     pub(super) left_out: Vec<(usize, &'static str)>,
 }
 
-/// How far a part moves along x per metre of opening.
-fn slide(part: Part) -> f64 {
-    match part {
-        Part::FingerLeft => -0.5,
-        Part::FingerRight => 0.5,
-        Part::Object | Part::Body => 0.0,
-    }
-}
-
 /// A marker of the board with a frame of its own.
 pub(super) fn framed(marker: &BoardMarker) -> Marker {
     let [a, b, c, d] = marker.corners_m;
@@ -53,7 +44,7 @@ pub(super) fn framed(marker: &BoardMarker) -> Marker {
         local: marker.corners_m.map(|c| back.transform_point(c)),
         nominal: pose,
         pose,
-        slide: slide(marker.part),
+        slide: marker.part.slide(),
     }
 }
 

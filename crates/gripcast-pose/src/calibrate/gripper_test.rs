@@ -7,7 +7,6 @@ use rand_pcg::Pcg64;
 use super::gripper_bundle::{Bundle, Marker};
 use super::gripper_check::angle;
 use super::gripper_frame::{Ties, tie};
-use super::gripper_linear::Symmetric;
 use super::gripper_start::framed;
 use super::*;
 use crate::camera::project;
@@ -16,6 +15,7 @@ use crate::refine::refine_all;
 use crate::solve::solve_gripper;
 use crate::synthetic::{PictureConditions, Placed, render, test_camera};
 use crate::{Board, BoardFile, Detection, Part};
+use gripcast_base::linear::Symmetric;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 

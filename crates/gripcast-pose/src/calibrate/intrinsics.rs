@@ -7,6 +7,7 @@ use super::bundle::{Bundle, BundleFit, Fitted, LENS, error_px, minimise};
 use super::start::{homography, lenses, pose};
 use crate::camera::intrinsics_jacobian;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
@@ -237,15 +238,13 @@ impl<'a> Search<'a> {
             .iter()
             .zip(&self.bundle.poses)
             .filter_map(|(points, pose)| {
-                median(
-                    points
-                        .iter()
-                        .map(|p| error_px(&self.bundle.lens, pose, p))
-                        .collect(),
-                )
+                let error = |p| error_px(&self.bundle.lens, pose, p);
+                median(points.iter().map(error))
             })
             .collect();
-        let limit = VIEW_OUTLIER.1.max(VIEW_OUTLIER.0 * median(errors.clone())?);
+        let limit = VIEW_OUTLIER
+            .1
+            .max(VIEW_OUTLIER.0 * median(errors.iter().copied())?);
         let worst = (0..errors.len()).max_by(|a, b| errors[*a].total_cmp(&errors[*b]))?;
         (self.views.len() > FEWEST_VIEWS && errors[worst] > limit).then_some(worst)
     }
@@ -490,14 +489,6 @@ fn corner_spread(lens: &Intrinsics, inverse_information: &[[f64; LENS]; LENS]) -
 fn rms(errors: &[f64]) -> f64 {
     let squares: f64 = errors.iter().map(|e| e * e).sum();
     (squares / errors.len().max(1) as f64).sqrt()
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// Refuses views that all show the board from one direction: focal length and distance then

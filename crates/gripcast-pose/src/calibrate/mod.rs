@@ -5,15 +5,15 @@ mod gripper;
 mod gripper_bundle;
 mod gripper_check;
 mod gripper_frame;
-mod gripper_linear;
 mod gripper_report;
+mod gripper_result;
 mod gripper_start;
 #[cfg(test)]
 mod gripper_test;
 
-pub use gripper::{
+pub use gripper::calibrate_gripper;
+pub use gripper_result::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
-    calibrate_gripper,
 };
 mod board_points;
 mod bundle;

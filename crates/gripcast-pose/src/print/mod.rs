@@ -8,6 +8,7 @@
 mod charuco_sheet;
 mod contour;
 mod drawing;
+mod flat;
 mod furniture;
 mod gripper_board;
 mod gripper_sheet;

@@ -4,7 +4,6 @@
 pub(super) mod homography;
 mod hypotheses;
 mod ippe;
-pub(super) mod normal_equations;
 mod part_pose;
 mod reprojection;
 mod sighting;
@@ -16,6 +15,7 @@ pub use part_pose::{GripperPose, MarkerResidual, Opening, PartPose, RelativePose
 use super::board::{Board, Part};
 use super::detection::Detection;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
 use hypotheses::{angle_between, hypotheses, together};
 use reprojection::{Fit, Observation, State, minimise};
@@ -316,15 +316,8 @@ fn corners(used: &[&Sighting]) -> Vec<Observation> {
 }
 
 fn median_error(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f64 {
-    let mut errors: Vec<f64> = used
-        .iter()
-        .flat_map(|s| s.errors_px(intrinsics, state))
-        .collect();
-    errors.sort_by(f64::total_cmp);
-    errors
-        .get(errors.len() / 2)
-        .copied()
-        .unwrap_or(f64::INFINITY)
+    let errors = used.iter().flat_map(|s| s.errors_px(intrinsics, state));
+    median(errors).unwrap_or(f64::INFINITY)
 }
 
 fn rms(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f64 {

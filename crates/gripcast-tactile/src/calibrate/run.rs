@@ -3,7 +3,8 @@
 use image::RgbImage;
 
 use super::led_fit::fit_leds;
-use super::press_set::{PressSet, ReadOptions, ScaleSource, SkippedPress};
+use super::press_read::ReadOptions;
+use super::press_set::{PressSet, ScaleSource, SkippedPress};
 use super::report::CalibrationReport;
 use super::score::{ChangePlanes, ObservedChange, Score, observe, score};
 use super::select::{ChosenModel, Terms, choose};
@@ -14,6 +15,7 @@ use crate::{
     TactileRenderer,
 };
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::statistics::median;
 use gripcast_imaging::CropProfile;
 
 /// Factors on the size of a pixel that are tried.
@@ -307,14 +309,9 @@ fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
                 if let Some(region) = Region::of_nonzero(plane, width) {
                     Gaussian::new(3.0).apply(&mut slow, width, region);
                 }
-                let mut sizes: Vec<f32> = plane
-                    .iter()
-                    .zip(&slow)
-                    .map(|(value, slow)| (value - slow).abs())
-                    .collect();
-                let middle = sizes.len() / 2;
-                let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-                1.4826 * f64::from(median) / std::f64::consts::SQRT_2
+                let sizes = plane.iter().zip(&slow);
+                let sizes = sizes.map(|(value, slow)| f64::from((value - slow).abs()));
+                1.4826 * median(sizes).unwrap_or(0.0) / std::f64::consts::SQRT_2
             })
             .collect();
         each.iter().sum::<f64>() / each.len().max(1) as f64

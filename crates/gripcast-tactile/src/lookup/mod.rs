@@ -4,7 +4,6 @@
 
 mod fit;
 mod height;
-mod npz;
 mod on_presses;
 mod shadow;
 mod table;
@@ -13,7 +12,7 @@ pub use fit::BallPress;
 pub use height::TaximHeights;
 pub use on_presses::{fit_to_presses, score_on_presses};
 pub use shadow::{ShadowLamp, Shadows};
-pub use table::{ChannelOrder, TaximTable};
+pub use table::TaximTable;
 
 use image::{Rgb, RgbImage};
 
