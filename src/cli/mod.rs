@@ -43,6 +43,7 @@ mod doctor;
 mod eval;
 mod experiment;
 mod man;
+mod picture_folder;
 mod predict;
 mod python_peer;
 mod render;

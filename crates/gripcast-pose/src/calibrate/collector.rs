@@ -12,7 +12,7 @@ use super::intrinsics::{CalibrationReport, calibrate_intrinsics};
 use super::start::{homography, lenses, plain_lens, pose};
 use crate::detect::{ApriltagDetector, ApriltagSettings};
 use crate::refine::sharpness;
-use crate::{BoardFile, Detection, MarkerDetector};
+use crate::{BoardFile, Detection, MarkerDetector as _};
 use gripcast_base::error::Result;
 use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
@@ -124,7 +124,7 @@ pub struct Offer {
 /// Takes pictures of a board as they come and calibrates with those that are of use. Does no IO.
 pub struct Collector {
     finder: PointFinder,
-    detector: Box<dyn MarkerDetector>,
+    detector: ApriltagDetector,
     settings: CollectorSettings,
     size: Option<[u32; 2]>,
     views: Vec<Vec<BoardPoint>>,
@@ -142,10 +142,10 @@ impl Collector {
     /// `Input` for a board that is not flat, or that the detector cannot search for.
     pub fn new(file: &BoardFile, settings: CollectorSettings) -> Result<Self> {
         let ids = file.board.ids();
-        let detector = ApriltagDetector::new(&file.dictionary, &ids, ApriltagSettings::default())?;
+        let search = ApriltagSettings::default();
         Ok(Self {
+            detector: ApriltagDetector::new(&file.dictionary, &ids, search)?,
             finder: PointFinder::new(file)?,
-            detector: Box::new(detector),
             settings,
             size: None,
             views: Vec::new(),
@@ -154,13 +154,6 @@ impl Collector {
             poses: Vec::new(),
             before: Vec::new(),
         })
-    }
-
-    /// Searches another detector's way.
-    #[must_use]
-    pub fn with_detector(mut self, detector: Box<dyn MarkerDetector>) -> Self {
-        self.detector = detector;
-        self
     }
 
     /// The board.

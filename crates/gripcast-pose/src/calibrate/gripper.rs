@@ -28,7 +28,7 @@ use super::gripper_report::{Loosened, Outcome, report};
 use super::gripper_result::{GripperCalibration, GripperPicture};
 use super::gripper_start::{LEAST_SIGHTS, Selection, select, start};
 use crate::{BoardFile, Part};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
 
@@ -67,7 +67,7 @@ pub fn calibrate_gripper(
     let board = &nominal.board;
     if board.markers.iter().all(|m| m.part == Part::Object) {
         let what = format!("the board {} has no tags of a gripper", board.name);
-        return Err(Error::new(ErrorKind::Input, what)
+        return Err(Error::input(what)
             .remedy("give the gripper's board file, with parts body, finger_left, finger_right"));
     }
     let mut selection = select(board, intrinsics, pictures);
@@ -137,14 +137,11 @@ fn has_closed(bundle: &Bundle) -> bool {
 fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()> {
     let (bundle, views) = (&selection.bundle, selection.bundle.views.len());
     if views < LEAST_VIEWS || bundle.markers.len() < 2 {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "of {} pictures, {views} show two or more markers that are in {LEAST_SIGHTS} \
+        return Err(Error::input(format!(
+            "of {} pictures, {views} show two or more markers that are in {LEAST_SIGHTS} \
                  pictures at least; {LEAST_VIEWS} are needed",
-                pictures.len()
-            ),
-        )
+            pictures.len()
+        ))
         .remedy(
             "take 15 to 40 sharp pictures of the gripper from all sides that will be seen, each \
              with as many tags as possible, at several openings",
@@ -173,19 +170,15 @@ fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()
     if together || (closed(-0.5) && closed(0.5)) {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        "no picture shows markers of both fingers, so that they cannot be joined",
+    Err(
+        Error::input("no picture shows markers of both fingers, so that they cannot be joined")
+            .remedy("add pictures that show both fingers' markers"),
     )
-    .remedy("add pictures that show both fingers' markers"))
 }
 
 fn undetermined() -> Error {
-    Error::new(
-        ErrorKind::Input,
-        "the pictures do not determine where the markers are to each other",
-    )
-    .remedy("add pictures from other sides, each with as many tags as possible")
+    Error::input("the pictures do not determine where the markers are to each other")
+        .remedy("add pictures from other sides, each with as many tags as possible")
 }
 
 /// Searches with narrowing losses, leaving outliers out.
@@ -215,10 +208,9 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
     let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / count).sqrt();
     // An infinite median is of corners behind the camera.
     if median_error_px(&bundle) > CONTRADICTION_PX {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("the markers are {rms_px:.1} px from where the calibration puts them"),
-        )
+        return Err(Error::input(format!(
+            "the markers are {rms_px:.1} px from where the calibration puts them"
+        ))
         .remedy(
             "check that the board file is that of this gripper with the measured size of its \
              tags, and that the intrinsics belong to this camera and resolution",

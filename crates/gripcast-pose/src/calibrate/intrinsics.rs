@@ -6,7 +6,7 @@ use super::board_points::BoardPoint;
 use super::bundle::{Bundle, BundleFit, Fitted, LENS, error_px, minimise};
 use super::start::{homography, lenses, pose};
 use crate::camera::intrinsics_jacobian;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
@@ -504,14 +504,11 @@ fn check_spread(poses: &[Pose]) -> Result<()> {
     if widest >= LEAST_SPREAD_RAD {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "all views show the board from the same direction (within {:.0}°), which does not \
+    Err(Error::input(format!(
+        "all views show the board from the same direction (within {:.0}°), which does not \
              tell the focal length from the distance",
-            widest.to_degrees()
-        ),
-    )
+        widest.to_degrees()
+    ))
     .remedy(TILT_REMEDY))
 }
 
@@ -521,26 +518,20 @@ const TILT_REMEDY: &str = "take pictures with the board tilted by 20° to 40° t
 fn not_determined() -> Error {
     let what =
         "the views do not determine the focal length: they show the board from too few directions";
-    Error::new(ErrorKind::Input, what).remedy(TILT_REMEDY)
+    Error::input(what).remedy(TILT_REMEDY)
 }
 
 fn too_few(count: usize) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "a calibration needs at least {FEWEST_VIEWS} usable views of the board, found {count}"
-        ),
-    )
+    Error::input(format!(
+        "a calibration needs at least {FEWEST_VIEWS} usable views of the board, found {count}"
+    ))
     .remedy("take 12 to 20 pictures, with the board tilted and in all parts of the picture")
 }
 
 fn contradiction(error_px: f64) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!(
+    Error::input(format!(
             "the points are {error_px:.1} px away from where the board's description puts them"
-        ),
-    )
+        ))
     .remedy(
         "check the description (markers, squares, legacy layout), that the board is flat, and that all pictures are \
          from one camera with one zoom and focus",

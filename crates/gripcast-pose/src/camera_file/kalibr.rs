@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::lens::{self, bad, unknown_lens};
+use super::lens::{self, unknown_lens};
 use super::{CameraChoice, CameraFile, CameraFormat, size_of};
 use crate::yaml;
-use gripcast_base::error::{Result, unknown_name};
+use gripcast_base::error::{Error, Result, unknown_name};
 
 #[derive(Deserialize)]
 struct Camera {
@@ -23,19 +23,20 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     let mut cameras: BTreeMap<String, Camera> = yaml::read(text, "the camchain")?;
     let names: Vec<String> = cameras.keys().cloned().collect();
     let known: Vec<&str> = names.iter().map(|name| &**name).collect();
-    let name =
-        match (choice.camera, &known[..]) {
-            (_, [only]) => *only,
-            (Some(name), _) => name,
-            (None, _) => {
-                return Err(bad(format!("the camchain has {} cameras", known.len())).remedy(format!(
-                "choose one: `gripcast calibrate convert FILE --camera-name {} --to toml --out \
+    let name = match (choice.camera, &known[..]) {
+        (_, [only]) => *only,
+        (Some(name), _) => name,
+        (None, _) => {
+            return Err(
+                Error::input(format!("the camchain has {} cameras", known.len())).remedy(format!(
+                    "choose one: `gripcast calibrate convert FILE --camera-name {} --to toml --out \
                  FILE.toml`; there are {}",
-                known.first().unwrap_or(&"cam0"),
-                known.join(", ")
-            )));
-            }
-        };
+                    known.first().unwrap_or(&"cam0"),
+                    known.join(", ")
+                )),
+            );
+        }
+    };
     let camera = cameras
         .remove(name)
         .ok_or_else(|| unknown_name("camera", name, &known))?;
@@ -59,7 +60,7 @@ impl Camera {
             )));
         }
         let [fx, fy, cx, cy] = self.intrinsics[..] else {
-            return Err(bad(format!(
+            return Err(Error::input(format!(
                 "intrinsics of a pinhole camera are 4 numbers, found {}",
                 self.intrinsics.len()
             )));

@@ -16,7 +16,7 @@ use std::path::Path;
 
 pub use write::{to_opencv, to_ros};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::Intrinsics;
 
@@ -78,7 +78,7 @@ impl CameraFormat {
         let start = text.trim_start();
         if start.starts_with('<') || start.starts_with('{') {
             let what = "XML and JSON of OpenCV's FileStorage are not read";
-            return Err(Error::new(ErrorKind::Input, what)
+            return Err(Error::input(what)
                 .remedy("write it as YAML: a file name that ends in .yml does that in OpenCV"));
         }
         if start.starts_with("%YAML:") || text.contains("!!opencv-matrix") {
@@ -103,12 +103,10 @@ impl CameraFormat {
         if has_line(&is_assignment) {
             return Ok(Self::Toml);
         }
-        Err(
-            Error::new(ErrorKind::Input, "this is no camera file that is known").remedy(
-                "give gripcast's TOML, camera_info YAML of ROS, YAML of OpenCV's FileStorage with \
+        Err(Error::input("this is no camera file that is known").remedy(
+            "give gripcast's TOML, camera_info YAML of ROS, YAML of OpenCV's FileStorage with \
              camera_matrix, or camchain.yaml of Kalibr",
-            ),
-        )
+        ))
     }
 }
 
@@ -120,8 +118,7 @@ impl CameraFile {
     pub fn load(path: &Path, choice: CameraChoice<'_>) -> Result<Self> {
         let bytes = read_regular(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the camera file", e).at(path.display()))?;
-        let text = String::from_utf8(bytes)
-            .map_err(|_| Error::new(ErrorKind::Input, "the camera file is no text"));
+        let text = String::from_utf8(bytes).map_err(|_| Error::input("the camera file is no text"));
         text.and_then(|text| Self::parse(&text, choice))
             .map_err(|e| e.at(path.display()))
     }
@@ -164,13 +161,10 @@ pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<
     if (intrinsics.width, intrinsics.height) == (width, height) {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the intrinsics are for pictures of {}×{} pixels, and this is one of {width}×{height}",
-            intrinsics.width, intrinsics.height
-        ),
-    )
+    Err(Error::input(format!(
+        "the intrinsics are for pictures of {}×{} pixels, and this is one of {width}×{height}",
+        intrinsics.width, intrinsics.height
+    ))
     .remedy(format!(
         "calibrate at {width}×{height}, or take pictures of {}×{}; intrinsics are not scaled",
         intrinsics.width, intrinsics.height
@@ -178,8 +172,8 @@ pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<
 }
 
 fn own(text: &str) -> Result<CameraFile> {
-    let intrinsics = toml::from_str(text)
-        .map_err(|e| Error::new(ErrorKind::Config, e.message().trim().to_owned()))?;
+    let intrinsics =
+        toml::from_str(text).map_err(|e| Error::config(e.message().trim().to_owned()))?;
     Ok(CameraFile {
         format: CameraFormat::Toml,
         intrinsics,
@@ -195,11 +189,7 @@ fn size_of(width: Option<u32>, height: Option<u32>, choice: CameraChoice<'_>) ->
         return Ok([width, height]);
     }
     choice.size.ok_or_else(|| {
-        Error::new(
-            ErrorKind::Input,
-            "the file does not say which picture size its intrinsics are for",
-        )
-        .remedy(
+        Error::input("the file does not say which picture size its intrinsics are for").remedy(
             "convert it once with the size of the pictures it was calibrated with: `gripcast \
              calibrate convert FILE --size 1280x720 --to toml --out FILE.toml`",
         )

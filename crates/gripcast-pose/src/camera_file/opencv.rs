@@ -2,10 +2,10 @@
 
 use serde::Deserialize;
 
-use super::lens::{self, Matrix, bad, unknown_lens};
+use super::lens::{self, Matrix, unknown_lens};
 use super::{CameraChoice, CameraFile, CameraFormat, size_of};
 use crate::yaml;
-use gripcast_base::error::Result;
+use gripcast_base::error::{Error, Result};
 
 #[derive(Deserialize)]
 struct Record {
@@ -45,10 +45,10 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     }
     let missing = || {
         if read.left_of_pair.is_some() {
-            return bad("this is the file of a stereo pair (M1, D1, M2, D2)".into())
+            return Error::input("this is the file of a stereo pair (M1, D1, M2, D2)")
                 .remedy("write one camera's M and D as camera_matrix and distortion_coefficients");
         }
-        bad("the file has no camera_matrix".into())
+        Error::input("the file has no camera_matrix")
             .remedy("OpenCV's calibration writes camera_matrix and distortion_coefficients")
     };
     let matrix = read.camera_matrix.as_ref().ok_or_else(missing)?;
@@ -56,7 +56,7 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     let coefficients = match &read.distortion_coefficients {
         Some(list) => list.numbers("distortion_coefficients")?,
         None => {
-            return Err(bad("the file has no distortion_coefficients".into())
+            return Err(Error::input("the file has no distortion_coefficients")
                 .remedy("a lens without distortion has five zeros"));
         }
     };

@@ -228,10 +228,26 @@ mod tests {
 
     #[test]
     fn the_prism_closes_at_the_angle_of_the_faces() {
-        // Two sides and the back of the triangle whose apex is 180° less the fold.
-        let card = 39.0;
-        let back = 2.0 * card * (0.5 * (std::f64::consts::PI - fold_rad())).sin();
+        let tags = tags("DICT_6X6_250");
+        let sheet = gripper_sheet(&tags, Paper::A4).unwrap();
+        // The roof comes first: its outline, then its three folds.
+        let lines = sheet.shapes.iter().filter_map(|shape| match shape {
+            Shape::Line {
+                points, dash_mm, ..
+            } => Some((points[0].x, dash_mm.is_some())),
+            _ => None,
+        });
+        let lines: Vec<(f64, bool)> = lines.collect();
+        let left = lines[0].0;
+        let folds: Vec<f64> = lines.iter().filter(|l| l.1).map(|l| l.0 - left).collect();
+        let (card, back) = (folds[0], folds[2] - folds[1]);
+        assert!((folds[1] - 2.0 * card).abs() < 1e-9);
+        // The triangle of two faces and the back has its apex where the faces of the board meet.
         let apex = (1.0 - back * back / (2.0 * card * card)).acos();
-        assert!((apex + fold_rad() - std::f64::consts::PI).abs() < 1e-12);
+        let board = gripper_board(&tags).unwrap().board;
+        let front = |k: usize| board.markers[k].front();
+        let between = front(0).angle_between(front(1));
+        assert!((apex + between - std::f64::consts::PI).abs() < 1e-9);
+        assert!((card - tags.card_mm(tags.body_m)).abs() < 1e-9);
     }
 }

@@ -10,7 +10,7 @@ use super::paper::Paper;
 use super::silhouette::Silhouette;
 use super::{RULER_MM, check_measured};
 use crate::{Board, BoardFile, BoardMarker, Dictionary, Part, PrintedSheet};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// Height above the table of the section that is drawn as the bottom, m: above the roundings of
@@ -122,7 +122,10 @@ pub fn object_sheet(object: &ObjectOnSheet<'_>, settings: &SheetSettings) -> Res
     crate::board_check::check_side(settings.marker_m)?;
     let layout = layout(settings.paper, marker, &silhouette)
         .ok_or_else(|| does_not_fit(settings.paper, marker, &silhouette))?;
-    check_ids(settings, layout.corners.len())?;
+    let ids = settings
+        .dictionary
+        .check_ids(settings.first_id, layout.corners.len());
+    ids.map_err(|e| e.remedy("choose a smaller first id, larger markers or a larger dictionary"))?;
     let bottom: Vec<Outline> = section(&standing, SECTION_M)
         .iter()
         .map(millimetres)
@@ -165,24 +168,7 @@ fn check_standing(standing: &TriangleMesh) -> Result<()> {
         "the object must stand on the sheet, its lowest point is at {:.3} mm",
         1e3 * lowest
     );
-    Err(Error::new(ErrorKind::Input, what).remedy("give one of its stable poses"))
-}
-
-fn check_ids(settings: &SheetSettings, count: usize) -> Result<()> {
-    let dictionary = &settings.dictionary;
-    if settings.first_id as usize + count <= dictionary.len() {
-        return Ok(());
-    }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the sheet needs {count} markers from id {}, but {} ends with id {}",
-            settings.first_id,
-            dictionary.name(),
-            dictionary.len() - 1
-        ),
-    )
-    .remedy("choose a smaller first id, larger markers or a larger dictionary"))
+    Err(Error::input(what).remedy("give one of its stable poses"))
 }
 
 fn millimetres(outline: &Outline) -> Outline {
@@ -212,14 +198,11 @@ fn does_not_fit(paper: Paper, marker: MarkerSize, silhouette: &Silhouette) -> Er
         },
         |paper| format!("{paper} is large enough; smaller markers or a turn may help as well"),
     );
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "the object covers {:.0} × {:.0} mm: on {paper} no ring of markers of {} mm fits around \
+    Error::input(format!(
+        "the object covers {:.0} × {:.0} mm: on {paper} no ring of markers of {} mm fits around \
              it",
-            size.x, size.y, marker.side
-        ),
-    )
+        size.x, size.y, marker.side
+    ))
     .remedy(remedy)
 }
 

@@ -11,7 +11,7 @@ use super::press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
 use super::score::{Distance, observe};
 use crate::SensorGeometry;
 use crate::background::planes_of;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{CropProfile, CropWindow, crop_and_resize};
 
 /// Longer side that a GelSight Mini sees, m, where the scale is not given. Published values lie
@@ -203,10 +203,8 @@ impl PressSet {
 
 fn ball_diameter(options: &ReadOptions, list: &PressList) -> Result<f64> {
     let Some(diameter) = options.ball_diameter_m.or(list.ball_diameter_m) else {
-        return Err(
-            Error::new(ErrorKind::Input, "the diameter of the ball is not known")
-                .remedy("give it (--ball-diameter), or as `ball_diameter_m` in presses.json"),
-        );
+        return Err(Error::input("the diameter of the ball is not known")
+            .remedy("give it (--ball-diameter), or as `ball_diameter_m` in presses.json"));
     };
     believed("the diameter of the ball", diameter, BALL_M)
 }
@@ -233,14 +231,11 @@ fn believed(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Res
     if range.contains(&value) {
         return Ok(value);
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "{what} must be {} to {} m, found {value}",
-            range.start(),
-            range.end()
-        ),
-    )
+    Err(Error::input(format!(
+        "{what} must be {} to {} m, found {value}",
+        range.start(),
+        range.end()
+    ))
     .remedy("give it in metres"))
 }
 
@@ -249,10 +244,10 @@ fn nothing_usable(skipped: &[SkippedPress]) -> Error {
         || "the list is empty".to_owned(),
         |press| format!("{}: {}", press.file, press.reason),
     );
-    Error::new(
-        ErrorKind::Input,
-        format!("none of {} presses can be used ({first})", skipped.len()),
-    )
+    Error::input(format!(
+        "none of {} presses can be used ({first})",
+        skipped.len()
+    ))
     .remedy("mend the presses or take new ones")
 }
 
@@ -268,8 +263,7 @@ impl Reframe {
     fn new(stored: &RgbImage, options: &ReadOptions) -> Result<Self> {
         let (width, height) = stored.dimensions();
         let refused = |what: String| {
-            Err(Error::new(ErrorKind::Input, what)
-                .remedy("calibrate with pictures of 64 to 4096 pixels a side"))
+            Err(Error::input(what).remedy("calibrate with pictures of 64 to 4096 pixels a side"))
         };
         let Some(window) = options.crop.window(width, height) else {
             return refused(format!(

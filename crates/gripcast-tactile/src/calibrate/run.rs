@@ -14,7 +14,7 @@ use crate::{
     Background, BackgroundFit, Drift, PolynomialShading, SensorProfile, ShadingModel,
     TactileRenderer,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_imaging::CropProfile;
 
@@ -99,13 +99,10 @@ pub struct Calibration {
 /// presses are left to fit.
 pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
     if !(options.train_fraction > 0.0 && options.train_fraction <= 1.0) {
-        return Err(Error::new(
-            ErrorKind::Usage,
-            format!(
-                "the fraction of presses to fit must be above 0 and at most 1, found {}",
-                options.train_fraction
-            ),
-        ));
+        return Err(Error::usage(format!(
+            "the fraction of presses to fit must be above 0 and at most 1, found {}",
+            options.train_fraction
+        )));
     }
     let place = options.read.folder.display();
     let mut set = PressSet::read(&options.read)?;

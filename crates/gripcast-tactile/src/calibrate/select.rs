@@ -8,7 +8,7 @@ use super::score::{ObservedChange, observe};
 use super::sums::{PressSums, SquareSums, term_places};
 use crate::shading::normalised_place;
 use crate::{NormalOrder, PolynomialShading, PositionOrder, Smoothing};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::linear::Symmetric;
 
 /// Lengths over which the gel comes up around a contact that are tried, m.
@@ -61,13 +61,10 @@ pub(super) fn choose(
     terms: Terms,
 ) -> Result<(ChosenModel, PolynomialShading)> {
     if train.len() < 2 {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "at least 2 presses are needed to fit, found {}",
-                train.len()
-            ),
-        )
+        return Err(Error::input(format!(
+            "at least 2 presses are needed to fit, found {}",
+            train.len()
+        ))
         .remedy("take more presses, 5 or more all over the pad, or fit a larger fraction"));
     }
     let observed: Vec<ObservedChange> = train
@@ -100,10 +97,7 @@ pub(super) fn choose(
         consider(length, sigma);
     }
     let Some((model, sums)) = best else {
-        return Err(Error::new(
-            ErrorKind::Internal,
-            "no shape of the gel was tried",
-        ));
+        return Err(Error::internal("no shape of the gel was tried"));
     };
     let places = term_places(model.normal, model.position);
     let all = SquareSums::total(sums.iter().map(|s| &s.fit));
@@ -250,10 +244,7 @@ fn solve(sums: &SquareSums, places: &[usize], ridge: f64) -> Result<[Vec<f64>; 3
         matrix.add(i, i, ridge * scale);
     }
     let factor = matrix.factor().ok_or_else(|| {
-        Error::new(
-            ErrorKind::Input,
-            "the presses do not determine the shading: no slope is seen in any of them",
-        )
+        Error::input("the presses do not determine the shading: no slope is seen in any of them")
     })?;
     Ok([0, 1, 2].map(|c| {
         let right: Vec<f64> = places.iter().map(|place| sums.cross[*place][c]).collect();

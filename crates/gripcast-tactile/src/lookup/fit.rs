@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use super::table::{Coefficients, Seen, TaximTable, bin, terms};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::linear::Cholesky;
 
 /// Weight of the prior that a bin's change does not depend on the place, for each press. Few
@@ -42,7 +42,7 @@ impl TaximTable {
     /// `Input` where there is no press, fewer than 2 bins, a press of another size, or one
     /// without a pixel of contact in the picture.
     pub fn fit(presses: &[BallPress<'_>], image_size: [usize; 2], bins: usize) -> Result<Self> {
-        let refused = |what: String| Error::new(ErrorKind::Input, what);
+        let refused = |what: String| Error::input(what);
         if presses.is_empty() || bins < 2 {
             return Err(refused(format!(
                 "a table needs at least one press and 2 bins, found {} and {bins}",
