@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::lens::{self, unknown_lens};
-use super::{CameraChoice, CameraFile, CameraFormat, size_of};
+use super::lens::{ForeignCamera, unknown_lens};
 use crate::yaml;
 use gripcast_base::error::{Error, Result, unknown_name};
 
@@ -19,11 +18,11 @@ struct Camera {
     resolution: Option<[u32; 2]>,
 }
 
-pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+pub(super) fn read(text: &str, chosen: Option<&str>) -> Result<ForeignCamera> {
     let mut cameras: BTreeMap<String, Camera> = yaml::read(text, "the camchain")?;
     let names: Vec<String> = cameras.keys().cloned().collect();
     let known: Vec<&str> = names.iter().map(|name| &**name).collect();
-    let name = match (choice.camera, &known[..]) {
+    let name = match (chosen, &known[..]) {
         (_, [only]) => *only,
         (Some(name), _) => name,
         (None, _) => {
@@ -40,12 +39,12 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     let camera = cameras
         .remove(name)
         .ok_or_else(|| unknown_name("camera", name, &known))?;
-    let file = camera.file(name, choice);
-    file.map_err(|e| e.at(name))
+    let foreign = camera.foreign(name);
+    foreign.map_err(|e| e.at(name))
 }
 
 impl Camera {
-    fn file(&self, name: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+    fn foreign(&self, name: &str) -> Result<ForeignCamera> {
         if self.camera_model != "pinhole" {
             return Err(unknown_lens(&format!(
                 "the camera model {:?}",
@@ -65,22 +64,17 @@ impl Camera {
                 self.intrinsics.len()
             )));
         };
-        let coefficients = if is_straight {
-            &[]
-        } else {
-            &self.distortion_coeffs[..]
-        };
-        let [width, height] = self
-            .resolution
-            .map_or([None; 2], |[width, height]| [Some(width), Some(height)]);
-        let size = size_of(width, height, choice)?;
-        let matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
-        Ok(CameraFile {
-            format: CameraFormat::Kalibr,
-            intrinsics: lens::intrinsics(size, &matrix, coefficients)?,
+        Ok(ForeignCamera {
+            width: self.resolution.map(|[width, _]| width),
+            height: self.resolution.map(|[_, height]| height),
+            matrix: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            coefficients: if is_straight {
+                Vec::new()
+            } else {
+                self.distortion_coeffs.clone()
+            },
             camera_name: Some(name.to_owned()),
-            rms_px: None,
-            notes: Vec::new(),
+            ..ForeignCamera::default()
         })
     }
 }

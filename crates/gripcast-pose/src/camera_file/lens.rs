@@ -50,41 +50,62 @@ impl Matrix {
     }
 }
 
-/// The intrinsics of a camera matrix and coefficients in OpenCV's order.
-pub(super) fn intrinsics(
-    [width, height]: [u32; 2],
-    matrix: &[f64; 9],
-    coefficients: &[f64],
-) -> Result<Intrinsics> {
-    let [fx, skew, cx, k10, fy, cy, k20, k21, scale] = *matrix;
-    if skew != 0.0 {
-        return Err(Error::input(format!(
-            "the camera matrix has a skew of {skew}, and pixels here have right angles"
-        ))
-        .remedy("calibrate without skew, as OpenCV and ROS do"));
+/// A camera as a file of another program has it.
+#[derive(Default)]
+pub(super) struct ForeignCamera {
+    pub(super) width: Option<u32>,
+    pub(super) height: Option<u32>,
+    /// The camera matrix, row by row.
+    pub(super) matrix: [f64; 9],
+    /// Coefficients in OpenCV's order.
+    pub(super) coefficients: Vec<f64>,
+    pub(super) camera_name: Option<String>,
+    /// Reprojection error, px.
+    pub(super) rms_px: Option<f64>,
+    pub(super) notes: Vec<String>,
+}
+
+impl ForeignCamera {
+    /// Its intrinsics, for pictures of the size that the file says, or else of `size`.
+    pub(super) fn intrinsics(&self, size: Option<[u32; 2]>) -> Result<Intrinsics> {
+        let own = self.width.zip(self.height);
+        let (width, height) = own.or(size.map(<(u32, u32)>::from)).ok_or_else(|| {
+            Error::input("the file does not say which picture size its intrinsics are for").remedy(
+                "convert it once with the size of the pictures it was calibrated with: `gripcast \
+                 calibrate convert FILE --size 1280x720 --to toml --out FILE.toml`",
+            )
+        })?;
+        let [fx, skew, cx, k10, fy, cy, k20, k21, scale] = self.matrix;
+        if skew != 0.0 {
+            return Err(Error::input(format!(
+                "the camera matrix has a skew of {skew}, and pixels here have right angles"
+            ))
+            .remedy("calibrate without skew, as OpenCV and ROS do"));
+        }
+        if [k10, k20, k21] != [0.0; 3] || scale != 1.0 {
+            return Err(Error::input(format!(
+                "the camera matrix must be [fx 0 cx; 0 fy cy; 0 0 1], found {:?}",
+                self.matrix
+            ))
+            .remedy("numbers are listed row by row"));
+        }
+        let coefficients = plumb_bob(&self.coefficients)?;
+        let is_straight = coefficients == [0.0; 5];
+        Ok(Intrinsics {
+            width,
+            height,
+            fx,
+            fy,
+            cx,
+            cy,
+            model: if is_straight {
+                DistortionModel::None
+            } else {
+                DistortionModel::BrownConrady
+            },
+            coefficients,
+        })
     }
-    if [k10, k20, k21] != [0.0; 3] || scale != 1.0 {
-        return Err(Error::input(format!(
-            "the camera matrix must be [fx 0 cx; 0 fy cy; 0 0 1], found {matrix:?}"
-        ))
-        .remedy("numbers are listed row by row"));
-    }
-    let coefficients = plumb_bob(coefficients)?;
-    let is_straight = coefficients == [0.0; 5];
-    Ok(Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-        model: if is_straight {
-            DistortionModel::None
-        } else {
-            DistortionModel::BrownConrady
-        },
-        coefficients,
-    })
 }
 
 /// k1, k2, p1, p2, k3 of a longer or shorter list, if what is beyond them is zero.

@@ -129,17 +129,34 @@ impl CameraFile {
     /// `Input` or `Config`: what is missing or wrong, or which lens model is not known.
     pub fn parse(text: &str, choice: CameraChoice<'_>) -> Result<Self> {
         let format = CameraFormat::recognise(text)?;
-        let file = match format {
-            CameraFormat::Toml => own(text)?,
-            CameraFormat::Ros => ros::read(text, choice)?,
-            CameraFormat::Opencv => opencv::read(text, choice)?,
-            CameraFormat::Kalibr => kalibr::read(text, choice)?,
+        let foreign = match format {
+            CameraFormat::Toml => None,
+            CameraFormat::Ros => Some(ros::read(text)?),
+            CameraFormat::Opencv => Some(opencv::read(text)?),
+            CameraFormat::Kalibr => Some(kalibr::read(text, choice.camera)?),
         };
-        let intrinsics = file.intrinsics.validate()?;
+        let intrinsics = match &foreign {
+            Some(foreign) => foreign.intrinsics(choice.size).map_err(|e| {
+                match foreign.camera_name.as_deref() {
+                    // A camchain has several.
+                    Some(name) if format == CameraFormat::Kalibr => e.at(name),
+                    _ => e,
+                }
+            })?,
+            None => toml::from_str(text).map_err(|e| Error::config(e.message().trim()))?,
+        };
+        let intrinsics = intrinsics.validate()?;
         if let Some([width, height]) = choice.size {
             require_size(&intrinsics, width, height)?;
         }
-        Ok(Self { intrinsics, ..file })
+        let foreign = foreign.unwrap_or_default();
+        Ok(Self {
+            format,
+            intrinsics,
+            camera_name: foreign.camera_name,
+            rms_px: foreign.rms_px,
+            notes: foreign.notes,
+        })
     }
 }
 
@@ -169,31 +186,6 @@ pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<
         "calibrate at {width}×{height}, or take pictures of {}×{}; intrinsics are not scaled",
         intrinsics.width, intrinsics.height
     )))
-}
-
-fn own(text: &str) -> Result<CameraFile> {
-    let intrinsics =
-        toml::from_str(text).map_err(|e| Error::config(e.message().trim().to_owned()))?;
-    Ok(CameraFile {
-        format: CameraFormat::Toml,
-        intrinsics,
-        camera_name: None,
-        rms_px: None,
-        notes: Vec::new(),
-    })
-}
-
-/// The picture's size: what the file says, or else what was given.
-fn size_of(width: Option<u32>, height: Option<u32>, choice: CameraChoice<'_>) -> Result<[u32; 2]> {
-    if let (Some(width), Some(height)) = (width, height) {
-        return Ok([width, height]);
-    }
-    choice.size.ok_or_else(|| {
-        Error::input("the file does not say which picture size its intrinsics are for").remedy(
-            "convert it once with the size of the pictures it was calibrated with: `gripcast \
-             calibrate convert FILE --size 1280x720 --to toml --out FILE.toml`",
-        )
-    })
 }
 
 #[cfg(test)]

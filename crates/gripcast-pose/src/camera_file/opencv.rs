@@ -2,8 +2,7 @@
 
 use serde::Deserialize;
 
-use super::lens::{self, Matrix, unknown_lens};
-use super::{CameraChoice, CameraFile, CameraFormat, size_of};
+use super::lens::{ForeignCamera, Matrix, unknown_lens};
 use crate::yaml;
 use gripcast_base::error::{Error, Result};
 
@@ -38,7 +37,7 @@ struct Record {
     left_of_pair: Option<Matrix>,
 }
 
-pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+pub(super) fn read(text: &str) -> Result<ForeignCamera> {
     let read: Record = yaml::read(text, "the camera file of OpenCV")?;
     if read.fisheye_model.is_some_and(|flag| flag != 0) {
         return Err(unknown_lens("OpenCV's fisheye model"));
@@ -60,10 +59,11 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
                 .remedy("a lens without distortion has five zeros"));
         }
     };
-    let size = size_of(read.image_width, read.image_height, choice)?;
-    Ok(CameraFile {
-        format: CameraFormat::Opencv,
-        intrinsics: lens::intrinsics(size, &matrix, coefficients)?,
+    Ok(ForeignCamera {
+        width: read.image_width,
+        height: read.image_height,
+        matrix,
+        coefficients: coefficients.to_vec(),
         camera_name: read.camera_name,
         rms_px: read.avg_reprojection_error.filter(|e| e.is_finite()),
         notes: Vec::new(),

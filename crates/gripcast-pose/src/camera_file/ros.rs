@@ -2,8 +2,7 @@
 
 use serde::Deserialize;
 
-use super::lens::{self, Matrix, unknown_lens};
-use super::{CameraChoice, CameraFile, CameraFormat, size_of};
+use super::lens::{ForeignCamera, Matrix, unknown_lens};
 use crate::yaml;
 use gripcast_base::error::{Error, Result};
 
@@ -22,9 +21,8 @@ struct Record {
     projection_matrix: Option<Matrix>,
 }
 
-pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+pub(super) fn read(text: &str) -> Result<ForeignCamera> {
     let read: Record = yaml::read(text, "the camera_info")?;
-    let size = size_of(read.image_width, read.image_height, choice)?;
     let matrix = read
         .camera_matrix
         .ok_or_else(|| Error::input("the camera_info has no camera_matrix"))?
@@ -41,12 +39,14 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     if let Some(projection) = &read.projection_matrix {
         notes.extend(note_of_projection(projection, &matrix)?);
     }
-    Ok(CameraFile {
-        format: CameraFormat::Ros,
-        intrinsics: lens::intrinsics(size, &matrix, coefficients)?,
+    Ok(ForeignCamera {
+        width: read.image_width,
+        height: read.image_height,
+        matrix,
+        coefficients: coefficients.to_vec(),
         camera_name: read.camera_name,
-        rms_px: None,
         notes,
+        ..ForeignCamera::default()
     })
 }
 

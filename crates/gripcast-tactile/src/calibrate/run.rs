@@ -108,7 +108,8 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
     let mut set = PressSet::read(&options.read)?;
     let (train, held_out) = set.split(options.train_fraction, options.most_fitted, options.seed);
     let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&place))?;
-    let profile = profile(&set, &train, &fitted, options, held_out.len());
+    let counts = [train.len(), held_out.len()];
+    let profile = profile(&set, counts, &fitted, options);
     let scored = if held_out.is_empty() {
         &train
     } else {
@@ -135,7 +136,7 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
         })
         .collect();
     let picture = sheet(&set, &rows);
-    let report = report(&set, &train, &held_out, scores, &fitted, &profile, options);
+    let report = report(&set, counts, scores, &fitted, &profile, options);
     Ok(Calibration {
         profile,
         report,
@@ -222,10 +223,9 @@ fn rendered(
 
 fn profile(
     set: &PressSet,
-    train: &[usize],
+    counts: [usize; 2],
     fitted: &Fitted,
     options: &CalibrateOptions,
-    held_out: usize,
 ) -> SensorProfile {
     let pivot = pivot(set);
     let spread =
@@ -235,7 +235,7 @@ fn profile(
         name: options.name.clone(),
         serial: options.serial.clone(),
         crop_profile: options.crop_profile,
-        provenance: provenance(set, train.len(), held_out, options),
+        provenance: provenance(set, counts, options),
         noise_std: noise(set, fitted),
         geometry: set.geometry,
         smoothing: fitted.model.smoothing,
@@ -255,8 +255,7 @@ fn profile(
 
 fn provenance(
     set: &PressSet,
-    fitted: usize,
-    held_out: usize,
+    [fitted, held_out]: [usize; 2],
     options: &CalibrateOptions,
 ) -> String {
     let found = set.presses.iter().filter(|press| press.found).count();
@@ -317,8 +316,7 @@ fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
 
 fn report(
     set: &PressSet,
-    train: &[usize],
-    held_out: &[usize],
+    [train, held_out]: [usize; 2],
     score: Score,
     fitted: &Fitted,
     profile: &SensorProfile,
@@ -327,13 +325,9 @@ fn report(
     let pivot = pivot(set);
     CalibrationReport {
         score,
-        scored_on: if held_out.is_empty() {
-            "fitted"
-        } else {
-            "held_out"
-        },
-        fitted: train.len(),
-        held_out: held_out.len(),
+        scored_on: if held_out == 0 { "fitted" } else { "held_out" },
+        fitted: train,
+        held_out,
         skipped: set.skipped.clone(),
         contacts_found: set.presses.iter().filter(|press| press.found).count(),
         seed: options.seed,
