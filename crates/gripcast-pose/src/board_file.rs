@@ -18,13 +18,12 @@ use std::path::Path;
 
 use glam::DVec3;
 use serde::Deserialize;
-use sha2::{Digest as _, Sha256};
 
 use super::board::{Board, BoardMarker};
 use super::chessboard::Chessboard;
 use super::dictionary::Dictionary;
 use gripcast_base::error::{Error, Result};
-use gripcast_base::files::{FileKind, Root, read_text};
+use gripcast_base::files::{FileKind, Root, read_text, sha256_hex};
 use gripcast_geometry::Pose;
 
 /// Version of the format.
@@ -74,9 +73,9 @@ impl Board {
         for marker in markers {
             text += &marker_text(marker);
         }
-        let digest = Sha256::digest(text);
-        let digits: String = digest.iter().map(|b| format!("{b:02x}")).collect();
-        digits[..HASH_DIGITS].to_owned()
+        let mut digits = sha256_hex(text);
+        digits.truncate(HASH_DIGITS);
+        digits
     }
 }
 

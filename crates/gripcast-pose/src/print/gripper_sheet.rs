@@ -3,9 +3,8 @@
 use glam::DVec2;
 
 use super::drawing::{Drawing, TextAnchor};
-use super::furniture::{LABEL_MM, MARGIN_MM, notes, ruler};
+use super::furniture::{LABEL_MM, MARGIN_MM, footer};
 use super::gripper_board::{GripperTags, fold_rad, gripper_board};
-use super::layout::NOTES_MM;
 use super::paper::Paper;
 use gripcast_base::error::Result;
 
@@ -31,7 +30,6 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         drawing: Drawing::new(paper.portrait_mm(), &title),
         tags,
     };
-    let [width, height] = paper.portrait_mm();
     let body = tags.card_mm(tags.body_m);
     let finger = tags.card_mm(tags.finger_m);
     let left = MARGIN_MM + 14.0;
@@ -63,10 +61,7 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         5,
         false,
     );
-    let floor = height - MARGIN_MM;
     let mut drawing = pen.drawing;
-    ruler(&mut drawing, DVec2::new(MARGIN_MM, floor), false);
-    ruler(&mut drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
     let lines = [
         format!(
             "gripper tags {}, hash {}, {}, {}",
@@ -78,8 +73,7 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         "cut solid lines, fold dashed lines".to_owned(),
         "print at 100 %: both rulers must measure 100 mm, else give --measured-mm X,Y".to_owned(),
     ];
-    let start = DVec2::new(MARGIN_MM + 116.0, floor - NOTES_MM - 2.0);
-    notes(&mut drawing, start, width - MARGIN_MM - start.x, &lines);
+    footer(&mut drawing, DVec2::new(16.0, -2.0), &lines);
     Ok(drawing)
 }
 

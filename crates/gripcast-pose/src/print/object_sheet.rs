@@ -4,8 +4,8 @@ use glam::{DVec2, DVec3};
 
 use super::contour::{Outline, section, simplified};
 use super::drawing::{BLACK, Colour, Drawing, Shape, TextAnchor};
-use super::furniture::{LABEL_MM, MARGIN_MM, notes, ruler};
-use super::layout::{Layout, MarkerSize, NOTES_MM, keeps_quiet, layout};
+use super::furniture::{LABEL_MM, footer};
+use super::layout::{Layout, MarkerSize, keeps_quiet, layout};
 use super::paper::Paper;
 use super::silhouette::Silhouette;
 use super::{RULER_MM, check_measured};
@@ -340,10 +340,6 @@ impl Placed {
         settings: &SheetSettings,
         object: &ObjectOnSheet<'_>,
     ) {
-        let [width, height] = drawing.size_mm;
-        let floor = height - MARGIN_MM;
-        ruler(drawing, DVec2::new(MARGIN_MM, floor), false);
-        ruler(drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
         let ids = board.ids();
         let lines = [
             format!(
@@ -363,8 +359,7 @@ impl Placed {
             "print at 100 %: both rulers must measure 100 mm, else give --measured-mm X,Y"
                 .to_owned(),
         ];
-        let start = DVec2::new(MARGIN_MM + RULER_MM + 16.0, floor - NOTES_MM + 1.0);
-        notes(drawing, start, width - MARGIN_MM - start.x, &lines);
+        footer(drawing, DVec2::new(16.0, 1.0), &lines);
     }
 }
 

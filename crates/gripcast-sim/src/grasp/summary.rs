@@ -1,11 +1,11 @@
 //! What a grasp came to, in figures.
 
-use gripcast_base::statistics::median;
 use serde::Serialize;
 
 use super::protocol::Protocol;
 use super::run::{GraspOutcome, GraspResult};
 use super::trace::{StageName, Trace, TraceStep};
+use gripcast_base::statistics::median;
 
 /// Adjustment steps at the end that the force is judged by.
 pub const STEADY_STEPS: usize = 20;

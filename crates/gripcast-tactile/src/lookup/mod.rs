@@ -10,7 +10,7 @@ mod table;
 
 pub use fit::BallPress;
 pub use height::TaximHeights;
-pub use on_presses::{fit_to_presses, score_on_presses};
+pub use on_presses::fit_to_presses;
 pub use shadow::{ShadowLamp, Shadows};
 pub use table::TaximTable;
 
