@@ -23,12 +23,12 @@ const HALF_PIXEL: DVec2 = DVec2::splat(0.5);
 const MOST_CELLS: usize = 7;
 /// Least distance of a dictionary's markers at which a bit is corrected.
 const LEAST_DISTANCE_TO_CORRECT: u32 = 6;
-/// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with
-/// Share of the pixels that may be brighter than white once light is stretched: lamps, glints.
+/// Fraction of the pixels that may be brighter than white once light is stretched: lamps, glints.
 const BRIGHTEST: f64 = 0.002;
 /// Most that light is amplified; beyond, noise would be.
 const MOST_GAIN: f32 = 8.0;
-/// some reserve.
+/// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with some
+/// reserve.
 const NOISE_RANGE: f64 = 7.0;
 /// Limits of the contrast that a window needs, grey levels; the first is the library's own.
 const LEAST_CONTRAST: (i32, i32) = (5, 60);
