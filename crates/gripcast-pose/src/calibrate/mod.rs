@@ -1,6 +1,10 @@
 //! Calibration from pictures: the intrinsics of a camera from views of a board, the places of the
 //! gripper's tags.
 
+mod board_points;
+mod bundle;
+mod collector;
+mod coverage;
 mod gripper;
 mod gripper_bundle;
 mod gripper_check;
@@ -10,15 +14,6 @@ mod gripper_result;
 mod gripper_start;
 #[cfg(test)]
 mod gripper_test;
-
-pub use gripper::calibrate_gripper;
-pub use gripper_result::{
-    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
-};
-mod board_points;
-mod bundle;
-mod collector;
-mod coverage;
 mod intrinsics;
 #[cfg(test)]
 mod intrinsics_test;
@@ -30,4 +25,8 @@ mod start;
 pub use board_points::{BoardPoint, BoardPoints, PointFinder};
 pub use collector::{Collector, CollectorSettings, Offer, Refusal};
 pub use coverage::{Coverage, Hint, Tilt};
+pub use gripper::calibrate_gripper;
+pub use gripper_result::{
+    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
+};
 pub use intrinsics::{CalibrationReport, Holdout, PARAMETERS, ViewFit, calibrate_intrinsics};
