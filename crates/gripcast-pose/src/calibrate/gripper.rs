@@ -21,7 +21,7 @@
 
 use glam::DVec3;
 
-use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Sight, Solved, View};
+use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Solved, View, slides_differ};
 use super::gripper_check::{leave_one_out, rms_of_views, suspects};
 use super::gripper_frame::{Ties, conditions, tie};
 use super::gripper_report::{Loosened, Outcome, report};
@@ -124,14 +124,8 @@ pub fn calibrate_gripper(
 
 /// Whether a picture with closed fingers shows them together with something else.
 fn has_closed(bundle: &Bundle) -> bool {
-    bundle.views.iter().any(|v| {
-        let slide = |s: &Sight| bundle.markers[s.marker].slide;
-        let differ = v
-            .sights
-            .windows(2)
-            .any(|pair| slide(&pair[0]) != slide(&pair[1]));
-        differ && !v.frees_opening
-    })
+    let differ = |v: &View| slides_differ(&bundle.markers, &v.sights);
+    bundle.views.iter().any(|v| differ(v) && !v.frees_opening)
 }
 
 fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()> {
@@ -273,12 +267,7 @@ fn without(bundle: &Bundle, marker: usize) -> Bundle {
             sight.marker -= usize::from(sight.marker > marker);
             sight.used = true;
         }
-        let slides = |s: &Sight| rest.markers[s.marker].slide;
-        let differ = view
-            .sights
-            .windows(2)
-            .any(|p| slides(&p[0]) != slides(&p[1]));
-        view.frees_opening &= differ;
+        view.frees_opening &= slides_differ(&rest.markers, &view.sights);
     }
     rest.views.retain(|v| v.sights.len() >= 2);
     rest

@@ -71,6 +71,13 @@ pub(super) struct View {
     pub(super) sights: Vec<Sight>,
 }
 
+/// Whether some of the sights are of parts that move against each other.
+pub(super) fn slides_differ(markers: &[Marker], sights: &[Sight]) -> bool {
+    let slide = |s: &Sight| markers[s.marker].slide;
+    let mut pairs = sights.windows(2);
+    pairs.any(|pair| slide(&pair[0]) != slide(&pair[1]))
+}
+
 /// Everything that is solved for.
 #[derive(Clone, Debug)]
 pub(super) struct Bundle {

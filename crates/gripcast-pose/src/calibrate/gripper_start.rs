@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::gripper_bundle::{Bundle, Marker, Sight, View};
+use super::gripper_bundle::{Bundle, Marker, Sight, View, slides_differ};
 use super::gripper_result::GripperPicture;
 use crate::solve::{solve_gripper, solve_part};
 use crate::{Board, BoardMarker, Detection, Part};
@@ -85,10 +85,7 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, pictures: &[GripperPict
             (0, _) => leave_out("no marker of the gripper was found"),
             (_, 0 | 1) => leave_out("only one marker that takes part was found"),
             _ => {
-                let slide = |s: &Sight| selection.bundle.markers[s.marker].slide;
-                let differ = here
-                    .windows(2)
-                    .any(|pair| slide(&pair[0]) != slide(&pair[1]));
+                let differ = slides_differ(&selection.bundle.markers, &here);
                 selection.bundle.views.push(View {
                     picture,
                     pose: Pose::IDENTITY,
