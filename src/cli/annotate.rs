@@ -203,7 +203,7 @@ fn annotate(args: &Args, progress: &Progress) -> Result<Summary> {
         } else {
             format!("no grasp could be annotated; the first: {first}")
         };
-        return Err(Error::new(ErrorKind::Input, text));
+        return Err(Error::input(text));
     }
     Ok(summary)
 }
@@ -250,16 +250,13 @@ impl Work<'_> {
         let (pictures, unreadable) = self.pictures(record);
         if pictures.is_empty() {
             return Err(unreadable.unwrap_or_else(|| {
-                Error::new(
-                    ErrorKind::NotFound,
-                    "the grasp has no picture of an external camera",
-                )
-                .remedy("bind [cameras.external] in the rig file when collecting")
+                Error::not_found("the grasp has no picture of an external camera")
+                    .remedy("bind [cameras.external] in the rig file when collecting")
             }));
         }
         self.prepare(record)?;
         let Some(annotator) = &mut self.annotator else {
-            return Err(Error::new(ErrorKind::Internal, "there is no annotator"));
+            return Err(Error::internal("there is no annotator"));
         };
         let grey = pictures.iter().map(|p| (p.name.clone(), &p.grey));
         let Annotation {
@@ -346,10 +343,10 @@ impl Work<'_> {
         }
         if let Some(sheets) = &self.given.sheets {
             return sheets.get(&record.object).cloned().ok_or_else(|| {
-                Error::new(
-                    ErrorKind::NotFound,
-                    format!("there is no sheet for the object `{}`", record.object),
-                )
+                Error::not_found(format!(
+                    "there is no sheet for the object `{}`",
+                    record.object
+                ))
                 .remedy(format!(
                     "put its board file there as {}.toml",
                     record.object
@@ -371,11 +368,8 @@ impl Work<'_> {
     /// A board that was stored with the grasp.
     fn stored(&self, key: Option<&ContentKey>, what: &str, flag: &str) -> Result<BoardFile> {
         let Some(key) = key else {
-            return Err(Error::new(
-                ErrorKind::NotFound,
-                format!("the dataset does not say {what}"),
-            )
-            .remedy(format!("give {flag}")));
+            return Err(Error::not_found(format!("the dataset does not say {what}"))
+                .remedy(format!("give {flag}")));
         };
         BoardFile::parse(&self.dataset.calibration(key)?, Path::new(""))
     }
@@ -388,8 +382,7 @@ impl Work<'_> {
         let text = key.map(|key| self.dataset.calibration(key)).transpose()?;
         let stored = text.map(|text| stored_intrinsics(&text)).transpose()?;
         stored.flatten().ok_or_else(|| {
-            Error::new(
-                ErrorKind::NotFound,
+            Error::not_found(
                 "the external camera is not calibrated: the dataset has no intrinsics of it",
             )
             .remedy("measure them with `gripcast calibrate intrinsics` and give --intrinsics FILE")

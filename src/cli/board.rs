@@ -30,9 +30,11 @@ use serde::Serialize;
 
 use super::{Context, print, print_json};
 use super::{board_charuco, board_make};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
-use gripcast_pose::{BoardFile, Dictionary, ForeignBoard, Part, import_kalibr, import_ros};
+use gripcast_pose::{
+    BoardFile, Chessboard, Dictionary, ForeignBoard, Part, import_kalibr, import_ros,
+};
 
 /// Arguments.
 #[derive(Debug, clap::Args)]
@@ -102,15 +104,7 @@ struct Summary {
     parts: Vec<PartSummary>,
     markers: Vec<MarkerSummary>,
     sheet: Option<SheetSummary>,
-    chessboard: Option<ChessboardSummary>,
-}
-
-#[derive(Serialize)]
-struct ChessboardSummary {
-    squares: [u32; 2],
-    square_mm: [f64; 2],
-    legacy: bool,
-    printed_hash: Option<String>,
+    chessboard: Option<Chessboard>,
 }
 
 #[derive(Serialize)]
@@ -168,12 +162,7 @@ impl Summary {
                 printed_hash: sheet.printed_hash.clone(),
                 measured_mm: sheet.measured_mm,
             }),
-            chessboard: file.chessboard.as_ref().map(|c| ChessboardSummary {
-                squares: c.squares,
-                square_mm: c.square_mm,
-                legacy: c.legacy,
-                printed_hash: c.printed_hash.clone(),
-            }),
+            chessboard: file.chessboard.clone(),
         }
     }
 }
@@ -277,8 +266,7 @@ fn import(args: &ImportArgs) -> Result<()> {
         }
         ForeignBoard::Ros => {
             let dictionary = args.dictionary()?.ok_or_else(|| {
-                Error::new(
-                    ErrorKind::Usage,
+                Error::usage(
                     "the file of aruco_opencv does not say which dictionary its boards have",
                 )
                 .remedy("give --dictionary, the marker_dict of the ROS node, such as 4X4_50")
@@ -322,11 +310,8 @@ fn chosen(mut boards: Vec<BoardFile>, name: Option<&str>) -> Result<BoardFile> {
     match (place, name) {
         (Some(place), _) => Ok(boards.swap_remove(place)),
         (None, Some(name)) => Err(gripcast_base::error::unknown_name("board", name, &known)),
-        (None, None) => Err(Error::new(
-            ErrorKind::Usage,
-            format!("the file has {} boards", known.len()),
-        )
-        .remedy(format!("choose one with --name: {}", known.join(", ")))),
+        (None, None) => Err(Error::usage(format!("the file has {} boards", known.len()))
+            .remedy(format!("choose one with --name: {}", known.join(", ")))),
     }
 }
 
@@ -341,7 +326,7 @@ struct DictionarySummary<'a> {
 fn say_dictionary(args: &ImportArgs, dictionary: &Dictionary) -> Result<()> {
     if args.out.is_some() {
         let what = "a dictionary is no board: there is nothing to write";
-        return Err(Error::new(ErrorKind::Usage, what)
+        return Err(Error::usage(what)
             .remedy("boards name it by its file: --dictionary FILE.yml, beside the board file"));
     }
     let said = DictionarySummary {

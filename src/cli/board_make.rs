@@ -9,7 +9,7 @@ use super::board::folder;
 use super::sim_object::{SimObject, unit};
 use super::{Context, print, print_json};
 use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::save;
 use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_pose::print::{
@@ -124,7 +124,7 @@ impl SheetFormat {
                 let nearest = nearest_name(other, ["pdf", "svg", "png"]);
                 let hint = nearest.map_or(String::new(), |n| format!("did you mean .{n}? "));
                 let what = "`--out` must end in .pdf, .svg or .png";
-                Err(Error::new(ErrorKind::Usage, what)
+                Err(Error::usage(what)
                     .at(path.display())
                     .remedy(format!("{hint}the board file is named with --board")))
             }
@@ -152,7 +152,7 @@ impl SheetFlags {
             .is_some_and(|e| e.eq_ignore_ascii_case("toml"))
         {
             let what = "`--board` must name a file that ends in .toml";
-            return Err(Error::new(ErrorKind::Usage, what).at(path.display()));
+            return Err(Error::usage(what).at(path.display()));
         }
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
         let name = self.name.clone().unwrap_or_else(|| stem.into_owned());
@@ -252,7 +252,7 @@ pub(super) fn make(context: &Context, args: &MakeArgs) -> Result<()> {
     let (_, pose) = resting_pose(&object.mesh, args.stable_pose)?;
     if !args.yaw_deg.is_finite() {
         let what = format!("`--yaw-deg` must be an angle, found {}", args.yaw_deg);
-        return Err(Error::new(ErrorKind::Usage, what));
+        return Err(Error::usage(what));
     }
     let yaw = Pose::from_rotation(DQuat::from_rotation_z(args.yaw_deg.to_radians()));
     let placed = ObjectOnSheet {

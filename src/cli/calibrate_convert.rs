@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::{Context, print, print_json};
 use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::{DistortionModel, Intrinsics};
 use gripcast_pose::camera::undistort;
@@ -80,9 +80,8 @@ impl Source {
 pub(super) fn convert(context: &Context, args: &ConvertArgs) -> Result<()> {
     let read = args.source.read()?;
     let text = match args.to {
-        Target::Toml => toml::to_string(&read.intrinsics).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write intrinsics as TOML").because(e)
-        })?,
+        Target::Toml => toml::to_string(&read.intrinsics)
+            .map_err(|e| Error::internal("cannot write intrinsics as TOML").because(e))?,
         Target::Ros => {
             let chosen = args.source.camera_name.as_deref();
             let name = chosen.or(read.camera_name.as_deref()).unwrap_or("external");

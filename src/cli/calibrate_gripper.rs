@@ -1,17 +1,15 @@
 //! `gripcast calibrate gripper`: where the gripper's tags are, from pictures.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use image::GrayImage;
-use image::imageops::grayscale;
 use serde::Serialize;
 
+use super::picture_folder::{file_name, pictures, read_grey};
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
-use gripcast_base::files::{FileKind, read_regular, save};
+use gripcast_base::files::save;
 use gripcast_imaging::{Decoder, Intrinsics};
 use gripcast_pose::calibrate::{
     CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
@@ -100,42 +98,14 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     }
 }
 
-/// The folder's pictures by name.
-fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
-    let cannot = |e| Error::io("cannot read the folder of pictures", e).at(folder.display());
-    let mut files = Vec::new();
-    for entry in fs::read_dir(folder).map_err(cannot)? {
-        let path = entry.map_err(cannot)?.path();
-        let suffix = path.extension().unwrap_or_default().to_ascii_lowercase();
-        if ["png", "jpg", "jpeg"].iter().any(|known| suffix == *known) {
-            files.push(path);
-        }
-    }
-    files.sort();
-    if files.is_empty() {
-        return Err(
-            Error::new(ErrorKind::Input, "the folder has no .png or .jpg pictures")
-                .at(folder.display()),
-        );
-    }
-    Ok(files)
-}
-
-fn name(path: &Path) -> String {
-    path.file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned()
-}
-
 /// Whether each picture was named as one with closed fingers, by its name with or without suffix.
 fn closed(wanted: &[String], files: &[PathBuf]) -> Result<Vec<bool>> {
-    let names: Vec<String> = files.iter().map(|f| name(f)).collect();
+    let names: Vec<String> = files.iter().map(|f| file_name(f)).collect();
     let known: Vec<&str> = names.iter().map(|n| &**n).collect();
     let mut closed = vec![false; files.len()];
     for wanted in wanted {
         let is_it = |f: &PathBuf| {
-            name(f) == *wanted
+            file_name(f) == *wanted
                 || f.file_stem()
                     .is_some_and(|stem| stem.to_string_lossy() == *wanted)
         };
@@ -155,7 +125,7 @@ fn look(
 ) -> Result<Seen> {
     let mut all = detectors(&board.dictionary, &board.board.ids())?.into_iter();
     let Some(mut detector) = all.next() else {
-        return Err(Error::new(ErrorKind::Internal, "there is no detector"));
+        return Err(Error::internal("there is no detector"));
     };
     let mut decoder = Decoder::new()?;
     let mut seen = Seen {
@@ -164,8 +134,8 @@ fn look(
     };
     let mut first = None;
     for (i, (file, closed)) in files.iter().zip(closed).enumerate() {
-        let name = name(file);
-        match grey(&mut decoder, file) {
+        let name = file_name(file);
+        match read_grey(&mut decoder, file) {
             Err(error) => seen.unreadable.push(Skipped {
                 picture: name,
                 reason: error.to_string(),
@@ -187,7 +157,7 @@ fn look(
     let Some(first) = first else {
         let reason = seen.unreadable.first().map_or("", |s| &s.reason);
         let what = format!("none of the pictures can be read: {reason}");
-        return Err(Error::new(ErrorKind::Input, what));
+        return Err(Error::input(what));
     };
     if seen.pictures.iter().all(|p| p.detections.is_empty()) {
         let others = known_dictionaries();
@@ -195,13 +165,6 @@ fn look(
         return Err(why.explain(&board.board.name));
     }
     Ok(seen)
-}
-
-/// A stored picture in grey, at its own size.
-fn grey(decoder: &mut Decoder, file: &Path) -> Result<GrayImage> {
-    let bytes =
-        read_regular(file, FileKind::Image).map_err(|e| Error::io("cannot read the picture", e))?;
-    Ok(grayscale(&decoder.stored_picture(&bytes)?))
 }
 
 #[derive(Serialize)]

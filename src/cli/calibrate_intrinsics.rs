@@ -15,18 +15,16 @@
 //! 3 done, but pictures could not be read or did not show the board · 69 no such camera ·
 //! 130 interrupted; nothing was written.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use image::GrayImage;
-use image::imageops::grayscale;
 use serde_json::{Value, json};
 
+use super::picture_folder::{file_name, pictures, read_grey};
 use super::working::interruptible;
 use super::{Context, calibrate_live, print, print_json};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
 use gripcast_pose::calibrate::{
@@ -101,7 +99,7 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
         && !folder.is_dir()
     {
         let what = "there is no folder to write the intrinsics to";
-        return Err(Error::new(ErrorKind::NotFound, what).at(folder.display()));
+        return Err(Error::not_found(what).at(folder.display()));
     }
     let settings = CollectorSettings {
         wanted: usize::from(args.views),
@@ -119,7 +117,7 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
         (None, Some(rig)) => {
             calibrate_live::collect(context, collector, rig, args.camera, args.keep.as_deref())?
         }
-        (None, None) => return Err(Error::new(ErrorKind::Usage, "give --pictures or --rig")),
+        (None, None) => return Err(Error::usage("give --pictures or --rig")),
     };
     let report = taken
         .collector
@@ -147,36 +145,6 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
     Ok(())
 }
 
-/// Names of the pictures of a folder, sorted.
-fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
-    let entries = fs::read_dir(folder)
-        .map_err(|e| Error::io("cannot read the folder of pictures", e).at(folder.display()))?;
-    let is_picture = |path: &PathBuf| {
-        path.extension().is_some_and(|suffix| {
-            ["png", "jpg", "jpeg"]
-                .iter()
-                .any(|known| suffix.eq_ignore_ascii_case(known))
-        })
-    };
-    let mut found: Vec<PathBuf> = entries
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(is_picture)
-        .collect();
-    found.sort();
-    if found.is_empty() {
-        let what = "there is no picture (.jpg, .jpeg, .png) in the folder";
-        return Err(Error::new(ErrorKind::Input, what).at(folder.display()));
-    }
-    Ok(found)
-}
-
-fn read(decoder: &mut Decoder, path: &Path) -> Result<GrayImage> {
-    let bytes =
-        read_regular(path, FileKind::Image).map_err(|e| Error::io("cannot read the picture", e))?;
-    Ok(grayscale(&decoder.stored_picture(&bytes)?))
-}
-
 fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Result<Taken> {
     let mut decoder = Decoder::new()?;
     let mut taken = Taken {
@@ -188,12 +156,8 @@ fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Res
     let mut sizes: Vec<String> = Vec::new();
     let mut without_board: Option<GrayImage> = None;
     for path in pictures(folder)? {
-        let name = path
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
-        let offered = read(&mut decoder, &path)
+        let name = file_name(&path);
+        let offered = read_grey(&mut decoder, &path)
             .and_then(|picture| Ok((taken.collector.offer(&picture)?, picture)));
         let reason = match offered {
             Err(error) => {
@@ -255,13 +219,10 @@ fn other_sizes(taken: &Taken, sizes: &[String]) -> Error {
     } else {
         String::new()
     };
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "the pictures have different sizes: {width}×{height} first, then {}{more}",
-            sizes[..sizes.len().min(MOST)].join(", ")
-        ),
-    )
+    Error::input(format!(
+        "the pictures have different sizes: {width}×{height} first, then {}{more}",
+        sizes[..sizes.len().min(MOST)].join(", ")
+    ))
     .remedy("intrinsics are those of one size: keep the pictures of one camera in one mode")
 }
 
@@ -270,7 +231,7 @@ fn none_usable(taken: &Taken) -> Error {
     let reason = first.map_or(String::new(), |(name, reason)| {
         format!(": {name}: {reason}")
     });
-    Error::new(ErrorKind::Input, format!("no picture is usable{reason}"))
+    Error::input(format!("no picture is usable{reason}"))
         .remedy("docs/calibration.md says how to take them")
 }
 

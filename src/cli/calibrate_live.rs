@@ -49,10 +49,10 @@ pub(super) fn collect(
     let known: Vec<String> = rig.cameras.keys().map(|r| r.name().to_owned()).collect();
     let opener = sources.openers.into_iter().find(|o| o.role() == role);
     let opener = opener.ok_or_else(|| {
-        Error::new(
-            ErrorKind::Usage,
-            format!("the rig {} has no camera with the role {role}", rig.id),
-        )
+        Error::usage(format!(
+            "the rig {} has no camera with the role {role}",
+            rig.id
+        ))
         .remedy(format!("choose one with --camera: {}", known.join(", ")))
     })?;
     if let Some(folder) = keep {
@@ -195,7 +195,7 @@ impl Live {
     fn ended(&self) -> Result<()> {
         if self.taken.names.is_empty() {
             let what = "the recording has ended without a usable view of the board";
-            return Err(Error::new(ErrorKind::Input, what)
+            return Err(Error::input(what)
                 .remedy("check that the board file is that of the board in the pictures"));
         }
         Ok(())

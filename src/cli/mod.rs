@@ -39,6 +39,7 @@ mod doctor;
 mod eval;
 mod experiment;
 mod man;
+mod picture_folder;
 mod predict;
 mod render;
 mod render_calibrate;

@@ -162,15 +162,13 @@ impl Args {
         let suffix = self.out.extension().unwrap_or_default();
         if !suffix.eq_ignore_ascii_case("toml") {
             let what = "`--out` must name a file that ends in .toml";
-            return Err(Error::new(ErrorKind::Usage, what).at(self.out.display()));
+            return Err(Error::usage(what).at(self.out.display()));
         }
         let folder = self.out.parent().filter(|f| !f.as_os_str().is_empty());
         if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-            return Err(
-                Error::new(ErrorKind::NotFound, "the folder for `--out` does not exist")
-                    .at(folder.display())
-                    .remedy("create it first"),
-            );
+            return Err(Error::not_found("the folder for `--out` does not exist")
+                .at(folder.display())
+                .remedy("create it first"));
         }
         Ok(())
     }

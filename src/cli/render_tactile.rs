@@ -29,7 +29,7 @@ use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::sim_object::unit;
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{DepthImage, TactileDifference, encode_png_grey16, encode_png_rgb};
@@ -251,7 +251,7 @@ impl Args {
     fn lookup(&self) -> Result<LookupRenderer> {
         let Some(folder) = &self.presses else {
             let what = "`--method lookup` needs `--presses`, the presses to fit its table to";
-            return Err(Error::new(ErrorKind::Usage, what));
+            return Err(Error::usage(what));
         };
         let set = PressSet::read(&ReadOptions {
             ball_diameter_m: self.ball_mm.map(|mm| 1e-3 * mm),
@@ -281,10 +281,7 @@ fn one_press(args: &Args) -> Result<Written> {
         t_sensor_object: Pose,
     }
     let Some(name) = &args.object else {
-        return Err(Error::new(
-            ErrorKind::Usage,
-            "`--trace` or `--object` is needed",
-        ));
+        return Err(Error::usage("`--trace` or `--object` is needed"));
     };
     let t_sensor_object = match &args.pose {
         None => Pose::IDENTITY,
@@ -292,7 +289,7 @@ fn one_press(args: &Args) -> Result<Written> {
             let text = fs::read_to_string(path)
                 .map_err(|e| Error::io("cannot read the pose", e).at(path.display()))?;
             let pose: PressFile = serde_json::from_str(&text).map_err(|e| {
-                Error::new(ErrorKind::Input, "the pose file cannot be read")
+                Error::input("the pose file cannot be read")
                     .at(path.display())
                     .because(e)
                     .remedy(

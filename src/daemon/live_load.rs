@@ -13,6 +13,7 @@ use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
 use super::tasks::Tasks;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
 use gripcast_capture::camera::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
@@ -210,18 +211,14 @@ pub fn gel_frame(quality: u8) -> Result<Frame> {
 pub fn decode_ms(frame: &Frame, runs: u64) -> Result<f64> {
     let mut decoder = Decoder::new()?;
     let crop = Some(&CropProfile::GSMINI_SEVENTH);
-    let mut times_ms = (0..runs)
+    let times_ms = (0..runs)
         .map(|_| {
             let started = process_cpu_s();
             decode::model_picture(&mut decoder, frame, crop)?;
             Ok((process_cpu_s() - started) * 1e3)
         })
         .collect::<Result<Vec<f64>>>()?;
-    times_ms.sort_by(f64::total_cmp);
-    Ok(times_ms
-        .get(times_ms.len() / 2)
-        .copied()
-        .unwrap_or(f64::NAN))
+    Ok(median(times_ms).unwrap_or(f64::NAN))
 }
 
 /// The frames of one camera.

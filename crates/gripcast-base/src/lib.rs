@@ -1,5 +1,5 @@
 //! What every crate of gripcast uses: errors, files below folders that others made, random streams,
-//! work spread over cores.
+//! small linear systems, statistics, work spread over cores.
 //!
 //! ```
 //! use gripcast_base::random::SeedStream;
@@ -11,6 +11,8 @@
 
 pub mod error;
 pub mod files;
+pub mod linear;
 pub mod quiet_panic;
 pub mod random;
+pub mod statistics;
 pub mod workers;

@@ -2,6 +2,9 @@
 
 use std::f64::consts::TAU;
 
+/// The step of SplitMix64: 2⁶⁴ over the golden ratio.
+const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
+
 /// A sequence of random numbers: the sub-stream of a seed that a name gives.
 ///
 /// SplitMix64 (Steele et al., *Fast splittable pseudorandom number generators*, 2014) started at
@@ -21,7 +24,7 @@ impl SeedStream {
 
     /// The next 64 bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        self.0 = self.0.wrapping_add(STEP);
         mix(self.0)
     }
 
@@ -54,7 +57,7 @@ impl SeedStream {
 
 /// Two normally distributed numbers (mean 0, deviation 1) for an item of a seed.
 pub fn gaussians(seed: u64, item: u64) -> [f32; 2] {
-    let bits = mix(seed ^ mix(item.wrapping_add(0x9e37_79b9_7f4a_7c15)));
+    let bits = mix(seed ^ scramble(item));
     // Above 0, for the logarithm.
     let a = ((bits >> 40) as f64 + 1.0) / f64::from(1 << 24);
     let b = f64::from((bits & 0xff_ffff) as u32) / f64::from(1 << 24);
@@ -64,16 +67,28 @@ pub fn gaussians(seed: u64, item: u64) -> [f32; 2] {
 
 /// A hash of three lattice coordinates in 0..1.
 pub fn lattice(seed: u64, x: i64, y: i64, z: i64) -> f32 {
-    let at = mix(seed ^ (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    let at = mix(seed ^ (x as u64).wrapping_mul(STEP));
     let at = mix(at ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f));
     unit(mix(at ^ (z as u64).wrapping_mul(0x1656_67b1_9e37_79f9))) as f32
 }
 
-fn unit(bits: u64) -> f64 {
+/// Bits as a number uniform in 0..1.
+pub fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
+/// Number `counter` of the sequence that SplitMix64 gives for a seed.
+pub fn numbered(seed: u64, counter: u64) -> u64 {
+    mix(seed.wrapping_add(counter.wrapping_add(1).wrapping_mul(STEP)))
+}
+
+/// A bijective mix of 64 bits: one step of SplitMix64 from `value`.
+pub fn scramble(value: u64) -> u64 {
+    mix(value.wrapping_add(STEP))
+}
+
 /// The finaliser of SplitMix64.
+#[inline(always)]
 pub fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -90,6 +105,18 @@ mod tests {
         assert_eq!(first(1, "sky"), first(1, "sky"));
         assert_ne!(first(1, "sky"), first(2, "sky"));
         assert_ne!(first(1, "sky"), first(1, "ground"));
+    }
+
+    #[test]
+    fn the_generator_is_splitmix64() {
+        // First numbers of the seed 1234567 by Vigna's splitmix64.c.
+        let first = [
+            6_457_827_717_110_365_317,
+            3_203_168_211_198_807_973,
+            9_817_491_932_198_370_423,
+        ];
+        assert_eq!([0, 1, 2].map(|counter| numbered(1_234_567, counter)), first);
+        assert_eq!(scramble(1_234_567), first[0]);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //! its slope, each colour from its own side, as the three lamps do. It looks right and is
 //! repeatable; it is no optical model of the sensor.
 
-use gripcast_base::random::mix;
+use gripcast_base::random::scramble;
 use image::RgbImage;
 
 /// A round contact, in fractions of the picture.
@@ -125,10 +125,6 @@ fn shade(colour: &mut [f32; 3], u: f32, v: f32, strength: f32) {
         let [lx, ly] = LAMPS[channel];
         colour[channel] += SHADING[channel] * strength * slope * (nx * lx + ny * ly);
     }
-}
-
-fn scramble(value: u64) -> u64 {
-    mix(value.wrapping_add(0x9e37_79b9_7f4a_7c15))
 }
 
 #[cfg(test)]

@@ -38,6 +38,15 @@ impl Part {
             Self::FingerRight => "finger_right",
         }
     }
+
+    /// How far it moves along the gripper's x axis per metre of opening.
+    pub(crate) fn slide(self) -> f64 {
+        match self {
+            Self::FingerLeft => -0.5,
+            Self::FingerRight => 0.5,
+            Self::Body | Self::Object => 0.0,
+        }
+    }
 }
 
 impl fmt::Display for Part {

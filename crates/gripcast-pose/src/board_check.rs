@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::board::{Board, BoardMarker, Part};
 use super::dictionary::Dictionary;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Sides of markers that can be printed and read, m.
 const SIDES_M: [f64; 2] = [0.005, 0.4];
@@ -24,7 +24,7 @@ impl Board {
     /// finite, no flat square, of implausible size or place, mirrored, or two markers in one place.
     pub fn check(&self, dictionary: &Dictionary, up: Option<DVec3>) -> Result<()> {
         if self.markers.is_empty() {
-            return Err(Error::new(ErrorKind::Input, "the board has no markers"));
+            return Err(Error::input("the board has no markers"));
         }
         let ids = self.ids();
         if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
@@ -99,7 +99,7 @@ impl Board {
 }
 
 fn bad(id: u32, what: &str) -> Error {
-    Error::new(ErrorKind::Input, format!("marker {id} {what}"))
+    Error::input(format!("marker {id} {what}"))
 }
 
 fn mirrored(id: u32) -> Error {
@@ -149,15 +149,12 @@ pub(super) fn check_side(side_m: f64) -> Result<()> {
             )
         },
     );
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "a marker's side must be from {} to {} mm, found {} mm",
-            1e3 * SIDES_M[0],
-            1e3 * SIDES_M[1],
-            (1e6 * side_m).round() / 1e3
-        ),
-    )
+    Err(Error::input(format!(
+        "a marker's side must be from {} to {} mm, found {} mm",
+        1e3 * SIDES_M[0],
+        1e3 * SIDES_M[1],
+        (1e6 * side_m).round() / 1e3
+    ))
     .remedy(remedy))
 }
 

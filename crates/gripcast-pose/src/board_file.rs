@@ -18,13 +18,12 @@ use std::path::Path;
 
 use glam::DVec3;
 use serde::Deserialize;
-use sha2::{Digest as _, Sha256};
 
 use super::board::{Board, BoardMarker};
 use super::chessboard::Chessboard;
 use super::dictionary::Dictionary;
-use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_base::files::{FileKind, Root, read_text};
+use gripcast_base::error::{Error, Result};
+use gripcast_base::files::{FileKind, Root, read_text, sha256_hex};
 use gripcast_geometry::Pose;
 
 /// Version of the format.
@@ -74,9 +73,9 @@ impl Board {
         for marker in markers {
             text += &marker_text(marker);
         }
-        let digest = Sha256::digest(text);
-        let digits: String = digest.iter().map(|b| format!("{b:02x}")).collect();
-        digits[..HASH_DIGITS].to_owned()
+        let mut digits = sha256_hex(text);
+        digits.truncate(HASH_DIGITS);
+        digits
     }
 }
 
@@ -137,8 +136,9 @@ impl BoardFile {
         let read: Record = toml::from_str(text).map_err(|e| malformed(text, &e))?;
         if read.schema != SCHEMA {
             let what = format!("the board has schema {}, known is {SCHEMA}", read.schema);
-            return Err(Error::new(ErrorKind::Input, what)
-                .remedy("read it with the release of gripcast that wrote it"));
+            return Err(
+                Error::input(what).remedy("read it with the release of gripcast that wrote it")
+            );
         }
         let dictionary = Dictionary::open(&read.dictionary, folder)?;
         let markers: Result<Vec<BoardMarker>> = read.marker.iter().map(marker).collect();
@@ -218,7 +218,7 @@ fn marker(record: &MarkerRecord) -> Result<BoardMarker> {
     Ok(BoardMarker {
         id: record.id,
         part: record.part.parse().map_err(|e: Error| {
-            Error::new(ErrorKind::Input, e.what().to_owned())
+            Error::input(e.what().to_owned())
                 .remedy(e.remedy_text().unwrap_or_default())
                 .at(at())
         })?,
@@ -264,7 +264,7 @@ fn malformed(text: &str, error: &toml::de::Error) -> Error {
         let before = text.get(..span.start).unwrap_or_default();
         before.matches('\n').count() + 1
     });
-    let error = Error::new(ErrorKind::Input, what);
+    let error = Error::input(what);
     match line {
         Some(line) => error.at(format!("line {line}")),
         None => error,
@@ -281,6 +281,7 @@ mod tests {
     use std::fs;
 
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn file() -> BoardFile {
         let marker = |id: u32, part: Part| BoardMarker {

@@ -16,7 +16,7 @@ use super::board_check::check_side;
 use super::board_file::BoardFile;
 use super::dictionary::Dictionary;
 use super::yaml;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Most markers of an imported board.
 const MOST_MARKERS: u64 = 1024;
@@ -53,10 +53,7 @@ impl ForeignBoard {
         } else if has("nmarkers") || has("markersize") {
             Ok(Self::OpencvDictionary)
         } else {
-            Err(Error::new(
-                ErrorKind::Input,
-                "the file is no board description that is known",
-            )
+            Err(Error::input("the file is no board description that is known")
             .remedy(
                 "known are: board_descriptions.yaml of ROS aruco_opencv (markers_x …), target.yaml \
                  of Kalibr (target_type: aprilgrid), a dictionary of OpenCV (nmarkers …)",
@@ -73,13 +70,13 @@ impl ForeignBoard {
 pub fn import_ros(text: &str, dictionary: &Dictionary) -> Result<Vec<BoardFile>> {
     let grids: Vec<RosGrid> = yaml::read(text, "the list of boards")?;
     if grids.is_empty() {
-        return Err(Error::new(ErrorKind::Input, "the list of boards is empty"));
+        return Err(Error::input("the list of boards is empty"));
     }
     let mut names: Vec<&str> = grids.iter().map(|g| &*g.name).collect();
     names.sort_unstable();
     if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
         let what = format!("two boards are named {:?}", pair[0]);
-        return Err(Error::new(ErrorKind::Input, what).remedy("rename one of them"));
+        return Err(Error::input(what).remedy("rename one of them"));
     }
     let read = |grid: &RosGrid| {
         let at = format!("board {:?}", grid.name);
@@ -100,18 +97,14 @@ pub fn import_kalibr(text: &str, name: &str, dictionary: Option<&Dictionary>) ->
             "the target is a {:?}, which has no numbered markers",
             target.target_type
         );
-        return Err(
-            Error::new(ErrorKind::Input, what).remedy("give a target with target_type: aprilgrid")
-        );
+        return Err(Error::input(what).remedy("give a target with target_type: aprilgrid"));
     }
-    let missing = |key: &str| Error::new(ErrorKind::Input, format!("the target has no {key}"));
+    let missing = |key: &str| Error::input(format!("the target has no {key}"));
     let side = target.side.ok_or_else(|| missing("tagSize"))?;
     let spacing = target.spacing.ok_or_else(|| missing("tagSpacing"))?;
     if !(0.0..=2.0).contains(&spacing) {
         let what = format!("tagSpacing must be a share of tagSize, found {spacing}");
-        return Err(
-            Error::new(ErrorKind::Input, what).remedy("divide the gap between two tags by tagSize")
-        );
+        return Err(Error::input(what).remedy("divide the gap between two tags by tagSize"));
     }
     let grid = Grid {
         columns: target.columns.ok_or_else(|| missing("tagCols"))?,
@@ -188,7 +181,7 @@ impl Grid {
                 "a grid must have from 1 to {MOST_MARKERS} markers, found {} × {}",
                 self.columns, self.rows
             );
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         check_side(self.side_m)?;
         if !(self.gap_m >= 0.0 && self.gap_m <= 4.0 * self.side_m) {
@@ -196,7 +189,7 @@ impl Grid {
                 "markers of {} m cannot be {} m apart",
                 self.side_m, self.gap_m
             );
-            return Err(Error::new(ErrorKind::Input, what)
+            return Err(Error::input(what)
                 .remedy("give the size of a marker and the gap between two, both in metres"));
         }
         if u64::from(self.first_id) + count > dictionary.len() as u64 {
@@ -206,8 +199,9 @@ impl Grid {
                 dictionary.name(),
                 dictionary.len()
             );
-            return Err(Error::new(ErrorKind::Input, what)
-                .remedy("name the dictionary that the board was printed with"));
+            return Err(
+                Error::input(what).remedy("name the dictionary that the board was printed with")
+            );
         }
         let board = Board {
             name: name.to_owned(),
@@ -244,6 +238,7 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     const ROS: &str = "\
 - name: \"GridBoard_1\"
@@ -366,18 +361,30 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
     }
 
     #[test]
-    fn files_that_are_cut_off_or_damaged_are_refused_or_read_but_never_panic() {
-        for text in [ROS, KALIBR] {
+    fn files_that_are_cut_off_or_damaged_give_a_whole_board_or_an_explanation() {
+        let explained = |error: Error| {
+            assert_eq!(error.kind(), ErrorKind::Input, "{error}");
+            0
+        };
+        // Boards that were read; each has been checked against its dictionary.
+        let read = |text: &str| {
+            let ros = import_ros(text, &dictionary()).map_or_else(explained, |all| all.len());
+            let kalibr = import_kalibr(text, "g", None).map_or_else(explained, |_| 1);
+            ros + kalibr
+        };
+        for (text, whole) in [(ROS, 2), (KALIBR, 1)] {
+            assert_eq!(read(text), whole);
             for at in 0..text.len() {
                 let cut = &text[..at];
-                let _ = import_ros(cut, &dictionary());
-                let _ = import_kalibr(cut, "g", None);
+                assert!(read(cut) <= whole, "{cut}");
                 for put in ["[", ":", "-", "9", "&a", "*a", "\0"] {
                     let damaged = format!("{}{put}{}", cut, &text[at + 1..]);
-                    let _ = import_ros(&damaged, &dictionary());
-                    let _ = import_kalibr(&damaged, "g", None);
+                    assert!(read(&damaged) <= whole, "{damaged}");
                 }
             }
+            // Without its first key it is no such file.
+            let (_, rest) = text.split_once(':').unwrap();
+            assert_eq!(read(rest), 0);
         }
     }
 

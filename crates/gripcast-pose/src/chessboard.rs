@@ -5,12 +5,12 @@
 //! inner corners are saddle points of the picture, which blur leaves where they are.
 
 use glam::{DVec2, DVec3};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::board::{Board, BoardMarker, Part};
 use super::board_check::check_side;
 use super::dictionary::Dictionary;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Fewest and most squares along a side.
 const SQUARES: [u32; 2] = [3, 60];
@@ -21,7 +21,7 @@ const LARGEST_MARKER: f64 = 0.9;
 
 /// Black and white squares around the middle of a board's object frame: x along the rows to the
 /// right, y up, z out of the sheet.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Chessboard {
     /// Columns and rows of squares.
@@ -117,27 +117,16 @@ impl Chessboard {
         for (marker, square) in marker_mm.iter().zip(self.square_mm) {
             check_side(1e-3 * marker)?;
             if *marker > LARGEST_MARKER * square {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!(
-                        "markers of {marker:.2} mm leave no white in squares of {square:.2} mm"
-                    ),
-                )
+                return Err(Error::input(format!(
+                    "markers of {marker:.2} mm leave no white in squares of {square:.2} mm"
+                ))
                 .remedy(format!("make them {:.1} mm or smaller", 0.75 * square)));
             }
         }
         let count = self.white_squares().count();
-        if first_id as usize + count > dictionary.len() {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the board needs {count} markers from id {first_id}, but {} ends with id {}",
-                    dictionary.name(),
-                    dictionary.len() - 1
-                ),
-            )
-            .remedy("choose a smaller first id, fewer squares or a larger dictionary"));
-        }
+        dictionary.check_ids(first_id, count).map_err(|e| {
+            e.remedy("choose a smaller first id, fewer squares or a larger dictionary")
+        })?;
         let half = 0.5e-3 * DVec2::from_array(marker_mm);
         let marker = |(id, [column, row]): (u32, [u32; 2])| {
             let middle = self.place_m(f64::from(column) + 0.5, f64::from(row) + 0.5);
@@ -175,32 +164,25 @@ impl Chessboard {
     fn check_size(&self) -> Result<()> {
         let [least, most] = SQUARES;
         if !self.squares.iter().all(|n| (least..=most).contains(n)) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "a chessboard must have {least} to {most} squares along each side, found \
+            return Err(Error::input(format!(
+                "a chessboard must have {least} to {most} squares along each side, found \
                      {}×{}",
-                    self.squares[0], self.squares[1]
-                ),
-            ));
+                self.squares[0], self.squares[1]
+            )));
         }
         let [width, height] = self.square_mm;
         check_side(1e-3 * width)?;
         check_side(1e-3 * height)?;
         if (width / height - 1.0).abs() > 0.1 {
             let what = format!("squares must be square, found {width:.2} × {height:.2} mm");
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         Ok(())
     }
 
     fn check_marker(&self, marker: &BoardMarker) -> Result<()> {
-        let bad = |what: &str| {
-            Error::new(
-                ErrorKind::Input,
-                format!("marker {} of the chessboard {what}", marker.id),
-            )
-        };
+        let bad =
+            |what: &str| Error::input(format!("marker {} of the chessboard {what}", marker.id));
         let centre = marker.center_m();
         if marker.part != Part::Object || centre.z.abs() > 1e-6 {
             return Err(bad("is not in the plane z = 0 of the part \"object\""));

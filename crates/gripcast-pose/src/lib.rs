@@ -19,6 +19,7 @@ mod chessboard;
 pub mod detect;
 mod detection;
 mod dictionary;
+mod least_squares;
 pub mod print;
 pub mod refine;
 #[cfg(test)]

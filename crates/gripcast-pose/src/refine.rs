@@ -14,6 +14,8 @@ use std::cmp::Ordering;
 use glam::DVec2;
 use image::GrayImage;
 
+use gripcast_base::statistics::median;
+
 use super::Detection;
 use gripcast_imaging::srgb_decode;
 
@@ -333,15 +335,6 @@ fn fitted(points: &[[f64; 3]]) -> Option<[f64; 2]> {
     let xy: f64 = points.iter().map(|p| (p[0] - x) * (p[1] - y)).sum();
     let slope = xy / xx;
     slope.is_finite().then_some([y - slope * x, slope])
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut sorted: Vec<f64> = values.collect();
-    let middle = sorted.len() / 2;
-    if sorted.is_empty() {
-        return None;
-    }
-    Some(*sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// Level, and light from 0 to 1, between pixels; none outside of the picture.

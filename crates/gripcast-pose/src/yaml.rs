@@ -2,7 +2,7 @@
 
 use serde::de::DeserializeOwned;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Reads a document; `what` says of what in the error.
 ///
@@ -20,6 +20,6 @@ pub(crate) fn read<T: DeserializeOwned>(text: &str, what: &str) -> Result<T> {
     serde_saphyr::from_str(&body).map_err(|e| {
         let said = e.to_string();
         let line = said.lines().next().unwrap_or_default().to_owned();
-        Error::new(ErrorKind::Input, format!("{what} cannot be read: {line}"))
+        Error::input(format!("{what} cannot be read: {line}"))
     })
 }

@@ -23,7 +23,6 @@ mod run;
 mod sample_report;
 mod schema;
 mod score;
-mod statistic;
 mod sweep;
 mod tactile_pair;
 
@@ -43,5 +42,4 @@ pub use report::{
 pub use run::{EngineSweep, ReplayInput, ReplayProgress, ReplaySettings, replay};
 pub use schema::report_schema;
 pub use score::{Outcomes, Scored};
-pub use statistic::mcnemar_p;
 pub use sweep::{SweepProgress, Swept, sweep};

@@ -10,6 +10,7 @@ use super::object_file::ReplayObject;
 use super::report::LeftOut;
 use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
 use gripcast_base::files::{ContentKey, ObjectName};
+use gripcast_base::linear::Cholesky;
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::{Dataset, GraspRecord, Outcome};
 use gripcast_geometry::{MeshQuery, Pose};
@@ -248,12 +249,14 @@ impl RecordedGrasp {
     ///
     /// Draw `number` of a `seed` is always the same.
     pub fn drawn(&self, seed: u64, number: usize) -> Option<GraspSetup> {
-        let factor = cholesky(self.covariance.as_ref()?);
+        // Directions without variance stay at zero.
+        let covariance = self.covariance.as_ref()?;
+        let factor = Cholesky::with_pivots(covariance, |rest, _| Some(rest.max(0.0)))?;
         let name = format!("pose {} {number}", self.record.id);
         let mut stream = SeedStream::named(seed, &name);
         let normal: [f64; 6] = std::array::from_fn(|_| deviate(&mut stream));
         let error: [f64; 6] =
-            std::array::from_fn(|row| (0..=row).map(|k| factor[row][k] * normal[k]).sum());
+            std::array::from_fn(|row| (0..=row).map(|k| factor.lower()[row][k] * normal[k]).sum());
         let turn = DVec3::new(error[3], error[4], error[5]);
         let off = Pose::new(
             DQuat::from_scaled_axis(turn) * self.t_object_gripper.rotation,
@@ -264,24 +267,6 @@ impl RecordedGrasp {
             ..self.setup.clone()
         })
     }
-}
-
-/// Lower triangular L with L Lᵀ = C; directions without variance stay at zero.
-fn cholesky(c: &[[f64; 6]; 6]) -> [[f64; 6]; 6] {
-    let mut l = [[0.0; 6]; 6];
-    for i in 0..6 {
-        for k in 0..=i {
-            let sum: f64 = (0..k).map(|j| l[i][j] * l[k][j]).sum();
-            l[i][k] = if i == k {
-                (c[i][i] - sum).max(0.0).sqrt()
-            } else if l[k][k] > 0.0 {
-                (c[i][k] - sum) / l[k][k]
-            } else {
-                0.0
-            };
-        }
-    }
-    l
 }
 
 /// Standard normal deviate (Box and Muller 1958).

@@ -10,6 +10,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use gripcast_base::statistics::wilson_interval;
+
 /// Name of the format in the file.
 pub const REPORT_FORMAT: &str = "gripcast-replay-report";
 /// Version of the format.
@@ -204,6 +206,21 @@ pub struct Proportion {
     pub low: f64,
     /// Upper end.
     pub high: f64,
+}
+
+impl Proportion {
+    /// Of some grasps that agree among those with an outcome.
+    pub(crate) fn of(agree: usize, n: usize) -> Self {
+        let [low, high] = wilson_interval(agree, n);
+        let share = if n == 0 { 0.0 } else { agree as f64 / n as f64 };
+        Self {
+            agree,
+            n,
+            share,
+            low,
+            high,
+        }
+    }
 }
 
 /// Counts by outcome in simulation and reality; stable is positive.

@@ -15,11 +15,11 @@ use super::report::{
     TactilePair,
 };
 use super::score::{Outcomes, Scored};
-use super::statistic::mcnemar_p;
 use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{FileKind, ObjectName, read_text};
+use gripcast_base::statistics::mcnemar_p;
 use gripcast_base::workers::{cores, one_per_core};
 use gripcast_dataset::Dataset;
 use gripcast_sim::grasp::StageName;

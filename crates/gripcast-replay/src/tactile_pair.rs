@@ -6,6 +6,7 @@ use super::object_file::ReplayObject;
 use super::recording::RecordedGrasp;
 use super::report::{PicturePair, TactilePair};
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::statistics::median;
 use gripcast_dataset::{Dataset, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, TactileDifference};
 use gripcast_report::picture::data_uri;
@@ -96,10 +97,8 @@ impl Change {
         let difference = TactileDifference::between(initial, grasp)?;
         let mut levels: Vec<f32> = difference.levels().iter().map(|l| f32::from(*l)).collect();
         for channel in 0..3 {
-            let mut values: Vec<f32> = levels.iter().skip(channel).step_by(3).copied().collect();
-            let middle = values.len() / 2;
-            let (_, median, _) = values.select_nth_unstable_by(middle, f32::total_cmp);
-            let median = *median;
+            let values = levels.iter().skip(channel).step_by(3);
+            let median = median(values.map(|level| f64::from(*level))).unwrap_or(0.0) as f32;
             let of_channel = levels.iter_mut().skip(channel).step_by(3);
             of_channel.for_each(|level| *level -= median);
         }

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Highest total degree of a fit.
 const HIGHEST_DEGREE: usize = 12;
@@ -62,13 +62,10 @@ impl BackgroundFit {
     /// `Config` with the channel, the number expected and found.
     pub fn validate(&self) -> Result<()> {
         if self.degree > HIGHEST_DEGREE {
-            return Err(Error::new(
-                ErrorKind::Config,
-                format!(
-                    "background.degree must be 0 to {HIGHEST_DEGREE}, found {}",
-                    self.degree
-                ),
-            ));
+            return Err(Error::config(format!(
+                "background.degree must be 0 to {HIGHEST_DEGREE}, found {}",
+                self.degree
+            )));
         }
         let expected = terms(self.degree).count();
         let channels = [
@@ -78,15 +75,12 @@ impl BackgroundFit {
         ];
         for (name, values) in channels {
             if values.len() != expected || values.iter().any(|v| !v.is_finite()) {
-                return Err(Error::new(
-                    ErrorKind::Config,
-                    format!(
-                        "background.{name} must be {expected} finite coefficients for degree {}, \
+                return Err(Error::config(format!(
+                    "background.{name} must be {expected} finite coefficients for degree {}, \
                          found {}",
-                        self.degree,
-                        values.len()
-                    ),
-                ));
+                    self.degree,
+                    values.len()
+                )));
             }
         }
         Ok(())

@@ -97,7 +97,7 @@ impl Gaussian {
         }
         for y in wide.y0..wide.y1 {
             let out = &mut plane[y * width + wide.x0..y * width + wide.x1];
-            self.filter_column_block(width, height, y, region, wide, out);
+            self.filter_column_block([width, height], y, region, wide, out);
         }
         wide
     }
@@ -105,8 +105,7 @@ impl Gaussian {
     /// One output row from the rows above and below it.
     fn filter_column_block(
         &self,
-        width: usize,
-        height: usize,
+        [width, height]: [usize; 2],
         y: usize,
         region: Region,
         wide: Region,

@@ -17,7 +17,7 @@ use super::renderer::TactileRenderer;
 use super::scene::TactileScene;
 use super::scene_renderer::{SceneRenderer, look};
 use super::smooth::Smoothing;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
 
@@ -59,8 +59,7 @@ impl SceneRenderer for GelSurfaceRenderer {
     fn render(&mut self, scene: &TactileScene<'_>, seed: Option<u64>) -> Result<RgbImage> {
         let grid = self.grid();
         let press = gel_surface_depth(scene, &grid, &mut self.rasteriser).ok_or_else(|| {
-            Error::new(
-                ErrorKind::Input,
+            Error::input(
                 "the gel-surface renderer needs the deformed gel, which this scene does not have",
             )
             .remedy("render the end of a stage of a simulated grasp")

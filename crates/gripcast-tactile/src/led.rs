@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::normals::Normals;
 use super::press_depth::SensorGeometry;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// One near point light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -68,7 +68,7 @@ impl LedShading {
     /// # Errors
     /// `Config` with what was expected and found.
     pub fn validate(&self) -> Result<()> {
-        let refused = |what: String| Err(Error::new(ErrorKind::Config, what));
+        let refused = |what: String| Err(Error::config(what));
         if self.leds.is_empty() || self.leds.len() > MOST_LEDS {
             return refused(format!(
                 "shading.leds must hold 1 to {MOST_LEDS} lamps, found {}",

@@ -1,6 +1,6 @@
 //! Noise of the camera and slow drift of its exposure, drawn from a seed.
 
-use gripcast_base::random::mix;
+use gripcast_base::random::scramble;
 use serde::{Deserialize, Serialize};
 
 /// What differs between two frames of the same sensor with the same contact.
@@ -71,11 +71,6 @@ fn deviate(bits: u64) -> f32 {
     let coins = (bits & 0xffff).count_ones() as f32 - 8.0;
     let fill = (((bits >> 16) & 31) as f32 - 15.5) / 32.0;
     (coins + fill) * SCALE
-}
-
-/// A bijective 64-bit mixer.
-pub(super) fn scramble(value: u64) -> u64 {
-    mix(value.wrapping_add(0x9e37_79b9_7f4a_7c15))
 }
 
 #[cfg(test)]

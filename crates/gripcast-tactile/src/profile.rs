@@ -16,7 +16,7 @@ use super::noise::Drift;
 use super::press_depth::SensorGeometry;
 use super::shading::PolynomialShading;
 use super::smooth::Smoothing;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, FileName, Root, StagedFile, read_text};
 use gripcast_imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
 
@@ -114,9 +114,8 @@ impl SensorProfile {
     /// # Errors
     /// `Config` for another format version, unknown or missing keys, values out of range.
     pub fn from_toml(text: &str) -> Result<Self> {
-        let profile: Self = toml::from_str(text).map_err(|cause| {
-            Error::new(ErrorKind::Config, "the sensor profile cannot be read").because(cause)
-        })?;
+        let profile: Self = toml::from_str(text)
+            .map_err(|cause| Error::config("the sensor profile cannot be read").because(cause))?;
         profile.validate()?;
         Ok(profile)
     }
@@ -190,9 +189,8 @@ impl SensorProfile {
     /// # Errors
     /// None for a profile that is valid.
     pub fn to_toml(&self) -> Result<String> {
-        toml::to_string(self).map_err(|cause| {
-            Error::new(ErrorKind::Internal, "the sensor profile cannot be written").because(cause)
-        })
+        toml::to_string(self)
+            .map_err(|cause| Error::internal("the sensor profile cannot be written").because(cause))
     }
 
     /// Checks every value.
@@ -244,19 +242,16 @@ impl SensorProfile {
         if expected == found {
             return Ok(());
         }
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the picture of the untouched gel must be {}×{} as the profile's geometry, found \
+        Err(Error::input(format!(
+            "the picture of the untouched gel must be {}×{} as the profile's geometry, found \
                  {}×{}",
-                expected.0, expected.1, found.0, found.1
-            ),
-        ))
+            expected.0, expected.1, found.0, found.1
+        )))
     }
 }
 
 fn wrong(what: String) -> Error {
-    Error::new(ErrorKind::Config, format!("sensor profile: {what}"))
+    Error::config(format!("sensor profile: {what}"))
 }
 
 fn in_range(key: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<()> {
@@ -296,6 +291,7 @@ mod tests {
     use std::fs;
 
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     #[test]
     fn the_shipped_profile_is_valid_and_survives_a_file() {

@@ -8,7 +8,7 @@ use super::normals::Normals;
 use super::press_depth::{PressDepth, SensorGeometry};
 use super::profile::{SensorProfile, ShadingModel};
 use super::smooth::Smoother;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Largest relative difference of pixel sizes that counts as the same.
 const SAME_PIXEL: f64 = 1e-6;
@@ -130,20 +130,17 @@ impl TactileRenderer {
         {
             return Ok(());
         }
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the press must be on the sensor's grid of {}×{} pixels of {} m, found {}×{} of {} \
+        Err(Error::input(format!(
+            "the press must be on the sensor's grid of {}×{} pixels of {} m, found {}×{} of {} \
                  m with {} depths",
-                ours.width,
-                ours.height,
-                ours.pixel_m,
-                theirs.width,
-                theirs.height,
-                theirs.pixel_m,
-                press.depth_m.len()
-            ),
-        )
+            ours.width,
+            ours.height,
+            ours.pixel_m,
+            theirs.width,
+            theirs.height,
+            theirs.pixel_m,
+            press.depth_m.len()
+        ))
         .remedy("take the depth with the geometry of the sensor's profile"))
     }
 }

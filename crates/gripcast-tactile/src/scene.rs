@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use super::contact_gap::contact_gap;
 use super::press_depth::SensorGeometry;
 use super::rasteriser::Rasteriser;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
 use gripcast_sim::grasp::{Finger, Snapshot, TraceStep};
@@ -37,10 +37,9 @@ impl Mounting {
             0 | 90 | 180 | 270 => Ok(Self {
                 quarters: (degrees / 90) as u8,
             }),
-            other => Err(Error::new(
-                ErrorKind::Input,
-                format!("a sensor is mounted at 0, 90, 180 or 270 degrees, found {other}"),
-            )),
+            other => Err(Error::input(format!(
+                "a sensor is mounted at 0, 90, 180 or 270 degrees, found {other}"
+            ))),
         }
     }
 
@@ -256,24 +255,20 @@ impl<'a> TactileScene<'a> {
         object.validate()?;
         let thickness = grid.gel_thickness_m;
         if !(depth_m > 0.0 && depth_m <= thickness) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the depth of a press must be above 0 and at most the gel's thickness of \
+            return Err(Error::input(format!(
+                "the depth of a press must be above 0 and at most the gel's thickness of \
                      {thickness} m, found {depth_m}"
-                ),
-            ));
+            )));
         }
         let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
         let mut rasteriser = Rasteriser::new();
         let seen = rasteriser.nearest(object, t_sensor_object, grid, everywhere);
         let lowest = f64::from(seen.iter().copied().fold(f32::INFINITY, f32::min));
         if !lowest.is_finite() {
-            return Err(Error::new(
-                ErrorKind::Input,
-                "the object does not lie over the sensor's picture",
-            )
-            .remedy("shift it: x = 0, y = 0 is the middle of the gel"));
+            return Err(
+                Error::input("the object does not lie over the sensor's picture")
+                    .remedy("shift it: x = 0, y = 0 is the middle of the gel"),
+            );
         }
         let press = Pose::from_translation(DVec3::Z * (thickness - depth_m - lowest));
         Ok(Self {
@@ -294,13 +289,10 @@ fn deformed_face(
 ) -> Result<(TriangleMesh, f64)> {
     let expected = grid.positions().len();
     if nodes.len() != expected {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "expected the {expected} nodes of the gel's mesh, found {}",
-                nodes.len()
-            ),
-        )
+        return Err(Error::input(format!(
+            "expected the {expected} nodes of the gel's mesh, found {}",
+            nodes.len()
+        ))
         .remedy("take the mesh from the trace that the snapshot comes from"));
     }
     let at = |node: usize| t_sensor_nodes.transform_point(DVec3::from_array(nodes[node]));
@@ -316,7 +308,7 @@ fn deformed_face(
             .collect(),
     };
     face.validate()
-        .map_err(|e| Error::new(ErrorKind::Input, "the trace's gel is damaged").because(e))?;
+        .map_err(|e| Error::input("the trace's gel is damaged").because(e))?;
     let back = grid.driven();
     let sum: f64 = back.iter().map(|&node| at(node as usize).z).sum();
     Ok((face, sum / back.len().max(1) as f64))

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::normals::Normals;
 use super::press_depth::SensorGeometry;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Highest power of the normal in a polynomial shading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -135,33 +135,26 @@ impl PolynomialShading {
     /// `Config` with the channel, the length expected and found.
     pub fn validate(&self) -> Result<()> {
         if !(self.steepest > 0.0 && self.steepest <= 1.0) {
-            return Err(Error::new(
-                ErrorKind::Config,
-                format!(
-                    "shading.steepest must be above 0 and at most 1, found {}",
-                    self.steepest
-                ),
-            ));
+            return Err(Error::config(format!(
+                "shading.steepest must be above 0 and at most 1, found {}",
+                self.steepest
+            )));
         }
         let expected = self.normal.terms() * self.position.terms();
         for (name, values) in ["red", "green", "blue"].into_iter().zip(self.channels()) {
             if values.len() != expected {
-                return Err(Error::new(
-                    ErrorKind::Config,
-                    format!(
-                        "shading.{name} must have {expected} coefficients for {:?} normals and \
+                return Err(Error::config(format!(
+                    "shading.{name} must have {expected} coefficients for {:?} normals and \
                          {:?} place, found {}",
-                        self.normal,
-                        self.position,
-                        values.len()
-                    ),
-                ));
+                    self.normal,
+                    self.position,
+                    values.len()
+                )));
             }
             if let Some(bad) = values.iter().find(|v| !v.is_finite()) {
-                return Err(Error::new(
-                    ErrorKind::Config,
-                    format!("shading.{name} holds {bad}, which is no number"),
-                ));
+                return Err(Error::config(format!(
+                    "shading.{name} holds {bad}, which is no number"
+                )));
             }
         }
         Ok(())

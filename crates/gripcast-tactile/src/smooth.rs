@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::gaussian::{Gaussian, Region};
 use super::membrane::Membrane;
 use super::press_depth::PressDepth;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Largest length that is believed, pixels.
 const LARGEST_PX: f64 = 200.0;
@@ -35,13 +35,10 @@ impl Smoothing {
         ] {
             let pixels = length_m / pixel_m;
             if !(0.0..=LARGEST_PX).contains(&pixels) {
-                return Err(Error::new(
-                    ErrorKind::Config,
-                    format!(
-                        "smoothing.{key} must be 0 to {LARGEST_PX} pixels (of {pixel_m} m), found \
+                return Err(Error::config(format!(
+                    "smoothing.{key} must be 0 to {LARGEST_PX} pixels (of {pixel_m} m), found \
                          {length_m} m = {pixels} pixels"
-                    ),
-                ));
+                )));
             }
         }
         Ok(())

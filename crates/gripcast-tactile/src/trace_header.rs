@@ -6,7 +6,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use super::scene::SimulatedGel;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{
     LengthUnit, Pose, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
 };
@@ -53,12 +53,9 @@ impl TraceStart {
     /// `Input` where the header does not have it.
     pub fn read(header: &Value) -> Result<Self> {
         Self::deserialize(&header["pose"]).map_err(|cause| {
-            Error::new(
-                ErrorKind::Input,
-                "the trace's header does not tell how the grasp began",
-            )
-            .because(cause)
-            .remedy("simulate the grasp again with this gripcast")
+            Error::input("the trace's header does not tell how the grasp began")
+                .because(cause)
+                .remedy("simulate the grasp again with this gripcast")
         })
     }
 
@@ -101,12 +98,9 @@ impl TraceHeader {
     /// `Input` where it lacks gels or object, or the gel's mesh is none.
     pub fn read(header: &Value) -> Result<Self> {
         let record = Record::deserialize(header).map_err(|cause| {
-            Error::new(
-                ErrorKind::Input,
-                "the trace's header does not tell its object and gels",
-            )
-            .because(cause)
-            .remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
+            Error::input("the trace's header does not tell its object and gels")
+                .because(cause)
+                .remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
         })?;
         Ok(Self {
             gel: SimulatedGel {
@@ -132,13 +126,10 @@ impl TraceObject {
         let Prepared { mesh, .. } = prepare(&mesh.scaled(self.scale), &PrepareOptions::default())
             .map_err(|e| e.at(&self.source))?;
         if mesh.content_hash() != self.sha256 {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "this is another mesh than the simulated one, at unit {} and scale {}",
-                    self.unit, self.scale
-                ),
-            )
+            return Err(Error::input(format!(
+                "this is another mesh than the simulated one, at unit {} and scale {}",
+                self.unit, self.scale
+            ))
             .at(&self.source)
             .remedy(
                 "name the mesh that was simulated with --object, or simulate the grasp again",
@@ -165,6 +156,7 @@ impl TraceObject {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
     use gripcast_geometry::save_mesh;
     use gripcast_sim::fem::GelResolution;
     use serde_json::json;

@@ -1,19 +1,16 @@
 //! Seeded numbers without state: the same question always gets the same answer.
 
-use gripcast_base::random::mix;
+use gripcast_base::random;
 
-/// A well mixed 64-bit number of a seed and two indices.
+/// A well mixed 64-bit number of a seed and two indices (SplitMix64).
 pub(super) fn mixed(seed: u64, stream: u64, index: u64) -> u64 {
-    mix(seed
-        .wrapping_add(stream.wrapping_mul(0xD1B5_4A32_D192_ED03))
-        .wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15))
-        .wrapping_add(0x9E37_79B9_7F4A_7C15))
+    let seed = seed.wrapping_add(stream.wrapping_mul(0xD1B5_4A32_D192_ED03));
+    random::numbered(seed, index)
 }
 
 /// Uniform in −1 ≤ x < 1.
 pub(super) fn signed_unit(seed: u64, stream: u64, index: u64) -> f64 {
-    let unit = (mixed(seed, stream, index) >> 11) as f64 / (1_u64 << 53) as f64;
-    2.0 * unit - 1.0
+    2.0 * random::unit(mixed(seed, stream, index)) - 1.0
 }
 
 /// Sensor noise, made once and read from another place for every row of every frame.

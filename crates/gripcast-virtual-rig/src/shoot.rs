@@ -89,7 +89,8 @@ pub fn shoot(
         settings,
     };
     let sheet = sheet_of(mesh, &object.source, set.start.t_world_object)?;
-    let prints = GraspPrints::new(&sheet, &BoardFile::gripper_umi()?)?;
+    let tags = BoardFile::gripper_umi()?;
+    let prints = GraspPrints::new(&sheet.flat_print()?, &tags.flat_prints())?;
     let beside = annotation_camera(&set.state(0)?, settings.outside, settings.seed);
     let keys = keys_of(trace, &shown, beside.intrinsics());
     let all = keys.keys.len() + keys.outside_keys.len();

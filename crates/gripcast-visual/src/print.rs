@@ -1,6 +1,6 @@
 //! Printed sheets and tags in a scene, and the camera that looks at them.
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DQuat, DVec3};
 use image::{Rgb, RgbImage};
 
 use super::camera::Camera;
@@ -12,14 +12,8 @@ use super::texture::{Bitmap, Texture};
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::Pose;
-use gripcast_imaging::{DistortionModel, Intrinsics, srgb_encode};
-use gripcast_pose::print::{ObjectSheet, raster};
-use gripcast_pose::{BoardFile, BoardMarker, Dictionary, MarkerCells, Part};
+use gripcast_imaging::{DistortionModel, FlatPrint, Intrinsics, srgb_encode};
 
-/// Resolution of a sheet's picture, dots per inch.
-const SHEET_DPI: f64 = 300.0;
-/// Pixels of a cell of a tag; much finer than any camera sees it.
-const CELL_PX: u32 = 24;
 /// Reflectances of paper and ink.
 const PAPER: f32 = 0.8;
 const INK: f32 = 0.02;
@@ -34,7 +28,7 @@ const TARGET_SHARE: f64 = 0.42;
 /// Thickness of a tag's card, m.
 const CARD_M: f64 = 5e-4;
 
-/// A flat printed picture.
+/// A flat printed image, with the colours of paper and ink.
 #[derive(Clone, Debug)]
 struct Print {
     picture: Bitmap,
@@ -47,54 +41,29 @@ struct Print {
 pub struct GraspPrints {
     /// In the world.
     sheet: Print,
-    /// In the frames of their parts, for opening 0.
-    tags: Vec<(Part, Print)>,
+    /// In the gripper's frame, for opening 0, with how far each moves along x per metre of opening.
+    tags: Vec<(f64, Print)>,
 }
 
 impl GraspPrints {
-    /// Pictures of a sheet, whose frame is the world in which its object stands, and of the tags
-    /// of a gripper.
+    /// A sheet, whose frame is the world in which its object stands, and the tags of a gripper in
+    /// its frame at opening 0, each with how far it moves along x per metre of opening.
     ///
     /// # Errors
-    /// `Input` for a sheet that cannot be drawn.
-    pub fn new(sheet: &ObjectSheet, tags: &BoardFile) -> Result<Self> {
-        let drawn = raster(&sheet.drawing, SHEET_DPI)?;
-        let picture = RgbImage::from_fn(drawn.width(), drawn.height(), |x, y| {
-            Rgb([printed(f32::from(drawn.get_pixel(x, y)[0]) / 255.0); 3])
-        });
-        // The picture's size is rounded to whole pixels, the sheet's is not.
-        let size_mm = DVec2::new(f64::from(drawn.width()), f64::from(drawn.height()));
-        let size_mm = size_mm * 25.4 / SHEET_DPI;
-        let corner = |x: f64, y: f64| sheet.to_world(DVec2::new(x, y));
-        let sheet = Print {
-            picture: Bitmap::from_srgb8(&picture)?,
-            corners_m: [
-                corner(0.0, 0.0),
-                corner(size_mm.x, 0.0),
-                corner(size_mm.x, size_mm.y),
-                corner(0.0, size_mm.y),
-            ],
-        };
-        let markers = tags.board.markers.iter();
-        let tags = markers
-            .filter_map(|marker| {
-                let cells = tags.dictionary.marker(marker.id)?;
-                Some(Print::tag(marker, &cells, &tags.dictionary).map(|tag| (marker.part, tag)))
-            })
-            .collect::<Result<_>>()?;
-        Ok(Self { sheet, tags })
+    /// `Input` for an image that is too large.
+    pub fn new(sheet: &FlatPrint, tags: &[(f64, FlatPrint)]) -> Result<Self> {
+        let tag = |(slide, print): &(f64, FlatPrint)| Ok((*slide, Print::new(print)?));
+        Ok(Self {
+            sheet: Print::new(sheet)?,
+            tags: tags.iter().map(tag).collect::<Result<_>>()?,
+        })
     }
 
     /// Adds them to a scene whose table is at z = 0: what is on the sheet stays where it is.
     pub(super) fn add_to(&self, scene: &mut Scene, t_world_gripper: &Pose, opening_m: f64) {
         self.sheet.model().add_to(scene, &Pose::IDENTITY);
-        for (part, tag) in &self.tags {
-            let slide = match part {
-                Part::FingerLeft => -0.5 * opening_m,
-                Part::FingerRight => 0.5 * opening_m,
-                Part::Body | Part::Object => 0.0,
-            };
-            let slid = Pose::from_translation(DVec3::X * slide);
+        for (slide, tag) in &self.tags {
+            let slid = Pose::from_translation(DVec3::X * (slide * opening_m));
             tag.card().add_to(scene, &(*t_world_gripper * slid));
         }
     }
@@ -106,39 +75,14 @@ fn printed(white: f32) -> u8 {
 }
 
 impl Print {
-    /// A marker with a white zone of a cell around it.
-    fn tag(marker: &BoardMarker, cells: &MarkerCells, dictionary: &Dictionary) -> Result<Self> {
-        let count = dictionary.cells_per_side() as u32;
-        let border = dictionary.border_cells();
-        let is_white = |x: u32, y: u32| {
-            let place = |at: u32| (at / CELL_PX).checked_sub(1).filter(|cell| *cell < count);
-            let (Some(column), Some(row)) = (place(x), place(y)) else {
-                return true;
-            };
-            let inner = |at: u32| (at as usize).checked_sub(border);
-            match (inner(row), inner(column)) {
-                (Some(row), Some(column)) if row.max(column) < cells.side() => {
-                    cells.is_white(row, column)
-                }
-                _ => false,
-            }
-        };
-        let side = (count + 2) * CELL_PX;
-        let picture = RgbImage::from_fn(side, side, |x, y| {
-            Rgb([printed(f32::from(u8::from(is_white(x, y)))); 3])
+    fn new(print: &FlatPrint) -> Result<Self> {
+        let paper = &print.paper;
+        let picture = RgbImage::from_fn(paper.width(), paper.height(), |x, y| {
+            Rgb([printed(f32::from(paper.get_pixel(x, y)[0]) / 255.0); 3])
         });
-        let [top_left, top_right, _, bottom_left] = marker.corners_m;
-        let cell = 1.0 / f64::from(count);
-        let (right, down) = (top_right - top_left, bottom_left - top_left);
-        let at = |x: f64, y: f64| top_left + x * right + y * down;
         Ok(Self {
             picture: Bitmap::from_srgb8(&picture)?,
-            corners_m: [
-                at(-cell, -cell),
-                at(1.0 + cell, -cell),
-                at(1.0 + cell, 1.0 + cell),
-                at(-cell, 1.0 + cell),
-            ],
+            corners_m: print.corners_m.map(DVec3::from_array),
         })
     }
 

@@ -6,6 +6,8 @@
 //! *Scrambled net variance for integrals of smooth functions* (1997); Kollig and Keller, *Efficient
 //! multidimensional sampling* (2002); Burley, *Practical hash-based Owen scrambling* (2020).
 
+use gripcast_base::random::mix;
+
 /// Pairs that are spread evenly; later ones are plainly random.
 const PAIRS: usize = 24;
 /// Longest net, samples; more samples start another with other shifts.
@@ -79,15 +81,6 @@ impl PixelSample<'_> {
             ((y ^ (shift >> 32) as u32) >> 8) as f32 * UNIT,
         ]
     }
-}
-
-/// Hash of 64 bits (finaliser of SplitMix64: Steele, Lea, Flood, *Fast splittable pseudorandom
-/// number generators*, 2014).
-#[inline(always)]
-fn mix(value: u64) -> u64 {
-    let z = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 /// First two dimensions of Sobol's sequence, as fractions of 2³².

@@ -133,7 +133,8 @@ fn real_presses_are_explained_well_enough() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("s.toml").display().to_string();
     let half = calibrate(&folder, &format!("--out {out}"));
-    assert!(half["fve"].as_f64().unwrap() >= 0.85, "{}", half["fve"]);
+    // Measured 0.949.
+    assert!(half["fve"].as_f64().unwrap() >= 0.93, "{}", half["fve"]);
     assert!(half["patch_psnr_db"].as_f64().unwrap() >= 26.0);
     let five = calibrate(&folder, &format!("--most-fitted 5 --out {out}"));
     assert_eq!(five["fitted"], 5);

@@ -9,7 +9,7 @@ use super::saddle::{ExpectedSaddle, refine_saddle};
 use crate::refine::refine_corners;
 use crate::solve::homography::plane_to_image;
 use crate::{BoardFile, BoardMarker, Chessboard, Detection, Part};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::Pose;
 
 /// Markers up to this many squares from a corner help to predict it.
@@ -54,13 +54,10 @@ impl PointFinder {
     pub fn new(file: &BoardFile) -> Result<Self> {
         let board = &file.board;
         if !board.is_planar(Part::Object) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "{}: calibration needs a flat board with part \"object\"",
-                    board.name
-                ),
-            )
+            return Err(Error::input(format!(
+                "{}: calibration needs a flat board with part \"object\"",
+                board.name
+            ))
             .remedy("`gripcast board charuco` draws one"));
         }
         let t_plane_board = plane_frame(file).inverse();

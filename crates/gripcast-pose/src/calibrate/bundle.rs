@@ -3,20 +3,22 @@
 //! The poses are eliminated view by view (Schur complement; B. Triggs et al., *Bundle adjustment —
 //! a modern synthesis*, 2000), which leaves nine equations.
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::DVec2;
 
 use super::board_points::BoardPoint;
 use crate::camera::{intrinsics_jacobian, project, project_with_jacobian};
-use crate::solve::normal_equations::{NormalEquations, inverse};
+use crate::least_squares::{Search, Trial, huber, moved};
+use gripcast_base::linear::{Cholesky, NormalEquations};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
 /// Number of a lens's parameters: fx, fy, cx, cy, k1, k2, p1, p2, k3.
 pub(super) const LENS: usize = 9;
-const MOST_ITERATIONS: usize = 80;
-/// Relative decrease of the cost that ends the search.
-const LEAST_DECREASE: f64 = 1e-11;
-const LARGEST_DAMPING: f64 = 1e12;
+const SEARCH: Search = Search {
+    most_iterations: 80,
+    least_decrease: 1e-11,
+    largest_damping: Some(1e12),
+};
 
 /// Which parameters of the lens are searched.
 pub(super) type Fitted = [bool; LENS];
@@ -44,7 +46,7 @@ pub(super) fn error_px(lens: &Intrinsics, pose: &Pose, point: &BoardPoint) -> f6
     predicted.map_or(f64::INFINITY, |pixel| pixel.distance(point.pixel))
 }
 
-/// Searches the nearest minimum of the Huber loss: squared up to `loss_px`, linear beyond. None
+/// Searches the nearest minimum of the Huber loss, squared up to `loss_px` from a point. None
 /// where the views do not determine the parameters.
 pub(super) fn minimise(
     views: &[Vec<BoardPoint>],
@@ -52,33 +54,19 @@ pub(super) fn minimise(
     fitted: &Fitted,
     loss_px: f64,
 ) -> Option<BundleFit> {
-    let mut bundle = start;
-    let mut equations = linearise(views, &bundle, fitted, loss_px)?;
-    let mut damping = 1e-4;
-    for _ in 0..MOST_ITERATIONS {
-        let step = equations.step(damping);
-        let trial = step.map(|step| stepped(&bundle, &step));
-        let next = trial.and_then(|trial| {
-            let next = linearise(views, &trial, fitted, loss_px)?;
-            (next.cost <= equations.cost).then_some((trial, next))
-        });
-        if let Some((trial, next)) = next {
-            let decrease = equations.cost - next.cost;
-            let is_done = decrease <= LEAST_DECREASE * equations.cost;
-            (bundle, equations) = (trial, next);
-            damping = (0.1 * damping).max(1e-12);
-            if is_done {
-                break;
-            }
-        } else {
-            damping *= 10.0;
-            if damping > LARGEST_DAMPING {
-                break;
-            }
-        }
-    }
-    let (reduced, _) = equations.reduced(0.0)?;
-    let mut inverse_information = inverse(&reduced.matrix)?;
+    let found = SEARCH.minimise(
+        start,
+        |bundle| linearise(views, bundle, fitted, loss_px),
+        |bundle, equations, damping| {
+            let step = equations.step(damping)?;
+            Some(Trial {
+                state: stepped(bundle, &step),
+                is_small: false,
+            })
+        },
+    )?;
+    let (reduced, _) = found.equations.reduced(0.0)?;
+    let mut inverse_information = Cholesky::beyond_rounding(&reduced.matrix)?.inverse();
     for (i, row) in inverse_information.iter_mut().enumerate() {
         for (j, value) in row.iter_mut().enumerate() {
             if !(fitted[i] && fitted[j]) {
@@ -87,8 +75,8 @@ pub(super) fn minimise(
         }
     }
     Some(BundleFit {
-        bundle,
-        cost: equations.cost,
+        bundle: found.state,
+        cost: found.cost,
         inverse_information,
     })
 }
@@ -109,14 +97,10 @@ fn stepped(bundle: &Bundle, step: &Step) -> Bundle {
     for (value, step) in lens.coefficients.iter_mut().zip(coefficients) {
         *value += step;
     }
-    let poses = bundle.poses.iter().zip(&step.poses).map(|(pose, step)| {
-        let turn = DQuat::from_scaled_axis(DVec3::new(step[3], step[4], step[5]));
-        let shift = DVec3::new(step[0], step[1], step[2]);
-        Pose::new(turn * pose.rotation, pose.translation_m + shift)
-    });
+    let poses = bundle.poses.iter().zip(&step.poses);
     Bundle {
         lens,
-        poses: poses.collect(),
+        poses: poses.map(|(pose, step)| moved(pose, step)).collect(),
     }
 }
 
@@ -127,7 +111,6 @@ struct Equations {
     /// By view: lens × pose.
     mixed: Vec<[[f64; 6]; LENS]>,
     fitted: Fitted,
-    cost: f64,
 }
 
 /// What eliminates the pose of a view: the inverse of its block.
@@ -149,7 +132,7 @@ impl Equations {
             for (i, row) in block.iter_mut().enumerate() {
                 row[i] *= 1.0 + damping;
             }
-            let inverse = inverse(&block)?;
+            let inverse = Cholesky::beyond_rounding(&block)?.inverse();
             for i in 0..LENS {
                 let row = times(&inverse, &mixed[i]);
                 for (entry, other) in reduced.matrix[i].iter_mut().zip(mixed) {
@@ -190,19 +173,19 @@ fn dot(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Equations of the step; none if a point falls behind the camera or the lens folds over.
+/// Equations of the step and the robust cost; none if a point falls behind the camera or the lens folds over.
 fn linearise(
     views: &[Vec<BoardPoint>],
     bundle: &Bundle,
     fitted: &Fitted,
     loss_px: f64,
-) -> Option<Equations> {
+) -> Option<(Equations, f64)> {
+    let mut cost = 0.0;
     let mut equations = Equations {
         lens: NormalEquations::zero(),
         poses: Vec::with_capacity(views.len()),
         mixed: Vec::with_capacity(views.len()),
         fitted: *fitted,
-        cost: 0.0,
     };
     for (points, pose) in views.iter().zip(&bundle.poses) {
         let mut own = NormalEquations::<6>::zero();
@@ -213,14 +196,8 @@ fn linearise(
             let (pixel, gradients) = project_with_jacobian(&bundle.lens, at)?;
             let mut by_lens = intrinsics_jacobian(&bundle.lens, at);
             let residual: DVec2 = point.pixel - pixel;
-            let length = residual.length();
-            let is_far = length > loss_px;
-            let weight = if is_far { loss_px / length } else { 1.0 };
-            equations.cost += if is_far {
-                loss_px * (2.0 * length - loss_px)
-            } else {
-                length * length
-            };
+            let (weight, own_cost) = huber(residual.length(), loss_px);
+            cost += own_cost;
             for (axis, value) in residual.to_array().into_iter().enumerate() {
                 let gradient = gradients[axis];
                 let turn = arm.cross(gradient);
@@ -242,5 +219,5 @@ fn linearise(
         equations.poses.push(own);
         equations.mixed.push(mixed);
     }
-    equations.cost.is_finite().then_some(equations)
+    cost.is_finite().then_some((equations, cost))
 }

@@ -12,8 +12,9 @@ use super::intrinsics::{CalibrationReport, calibrate_intrinsics};
 use super::start::{homography, lenses, plain_lens, pose};
 use crate::detect::{ApriltagDetector, ApriltagSettings};
 use crate::refine::sharpness;
-use crate::{BoardFile, Detection, MarkerDetector};
+use crate::{BoardFile, Detection, MarkerDetector as _};
 use gripcast_base::error::Result;
+use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
@@ -123,7 +124,7 @@ pub struct Offer {
 /// Takes pictures of a board as they come and calibrates with those that are of use. Does no IO.
 pub struct Collector {
     finder: PointFinder,
-    detector: Box<dyn MarkerDetector>,
+    detector: ApriltagDetector,
     settings: CollectorSettings,
     size: Option<[u32; 2]>,
     views: Vec<Vec<BoardPoint>>,
@@ -141,10 +142,10 @@ impl Collector {
     /// `Input` for a board that is not flat, or that the detector cannot search for.
     pub fn new(file: &BoardFile, settings: CollectorSettings) -> Result<Self> {
         let ids = file.board.ids();
-        let detector = ApriltagDetector::new(&file.dictionary, &ids, ApriltagSettings::default())?;
+        let search = ApriltagSettings::default();
         Ok(Self {
+            detector: ApriltagDetector::new(&file.dictionary, &ids, search)?,
             finder: PointFinder::new(file)?,
-            detector: Box::new(detector),
             settings,
             size: None,
             views: Vec::new(),
@@ -153,13 +154,6 @@ impl Collector {
             poses: Vec::new(),
             before: Vec::new(),
         })
-    }
-
-    /// Searches another detector's way.
-    #[must_use]
-    pub fn with_detector(mut self, detector: Box<dyn MarkerDetector>) -> Self {
-        self.detector = detector;
-        self
     }
 
     /// The board.
@@ -344,13 +338,8 @@ fn width(points: &[BoardPoint]) -> f64 {
 
 /// Median way of the points that two pictures share, px.
 fn motion(before: &[BoardPoint], now: &[BoardPoint]) -> Option<f64> {
-    let mut ways: Vec<f64> = now
-        .iter()
-        .filter_map(|point| {
-            let same = before.iter().find(|b| b.number == point.number)?;
-            Some(same.pixel.distance(point.pixel))
-        })
-        .collect();
-    ways.sort_by(f64::total_cmp);
-    ways.get(ways.len() / 2).copied()
+    median(now.iter().filter_map(|point| {
+        let same = before.iter().find(|b| b.number == point.number)?;
+        Some(same.pixel.distance(point.pixel))
+    }))
 }

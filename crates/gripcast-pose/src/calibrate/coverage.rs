@@ -197,11 +197,6 @@ impl Coverage {
         Hint::Enough
     }
 
-    /// Whether nothing is missing.
-    pub fn is_enough(&self) -> bool {
-        self.hint() == Hint::Enough
-    }
-
     /// Parts of what is needed, 0 to 1.
     pub fn progress(&self) -> f64 {
         let cells = self
@@ -303,7 +298,7 @@ mod tests {
             let mut turn = DQuat::IDENTITY;
             match hint {
                 Hint::Enough => {
-                    assert!(coverage.is_enough() && coverage.progress() == 1.0);
+                    assert_eq!(coverage.progress(), 1.0);
                     break;
                 }
                 Hint::MoveTo([column, row]) => {

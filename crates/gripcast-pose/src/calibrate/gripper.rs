@@ -21,13 +21,15 @@
 
 use glam::DVec3;
 
-use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Sight, View};
+use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Solved, View, slides_differ};
 use super::gripper_check::{leave_one_out, rms_of_views, suspects};
 use super::gripper_frame::{Ties, conditions, tie};
 use super::gripper_report::{Loosened, Outcome, report};
+use super::gripper_result::{GripperCalibration, GripperPicture};
 use super::gripper_start::{LEAST_SIGHTS, Selection, select, start};
-use crate::{BoardFile, Detection, Part};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use crate::{BoardFile, Part};
+use gripcast_base::error::{Error, Result};
+use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
 
 /// Fewest pictures with two markers or more.
@@ -51,114 +53,6 @@ const HELD_OUT: usize = 5;
 /// A marker is loose if the others have less than this part of the error without it.
 const MUCH_BETTER: f64 = 0.75;
 
-/// A picture of the gripper.
-#[derive(Clone, Debug)]
-pub struct GripperPicture {
-    /// What people call it.
-    pub name: String,
-    /// The markers in it, refined.
-    pub detections: Vec<Detection>,
-    /// The fingers are closed: the gel faces touch, the opening is 0.
-    pub closed: bool,
-}
-
-/// What a freedom of the frame comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameSource {
-    /// The fingers: their motion, or pictures with closed fingers.
-    Fingers,
-    /// The description of the tags.
-    Description,
-    /// Nothing: there are no markers on fingers.
-    Nothing,
-}
-
-/// How a marker was found.
-#[derive(Clone, Debug, PartialEq)]
-pub enum MarkerState {
-    /// It was calibrated.
-    Calibrated,
-    /// It stays where it is described; the reason.
-    AsDescribed(&'static str),
-    /// It did not stay in its place during the pictures.
-    Loose {
-        /// The pictures between which it moved, by how much (m, rad); none if it moved more than
-        /// once.
-        moved: Option<([String; 2], f64, f64)>,
-    },
-}
-
-/// A marker of the calibrated board.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CalibratedMarker {
-    /// Its number in the dictionary.
-    pub id: u32,
-    /// What it is fixed to.
-    pub part: Part,
-    /// How it was found.
-    pub state: MarkerState,
-    /// Pictures that it was calibrated with.
-    pub pictures: usize,
-    /// Pictures in which it was an outlier.
-    pub outliers: usize,
-    /// From where it is described to where it is, along the gripper's axes, m.
-    pub shift_m: DVec3,
-    /// The turn between both, rad.
-    pub turn_rad: f64,
-    /// Covariance of [δt, δθ] of `t_part_marker`, m and rad along the gripper's axes, the frame
-    /// taken as exact; none for a marker that was not calibrated.
-    pub covariance: Option<[[f64; 6]; 6]>,
-    /// Root mean square reprojection error, px.
-    pub rms_px: Option<f64>,
-    /// The same where the pictures are solved without it.
-    pub left_out_rms_px: Option<f64>,
-}
-
-impl CalibratedMarker {
-    /// Standard deviations of its place (m) and its turn (rad), over all directions.
-    #[must_use]
-    pub fn sigma(&self) -> Option<(f64, f64)> {
-        let c = self.covariance?;
-        let root = |axes: std::ops::Range<usize>| axes.map(|i| c[i][i]).sum::<f64>().sqrt();
-        Some((root(0..3), root(3..6)))
-    }
-}
-
-/// A calibrated gripper.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GripperCalibration {
-    /// The markers where they are, under the ids of the description.
-    pub board: BoardFile,
-    /// The markers in the order of the description.
-    pub markers: Vec<CalibratedMarker>,
-    /// Pictures that took part.
-    pub pictures: usize,
-    /// Root mean square reprojection error, px.
-    pub rms_px: f64,
-    /// That of the same pictures with the markers where they are described.
-    pub described_rms_px: Option<f64>,
-    /// That of every fifth picture where the others calibrate.
-    pub holdout_rms_px: Option<f64>,
-    /// Standard deviation of one coordinate of a corner that the covariances assume, px.
-    pub corner_sigma_px: f64,
-    /// Smallest and largest opening, m; none without markers on the fingers.
-    pub openings_m: Option<[f64; 2]>,
-    /// What the direction of x comes from.
-    pub x_from: FrameSource,
-    /// Angle between the fingers' line and the described x axis, with its deviation, rad.
-    pub line_off_rad: Option<(f64, f64)>,
-    /// What the opening's zero comes from.
-    pub zero_from: FrameSource,
-    /// Estimated standard deviation of the frame's origin, over all directions, m.
-    pub frame_sigma_m: Option<f64>,
-    /// Estimated standard deviation of the frame's direction about its worst axis, rad.
-    pub frame_sigma_rad: Option<f64>,
-    /// Pictures that took no part, with the reason.
-    pub left_out: Vec<(String, String)>,
-    /// What a person should know.
-    pub notes: Vec<String>,
-}
-
 /// Calibrates the markers of a gripper: `nominal` is where they are supposed to be, to a
 /// centimetre and 15°; the sizes of the markers are taken from it.
 ///
@@ -173,7 +67,7 @@ pub fn calibrate_gripper(
     let board = &nominal.board;
     if board.markers.iter().all(|m| m.part == Part::Object) {
         let what = format!("the board {} has no tags of a gripper", board.name);
-        return Err(Error::new(ErrorKind::Input, what)
+        return Err(Error::input(what)
             .remedy("give the gripper's board file, with parts body, finger_left, finger_right"));
     }
     let mut selection = select(board, intrinsics, pictures);
@@ -228,37 +122,20 @@ pub fn calibrate_gripper(
     })
 }
 
-/// A minimum.
-pub(super) struct Solved {
-    pub(super) bundle: Bundle,
-    pub(super) loss_px: f64,
-    pub(super) sigma_px: f64,
-    pub(super) rms_px: f64,
-}
-
 /// Whether a picture with closed fingers shows them together with something else.
 fn has_closed(bundle: &Bundle) -> bool {
-    bundle.views.iter().any(|v| {
-        let slide = |s: &Sight| bundle.markers[s.marker].slide;
-        let differ = v
-            .sights
-            .windows(2)
-            .any(|pair| slide(&pair[0]) != slide(&pair[1]));
-        differ && !v.frees_opening
-    })
+    let differ = |v: &View| slides_differ(&bundle.markers, &v.sights);
+    bundle.views.iter().any(|v| differ(v) && !v.frees_opening)
 }
 
 fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()> {
     let (bundle, views) = (&selection.bundle, selection.bundle.views.len());
     if views < LEAST_VIEWS || bundle.markers.len() < 2 {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "of {} pictures, {views} show two or more markers that are in {LEAST_SIGHTS} \
+        return Err(Error::input(format!(
+            "of {} pictures, {views} show two or more markers that are in {LEAST_SIGHTS} \
                  pictures at least; {LEAST_VIEWS} are needed",
-                pictures.len()
-            ),
-        )
+            pictures.len()
+        ))
         .remedy(
             "take 15 to 40 sharp pictures of the gripper from all sides that will be seen, each \
              with as many tags as possible, at several openings",
@@ -287,19 +164,15 @@ fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()
     if together || (closed(-0.5) && closed(0.5)) {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        "no picture shows markers of both fingers, so that they cannot be joined",
+    Err(
+        Error::input("no picture shows markers of both fingers, so that they cannot be joined")
+            .remedy("add pictures that show both fingers' markers"),
     )
-    .remedy("add pictures that show both fingers' markers"))
 }
 
 fn undetermined() -> Error {
-    Error::new(
-        ErrorKind::Input,
-        "the pictures do not determine where the markers are to each other",
-    )
-    .remedy("add pictures from other sides, each with as many tags as possible")
+    Error::input("the pictures do not determine where the markers are to each other")
+        .remedy("add pictures from other sides, each with as many tags as possible")
 }
 
 /// Searches with narrowing losses, leaving outliers out.
@@ -328,11 +201,10 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
     let count = errors.len() as f64;
     let rms_px = (errors.iter().map(|e| e * e).sum::<f64>() / count).sqrt();
     // An infinite median is of corners behind the camera.
-    if median(&errors) > CONTRADICTION_PX {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("the markers are {rms_px:.1} px from where the calibration puts them"),
-        )
+    if median_error_px(&bundle) > CONTRADICTION_PX {
+        return Err(Error::input(format!(
+            "the markers are {rms_px:.1} px from where the calibration puts them"
+        ))
         .remedy(
             "check that the board file is that of this gripper with the measured size of its \
              tags, and that the intrinsics belong to this camera and resolution",
@@ -354,22 +226,17 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
     })
 }
 
-fn median(errors: &[f64]) -> f64 {
-    let mut sorted = errors.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted
-        .get(sorted.len() / 2)
-        .copied()
-        .unwrap_or(f64::INFINITY)
+fn median_error_px(bundle: &Bundle) -> f64 {
+    median(bundle.all_errors_px()).unwrap_or(f64::INFINITY)
 }
 
 fn final_loss(bundle: &Bundle) -> f64 {
-    LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median(&bundle.all_errors_px()))
+    LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median_error_px(bundle))
 }
 
 /// Leaves out sightings that fit nowhere; whether there were any.
 fn leave_outliers(bundle: &mut Bundle) -> bool {
-    let limit = OUTLIER_PX.max(OUTLIER_OF_MEDIAN * median(&bundle.all_errors_px()));
+    let limit = OUTLIER_PX.max(OUTLIER_OF_MEDIAN * median_error_px(bundle));
     let fits: Vec<Vec<bool>> = bundle
         .views
         .iter()
@@ -400,12 +267,7 @@ fn without(bundle: &Bundle, marker: usize) -> Bundle {
             sight.marker -= usize::from(sight.marker > marker);
             sight.used = true;
         }
-        let slides = |s: &Sight| rest.markers[s.marker].slide;
-        let differ = view
-            .sights
-            .windows(2)
-            .any(|p| slides(&p[0]) != slides(&p[1]));
-        view.frees_opening &= differ;
+        view.frees_opening &= slides_differ(&rest.markers, &view.sights);
     }
     rest.views.retain(|v| v.sights.len() >= 2);
     rest

@@ -5,17 +5,20 @@
 //! normal equations (B. Triggs et al., *Bundle adjustment: a modern synthesis*, 2000), which
 //! leaves a small dense system for the markers.
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 
-use super::gripper_linear::{Factor, Symmetric};
 use crate::Part;
 use crate::camera::{project, project_with_jacobian};
+use crate::least_squares::{Search, Trial, huber, moved};
+use gripcast_base::linear::{Factor, Symmetric};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-const MOST_ITERATIONS: usize = 50;
-/// Relative decrease of the cost that ends the search.
-const LEAST_DECREASE: f64 = 1e-10;
+const SEARCH: Search = Search {
+    most_iterations: 50,
+    least_decrease: 1e-10,
+    largest_damping: None,
+};
 /// Steps below this (m, rad) change nothing.
 const CONVERGED: f64 = 1e-10;
 /// Unknowns of a view: shift and turn along the camera's axes, opening.
@@ -68,6 +71,13 @@ pub(super) struct View {
     pub(super) sights: Vec<Sight>,
 }
 
+/// Whether some of the sights are of parts that move against each other.
+pub(super) fn slides_differ(markers: &[Marker], sights: &[Sight]) -> bool {
+    let slide = |s: &Sight| markers[s.marker].slide;
+    let mut pairs = sights.windows(2);
+    pairs.any(|pair| slide(&pair[0]) != slide(&pair[1]))
+}
+
 /// Everything that is solved for.
 #[derive(Clone, Debug)]
 pub(super) struct Bundle {
@@ -76,6 +86,14 @@ pub(super) struct Bundle {
     /// Unit vector in the gripper's frame.
     pub(super) slide: DVec3,
     pub(super) views: Vec<View>,
+}
+
+/// A minimum.
+pub(super) struct Solved {
+    pub(super) bundle: Bundle,
+    pub(super) loss_px: f64,
+    pub(super) sigma_px: f64,
+    pub(super) rms_px: f64,
 }
 
 /// What moves in a search.
@@ -146,32 +164,25 @@ impl Bundle {
         loss_px: f64,
         conditions: &[Condition],
     ) -> Option<f64> {
-        let mut system = self.linearise(loss_px)?;
-        let mut damping = 1e-4;
-        for _ in 0..MOST_ITERATIONS {
-            let step = system.step(free, damping, conditions)?;
-            let trial = self.stepped(&step);
-            match trial.linearise(loss_px) {
-                Some(next) if next.cost <= system.cost => {
-                    let decrease = system.cost - next.cost;
-                    let done = decrease <= LEAST_DECREASE * system.cost || step.is_small();
-                    (*self, system) = (trial, next);
-                    damping = (damping * 0.1).max(1e-12);
-                    if done {
-                        break;
-                    }
-                }
-                _ if step.is_small() => break,
-                _ => damping *= 10.0,
-            }
-        }
-        Some(system.cost)
+        let found = SEARCH.minimise(
+            self.clone(),
+            |bundle| bundle.linearise(loss_px),
+            |bundle, system, damping| {
+                let step = system.step(free, damping, conditions)?;
+                Some(Trial {
+                    state: bundle.stepped(&step),
+                    is_small: step.is_small(),
+                })
+            },
+        )?;
+        *self = found.state;
+        Some(found.cost)
     }
 
     /// Covariance of the unknowns that are not of a view, for corners of 1 px, under the
     /// conditions.
     pub(super) fn covariance(&self, loss_px: f64, conditions: &[Condition]) -> Option<Symmetric> {
-        let system = self.linearise(loss_px)?;
+        let (system, _) = self.linearise(loss_px)?;
         let (matrix, _, _) = system.reduced(0.0, conditions)?;
         Some(matrix.factor()?.inverse())
     }
@@ -194,21 +205,15 @@ impl Bundle {
         next
     }
 
-    /// Normal equations of the step; none if a corner falls behind the camera.
-    fn linearise(&self, loss_px: f64) -> Option<System> {
+    /// Normal equations of the step and the cost; none if a corner falls behind the camera.
+    fn linearise(&self, loss_px: f64) -> Option<(System, f64)> {
         let mut system = System::new(self.globals(), self.views.len());
-        for (view, block) in self.views.iter().zip(&mut system.views) {
+        let mut cost = 0.0;
+        for (i, view) in self.views.iter().enumerate() {
             for sight in view.sights.iter().filter(|s| s.used) {
-                let cost = self.add_sight(
-                    view,
-                    sight,
-                    loss_px,
-                    block,
-                    &mut system.matrix,
-                    &mut system.vector,
-                )?;
-                system.cost += cost;
+                cost += self.add_sight(i, sight, loss_px, &mut system)?;
             }
+            let block = &mut system.views[i];
             // What a picture does not show stays as it is.
             let shows = view.frees_opening && block.matrix.at(6, 6) > 0.0;
             if !shows {
@@ -223,21 +228,19 @@ impl Bundle {
             let off = axis.dot(DVec3::X);
             system.matrix.add(first + k, first + k, SLIDE_PRIOR);
             system.vector[first + k] += SLIDE_PRIOR * off;
-            system.cost += SLIDE_PRIOR * off * off;
+            cost += SLIDE_PRIOR * off * off;
         }
-        system.cost.is_finite().then_some(system)
+        cost.is_finite().then_some((system, cost))
     }
 
     fn add_sight(
         &self,
-        view: &View,
+        number: usize,
         sight: &Sight,
         loss_px: f64,
-        block: &mut Block,
-        matrix: &mut Symmetric,
-        vector: &mut [f64],
+        system: &mut System,
     ) -> Option<f64> {
-        let marker = &self.markers[sight.marker];
+        let (view, marker) = (&self.views[number], &self.markers[sight.marker]);
         let back = view.pose.rotation.conjugate();
         let across = self.across();
         let first = OF_MARKER * sight.marker;
@@ -251,14 +254,8 @@ impl Bundle {
             let (pixel, gradients) =
                 project_with_jacobian(&self.camera, arm + view.pose.translation_m)?;
             let residual = seen - pixel;
-            let length = residual.length();
-            let is_far = length > loss_px;
-            let weight = if is_far { loss_px / length } else { 1.0 };
-            cost += if is_far {
-                loss_px * (2.0 * length - loss_px)
-            } else {
-                length * length
-            };
+            let (weight, own_cost) = huber(residual.length(), loss_px);
+            cost += own_cost;
             for (gradient, value) in gradients.into_iter().zip(residual.to_array()) {
                 let turn = arm.cross(gradient);
                 let inner = back * gradient;
@@ -278,21 +275,15 @@ impl Bundle {
                     (last, slid[0]),
                     (last + 1, slid[1]),
                 ];
-                matrix.add_outer(&row, weight);
+                system.matrix.add_outer(&row, weight);
                 for (i, entry) in row {
-                    vector[i] += weight * entry * value;
+                    system.vector[i] += weight * entry * value;
                 }
-                block.add(&of_view, &row, value, weight);
+                system.views[number].add(&of_view, &row, value, weight);
             }
         }
         Some(cost)
     }
-}
-
-fn moved(pose: &Pose, step: &[f64]) -> Pose {
-    let turn = DQuat::from_scaled_axis(DVec3::new(step[3], step[4], step[5]));
-    let shift = DVec3::new(step[0], step[1], step[2]);
-    Pose::new(turn * pose.rotation, pose.translation_m + shift)
 }
 
 /// The equations of one view.
@@ -328,7 +319,6 @@ struct System {
     matrix: Symmetric,
     vector: Vec<f64>,
     views: Vec<Block>,
-    cost: f64,
 }
 
 struct Step {
@@ -354,7 +344,6 @@ impl System {
             matrix: Symmetric::zero(globals),
             vector: vec![0.0; globals],
             views: (0..views).map(|_| block()).collect(),
-            cost: 0.0,
         }
     }
 

@@ -3,8 +3,8 @@
 use glam::{DQuat, DVec3};
 
 use super::gripper_bundle::{Bundle, Condition, OF_MARKER, OF_SLIDE};
-use super::gripper_linear::Symmetric;
 use crate::Part;
+use gripcast_base::linear::Symmetric;
 use gripcast_geometry::Pose;
 
 /// Markers that are off by less than this are weighted alike, others less, m.

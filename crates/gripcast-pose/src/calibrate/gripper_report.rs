@@ -2,16 +2,16 @@
 
 use glam::DVec3;
 
-use super::gripper::{
-    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState, Solved,
-};
-use super::gripper_bundle::{Bundle, Free, Marker, OF_MARKER, Sight, View};
+use super::gripper_bundle::{Bundle, Free, Marker, OF_MARKER, Sight, Solved, View};
 use super::gripper_check::{Moved, angle};
 use super::gripper_frame::{Ties, scatter};
-use super::gripper_linear::Symmetric;
+use super::gripper_result::{
+    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
+};
 use super::gripper_start::{Selection, framed};
 use crate::{Board, BoardFile, BoardMarker, Part};
 use gripcast_base::error::Result;
+use gripcast_base::linear::Symmetric;
 use gripcast_geometry::Pose;
 
 /// Deviations of a marker that are too large for poses of a tenth of a millimetre, m and rad.

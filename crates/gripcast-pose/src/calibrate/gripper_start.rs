@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DQuat, DVec3};
 
-use super::gripper::GripperPicture;
-use super::gripper_bundle::{Bundle, Marker, Sight, View};
+use super::gripper_bundle::{Bundle, Marker, Sight, View, slides_differ};
+use super::gripper_result::GripperPicture;
 use crate::solve::{solve_gripper, solve_part};
 use crate::{Board, BoardMarker, Detection, Part};
 use gripcast_geometry::Pose;
@@ -30,15 +30,6 @@ pub(super) struct Selection {
     pub(super) left_out: Vec<(usize, &'static str)>,
 }
 
-/// How far a part moves along x per metre of opening.
-fn slide(part: Part) -> f64 {
-    match part {
-        Part::FingerLeft => -0.5,
-        Part::FingerRight => 0.5,
-        Part::Object | Part::Body => 0.0,
-    }
-}
-
 /// A marker of the board with a frame of its own.
 pub(super) fn framed(marker: &BoardMarker) -> Marker {
     let [a, b, c, d] = marker.corners_m;
@@ -53,7 +44,7 @@ pub(super) fn framed(marker: &BoardMarker) -> Marker {
         local: marker.corners_m.map(|c| back.transform_point(c)),
         nominal: pose,
         pose,
-        slide: slide(marker.part),
+        slide: marker.part.slide(),
     }
 }
 
@@ -66,55 +57,20 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, pictures: &[GripperPict
         .map(framed)
         .collect();
     let seen: Vec<Vec<(usize, &Detection)>> = pictures.iter().map(|p| sightings(&all, p)).collect();
-    let mut taken: Vec<bool> = vec![true; all.len()];
-    let shown = |taken: &[bool], sights: &[(usize, &Detection)]| -> Vec<usize> {
-        let here = sights.iter().map(|(m, _)| *m).filter(|m| taken[*m]);
-        here.collect()
+    let mut selection = Selection {
+        bundle: Bundle {
+            camera: *camera,
+            markers: Vec::new(),
+            slide: DVec3::X,
+            views: Vec::new(),
+        },
+        unseen: Vec::new(),
+        rare: Vec::new(),
+        apart: Vec::new(),
+        left_out: Vec::new(),
     };
-    let counts = |taken: &[bool]| -> Vec<usize> {
-        let mut counts = vec![0; all.len()];
-        for sights in &seen {
-            let here = shown(taken, sights);
-            if here.len() >= 2 {
-                here.into_iter().for_each(|m| counts[m] += 1);
-            }
-        }
-        counts
-    };
-    let (mut unseen, mut rare, mut apart) = (Vec::new(), Vec::new(), Vec::new());
-    for (m, marker) in all.iter().enumerate() {
-        if !seen.iter().flatten().any(|(i, _)| *i == m) {
-            taken[m] = false;
-            unseen.push(marker.id);
-        }
-    }
-    loop {
-        let counts = counts(&taken);
-        let few = (0..all.len()).find(|m| taken[*m] && counts[*m] < LEAST_SIGHTS);
-        let Some(few) = few else { break };
-        taken[few] = false;
-        rare.push(all[few].id);
-    }
-    let groups = groups(all.len(), seen.iter().map(|s| shown(&taken, s)));
-    let size = |group: usize| {
-        (0..all.len())
-            .filter(|m| taken[*m] && groups[*m] == group)
-            .count()
-    };
-    let best = (0..all.len())
-        .filter(|m| taken[*m])
-        .map(|m| groups[m])
-        .max_by_key(|g| size(*g));
-    for m in 0..all.len() {
-        if taken[m] && Some(groups[m]) != best {
-            taken[m] = false;
-            apart.push(all[m].id);
-        }
-    }
-    rare.sort_unstable();
+    let taken = selection.take_markers(&all, &seen);
     let place = |m: usize| (0..m).filter(|k| taken[*k]).count();
-    let mut left_out = Vec::new();
-    let mut views = Vec::new();
     for (picture, sights) in seen.iter().enumerate() {
         let here = sights.iter().filter(|(m, _)| taken[*m]);
         let here: Vec<Sight> = here
@@ -124,42 +80,68 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, pictures: &[GripperPict
                 used: true,
             })
             .collect();
+        let mut leave_out = |reason| selection.left_out.push((picture, reason));
         match (sights.len(), here.len()) {
-            (0, _) => left_out.push((picture, "no marker of the gripper was found")),
-            (_, 0 | 1) => left_out.push((picture, "only one marker that takes part was found")),
-            _ => views.push(View {
-                picture,
-                pose: Pose::IDENTITY,
-                opening_m: 0.0,
-                frees_opening: false,
-                sights: here,
-            }),
+            (0, _) => leave_out("no marker of the gripper was found"),
+            (_, 0 | 1) => leave_out("only one marker that takes part was found"),
+            _ => {
+                let differ = slides_differ(&selection.bundle.markers, &here);
+                selection.bundle.views.push(View {
+                    picture,
+                    pose: Pose::IDENTITY,
+                    opening_m: 0.0,
+                    frees_opening: differ && !pictures[picture].closed,
+                    sights: here,
+                });
+            }
         }
     }
-    let markers: Vec<Marker> = (0..all.len())
-        .filter(|m| taken[*m])
-        .map(|m| all[m].clone())
-        .collect();
-    for view in &mut views {
-        let slides: Vec<f64> = view
-            .sights
-            .iter()
-            .map(|s| markers[s.marker].slide)
-            .collect();
-        let differ = slides.windows(2).any(|pair| pair[0] != pair[1]);
-        view.frees_opening = differ && !pictures[view.picture].closed;
-    }
-    Selection {
-        bundle: Bundle {
-            camera: *camera,
-            markers,
-            slide: DVec3::X,
-            views,
-        },
-        unseen,
-        rare,
-        apart,
-        left_out,
+    selection
+}
+
+impl Selection {
+    /// Takes the largest group of markers that are seen together often enough; which of all.
+    fn take_markers(&mut self, all: &[Marker], seen: &[Vec<(usize, &Detection)>]) -> Vec<bool> {
+        let is_seen = |m: usize| seen.iter().flatten().any(|(i, _)| *i == m);
+        let mut taken: Vec<bool> = (0..all.len()).map(is_seen).collect();
+        let ids = |chosen: &dyn Fn(usize) -> bool| -> Vec<u32> {
+            let chosen = (0..all.len()).filter(|m| chosen(*m));
+            chosen.map(|m| all[m].id).collect()
+        };
+        self.unseen = ids(&|m| !taken[m]);
+        let shown = |taken: &[bool], sights: &[(usize, &Detection)]| -> Vec<usize> {
+            let here = sights.iter().map(|(m, _)| *m).filter(|m| taken[*m]);
+            here.collect()
+        };
+        loop {
+            let mut counts = vec![0; all.len()];
+            for here in seen.iter().map(|sights| shown(&taken, sights)) {
+                if here.len() >= 2 {
+                    here.into_iter().for_each(|m| counts[m] += 1);
+                }
+            }
+            let few = (0..all.len()).find(|m| taken[*m] && counts[*m] < LEAST_SIGHTS);
+            let Some(few) = few else { break };
+            taken[few] = false;
+            self.rare.push(all[few].id);
+        }
+        self.rare.sort_unstable();
+        let groups = groups(all.len(), seen.iter().map(|s| shown(&taken, s)));
+        let size = |group: usize| {
+            (0..all.len())
+                .filter(|m| taken[*m] && groups[*m] == group)
+                .count()
+        };
+        let best = (0..all.len())
+            .filter(|m| taken[*m])
+            .map(|m| groups[m])
+            .max_by_key(|g| size(*g));
+        let is_apart = |m: usize| taken[m] && Some(groups[m]) != best;
+        self.apart = ids(&is_apart);
+        let taken: Vec<bool> = (0..all.len()).map(|m| taken[m] && !is_apart(m)).collect();
+        let chosen = all.iter().zip(&taken).filter(|(_, taken)| **taken);
+        self.bundle.markers = chosen.map(|(marker, _)| marker.clone()).collect();
+        taken
     }
 }
 

@@ -7,7 +7,6 @@ use rand_pcg::Pcg64;
 use super::gripper_bundle::{Bundle, Marker};
 use super::gripper_check::angle;
 use super::gripper_frame::{Ties, tie};
-use super::gripper_linear::Symmetric;
 use super::gripper_start::framed;
 use super::*;
 use crate::camera::project;
@@ -16,6 +15,7 @@ use crate::refine::refine_all;
 use crate::solve::solve_gripper;
 use crate::synthetic::{PictureConditions, Placed, render, test_camera};
 use crate::{Board, BoardFile, Detection, Part};
+use gripcast_base::linear::Symmetric;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
@@ -250,6 +250,7 @@ fn tags_that_are_off_are_found_and_their_covariance_is_honest() {
     }
     assert!(worst.0 < 1e-4 && worst.1 < 0.1f64.to_radians(), "{worst:?}");
     let mean = sum / count;
+    // 6 for exact covariances; measured 7.9 over the 72 markers.
     assert!((4.5..9.0).contains(&mean), "{mean}");
 }
 
@@ -287,7 +288,8 @@ fn poses_with_the_calibrated_tags_are_those_of_a_perfect_board() {
     let offset = aligned(&found.board.board, &truth).1.inverse();
     let after = pose_errors(&found.board.board, &truth, &offset);
     assert_eq!(after.2, perfect.2);
-    // What is left of the calibration's own error is far below that of one picture at its worst.
+    // What is left of the calibration's own error is far below that of one picture at its worst:
+    // measured 0.052 mm (median) and 0.122 mm (95 %) against 0.023 and 0.089 of the perfect board.
     assert!(
         after.0.0 < 0.08 && after.0.1 < 1.5 * perfect.0.1,
         "{after:?}"
@@ -336,12 +338,8 @@ fn rendered_pictures_give_the_tags() {
     let found = calibrate_gripper(&file, &camera(), &pictures).unwrap();
     let (shift, turn) = between_markers(&found.board.board, &truth);
     assert!(shift < 1e-4, "{shift}");
-    // The fingers' tags are small in these pictures: their corners are biased.
-    for (marker, _) in aligned(&found.board.board, &truth).0.iter().zip(0..4) {
-        let turn = angle(&marker.pose, &marker.nominal);
-        assert!(turn < 0.1f64.to_radians(), "{}: {turn}", marker.id);
-    }
-    assert!(turn < 0.4f64.to_radians(), "{turn}");
+    // Measured 0.066°, of a finger's tag, which are small in these pictures.
+    assert!(turn < 0.1f64.to_radians(), "{turn}");
     assert!(found.rms_px < 0.12, "{}", found.rms_px);
 }
 
@@ -430,9 +428,10 @@ fn without_closed_fingers_or_motion_the_description_decides() {
         (least - 0.04).abs() < 3e-4 && (most - 0.0415).abs() < 3e-4,
         "{least} {most}"
     );
-    // The fingers' places at opening 0 are 40 mm from where they were seen.
+    // The fingers' places at opening 0 are 40 mm from where they were seen: measured 0.39 mm and
+    // 0.069°.
     let (shift, turn) = between_markers(&found.board.board, &file.board);
-    assert!(shift < 1e-3 && turn < 0.2f64.to_radians(), "{shift} {turn}");
+    assert!(shift < 6e-4 && turn < 0.1f64.to_radians(), "{shift} {turn}");
 }
 
 #[test]

@@ -6,7 +6,8 @@ use super::board_points::BoardPoint;
 use super::bundle::{Bundle, BundleFit, Fitted, LENS, error_px, minimise};
 use super::start::{homography, lenses, pose};
 use crate::camera::intrinsics_jacobian;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
+use gripcast_base::statistics::median;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
@@ -237,15 +238,13 @@ impl<'a> Search<'a> {
             .iter()
             .zip(&self.bundle.poses)
             .filter_map(|(points, pose)| {
-                median(
-                    points
-                        .iter()
-                        .map(|p| error_px(&self.bundle.lens, pose, p))
-                        .collect(),
-                )
+                let error = |p| error_px(&self.bundle.lens, pose, p);
+                median(points.iter().map(error))
             })
             .collect();
-        let limit = VIEW_OUTLIER.1.max(VIEW_OUTLIER.0 * median(errors.clone())?);
+        let limit = VIEW_OUTLIER
+            .1
+            .max(VIEW_OUTLIER.0 * median(errors.iter().copied())?);
         let worst = (0..errors.len()).max_by(|a, b| errors[*a].total_cmp(&errors[*b]))?;
         (self.views.len() > FEWEST_VIEWS && errors[worst] > limit).then_some(worst)
     }
@@ -492,14 +491,6 @@ fn rms(errors: &[f64]) -> f64 {
     (squares / errors.len().max(1) as f64).sqrt()
 }
 
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
 /// Refuses views that all show the board from one direction: focal length and distance then
 /// change together.
 fn check_spread(poses: &[Pose]) -> Result<()> {
@@ -513,14 +504,11 @@ fn check_spread(poses: &[Pose]) -> Result<()> {
     if widest >= LEAST_SPREAD_RAD {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "all views show the board from the same direction (within {:.0}°), which does not \
+    Err(Error::input(format!(
+        "all views show the board from the same direction (within {:.0}°), which does not \
              tell the focal length from the distance",
-            widest.to_degrees()
-        ),
-    )
+        widest.to_degrees()
+    ))
     .remedy(TILT_REMEDY))
 }
 
@@ -530,26 +518,20 @@ const TILT_REMEDY: &str = "take pictures with the board tilted by 20° to 40° t
 fn not_determined() -> Error {
     let what =
         "the views do not determine the focal length: they show the board from too few directions";
-    Error::new(ErrorKind::Input, what).remedy(TILT_REMEDY)
+    Error::input(what).remedy(TILT_REMEDY)
 }
 
 fn too_few(count: usize) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "a calibration needs at least {FEWEST_VIEWS} usable views of the board, found {count}"
-        ),
-    )
+    Error::input(format!(
+        "a calibration needs at least {FEWEST_VIEWS} usable views of the board, found {count}"
+    ))
     .remedy("take 12 to 20 pictures, with the board tilted and in all parts of the picture")
 }
 
 fn contradiction(error_px: f64) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!(
+    Error::input(format!(
             "the points are {error_px:.1} px away from where the board's description puts them"
-        ),
-    )
+        ))
     .remedy(
         "check the description (markers, squares, legacy layout), that the board is flat, and that all pictures are \
          from one camera with one zoom and focus",

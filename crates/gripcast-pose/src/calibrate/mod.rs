@@ -1,24 +1,19 @@
 //! Calibration from pictures: the intrinsics of a camera from views of a board, the places of the
 //! gripper's tags.
 
-mod gripper;
-mod gripper_bundle;
-mod gripper_check;
-mod gripper_frame;
-mod gripper_linear;
-mod gripper_report;
-mod gripper_start;
-#[cfg(test)]
-mod gripper_test;
-
-pub use gripper::{
-    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
-    calibrate_gripper,
-};
 mod board_points;
 mod bundle;
 mod collector;
 mod coverage;
+mod gripper;
+mod gripper_bundle;
+mod gripper_check;
+mod gripper_frame;
+mod gripper_report;
+mod gripper_result;
+mod gripper_start;
+#[cfg(test)]
+mod gripper_test;
 mod intrinsics;
 #[cfg(test)]
 mod intrinsics_test;
@@ -30,4 +25,8 @@ mod start;
 pub use board_points::{BoardPoint, BoardPoints, PointFinder};
 pub use collector::{Collector, CollectorSettings, Offer, Refusal};
 pub use coverage::{Coverage, Hint, Tilt};
+pub use gripper::calibrate_gripper;
+pub use gripper_result::{
+    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
+};
 pub use intrinsics::{CalibrationReport, Holdout, PARAMETERS, ViewFit, calibrate_intrinsics};

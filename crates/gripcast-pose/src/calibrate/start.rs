@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat, DVec2};
 
 use super::board_points::BoardPoint;
 use crate::solve::homography::plane_to_image;
-use crate::solve::normal_equations::NormalEquations;
+use gripcast_base::linear::NormalEquations;
 use gripcast_geometry::Pose;
 use gripcast_imaging::{DistortionModel, Intrinsics};
 

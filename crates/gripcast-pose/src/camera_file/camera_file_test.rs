@@ -1,6 +1,7 @@
 //! Files of every format there and back, and everything that can be wrong with them.
 
 use super::*;
+use gripcast_base::error::ErrorKind;
 use gripcast_imaging::DistortionModel;
 
 const ROS: &str = "\
@@ -324,14 +325,31 @@ fn what_is_no_camera_file_is_said() {
 }
 
 #[test]
-fn damaged_files_never_panic() {
+fn damaged_files_give_a_valid_camera_or_an_explanation() {
+    let check = |text: &str| match CameraFile::parse(text, chosen("cam0")) {
+        Ok(file) => {
+            assert!(file.intrinsics.validate().is_ok(), "{text}");
+            true
+        }
+        Err(error) => {
+            let expected = [ErrorKind::Input, ErrorKind::Config, ErrorKind::Usage];
+            assert!(expected.contains(&error.kind()), "{error}: {text}");
+            false
+        }
+    };
     for text in [ROS, OPENCV, KALIBR] {
+        let mut refused = 0;
         for at in (0..text.len()).step_by(7) {
-            let _ = read(&text[..at]);
+            refused += usize::from(!check(&text[..at]));
             for put in ["[", ":", "-", "9", "&a", "*a", "\0"] {
-                let damaged = format!("{}{put}{}", &text[..at], &text[at + 1..]);
-                let _ = CameraFile::parse(&damaged, chosen("cam0"));
+                check(&format!("{}{put}{}", &text[..at], &text[at + 1..]));
             }
         }
+        // Much of a file is needed.
+        assert!(
+            refused > text.len() / 7 / 4,
+            "{refused} of {}",
+            text.len() / 7
+        );
     }
 }

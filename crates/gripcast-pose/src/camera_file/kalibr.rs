@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::lens::{self, bad, unknown_lens};
-use super::{CameraChoice, CameraFile, CameraFormat, size_of};
+use super::lens::{ForeignCamera, unknown_lens};
 use crate::yaml;
-use gripcast_base::error::{Result, unknown_name};
+use gripcast_base::error::{Error, Result, unknown_name};
 
 #[derive(Deserialize)]
 struct Camera {
@@ -19,32 +18,33 @@ struct Camera {
     resolution: Option<[u32; 2]>,
 }
 
-pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+pub(super) fn read(text: &str, chosen: Option<&str>) -> Result<ForeignCamera> {
     let mut cameras: BTreeMap<String, Camera> = yaml::read(text, "the camchain")?;
     let names: Vec<String> = cameras.keys().cloned().collect();
     let known: Vec<&str> = names.iter().map(|name| &**name).collect();
-    let name =
-        match (choice.camera, &known[..]) {
-            (_, [only]) => *only,
-            (Some(name), _) => name,
-            (None, _) => {
-                return Err(bad(format!("the camchain has {} cameras", known.len())).remedy(format!(
-                "choose one: `gripcast calibrate convert FILE --camera-name {} --to toml --out \
+    let name = match (chosen, &known[..]) {
+        (_, [only]) => *only,
+        (Some(name), _) => name,
+        (None, _) => {
+            return Err(
+                Error::input(format!("the camchain has {} cameras", known.len())).remedy(format!(
+                    "choose one: `gripcast calibrate convert FILE --camera-name {} --to toml --out \
                  FILE.toml`; there are {}",
-                known.first().unwrap_or(&"cam0"),
-                known.join(", ")
-            )));
-            }
-        };
+                    known.first().unwrap_or(&"cam0"),
+                    known.join(", ")
+                )),
+            );
+        }
+    };
     let camera = cameras
         .remove(name)
         .ok_or_else(|| unknown_name("camera", name, &known))?;
-    let file = camera.file(name, choice);
-    file.map_err(|e| e.at(name))
+    let foreign = camera.foreign(name);
+    foreign.map_err(|e| e.at(name))
 }
 
 impl Camera {
-    fn file(&self, name: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+    fn foreign(&self, name: &str) -> Result<ForeignCamera> {
         if self.camera_model != "pinhole" {
             return Err(unknown_lens(&format!(
                 "the camera model {:?}",
@@ -59,27 +59,22 @@ impl Camera {
             )));
         }
         let [fx, fy, cx, cy] = self.intrinsics[..] else {
-            return Err(bad(format!(
+            return Err(Error::input(format!(
                 "intrinsics of a pinhole camera are 4 numbers, found {}",
                 self.intrinsics.len()
             )));
         };
-        let coefficients = if is_straight {
-            &[]
-        } else {
-            &self.distortion_coeffs[..]
-        };
-        let [width, height] = self
-            .resolution
-            .map_or([None; 2], |[width, height]| [Some(width), Some(height)]);
-        let size = size_of(width, height, choice)?;
-        let matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0];
-        Ok(CameraFile {
-            format: CameraFormat::Kalibr,
-            intrinsics: lens::intrinsics(size, &matrix, coefficients)?,
+        Ok(ForeignCamera {
+            width: self.resolution.map(|[width, _]| width),
+            height: self.resolution.map(|[_, height]| height),
+            matrix: [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+            coefficients: if is_straight {
+                Vec::new()
+            } else {
+                self.distortion_coeffs.clone()
+            },
             camera_name: Some(name.to_owned()),
-            rms_px: None,
-            notes: Vec::new(),
+            ..ForeignCamera::default()
         })
     }
 }

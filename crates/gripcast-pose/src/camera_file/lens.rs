@@ -1,6 +1,6 @@
 //! Camera matrices and coefficients of other programs as intrinsics.
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
 /// OpenCV's order of coefficients, by what they belong to.
@@ -23,7 +23,7 @@ impl Matrix {
     /// Its numbers, if there are as many as it says, and finite.
     pub(super) fn numbers(&self, what: &str) -> Result<&[f64]> {
         if self.rows.checked_mul(self.cols) != Some(self.data.len()) {
-            return Err(bad(format!(
+            return Err(Error::input(format!(
                 "{what} is said to have {} × {} numbers, found {}",
                 self.rows,
                 self.cols,
@@ -31,7 +31,7 @@ impl Matrix {
             )));
         }
         if let Some(wild) = self.data.iter().find(|v| !v.is_finite()) {
-            return Err(bad(format!("{what} has the entry {wild}")));
+            return Err(Error::input(format!("{what} has the entry {wild}")));
         }
         Ok(&self.data)
     }
@@ -39,62 +39,80 @@ impl Matrix {
     /// A 3 × 3 matrix.
     pub(super) fn square(&self, what: &str) -> Result<[f64; 9]> {
         if (self.rows, self.cols) != (3, 3) {
-            return Err(bad(format!(
+            return Err(Error::input(format!(
                 "{what} must be 3 × 3, found {} × {}",
                 self.rows, self.cols
             )));
         }
         let numbers = self.numbers(what)?;
-        <[f64; 9]>::try_from(numbers).map_err(|_| bad(format!("{what} must have 9 numbers")))
+        <[f64; 9]>::try_from(numbers)
+            .map_err(|_| Error::input(format!("{what} must have 9 numbers")))
     }
 }
 
-pub(super) fn bad(what: String) -> Error {
-    Error::new(ErrorKind::Input, what)
+/// A camera as a file of another program has it.
+#[derive(Default)]
+pub(super) struct ForeignCamera {
+    pub(super) width: Option<u32>,
+    pub(super) height: Option<u32>,
+    /// The camera matrix, row by row.
+    pub(super) matrix: [f64; 9],
+    /// Coefficients in OpenCV's order.
+    pub(super) coefficients: Vec<f64>,
+    pub(super) camera_name: Option<String>,
+    /// Reprojection error, px.
+    pub(super) rms_px: Option<f64>,
+    pub(super) notes: Vec<String>,
 }
 
-/// The intrinsics of a camera matrix and coefficients in OpenCV's order.
-pub(super) fn intrinsics(
-    [width, height]: [u32; 2],
-    matrix: &[f64; 9],
-    coefficients: &[f64],
-) -> Result<Intrinsics> {
-    let [fx, skew, cx, k10, fy, cy, k20, k21, scale] = *matrix;
-    if skew != 0.0 {
-        return Err(bad(format!(
-            "the camera matrix has a skew of {skew}, and pixels here have right angles"
-        ))
-        .remedy("calibrate without skew, as OpenCV and ROS do"));
+impl ForeignCamera {
+    /// Its intrinsics, for pictures of the size that the file says, or else of `size`.
+    pub(super) fn intrinsics(&self, size: Option<[u32; 2]>) -> Result<Intrinsics> {
+        let own = self.width.zip(self.height);
+        let (width, height) = own.or(size.map(<(u32, u32)>::from)).ok_or_else(|| {
+            Error::input("the file does not say which picture size its intrinsics are for").remedy(
+                "convert it once with the size of the pictures it was calibrated with: `gripcast \
+                 calibrate convert FILE --size 1280x720 --to toml --out FILE.toml`",
+            )
+        })?;
+        let [fx, skew, cx, k10, fy, cy, k20, k21, scale] = self.matrix;
+        if skew != 0.0 {
+            return Err(Error::input(format!(
+                "the camera matrix has a skew of {skew}, and pixels here have right angles"
+            ))
+            .remedy("calibrate without skew, as OpenCV and ROS do"));
+        }
+        if [k10, k20, k21] != [0.0; 3] || scale != 1.0 {
+            return Err(Error::input(format!(
+                "the camera matrix must be [fx 0 cx; 0 fy cy; 0 0 1], found {:?}",
+                self.matrix
+            ))
+            .remedy("numbers are listed row by row"));
+        }
+        let coefficients = plumb_bob(&self.coefficients)?;
+        let is_straight = coefficients == [0.0; 5];
+        Ok(Intrinsics {
+            width,
+            height,
+            fx,
+            fy,
+            cx,
+            cy,
+            model: if is_straight {
+                DistortionModel::None
+            } else {
+                DistortionModel::BrownConrady
+            },
+            coefficients,
+        })
     }
-    if [k10, k20, k21] != [0.0; 3] || scale != 1.0 {
-        return Err(bad(format!(
-            "the camera matrix must be [fx 0 cx; 0 fy cy; 0 0 1], found {matrix:?}"
-        ))
-        .remedy("numbers are listed row by row"));
-    }
-    let coefficients = plumb_bob(coefficients)?;
-    let is_straight = coefficients == [0.0; 5];
-    Ok(Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-        model: if is_straight {
-            DistortionModel::None
-        } else {
-            DistortionModel::BrownConrady
-        },
-        coefficients,
-    })
 }
 
 /// k1, k2, p1, p2, k3 of a longer or shorter list, if what is beyond them is zero.
 fn plumb_bob(coefficients: &[f64]) -> Result<[f64; 5]> {
     let count = coefficients.len();
     if ![0, 4, 5, 8, 12, 14].contains(&count) {
-        return Err(bad(format!(
+        return Err(Error::input(format!(
             "there are {count} distortion coefficients; known are lists of 4, 5, 8, 12 and 14"
         )));
     }
@@ -114,6 +132,6 @@ fn plumb_bob(coefficients: &[f64]) -> Result<[f64; 5]> {
 
 /// Refuses a lens model by its name.
 pub(super) fn unknown_lens(name: &str) -> Error {
-    bad(format!("the lens has {name}, which is not known here"))
+    Error::input(format!("the lens has {name}, which is not known here"))
         .remedy("calibrate with five coefficients: k1, k2, p1, p2, k3 (plumb_bob, radtan)")
 }

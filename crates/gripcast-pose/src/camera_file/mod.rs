@@ -16,7 +16,7 @@ use std::path::Path;
 
 pub use write::{to_opencv, to_ros};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::Intrinsics;
 
@@ -78,7 +78,7 @@ impl CameraFormat {
         let start = text.trim_start();
         if start.starts_with('<') || start.starts_with('{') {
             let what = "XML and JSON of OpenCV's FileStorage are not read";
-            return Err(Error::new(ErrorKind::Input, what)
+            return Err(Error::input(what)
                 .remedy("write it as YAML: a file name that ends in .yml does that in OpenCV"));
         }
         if start.starts_with("%YAML:") || text.contains("!!opencv-matrix") {
@@ -103,12 +103,10 @@ impl CameraFormat {
         if has_line(&is_assignment) {
             return Ok(Self::Toml);
         }
-        Err(
-            Error::new(ErrorKind::Input, "this is no camera file that is known").remedy(
-                "give gripcast's TOML, camera_info YAML of ROS, YAML of OpenCV's FileStorage with \
+        Err(Error::input("this is no camera file that is known").remedy(
+            "give gripcast's TOML, camera_info YAML of ROS, YAML of OpenCV's FileStorage with \
              camera_matrix, or camchain.yaml of Kalibr",
-            ),
-        )
+        ))
     }
 }
 
@@ -120,8 +118,7 @@ impl CameraFile {
     pub fn load(path: &Path, choice: CameraChoice<'_>) -> Result<Self> {
         let bytes = read_regular(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the camera file", e).at(path.display()))?;
-        let text = String::from_utf8(bytes)
-            .map_err(|_| Error::new(ErrorKind::Input, "the camera file is no text"));
+        let text = String::from_utf8(bytes).map_err(|_| Error::input("the camera file is no text"));
         text.and_then(|text| Self::parse(&text, choice))
             .map_err(|e| e.at(path.display()))
     }
@@ -132,17 +129,34 @@ impl CameraFile {
     /// `Input` or `Config`: what is missing or wrong, or which lens model is not known.
     pub fn parse(text: &str, choice: CameraChoice<'_>) -> Result<Self> {
         let format = CameraFormat::recognise(text)?;
-        let file = match format {
-            CameraFormat::Toml => own(text)?,
-            CameraFormat::Ros => ros::read(text, choice)?,
-            CameraFormat::Opencv => opencv::read(text, choice)?,
-            CameraFormat::Kalibr => kalibr::read(text, choice)?,
+        let foreign = match format {
+            CameraFormat::Toml => None,
+            CameraFormat::Ros => Some(ros::read(text)?),
+            CameraFormat::Opencv => Some(opencv::read(text)?),
+            CameraFormat::Kalibr => Some(kalibr::read(text, choice.camera)?),
         };
-        let intrinsics = file.intrinsics.validate()?;
+        let intrinsics = match &foreign {
+            Some(foreign) => foreign.intrinsics(choice.size).map_err(|e| {
+                match foreign.camera_name.as_deref() {
+                    // A camchain has several.
+                    Some(name) if format == CameraFormat::Kalibr => e.at(name),
+                    _ => e,
+                }
+            })?,
+            None => toml::from_str(text).map_err(|e| Error::config(e.message().trim()))?,
+        };
+        let intrinsics = intrinsics.validate()?;
         if let Some([width, height]) = choice.size {
             require_size(&intrinsics, width, height)?;
         }
-        Ok(Self { intrinsics, ..file })
+        let foreign = foreign.unwrap_or_default();
+        Ok(Self {
+            format,
+            intrinsics,
+            camera_name: foreign.camera_name,
+            rms_px: foreign.rms_px,
+            notes: foreign.notes,
+        })
     }
 }
 
@@ -164,46 +178,14 @@ pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<
     if (intrinsics.width, intrinsics.height) == (width, height) {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the intrinsics are for pictures of {}×{} pixels, and this is one of {width}×{height}",
-            intrinsics.width, intrinsics.height
-        ),
-    )
+    Err(Error::input(format!(
+        "the intrinsics are for pictures of {}×{} pixels, and this is one of {width}×{height}",
+        intrinsics.width, intrinsics.height
+    ))
     .remedy(format!(
         "calibrate at {width}×{height}, or take pictures of {}×{}; intrinsics are not scaled",
         intrinsics.width, intrinsics.height
     )))
-}
-
-fn own(text: &str) -> Result<CameraFile> {
-    let intrinsics = toml::from_str(text)
-        .map_err(|e| Error::new(ErrorKind::Config, e.message().trim().to_owned()))?;
-    Ok(CameraFile {
-        format: CameraFormat::Toml,
-        intrinsics,
-        camera_name: None,
-        rms_px: None,
-        notes: Vec::new(),
-    })
-}
-
-/// The picture's size: what the file says, or else what was given.
-fn size_of(width: Option<u32>, height: Option<u32>, choice: CameraChoice<'_>) -> Result<[u32; 2]> {
-    if let (Some(width), Some(height)) = (width, height) {
-        return Ok([width, height]);
-    }
-    choice.size.ok_or_else(|| {
-        Error::new(
-            ErrorKind::Input,
-            "the file does not say which picture size its intrinsics are for",
-        )
-        .remedy(
-            "convert it once with the size of the pictures it was calibrated with: `gripcast \
-             calibrate convert FILE --size 1280x720 --to toml --out FILE.toml`",
-        )
-    })
 }
 
 #[cfg(test)]

@@ -2,10 +2,9 @@
 
 use serde::Deserialize;
 
-use super::lens::{self, Matrix, bad, unknown_lens};
-use super::{CameraChoice, CameraFile, CameraFormat, size_of};
+use super::lens::{ForeignCamera, Matrix, unknown_lens};
 use crate::yaml;
-use gripcast_base::error::Result;
+use gripcast_base::error::{Error, Result};
 
 #[derive(Deserialize)]
 struct Record {
@@ -38,17 +37,17 @@ struct Record {
     left_of_pair: Option<Matrix>,
 }
 
-pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+pub(super) fn read(text: &str) -> Result<ForeignCamera> {
     let read: Record = yaml::read(text, "the camera file of OpenCV")?;
     if read.fisheye_model.is_some_and(|flag| flag != 0) {
         return Err(unknown_lens("OpenCV's fisheye model"));
     }
     let missing = || {
         if read.left_of_pair.is_some() {
-            return bad("this is the file of a stereo pair (M1, D1, M2, D2)".into())
+            return Error::input("this is the file of a stereo pair (M1, D1, M2, D2)")
                 .remedy("write one camera's M and D as camera_matrix and distortion_coefficients");
         }
-        bad("the file has no camera_matrix".into())
+        Error::input("the file has no camera_matrix")
             .remedy("OpenCV's calibration writes camera_matrix and distortion_coefficients")
     };
     let matrix = read.camera_matrix.as_ref().ok_or_else(missing)?;
@@ -56,14 +55,15 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     let coefficients = match &read.distortion_coefficients {
         Some(list) => list.numbers("distortion_coefficients")?,
         None => {
-            return Err(bad("the file has no distortion_coefficients".into())
+            return Err(Error::input("the file has no distortion_coefficients")
                 .remedy("a lens without distortion has five zeros"));
         }
     };
-    let size = size_of(read.image_width, read.image_height, choice)?;
-    Ok(CameraFile {
-        format: CameraFormat::Opencv,
-        intrinsics: lens::intrinsics(size, &matrix, coefficients)?,
+    Ok(ForeignCamera {
+        width: read.image_width,
+        height: read.image_height,
+        matrix,
+        coefficients: coefficients.to_vec(),
         camera_name: read.camera_name,
         rms_px: read.avg_reprojection_error.filter(|e| e.is_finite()),
         notes: Vec::new(),

@@ -2,10 +2,9 @@
 
 use serde::Deserialize;
 
-use super::lens::{self, Matrix, bad, unknown_lens};
-use super::{CameraChoice, CameraFile, CameraFormat, size_of};
+use super::lens::{ForeignCamera, Matrix, unknown_lens};
 use crate::yaml;
-use gripcast_base::error::Result;
+use gripcast_base::error::{Error, Result};
 
 /// Entries this near to those of the identity are rounding.
 const ROUNDING: f64 = 1e-9;
@@ -22,12 +21,11 @@ struct Record {
     projection_matrix: Option<Matrix>,
 }
 
-pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
+pub(super) fn read(text: &str) -> Result<ForeignCamera> {
     let read: Record = yaml::read(text, "the camera_info")?;
-    let size = size_of(read.image_width, read.image_height, choice)?;
     let matrix = read
         .camera_matrix
-        .ok_or_else(|| bad("the camera_info has no camera_matrix".into()))?
+        .ok_or_else(|| Error::input("the camera_info has no camera_matrix"))?
         .square("camera_matrix")?;
     let coefficients = match &read.distortion_coefficients {
         Some(list) => list.numbers("distortion_coefficients")?,
@@ -41,12 +39,14 @@ pub(super) fn read(text: &str, choice: CameraChoice<'_>) -> Result<CameraFile> {
     if let Some(projection) = &read.projection_matrix {
         notes.extend(note_of_projection(projection, &matrix)?);
     }
-    Ok(CameraFile {
-        format: CameraFormat::Ros,
-        intrinsics: lens::intrinsics(size, &matrix, coefficients)?,
+    Ok(ForeignCamera {
+        width: read.image_width,
+        height: read.image_height,
+        matrix,
+        coefficients: coefficients.to_vec(),
         camera_name: read.camera_name,
-        rms_px: None,
         notes,
+        ..ForeignCamera::default()
     })
 }
 
@@ -56,7 +56,7 @@ fn check_model(model: Option<&str>, coefficients: &[f64]) -> Result<()> {
         "plumb_bob" | "rational_polynomial" | "thin_prism" => Ok(()),
         "" | "none" if coefficients.iter().all(|c| *c == 0.0) => Ok(()),
         "" => Err(
-            bad("distortion_coefficients without a distortion_model".into())
+            Error::input("distortion_coefficients without a distortion_model")
                 .remedy("add distortion_model: plumb_bob if they are k1, k2, p1, p2, k3"),
         ),
         other => Err(unknown_lens(&format!("the model {other:?}"))),
@@ -72,9 +72,8 @@ fn check_rectification(matrix: &[f64; 9]) -> Result<()> {
     if is_identity {
         return Ok(());
     }
-    Err(bad(
-        "the rectification_matrix turns the picture: the file is for one camera of a stereo pair"
-            .into(),
+    Err(Error::input(
+        "the rectification_matrix turns the picture: the file is for one camera of a stereo pair",
     )
     .remedy(
         "for raw pictures, put the identity there (camera_matrix and distortion_coefficients \
@@ -87,7 +86,7 @@ fn check_rectification(matrix: &[f64; 9]) -> Result<()> {
 fn note_of_projection(projection: &Matrix, matrix: &[f64; 9]) -> Result<Option<String>> {
     let p = projection.numbers("projection_matrix")?;
     if (projection.rows, projection.cols) != (3, 4) {
-        return Err(bad(format!(
+        return Err(Error::input(format!(
             "projection_matrix must be 3 × 4, found {} × {}",
             projection.rows, projection.cols
         )));

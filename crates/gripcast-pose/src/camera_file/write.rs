@@ -1,7 +1,7 @@
 //! Camera files for other programs.
 
 use super::CameraFormat;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
 /// The text of a `camera_info` YAML of ROS for raw pictures: no rectification.
@@ -12,7 +12,7 @@ pub fn to_ros(intrinsics: &Intrinsics, camera_name: &str) -> Result<String> {
     let is_letter = |c: char| c.is_ascii_alphanumeric() || c == '_';
     if camera_name.is_empty() || !camera_name.chars().all(is_letter) {
         let what = format!("ROS takes no camera named {camera_name:?}");
-        return Err(Error::new(ErrorKind::Usage, what)
+        return Err(Error::usage(what)
             .remedy("use letters, digits and underscores: --camera-name external"));
     }
     let coefficients = plumb_bob(intrinsics, CameraFormat::Ros)?;
@@ -74,17 +74,14 @@ fn plumb_bob(intrinsics: &Intrinsics, format: CameraFormat) -> Result<[f64; 5]> 
         DistortionModel::None => Ok([0.0; 5]),
         DistortionModel::BrownConrady => Ok(intrinsics.coefficients),
         DistortionModel::InverseBrownConrady if intrinsics.coefficients == [0.0; 5] => Ok([0.0; 5]),
-        DistortionModel::InverseBrownConrady => Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the lens has the model inverse-brown-conrady (distorted coordinates to ideal \
+        DistortionModel::InverseBrownConrady => Err(Error::input(format!(
+            "the lens has the model inverse-brown-conrady (distorted coordinates to ideal \
                  ones), which {} has not: its coefficients run the other way",
-                match format {
-                    CameraFormat::Ros => "ROS",
-                    _ => "OpenCV",
-                }
-            ),
-        )
+            match format {
+                CameraFormat::Ros => "ROS",
+                _ => "OpenCV",
+            }
+        ))
         .remedy("calibrate the camera: that gives brown-conrady coefficients")),
     }
 }

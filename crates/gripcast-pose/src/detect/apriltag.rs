@@ -14,7 +14,7 @@ use image::GrayImage;
 
 use super::check_size;
 use crate::{Detection, Dictionary, MarkerDetector};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::srgb_decode;
 
 /// The library puts (0, 0) at the top-left pixel's corner.
@@ -23,12 +23,12 @@ const HALF_PIXEL: DVec2 = DVec2::splat(0.5);
 const MOST_CELLS: usize = 7;
 /// Least distance of a dictionary's markers at which a bit is corrected.
 const LEAST_DISTANCE_TO_CORRECT: u32 = 6;
-/// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with
-/// Share of the pixels that may be brighter than white once light is stretched: lamps, glints.
+/// Fraction of the pixels that may be brighter than white once light is stretched: lamps, glints.
 const BRIGHTEST: f64 = 0.002;
 /// Most that light is amplified; beyond, noise would be.
 const MOST_GAIN: f32 = 8.0;
-/// some reserve.
+/// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with some
+/// reserve.
 const NOISE_RANGE: f64 = 7.0;
 /// Limits of the contrast that a window needs, grey levels; the first is the library's own.
 const LEAST_CONTRAST: (i32, i32) = (5, 60);
@@ -87,21 +87,18 @@ impl ApriltagDetector {
     ) -> Result<Self> {
         let side = dictionary.bits_per_side();
         if side > MOST_CELLS {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the detector takes markers of up to {MOST_CELLS}×{MOST_CELLS} cells; {} has \
+            return Err(Error::input(format!(
+                "the detector takes markers of up to {MOST_CELLS}×{MOST_CELLS} cells; {} has \
                      {side}×{side}",
-                    dictionary.name()
-                ),
-            ));
+                dictionary.name()
+            )));
         }
         let ids = allowed(dictionary, whitelist)?;
         if !(1..=4).contains(&settings.decimate) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("decimation by {}; possible are 1 to 4", settings.decimate),
-            ));
+            return Err(Error::input(format!(
+                "decimation by {}; possible are 1 to 4",
+                settings.decimate
+            )));
         }
         // The dictionary counts cells from 1 within the border, the library from 0 with it.
         let border = dictionary.border_cells() as u32 - 1;
@@ -131,10 +128,7 @@ impl ApriltagDetector {
     fn configure(&self, settings: ApriltagSettings, corrected_bits: u32) -> Result<()> {
         // SAFETY: null or a detector that create() made and that nobody else has.
         let Some(detector) = (unsafe { self.detector.as_mut() }) else {
-            return Err(Error::new(
-                ErrorKind::Internal,
-                "the AprilTag library has no memory",
-            ));
+            return Err(Error::internal("the AprilTag library has no memory"));
         };
         // A library of another version would have other fields at these places.
         let as_expected = detector.nthreads == 1
@@ -143,8 +137,7 @@ impl ApriltagDetector {
             && detector.qtp.max_nmaxima == 10
             && detector.qtp.min_white_black_diff == 5;
         if !as_expected {
-            return Err(Error::new(
-                ErrorKind::Internal,
+            return Err(Error::internal(
                 "another version of the AprilTag library was linked than this program expects",
             )
             .remedy("build with APRILTAG_SYS_METHOD=raw,static"));
@@ -162,8 +155,7 @@ impl ApriltagDetector {
         }
         // SAFETY: as above.
         if unsafe { (*self.family).impl_.is_null() } {
-            return Err(Error::new(
-                ErrorKind::Internal,
+            return Err(Error::internal(
                 "the AprilTag library could not prepare the dictionary",
             ));
         }
@@ -196,10 +188,7 @@ impl ApriltagDetector {
         let found = unsafe { sys::apriltag_detector_detect(self.detector, &raw mut image) };
         // SAFETY: null or an array of the library with pointers to detections.
         let Some(array) = (unsafe { found.as_ref() }) else {
-            return Err(Error::new(
-                ErrorKind::Internal,
-                "the AprilTag library has no memory",
-            ));
+            return Err(Error::internal("the AprilTag library has no memory"));
         };
         let mut detections = Vec::new();
         let pointers = array.data.cast::<*const sys::apriltag_detection>();
@@ -324,18 +313,15 @@ fn allowed(dictionary: &Dictionary, whitelist: &[u32]) -> Result<Vec<u32>> {
     ids.dedup();
     let count = dictionary.len();
     match ids.last() {
-        None => Err(Error::new(
-            ErrorKind::Input,
-            format!("no marker of {} to search for", dictionary.name()),
-        )),
-        Some(last) if *last as usize >= count => Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "{} has the markers 0 to {}, not {last}",
-                dictionary.name(),
-                count - 1
-            ),
-        )
+        None => Err(Error::input(format!(
+            "no marker of {} to search for",
+            dictionary.name()
+        ))),
+        Some(last) if *last as usize >= count => Err(Error::input(format!(
+            "{} has the markers 0 to {}, not {last}",
+            dictionary.name(),
+            count - 1
+        ))
         .remedy("check the dictionary's name in the board's description")),
         Some(_) => Ok(ids),
     }

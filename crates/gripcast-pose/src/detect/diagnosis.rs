@@ -7,7 +7,7 @@ use image::imageops::flip_horizontal;
 
 use super::{ApriltagDetector, ApriltagSettings};
 use crate::{DICTIONARY_NAMES, Dictionary, MarkerDetector as _};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Markers of another dictionary that tell more than chance.
 const LEAST_MARKERS: usize = 2;
@@ -90,7 +90,7 @@ impl Diagnosis {
                  least 20 pixels large with white around them"
             }
         };
-        Error::new(ErrorKind::Input, format!("{board}: {self}")).remedy(remedy)
+        Error::input(format!("{board}: {self}")).remedy(remedy)
     }
 }
 

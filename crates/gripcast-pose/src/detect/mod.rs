@@ -15,7 +15,7 @@ pub use diagnosis::{Diagnosis, diagnose, known_dictionaries};
 use image::GrayImage;
 
 use super::{Dictionary, MarkerDetector};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Shortest side of a picture that is searched, px.
 const LEAST_SIDE: u32 = 32;
@@ -47,11 +47,8 @@ fn check_size(picture: &GrayImage) -> Result<()> {
     if taken.contains(&width) && taken.contains(&height) {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "cannot search a picture of {width}×{height} pixels for markers: each side has to \
+    Err(Error::input(format!(
+        "cannot search a picture of {width}×{height} pixels for markers: each side has to \
              have {LEAST_SIDE} to {LARGEST_SIDE}"
-        ),
-    ))
+    )))
 }

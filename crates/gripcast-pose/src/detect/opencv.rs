@@ -13,7 +13,7 @@ use opencv::prelude::*;
 use super::check_size;
 use crate::refine::refine_all;
 use crate::{Detection, Dictionary, MarkerDetector};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Searches for the markers of one of OpenCV's predefined dictionaries.
 pub struct OpencvDetector {
@@ -76,19 +76,19 @@ impl OpencvDetector {
     /// `Input` for a dictionary that OpenCV has not built in, or an empty whitelist.
     pub fn new(dictionary: &Dictionary, whitelist: &[u32]) -> Result<Self> {
         let Some(predefined) = predefined(dictionary.name()) else {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("OpenCV has no dictionary {} built in", dictionary.name()),
-            )
+            return Err(Error::input(format!(
+                "OpenCV has no dictionary {} built in",
+                dictionary.name()
+            ))
             .remedy("take the detector apriltag, which reads any dictionary"));
         };
         let mut whitelist = whitelist.to_vec();
         whitelist.sort_unstable();
         if whitelist.is_empty() {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("no marker of {} to search for", dictionary.name()),
-            ));
+            return Err(Error::input(format!(
+                "no marker of {} to search for",
+                dictionary.name()
+            )));
         }
         Ok(Self {
             dictionary: predefined,
@@ -104,9 +104,8 @@ impl MarkerDetector for OpencvDetector {
 
     fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
         check_size(picture)?;
-        let (corners, ids) = search(picture, self.dictionary.number).map_err(|e| {
-            Error::new(ErrorKind::Internal, "OpenCV's marker detection failed").because(e)
-        })?;
+        let (corners, ids) = search(picture, self.dictionary.number)
+            .map_err(|e| Error::internal("OpenCV's marker detection failed").because(e))?;
         let mut found = Vec::new();
         for (id, corners) in ids.iter().zip(corners.iter()) {
             let Ok([a, b, c, d]) = corners.data_typed::<Point2f>() else {

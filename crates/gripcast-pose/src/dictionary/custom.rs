@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use crate::yaml;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 fn bad(what: String) -> Error {
-    Error::new(ErrorKind::Input, what).remedy(
+    Error::input(what).remedy(
         "an OpenCV dictionary has nmarkers, markersize, and marker_0 … with a string of \
          markersize² digits 0 and 1",
     )

@@ -1,4 +1,5 @@
 use super::*;
+use gripcast_base::error::ErrorKind;
 
 #[test]
 fn tables_are_the_published_ones() {

@@ -5,7 +5,7 @@ mod tables;
 
 use std::path::Path;
 
-use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
+use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::{FileKind, Root};
 
 /// Most cells along a side: a code is a `u64`.
@@ -95,8 +95,9 @@ impl Dictionary {
         if folder.as_os_str().is_empty() {
             let what =
                 format!("the board names a dictionary file, {name:?}, and lies in no folder");
-            return Err(Error::new(ErrorKind::Input, what)
-                .remedy("use a dictionary by its name, for instance DICT_4X4_50"));
+            return Err(
+                Error::input(what).remedy("use a dictionary by its name, for instance DICT_4X4_50")
+            );
         }
         let path = folder.join(name);
         let text = Root::new(folder)
@@ -123,7 +124,7 @@ impl Dictionary {
     /// `Input` for a side that is not from 3 to 8, no border, no codes, too long codes, or one
     /// that appears twice.
     pub fn from_codes(name: &str, side: usize, border: usize, codes: Vec<u64>) -> Result<Self> {
-        let bad = |what: String| Err(Error::new(ErrorKind::Input, what));
+        let bad = |what: String| Err(Error::input(what));
         if !(3..=MAX_SIDE).contains(&side) {
             return bad(format!(
                 "a marker must have from 3 to {MAX_SIDE} cells along a side, found {side}"
@@ -155,6 +156,21 @@ impl Dictionary {
     /// Its name; that of a known dictionary in its usual form.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// Checks that `count` markers from `first_id` on exist.
+    ///
+    /// # Errors
+    /// `Input`; the caller adds what helps.
+    pub(crate) fn check_ids(&self, first_id: u32, count: usize) -> Result<()> {
+        if first_id as usize + count <= self.len() {
+            return Ok(());
+        }
+        Err(Error::input(format!(
+            "{count} markers from id {first_id} are needed, but {} ends with id {}",
+            self.name,
+            self.len() - 1
+        )))
     }
 
     /// Number of markers; ids run from 0.

@@ -3,7 +3,7 @@
 //! Hexadecimal, one number a marker: cells row by row from the top left, the first in the highest
 //! bit, 1 is white. Smaller dictionaries of a size are the beginnings of the largest.
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 const ARUCO_4X4: &str = include_str!("codes/aruco_4x4.txt");
 const ARUCO_5X5: &str = include_str!("codes/aruco_5x5.txt");
@@ -39,8 +39,7 @@ fn parse(text: &str, count: usize) -> Result<Vec<u64>> {
         .take(count)
         .map(|word| u64::from_str_radix(word, 16))
         .collect();
-    let damaged =
-        |e| Error::new(ErrorKind::Internal, "a built-in dictionary is damaged").because(e);
+    let damaged = |e| Error::internal("a built-in dictionary is damaged").because(e);
     read.map_err(damaged)
 }
 

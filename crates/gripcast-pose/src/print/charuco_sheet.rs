@@ -8,7 +8,7 @@ use super::layout::NOTES_MM;
 use super::paper::Paper;
 use super::{RULER_MM, check_measured};
 use crate::{Board, BoardFile, Chessboard, Dictionary};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// White around the squares, mm: beyond the outermost black ones a detector needs some.
 const BORDER_MM: f64 = 4.0;
@@ -187,13 +187,10 @@ fn does_not_fit(settings: &CharucoSettings) -> Error {
     } else {
         remedies.join("; ")
     };
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "the squares cover {} × {} mm, which does not fit on {} beside the rulers",
-            extent.x, extent.y, settings.paper
-        ),
-    )
+    Error::input(format!(
+        "the squares cover {} × {} mm, which does not fit on {} beside the rulers",
+        extent.x, extent.y, settings.paper
+    ))
     .remedy(remedy)
 }
 
@@ -288,15 +285,17 @@ mod tests {
                 (found.markers, found.points.len()),
                 (ids.len(), finder.total())
             );
+            let middle = layout(&settings(squares, square_mm, Paper::A4))
+                .unwrap()
+                .middle;
             let on_picture = |point: &BoardPoint| {
                 let mm = 1e3 * point.place_m.truncate();
-                DVec2::new(mm.x, -mm.y) * dpi / 25.4
+                (middle + DVec2::new(mm.x, -mm.y)) * dpi / 25.4 - 0.5
             };
-            let off = |point: &BoardPoint| point.pixel - on_picture(point);
-            let mean = found.points.iter().map(off).sum::<DVec2>() / found.points.len() as f64;
-            for point in &found.points {
-                assert!(off(point).distance(mean) < 0.1, "{point:?} {mean}");
-            }
+            let off = |point: &BoardPoint| point.pixel.distance(on_picture(point));
+            let worst = found.points.iter().map(off).fold(0.0, f64::max);
+            // Measured 0.053 to 0.065 px: corners of 45 px squares in 256 levels.
+            assert!(worst < 0.075, "{worst}");
         }
     }
 

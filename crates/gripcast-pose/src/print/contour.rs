@@ -1,6 +1,7 @@
 //! The outline of a mesh at a height: its section with a horizontal plane.
 
 use std::collections::HashMap;
+use std::hash::Hash;
 
 use glam::DVec2;
 
@@ -56,10 +57,10 @@ pub(super) fn section(mesh: &TriangleMesh, height: f64) -> Vec<Outline> {
         .collect()
 }
 
-/// Joins steps end to end. Every chain is as long as it can be.
-fn chain(steps: &[(Edge, Edge)]) -> Vec<(Vec<Edge>, bool)> {
-    let mut from: HashMap<Edge, Vec<usize>> = HashMap::new();
-    let mut into: HashMap<Edge, usize> = HashMap::new();
+/// Joins steps end to end; whether each chain is closed. Every chain is as long as it can be.
+pub(super) fn chain<T: Copy + Eq + Hash>(steps: &[(T, T)]) -> Vec<(Vec<T>, bool)> {
+    let mut from: HashMap<T, Vec<usize>> = HashMap::new();
+    let mut into: HashMap<T, usize> = HashMap::new();
     for (k, (start, end)) in steps.iter().enumerate().rev() {
         from.entry(*start).or_default().push(k);
         *into.entry(*end).or_default() += 1;

@@ -4,6 +4,7 @@ use glam::DVec2;
 
 use super::RULER_MM;
 use super::drawing::{Drawing, TextAnchor};
+use super::layout::NOTES_MM;
 
 /// Free border that printers leave, mm.
 pub(super) const MARGIN_MM: f64 = 8.0;
@@ -42,6 +43,17 @@ pub(super) fn ruler(drawing: &mut Drawing, start: DVec2, is_vertical: bool) {
     };
     drawing.text(end + first, LABEL_MM, TextAnchor::Start, axis);
     drawing.text(end + second, LABEL_MM, TextAnchor::Start, &label);
+}
+
+/// The rulers in the lower left corner, along x and, above it, along y, and beside them lines of
+/// notes from `corner` downwards.
+pub(super) fn footer(drawing: &mut Drawing, corner: DVec2, lines: &[String]) {
+    let [width, height] = drawing.size_mm;
+    let floor = height - MARGIN_MM;
+    ruler(drawing, DVec2::new(MARGIN_MM, floor), false);
+    ruler(drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
+    let start = DVec2::new(MARGIN_MM + RULER_MM, floor - NOTES_MM) + corner;
+    notes(drawing, start, width - MARGIN_MM - start.x, lines);
 }
 
 /// Lines of notes from `corner` downwards, wrapped to `width` mm; where the last one ends.

@@ -15,7 +15,7 @@ use glam::DVec3;
 
 use crate::board_check::check_side;
 use crate::{Board, BoardFile, BoardMarker, Dictionary, Part};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Yaw and pitch of the roof's faces, rad.
 pub(super) const ROOF_RAD: f64 = 35.0 * std::f64::consts::PI / 180.0;
@@ -62,19 +62,9 @@ impl GripperTags {
     /// Checks ids and sizes.
     pub(super) fn check(&self) -> Result<()> {
         super::check_measured(self.measured_mm)?;
-        let count = u64::from(Self::COUNT);
-        if u64::from(self.first_id) + count > self.dictionary.len() as u64 {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the gripper needs {count} markers from id {}, but {} ends with id {}",
-                    self.first_id,
-                    self.dictionary.name(),
-                    self.dictionary.len() - 1
-                ),
-            )
-            .remedy("choose a smaller first id"));
-        }
+        self.dictionary
+            .check_ids(self.first_id, Self::COUNT as usize)
+            .map_err(|e| e.remedy("choose a smaller first id"))?;
         for (side, most, what) in [
             (self.body_m, LARGEST_M[0], "body"),
             (self.finger_m, LARGEST_M[1], "finger"),
@@ -86,7 +76,7 @@ impl GripperTags {
                     1e3 * side,
                     1e3 * most
                 );
-                return Err(Error::new(ErrorKind::Input, what));
+                return Err(Error::input(what));
             }
         }
         Ok(())

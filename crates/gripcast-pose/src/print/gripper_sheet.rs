@@ -3,9 +3,8 @@
 use glam::DVec2;
 
 use super::drawing::{Drawing, TextAnchor};
-use super::furniture::{LABEL_MM, MARGIN_MM, notes, ruler};
+use super::furniture::{LABEL_MM, MARGIN_MM, footer};
 use super::gripper_board::{GripperTags, fold_rad, gripper_board};
-use super::layout::NOTES_MM;
 use super::paper::Paper;
 use gripcast_base::error::Result;
 
@@ -31,7 +30,6 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         drawing: Drawing::new(paper.portrait_mm(), &title),
         tags,
     };
-    let [width, height] = paper.portrait_mm();
     let body = tags.card_mm(tags.body_m);
     let finger = tags.card_mm(tags.finger_m);
     let left = MARGIN_MM + 14.0;
@@ -63,10 +61,7 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         5,
         false,
     );
-    let floor = height - MARGIN_MM;
     let mut drawing = pen.drawing;
-    ruler(&mut drawing, DVec2::new(MARGIN_MM, floor), false);
-    ruler(&mut drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
     let lines = [
         format!(
             "gripper tags {}, hash {}, {}, {}",
@@ -78,8 +73,7 @@ pub fn gripper_sheet(tags: &GripperTags, paper: Paper) -> Result<Drawing> {
         "cut solid lines, fold dashed lines".to_owned(),
         "print at 100 %: both rulers must measure 100 mm, else give --measured-mm X,Y".to_owned(),
     ];
-    let start = DVec2::new(MARGIN_MM + 116.0, floor - NOTES_MM - 2.0);
-    notes(&mut drawing, start, width - MARGIN_MM - start.x, &lines);
+    footer(&mut drawing, DVec2::new(16.0, -2.0), &lines);
     Ok(drawing)
 }
 
@@ -228,10 +222,26 @@ mod tests {
 
     #[test]
     fn the_prism_closes_at_the_angle_of_the_faces() {
-        // Two sides and the back of the triangle whose apex is 180° less the fold.
-        let card = 39.0;
-        let back = 2.0 * card * (0.5 * (std::f64::consts::PI - fold_rad())).sin();
+        let tags = tags("DICT_6X6_250");
+        let sheet = gripper_sheet(&tags, Paper::A4).unwrap();
+        // The roof comes first: its outline, then its three folds.
+        let lines = sheet.shapes.iter().filter_map(|shape| match shape {
+            Shape::Line {
+                points, dash_mm, ..
+            } => Some((points[0].x, dash_mm.is_some())),
+            _ => None,
+        });
+        let lines: Vec<(f64, bool)> = lines.collect();
+        let left = lines[0].0;
+        let folds: Vec<f64> = lines.iter().filter(|l| l.1).map(|l| l.0 - left).collect();
+        let (card, back) = (folds[0], folds[2] - folds[1]);
+        assert!((folds[1] - 2.0 * card).abs() < 1e-9);
+        // The triangle of two faces and the back has its apex where the faces of the board meet.
         let apex = (1.0 - back * back / (2.0 * card * card)).acos();
-        assert!((apex + fold_rad() - std::f64::consts::PI).abs() < 1e-12);
+        let board = gripper_board(&tags).unwrap().board;
+        let front = |k: usize| board.markers[k].front();
+        let between = front(0).angle_between(front(1));
+        assert!((apex + between - std::f64::consts::PI).abs() < 1e-9);
+        assert!((card - tags.card_mm(tags.body_m)).abs() < 1e-9);
     }
 }

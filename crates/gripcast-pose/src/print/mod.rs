@@ -8,6 +8,7 @@
 mod charuco_sheet;
 mod contour;
 mod drawing;
+mod flat;
 mod furniture;
 mod gripper_board;
 mod gripper_sheet;
@@ -31,7 +32,7 @@ pub use object_sheet::{
 };
 pub use paper::Paper;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Length of the rulers, mm.
 pub const RULER_MM: f64 = 100.0;
@@ -47,12 +48,9 @@ pub fn check_measured(measured_mm: [f64; 2]) -> Result<()> {
     {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the printed rulers must measure about 100 mm, found {} and {} mm",
-            measured_mm[0], measured_mm[1]
-        ),
-    )
+    Err(Error::input(format!(
+        "the printed rulers must measure about 100 mm, found {} and {} mm",
+        measured_mm[0], measured_mm[1]
+    ))
     .remedy("print at 100 % (no fitting to the page) and give their lengths in millimetres"))
 }

@@ -4,13 +4,13 @@ use glam::{DVec2, DVec3};
 
 use super::contour::{Outline, section, simplified};
 use super::drawing::{BLACK, Colour, Drawing, Shape, TextAnchor};
-use super::furniture::{LABEL_MM, MARGIN_MM, notes, ruler};
-use super::layout::{Layout, MarkerSize, NOTES_MM, keeps_quiet, layout};
+use super::furniture::{LABEL_MM, footer};
+use super::layout::{Layout, MarkerSize, keeps_quiet, layout};
 use super::paper::Paper;
 use super::silhouette::Silhouette;
 use super::{RULER_MM, check_measured};
 use crate::{Board, BoardFile, BoardMarker, Dictionary, Part, PrintedSheet};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// Height above the table of the section that is drawn as the bottom, m: above the roundings of
@@ -122,7 +122,10 @@ pub fn object_sheet(object: &ObjectOnSheet<'_>, settings: &SheetSettings) -> Res
     crate::board_check::check_side(settings.marker_m)?;
     let layout = layout(settings.paper, marker, &silhouette)
         .ok_or_else(|| does_not_fit(settings.paper, marker, &silhouette))?;
-    check_ids(settings, layout.corners.len())?;
+    let ids = settings
+        .dictionary
+        .check_ids(settings.first_id, layout.corners.len());
+    ids.map_err(|e| e.remedy("choose a smaller first id, larger markers or a larger dictionary"))?;
     let bottom: Vec<Outline> = section(&standing, SECTION_M)
         .iter()
         .map(millimetres)
@@ -165,24 +168,7 @@ fn check_standing(standing: &TriangleMesh) -> Result<()> {
         "the object must stand on the sheet, its lowest point is at {:.3} mm",
         1e3 * lowest
     );
-    Err(Error::new(ErrorKind::Input, what).remedy("give one of its stable poses"))
-}
-
-fn check_ids(settings: &SheetSettings, count: usize) -> Result<()> {
-    let dictionary = &settings.dictionary;
-    if settings.first_id as usize + count <= dictionary.len() {
-        return Ok(());
-    }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the sheet needs {count} markers from id {}, but {} ends with id {}",
-            settings.first_id,
-            dictionary.name(),
-            dictionary.len() - 1
-        ),
-    )
-    .remedy("choose a smaller first id, larger markers or a larger dictionary"))
+    Err(Error::input(what).remedy("give one of its stable poses"))
 }
 
 fn millimetres(outline: &Outline) -> Outline {
@@ -212,14 +198,11 @@ fn does_not_fit(paper: Paper, marker: MarkerSize, silhouette: &Silhouette) -> Er
         },
         |paper| format!("{paper} is large enough; smaller markers or a turn may help as well"),
     );
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "the object covers {:.0} × {:.0} mm: on {paper} no ring of markers of {} mm fits around \
+    Error::input(format!(
+        "the object covers {:.0} × {:.0} mm: on {paper} no ring of markers of {} mm fits around \
              it",
-            size.x, size.y, marker.side
-        ),
-    )
+        size.x, size.y, marker.side
+    ))
     .remedy(remedy)
 }
 
@@ -357,10 +340,6 @@ impl Placed {
         settings: &SheetSettings,
         object: &ObjectOnSheet<'_>,
     ) {
-        let [width, height] = drawing.size_mm;
-        let floor = height - MARGIN_MM;
-        ruler(drawing, DVec2::new(MARGIN_MM, floor), false);
-        ruler(drawing, DVec2::new(MARGIN_MM, floor - NOTES_MM), true);
         let ids = board.ids();
         let lines = [
             format!(
@@ -380,8 +359,7 @@ impl Placed {
             "print at 100 %: both rulers must measure 100 mm, else give --measured-mm X,Y"
                 .to_owned(),
         ];
-        let start = DVec2::new(MARGIN_MM + RULER_MM + 16.0, floor - NOTES_MM + 1.0);
-        notes(drawing, start, width - MARGIN_MM - start.x, &lines);
+        footer(drawing, DVec2::new(16.0, 1.0), &lines);
     }
 }
 

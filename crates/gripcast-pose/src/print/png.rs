@@ -9,7 +9,7 @@ use image::GrayImage;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
 use super::drawing::{Drawing, Shape, TextAnchor};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Resolutions that are drawn, dots per inch.
 const DPI: std::ops::RangeInclusive<f64> = 72.0..=1200.0;
@@ -28,9 +28,8 @@ const RASTER_EM: f64 = 27.0;
 /// `Input` for a resolution that is not from 72 to 1200 dots per inch.
 pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
     let picture = raster(drawing, dpi)?;
-    let failed = |e: png::EncodingError| {
-        Error::new(ErrorKind::Internal, "cannot write the sheet as PNG").because(e)
-    };
+    let failed =
+        |e: png::EncodingError| Error::internal("cannot write the sheet as PNG").because(e);
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, picture.width(), picture.height());
     encoder.set_color(png::ColorType::Grayscale);
@@ -53,14 +52,11 @@ pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
 /// As [`png()`].
 pub fn raster(drawing: &Drawing, dpi: f64) -> Result<GrayImage> {
     if !DPI.contains(&dpi) {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the resolution must be from {} to {} dots per inch, found {dpi}",
-                DPI.start(),
-                DPI.end()
-            ),
-        ));
+        return Err(Error::input(format!(
+            "the resolution must be from {} to {} dots per inch, found {dpi}",
+            DPI.start(),
+            DPI.end()
+        )));
     }
     let scale = dpi / 25.4;
     let [width, height] = drawing.size_mm.map(|mm| (mm * scale).round() as u32);

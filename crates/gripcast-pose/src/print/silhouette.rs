@@ -1,10 +1,8 @@
 //! What an object covers of the sheet, seen from above.
 
-use std::collections::HashMap;
-
 use glam::DVec2;
 
-use super::contour::{Outline, simplified};
+use super::contour::{Outline, chain, simplified};
 use gripcast_geometry::TriangleMesh;
 
 /// Width of a sample, mm, for objects that are not very large.
@@ -141,26 +139,8 @@ impl Silhouette {
                 }
             }
         }
-        let mut from: HashMap<[i64; 2], Vec<usize>> = HashMap::new();
-        for (k, (start, _)) in sides.iter().enumerate().rev() {
-            from.entry(*start).or_default().push(k);
-        }
-        let mut walks = Vec::new();
-        let mut used = vec![false; sides.len()];
-        for first in 0..sides.len() {
-            let mut walk = Vec::new();
-            let mut at = Some(first).filter(|k| !used[*k]);
-            while let Some(k) = at {
-                used[k] = true;
-                walk.push(sides[k].0);
-                let next = from.get(&sides[k].1);
-                at = next.and_then(|ks| ks.iter().copied().find(|k| !used[*k]));
-            }
-            if walk.len() >= 4 {
-                walks.push(walk);
-            }
-        }
-        walks
+        let walks = chain(&sides).into_iter().map(|(corners, _)| corners);
+        walks.filter(|corners| corners.len() >= 4).collect()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2, DVec3};
 
-use super::normal_equations::NormalEquations;
+use gripcast_base::linear::NormalEquations;
 
 /// H that maps plane coordinates (m) to ideal image coordinates, with h33 = 1: the origin of the
 /// plane has to be in front of the camera, as the middle of what is seen is.

@@ -7,6 +7,7 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::homography::plane_to_image;
+use gripcast_base::linear::NormalEquations;
 use gripcast_geometry::Pose;
 
 /// How far from their plane points may be, relative to their extent.
@@ -92,7 +93,7 @@ fn rotations(h: &DMat3) -> Option<[DMat3; 2]> {
 
 /// The translation that fits best in the sense of the collinearity equations.
 fn translation(rotation: &DMat3, plane: &[DVec2], ideal: &[DVec2]) -> Option<DVec3> {
-    let mut equations = super::normal_equations::NormalEquations::<3>::zero();
+    let mut equations = NormalEquations::<3>::zero();
     for (p, q) in plane.iter().zip(ideal) {
         let turned = *rotation * p.extend(0.0);
         equations.add(&[1.0, 0.0, -q.x], q.x * turned.z - turned.x, 1.0);

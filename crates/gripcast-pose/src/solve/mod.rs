@@ -4,7 +4,6 @@
 pub(super) mod homography;
 mod hypotheses;
 mod ippe;
-pub(super) mod normal_equations;
 mod part_pose;
 mod reprojection;
 mod sighting;
@@ -15,7 +14,8 @@ pub use part_pose::{GripperPose, MarkerResidual, Opening, PartPose, RelativePose
 
 use super::board::{Board, Part};
 use super::detection::Detection;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
+use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
 use hypotheses::{angle_between, hypotheses, together};
 use reprojection::{Fit, Observation, State, minimise};
@@ -100,8 +100,7 @@ pub fn solve_gripper(
         return Ok(GripperPose { body, opening });
     }
     if one_slide {
-        return Err(Error::new(
-            ErrorKind::Input,
+        return Err(Error::input(
             "only markers of one finger were seen, so that pose and opening cannot be told apart",
         )
         .remedy(
@@ -316,15 +315,8 @@ fn corners(used: &[&Sighting]) -> Vec<Observation> {
 }
 
 fn median_error(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f64 {
-    let mut errors: Vec<f64> = used
-        .iter()
-        .flat_map(|s| s.errors_px(intrinsics, state))
-        .collect();
-    errors.sort_by(f64::total_cmp);
-    errors
-        .get(errors.len() / 2)
-        .copied()
-        .unwrap_or(f64::INFINITY)
+    let errors = used.iter().flat_map(|s| s.errors_px(intrinsics, state));
+    median(errors).unwrap_or(f64::INFINITY)
 }
 
 fn rms(intrinsics: &Intrinsics, used: &[&Sighting], state: &State) -> f64 {
@@ -399,34 +391,25 @@ fn unseen(board: &Board, part: Part) -> Error {
         Part::FingerLeft => "the left finger",
         Part::FingerRight => "the right finger",
     };
-    Error::new(
-        ErrorKind::Input,
-        format!("no marker of {what} ({}) was seen", board.name),
-    )
-    .remedy("let the camera see it sharply, large enough (20 px a marker) and evenly lit")
+    Error::input(format!("no marker of {what} ({}) was seen", board.name))
+        .remedy("let the camera see it sharply, large enough (20 px a marker) and evenly lit")
 }
 
 fn undetermined(board: &Board, seen: &[Sighting]) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "the markers {} of {} do not determine a pose",
-            ids(seen.iter()),
-            board.name
-        ),
-    )
+    Error::input(format!(
+        "the markers {} of {} do not determine a pose",
+        ids(seen.iter()),
+        board.name
+    ))
     .remedy("check the corners in the board's description: four of a square, clockwise")
 }
 
 fn contradiction(board: &Board, used: &[&Sighting], rms_px: f64) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "the markers {} are not where {} has them: {rms_px:.1} px off at best",
-            ids(used.iter().copied()),
-            board.name
-        ),
-    )
+    Error::input(format!(
+        "the markers {} are not where {} has them: {rms_px:.1} px off at best",
+        ids(used.iter().copied()),
+        board.name
+    ))
     .remedy(
         "check that this is the printed board, that its marker size and scale were measured, and \
          that the intrinsics belong to this camera and resolution",

@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
-use super::normal_equations::inverse;
 use crate::Part;
+use gripcast_base::linear::Cholesky;
 use gripcast_geometry::Pose;
 
 /// How well one detected marker fits.
@@ -86,7 +86,7 @@ impl RelativePose {
     /// covariance is singular.
     #[must_use]
     pub fn normalised_square(&self, error: &[f64; 6]) -> Option<f64> {
-        let inverse = inverse(&self.covariance)?;
+        let inverse = Cholesky::beyond_rounding(&self.covariance)?.inverse();
         let products = (0..6).flat_map(|i| (0..6).map(move |k| (i, k)));
         Some(
             products

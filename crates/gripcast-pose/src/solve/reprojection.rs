@@ -1,17 +1,20 @@
 //! Least reprojection error by Levenberg–Marquardt, with a robust loss.
 
-use glam::{DQuat, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 
-use super::normal_equations::{NormalEquations, inverse};
 use crate::camera::{project, project_with_jacobian};
+use crate::least_squares::{Search, Trial, huber, moved};
+use gripcast_base::linear::{Cholesky, NormalEquations};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-const MOST_ITERATIONS: usize = 60;
+const SEARCH: Search = Search {
+    most_iterations: 60,
+    least_decrease: 1e-12,
+    largest_damping: None,
+};
 /// Steps below this (m, rad) change nothing.
 const CONVERGED: f64 = 1e-10;
-/// Relative decrease of the cost that ends the search.
-const LEAST_DECREASE: f64 = 1e-12;
 
 /// One corner: where it is on its part and where it was seen.
 #[derive(Clone, Copy, Debug)]
@@ -53,8 +56,7 @@ pub(super) fn residual(
     Some(observation.pixel - project(intrinsics, point)?)
 }
 
-/// Searches the nearest minimum of the Huber loss (P. J. Huber, *Robust estimation of a location
-/// parameter*, 1964): squared up to `loss_px` from a corner, linear beyond.
+/// Searches the nearest minimum of the Huber loss, squared up to `loss_px` from a corner.
 ///
 /// Unknowns are [δt, δθ] (m, rad; `N` = 6) of t = t̂ + δt, R = exp(δθ) R̂, both along the
 /// camera's axes, the opening as well (`N` = 7), or δt alone (`N` = 3). None where the corners do not determine them.
@@ -64,44 +66,26 @@ pub(super) fn minimise<const N: usize>(
     start: State,
     loss_px: f64,
 ) -> Option<Fit<N>> {
-    let mut state = start;
-    let (mut equations, mut cost) = linearise::<N>(intrinsics, observations, &state, loss_px)?;
-    let mut damping = 1e-4;
-    for _ in 0..MOST_ITERATIONS {
-        let mut damped = equations.clone();
-        for i in 0..N {
-            damped.matrix[i][i] *= 1.0 + damping;
-        }
-        let step = damped.solve()?;
-        let trial = stepped(&state, &step);
-        match linearise(intrinsics, observations, &trial, loss_px) {
-            Some((next, next_cost)) if next_cost <= cost => {
-                let decrease = cost - next_cost;
-                (state, equations) = (trial, next);
-                let done = decrease <= LEAST_DECREASE * cost || is_small(&step);
-                cost = next_cost;
-                damping = (damping * 0.1).max(1e-12);
-                if done {
-                    break;
-                }
+    let found = SEARCH.minimise(
+        start,
+        |state| linearise::<N>(intrinsics, observations, state, loss_px),
+        |state, equations, damping| {
+            let mut damped = equations.clone();
+            for i in 0..N {
+                damped.matrix[i][i] *= 1.0 + damping;
             }
-            _ => {
-                if is_small(&step) {
-                    break;
-                }
-                damping *= 10.0;
-            }
-        }
-    }
+            let step = damped.solve()?;
+            Some(Trial {
+                state: stepped(state, &step),
+                is_small: step.iter().all(|s| s.abs() < CONVERGED),
+            })
+        },
+    )?;
     Some(Fit {
-        state,
-        cost,
-        inverse_information: inverse(&equations.matrix)?,
+        state: found.state,
+        cost: found.cost,
+        inverse_information: Cholesky::beyond_rounding(&found.equations.matrix)?.inverse(),
     })
-}
-
-fn is_small<const N: usize>(step: &[f64; N]) -> bool {
-    step.iter().all(|s| s.abs() < CONVERGED)
 }
 
 /// The corner in the solved frame at the state's opening, m.
@@ -110,12 +94,8 @@ fn opened(state: &State, observation: &Observation) -> DVec3 {
 }
 
 fn stepped<const N: usize>(state: &State, step: &[f64; N]) -> State {
-    let shift = DVec3::new(step[0], step[1], step[2]);
-    let turn = step.get(3..6).map_or(DQuat::IDENTITY, |turn| {
-        DQuat::from_scaled_axis(DVec3::from_slice(turn))
-    });
     State {
-        pose: Pose::new(turn * state.pose.rotation, state.pose.translation_m + shift),
+        pose: moved(&state.pose, step),
         opening_m: state.opening_m + step.get(6).copied().unwrap_or(0.0),
     }
 }
@@ -135,17 +115,8 @@ fn linearise<const N: usize>(
         let point = arm + state.pose.translation_m;
         let (pixel, gradients) = project_with_jacobian(intrinsics, point)?;
         let residual = observation.pixel - pixel;
-        let length = residual.length();
-        let weight = if length > loss_px {
-            loss_px / length
-        } else {
-            1.0
-        };
-        cost += if length > loss_px {
-            loss_px * (2.0 * length - loss_px)
-        } else {
-            length * length
-        };
+        let (weight, own_cost) = huber(residual.length(), loss_px);
+        cost += own_cost;
         for (gradient, value) in gradients.into_iter().zip(residual.to_array()) {
             // d (δθ × arm) = δθ · (arm × gradient).
             let turn = arm.cross(gradient);
@@ -169,6 +140,7 @@ fn linearise<const N: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::DQuat;
     use gripcast_imaging::DistortionModel;
 
     fn camera() -> Intrinsics {

@@ -68,11 +68,7 @@ pub(super) fn sightings(
         if found.iter().any(|s| s.id == marker.id) {
             notes.push(format!("marker {} was seen more than once", marker.id));
         }
-        let slide = match marker.part {
-            Part::FingerLeft => -0.5,
-            Part::FingerRight => 0.5,
-            Part::Object | Part::Body => 0.0,
-        };
+        let slide = marker.part.slide();
         let corner = |i: usize| Observation {
             point_m: marker.corners_m[i],
             slide,

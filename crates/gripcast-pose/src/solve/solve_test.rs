@@ -56,7 +56,9 @@ fn normalised_error(found: &Pose, truth: &Pose, covariance: &[[f64; 6]; 6]) -> f
     let turn = Pose::from_rotation(truth.rotation * found.rotation.conjugate());
     let turn = turn.rotation.to_scaled_axis();
     let e = [shift.to_array(), turn.to_array()].concat();
-    let inverse = normal_equations::inverse(covariance).unwrap();
+    let inverse = gripcast_base::linear::Cholesky::beyond_rounding(covariance)
+        .unwrap()
+        .inverse();
     (0..6)
         .map(|i| (0..6).map(|k| e[i] * inverse[i][k] * e[k]).sum::<f64>())
         .sum()

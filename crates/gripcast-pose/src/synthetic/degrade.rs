@@ -9,6 +9,9 @@ use rayon::prelude::*;
 use super::surface::Shade;
 use gripcast_imaging::{linear_to_srgb, srgb_to_linear};
 
+/// Direction in which the light gets brighter, from x towards y.
+const SHADING_RAD: f64 = 1.0;
+
 /// Conditions of a synthetic picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureConditions {
@@ -22,12 +25,6 @@ pub struct PictureConditions {
     pub noise: f64,
     /// Relative change of brightness from one side of the picture to the other.
     pub shading: f64,
-    /// Direction in which it gets brighter, rad from x towards y.
-    pub shading_direction: f64,
-    /// Relative loss of brightness in the picture's corners.
-    pub vignetting: f64,
-    /// Discs of the background's level in front of everything: centre and radius, px.
-    pub occluders: Vec<(DVec2, f64)>,
 }
 
 impl Default for PictureConditions {
@@ -39,9 +36,6 @@ impl Default for PictureConditions {
             motion_px: DVec2::ZERO,
             noise: 3.0,
             shading: 0.25,
-            shading_direction: 1.0,
-            vignetting: 0.0,
-            occluders: Vec::new(),
         }
     }
 }
@@ -55,16 +49,9 @@ impl PictureConditions {
             Shade::Background => self.levels[2],
         })
     }
-
-    /// Whether an occluder is in front of a pixel.
-    pub(super) fn hides(&self, pixel: DVec2) -> bool {
-        self.occluders
-            .iter()
-            .any(|(centre, radius)| pixel.distance(*centre) < *radius)
-    }
 }
 
-/// Occlusion, blur, shading and vignetting of linear light, then sRGB levels with noise, in this
+/// Motion, blur and shading of linear light, then sRGB levels with noise, in this
 /// order; rounds to grey levels.
 pub(super) fn degrade(
     mut levels: Vec<f32>,
@@ -74,21 +61,13 @@ pub(super) fn degrade(
     seed: u64,
 ) -> GrayImage {
     let (columns, rows) = (width as usize, height as usize);
-    if !conditions.occluders.is_empty() {
-        for (i, level) in levels.iter_mut().enumerate() {
-            let pixel = DVec2::new((i % columns) as f64, (i / columns) as f64);
-            if conditions.hides(pixel) {
-                *level = conditions.light(Shade::Background);
-            }
-        }
-    }
     if conditions.motion_px != DVec2::ZERO {
         levels = moved(&levels, columns, rows, conditions.motion_px);
     }
     let kernel = gaussian(conditions.psf_px);
     levels = blurred(&levels, columns, rows, &kernel);
     let size = DVec2::new(f64::from(width), f64::from(height));
-    let direction = DVec2::from_angle(conditions.shading_direction);
+    let direction = DVec2::from_angle(SHADING_RAD);
     let pixels = levels
         .par_chunks(columns)
         .enumerate()
@@ -96,8 +75,7 @@ pub(super) fn degrade(
             let mut random = Pcg64::seed_from_u64(seed ^ ((y as u64) << 40));
             row.iter().enumerate().map(move |(x, level)| {
                 let place = DVec2::new(x as f64, y as f64) / size - 0.5;
-                let light = 1.0 + conditions.shading * place.dot(direction)
-                    - conditions.vignetting * 2.0 * place.length_squared();
+                let light = 1.0 + conditions.shading * place.dot(direction);
                 let noise = conditions.noise * normal(&mut random);
                 let seen = linear_to_srgb(*level * light as f32);
                 (f64::from(seen) + noise).round().clamp(0.0, 255.0) as u8

@@ -92,7 +92,7 @@ fn picture_of(
         .par_chunks_mut((TILE * width) as usize)
         .enumerate()
         .for_each(|(i, rows)| render_rows(rows, i as u32 * TILE, &rays, surfaces, conditions));
-    let (truth, covered) = visible(intrinsics, surfaces, conditions);
+    let (truth, covered) = visible(intrinsics, surfaces);
     SyntheticPicture {
         picture: degrade(levels, width, height, conditions, seed),
         truth,
@@ -207,19 +207,15 @@ fn level(
 }
 
 /// Markers that nothing hides, with most of a cell around them, and the others.
-fn visible(
-    intrinsics: &Intrinsics,
-    surfaces: &[Surface],
-    conditions: &PictureConditions,
-) -> (Vec<Detection>, Vec<Detection>) {
+fn visible(intrinsics: &Intrinsics, surfaces: &[Surface]) -> (Vec<Detection>, Vec<Detection>) {
     let (mut truth, mut covered) = (Vec::new(), Vec::new());
     for surface in surfaces {
         for decal in surface.decals.iter().filter(|d| d.is_marker()) {
             let Some(corners_px) = corners(intrinsics, decal) else {
                 continue;
             };
-            let everywhere = grid(decal)
-                .all(|at| is_seen(intrinsics, surfaces, surface, conditions, at).unwrap_or(false));
+            let everywhere =
+                grid(decal).all(|at| is_seen(intrinsics, surfaces, surface, at).unwrap_or(false));
             let list = if everywhere { &mut truth } else { &mut covered };
             list.push(Detection {
                 id: decal.id,
@@ -251,7 +247,6 @@ fn is_seen(
     intrinsics: &Intrinsics,
     surfaces: &[Surface],
     own: &Surface,
-    conditions: &PictureConditions,
     at: glam::DVec3,
 ) -> Option<bool> {
     let pixel = project(intrinsics, at)?;
@@ -262,5 +257,5 @@ fn is_seen(
     let hidden = surfaces
         .iter()
         .any(|s| !std::ptr::eq(s, own) && s.hit(ideal).is_some_and(|(d, _)| d < depth));
-    Some(inside && !hidden && !conditions.hides(pixel))
+    Some(inside && !hidden)
 }

@@ -68,7 +68,7 @@ impl Stand {
         let tags = BoardFile::gripper_umi()?;
         Ok(Self {
             model: Model::plain(&object.mesh, drawn_finish(looks), looks)?,
-            prints: GraspPrints::new(&sheet, &tags)?,
+            prints: GraspPrints::new(&sheet.flat_print()?, &tags.flat_prints())?,
             sheet,
             tags,
             t_world_object: object.t_world_object,

@@ -5,8 +5,8 @@
 
 use glam::{DMat3, DVec3};
 
-use super::dense::{Matrix12, Vector12};
 use super::state::AffineState;
+use super::{Matrix12, Vector12};
 use crate::fem::{Projection, svd, symmetric_eigen};
 use gripcast_base::error::{Error, ErrorKind, Result};
 

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::dense::{Matrix12, Vector12};
+use super::{Matrix12, Vector12};
 use crate::fem::svd;
 
 /// Where an affine body is: material point X, relative to the centre of mass, lies at p + A X.

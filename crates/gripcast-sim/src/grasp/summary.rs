@@ -5,6 +5,7 @@ use serde::Serialize;
 use super::protocol::Protocol;
 use super::run::{GraspOutcome, GraspResult};
 use super::trace::{StageName, Trace, TraceStep};
+use gripcast_base::statistics::median;
 
 /// Adjustment steps at the end that the force is judged by.
 pub const STEADY_STEPS: usize = 20;
@@ -205,13 +206,11 @@ fn stiffness(trace: &Trace) -> f64 {
     let steps: Vec<&TraceStep> = trace.stage(StageName::Adjustment).collect();
     let moved = |w: &[&TraceStep]| 0.5 * (w[0].opening_m - w[1].opening_m);
     let longest = steps.windows(2).map(|w| moved(w).abs()).fold(0.0, f64::max);
-    let mut slopes: Vec<f64> = steps
+    let slopes = steps
         .windows(2)
         .filter(|w| moved(w).abs() > 0.01 * longest)
-        .map(|w| ((w[1].mean_force_n() - w[0].mean_force_n()) / moved(w)).abs())
-        .collect();
-    slopes.sort_unstable_by(f64::total_cmp);
-    slopes.get(slopes.len() / 2).copied().unwrap_or(0.0)
+        .map(|w| ((w[1].mean_force_n() - w[0].mean_force_n()) / moved(w)).abs());
+    median(slopes).unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -121,5 +121,12 @@ mod tests {
         };
         let press = contact.press(1e-3);
         assert!(press.depth_m.iter().all(|d| d.is_finite() && *d <= 4e-3));
+        // Counted as a contact of 0.95 of the ball's radius.
+        let contact = 0.95 * 2e-3;
+        let deep = 2e-3 - (4e-6f64 - contact * contact).sqrt();
+        let sink = sink_of_ball_m(contact, 2e-3, 1e-3);
+        assert!((f64::from(press.depth_m[0]) - deep - sink).abs() < 1e-9);
+        // The ball itself reaches over 33 pixels.
+        assert!(press.depth_m[33] > 0.0 && press.depth_m[34] == 0.0);
     }
 }

@@ -4,8 +4,6 @@
 //! trial of the three, quadratic shading is fitted to the change around the contact; the trial
 //! that leaves least is taken (downhill simplex). The colours need not be known.
 
-use faer::linalg::solvers::Solve as _;
-use faer::{Mat, Side};
 use image::RgbImage;
 
 use super::press_set::PressSet;
@@ -14,6 +12,8 @@ use super::simplex::minimise;
 use crate::bessel::k1;
 use crate::gaussian::{Gaussian, Region};
 use crate::shading::{NormalOrder, normal_terms};
+use gripcast_base::linear::Cholesky;
+use gripcast_base::statistics::median;
 
 /// Assumed length over which the gel comes up around a contact, m.
 const SINK_LENGTH_M: f64 = 1e-3;
@@ -72,9 +72,8 @@ fn change_of(set: &PressSet, picture: &RgbImage) -> ChangePlanes {
 
 /// Robust standard deviation: 1.4826 × median of |value|.
 fn spread_of(plane: &[f32]) -> f32 {
-    let mut sizes: Vec<f32> = plane.iter().step_by(7).map(|v| v.abs()).collect();
-    let middle = sizes.len() / 2;
-    1.4826 * *sizes.select_nth_unstable_by(middle, f32::total_cmp).1
+    let sizes = plane.iter().step_by(7).map(|v| f64::from(v.abs()));
+    1.4826 * median(sizes).unwrap_or(0.0) as f32
 }
 
 /// Squared change of all channels, slightly smoothed against noise.
@@ -189,18 +188,17 @@ impl Window {
             }
         }
         let ridge = 1e-6 * self.places.len() as f64;
-        let matrix = Mat::from_fn(TERMS, TERMS, |i, j| {
-            gram[i.max(j)][i.min(j)] + if i == j { ridge } else { 0.0 }
-        });
-        let Ok(factor) = matrix.llt(Side::Lower) else {
+        for (i, row) in gram.iter_mut().enumerate() {
+            row[i] += ridge;
+        }
+        let Some(factor) = Cholesky::new(&gram) else {
             return f64::INFINITY;
         };
-        let right = Mat::from_fn(TERMS, 3, |i, c| cross[i][c]);
-        let solution = factor.solve(&right);
         let mut explained = 0.0;
-        for i in 0..TERMS {
-            for c in 0..3 {
-                explained += solution[(i, c)] * (right[(i, c)] + ridge * solution[(i, c)]);
+        for c in 0..3 {
+            let right = cross.map(|row| row[c]);
+            for (value, right) in factor.solve(&right).into_iter().zip(right) {
+                explained += value * (right + ridge * value);
             }
         }
         1.0 - explained / self.square.max(1e-12)

@@ -9,6 +9,7 @@ mod ball;
 mod detect;
 mod led_fit;
 mod press_file;
+mod press_read;
 mod press_set;
 mod report;
 mod run;
@@ -19,7 +20,8 @@ mod simplex;
 mod sums;
 
 pub use ball::{BallContact, ball_press};
-pub use press_set::{LabelledPress, PressSet, ReadOptions, ScaleSource, SkippedPress};
+pub use press_read::ReadOptions;
+pub use press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
 pub use report::CalibrationReport;
 pub use run::{CalibrateOptions, Calibration, ModelChoice, run};
 pub use score::{ChangePlanes, ObservedChange, PressScore, Score, change_between, observe, score};

@@ -12,7 +12,7 @@ use std::path::Path;
 use image::RgbImage;
 use serde::Deserialize;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
 use gripcast_imaging::jpeg::JpegScale;
 use gripcast_imaging::{JpegDecoder, decode_png_rgb};
@@ -84,7 +84,7 @@ impl PressList {
         let path = Root::new(folder).top().join(LIST);
         match path.read(FileKind::List) {
             Ok(bytes) => serde_json::from_slice(&bytes).map_err(|cause| {
-                Error::new(ErrorKind::Input, "the list of presses cannot be read")
+                Error::input("the list of presses cannot be read")
                     .because(cause)
                     .at(path.display())
                     .remedy(
@@ -107,13 +107,10 @@ impl PressList {
             .iter()
             .position(|name| NO_CONTACT.contains(&stem(name).as_str()))
         else {
-            return Err(Error::new(
-                ErrorKind::NotFound,
-                format!(
-                    "neither {LIST} nor a picture without contact is there; {} other pictures",
-                    names.len()
-                ),
-            )
+            return Err(Error::not_found(format!(
+                "neither {LIST} nor a picture without contact is there; {} other pictures",
+                names.len()
+            ))
             .at(folder.display())
             .remedy("name the picture of the untouched gel no_contact.png"));
         };
@@ -170,5 +167,5 @@ fn decode(bytes: &[u8]) -> Result<RgbImage> {
     let pixels = decoder.decode(bytes, JpegScale::Whole)?;
     let (width, height) = (pixels.width, pixels.height);
     RgbImage::from_raw(width, height, pixels.rgb.to_vec())
-        .ok_or_else(|| Error::new(ErrorKind::Input, "the JPEG has an impossible size"))
+        .ok_or_else(|| Error::input("the JPEG has an impossible size"))
 }

@@ -3,7 +3,8 @@
 use image::RgbImage;
 
 use super::led_fit::fit_leds;
-use super::press_set::{PressSet, ReadOptions, ScaleSource, SkippedPress};
+use super::press_read::ReadOptions;
+use super::press_set::{PressSet, ScaleSource, SkippedPress};
 use super::report::CalibrationReport;
 use super::score::{ChangePlanes, ObservedChange, Score, observe, score};
 use super::select::{ChosenModel, Terms, choose};
@@ -13,7 +14,8 @@ use crate::{
     Background, BackgroundFit, Drift, PolynomialShading, SensorProfile, ShadingModel,
     TactileRenderer,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
+use gripcast_base::statistics::median;
 use gripcast_imaging::CropProfile;
 
 /// Factors on the size of a pixel that are tried.
@@ -97,19 +99,17 @@ pub struct Calibration {
 /// presses are left to fit.
 pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
     if !(options.train_fraction > 0.0 && options.train_fraction <= 1.0) {
-        return Err(Error::new(
-            ErrorKind::Usage,
-            format!(
-                "the fraction of presses to fit must be above 0 and at most 1, found {}",
-                options.train_fraction
-            ),
-        ));
+        return Err(Error::usage(format!(
+            "the fraction of presses to fit must be above 0 and at most 1, found {}",
+            options.train_fraction
+        )));
     }
     let place = options.read.folder.display();
     let mut set = PressSet::read(&options.read)?;
     let (train, held_out) = set.split(options.train_fraction, options.most_fitted, options.seed);
     let fitted = fit(&mut set, &train, options).map_err(|e| e.at(&place))?;
-    let profile = profile(&set, &train, &fitted, options, held_out.len());
+    let counts = [train.len(), held_out.len()];
+    let profile = profile(&set, counts, &fitted, options);
     let scored = if held_out.is_empty() {
         &train
     } else {
@@ -136,7 +136,7 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
         })
         .collect();
     let picture = sheet(&set, &rows);
-    let report = report(&set, &train, &held_out, scores, &fitted, &profile, options);
+    let report = report(&set, counts, scores, &fitted, &profile, options);
     Ok(Calibration {
         profile,
         report,
@@ -223,10 +223,9 @@ fn rendered(
 
 fn profile(
     set: &PressSet,
-    train: &[usize],
+    counts: [usize; 2],
     fitted: &Fitted,
     options: &CalibrateOptions,
-    held_out: usize,
 ) -> SensorProfile {
     let pivot = pivot(set);
     let spread =
@@ -236,7 +235,7 @@ fn profile(
         name: options.name.clone(),
         serial: options.serial.clone(),
         crop_profile: options.crop_profile,
-        provenance: provenance(set, train.len(), held_out, options),
+        provenance: provenance(set, counts, options),
         noise_std: noise(set, fitted),
         geometry: set.geometry,
         smoothing: fitted.model.smoothing,
@@ -256,8 +255,7 @@ fn profile(
 
 fn provenance(
     set: &PressSet,
-    fitted: usize,
-    held_out: usize,
+    [fitted, held_out]: [usize; 2],
     options: &CalibrateOptions,
 ) -> String {
     let found = set.presses.iter().filter(|press| press.found).count();
@@ -307,14 +305,9 @@ fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
                 if let Some(region) = Region::of_nonzero(plane, width) {
                     Gaussian::new(3.0).apply(&mut slow, width, region);
                 }
-                let mut sizes: Vec<f32> = plane
-                    .iter()
-                    .zip(&slow)
-                    .map(|(value, slow)| (value - slow).abs())
-                    .collect();
-                let middle = sizes.len() / 2;
-                let median = *sizes.select_nth_unstable_by(middle, f32::total_cmp).1;
-                1.4826 * f64::from(median) / std::f64::consts::SQRT_2
+                let sizes = plane.iter().zip(&slow);
+                let sizes = sizes.map(|(value, slow)| f64::from((value - slow).abs()));
+                1.4826 * median(sizes).unwrap_or(0.0) / std::f64::consts::SQRT_2
             })
             .collect();
         each.iter().sum::<f64>() / each.len().max(1) as f64
@@ -323,8 +316,7 @@ fn noise(set: &PressSet, fitted: &Fitted) -> [f64; 3] {
 
 fn report(
     set: &PressSet,
-    train: &[usize],
-    held_out: &[usize],
+    [train, held_out]: [usize; 2],
     score: Score,
     fitted: &Fitted,
     profile: &SensorProfile,
@@ -333,13 +325,9 @@ fn report(
     let pivot = pivot(set);
     CalibrationReport {
         score,
-        scored_on: if held_out.is_empty() {
-            "fitted"
-        } else {
-            "held_out"
-        },
-        fitted: train.len(),
-        held_out: held_out.len(),
+        scored_on: if held_out == 0 { "fitted" } else { "held_out" },
+        fitted: train,
+        held_out,
         skipped: set.skipped.clone(),
         contacts_found: set.presses.iter().filter(|press| press.found).count(),
         seed: options.seed,

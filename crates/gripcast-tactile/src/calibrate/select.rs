@@ -1,7 +1,5 @@
 //! Chooses shape of the gel, terms and ridge by cross-validation inside the presses to fit.
 
-use faer::linalg::solvers::Solve as _;
-use faer::{Mat, Side};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -10,7 +8,8 @@ use super::score::{ObservedChange, observe};
 use super::sums::{PressSums, SquareSums, term_places};
 use crate::shading::normalised_place;
 use crate::{NormalOrder, PolynomialShading, PositionOrder, Smoothing};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
+use gripcast_base::linear::Symmetric;
 
 /// Lengths over which the gel comes up around a contact that are tried, m.
 const SINK_LENGTHS_M: [f64; 5] = [5e-4, 7e-4, 1e-3, 1.4e-3, 2e-3];
@@ -62,13 +61,10 @@ pub(super) fn choose(
     terms: Terms,
 ) -> Result<(ChosenModel, PolynomialShading)> {
     if train.len() < 2 {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "at least 2 presses are needed to fit, found {}",
-                train.len()
-            ),
-        )
+        return Err(Error::input(format!(
+            "at least 2 presses are needed to fit, found {}",
+            train.len()
+        ))
         .remedy("take more presses, 5 or more all over the pad, or fit a larger fraction"));
     }
     let observed: Vec<ObservedChange> = train
@@ -101,15 +97,12 @@ pub(super) fn choose(
         consider(length, sigma);
     }
     let Some((model, sums)) = best else {
-        return Err(Error::new(
-            ErrorKind::Internal,
-            "no shape of the gel was tried",
-        ));
+        return Err(Error::internal("no shape of the gel was tried"));
     };
     let places = term_places(model.normal, model.position);
     let all = SquareSums::total(sums.iter().map(|s| &s.fit));
     let solution = solve(&all, &places, model.ridge)?;
-    let column = |c: usize| (0..places.len()).map(|i| solution[(i, c)]).collect();
+    let [red, green, blue] = solution;
     let shading = PolynomialShading {
         normal: model.normal,
         position: model.position,
@@ -118,9 +111,9 @@ pub(super) fn choose(
             .map(|s| s.steepest)
             .fold(0.0, f64::max)
             .clamp(0.05, 1.0),
-        red: column(0),
-        green: column(1),
-        blue: column(2),
+        red,
+        green,
+        blue,
     };
     Ok((model, shading))
 }
@@ -240,21 +233,23 @@ fn cross_validated(
 }
 
 /// Ridge regression: (G + ρ τ I) w = b, τ the sum of the squares of nx and ny halved.
-fn solve(sums: &SquareSums, places: &[usize], ridge: f64) -> Result<Mat<f64>> {
-    let count = places.len();
+fn solve(sums: &SquareSums, places: &[usize], ridge: f64) -> Result<[Vec<f64>; 3]> {
     // Terms 0 and POSITION_TERMS of the largest shading are nx and ny at constant place.
-    let scale = 0.5 * (sums.gram[(places[0], places[0])] + sums.gram[(NY, NY)]);
-    let matrix = Mat::from_fn(count, count, |i, j| {
-        sums.gram[(places[i], places[j])] + if i == j { ridge * scale } else { 0.0 }
-    });
-    let right = Mat::from_fn(count, 3, |i, c| sums.cross[(places[i], c)]);
-    let factor = matrix.llt(Side::Lower).map_err(|_| {
-        Error::new(
-            ErrorKind::Input,
-            "the presses do not determine the shading: no slope is seen in any of them",
-        )
+    let scale = 0.5 * (sums.gram[places[0]][places[0]] + sums.gram[NY][NY]);
+    let mut matrix = Symmetric::zero(places.len());
+    for (i, a) in places.iter().enumerate() {
+        for (j, b) in places.iter().enumerate() {
+            matrix.add(i, j, sums.gram[*a][*b]);
+        }
+        matrix.add(i, i, ridge * scale);
+    }
+    let factor = matrix.factor().ok_or_else(|| {
+        Error::input("the presses do not determine the shading: no slope is seen in any of them")
     })?;
-    Ok(factor.solve(&right))
+    Ok([0, 1, 2].map(|c| {
+        let right: Vec<f64> = places.iter().map(|place| sums.cross[*place][c]).collect();
+        factor.solve(&right)
+    }))
 }
 
 /// Place of ny among the terms of the largest shading.

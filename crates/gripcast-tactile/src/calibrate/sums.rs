@@ -1,8 +1,5 @@
 //! Sums of squares of a press, from which any polynomial shading is fitted and scored.
 
-use faer::linalg::matmul::matmul;
-use faer::{Accum, Mat, Par};
-
 use super::press_set::{LabelledPress, PressSet};
 use super::score::{ChangePlanes, Distance, in_patch};
 use crate::normals::Normals;
@@ -22,10 +19,9 @@ const TERMS: usize = NORMAL_TERMS * POSITION_TERMS;
 /// Sums over pixels: terms × terms, terms × change, change².
 #[derive(Clone, Debug)]
 pub(super) struct SquareSums {
-    pub(super) gram: Mat<f64>,
-    pub(super) cross: Mat<f64>,
+    pub(super) gram: Vec<[f64; TERMS]>,
+    pub(super) cross: Vec<[f64; 3]>,
     pub(super) square: f64,
-    pub(super) count: f64,
 }
 
 /// Sums of one press.
@@ -89,75 +85,71 @@ impl PressSums {
 }
 
 impl SquareSums {
+    fn zero() -> Self {
+        Self {
+            gram: vec![[0.0; TERMS]; TERMS],
+            cross: vec![[0.0; 3]; TERMS],
+            square: 0.0,
+        }
+    }
+
     fn over(set: &PressSet, pixels: &[usize], normals: &Normals, change: &ChangePlanes) -> Self {
         let width = set.geometry.width;
-        let mut terms = Mat::<f64>::zeros(pixels.len(), TERMS);
-        for (row, i) in pixels.iter().enumerate() {
+        let mut sums = Self::zero();
+        for i in pixels {
             let t = normal_terms(normals.x[*i], normals.y[*i], normals.z_less_1[*i]);
             let [x, y] = normalised_place(&set.geometry, i % width, i / width);
             let q = position_terms(x, y);
-            for (k, t) in t.iter().enumerate() {
-                for (p, q) in q.iter().enumerate() {
-                    terms[(row, k * POSITION_TERMS + p)] = f64::from(t * q);
+            let mut terms = [0.0; TERMS];
+            for (terms, t) in terms.as_chunks_mut::<POSITION_TERMS>().0.iter_mut().zip(t) {
+                *terms = q.map(|q| f64::from(t * q));
+            }
+            let values = [0, 1, 2].map(|c| f64::from(change[c][*i]));
+            sums.square += values.iter().map(|v| v * v).sum::<f64>();
+            for (k, term) in terms.iter().enumerate() {
+                // The other half is symmetric.
+                for (sum, other) in sums.gram[k][..=k].iter_mut().zip(&terms) {
+                    *sum += term * other;
+                }
+                for (sum, value) in sums.cross[k].iter_mut().zip(values) {
+                    *sum += term * value;
                 }
             }
         }
-        let values = Mat::from_fn(pixels.len(), 3, |row, c| f64::from(change[c][pixels[row]]));
-        let mut sums = Self {
-            gram: Mat::zeros(TERMS, TERMS),
-            cross: Mat::zeros(TERMS, 3),
-            square: values.norm_l2().powi(2),
-            count: pixels.len() as f64,
-        };
-        let turned = terms.transpose();
-        matmul(
-            &mut sums.gram,
-            Accum::Replace,
-            turned,
-            &terms,
-            1.0,
-            Par::Seq,
-        );
-        matmul(
-            &mut sums.cross,
-            Accum::Replace,
-            turned,
-            &values,
-            1.0,
-            Par::Seq,
-        );
+        for i in 0..TERMS {
+            for j in i + 1..TERMS {
+                sums.gram[i][j] = sums.gram[j][i];
+            }
+        }
         sums
     }
 
     /// Sums of several presses, in their order.
     pub(super) fn total<'a>(parts: impl Iterator<Item = &'a Self>) -> Self {
-        let mut total = Self {
-            gram: Mat::zeros(TERMS, TERMS),
-            cross: Mat::zeros(TERMS, 3),
-            square: 0.0,
-            count: 0.0,
-        };
+        let mut total = Self::zero();
         for part in parts {
-            total.gram += &part.gram;
-            total.cross += &part.cross;
+            let gram = total.gram.as_flattened_mut().iter_mut();
+            let cross = total.cross.as_flattened_mut().iter_mut();
+            let others = part.gram.as_flattened().iter();
+            for (sum, other) in gram.zip(others).chain(cross.zip(part.cross.as_flattened())) {
+                *sum += other;
+            }
             total.square += part.square;
-            total.count += part.count;
         }
         total
     }
 
     /// Squared error that coefficients of the terms at `places` leave.
-    pub(super) fn error(&self, places: &[usize], coefficients: &Mat<f64>) -> f64 {
+    pub(super) fn error(&self, places: &[usize], coefficients: &[Vec<f64>; 3]) -> f64 {
         let mut error = self.square;
-        for c in 0..3 {
-            for (i, a) in places.iter().enumerate() {
-                let w = coefficients[(i, c)];
+        for (c, coefficients) in coefficients.iter().enumerate() {
+            for (a, w) in places.iter().zip(coefficients) {
                 let image: f64 = places
                     .iter()
-                    .enumerate()
-                    .map(|(j, b)| self.gram[(*a, *b)] * coefficients[(j, c)])
+                    .zip(coefficients)
+                    .map(|(b, w)| self.gram[*a][*b] * w)
                     .sum();
-                error += w * (image - 2.0 * self.cross[(*a, c)]);
+                error += w * (image - 2.0 * self.cross[*a][c]);
             }
         }
         error

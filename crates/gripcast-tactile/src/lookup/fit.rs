@@ -7,7 +7,8 @@
 use std::collections::VecDeque;
 
 use super::table::{Coefficients, Seen, TaximTable, bin, terms};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
+use gripcast_base::linear::Cholesky;
 
 /// Weight of the prior that a bin's change does not depend on the place, for each press. Few
 /// presses at similar places leave the polynomial open otherwise.
@@ -41,7 +42,7 @@ impl TaximTable {
     /// `Input` where there is no press, fewer than 2 bins, a press of another size, or one
     /// without a pixel of contact in the picture.
     pub fn fit(presses: &[BallPress<'_>], image_size: [usize; 2], bins: usize) -> Result<Self> {
-        let refused = |what: String| Error::new(ErrorKind::Input, what);
+        let refused = |what: String| Error::input(what);
         if presses.is_empty() || bins < 2 {
             return Err(refused(format!(
                 "a table needs at least one press and 2 bins, found {} and {bins}",
@@ -166,8 +167,12 @@ fn polynomial(samples: &[Sample], [width, height]: [usize; 2]) -> [Coefficients;
     for (i, row) in normal.iter_mut().enumerate().take(5) {
         row[i] += RIDGE * samples.len() as f64;
     }
-    let factor = cholesky(normal);
-    right.map(|right| unscaled(solve(&factor, right), scale, middle))
+    let least = |rest: f64, _| Some(rest.max(f64::MIN_POSITIVE));
+    let factor = Cholesky::with_pivots(&normal, least);
+    right.map(|right| {
+        let solved = factor.as_ref().map_or(right, |factor| factor.solve(&right));
+        unscaled(solved, scale, middle)
+    })
 }
 
 /// The same polynomial in pixels.
@@ -188,35 +193,6 @@ fn unscaled(c: Coefficients, s: f64, [mx, my]: [f64; 2]) -> Coefficients {
         y - 2.0 * yy * my - xy * mx,
         one + xx * mx * mx + yy * my * my + xy * mx * my - x * mx - y * my,
     ]
-}
-
-/// Lower factor of a positive definite matrix.
-fn cholesky(a: [[f64; 6]; 6]) -> [[f64; 6]; 6] {
-    let mut lower = [[0.0; 6]; 6];
-    for i in 0..6 {
-        for j in 0..=i {
-            let known: f64 = (0..j).map(|k| lower[i][k] * lower[j][k]).sum();
-            let rest = a[i][j] - known;
-            lower[i][j] = if i == j {
-                rest.max(f64::MIN_POSITIVE).sqrt()
-            } else {
-                rest / lower[j][j]
-            };
-        }
-    }
-    lower
-}
-
-fn solve(lower: &[[f64; 6]; 6], mut x: Coefficients) -> Coefficients {
-    for i in 0..6 {
-        let known: f64 = (0..i).map(|k| lower[i][k] * x[k]).sum();
-        x[i] = (x[i] - known) / lower[i][i];
-    }
-    for i in (0..6).rev() {
-        let known: f64 = (i + 1..6).map(|k| lower[k][i] * x[k]).sum();
-        x[i] = (x[i] - known) / lower[i][i];
-    }
-    x
 }
 
 #[cfg(test)]

@@ -1,11 +1,8 @@
 //! Height map of Taxim (Si & Yuan 2022, §III-B): the gel around a contact, as a pyramid of
 //! Gaussian filters that each put the object's own shape back where it is pressed deep.
 
-use serde::Deserialize;
-
 use crate::gaussian::{Gaussian, Region};
 use crate::press_depth::PressDepth;
-use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// Parameters of the height map, in pixels of Taxim's picture; and that picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,48 +35,6 @@ impl Default for TaximHeights {
 }
 
 impl TaximHeights {
-    /// The parameters of a calibration of PyPI's `taxim` (`params.json`).
-    ///
-    /// # Errors
-    /// `Input` where the text is no such file or a value cannot be computed with.
-    pub fn from_json(text: &str) -> Result<Self> {
-        let file: ParamsFile = serde_json::from_str(text).map_err(|cause| {
-            Error::new(ErrorKind::Input, "these are no parameters of Taxim").because(cause)
-        })?;
-        let ParamsFile { sensor, simulator } = file;
-        // Sigmas are shares of the width, then of the height; both give the same in pixels.
-        let width = sensor.w as f64;
-        let heights = Self {
-            pixel_m: sensor.pixmm * 1e-3,
-            image_size: [sensor.w, sensor.h],
-            pyramid_px: simulator.deform_pyramid_sigma_rel[0]
-                .iter()
-                .map(|share| share * width)
-                .collect(),
-            last_px: simulator.deform_final_sigma_rel[0] * width,
-            kept_share: simulator.contact_scale,
-        };
-        heights.validate()?;
-        Ok(heights)
-    }
-
-    fn validate(&self) -> Result<()> {
-        let sigmas = self.pyramid_px.iter().chain([&self.last_px]);
-        let is_fine = self.pixel_m > 0.0
-            && self.pixel_m.is_finite()
-            && self.image_size.iter().all(|side| *side > 0)
-            && sigmas.into_iter().all(|s| (0.0..1000.0).contains(s))
-            && self.kept_share.is_finite();
-        if is_fine {
-            Ok(())
-        } else {
-            Err(Error::new(
-                ErrorKind::Input,
-                format!("these parameters of Taxim cannot be computed with: {self:?}"),
-            ))
-        }
-    }
-
     /// Height of the face towards the camera under each pixel, m.
     pub(super) fn heights(&self, press: &PressDepth) -> Vec<f32> {
         let grid = &press.geometry;
@@ -100,26 +55,6 @@ impl TaximHeights {
         Gaussian::new(self.last_px * own_pixels).apply(&mut heights, grid.width, region);
         heights
     }
-}
-
-#[derive(Deserialize)]
-struct ParamsFile {
-    simulator: SimulatorParams,
-    sensor: SensorParams,
-}
-
-#[derive(Deserialize)]
-struct SimulatorParams {
-    contact_scale: f64,
-    deform_pyramid_sigma_rel: [Vec<f64>; 2],
-    deform_final_sigma_rel: [f64; 2],
-}
-
-#[derive(Deserialize)]
-struct SensorParams {
-    pixmm: f64,
-    h: usize,
-    w: usize,
 }
 
 #[cfg(test)]
@@ -158,19 +93,5 @@ mod tests {
             TaximHeights::default().heights(&untouched),
             untouched.depth_m
         );
-    }
-
-    #[test]
-    fn published_parameters_are_read() {
-        let text = r#"{"simulator": {"contact_scale": 0.4,
-            "deform_pyramid_sigma_rel": [[0.04765625, 0.003125], [0.0635, 0.00417]],
-            "deform_final_sigma_rel": [0.003125, 0.00417], "fan_angle": 0.1},
-            "sensor": {"pixmm": 0.0295, "num_bins": 125, "h": 480, "w": 640}}"#;
-        let heights = TaximHeights::from_json(text).unwrap();
-        assert_eq!(heights.pyramid_px, [30.5, 2.0]);
-        assert_eq!((heights.last_px, heights.kept_share), (2.0, 0.4));
-        assert!((heights.pixel_m - 2.95e-5).abs() < 1e-18);
-        assert!(TaximHeights::from_json("{}").is_err());
-        assert!(TaximHeights::from_json(&text.replace("0.0295", "0.0")).is_err());
     }
 }

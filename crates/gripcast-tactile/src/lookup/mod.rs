@@ -4,16 +4,15 @@
 
 mod fit;
 mod height;
-mod npz;
 mod on_presses;
 mod shadow;
 mod table;
 
 pub use fit::BallPress;
 pub use height::TaximHeights;
-pub use on_presses::{fit_to_presses, score_on_presses};
+pub use on_presses::fit_to_presses;
 pub use shadow::{ShadowLamp, Shadows};
-pub use table::{ChannelOrder, TaximTable};
+pub use table::TaximTable;
 
 use image::{Rgb, RgbImage};
 
@@ -22,7 +21,7 @@ use super::press_depth::{PressDepth, SensorGeometry};
 use super::rasteriser::Rasteriser;
 use super::scene::TactileScene;
 use super::scene_renderer::SceneRenderer;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Slope of a face up to which it counts as untouched.
 const FLAT_DEGREES: f64 = 0.1;
@@ -54,13 +53,10 @@ impl LookupRenderer {
     ) -> Result<Self> {
         let found = (background.width() as usize, background.height() as usize);
         if found != (grid.width, grid.height) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the no-contact picture must be of {} × {} pixels, found {} × {}",
-                    grid.width, grid.height, found.0, found.1
-                ),
-            ));
+            return Err(Error::input(format!(
+                "the no-contact picture must be of {} × {} pixels, found {} × {}",
+                grid.width, grid.height, found.0, found.1
+            )));
         }
         Ok(Self {
             grid,
@@ -89,13 +85,10 @@ impl LookupRenderer {
     /// `Input` where the press was taken on another grid.
     pub fn change(&self, press: &PressDepth) -> Result<Vec<[f32; 3]>> {
         if press.geometry != self.grid {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the press must be on the grid {:?}, found {:?}",
-                    self.grid, press.geometry
-                ),
-            ));
+            return Err(Error::input(format!(
+                "the press must be on the grid {:?}, found {:?}",
+                self.grid, press.geometry
+            )));
         }
         let heights = self.heights.heights(press);
         let light = self.shadows.as_ref().map(|s| s.light(&heights, &self.grid));

@@ -1,7 +1,7 @@
-//! The table fitted to and scored on the presses that sensor profiles are calibrated with.
+//! The table fitted to the presses that sensor profiles are calibrated with.
 
 use super::{BallPress, LookupRenderer, TaximHeights, TaximTable};
-use crate::calibrate::{PressSet, Score, observe, score};
+use crate::calibrate::{PressSet, observe};
 use gripcast_base::error::Result;
 
 /// Bins of a table along each axis, as Taxim has them.
@@ -36,19 +36,4 @@ pub fn fit_to_presses(
         .collect();
     let table = TaximTable::fit(&presses, [set.geometry.width, set.geometry.height], BINS)?;
     LookupRenderer::new(set.geometry, set.no_contact.clone(), table, heights)
-}
-
-/// Scores a table on some presses of a set, by the measures of the calibration.
-///
-/// # Errors
-/// `Input` where the renderer has another grid than the set.
-pub fn score_on_presses(
-    renderer: &LookupRenderer,
-    set: &PressSet,
-    indices: &[usize],
-) -> Result<Score> {
-    score(set, indices, &mut |contact| {
-        let change = renderer.change(&contact.cap())?;
-        Ok([0, 1, 2].map(|channel| change.iter().map(|pixel| pixel[channel]).collect()))
-    })
 }

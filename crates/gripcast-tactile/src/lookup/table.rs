@@ -2,22 +2,8 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use super::npz::{NpyArray, read_npz};
-use gripcast_base::error::{Error, ErrorKind, Result};
-
 /// Coefficients of a bin: x², y², x y, x, y, 1, with x the column and y the row of a pixel.
 pub(super) type Coefficients = [f64; 6];
-
-/// Colours that the arrays of a table file hold.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum ChannelOrder {
-    /// `grad_r` is red.
-    Rgb,
-    /// `grad_r` is blue: the table was fitted on pictures in OpenCV's order, as Taxim's own
-    /// calibration does.
-    #[default]
-    Bgr,
-}
 
 /// What the presses that a bin was fitted to hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,55 +44,11 @@ pub struct TaximTable {
     image_size: [usize; 2],
     /// Red, green, blue; bin (angle, direction) at angle · bins + direction.
     channels: [Vec<Coefficients>; 3],
-    /// Of each bin; empty for a table from a file, which does not tell.
+    /// Of each bin; empty for a table that was not fitted.
     seen: Vec<Seen>,
 }
 
 impl TaximTable {
-    /// A table from the file that Taxim's calibration writes (`polycalib.npz`: `grad_r`, `grad_g`,
-    /// `grad_b` of n × n × 6), for pictures of `image_size` (columns, rows).
-    ///
-    /// # Errors
-    /// `Input` where the archive is damaged, an array is missing or has another shape.
-    pub fn from_npz(bytes: &[u8], image_size: [usize; 2], order: ChannelOrder) -> Result<Self> {
-        let mut arrays = read_npz(bytes)?;
-        let mut channel = |name: &str| -> Result<NpyArray> {
-            arrays.remove(name).ok_or_else(|| {
-                Error::new(ErrorKind::Input, format!("the archive lacks {name:?}"))
-                    .remedy("expected is polycalib.npz of a Taxim calibration")
-            })
-        };
-        let names = match order {
-            ChannelOrder::Rgb => ["grad_r", "grad_g", "grad_b"],
-            ChannelOrder::Bgr => ["grad_b", "grad_g", "grad_r"],
-        };
-        let arrays = [channel(names[0])?, channel(names[1])?, channel(names[2])?];
-        let bins = arrays[0].shape.first().copied().unwrap_or(0);
-        for (array, name) in arrays.iter().zip(names) {
-            if bins < 2 || array.shape != [bins, bins, 6] {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!(
-                        "{name:?} must be of n × n × 6 values, found {:?}",
-                        array.shape
-                    ),
-                ));
-            }
-            if array.values.iter().any(|v| !v.is_finite()) {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!("{name:?} holds values that are no numbers"),
-                ));
-            }
-        }
-        Ok(Self {
-            bins,
-            image_size,
-            channels: arrays.map(|array| array.values.as_chunks::<6>().0.to_vec()),
-            seen: Vec::new(),
-        })
-    }
-
     pub(super) fn new(
         bins: usize,
         image_size: [usize; 2],
@@ -156,7 +98,7 @@ impl TaximTable {
     ///
     /// A fitted table keeps to its presses: a place outside of those that a bin has seen counts as
     /// the nearest of them, and a change beyond those seen there is cut to them. Polynomials grow
-    /// without bound elsewhere. A table from a file is taken as it is.
+    /// without bound elsewhere.
     pub fn change(&self, slope: [f32; 2], place: [f64; 2]) -> [f64; 3] {
         let angle = f64::from(slope[0].hypot(slope[1])).atan();
         let direction = f64::from(slope[1]).atan2(f64::from(slope[0]));
@@ -188,32 +130,22 @@ pub(super) fn terms([x, y]: [f64; 2]) -> Coefficients {
 
 #[cfg(test)]
 mod tests {
-    use super::super::npz::tests::archive;
     use super::*;
 
     #[test]
-    fn a_file_gives_the_colours_of_its_bins() {
+    fn a_slope_gives_the_colours_of_its_bin() {
         let bins = 5;
-        let mut red = vec![0.0; bins * bins * 6];
+        let mut red = vec![[0.0; 6]; bins * bins];
         // 45 degrees, uphill towards larger rows: angle bin 2, direction bin 3.
-        let at = (2 * bins + 3) * 6;
-        red[at..at + 6].copy_from_slice(&[1e-2, 0.0, 0.0, 0.5, -1.0, 3.0]);
-        let zero = vec![0.0; bins * bins * 6];
-        let shape = [bins, bins, 6];
-        let bytes = archive(&[
-            ("grad_r", &shape, &red),
-            ("grad_g", &shape, &zero),
-            ("grad_b", &shape, &zero),
-        ]);
-        let table = TaximTable::from_npz(&bytes, [640, 480], ChannelOrder::Rgb).unwrap();
+        red[2 * bins + 3] = [1e-2, 0.0, 0.0, 0.5, -1.0, 3.0];
+        let zero = vec![[0.0; 6]; bins * bins];
+        let table = TaximTable::new(bins, [640, 480], [red, zero.clone(), zero]);
         let change = table.change([0.0, 1.01], [10.0, 4.0]);
         assert!(
             (change[0] - 5.0).abs() < 1e-12 && change[1] == 0.0,
             "{change:?}"
         );
         assert_eq!(table.change([1.01, 0.0], [10.0, 4.0]), [0.0; 3]);
-        let swapped = TaximTable::from_npz(&bytes, [640, 480], ChannelOrder::Bgr).unwrap();
-        assert!((swapped.change([0.0, 1.01], [10.0, 4.0])[2] - 5.0).abs() < 1e-12);
     }
 
     #[test]
@@ -223,20 +155,5 @@ mod tests {
             let direction = f64::from(slope[1]).atan2(f64::from(slope[0]));
             assert!(bin(125, angle, direction) < 125 * 125);
         }
-    }
-
-    #[test]
-    fn files_of_another_kind_are_explained() {
-        let lacking = archive(&[("grad_r", &[2, 2, 6], &[0.0; 24])]);
-        let text = TaximTable::from_npz(&lacking, [4, 3], ChannelOrder::Rgb).unwrap_err();
-        assert!(text.to_string().contains("grad_g"), "{text}");
-        let flat = [0.0; 12];
-        let other = archive(&[
-            ("grad_r", &[2, 6], &flat),
-            ("grad_g", &[2, 6], &flat),
-            ("grad_b", &[2, 6], &flat),
-        ]);
-        let text = TaximTable::from_npz(&other, [4, 3], ChannelOrder::Rgb).unwrap_err();
-        assert!(text.to_string().contains("n × n × 6"), "{text}");
     }
 }

@@ -5,6 +5,9 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use gripcast_base::random;
+use gripcast_base::statistics::quantile;
+
 /// Resamples unless told otherwise.
 const RESAMPLES: usize = 2000;
 
@@ -105,7 +108,7 @@ impl Bootstrap {
         drawn.fill(0);
         let count = drawn.len() as u64;
         for i in 0..count {
-            let bits = bits(self.seed, resample as u64 * count + i);
+            let bits = random::numbered(self.seed, resample as u64 * count + i);
             // The upper half of the product is uniform below `count`.
             let object = (u128::from(bits) * u128::from(count)) >> 64;
             if let Some(times) = drawn.get_mut(object as usize) {
@@ -136,29 +139,9 @@ fn numbered(objects: &[usize]) -> (Vec<usize>, usize) {
     (objects.iter().map(number).collect(), names.len())
 }
 
-/// Quantile of sorted numbers, straight between neighbours (Hyndman & Fan 1996, type 7).
-pub(super) fn quantile(sorted: &[f64], share: f64) -> Option<f64> {
-    let place = share * (sorted.len().checked_sub(1)?) as f64;
-    let (&below, &above) = (
-        sorted.get(place.floor() as usize)?,
-        sorted.get(place.ceil() as usize)?,
-    );
-    Some(below + (place - place.floor()) * (above - below))
-}
-
-/// Number `counter` of the sequence of a seed: SplitMix64 (Steele et al., *Fast splittable
-/// pseudorandom number generators*, 2014), whose state is a plain count.
-fn bits(seed: u64, counter: u64) -> u64 {
-    let steps = counter.wrapping_add(1);
-    let mut z = seed.wrapping_add(steps.wrapping_mul(0x9e37_79b9_7f4a_7c15));
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
-}
-
 /// Number `counter` of a seed, uniform in 0..1.
 pub(super) fn unit(seed: u64, counter: u64) -> f64 {
-    (bits(seed, counter) >> 11) as f64 / (1_u64 << 53) as f64
+    random::unit(random::numbered(seed, counter))
 }
 
 #[cfg(test)]

@@ -7,31 +7,6 @@ fn objects_of(n: usize, per_object: usize) -> Vec<usize> {
 }
 
 #[test]
-fn the_generator_is_splitmix64() {
-    // First numbers of the seed 1234567 by Vigna's splitmix64.c.
-    let first = [0, 1, 2].map(|counter| bits(1_234_567, counter));
-    assert_eq!(
-        first,
-        [
-            6_457_827_717_110_365_317,
-            3_203_168_211_198_807_973,
-            9_817_491_932_198_370_423
-        ]
-    );
-}
-
-#[test]
-fn quantiles_are_those_of_numpy() {
-    let sorted = [1.0, 2.0, 4.0, 8.0];
-    // numpy.quantile([1, 2, 4, 8], q)
-    assert_eq!(quantile(&sorted, 0.0), Some(1.0));
-    assert_eq!(quantile(&sorted, 0.5), Some(3.0));
-    assert_eq!(quantile(&sorted, 0.9), Some(6.800_000_000_000_001));
-    assert_eq!(quantile(&sorted, 1.0), Some(8.0));
-    assert_eq!(quantile(&[], 0.5), None);
-}
-
-#[test]
 fn as_many_objects_are_drawn_as_there_are_each_alike_often() {
     let bootstrap = Bootstrap::new(3);
     let mut total = [0_u32; 10];

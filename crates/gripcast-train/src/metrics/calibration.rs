@@ -2,8 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::bootstrap::{quantile, unit};
+use super::bootstrap::unit;
 use super::{Scored, mean_of, present};
+use gripcast_base::statistics::quantile;
 
 /// Probabilities are kept this far from 0 and 1 in the log loss, so that one wrong sample cannot
 /// make it infinite.

@@ -1,0 +1,361 @@
+//! Reads presses: crops, labels and checks them.
+
+use std::path::PathBuf;
+
+use image::RgbImage;
+use rayon::prelude::*;
+
+use super::detect::find_contact;
+use super::press_file::{Label, PressEntry, PressList, read_picture};
+use super::press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
+use super::score::{Distance, observe};
+use crate::SensorGeometry;
+use crate::background::planes_of;
+use gripcast_base::error::{Error, Result};
+use gripcast_imaging::{CropProfile, CropWindow, crop_and_resize};
+
+/// Longer side that a GelSight Mini sees, m, where the scale is not given. Published values lie
+/// between 18.6 and 20.3 mm.
+const NOMINAL_VIEW_M: f64 = 18.6e-3;
+/// Thickness of a Mini's gel, m.
+const GEL_THICKNESS_M: f64 = 4e-3;
+/// Ball diameters that are believed, m.
+const BALL_M: std::ops::RangeInclusive<f64> = 5e-4..=0.1;
+/// Pixel sizes that are believed, m.
+const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
+/// A press is saturated when this fraction of the values in its disc is newly at 0 or 255. One
+/// channel at its end is common under the bright side of a real ball.
+const MOST_SATURATED: f64 = 0.25;
+/// At least this fraction of the contact's disc has to lie in the picture.
+const LEAST_INSIDE: f64 = 0.8;
+/// Change in the disc that counts as a contact, grey levels (root mean square of a channel).
+const LEAST_CHANGE: f64 = 5.0;
+/// Largest change where nothing touches, grey levels (root mean square of a channel), after gain
+/// and offset: a real gel far from a contact stays below 8.
+const MOST_OUTSIDE: f64 = 16.0;
+/// Gains of the exposure that are believed.
+const GAIN: std::ops::RangeInclusive<f64> = 0.5..=2.0;
+/// Fewest pixels of a side.
+const LEAST_SIDE: u32 = 64;
+/// Most pixels of a side.
+const MOST_SIDE: u32 = 4096;
+
+/// What to read and how.
+#[derive(Clone, Debug)]
+pub struct ReadOptions {
+    /// Folder with `presses.json`, or with pictures alone.
+    pub folder: PathBuf,
+    /// Diameter of the ball, m; goes before that of the file.
+    pub ball_diameter_m: Option<f64>,
+    /// Size of a pixel of the stored pictures, m; goes before that of the file.
+    pub pixel_m: Option<f64>,
+    /// Crop of the stored pictures.
+    pub crop: CropProfile,
+    /// Width and height after the crop; none = as stored.
+    pub size: Option<(u32, u32)>,
+    /// Finds every contact in the picture, labelled or not.
+    pub find_contacts: bool,
+}
+
+impl ReadOptions {
+    /// A folder as it is.
+    pub fn of_folder(folder: impl Into<PathBuf>) -> Self {
+        Self {
+            folder: folder.into(),
+            ball_diameter_m: None,
+            pixel_m: None,
+            crop: CropProfile::FULL,
+            size: None,
+            find_contacts: false,
+        }
+    }
+}
+
+impl PressSet {
+    /// Reads a folder. Presses that cannot be used are listed with the reason.
+    ///
+    /// # Errors
+    /// `NotFound`, `Io`, `Input` if the folder, its list or the picture without contact cannot be
+    /// used, the ball is unknown, or no press is left.
+    pub fn read(options: &ReadOptions) -> Result<Self> {
+        let list = PressList::read(&options.folder)?;
+        let place = options.folder.display().to_string();
+        let ball_m = 0.5 * ball_diameter(options, &list).map_err(|e| e.at(&place))?;
+        let stored = read_picture(&options.folder, &list.no_contact)?;
+        let frame = Reframe::new(&stored, options).map_err(|e| e.at(&place))?;
+        let (stored_pixel_m, scale) =
+            pixel_size(options, &list, &frame).map_err(|e| e.at(&place))?;
+        let no_contact = frame.apply(&stored)?;
+        let mut set = Self {
+            geometry: SensorGeometry {
+                width: frame.size.0 as usize,
+                height: frame.size.1 as usize,
+                pixel_m: stored_pixel_m / frame.zoom(),
+                gel_thickness_m: GEL_THICKNESS_M,
+            },
+            scale,
+            ball_m,
+            untouched: planes_of(&no_contact),
+            no_contact,
+            presses: Vec::new(),
+            skipped: Vec::new(),
+        };
+        let read: Vec<Result<LabelledPress, String>> = list
+            .presses
+            .par_iter()
+            .map(|entry| set.read_press(options, &frame, entry))
+            .collect();
+        for (entry, press) in list.presses.iter().zip(read) {
+            match press {
+                Ok(press) => set.presses.push(press),
+                Err(reason) => set.skipped.push(SkippedPress {
+                    file: entry.file.clone(),
+                    reason,
+                }),
+            }
+        }
+        if set.presses.is_empty() {
+            return Err(nothing_usable(&set.skipped).at(place));
+        }
+        Ok(set)
+    }
+
+    fn read_press(
+        &self,
+        options: &ReadOptions,
+        frame: &Reframe,
+        entry: &PressEntry,
+    ) -> Result<LabelledPress, String> {
+        let given = entry.label()?;
+        let stored = read_picture(&options.folder, &entry.file).map_err(|e| e.to_string())?;
+        if stored.dimensions() != frame.stored {
+            return Err(format!(
+                "it has {}×{} pixels, the picture without contact {}×{}",
+                stored.width(),
+                stored.height(),
+                frame.stored.0,
+                frame.stored.1
+            ));
+        }
+        let picture = frame.apply(&stored).map_err(|e| e.to_string())?;
+        let given = given.filter(|_| !options.find_contacts);
+        let (centre_px, radius_px) = match given {
+            Some(label) => frame.label(label),
+            None => find_contact(self, &picture)?,
+        };
+        let press = LabelledPress {
+            file: entry.file.clone(),
+            picture,
+            centre_px,
+            radius_px,
+            found: given.is_none(),
+        };
+        self.check(&press)?;
+        Ok(press)
+    }
+
+    /// Why a press cannot be used.
+    fn check(&self, press: &LabelledPress) -> Result<(), String> {
+        let ball_px = self.ball_m / self.geometry.pixel_m;
+        if press.radius_px > 1.05 * ball_px {
+            return Err(format!(
+                "its contact radius of {:.1} pixels is more than the ball's radius of {ball_px:.1}",
+                press.radius_px
+            ));
+        }
+        let disc = Disc::of(press);
+        if disc.inside < LEAST_INSIDE {
+            return Err(format!(
+                "its contact lies off the picture ({:.0} % of the disc is inside, at least {:.0} % \
+                 is needed)",
+                100.0 * disc.inside,
+                100.0 * LEAST_INSIDE
+            ));
+        }
+        let saturated = disc.saturated(press, &self.no_contact);
+        if saturated > MOST_SATURATED {
+            return Err(format!(
+                "it is saturated: {:.0} % of the values in the contact are at 0 or 255; lower the \
+                 exposure or press less",
+                100.0 * saturated
+            ));
+        }
+        let observed = observe(self, press);
+        let outside = observed.outside_rms.into_iter().fold(0.0, f64::max);
+        let believed = observed.gain.iter().all(|gain| GAIN.contains(gain));
+        if outside > MOST_OUTSIDE || !believed {
+            return Err(format!(
+                "its background is not that of the picture without contact (gain {:.2?}, {outside:.1} \
+                 grey levels left): another sensor or other light?",
+                observed.gain
+            ));
+        }
+        let change = disc.rms(&observed.change);
+        if change < LEAST_CHANGE {
+            return Err(format!(
+                "nothing changes inside its contact ({change:.1} grey levels, at least \
+                 {LEAST_CHANGE} are needed): label or picture is wrong"
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn ball_diameter(options: &ReadOptions, list: &PressList) -> Result<f64> {
+    let Some(diameter) = options.ball_diameter_m.or(list.ball_diameter_m) else {
+        return Err(Error::input("the diameter of the ball is not known")
+            .remedy("give it (--ball-diameter), or as `ball_diameter_m` in presses.json"));
+    };
+    believed("the diameter of the ball", diameter, BALL_M)
+}
+
+/// Size of a stored pixel, m.
+fn pixel_size(
+    options: &ReadOptions,
+    list: &PressList,
+    frame: &Reframe,
+) -> Result<(f64, ScaleSource)> {
+    match options.pixel_m.or(list.m_per_px) {
+        Some(pixel_m) => {
+            let pixel_m = believed("the size of a pixel", pixel_m, PIXEL_M)?;
+            Ok((pixel_m, ScaleSource::Given))
+        }
+        None => {
+            let longer = f64::from(frame.window.width.max(frame.window.height));
+            Ok((NOMINAL_VIEW_M / longer, ScaleSource::Nominal))
+        }
+    }
+}
+
+fn believed(what: &str, value: f64, range: std::ops::RangeInclusive<f64>) -> Result<f64> {
+    if range.contains(&value) {
+        return Ok(value);
+    }
+    Err(Error::input(format!(
+        "{what} must be {} to {} m, found {value}",
+        range.start(),
+        range.end()
+    ))
+    .remedy("give it in metres"))
+}
+
+fn nothing_usable(skipped: &[SkippedPress]) -> Error {
+    let first = skipped.first().map_or_else(
+        || "the list is empty".to_owned(),
+        |press| format!("{}: {}", press.file, press.reason),
+    );
+    Error::input(format!(
+        "none of {} presses can be used ({first})",
+        skipped.len()
+    ))
+    .remedy("mend the presses or take new ones")
+}
+
+/// Crop and resize of pictures and labels.
+struct Reframe {
+    crop: CropProfile,
+    stored: (u32, u32),
+    window: CropWindow,
+    size: (u32, u32),
+}
+
+impl Reframe {
+    fn new(stored: &RgbImage, options: &ReadOptions) -> Result<Self> {
+        let (width, height) = stored.dimensions();
+        let refused = |what: String| {
+            Err(Error::input(what).remedy("calibrate with pictures of 64 to 4096 pixels a side"))
+        };
+        let Some(window) = options.crop.window(width, height) else {
+            return refused(format!(
+                "crop `{}` leaves nothing of {width}×{height} pixels",
+                options.crop
+            ));
+        };
+        let size = options.size.unwrap_or((window.width, window.height));
+        if size.0.min(size.1) < LEAST_SIDE || size.0.max(size.1) > MOST_SIDE {
+            return refused(format!(
+                "pictures of {}×{} pixels cannot be calibrated",
+                size.0, size.1
+            ));
+        }
+        Ok(Self {
+            crop: options.crop,
+            stored: (width, height),
+            window,
+            size,
+        })
+    }
+
+    /// New pixels to one stored pixel, mean of both axes.
+    fn zoom(&self) -> f64 {
+        let x = f64::from(self.size.0) / f64::from(self.window.width);
+        let y = f64::from(self.size.1) / f64::from(self.window.height);
+        0.5 * (x + y)
+    }
+
+    fn apply(&self, stored: &RgbImage) -> Result<RgbImage> {
+        Ok(crop_and_resize(
+            stored,
+            &self.crop,
+            self.size.0,
+            self.size.1,
+        )?)
+    }
+
+    fn label(&self, (centre, radius): Label) -> Label {
+        let along = |value: f64, first: u32, from: u32, to: u32| {
+            (value + 0.5 - f64::from(first)) * f64::from(to) / f64::from(from) - 0.5
+        };
+        let x = along(centre[0], self.window.left, self.window.width, self.size.0);
+        let y = along(centre[1], self.window.top, self.window.height, self.size.1);
+        ([x, y], radius * self.zoom())
+    }
+}
+
+/// Pixels of a contact.
+struct Disc {
+    pixels: Vec<usize>,
+    /// Fraction of the disc in the picture.
+    inside: f64,
+}
+
+impl Disc {
+    fn of(press: &LabelledPress) -> Self {
+        let distance = Distance::of(press);
+        let count = (press.picture.width() * press.picture.height()) as usize;
+        let pixels: Vec<usize> = (0..count)
+            .filter(|i| distance.at(*i) < press.radius_px)
+            .collect();
+        let area = std::f64::consts::PI * press.radius_px * press.radius_px;
+        Self {
+            inside: pixels.len() as f64 / area.max(1.0),
+            pixels,
+        }
+    }
+
+    fn saturated(&self, press: &LabelledPress, no_contact: &RgbImage) -> f64 {
+        let at_end = |level: u8| level == 0 || level == 255;
+        let (real, free) = (press.picture.as_raw(), no_contact.as_raw());
+        let values = self.pixels.iter().flat_map(|i| 3 * i..3 * i + 3);
+        let count = values
+            .filter(|v| at_end(real[*v]) && !at_end(free[*v]))
+            .count();
+        count as f64 / (3 * self.pixels.len()).max(1) as f64
+    }
+
+    /// Root mean square of the change over the channel where it is largest.
+    fn rms(&self, change: &[Vec<f32>; 3]) -> f64 {
+        let count = self.pixels.len().max(1) as f64;
+        change
+            .iter()
+            .map(|plane| {
+                let square: f64 = self
+                    .pixels
+                    .iter()
+                    .map(|i| f64::from(plane[*i]).powi(2))
+                    .sum();
+                (square / count).sqrt()
+            })
+            .fold(0.0, f64::max)
+    }
+}

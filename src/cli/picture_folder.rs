@@ -1,0 +1,53 @@
+//! Folders of pictures that a camera is calibrated with.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use image::GrayImage;
+use image::imageops::grayscale;
+
+use gripcast_base::error::{Error, Result};
+use gripcast_base::files::{FileKind, read_regular};
+use gripcast_imaging::Decoder;
+
+/// Suffixes of pictures.
+const SUFFIXES: [&str; 3] = ["png", "jpg", "jpeg"];
+
+/// The pictures in a folder, in the order of their names.
+///
+/// # Errors
+/// That of the operating system; `Input` for a folder without pictures.
+pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
+    let cannot = |e| Error::io("cannot read the folder of pictures", e).at(folder.display());
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).map_err(cannot)? {
+        let path = entry.map_err(cannot)?.path();
+        let suffix = path.extension().unwrap_or_default();
+        if SUFFIXES.iter().any(|s| suffix.eq_ignore_ascii_case(s)) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    if files.is_empty() {
+        return Err(Error::input("the folder has no .png or .jpg pictures").at(folder.display()));
+    }
+    Ok(files)
+}
+
+/// Name of a file, without its folder.
+pub(super) fn file_name(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
+/// A stored picture in grey, at its own size.
+///
+/// # Errors
+/// That of the operating system; `Input` for what is no picture.
+pub(super) fn read_grey(decoder: &mut Decoder, path: &Path) -> Result<GrayImage> {
+    let bytes =
+        read_regular(path, FileKind::Image).map_err(|e| Error::io("cannot read the picture", e))?;
+    Ok(grayscale(&decoder.stored_picture(&bytes)?))
+}
