@@ -3,7 +3,7 @@
 //! * [`camera`]: frame sources (V4L2, replay) and their supervision; whoever opens a rig passes
 //!   what makes its virtual cameras
 //! * [`device`]: discovery and identity of USB cameras, access rights
-//! * [`trigger`]: keyboard, pedal and script, all ending in the same session commands
+//! * [`trigger`]: pedal and script, both ending in session commands
 //! * [`calibration`]: rig files, intrinsics, factory read-out
 
 pub mod calibration;

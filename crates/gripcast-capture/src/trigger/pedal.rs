@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use hidapi::{HidApi, HidDevice};
 
-use super::{TriggerEvent, TriggerSource};
+use super::TriggerEvent;
 use crate::calibration::PedalConfig;
 use crate::camera::Clock;
 use crate::device::LOCAL_UDEV_RULES;
@@ -273,7 +273,6 @@ fn read_reports(
             sink(match keys.command(usage) {
                 Some(text) => PedalEvent::Trigger(TriggerEvent {
                     text: text.to_owned(),
-                    source: TriggerSource::Pedal,
                     at_ns,
                 }),
                 None => PedalEvent::Unmapped {
