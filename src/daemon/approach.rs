@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use image::imageops::grayscale;
 
-use super::hub::{CameraSlot, Hub, Soundness};
+use super::hub::{CameraSlot, Hub};
 use super::sheets::Boards;
 use super::status::MarkerStatus;
 use super::thread::spawn;
@@ -232,11 +232,7 @@ fn run(
     let mut last_ns = 0;
     while !slot.is_closed() {
         let started = Instant::now();
-        let newest = slot
-            .frames()
-            .into_iter()
-            .rfind(|(_, soundness)| *soundness == Soundness::Sound)
-            .map(|(frame, _)| frame);
+        let newest = slot.sound_frames().pop();
         if let Some(frame) = newest.filter(|frame| frame.driver_time_ns > last_ns) {
             last_ns = frame.driver_time_ns;
             let object = lock(shared).object.clone();

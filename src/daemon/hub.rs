@@ -210,13 +210,24 @@ impl CameraSlot {
     }
 
     /// Frames in the ring, oldest first.
-    #[must_use]
-    pub(super) fn frames(&self) -> Vec<(Frame, Soundness)> {
+    #[cfg(test)]
+    fn frames(&self) -> Vec<(Frame, Soundness)> {
         self.lock()
             .ring
             .iter()
             .map(|held| (held.frame.clone(), held.soundness))
             .collect()
+    }
+
+    /// Frames that can be saved, oldest first.
+    #[must_use]
+    pub(super) fn sound_frames(&self) -> Vec<Frame> {
+        let state = self.lock();
+        let sound = state
+            .ring
+            .iter()
+            .filter(|h| h.soundness == Soundness::Sound);
+        sound.map(|held| held.frame.clone()).collect()
     }
 
     /// Driver time of the newest frame, ns.

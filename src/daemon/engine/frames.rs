@@ -6,7 +6,6 @@ use jiff::Timestamp;
 
 use super::{Engine, disk_free_bytes};
 use crate::daemon::approach::Approach;
-use crate::daemon::hub::Soundness;
 use crate::daemon::pairing::{Paired, pair};
 use crate::daemon::report::fault_text;
 use gripcast_capture::calibration::SourceKind;
@@ -25,8 +24,7 @@ impl Engine {
     /// Every camera delivers, and what it delivers can be used.
     pub(super) fn all_live(&self) -> bool {
         self.hub.slots().all(|slot| {
-            slot.facts(|facts| facts.health == Health::Live)
-                && slot.frames().iter().any(|(_, s)| *s == Soundness::Sound)
+            slot.facts(|facts| facts.health == Health::Live) && !slot.sound_frames().is_empty()
         })
     }
 
@@ -77,13 +75,9 @@ impl Engine {
             .slots()
             .filter(|slot| slot.facts(|facts| usable(&facts.health)))
             .map(|slot| {
-                let sound = slot
-                    .frames()
-                    .into_iter()
-                    .filter(|(_, s)| *s == Soundness::Sound)
-                    .map(|(frame, _)| frame);
-                let (new, old): (Vec<Frame>, Vec<Frame>) =
-                    sound.partition(|frame| frame.driver_time_ns > since_ns);
+                let is_new = |frame: &Frame| frame.driver_time_ns > since_ns;
+                let (new, old): (Vec<_>, Vec<_>) =
+                    slot.sound_frames().into_iter().partition(is_new);
                 // Where there is none since the last capture, a guard tells.
                 (slot.role(), if new.is_empty() { old } else { new })
             })
