@@ -18,8 +18,9 @@ use serde_json::Value;
 use crate::dataset::write_dataset;
 use crate::program::{gripcast, json, succeed};
 
-/// Commands without a schema: benches for developers, whose figures change with the code.
-const WITHOUT_SCHEMA: [&str; 7] = [
+/// Commands without a schema: benches for developers, whose figures change with the code, and
+/// `replay demo`, which takes minutes and prints the report of `replay`.
+const WITHOUT_SCHEMA: [&str; 8] = [
     "bench contact",
     "bench grasp",
     "bench pose",
@@ -27,6 +28,7 @@ const WITHOUT_SCHEMA: [&str; 7] = [
     "bench rigid",
     "bench synth",
     "bench train",
+    "replay demo",
 ];
 
 /// Objects whose keys are data: objects, operators, models, scenes, roles, parts of a dataset.
