@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 use glam::{DVec3, Vec3};
 use gripcast_visual::{
     Bitmap, Camera, Colour, DenoiseSettings, Environment, Material, Mesh, Picture, PixelFilter,
-    RenderSettings, Renderer, Rendering, Scene, Texture, Watch, denoise, load_hdr,
+    RenderSettings, Renderer, Rendering, Scene, Watch, denoise, load_hdr,
 };
 use image::{Rgb, RgbImage};
 use serde_json::json;
@@ -179,16 +179,8 @@ fn scene(options: &Options) -> Done<Scene> {
             },
         ],
         textures: vec![
-            Texture::Bitmap(Bitmap::from_srgb8(&stripes(
-                512,
-                [200, 90, 40],
-                [230, 220, 190],
-            ))?),
-            Texture::Bitmap(Bitmap::from_srgb8(&stripes(
-                512,
-                [110, 80, 50],
-                [170, 140, 100],
-            ))?),
+            Bitmap::from_srgb8(&stripes(512, [200, 90, 40], [230, 220, 190]))?,
+            Bitmap::from_srgb8(&stripes(512, [110, 80, 50], [170, 140, 100]))?,
         ],
         environment,
         camera: Camera::centred(320, 240, 0.75, pose),
@@ -313,11 +305,8 @@ fn export(scene: &Scene, out: &Path) -> Done<()> {
         meshes.push(json!({"file": file, "material": mesh.material}));
     }
     for (t, texture) in scene.textures.iter().enumerate() {
-        if let Texture::Bitmap(bitmap) = texture {
-            bitmap
-                .to_srgb8()
-                .save(out.join(format!("texture{t}.png")))?;
-        }
+        let file = out.join(format!("texture{t}.png"));
+        texture.to_srgb8().save(file)?;
     }
     write_pfm(
         &with_poles(&scene.environment.map),

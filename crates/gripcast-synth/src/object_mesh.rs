@@ -12,9 +12,7 @@ use gripcast_geometry::{MeshFormat, TriangleMesh, read_textured_mesh};
 /// Those of reading the file; `Input` for a mesh that is not the planned one.
 pub fn planned_mesh(object: &PlannedObject, root: &Root) -> Result<TriangleMesh> {
     let mesh = match &object.mesh {
-        MeshSource::Family { category, seed } => {
-            family_shape(Category::parse(category)?, *seed)?.mesh
-        }
+        MeshSource::Family { category, seed } => family_shape(Category::parse(category)?, *seed)?,
         MeshSource::File { file } => stored_mesh(root, file)?,
     };
     let found = mesh.content_hash();

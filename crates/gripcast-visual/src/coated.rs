@@ -5,7 +5,7 @@ use super::material::{Colour, Material};
 use super::model::{Model, is_closed};
 use super::pattern::paint_coat;
 use super::shading::{Projection, shaded_mesh};
-use super::texture::{Bitmap, Texture};
+use super::texture::Bitmap;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_geometry::{CREASE_RAD, TriangleMesh};
 
@@ -71,7 +71,7 @@ impl Model {
                 roughness: coat.roughness,
                 ior: IOR,
             }],
-            textures: vec![Texture::Bitmap(Bitmap::from_srgb8(&coat.picture)?)],
+            textures: vec![Bitmap::from_srgb8(&coat.picture)?],
         })
     }
 
@@ -107,7 +107,7 @@ impl Model {
                 roughness: PICTURE_ROUGHNESS,
                 ior: IOR,
             }],
-            textures: vec![Texture::Bitmap(picture.clone())],
+            textures: vec![picture.clone()],
         })
     }
 }

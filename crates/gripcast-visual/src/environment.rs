@@ -62,3 +62,23 @@ impl Environment {
         Ok(())
     }
 }
+
+/// Linear RGB of a black body, luminance 1, for 2000 to 12000 K.
+///
+/// The chromaticity is Krystek's fit of the Planckian locus (Color Research & Application, 1985).
+pub(super) fn light_of_kelvin(kelvin: f32) -> [f32; 3] {
+    let t = kelvin.clamp(2000.0, 12_000.0);
+    let u = (0.860_117_76 + 1.541_182_5e-4 * t + 1.286_412_2e-7 * t * t)
+        / (1.0 + 8.424_202_4e-4 * t + 7.081_452e-7 * t * t);
+    let v = (0.317_398_73 + 4.228_062_4e-5 * t + 4.204_816_9e-8 * t * t)
+        / (1.0 - 2.897_418_2e-5 * t + 1.614_560_5e-7 * t * t);
+    let scale = 2.0 * u - 8.0 * v + 4.0;
+    let (x, y) = (3.0 * u / scale, 2.0 * v / scale);
+    let (big_x, big_z) = (x / y, (1.0 - x - y) / y);
+    [
+        3.240_97 * big_x - 1.537_383 - 0.498_611 * big_z,
+        -0.969_244 * big_x + 1.875_968 + 0.041_555 * big_z,
+        0.055_63 * big_x - 0.203_977 + 1.056_972 * big_z,
+    ]
+    .map(|c| c.max(0.0))
+}

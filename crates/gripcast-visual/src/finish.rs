@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use super::material::{Colour, Material};
 use super::pattern::Pattern;
-use super::texture::{Bitmap, Texture};
+use super::texture::Bitmap;
 use gripcast_base::error::{Error, Result, unknown_name};
 
 /// Width and height of painted textures, px.
@@ -68,7 +68,7 @@ impl Finish {
         self,
         seed: u64,
         texture: usize,
-    ) -> Result<(Material, Option<(Texture, f64)>)> {
+    ) -> Result<(Material, Option<(Bitmap, f64)>)> {
         // Index and extinction as those of steel.
         let (eta, k, roughness) = match self {
             Self::Painted(pattern) => {
@@ -80,7 +80,7 @@ impl Finish {
                     ior: 1.5,
                 };
                 let bitmap = Bitmap::from_srgb8(&painted.picture)?;
-                return Ok((material, Some((Texture::Bitmap(bitmap), painted.tile_m))));
+                return Ok((material, Some((bitmap, painted.tile_m))));
             }
             Self::Glass => {
                 let material = Material::Dielectric {

@@ -1,8 +1,9 @@
 use super::*;
 use crate::VisualRandomisation;
 use crate::demo::demo_model;
-use gripcast_geometry::{Aabb, builtin};
-use gripcast_sim::grasp::{Finger, Placement, StageName};
+use gripcast_geometry::builtin;
+use gripcast_sim::fem::{GelGrid, GelResolution};
+use gripcast_sim::grasp::{Finger, Placement, Snapshot, StageName};
 
 fn mug_state() -> (Model, GraspState) {
     let mesh = builtin("mug").unwrap();

@@ -30,7 +30,11 @@
 //! | camera arm | ±12 | −68 to −10 | −192 to −170 | 3 |
 //! | D435 | 90 wide, 25 high, 25 deep, its ends round, behind the camera’s place | | | 12.5 |
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
+
+use serde::Deserialize;
+
+use GripperSurface::{Anodised, CameraShell, CameraWindow, Housing, Print, Rubber, Steel};
 
 use super::d435::t_gripper_camera;
 use super::solids::{cylinder, mirrored_x, rounded_box, smooth_path, tube};
@@ -42,7 +46,8 @@ const WIDEST_M: f64 = 0.2;
 const MM: f64 = 1e-3;
 
 /// What a part is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum GripperSurface {
     /// Coating of the gel: matt grey.
     Gel,
@@ -68,7 +73,7 @@ pub enum GripperSurface {
 #[derive(Clone, Debug)]
 pub struct GripperPart {
     /// What it is, as in the table of this module.
-    pub name: &'static str,
+    pub name: String,
     /// What it is made of.
     pub surface: GripperSurface,
     /// Shape in the gripper frame, m.
@@ -88,195 +93,132 @@ pub fn gripper_parts(opening_m: f64) -> Result<Vec<GripperPart>> {
         )
         .remedy("give the distance between the gels' faces in metres"));
     }
+    let Ok(blocks) = toml::from_str::<Blocks>(include_str!("gripper.toml")) else {
+        return Err(Error::new(ErrorKind::Internal, "the gripper is damaged"));
+    };
     let mut parts = Vec::new();
-    for (name, surface, shape) in finger() {
+    for part in finger(blocks.finger) {
         // Drawn at positive x, which is the right finger.
-        let moved = shape.transformed(&Pose::from_translation(DVec3::X * 0.5 * opening_m));
-        parts.push(part(name, surface, mirrored_x(&moved)));
-        parts.push(part(name, surface, moved));
+        let moved = part.moved(&Pose::from_translation(DVec3::X * 0.5 * opening_m));
+        parts.push(GripperPart {
+            shape: mirrored_x(&moved.shape),
+            ..moved.clone()
+        });
+        parts.push(moved);
     }
-    parts.extend(body(opening_m));
+    parts.extend(rail(opening_m).map(GripperPart::block));
+    parts.extend(blocks.body.into_iter().map(GripperPart::block));
     parts.extend(camera());
     Ok(parts)
 }
 
-fn part(name: &'static str, surface: GripperSurface, shape: TriangleMesh) -> GripperPart {
-    GripperPart {
-        name,
-        surface,
-        shape,
-    }
+type Range = [f64; 2];
+/// A rounded box: name, surface, bounds along x, y and z, rounding; mm.
+type Block = (String, GripperSurface, Range, Range, Range, f64);
+
+#[derive(Deserialize)]
+struct Blocks {
+    finger: Vec<Block>,
+    body: Vec<Block>,
 }
 
-/// Rounded box by its bounds in mm.
-fn block(x: [f64; 2], y: [f64; 2], z: [f64; 2], rounding: f64) -> TriangleMesh {
-    let low = DVec3::new(x[0], y[0], z[0]) * MM;
-    let high = DVec3::new(x[1], y[1], z[1]) * MM;
-    rounded_box(low, high, rounding * MM)
-}
-
-/// Parts of the right finger with its gel face at x = 0.
-fn finger() -> Vec<(&'static str, GripperSurface, TriangleMesh)> {
-    use GripperSurface::{Anodised, Gel, Housing, Label, Print, Rubber, Steel};
-    let mut parts = vec![
-        (
-            "gel",
-            Gel,
-            block([0.0, 4.0], [-10.0, 10.0], [-12.5, 12.5], 0.4),
-        ),
-        (
-            "housing",
-            Housing,
-            block([2.0, 25.0], [-14.0, 14.0], [-19.1, 12.9], 2.5),
-        ),
-        (
-            "back cover",
-            Anodised,
-            block([25.0, 27.0], [-12.5, 12.5], [-17.5, 11.5], 1.0),
-        ),
-        (
-            "label",
-            Label,
-            block([8.0, 20.0], [-14.15, 14.15], [-9.0, -7.6], 0.05),
-        ),
-        (
-            "label",
-            Label,
-            block([8.0, 15.0], [-14.15, 14.15], [-6.4, -5.4], 0.05),
-        ),
-        (
-            "plate",
-            Print,
-            block([27.0, 32.0], [-13.0, 13.0], [-72.0, 6.0], 1.5),
-        ),
-        (
-            "rib",
-            Print,
-            block([32.0, 38.0], [-3.5, 3.5], [-86.0, -14.0], 1.5),
-        ),
-        (
-            "foot",
-            Print,
-            block([8.0, 34.0], [-13.0, 13.0], [-86.0, -70.0], 2.0),
-        ),
-        (
-            "carriage",
-            Anodised,
-            block([4.0, 38.0], [-17.0, 17.0], [-104.0, -86.0], 1.5),
-        ),
-    ];
-    for side in [-1.0, 1.0_f64] {
-        let y = [14.0 * side, 16.5 * side];
-        let y = [y[0].min(y[1]), y[0].max(y[1])];
-        parts.push(("cradle", Print, block([9.0, 30.0], y, [-21.0, -4.0], 1.0)));
-        // Heads of screws on the sides that the cameras see.
-        for (x, z, reach, radius) in [
-            (13.0, -17.5, 17.2, 1.6),
-            (26.0, -7.5, 17.2, 1.6),
-            (11.0, -90.5, 17.8, 2.4),
-            (31.0, -90.5, 17.8, 2.4),
-            (11.0, -99.5, 17.8, 2.4),
-            (31.0, -99.5, 17.8, 2.4),
-        ] {
-            let end = |y: f64| DVec3::new(x, y * side, z) * MM;
-            let inside = reach - 3.0;
-            parts.push((
-                "screw",
-                Steel,
-                cylinder(end(inside), end(reach), radius * MM, 20),
-            ));
+impl GripperPart {
+    fn new(name: &str, surface: GripperSurface, shape: TriangleMesh) -> Self {
+        let name = name.to_owned();
+        Self {
+            name,
+            surface,
+            shape,
         }
     }
-    let cable = [
-        [14.0, 0.0, -18.0],
-        [14.0, 1.0, -34.0],
-        [20.0, 9.0, -56.0],
-        [38.0, 17.0, -80.0],
-        [46.0, 18.0, -104.0],
-        [38.0, 14.0, -118.0],
-    ]
-    .map(|p| DVec3::from_array(p) * MM);
-    parts.push(("cable", Rubber, tube(&smooth_path(&cable, 6), 1.8 * MM, 16)));
+
+    fn block((name, surface, x, y, z, rounding): Block) -> Self {
+        let low = DVec3::new(x[0], y[0], z[0]) * MM;
+        let high = DVec3::new(x[1], y[1], z[1]) * MM;
+        Self::new(&name, surface, rounded_box(low, high, rounding * MM))
+    }
+
+    fn moved(&self, pose: &Pose) -> Self {
+        Self::new(&self.name, self.surface, self.shape.transformed(pose))
+    }
+}
+
+/// Screws on the sides that the cameras see: x, z, reach of their heads in y, radius; mm.
+const SCREWS: [[f64; 4]; 6] = [
+    [13.0, -17.5, 17.2, 1.6],
+    [26.0, -7.5, 17.2, 1.6],
+    [11.0, -90.5, 17.8, 2.4],
+    [31.0, -90.5, 17.8, 2.4],
+    [11.0, -99.5, 17.8, 2.4],
+    [31.0, -99.5, 17.8, 2.4],
+];
+/// Places that the cable of a finger goes through, mm.
+const CABLE: [DVec3; 6] = [
+    DVec3::new(14.0, 0.0, -18.0),
+    DVec3::new(14.0, 1.0, -34.0),
+    DVec3::new(20.0, 9.0, -56.0),
+    DVec3::new(38.0, 17.0, -80.0),
+    DVec3::new(46.0, 18.0, -104.0),
+    DVec3::new(38.0, 14.0, -118.0),
+];
+
+/// Parts of the right finger with its gel face at x = 0.
+fn finger(blocks: Vec<Block>) -> Vec<GripperPart> {
+    let mut parts: Vec<_> = blocks.into_iter().map(GripperPart::block).collect();
+    for (side, y) in [(-1.0, [-16.5, -14.0]), (1.0, [14.0, 16.5])] {
+        let name = "cradle".to_owned();
+        let cradle = (name, Print, [9.0, 30.0], y, [-21.0, -4.0], 1.0);
+        parts.push(GripperPart::block(cradle));
+        for [x, z, reach, radius] in SCREWS {
+            let [from, to] = [reach - 3.0, reach].map(|y| DVec3::new(x, y * side, z) * MM);
+            let shape = cylinder(from, to, radius * MM, 20);
+            parts.push(GripperPart::new("screw", Steel, shape));
+        }
+    }
+    let cable = tube(&smooth_path(&CABLE.map(|p| p * MM), 6), 1.8 * MM, 16);
+    parts.push(GripperPart::new("cable", Rubber, cable));
     parts
 }
 
-/// Rail, palm, handle and the arm of the camera.
-fn body(opening_m: f64) -> Vec<GripperPart> {
-    use GripperSurface::{Anodised, Print, Rubber, Steel};
+/// The rail, longer for openings above 140 mm, and its ends.
+fn rail(opening_m: f64) -> [Block; 3] {
     let half = (0.5 * opening_m / MM + 42.0).max(112.0);
-    let end = |side: f64| {
-        let x = [side * half, side * (half + 6.0)];
-        let x = [x[0].min(x[1]), x[0].max(x[1])];
-        block(x, [-12.0, 12.0], [-117.0, -97.0], 1.5)
+    let end = |x| {
+        let name = "rail end".to_owned();
+        (name, Anodised, x, [-12.0, 12.0], [-117.0, -97.0], 1.5)
     };
-    vec![
-        part(
-            "rail",
-            Steel,
-            block([-half, half], [-7.5, 7.5], [-113.0, -101.0], 1.0),
-        ),
-        part("rail end", Anodised, end(-1.0)),
-        part("rail end", Anodised, end(1.0)),
-        part(
-            "palm",
-            Print,
-            block([-62.0, 62.0], [-24.0, 24.0], [-156.0, -116.0], 6.0),
-        ),
-        part(
-            "handle",
-            Rubber,
-            block([-17.0, 17.0], [-15.0, 15.0], [-262.0, -150.0], 12.0),
-        ),
-        part(
-            "arm",
-            Print,
-            block([-12.0, 12.0], [-68.0, -10.0], [-192.0, -170.0], 3.0),
-        ),
+    let rail = ("rail".to_owned(), Steel, [-half, half]);
+    [
+        (rail.0, rail.1, rail.2, [-7.5, 7.5], [-113.0, -101.0], 1.0),
+        end([-(half + 6.0), -half]),
+        end([half, half + 6.0]),
     ]
 }
 
 /// The D435 around its colour camera: imagers 14.7 and 64.7 mm to the right of it, 4.2 mm behind
 /// the window (data sheet of the D400 series).
 fn camera() -> Vec<GripperPart> {
-    use GripperSurface::{CameraShell, CameraWindow, Housing};
-    let place = t_gripper_camera();
     let middle = 14.7 + 17.5;
-    let end = |x: f64| {
-        let [from, to] = [-20.8, 3.6].map(|z| DVec3::new(middle + x, 0.0, z) * MM);
-        cylinder(from, to, 12.5 * MM, 48)
+    let block = |name: &str, surface, half: f64, y, z, rounding| {
+        let x = [middle - half, middle + half];
+        GripperPart::block((name.to_owned(), surface, x, y, z, rounding))
     };
+    let rod = |name, surface, x: f64, z: Range, radius, segments| {
+        let [from, to] = z.map(|z| DVec3::new(x, 0.0, z) * MM);
+        GripperPart::new(name, surface, cylinder(from, to, radius * MM, segments))
+    };
+    let (shell, ends) = ("camera shell", [-20.8, 3.6]);
+    let window = [-8.0, 8.0];
     let mut parts = vec![
-        (
-            "camera shell",
-            CameraShell,
-            block(
-                [middle - 32.5, middle + 32.5],
-                [-12.5, 12.5],
-                [-20.8, 3.6],
-                0.2,
-            ),
-        ),
-        ("camera shell", CameraShell, end(-32.5)),
-        ("camera shell", CameraShell, end(32.5)),
-        (
-            "camera window",
-            CameraWindow,
-            block([middle - 40.0, middle + 40.0], [-8.0, 8.0], [0.0, 4.2], 0.5),
-        ),
+        block(shell, CameraShell, 32.5, [-12.5, 12.5], ends, 0.2),
+        rod(shell, CameraShell, middle + -32.5, ends, 12.5, 48),
+        rod(shell, CameraShell, middle + 32.5, ends, 12.5, 48),
+        block("camera window", CameraWindow, 40.0, window, [0.0, 4.2], 0.5),
     ];
-    for x in [0.0, 14.7, 45.0, 64.7] {
-        let [from, to] = [1.0, 4.5].map(|z| DVec3::new(x, 0.0, z) * MM);
-        parts.push(("camera lens", Housing, cylinder(from, to, 3.2 * MM, 24)));
-    }
-    parts
-        .into_iter()
-        .map(|(name, surface, shape)| part(name, surface, shape.transformed(&place)))
-        .collect()
-}
-
-/// A pose from the rotation about the x axis by `angle_rad` and a place, m.
-pub(super) fn pitched(angle_rad: f64, place: DVec3) -> Pose {
-    Pose::new(DQuat::from_rotation_x(angle_rad), place)
+    let lens = |x| rod("camera lens", Housing, x, [1.0, 4.5], 3.2, 24);
+    parts.extend([0.0, 14.7, 45.0, 64.7].map(lens));
+    let place = t_gripper_camera();
+    parts.iter().map(|part| part.moved(&place)).collect()
 }
 
 #[cfg(test)]
@@ -300,7 +242,7 @@ mod tests {
         for opening in [0.0, 0.042, 0.11] {
             let parts = gripper_parts(opening).unwrap();
             let [left, right] = [&parts[0], &parts[1]].map(|part| {
-                assert_eq!((part.name, part.surface), ("gel", GripperSurface::Gel));
+                assert_eq!((&*part.name, part.surface), ("gel", GripperSurface::Gel));
                 part.shape.bounds()
             });
             assert!((left.max.x + 0.5 * opening).abs() < 1e-12);

@@ -1,8 +1,10 @@
 //! Radiance HDR pictures (RGBE), as light domes come in.
 //!
-//! Read here rather than by a crate: the files at hand differ in their headers, and every way
-//! in which a file can be wrong gets its own words. Format: Ward, *Real Pixels* (Graphics Gems II,
-//! 1991) and the manual page of Radiance's `rpict`.
+//! Not read by `image` (0.25): it knows only `-Y +X`, allocates the whole image from the header,
+//! takes rows of fewer than 8 pixels that begin with (2, 2, …) for run lengths, and its factor of
+//! repetitions overflows on a chain of empty ones. Here every way in which a file can be wrong gets
+//! its own words. Format: Ward, *Real Pixels* (Graphics Gems II, 1991) and the manual page of
+//! Radiance's `rpict`.
 
 use std::path::Path;
 

@@ -16,7 +16,7 @@ use super::dome::{Dome, Incident};
 use super::film::PathSample;
 use super::sampler::PixelSample;
 use super::surface::{Face, Frame, Place};
-use super::texture::Texture;
+use super::texture::Bitmap;
 
 /// Least chance to survive the roulette.
 const LEAST_SURVIVAL: f32 = 0.05;
@@ -49,7 +49,7 @@ pub(super) struct Integrator<'a> {
     /// In the order of the hierarchy.
     pub(super) faces: &'a [Face],
     pub(super) materials: &'a [Prepared],
-    pub(super) textures: &'a [Texture],
+    pub(super) textures: &'a [Bitmap],
     pub(super) dome: &'a Dome,
     pub(super) max_bounces: u32,
     pub(super) roulette_from: u32,
@@ -293,7 +293,7 @@ impl<'a> Integrator<'a> {
         let frame = Frame::around(place.shading_normal);
         let local = frame.to_local(outgoing);
         Vertex {
-            bsdf: material.at(self.textures, place.uv, place.position, local),
+            bsdf: material.at(self.textures, place.uv, local),
             place,
             frame,
             outgoing: local,

@@ -10,7 +10,7 @@ use super::material::{Colour, Material};
 use super::pattern::Pattern;
 use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
-use super::texture::{Bitmap, Texture};
+use super::texture::Bitmap;
 use gripcast_base::error::Result;
 use gripcast_base::files::companions;
 use gripcast_geometry::{
@@ -29,7 +29,7 @@ pub struct Model {
     /// Materials that the meshes name.
     pub materials: Vec<Material>,
     /// Textures that the materials name.
-    pub textures: Vec<Texture>,
+    pub textures: Vec<Bitmap>,
 }
 
 /// A model read from a file, and what was wrong with it.
@@ -246,7 +246,7 @@ impl Build<'_> {
 
     fn texture(&mut self, picture: image::RgbImage) -> Option<Colour> {
         let bitmap = Bitmap::from_srgb8(&picture).ok()?;
-        self.model.textures.push(Texture::Bitmap(bitmap));
+        self.model.textures.push(bitmap);
         Some(Colour::Texture(self.model.textures.len() - 1))
     }
 

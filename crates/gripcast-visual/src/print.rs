@@ -4,11 +4,11 @@ use glam::{DQuat, DVec3};
 use image::{Rgb, RgbImage};
 
 use super::camera::Camera;
-use super::grasp_scene::GraspState;
+use super::grasp_state::GraspState;
 use super::material::{Colour, Material};
 use super::model::Model;
 use super::scene::{Mesh, Scene};
-use super::texture::{Bitmap, Texture};
+use super::texture::Bitmap;
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::Pose;
@@ -104,7 +104,7 @@ impl Print {
         Model {
             meshes: vec![mesh],
             materials: vec![paper],
-            textures: vec![Texture::Bitmap(self.picture.clone())],
+            textures: vec![self.picture.clone()],
         }
     }
 

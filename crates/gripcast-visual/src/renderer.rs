@@ -17,7 +17,7 @@ use super::sampler::Net;
 use super::scene::Scene;
 use super::settings::{RenderSettings, Watch};
 use super::surface::Face;
-use super::texture::Texture;
+use super::texture::Bitmap;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// Columns and rows of a tile.
@@ -49,7 +49,7 @@ pub struct Renderer {
     bvh: Bvh,
     faces: Vec<Face>,
     materials: Vec<Prepared>,
-    textures: Vec<Texture>,
+    textures: Vec<Bitmap>,
     dome: Dome,
     strategy: Strategy,
 }

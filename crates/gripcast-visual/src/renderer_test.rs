@@ -108,10 +108,16 @@ fn white_things_vanish_in_a_white_furnace() {
             ..settings(64)
         };
         let rendering = render(&scene, &settings);
-        let mean = rendering.picture.mean();
+        // Of the ball alone: what surrounds it is exact.
+        let pixels = rendering.picture.pixels.iter().zip(&rendering.depth_m);
+        let ball: Vec<f64> = pixels
+            .filter(|(_, depth)| **depth > 0.0)
+            .map(|(pixel, _)| f64::from(pixel[0]))
+            .collect();
+        let mean = ball.iter().sum::<f64>() / ball.len() as f64;
         // Rough glass by interpolated tables, several times along a path.
-        assert!((mean[0] - 1.0).abs() < 5e-3, "{material:?}: {mean:?}");
-        let ball = rendering.depth_m.iter().filter(|d| **d > 0.0).count();
+        assert!((mean - 1.0).abs() < 5e-3, "{material:?}: {mean}");
+        let ball = ball.len();
         assert!(ball > SIZE * SIZE / 3);
     }
 }
@@ -243,9 +249,7 @@ fn textures_are_seen_where_they_are() {
     scene.materials[0] = Material::Diffuse {
         reflectance: Colour::Texture(0),
     };
-    scene.textures = vec![Texture::Bitmap(
-        Bitmap::from_srgb8(&picture.unwrap()).unwrap(),
-    )];
+    scene.textures = vec![Bitmap::from_srgb8(&picture.unwrap()).unwrap()];
     let down = glam::DQuat::from_rotation_x(std::f64::consts::PI);
     scene.camera = Camera::centred(4, 4, 0.9, Pose::new(down, DVec3::Z));
     let rendering = render(&scene, &settings(16));
@@ -337,7 +341,7 @@ fn bad_scenes_are_explained() {
     explain(
         &|s| {
             let picture = image::RgbImage::new(1, 1);
-            s.textures = vec![Texture::Bitmap(Bitmap::from_srgb8(&picture).unwrap())];
+            s.textures = vec![Bitmap::from_srgb8(&picture).unwrap()];
             s.materials[0] = Material::Diffuse {
                 reflectance: Colour::Texture(0),
             };

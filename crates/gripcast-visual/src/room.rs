@@ -7,7 +7,7 @@ use std::f32::consts::TAU;
 
 use glam::Vec3;
 
-use super::sky::light_of_kelvin;
+use super::environment::light_of_kelvin;
 use gripcast_base::random::SeedStream;
 
 /// Rectangle on a face of the room that shines or is painted.

@@ -5,7 +5,7 @@ use glam::{DVec3, Vec3};
 use super::camera::Camera;
 use super::environment::Environment;
 use super::material::{Colour, Material};
-use super::texture::Texture;
+use super::texture::Bitmap;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
@@ -110,16 +110,12 @@ impl Mesh {
                 found.0, found.1
             ));
         };
-        let textured = material.colour().is_some_and(|c| match c {
-            Colour::Texture(t) => scene.textures.get(t).is_some_and(Texture::needs_uv),
-            Colour::Constant(_) => false,
-        });
-        if textured && self.uvs.is_empty() {
+        if matches!(material.colour(), Some(Colour::Texture(_))) && self.uvs.is_empty() {
             return Err(Error::new(
                 ErrorKind::Input,
                 "the mesh has a picture as texture, but no texture coordinates",
             )
-            .remedy("use a mesh with texture coordinates or a procedural texture"));
+            .remedy("use a mesh with texture coordinates"));
         }
         Ok(())
     }
@@ -133,7 +129,7 @@ pub struct Scene {
     /// What the meshes are made of.
     pub materials: Vec<Material>,
     /// Colours that materials refer to.
-    pub textures: Vec<Texture>,
+    pub textures: Vec<Bitmap>,
     /// Light from all directions, infinitely far away.
     pub environment: Environment,
     /// Where the picture is taken from.

@@ -1,44 +1,9 @@
-//! Colour over a surface.
+//! Pictures over a surface: linear RGB reflectance in [0, 1].
 
-use std::fmt::Debug;
-use std::sync::Arc;
-
-use glam::Vec3;
 use image::RgbImage;
 
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_imaging::srgb_decode;
-
-/// Colour that is computed from the place on a surface.
-pub trait ProceduralTexture: Debug + Send + Sync {
-    /// Linear RGB reflectance in [0, 1] at texture coordinates and a world position, m.
-    fn sample(&self, uv: [f32; 2], position: Vec3) -> [f32; 3];
-}
-
-/// Colour over a surface: linear RGB reflectance in [0, 1].
-#[derive(Clone, Debug)]
-pub enum Texture {
-    /// From a picture, by the texture coordinates.
-    Bitmap(Bitmap),
-    /// Computed.
-    Procedural(Arc<dyn ProceduralTexture>),
-}
-
-impl Texture {
-    /// Linear RGB reflectance at texture coordinates and a world position, m.
-    #[inline]
-    pub fn sample(&self, uv: [f32; 2], position: Vec3) -> [f32; 3] {
-        match self {
-            Self::Bitmap(bitmap) => bitmap.sample(uv),
-            Self::Procedural(texture) => texture.sample(uv, position),
-        }
-    }
-
-    /// Whether texture coordinates decide on the colour, so that a mesh needs them.
-    pub fn needs_uv(&self) -> bool {
-        matches!(self, Self::Bitmap(_))
-    }
-}
 
 /// Picture that is repeated over the texture plane and interpolated bilinearly in linear light.
 ///

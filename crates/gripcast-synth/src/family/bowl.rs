@@ -10,25 +10,23 @@ use gripcast_base::error::Result;
 use gripcast_geometry::TriangleMesh;
 
 pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
-    let form = draw.form(["bowl", "saucer", "dish", "deep bowl", "lobed bowl"]);
-    let radius = draw.between("radius_m", 0.026, 0.062);
+    let form = draw.form(&["bowl", "saucer", "dish", "deep bowl", "lobed bowl"]);
+    let radius = draw.between(0.026, 0.062);
     let height = radius
         * match form {
-            "saucer" => draw.between("height", 0.22, 0.35),
-            "dish" => draw.between("height", 0.4, 0.6),
-            "deep bowl" => draw.between("height", 0.9, 1.25),
-            _ => draw.between("height", 0.55, 0.9),
+            "saucer" => draw.between(0.22, 0.35),
+            "dish" => draw.between(0.4, 0.6),
+            "deep bowl" => draw.between(0.9, 1.25),
+            _ => draw.between(0.55, 0.9),
         };
-    let wall = draw.between("wall_m", 0.0028, 0.0045);
-    let foot = radius * draw.between("foot", 0.35, 0.55);
-    let foot_height = draw.between("foot_height_m", 0.0015, 0.004);
+    let wall = draw.between(0.0028, 0.0045);
+    let foot = radius * draw.between(0.35, 0.55);
+    let foot_height = draw.between(0.0015, 0.004);
     // 2 is a quarter of an ellipse, more is steeper.
-    let power = draw.between("power", 1.6, 3.0);
+    let power = draw.between(1.6, 3.0);
     let section = match form {
-        "lobed bowl" => {
-            Section::lobes(draw.count("lobes", 5, 9), draw.between("depth", 0.02, 0.05))
-        }
-        "dish" => Section::oblong(draw.between("aspect", 1.0, 1.25), 4.0),
+        "lobed bowl" => Section::lobes(draw.count(5, 9), draw.between(0.02, 0.05)),
+        "dish" => Section::oblong(draw.between(1.0, 1.25), 4.0),
         _ => Section::circle(),
     };
     // Wide sections would make the longest side too long.

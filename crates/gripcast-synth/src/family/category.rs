@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::draw::Draw;
+use super::script::{self, Formula};
 use gripcast_base::error::{Result, unknown_name};
 use gripcast_geometry::TriangleMesh;
 
@@ -48,6 +49,12 @@ pub enum Category {
     Figure,
 }
 
+/// Names in the order of the categories.
+const NAMES: [&str; 18] = [
+    "box", "block", "bottle", "can", "bowl", "mug", "tube", "ring", "tool", "cutlery", "pen",
+    "fastener", "bracket", "knob", "toy", "sheet", "fruit", "figure",
+];
+
 impl Category {
     /// All categories.
     pub const ALL: [Self; 18] = [
@@ -73,7 +80,7 @@ impl Category {
 
     /// Its name, in lower case.
     pub fn name(self) -> &'static str {
-        self.about().0
+        NAMES[self as usize]
     }
 
     /// The category of a name.
@@ -88,113 +95,59 @@ impl Category {
     /// ```
     pub fn parse(name: &str) -> Result<Self> {
         let found = Self::ALL.into_iter().find(|c| c.name() == name);
-        found.ok_or_else(|| unknown_name("category", name, &Self::ALL.map(Self::name)))
+        found.ok_or_else(|| unknown_name("category", name, &NAMES))
     }
 
     /// Names of materials that such objects are made of, the commonest first.
-    pub fn materials(self) -> &'static [&'static str] {
-        self.about().1
+    pub fn materials(self) -> Vec<&'static str> {
+        let materials = script::header(self.text(), "materials");
+        let names = materials.iter().filter_map(|material| match material {
+            Formula::Form(name) => Some(*name),
+            _ => None,
+        });
+        names.collect()
     }
 
     /// Part of the enclosed volume that is material: from, to. Closed vessels and cartons are
     /// modelled by their outer surface, so their walls and contents are a part of it.
     pub fn fill(self) -> (f64, f64) {
-        self.about().2
+        match script::header(self.text(), "fill")[..] {
+            [Formula::Number(low), Formula::Number(high)] => (low, high),
+            _ => (1.0, 1.0),
+        }
     }
 
-    /// Name, materials, fill.
-    fn about(self) -> (&'static str, &'static [&'static str], (f64, f64)) {
+    /// Its file: materials, fill and for most the shape.
+    fn text(self) -> &'static str {
         match self {
-            Self::Box => (
-                "box",
-                &["cardboard", "paper", "wood", "wax", "foam"],
-                (0.1, 0.6),
-            ),
-            Self::Block => ("block", &["wood", "abs", "foam", "stone"], (0.3, 1.0)),
-            Self::Bottle => (
-                "bottle",
-                &["polyethylene", "pet", "glass", "aluminium"],
-                (0.1, 0.5),
-            ),
-            Self::Can => (
-                "can",
-                &["steel", "aluminium", "glass", "polypropylene", "paper"],
-                (0.1, 0.5),
-            ),
-            Self::Bowl => (
-                "bowl",
-                &["ceramic", "wood", "polypropylene", "glass", "steel"],
-                (1.0, 1.0),
-            ),
-            Self::Mug => ("mug", &["ceramic", "glass", "abs", "steel"], (1.0, 1.0)),
-            Self::Tube => (
-                "tube",
-                &["pvc", "cardboard", "copper", "steel", "rubber"],
-                (0.5, 1.0),
-            ),
-            Self::Ring => (
-                "ring",
-                &["rubber", "steel", "wood", "abs", "brass"],
-                (0.8, 1.0),
-            ),
-            Self::Tool => ("tool", &["steel", "abs", "wood", "rubber"], (0.4, 1.0)),
-            Self::Cutlery => (
-                "cutlery",
-                &["steel", "wood", "polypropylene", "bamboo"],
-                (0.8, 1.0),
-            ),
-            Self::Pen => ("pen", &["wood", "abs", "wax", "aluminium"], (0.4, 1.0)),
-            Self::Fastener => (
-                "fastener",
-                &["steel", "brass", "nylon", "aluminium"],
-                (0.9, 1.0),
-            ),
-            Self::Bracket => (
-                "bracket",
-                &["steel", "aluminium", "abs", "brass"],
-                (0.6, 1.0),
-            ),
-            Self::Knob => (
-                "knob",
-                &["abs", "brass", "wood", "rubber", "aluminium"],
-                (0.4, 1.0),
-            ),
-            Self::Toy => ("toy", &["abs", "pla", "rubber", "wood"], (0.1, 0.6)),
-            Self::Sheet => (
-                "sheet",
-                &["cardboard", "wood", "acrylic", "aluminium", "cork"],
-                (0.7, 1.0),
-            ),
-            Self::Fruit => ("fruit", &["fruit flesh", "wax", "foam", "wood"], (0.8, 1.0)),
-            Self::Figure => (
-                "figure",
-                &["abs", "rubber", "fabric", "wood", "ceramic"],
-                (0.1, 0.6),
-            ),
+            Self::Box => include_str!("shapes/box.shape"),
+            Self::Block => include_str!("shapes/block.shape"),
+            Self::Bottle => include_str!("shapes/bottle.shape"),
+            Self::Can => include_str!("shapes/can.shape"),
+            Self::Bowl => include_str!("shapes/bowl.shape"),
+            Self::Mug => include_str!("shapes/mug.shape"),
+            Self::Tube => include_str!("shapes/tube.shape"),
+            Self::Ring => include_str!("shapes/ring.shape"),
+            Self::Tool => include_str!("shapes/tool.shape"),
+            Self::Cutlery => include_str!("shapes/cutlery.shape"),
+            Self::Pen => include_str!("shapes/pen.shape"),
+            Self::Fastener => include_str!("shapes/fastener.shape"),
+            Self::Bracket => include_str!("shapes/bracket.shape"),
+            Self::Knob => include_str!("shapes/knob.shape"),
+            Self::Toy => include_str!("shapes/toy.shape"),
+            Self::Sheet => include_str!("shapes/sheet.shape"),
+            Self::Fruit => include_str!("shapes/fruit.shape"),
+            Self::Figure => include_str!("shapes/figure.shape"),
         }
     }
 
     /// Draws a shape of the family.
     pub(super) fn draw(self, draw: &mut Draw) -> Result<TriangleMesh> {
         match self {
-            Self::Box => super::carton::draw(draw),
-            Self::Block => super::block::draw(draw),
-            Self::Bottle => super::bottle::draw(draw),
-            Self::Can => super::can::draw(draw),
             Self::Bowl => super::bowl::draw(draw),
             Self::Mug => super::mug::draw(draw),
-            Self::Tube => super::tube::draw(draw),
-            Self::Ring => super::ring::draw(draw),
-            Self::Tool => super::tool::draw(draw),
-            Self::Cutlery => super::cutlery::draw(draw),
-            Self::Pen => super::pen::draw(draw),
-            Self::Fastener => super::fastener::draw(draw),
-            Self::Bracket => super::bracket::draw(draw),
-            Self::Knob => super::knob::draw(draw),
             Self::Toy => super::toy::draw(draw),
-            Self::Sheet => super::sheet::draw(draw),
-            Self::Fruit => super::fruit::draw(draw),
-            Self::Figure => super::figure::draw(draw),
+            _ => super::scripted::draw(self.text(), draw),
         }
     }
 }

@@ -118,37 +118,12 @@ pub(super) struct Lathe<'a> {
     pub(super) edge: f64,
 }
 
-impl<'a> Lathe<'a> {
-    /// A body from axis to axis with the same section all along.
-    pub(super) fn prism(profile: &'a [DVec2], section: &'a Section, edge: f64) -> Self {
-        Self {
-            profile,
-            closed: false,
-            section,
-            share: &|_| 1.0,
-            edge,
-        }
-    }
-}
-
 /// A ring of vertices: the first and their number. The apex of a cone has one.
 struct Ring {
     first: u32,
     count: u32,
     /// Half steps by which it is turned: 0 or 1.
     turn: u32,
-}
-
-/// A body with round cross sections.
-pub(super) fn turned(profile: &[DVec2], closed: bool, edge: f64) -> TriangleMesh {
-    Lathe {
-        profile,
-        closed,
-        section: &Section::circle(),
-        share: &|_| 0.0,
-        edge,
-    }
-    .mesh()
 }
 
 impl Lathe<'_> {
@@ -227,6 +202,17 @@ mod tests {
     use super::*;
     use gripcast_geometry::MassProperties;
     use std::f64::consts::PI;
+
+    fn turned(profile: &[DVec2], closed: bool, edge: f64) -> TriangleMesh {
+        Lathe {
+            profile,
+            closed,
+            section: &Section::circle(),
+            share: &|_| 0.0,
+            edge,
+        }
+        .mesh()
+    }
 
     #[test]
     fn a_cylinder_and_a_pipe_have_their_volumes() {

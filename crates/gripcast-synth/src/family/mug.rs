@@ -39,31 +39,28 @@ struct Handle {
 }
 
 pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
-    let form = draw.form(["mug", "tea cup", "tankard", "angular mug", "espresso cup"]);
+    let form = draw.form(&["mug", "tea cup", "tankard", "angular mug", "espresso cup"]);
     let radius = match form {
-        "espresso cup" => draw.between("radius_m", 0.019, 0.026),
-        "tea cup" => draw.between("radius_m", 0.028, 0.038),
-        _ => draw.between("radius_m", 0.024, 0.036),
+        "espresso cup" => draw.between(0.019, 0.026),
+        "tea cup" => draw.between(0.028, 0.038),
+        _ => draw.between(0.024, 0.036),
     };
     let tall = match form {
-        "tea cup" => draw.between("height", 1.25, 1.6),
-        "tankard" => draw.between("height", 2.6, 3.4),
-        _ => draw.between("height", 1.9, 2.6),
+        "tea cup" => draw.between(1.25, 1.6),
+        "tankard" => draw.between(2.6, 3.4),
+        _ => draw.between(1.9, 2.6),
     };
     let height = (radius * tall).min(0.1);
     let knots = cup(draw, form, radius, height);
-    let middle = height * draw.between("handle_at", 0.5, 0.58);
-    let span = height * draw.between("handle_span", 0.24, 0.32);
+    let middle = height * draw.between(0.5, 0.58);
+    let span = height * draw.between(0.24, 0.32);
     let handle = Handle {
-        half: DVec2::new(
-            draw.between("handle_half_width_m", 0.0034, 0.006),
-            draw.between("handle_half_thickness_m", 0.0026, 0.0042),
-        ),
-        reach: draw.between("reach_m", 0.016, 0.026),
+        half: DVec2::new(draw.between(0.0034, 0.006), draw.between(0.0026, 0.0042)),
+        reach: draw.between(0.016, 0.026),
         ends: [middle + span, middle - span],
         power: match form {
             "angular mug" => 5.0,
-            _ => draw.between("handle_power", 1.9, 2.8),
+            _ => draw.between(1.9, 2.8),
         },
         drop: if form == "tea cup" { 0.15 * span } else { 0.0 },
     };
@@ -88,18 +85,18 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
 
 /// Profile of the cup.
 fn cup(draw: &mut Draw, form: &str, radius: f64, height: f64) -> Vec<Knot> {
-    let wall = draw.between("wall_m", 0.0028, 0.0042);
-    let floor = draw.between("floor_m", 0.0032, 0.006);
+    let wall = draw.between(0.0028, 0.0042);
+    let floor = draw.between(0.0032, 0.006);
     let base = radius
         * match form {
-            "tea cup" => draw.between("base", 0.72, 0.85),
-            "tankard" => draw.between("base", 1.0, 1.14),
-            _ => draw.between("base", 0.85, 1.0),
+            "tea cup" => draw.between(0.72, 0.85),
+            "tankard" => draw.between(1.0, 1.14),
+            _ => draw.between(0.85, 1.0),
         };
-    let fillet = draw.between("fillet_m", 0.001, 0.008);
+    let fillet = draw.between(0.001, 0.008);
     let belly = match form {
-        "tea cup" => draw.between("belly", 0.06, 0.14),
-        "mug" => draw.between("belly", -0.06, 0.1),
+        "tea cup" => draw.between(0.06, 0.14),
+        "mug" => draw.between(-0.06, 0.1),
         _ => 0.0,
     };
     let bulge = 0.5 * (base + radius) + belly * radius;

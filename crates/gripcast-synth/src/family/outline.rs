@@ -82,6 +82,32 @@ pub(super) fn even(dense: &[DVec2], edge: f64) -> Vec<DVec2> {
         .collect()
 }
 
+/// A dense smooth line through the points of a profile (Catmull and Rom, 1974), off the axis only
+/// at its ends.
+pub(super) fn smooth(profile: &[Knot]) -> impl Iterator<Item = DVec2> {
+    const PIECES: usize = 16;
+    let at = |k: isize| {
+        let last = profile.len() as isize - 1;
+        // Beyond the ends the line goes on as its mirror image.
+        if k < 0 || k > last {
+            let inner = profile[if k < 0 { 1 } else { profile.len() - 2 }].at;
+            DVec2::new(-inner.x, inner.y)
+        } else {
+            profile[k as usize].at
+        }
+    };
+    let count = (profile.len() - 1) * PIECES;
+    (0..=count).map(move |n| {
+        let (k, t) = ((n / PIECES) as isize, (n % PIECES) as f64 / PIECES as f64);
+        let [a, b, c, d] = [-1, 0, 1, 2].map(|step| at(k + step));
+        let bend = 2.0 * a - 5.0 * b + 4.0 * c - d;
+        let twist = 3.0 * (b - c) + d - a;
+        let p = b + 0.5 * t * ((c - a) + t * (bend + t * twist));
+        let is_end = n == 0 || n == count;
+        DVec2::new(if is_end { 0.0 } else { p.x.max(4e-3) }, p.y)
+    })
+}
+
 /// Points of a rounded corner from where the arc starts to where it ends.
 fn corner(before: DVec2, knot: Knot, after: DVec2, edge: f64) -> Vec<DVec2> {
     let (to_before, to_after) = (before - knot.at, after - knot.at);

@@ -24,30 +24,6 @@ pub(super) struct Plate<'a> {
     pub(super) edge: f64,
 }
 
-/// A plate of constant thickness (m), its middle in z = 0.
-pub(super) fn flat(
-    outline: Vec<DVec2>,
-    holes: Vec<Vec<DVec2>>,
-    thickness: f64,
-    edge: f64,
-) -> Result<TriangleMesh> {
-    Plate {
-        outline,
-        holes,
-        heights: &|_, _| [-0.5 * thickness, 0.5 * thickness],
-        edge,
-    }
-    .mesh()
-}
-
-/// The body turned about the x axis, so that what was drawn in x and y stands upright in x and z.
-pub(super) fn upright(mut mesh: TriangleMesh) -> TriangleMesh {
-    for v in &mut mesh.vertices {
-        *v = DVec3::new(v.x, -v.z, v.y);
-    }
-    mesh
-}
-
 impl Plate<'_> {
     /// # Errors
     /// `Internal` if rims cross or touch.
@@ -253,6 +229,21 @@ mod tests {
     use super::*;
     use gripcast_geometry::MassProperties;
     use std::f64::consts::PI;
+
+    fn flat(
+        outline: Vec<DVec2>,
+        holes: Vec<Vec<DVec2>>,
+        thickness: f64,
+        edge: f64,
+    ) -> Result<TriangleMesh> {
+        Plate {
+            outline,
+            holes,
+            heights: &|_, _| [-0.5 * thickness, 0.5 * thickness],
+            edge,
+        }
+        .mesh()
+    }
 
     #[test]
     fn a_plate_with_a_hole_has_its_volume() {

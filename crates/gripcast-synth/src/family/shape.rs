@@ -10,7 +10,7 @@ const TRIANGLES: f64 = 3200.0;
 /// Triangles that no shape may exceed.
 pub(super) const MAX_TRIANGLES: usize = 8000;
 /// Widths of faces, m: smaller ones cost time, wider ones leave contact without vertices.
-const EDGE_M: (f64, f64) = (2.2e-3, 3.8e-3);
+pub(super) const EDGE_M: (f64, f64) = (2.2e-3, 3.8e-3);
 /// Longest side of a triangle, m: the diagonal of a square of the widest faces.
 pub(super) const MAX_SIDE_M: f64 = 5.6e-3;
 /// Longest side of the bounding box, m.
@@ -167,15 +167,21 @@ mod tests {
             DVec3::X * 0.08,
         ));
         let two = sound.scaled(0.9).joined(&far.scaled(0.9));
-        let text = finished(two).unwrap_err().to_string();
-        assert!(text.contains("several parts"), "{text}");
-        assert!(finished(sound.scaled(4.0)).is_err());
         let mut open = sound.clone();
         open.triangles.pop();
-        assert!(finished(open).is_err());
-        let mut thin = sound;
+        let mut thin = sound.clone();
         thin.vertices[1] = thin.vertices[0];
-        assert!(finished(thin).is_err());
+        let large = SIZE_M.1 / sound.bounds().extent().max_element();
+        for (mesh, reason) in [
+            (two, "several parts"),
+            (open, "close"),
+            (thin, "sliver"),
+            (sound.scaled(1.01 * large), "its size"),
+            (sound.scaled(0.1), "its size"),
+        ] {
+            let text = finished(mesh).unwrap_err().to_string();
+            assert!(text.contains(reason), "{reason}: {text}");
+        }
     }
 
     #[test]

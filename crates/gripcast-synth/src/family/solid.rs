@@ -86,12 +86,6 @@ impl Solid {
         self.put(form, from, turn, Role::Add(width));
     }
 
-    /// Adds an ellipsoid.
-    pub(super) fn ball(&mut self, center: DVec3, half: DVec3, width: f64) {
-        let role = Role::Add(width);
-        self.put(Form::Ellipsoid(half), center, DQuat::IDENTITY, role);
-    }
-
     /// Signed distance (m), negative inside; a lower bound off the surface.
     pub(super) fn distance(&self, p: DVec3) -> f64 {
         self.parts.iter().fold(1.0, |body, part| {
@@ -371,7 +365,8 @@ mod tests {
     #[test]
     fn a_cut_ball_is_a_shell() {
         let mut solid = Solid::new(0.004);
-        solid.ball(DVec3::ZERO, DVec3::splat(0.02), 0.0);
+        let ball = Form::Ellipsoid(DVec3::splat(0.02));
+        solid.put(ball, DVec3::ZERO, DQuat::IDENTITY, Role::Add(0.0));
         let hollow = Form::Ellipsoid(DVec3::splat(0.016));
         solid.put(hollow, DVec3::ZERO, DQuat::IDENTITY, Role::Cut(0.0));
         let volume = MassProperties::of(&solid.mesh()).unwrap().volume_m3;

@@ -12,33 +12,33 @@ use gripcast_geometry::TriangleMesh;
 const THINNEST_M: f64 = 0.005;
 
 pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
-    draw.form(["random body"]);
-    let complexity = draw.count("complexity", 1, 6);
-    let size = draw.between("size_m", 0.02, 0.042);
-    let blend = draw.between("blend", 0.08, 0.3) * size;
-    let cuts = draw.count("cuts", 0, complexity.div_ceil(2));
-    let spread = draw.between("spread", 0.5, 0.85);
+    draw.form(&["random body"]);
+    let complexity = draw.count(1, 6);
+    let size = draw.between(0.02, 0.042);
+    let blend = draw.between(0.08, 0.3) * size;
+    let cuts = draw.count(0, complexity.div_ceil(2));
+    let spread = draw.between(0.5, 0.85);
     let mut solid = Solid::new(THINNEST_M);
     let core = form(draw, 0.55 * size);
     solid.put(core, DVec3::ZERO, turn(draw), Role::Add(0.0));
     let mut ends = vec![DVec3::ZERO];
     for _ in 0..complexity {
         // Each part hangs on an earlier one, held by a limb between both.
-        let from = ends[(draw.quiet(0.0, 0.999) * ends.len() as f64) as usize];
+        let from = ends[(draw.between(0.0, 0.999) * ends.len() as f64) as usize];
         let out = (from.normalize_or_zero() * 0.6 + direction(draw)).normalize_or(DVec3::X);
-        let end = from + out * (spread * size * draw.quiet(0.7, 1.15));
+        let end = from + out * (spread * size * draw.between(0.7, 1.15));
         let end = end.clamp_length_max(1.2 * size);
-        let half = size * draw.quiet(0.22, 0.42);
+        let half = size * draw.between(0.22, 0.42);
         let part = form(draw, half);
-        let limb = size * draw.quiet(0.13, 0.24);
+        let limb = size * draw.between(0.13, 0.24);
         let radius = limb.max(0.5 * THINNEST_M);
         solid.limb([from, end], [radius; 2], blend);
         solid.put(part, end, turn(draw), Role::Add(blend));
         ends.push(end);
     }
     for _ in 0..cuts {
-        let at = direction(draw) * (size * draw.quiet(0.55, 0.75));
-        let half = size * draw.quiet(0.2, 0.35);
+        let at = direction(draw) * (size * draw.between(0.55, 0.75));
+        let half = size * draw.between(0.2, 0.35);
         let dent = form(draw, half);
         solid.put(dent, at, turn(draw), Role::Cut(blend.max(0.004)));
     }
@@ -47,8 +47,8 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
 
 /// A part of about the given half size (m).
 fn form(draw: &mut Draw, size: f64) -> Form {
-    let [a, b, c] = [0.7, 0.7, 0.7].map(|low| size * draw.quiet(low, 1.15));
-    match (draw.quiet(0.0, 4.999)) as usize {
+    let [a, b, c] = [0.7, 0.7, 0.7].map(|low| size * draw.between(low, 1.15));
+    match (draw.between(0.0, 4.999)) as usize {
         0 => Form::Ellipsoid(DVec3::new(a, b, c)),
         1 => Form::Block(DVec3::new(a, b, c) * 0.85, 0.1 * size),
         2 => Form::Drum([a, 0.8 * b], c, 0.08 * size),
@@ -58,8 +58,8 @@ fn form(draw: &mut Draw, size: f64) -> Form {
 }
 
 fn direction(draw: &mut Draw) -> DVec3 {
-    let z = draw.quiet(-1.0, 1.0);
-    let angle = draw.quiet(0.0, std::f64::consts::TAU);
+    let z = draw.between(-1.0, 1.0);
+    let angle = draw.between(0.0, std::f64::consts::TAU);
     let (sin, cos) = angle.sin_cos();
     let flat = (1.0 - z * z).max(0.0).sqrt();
     DVec3::new(flat * cos, flat * sin, z)
@@ -67,5 +67,5 @@ fn direction(draw: &mut Draw) -> DVec3 {
 
 fn turn(draw: &mut Draw) -> DQuat {
     let axis = direction(draw);
-    DQuat::from_axis_angle(axis.normalize_or(DVec3::X), draw.quiet(0.0, 3.0))
+    DQuat::from_axis_angle(axis.normalize_or(DVec3::X), draw.between(0.0, 3.0))
 }

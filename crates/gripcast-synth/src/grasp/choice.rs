@@ -37,7 +37,7 @@ pub struct GraspChoice {
     /// Candidates without two opposite places.
     pub without_places: usize,
     /// Candidates that would hit something, by the part of the gripper.
-    pub collisions: BTreeMap<&'static str, usize>,
+    pub collisions: BTreeMap<String, usize>,
 }
 
 /// Draws up to `wanted` grasps of an object (m, its own frame) in stable poses, as often as it

@@ -34,7 +34,7 @@ impl Obstacle {
 ///
 /// # Errors
 /// `Input` for an opening that the gripper has not.
-pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<&'static str>> {
+pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<String>> {
     let t_world_gripper = placed.t_world_gripper;
     for (part, solid) in gripper_parts(placed.opening_m)?.iter().zip(solids()?) {
         // Parts move with the opening, but keep their shape.
@@ -42,14 +42,14 @@ pub fn collides(placed: &Placed, obstacle: &Obstacle) -> Result<Option<&'static 
         let t_world_solid = t_world_gripper * Pose::from_translation(moved_m);
         let height = |v: &DVec3| t_world_solid.transform_point(*v).z;
         if solid.corners.iter().any(|v| height(v) < 0.0) {
-            return Ok(Some(part.name));
+            return Ok(Some(part.name.clone()));
         }
         let Some(shape) = &solid.shape else {
             continue;
         };
         let surface = &obstacle.surface;
         if surface.intersects(&obstacle.t_world_object, shape, &t_world_solid)? {
-            return Ok(Some(part.name));
+            return Ok(Some(part.name.clone()));
         }
     }
     Ok(None)
@@ -125,6 +125,6 @@ mod tests {
         assert_eq!(collides(&placed(0.11, 0.05), &obstacle).unwrap(), None);
         // The rail is 101 mm above the gels' middle, the bar 120 mm high.
         let low = collides(&placed(0.014, 0.05), &obstacle).unwrap();
-        assert_eq!(low, Some("rail"));
+        assert_eq!(low.as_deref(), Some("rail"));
     }
 }

@@ -72,7 +72,7 @@ fn draft(file: &BeneathPath, meshes: &Root, seed: u64) -> Result<ObjectDraft> {
     };
     let mut draw = SeedStream::named(seed, &format!("material {}", set.name));
     let known = Category::parse(&category).map(Category::materials);
-    let materials = known.unwrap_or(&MATERIALS);
+    let materials = known.unwrap_or(MATERIALS.to_vec());
     let material = materials[draw.index(materials.len())];
     Ok(ObjectDraft {
         source: MeshSource::stored(&name)?,
@@ -160,7 +160,7 @@ mod tests {
             ("Box_a_0.5", "box")
         );
         let materials = Category::parse("box").unwrap().materials();
-        assert!(materials.contains(&object.material.name));
+        assert!(materials.contains(&&*object.material.name));
         assert_eq!(object.grasps.as_ref().unwrap().len(), 2);
         let sizes = [&object.mesh, &mesh].map(|mesh| mesh.bounds().extent());
         assert!((sizes[0] - sizes[1]).length() < 1e-6, "{sizes:?}");

@@ -274,7 +274,7 @@ fn described(
             category: draft.category.clone(),
             mesh: draft.source.clone(),
             mesh_sha256: draft.mesh.content_hash(),
-            material: draft.material.name.to_owned(),
+            material: draft.material.name.clone(),
             mass_kg: physical.mass_kg,
             friction: draft
                 .friction

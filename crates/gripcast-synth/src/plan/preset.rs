@@ -100,7 +100,7 @@ fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {
     let mut draw = SeedStream::named(seed, &format!("shape {name}"));
     // Below 2⁵³, so that every JSON reader keeps it.
     let shape_seed = draw.bits() >> 11;
-    let shape = family_shape(category, shape_seed)?;
+    let mesh = family_shape(category, shape_seed)?;
     let materials = category.materials();
     let material = Material::named(materials[draw.index(materials.len())])?;
     let (least, most) = category.fill();
@@ -111,7 +111,7 @@ fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {
             category: category.name().to_owned(),
             seed: shape_seed,
         },
-        mesh: shape.mesh,
+        mesh,
         material,
         fill: Some(draw.between(least, most)),
         mass_kg: None,

@@ -1,8 +1,8 @@
 //! Appearances of an object without a language model.
 
-use super::coat::{Coat, Shade};
 use super::look::{Look, Modifier, linear_rgb};
 use super::material::Material;
+use super::surface::{Coat, Shade, State};
 use gripcast_base::random::SeedStream;
 
 /// Appearances per object, as in the paper (A.1, Texture).
@@ -15,8 +15,6 @@ const SHADE_CHANGE: f64 = 0.08;
 /// Largest change of the roughness from object to object.
 const ROUGHNESS_CHANGE: f64 = 0.04;
 
-type State = (&'static str, super::look::PatternWord, f32);
-
 /// Five different appearances of a material, composed of a state (wear, pattern), a shade and the
 /// coat: `scratched blue enamel`, `raw light oak`. Shades come twice only when there are too few.
 ///
@@ -25,7 +23,7 @@ pub fn builtin_appearances(object: &str, material: &Material, seed: u64) -> Vec<
     let name = format!("appearance/{}/{object}", material.name);
     let mut stream = SeedStream::named(seed, &name);
     let mut chosen: Vec<Modifier> = Vec::with_capacity(APPEARANCES);
-    let mut shades: Vec<&str> = Vec::new();
+    let mut shades: Vec<&String> = Vec::new();
     let mut draw = 0;
     while chosen.len() < APPEARANCES {
         let Some((coat, state, shade)) = drawn(material, &mut stream, draw) else {
@@ -34,9 +32,9 @@ pub fn builtin_appearances(object: &str, material: &Material, seed: u64) -> Vec<
         draw += 1;
         let words = phrase(coat, state, shade);
         let known = chosen.iter().any(|m| m.words == words);
-        let same_shade = draw <= DRAWS && shades.contains(&shade.0);
+        let same_shade = draw <= DRAWS && shades.contains(&&shade.0);
         if !known && !same_shade {
-            shades.push(shade.0);
+            shades.push(&shade.0);
             chosen.push(Modifier {
                 words,
                 look: look(coat, state, shade, &mut stream),
@@ -47,43 +45,39 @@ pub fn builtin_appearances(object: &str, material: &Material, seed: u64) -> Vec<
 }
 
 /// A combination by chance; after the first draws all of them in their order.
-fn drawn(
-    material: &Material,
+fn drawn<'a>(
+    material: &'a Material,
     stream: &mut SeedStream,
     draw: usize,
-) -> Option<(&'static Coat, State, Shade)> {
+) -> Option<(&'a Coat, &'a State, &'a Shade)> {
     if draw < DRAWS {
         let coat = material.coats.get(stream.index(material.coats.len()))?;
-        let state = *coat.states.get(stream.index(coat.states.len()))?;
-        let shade = *coat.shades.get(stream.index(coat.shades.len()))?;
+        let state = coat.states.get(stream.index(coat.states.len()))?;
+        let shade = coat.shades.get(stream.index(coat.shades.len()))?;
         return Some((coat, state, shade));
     }
-    let all = material.coats.iter().flat_map(|&coat| {
+    let mut all = material.coats.iter().flat_map(|coat| {
         let pairs = coat.shades.iter();
-        pairs.flat_map(move |shade| coat.states.iter().map(move |state| (coat, *state, *shade)))
+        pairs.flat_map(move |shade| coat.states.iter().map(move |state| (coat, state, shade)))
     });
-    all.into_iter().nth(draw - DRAWS)
+    all.nth(draw - DRAWS)
 }
 
-fn phrase(coat: &Coat, state: State, shade: Shade) -> String {
-    let words = [state.0, shade.0, coat.noun];
+fn phrase(coat: &Coat, state: &State, shade: &Shade) -> String {
+    let words = [&state.0, &shade.0, &coat.noun].map(String::as_str);
     let said = words.into_iter().filter(|w| !w.is_empty());
     said.collect::<Vec<_>>().join(" ")
 }
 
-fn look(coat: &Coat, state: State, shade: Shade, stream: &mut SeedStream) -> Look {
+fn look(coat: &Coat, state: &State, shade: &Shade, stream: &mut SeedStream) -> Look {
     let brightness = stream.between(1.0 - SHADE_CHANGE, 1.0 + SHADE_CHANGE) as f32;
     let rougher = stream.between(-ROUGHNESS_CHANGE, ROUGHNESS_CHANGE) as f32;
     // What is clear stays clear.
-    let roughness = if state.2 < 0.05 {
-        state.2
-    } else {
-        state.2 + rougher
-    };
+    let change = if state.2 < 0.05 { 0.0 } else { rougher };
     Look {
         finish: coat.finish,
         base_colour: linear_rgb(shade.1).map(|c| (c * brightness).clamp(0.0, 1.0)),
-        roughness: roughness.clamp(0.0, 1.0),
+        roughness: (state.2 + change).clamp(0.0, 1.0),
         pattern: state.1,
     }
 }
@@ -96,7 +90,7 @@ mod tests {
 
     #[test]
     fn every_material_has_five_different_appearances() {
-        for material in Material::ALL {
+        for material in Material::all() {
             for seed in 0..20 {
                 let five = builtin_appearances("thing", material, seed);
                 let words: BTreeSet<_> = five.iter().map(|m| &m.words).collect();

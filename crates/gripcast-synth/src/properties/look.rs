@@ -2,8 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::material::Material;
-use super::words::look_of_words;
 use gripcast_imaging::srgb_decode;
 pub use gripcast_visual::{FinishClass, Look, PatternWord};
 
@@ -15,17 +13,6 @@ pub struct Modifier {
     pub words: String,
     /// What these words look like.
     pub look: Look,
-}
-
-impl Modifier {
-    /// An appearance of a thing of `material` in English words; what they leave open is that of
-    /// the bare material, the colour one by chance.
-    pub fn of_words(words: &str, material: &Material, seed: u64) -> Self {
-        Self {
-            words: words.to_owned(),
-            look: look_of_words(words, material, seed),
-        }
-    }
 }
 
 /// Linear RGB of a colour written as 0xRRGGBB in sRGB.

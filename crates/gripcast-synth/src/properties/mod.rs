@@ -5,11 +5,11 @@
 
 mod appearance;
 mod bounding_box;
-mod coat;
 mod llm;
 mod look;
 mod material;
 mod physical;
+mod surface;
 mod words;
 
 pub use appearance::{APPEARANCES, builtin_appearances};

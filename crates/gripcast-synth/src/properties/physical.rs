@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::material::Material;
+use super::surface::SURFACES;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::random::SeedStream;
 
@@ -48,28 +49,7 @@ pub struct PhysicalProperties {
     pub source: PropertySource,
 }
 
-/// Share of the volume inside an object's outer surface that is material, by the last word of its
-/// category; judged. Other categories are [`OTHER_FILL`].
-const FILLS: &[(&str, f64)] = &[
-    ("bag", 0.10),
-    ("basket", 0.20),
-    ("bin", 0.10),
-    ("bottle", 0.12),
-    ("box", 0.15),
-    ("camera", 0.40),
-    ("can", 0.10),
-    ("carton", 0.12),
-    ("cup", 0.15),
-    ("jar", 0.25),
-    ("lamp", 0.20),
-    ("laptop", 0.60),
-    ("phone", 0.80),
-    ("shoe", 0.25),
-    ("toy", 0.35),
-    ("tube", 0.30),
-    ("vase", 0.25),
-];
-/// Fill of a category that is not listed: massive.
+/// Fill of a category that the table does not list: massive.
 const OTHER_FILL: f64 = 1.0;
 
 /// Mass and friction without a language model: density × volume × fill, friction uniform in the
@@ -122,11 +102,10 @@ fn usual_fill(category: &str) -> f64 {
         .split(|c: char| !c.is_alphanumeric())
         .rfind(|w| !w.is_empty());
     let noun = noun.unwrap_or_default();
-    let listed = |(name, _): &&(&str, f64)| noun == *name || noun.strip_suffix('s') == Some(name);
-    FILLS
-        .iter()
-        .find(listed)
-        .map_or(OTHER_FILL, |(_, fill)| *fill)
+    let fills = &SURFACES.fills;
+    let singular = || noun.strip_suffix('s').and_then(|noun| fills.get(noun));
+    let fill = fills.get(noun).or_else(singular);
+    fill.copied().unwrap_or(OTHER_FILL)
 }
 
 /// How masses of things become masses of a dataset's objects.
@@ -196,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_massive_object_weighs_its_volume() {
-        for material in Material::ALL {
+        for material in Material::all() {
             let found = estimate("block", material, 1e-4, Some(1.0), 3).unwrap();
             let expected = material.density_kg_m3 * 1e-4;
             assert!(

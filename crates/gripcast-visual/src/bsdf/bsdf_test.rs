@@ -39,7 +39,7 @@ fn prepared(material: &Material) -> Prepared {
 }
 
 fn at(material: &Prepared, outgoing: Vec3) -> Bsdf<'_> {
-    material.at(&[], [0.0; 2], Vec3::ZERO, outgoing)
+    material.at(&[], [0.0; 2], outgoing)
 }
 
 /// Share of the light from all directions that is scattered, by sampling.

@@ -18,7 +18,7 @@ use self::conductor::Conductor;
 use self::dielectric::Dielectric;
 use self::principled::{Principled, PrincipledAt};
 use super::material::{Colour, Material};
-use super::texture::Texture;
+use super::texture::Bitmap;
 
 /// What a pair of directions gives.
 #[derive(Clone, Copy, Debug)]
@@ -130,18 +130,12 @@ impl Prepared {
         }
     }
 
-    /// The material at texture coordinates and a position, seen from `outgoing`.
+    /// The material at texture coordinates, seen from `outgoing`.
     #[inline(always)]
-    pub(super) fn at(
-        &self,
-        textures: &[Texture],
-        uv: [f32; 2],
-        position: Vec3,
-        outgoing: Vec3,
-    ) -> Bsdf<'_> {
+    pub(super) fn at(&self, textures: &[Bitmap], uv: [f32; 2], outgoing: Vec3) -> Bsdf<'_> {
         let colour = || match self.colour {
             Colour::Constant(rgb) => Vec3::from_array(rgb),
-            Colour::Texture(t) => Vec3::from_array(textures[t].sample(uv, position)),
+            Colour::Texture(t) => Vec3::from_array(textures[t].sample(uv)),
         };
         match &self.kind {
             Kind::Diffuse => Bsdf::Diffuse(colour()),

@@ -3,6 +3,10 @@
 //!
 //! The ray–triangle test is watertight: Woop, Benthin, Wald, *Watertight ray/triangle intersection*
 //! (2013). Boxes are hit conservatively, so no ray slips through an edge that two triangles share.
+//!
+//! Not `obvhs` (0.3): where two triangles share an edge, equal distances are decided by the order of
+//! traversal, and the winner's normal and material by the bits of the image. Another tree changes
+//! images, and its nodes leave the triangle test to the caller anyway.
 
 mod build;
 mod lanes;

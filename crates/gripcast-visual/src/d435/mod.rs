@@ -11,10 +11,9 @@ mod depth;
 pub use colour::{ColourSettings, develop};
 pub use depth::{DepthSettings, measure_depth};
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::camera::Camera;
-use super::gripper::pitched;
 use gripcast_geometry::Pose;
 
 /// Place of the colour camera in the gripper frame, m.
@@ -32,7 +31,8 @@ pub(super) const LEFT_IMAGER_M: f64 = 0.0147;
 
 /// The colour camera in the gripper frame.
 pub fn t_gripper_camera() -> Pose {
-    pitched(-PITCH_RAD, DVec3::from_array(PLACE_M))
+    let turn = DQuat::from_rotation_x(-PITCH_RAD);
+    Pose::new(turn, DVec3::from_array(PLACE_M))
 }
 
 /// The colour camera's picture, cropped in its middle to the shape of `width` × `height` and

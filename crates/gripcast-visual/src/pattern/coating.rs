@@ -14,12 +14,12 @@ const GLAZES: [u32; 7] = [
 pub(super) fn brushed_metal(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let base = srgb(stream.pick(METALS));
     let streaks = Streaks::random(stream);
-    PaintedSurface {
-        picture: paint_by_place(size_px, |x, y| scaled(base, streaks.shade(x, y))),
-        tile_m: 0.1,
-        roughness: stream.between(0.25, 0.45) as f32,
-        metallic: 1.0,
-    }
+    PaintedSurface::new(
+        paint_by_place(size_px, |x, y| scaled(base, streaks.shade(x, y))),
+        0.1,
+        stream.between(0.25, 0.45),
+        1.0,
+    )
 }
 
 /// Fine lines along x.
@@ -60,12 +60,7 @@ pub(super) fn ceramic(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         }
         mix_color(mottled, speck, 0.8 * specks.cover(x, y))
     });
-    PaintedSurface {
-        picture,
-        tile_m: 0.12,
-        roughness: stream.between(0.06, 0.22) as f32,
-        metallic: 0.0,
-    }
+    PaintedSurface::new(picture, 0.12, stream.between(0.06, 0.22), 0.0)
 }
 
 /// A layer whose thickness varies a little.
@@ -112,12 +107,12 @@ pub(super) fn plastic(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         [grey, 0.99 * grey, 0.96 * grey]
     };
     let moulded = Moulded::new(stream.bits());
-    PaintedSurface {
-        picture: paint_by_place(size_px, |x, y| scaled(base, moulded.shade(x, y))),
-        tile_m: 0.2,
-        roughness: stream.between(0.2, 0.55) as f32,
-        metallic: 0.0,
-    }
+    PaintedSurface::new(
+        paint_by_place(size_px, |x, y| scaled(base, moulded.shade(x, y))),
+        0.2,
+        stream.between(0.2, 0.55),
+        0.0,
+    )
 }
 
 /// Moulded plastic: a fine grain on faint clouds.

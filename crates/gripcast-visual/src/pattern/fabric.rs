@@ -22,12 +22,12 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         let base = if thread.is_warp { warp } else { weft };
         base.map(|c| (c * thread.shade).min(0.9))
     });
-    PaintedSurface {
+    PaintedSurface::new(
         picture,
-        tile_m: stream.between(0.06, 0.14),
-        roughness: stream.between(0.8, 0.95) as f32,
-        metallic: 0.0,
-    }
+        stream.between(0.06, 0.14),
+        stream.between(0.8, 0.95),
+        0.0,
+    )
 }
 
 /// Crossing threads.

@@ -26,12 +26,12 @@ pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     } else {
         granite(size_px, stream)
     };
-    PaintedSurface {
+    PaintedSurface::new(
         picture,
-        tile_m: if is_marble { 0.6 } else { 0.3 },
-        roughness: stream.between(0.08, 0.4) as f32,
-        metallic: 0.0,
-    }
+        if is_marble { 0.6 } else { 0.3 },
+        stream.between(0.08, 0.4),
+        0.0,
+    )
 }
 
 fn marble(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
@@ -121,12 +121,12 @@ pub(super) fn concrete(size_px: u32, stream: &mut SeedStream) -> PaintedSurface 
     let warmth = stream.between(-0.05, 0.07) as f32;
     let base = [grey * (1.0 + warmth), grey, grey * (1.0 - warmth)];
     let concrete = Concrete::new(stream.bits());
-    PaintedSurface {
-        picture: paint_by_place(size_px, |x, y| scaled(base, concrete.shade(x, y))),
-        tile_m: 0.5,
-        roughness: stream.between(0.6, 0.9) as f32,
-        metallic: 0.0,
-    }
+    PaintedSurface::new(
+        paint_by_place(size_px, |x, y| scaled(base, concrete.shade(x, y))),
+        0.5,
+        stream.between(0.6, 0.9),
+        0.0,
+    )
 }
 
 /// Stained sand with pores.
@@ -185,10 +185,5 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         let sand = mix(0.8, 1.1, sands.at(x, y));
         mix_color(scaled(tile, own * cloud), scaled(grout, sand), in_joint)
     });
-    PaintedSurface {
-        picture,
-        tile_m,
-        roughness: stream.between(0.1, 0.4) as f32,
-        metallic: 0.0,
-    }
+    PaintedSurface::new(picture, tile_m, stream.between(0.1, 0.4), 0.0)
 }

@@ -140,6 +140,17 @@ pub struct PaintedSurface {
     pub metallic: f32,
 }
 
+impl PaintedSurface {
+    fn new(picture: RgbImage, tile_m: f64, roughness: f64, metallic: f32) -> Self {
+        Self {
+            picture,
+            tile_m,
+            roughness: roughness as f32,
+            metallic,
+        }
+    }
+}
+
 /// Square picture of a linear colour of each place in the unit square.
 fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
     light_by_place(size_px, color).to_srgb8(1.0)

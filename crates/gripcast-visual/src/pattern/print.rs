@@ -35,14 +35,14 @@ pub(super) struct Label {
 
 pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let label = Label::random(stream);
-    PaintedSurface {
-        picture: paint_by_place(size_px, |x, y| {
+    PaintedSurface::new(
+        paint_by_place(size_px, |x, y| {
             scaled(label.ink(x, y, label.ground), label.paper(x, y))
         }),
-        tile_m: 0.08,
-        roughness: stream.between(0.25, 0.6) as f32,
-        metallic: 0.0,
-    }
+        0.08,
+        stream.between(0.25, 0.6),
+        0.0,
+    )
 }
 
 impl Label {

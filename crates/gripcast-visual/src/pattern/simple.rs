@@ -14,12 +14,7 @@ pub(super) fn checker(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         let wear = mix(0.92, 1.04, worn.at(x, y));
         scaled(if odd { dark } else { light }, wear)
     });
-    PaintedSurface {
-        picture,
-        tile_m: 0.2,
-        roughness: stream.between(0.2, 0.7) as f32,
-        metallic: 0.0,
-    }
+    PaintedSurface::new(picture, 0.2, stream.between(0.2, 0.7), 0.0)
 }
 
 pub(super) fn noise(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
@@ -34,10 +29,5 @@ pub(super) fn noise(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         let mixed = mix_color(colors[0], colors[1], spread(first.at(x, y)));
         mix_color(mixed, colors[2], spread(second.at(x, y)))
     });
-    PaintedSurface {
-        picture,
-        tile_m: 0.4,
-        roughness: stream.between(0.3, 0.9) as f32,
-        metallic: 0.0,
-    }
+    PaintedSurface::new(picture, 0.4, stream.between(0.3, 0.9), 0.0)
 }

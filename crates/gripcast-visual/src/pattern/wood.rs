@@ -45,12 +45,12 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         lightness: stream.between(0.85, 1.1) as f32,
         seed: stream.bits(),
     });
-    PaintedSurface {
-        picture: paint_by_place(size_px, |x, y| wood.color(x, y)),
-        tile_m: 0.6,
-        roughness: stream.between(0.3, 0.65) as f32,
-        metallic: 0.0,
-    }
+    PaintedSurface::new(
+        paint_by_place(size_px, |x, y| wood.color(x, y)),
+        0.6,
+        stream.between(0.3, 0.65),
+        0.0,
+    )
 }
 
 /// Boards of one timber.

@@ -1,0 +1,93 @@
+//! Where object, gripper and gels are when a picture is taken.
+
+use glam::DVec3;
+
+use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_geometry::{Pose, TriangleMesh};
+use gripcast_sim::fem::{GelGrid, GelResolution, Side};
+use gripcast_sim::grasp::Snapshot;
+
+/// Where everything is.
+#[derive(Clone, Debug)]
+pub struct GraspState {
+    /// The object's frame in the world.
+    pub t_world_object: Pose,
+    /// The gripper in the world.
+    pub t_world_gripper: Pose,
+    /// Distance between the undeformed gel faces, m.
+    pub opening_m: f64,
+    /// Deformed gels in the world, left and right; none to draw them undeformed.
+    pub gels: Option<[TriangleMesh; 2]>,
+}
+
+impl GraspState {
+    /// Before the fingers close.
+    pub fn before(scene: &gripcast_sim::grasp::Scene) -> Self {
+        Self {
+            t_world_object: scene.t_world_object,
+            t_world_gripper: scene.t_world_gripper,
+            opening_m: scene.opening_m,
+            gels: None,
+        }
+    }
+
+    /// At a snapshot of a trace. `grid` is the mesh of its gels; none if it is one of the
+    /// standard pads.
+    ///
+    /// # Errors
+    /// `Input` if the number of nodes is that of no known mesh.
+    pub fn at(snapshot: &Snapshot, grid: Option<&GelGrid>) -> Result<Self> {
+        let [left, right] = &snapshot.gels;
+        Ok(Self {
+            t_world_object: snapshot.t_world_object,
+            t_world_gripper: snapshot.t_world_gripper,
+            opening_m: snapshot.opening_m,
+            gels: Some([gel_surface(left, grid)?, gel_surface(right, grid)?]),
+        })
+    }
+}
+
+/// The closed surface of a gel over its nodes in the world.
+fn gel_surface(nodes: &[[f64; 3]], grid: Option<&GelGrid>) -> Result<TriangleMesh> {
+    use GelResolution::{Coarse, Default, Fine};
+    let standard = || {
+        let fits = |r: &GelResolution| r.nodes().iter().product::<usize>() == nodes.len();
+        [Coarse, Default, Fine].into_iter().find(fits)
+    };
+    let built;
+    let grid = match (grid, standard()) {
+        (Some(grid), _) if grid.positions().len() == nodes.len() => grid,
+        (_, Some(resolution)) => {
+            built = GelGrid::pad(resolution)?;
+            &built
+        }
+        _ => {
+            return Err(Error::new(
+                ErrorKind::Input,
+                format!(
+                    "the gel of the trace has {} nodes, as no standard pad has",
+                    nodes.len()
+                ),
+            )
+            .remedy("give the gel mesh that the grasp was simulated with"));
+        }
+    };
+    let sides = [
+        Side::Front,
+        Side::XMin,
+        Side::XMax,
+        Side::YMin,
+        Side::YMax,
+        Side::Back,
+    ];
+    let mesh = TriangleMesh {
+        vertices: nodes.iter().map(|p| DVec3::from_array(*p)).collect(),
+        triangles: sides
+            .iter()
+            .flat_map(|side| grid.triangles(*side))
+            .copied()
+            .collect(),
+    };
+    let surface = mesh.without_unused_vertices();
+    surface.validate().map(|()| surface)
+}
