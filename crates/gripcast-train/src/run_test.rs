@@ -304,39 +304,3 @@ fn a_loss_that_is_no_number_ends_the_run_and_keeps_the_best_checkpoint() {
     assert!(text.contains("of epoch 1, is kept"), "{text}");
     assert_eq!(fs::read(run.best().shown()).unwrap(), best);
 }
-
-#[test]
-fn hash_probe() {
-    let folder = tempfile::tempdir().unwrap();
-    let data = folder.path().join("data");
-    write_dataset(&data, 12);
-    for (name, architecture) in [
-        ("tiny", settings(Variant::Vt).architecture),
-        ("gripcast", Architecture::gripcast()),
-    ] {
-        for variant in [Variant::Vt, Variant::T, Variant::V] {
-            if name == "gripcast" && variant != Variant::Vt {
-                continue;
-            }
-            let settings = TrainSettings {
-                epochs: 2,
-                batch: 4,
-                ..TrainSettings::usual(variant, architecture.clone(), 7)
-            };
-            let out = folder.path().join(format!("run-{name}-{}", variant.name()));
-            train(&data, &out, &settings, &|_| {}).unwrap();
-            let run = RunFolder::at(&out);
-            let file = run.read().unwrap().unwrap();
-            let finished = finish(&run, &file, &data, "probe", &|_| {}).unwrap();
-            let model = Model::from_bytes(&finished.onnx).unwrap();
-            let zeros = ModelInput::zeros(model.contract()).unwrap();
-            let p = model.predict(&zeros).unwrap().p_stable;
-            println!(
-                "PROBE {name} {} {} {:x}",
-                variant.name(),
-                gripcast_base::files::sha256_hex(&finished.onnx),
-                p.to_bits()
-            );
-        }
-    }
-}
