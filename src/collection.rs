@@ -14,7 +14,7 @@ use super::config::{CollectConfig, Config};
 use super::daemon::{Asked, Boards, Ended, EngineSetup};
 use super::model_choice::chosen_model;
 use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::allow_links_into;
 use gripcast_capture::calibration::{PedalConfig, RigFile, SourceKind};
 use gripcast_capture::camera::{MonotonicClock, RigSources, SupervisionPolicy};
@@ -146,7 +146,7 @@ fn known_intrinsics(
 /// `Usage` where it names none; as [`RigFile::find`].
 pub(crate) fn chosen_rig(settings: &CollectConfig) -> Result<RigFile> {
     if settings.rig.is_empty() {
-        return Err(Error::new(ErrorKind::Usage, "which rig?").remedy(
+        return Err(Error::usage("which rig?").remedy(
             "--rig virtual tries everything without cameras; `gripcast rig init` writes a rig \
              file for the cameras that are plugged in",
         ));
@@ -160,7 +160,7 @@ pub(crate) fn chosen_rig(settings: &CollectConfig) -> Result<RigFile> {
 /// `Usage` where it does not say.
 pub(crate) fn chosen_dataset(settings: &CollectConfig) -> Result<PathBuf> {
     if settings.dataset.is_empty() {
-        return Err(Error::new(ErrorKind::Usage, "which dataset?")
+        return Err(Error::usage("which dataset?")
             .remedy("--dataset DIR; the directory is created when it is absent"));
     }
     Ok(PathBuf::from(&settings.dataset))

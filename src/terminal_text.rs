@@ -4,7 +4,7 @@
 use std::fmt;
 use std::io::{self, Write as _};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{Printable, is_unsafe_char};
 
 /// Writes a line to stderr, for people. Use [`note!`](crate::note) to format one.
@@ -36,7 +36,7 @@ pub(crate) fn print(text: &str) -> Result<()> {
 /// `Internal` for values that JSON cannot hold; that of the operating system.
 pub(crate) fn print_json(value: &impl serde::Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(value)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+        .map_err(|e| Error::internal("cannot write JSON").because(e))?;
     write_stdout(format_args!("{}", escaped_json(&text)))
 }
 

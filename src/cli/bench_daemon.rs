@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use super::Context;
 use super::bench::Report;
 use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Ticks of CPU time a second in `/proc/PID/stat`: USER_HZ, the same on all machines.
 const TICKS_PER_S: f64 = 100.0;
@@ -167,7 +167,7 @@ fn quantile(values: &mut [f64], part: f64) -> f64 {
 }
 
 fn unexpected(what: &str) -> Error {
-    Error::new(ErrorKind::Internal, format!("the daemon {what}"))
+    Error::internal(format!("the daemon {what}"))
         .remedy("run `gripcast daemon --rig virtual` by itself to see what it says")
 }
 

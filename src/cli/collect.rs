@@ -104,8 +104,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         && std::io::stdin().is_terminal()
         && std::io::stdout().is_terminal();
     if !screen && script.is_none() && rig.pedals.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Usage,
+        return Err(Error::usage(
             "there is no terminal, no --script and no pedal in the rig: nothing could trigger",
         )
         .remedy("run it in a terminal, give --script FILE, or add a [[pedals]] entry to the rig"));
@@ -200,17 +199,13 @@ async fn collect(
 /// Is a screen for a running daemon, which goes on when the operator leaves.
 fn attach(place: &str, token: Option<&Token>, sound: tui::Sound) -> Result<()> {
     if !(std::io::stdin().is_terminal() && std::io::stdout().is_terminal()) {
-        return Err(Error::new(
-            ErrorKind::Usage,
-            "a screen needs a terminal, and there is none",
-        )
-        .remedy("run it in a terminal; programs use the API (docs/api.md)"));
+        return Err(Error::usage("a screen needs a terminal, and there is none")
+            .remedy("run it in a terminal; programs use the API (docs/api.md)"));
     }
     let target = match (place, usual_socket()) {
         ("", Some(socket)) => Target::parse(&socket.display().to_string())?,
         ("", None) => {
-            return Err(Error::new(
-                ErrorKind::Usage,
+            return Err(Error::usage(
                 "where is the daemon? There is no $XDG_RUNTIME_DIR and no /run/gripcast",
             )
             .remedy("--attach http://127.0.0.1:7471, or --attach SOCKET"));
@@ -272,17 +267,14 @@ impl Screen {
         match self.ended.recv_timeout(SCREEN_PATIENCE) {
             Ok(result) => result,
             Err(RecvTimeoutError::Timeout) => Ok(()),
-            Err(RecvTimeoutError::Disconnected) => {
-                Err(Error::new(ErrorKind::Internal, "the screen panicked"))
-            }
+            Err(RecvTimeoutError::Disconnected) => Err(Error::internal("the screen panicked")),
         }
     }
 }
 
 fn sound(name: &str) -> Result<tui::Sound> {
     <tui::Sound as clap::ValueEnum>::from_str(name, true).map_err(|_| {
-        Error::new(ErrorKind::Config, format!("unknown sound `{name}`"))
-            .remedy("use auto, bell or off")
+        Error::config(format!("unknown sound `{name}`")).remedy("use auto, bell or off")
     })
 }
 

@@ -19,7 +19,7 @@ use crate::config::{DaemonConfig, FlagValue, Layered};
 use crate::rig_lock::RigLock;
 use crate::service::{self, Reloaded, ServiceSettings};
 use crate::web::Token;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// How long answers under way may take at the end.
 const LAST_ANSWERS: Duration = Duration::from_millis(500);
@@ -112,10 +112,9 @@ fn service_settings(config: &DaemonConfig, quiet: bool) -> Result<ServiceSetting
         && !address.ip().is_loopback()
         && token.is_none()
     {
-        return Err(Error::new(
-            ErrorKind::Usage,
-            format!("{address} can be reached from other machines, and there is no token"),
-        )
+        return Err(Error::usage(format!(
+            "{address} can be reached from other machines, and there is no token"
+        ))
         .remedy(
             "head -c 24 /dev/urandom | base64 > FILE; chmod 600 FILE; then --token-file FILE; or \
              stay on 127.0.0.1 and use `ssh -L 7471:127.0.0.1:7471`",
@@ -127,8 +126,7 @@ fn service_settings(config: &DaemonConfig, quiet: bool) -> Result<ServiceSetting
         path => Some(PathBuf::from(path)),
     };
     if listen.is_none() && socket.is_none() {
-        return Err(Error::new(
-            ErrorKind::Usage,
+        return Err(Error::usage(
             "there is neither an address nor a socket: nothing could trigger",
         )
         .remedy("give --listen 127.0.0.1:7471 or --socket FILE"));
@@ -148,11 +146,7 @@ fn address(text: &str) -> Result<SocketAddr> {
             true => format!("add the port: {text}:7471"),
             false => "give an address and a port, as 127.0.0.1:7471 or [::1]:7471".to_owned(),
         };
-        Error::new(
-            ErrorKind::Usage,
-            format!("`{text}` is no address to listen on"),
-        )
-        .remedy(remedy)
+        Error::usage(format!("`{text}` is no address to listen on")).remedy(remedy)
     })
 }
 
@@ -173,8 +167,7 @@ fn reloaded(started: &Layered, now: Layered) -> Result<Reloaded> {
     let token = token(&now.config.daemon)?;
     let listens_beyond = address(&now.config.daemon.listen).is_ok_and(|a| !a.ip().is_loopback());
     if token.is_none() && listens_beyond {
-        return Err(Error::new(
-            ErrorKind::Config,
+        return Err(Error::config(
             "the token must stay: other machines can reach the daemon",
         ));
     }

@@ -120,7 +120,7 @@ fn plan(args: &Args) -> Result<ExportPlan> {
                 Format::Training => "`--size` is for zarr; models know one size".to_owned(),
                 _ => format!("`--size` is for zarr; {} keeps the pictures", plan.format),
             };
-            return Err(Error::new(ErrorKind::Usage, what).remedy("leave `--size` out"));
+            return Err(Error::usage(what).remedy("leave `--size` out"));
         }
         plan.size = (width as u32, height as u32);
     }

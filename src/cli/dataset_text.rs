@@ -7,7 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::Value;
 
 use super::Context;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Outcome;
 
 /// How many grasps have which outcome.
@@ -66,7 +66,7 @@ pub(super) fn name_of(kind: &impl serde::Serialize) -> String {
 /// A report as JSON.
 pub(super) fn to_value(report: &impl serde::Serialize) -> Result<Value> {
     serde_json::to_value(report)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the report as JSON").because(e))
+        .map_err(|e| Error::internal("cannot write the report as JSON").because(e))
 }
 
 #[cfg(test)]

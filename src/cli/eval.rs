@@ -9,7 +9,7 @@ use serde_json::json;
 use super::working::interruptible;
 use super::{Context, print, print_json};
 use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
 use gripcast_nn::predict::Model;
 use gripcast_train::metrics::{BaseRateCalibration, Interval};
@@ -63,9 +63,8 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             if let Some(out) = &args.out {
                 std::fs::create_dir_all(out)
                     .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
-                let text = serde_json::to_vec_pretty(&report).map_err(|e| {
-                    Error::new(ErrorKind::Internal, "cannot write the report").because(e)
-                })?;
+                let text = serde_json::to_vec_pretty(&report)
+                    .map_err(|e| Error::internal("cannot write the report").because(e))?;
                 files::save(&out.join("eval.json"), &text)?;
                 files::save(&out.join("eval.html"), page(&report, &samples)?.as_bytes())?;
             }

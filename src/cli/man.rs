@@ -11,7 +11,7 @@ use jiff::Timestamp;
 
 use super::{Context, command, create_folder};
 use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 
 /// What the exit codes mean, for the page of the program.
@@ -62,10 +62,9 @@ fn date(epoch: Option<&str>) -> Result<String> {
             .ok()
             .and_then(|seconds| Timestamp::from_second(seconds).ok())
             .ok_or_else(|| {
-                Error::new(
-                    ErrorKind::Usage,
-                    format!("SOURCE_DATE_EPOCH must be seconds since 1970, found `{text}`"),
-                )
+                Error::usage(format!(
+                    "SOURCE_DATE_EPOCH must be seconds since 1970, found `{text}`"
+                ))
             })?,
     };
     Ok(time.strftime("%Y-%m-%d").to_string())
@@ -117,6 +116,7 @@ fn exit_codes() -> Roff {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
 
     use super::*;

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use super::{Context, print};
 use crate::note;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular, save};
 use gripcast_imaging::{
     CropProfile, Decoder, Frame, FrameDamage, PixelFormat, TactileDifference, crop_and_resize,
@@ -244,7 +244,7 @@ fn write_baseline(context: &Context, out: &Path) -> Result<()> {
 fn needed<'a>(file: Option<&'a Path>, flag: &str, input: InputName) -> Result<&'a Path> {
     file.ok_or_else(|| {
         let what = format!("the model uses `{input}`, so `{flag} FILE` is needed");
-        let error = Error::new(ErrorKind::Usage, what);
+        let error = Error::usage(what);
         match input {
             InputName::Rgb => error.remedy(format!(
                 "give it, or use a model of touch alone, such as --model {BASELINE}"
@@ -264,8 +264,7 @@ fn picture(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
             return Ok(crop_and_resize(&picture, crop, IMAGE_WIDTH, IMAGE_HEIGHT)?);
         }
         if !bytes.starts_with(&[0xff, 0xd8]) {
-            return Err(Error::new(
-                ErrorKind::Input,
+            return Err(Error::input(
                 "expected a PNG or JPEG picture, found another kind of file",
             ));
         }

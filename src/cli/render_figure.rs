@@ -20,7 +20,7 @@ use super::render_source::{Moment, SimulatedGrasp};
 use super::render_tactile::scene;
 use super::working::interruptible;
 use super::{Context, print};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_imaging::caption::{HEIGHT, write_text};
 use gripcast_imaging::{encode_jpeg, encode_png_rgb};
@@ -122,9 +122,7 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
         radius(**a).total_cmp(&radius(**b))
     };
     let Some(&shown) = held_out.iter().max_by(widest) else {
-        return Err(
-            Error::new(ErrorKind::Input, "no press is left to show").at(args.presses.display())
-        );
+        return Err(Error::input("no press is left to show").at(args.presses.display()));
     };
     let lookup = fit_to_presses(&set, &train, TaximHeights::default())?;
     let press = &set.presses[shown];

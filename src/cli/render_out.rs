@@ -27,7 +27,7 @@ impl OutPlan {
             } else {
                 "`--out` must be a folder for several pictures"
             };
-            return Err(Error::new(ErrorKind::Usage, what)
+            return Err(Error::usage(what)
                 .at(out.display())
                 .remedy(format!("one picture is {single} of one trace")));
         }
@@ -96,7 +96,7 @@ impl<T> Report<T> {
             }
         }
         if report.pictures.is_empty() {
-            return Err(Error::new(ErrorKind::Input, "no trace could be rendered"));
+            return Err(Error::input("no trace could be rendered"));
         }
         Ok(report)
     }

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use super::sim_object::SimObject;
 use super::working::Progress;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 use gripcast_geometry::{LengthUnit, TriangleMesh};
 use gripcast_sim::grasp::{Snapshot, StageName, Trace, TraceFile};
@@ -151,11 +151,8 @@ impl SimulatedGrasp {
                 })
                 .map(Moment::name)
                 .collect();
-            Error::new(
-                ErrorKind::Input,
-                format!("the grasp ended before its {}", moment.name()),
-            )
-            .remedy(format!("it has: initial {}", reached.join(" ")))
+            Error::input(format!("the grasp ended before its {}", moment.name()))
+                .remedy(format!("it has: initial {}", reached.join(" ")))
         })
     }
 }

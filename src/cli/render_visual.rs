@@ -31,7 +31,7 @@ use super::render_source::{Moment, ObjectSource, SimulatedGrasp};
 use super::sim_object::unit;
 use super::working::{Progress, interruptible};
 use super::{Context, print, print_json};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
@@ -199,7 +199,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.quality.threads.map_or(0, usize::from))
         .build()
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot start threads").because(e))?;
+        .map_err(|e| Error::internal("cannot start threads").because(e))?;
     let report = interruptible(context, "rendering", move |progress| {
         pool.install(|| Job::new(&args, &plan, progress)?.run())
     })??;
@@ -247,7 +247,7 @@ impl<'a> Job<'a> {
         let width = args.look.ground_width_m;
         if !(width.is_finite() && width > 0.0) {
             let what = format!("`--ground-width-m` must be above 0, found {width}");
-            return Err(Error::new(ErrorKind::Usage, what));
+            return Err(Error::usage(what));
         }
         let ground = |path: &PathBuf| -> Result<(Arc<Bitmap>, f64)> {
             Ok((Arc::new(load_bitmap(path)?), width))
@@ -300,10 +300,7 @@ impl<'a> Job<'a> {
     fn without_trace(&self) -> Result<Vec<Written>> {
         let flags = &self.args.object;
         let Some(name) = &flags.object else {
-            return Err(Error::new(
-                ErrorKind::Usage,
-                "`--trace` or `--object` is needed",
-            ));
+            return Err(Error::usage("`--trace` or `--object` is needed"));
         };
         let source = ObjectSource {
             name: name.clone(),

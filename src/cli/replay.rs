@@ -26,7 +26,7 @@ use super::replay_report::{finish, text, write_report};
 use super::sim_grasp::{GelName, PresetName, above_zero};
 use super::working::{Progress, resumable};
 use super::{Context, print, print_json};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ObjectName, Root};
 use gripcast_dataset::Dataset;
 use gripcast_replay::{
@@ -206,9 +206,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 
 impl Args {
     fn source(self) -> Result<Source> {
-        let missing = |what: &str, remedy: &str| {
-            Err(Error::new(ErrorKind::Usage, what.to_owned()).remedy(remedy.to_owned()))
-        };
+        let missing =
+            |what: &str, remedy: &str| Err(Error::usage(what.to_owned()).remedy(remedy.to_owned()));
         let Some(dataset) = self.dataset else {
             return missing(
                 "name the dataset to replay",

@@ -14,7 +14,7 @@ use serde::Serialize;
 /// Those of the disk.
 pub(super) fn write_report(report: &impl Serialize, page: &str, out: &Path) -> Result<()> {
     let json = serde_json::to_vec_pretty(report)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+        .map_err(|e| Error::internal("cannot write JSON").because(e))?;
     let save = |place: BeneathPath, bytes: &[u8]| {
         let saved = place.replace(bytes);
         saved.map_err(|e| Error::io("cannot write the report", e).at(place.display()))

@@ -285,7 +285,7 @@ fn init(
     let mut file = fs::File::create_new(out).map_err(|error| {
         let exists = error.kind() == io::ErrorKind::AlreadyExists;
         let error = if exists {
-            Error::new(ErrorKind::Usage, "the rig file exists already")
+            Error::usage("the rig file exists already")
                 .remedy("give another --out, or remove the file")
         } else {
             Error::io("cannot create the rig file", error)

@@ -356,8 +356,7 @@ fn read_pose(path: &Path, flags: &PlaceFlags) -> Result<GraspPose> {
         .map_err(|e| Error::io("cannot read the pose", e).at(path.display()))?;
     let mut pose = GraspPose::from_json(&text).map_err(|e| e.at(path.display()))?;
     if pose.t_world_object.is_some() && flags.stable_pose.is_some() {
-        return Err(Error::new(
-            ErrorKind::Usage,
+        return Err(Error::usage(
             "`--stable-pose` contradicts the `t_world_object` of the pose file",
         )
         .at(path.display())
@@ -377,7 +376,7 @@ fn timed(
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads.map_or(0, usize::from))
         .build()
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot start threads").because(e))?;
+        .map_err(|e| Error::internal("cannot start threads").because(e))?;
     interruptible(context, "simulating the grasp", move |_| {
         let started = Instant::now();
         let result = pool.install(|| simulate(&scene, &settings.protocol, &settings.solver))?;
@@ -395,25 +394,21 @@ impl OutFlags {
         for (flag, path, suffixes) in wanted {
             let Some(path) = path else { continue };
             if !suffixes.contains(&suffix(path).as_str()) {
-                return Err(Error::new(
-                    ErrorKind::Usage,
-                    format!(
-                        "`{flag}` must name a file that ends in .{}",
-                        suffixes.join(" or .")
-                    ),
-                )
+                return Err(Error::usage(format!(
+                    "`{flag}` must name a file that ends in .{}",
+                    suffixes.join(" or .")
+                ))
                 .at(path.display()));
             }
             let folder = path
                 .parent()
                 .filter(|folder| !folder.as_os_str().is_empty());
             if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
-                return Err(Error::new(
-                    ErrorKind::NotFound,
-                    format!("the folder for `{flag}` does not exist"),
-                )
-                .at(folder.display())
-                .remedy("create it first"));
+                return Err(
+                    Error::not_found(format!("the folder for `{flag}` does not exist"))
+                        .at(folder.display())
+                        .remedy("create it first"),
+                );
             }
         }
         Ok(())
@@ -433,7 +428,7 @@ fn write_files(args: &Args, report: &Report, result: GraspResult, axes: Value) -
     }
     if let Some(path) = &args.out.trace {
         let mut header = serde_json::to_value(report)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         header["gel_axes_m"] = axes;
         let file = TraceFile {
             header,

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{LengthUnit, Prepared, TriangleMesh, load_object_mesh};
 
 /// Flags that choose the object.
@@ -60,10 +60,9 @@ impl SimObject {
     /// The same of a mesh file or `builtin:NAME`.
     pub(super) fn read(name: &str, unit: LengthUnit, scale: f64) -> Result<Self> {
         if !(scale.is_finite() && scale > 0.0) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("`--scale` must be a number above 0, found {scale}"),
-            ));
+            return Err(Error::input(format!(
+                "`--scale` must be a number above 0, found {scale}"
+            )));
         }
         let Prepared { mesh, warnings } = load_object_mesh(name, unit, scale)?;
         Ok(Self { mesh, warnings })

@@ -156,7 +156,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 fn goals(args: &Args) -> Result<Vec<Goal>> {
     let at = |depth_m: f64, shift_m: f64| Goal { depth_m, shift_m };
     let Some(&last) = args.depth_m.last() else {
-        return Err(Error::new(ErrorKind::Usage, "`--depth-m` needs a depth"));
+        return Err(Error::usage("`--depth-m` needs a depth"));
     };
     let down = args.depth_m.iter().map(|&depth| at(depth, 0.0));
     Ok(down
@@ -186,7 +186,7 @@ fn build(context: &Context, args: &Args) -> Result<Press> {
     };
     if args.indenter == Shape::Mesh && args.gel == Mesh::Refined {
         let what = "`--gel refined` needs an indenter that is symmetric, not a mesh";
-        return Err(Error::new(ErrorKind::Usage, what));
+        return Err(Error::usage(what));
     }
     let (grid, symmetric) = match args.gel {
         Mesh::Coarse => (pad(GelName::Coarse, args)?, [false; 2]),

@@ -97,13 +97,10 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
 impl ChoiceArgs {
     pub(super) fn curation(&self) -> Result<CurationSettings> {
         if !(self.category_cap >= 0.0 && self.category_cap.is_finite()) {
-            return Err(Error::new(
-                ErrorKind::Usage,
-                format!(
-                    "`--category-cap` must be 0 or above, found {}",
-                    self.category_cap
-                ),
-            ));
+            return Err(Error::usage(format!(
+                "`--category-cap` must be 0 or above, found {}",
+                self.category_cap
+            )));
         }
         Ok(CurationSettings {
             apart: match self.apart {

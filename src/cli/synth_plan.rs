@@ -234,20 +234,16 @@ impl Args {
             ("--visual-spread", self.visual_spread),
         ] {
             if !(0.0..=3.0).contains(&spread) {
-                return Err(Error::new(
-                    ErrorKind::Usage,
-                    format!("`{flag}` must be from 0 to 3, found {spread}"),
-                ));
+                return Err(Error::usage(format!(
+                    "`{flag}` must be from 0 to 3, found {spread}"
+                )));
             }
         }
         if !(self.least_friction_share > 0.0 && self.least_friction_share <= 1.0) {
-            return Err(Error::new(
-                ErrorKind::Usage,
-                format!(
-                    "`--least-friction-share` must be above 0 and at most 1, found {}",
-                    self.least_friction_share
-                ),
-            ));
+            return Err(Error::usage(format!(
+                "`--least-friction-share` must be above 0 and at most 1, found {}",
+                self.least_friction_share
+            )));
         }
         let of_preset = preset.rendering();
         let jobs = self.jobs.map_or_else(cores, usize::from);

@@ -84,8 +84,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let folder = args.plan.clone();
     let choice = args.choice.curation()?;
     if args.partial && args.pictures != PicturesName::Chosen {
-        return Err(Error::new(
-            ErrorKind::Usage,
+        return Err(Error::usage(
             "--partial is for the pictures that a dataset of an unfinished plan needs",
         )
         .remedy("give --pictures chosen with it, or leave it out"));

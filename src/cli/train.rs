@@ -19,7 +19,7 @@ use super::working::{Progress, resumable, resumable_under_screen};
 use super::{Context, print, print_json};
 use crate::note;
 use crate::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
 use gripcast_nn::predict::contract::Variant;
 use gripcast_train::{Finished, RunFolder, TrainEvent, TrainSettings, Trained, finish, train};
@@ -132,7 +132,7 @@ fn all_seeds(args: &Args, told: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value>
         })?;
         let folder = RunFolder::at(folder);
         let file = folder.read()?.ok_or_else(|| {
-            Error::new(ErrorKind::Internal, "the run has no description").at(folder.run().display())
+            Error::internal("the run has no description").at(folder.run().display())
         })?;
         told(TrainingNews::Stage("calibrating"));
         let senses = file.settings.variant.name().to_lowercase();

@@ -1,6 +1,6 @@
 //! How classifiers are trained: flags that `train` and `experiment` share.
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Variant;
 use gripcast_train::{Augmentation, TrainSettings};
@@ -42,7 +42,7 @@ impl TrainingFlags {
     pub(super) fn settings(&self, variant: Variant, seed: u64) -> Result<TrainSettings> {
         let architecture = Architecture::named(&self.arch).ok_or_else(|| {
             let what = format!("there is no network `{}`", self.arch);
-            Error::new(ErrorKind::Usage, what)
+            Error::usage(what)
         })?;
         let settings = TrainSettings {
             epochs: self.epochs,

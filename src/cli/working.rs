@@ -173,7 +173,7 @@ async fn watch<T>(
     }
     result
         .await
-        .map_err(|_| Error::new(ErrorKind::Internal, "the computation ended early"))
+        .map_err(|_| Error::internal("the computation ended early"))
 }
 
 /// How much is done, and how fast.

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
 use super::{Config, FilesConfig};
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 
 /// Prefix of environment variables.
 const ENV_PREFIX: &str = "GRIPCAST__";
@@ -136,9 +136,8 @@ pub fn merge(
     environment: impl IntoIterator<Item = (String, String)>,
     flags: &[FlagValue],
 ) -> Result<Layered> {
-    let defaults = Table::try_from(Config::default()).map_err(|e| {
-        Error::new(ErrorKind::Internal, "the default configuration is not TOML").because(e)
-    })?;
+    let defaults = Table::try_from(Config::default())
+        .map_err(|e| Error::internal("the default configuration is not TOML").because(e))?;
     let mut values = BTreeMap::new();
     flatten("", &defaults, &mut |key, value| {
         values.insert(key, (value.clone(), Origin::Default));
@@ -148,12 +147,9 @@ pub fn merge(
     if let Some((file, text)) = file {
         let path = file.path();
         let table: Table = text.parse().map_err(|e| {
-            Error::new(
-                ErrorKind::Config,
-                "the configuration file is not valid TOML",
-            )
-            .because(e)
-            .at(path.display())
+            Error::config("the configuration file is not valid TOML")
+                .because(e)
+                .at(path.display())
         })?;
         let mut given = Vec::new();
         flatten("", &table, &mut |key, value| {
@@ -250,7 +246,7 @@ fn slot<'a>(
     origin: &Origin,
 ) -> Result<&'a mut (Value, Origin)> {
     if !values.contains_key(key) {
-        let mut error = Error::new(ErrorKind::Config, format!("unknown key `{key}`")).at(origin);
+        let mut error = Error::config(format!("unknown key `{key}`")).at(origin);
         if let Some(near) = nearest_name(key, values.keys().map(String::as_str)) {
             error = error.remedy(format!("did you mean `{near}`?"));
         }
@@ -258,7 +254,7 @@ fn slot<'a>(
     }
     values
         .get_mut(key)
-        .ok_or_else(|| Error::new(ErrorKind::Internal, format!("key `{key}` vanished")))
+        .ok_or_else(|| Error::internal(format!("key `{key}` vanished")))
 }
 
 fn set(
@@ -274,11 +270,9 @@ fn set(
     };
     if slot.0.type_str() != value.type_str() {
         let (expected, found) = (slot.0.type_str(), value.type_str());
-        return Err(Error::new(
-            ErrorKind::Config,
-            format!("`{key}` must be of type {expected}, found {found}"),
-        )
-        .at(origin));
+        return Err(
+            Error::config(format!("`{key}` must be of type {expected}, found {found}")).at(origin),
+        );
     }
     *slot = (value, origin);
     Ok(())
@@ -299,10 +293,9 @@ fn set_text(
         _ => Some(Value::String(text.to_owned())),
     };
     let Some(value) = value else {
-        return Err(Error::new(
-            ErrorKind::Config,
-            format!("`{key}` must be of type {expected}, found `{text}`"),
-        )
+        return Err(Error::config(format!(
+            "`{key}` must be of type {expected}, found `{text}`"
+        ))
         .at(origin));
     };
     *slot = (value, origin);
@@ -320,12 +313,13 @@ fn assemble(values: &BTreeMap<String, (Value, Origin)>) -> Result<Config> {
         }
     }
     root.try_into()
-        .map_err(|e| Error::new(ErrorKind::Config, "the configuration is wrong").because(e))
+        .map_err(|e| Error::config("the configuration is wrong").because(e))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn none() -> Vec<(String, String)> {
         Vec::new()

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::daemon::BlackBoxSettings;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{Label, ObjectName};
 use gripcast_session::GuardLimits;
 
@@ -98,7 +98,7 @@ impl BlackBoxConfig {
         }
         let wrong = |key: &str, expected: &str, found: &dyn fmt::Display| {
             let what = format!("`black_box.{key}` must be {expected}, found {found}");
-            Error::new(ErrorKind::Config, what)
+            Error::config(what)
         };
         if !(1..=1 << 20).contains(&self.file_mib) {
             return Err(wrong("file_mib", "between 1 and 1048576", &self.file_mib));
@@ -193,6 +193,7 @@ impl Default for CollectConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     #[test]
     fn the_black_box_is_off_and_its_limits_are_checked() {

@@ -13,7 +13,7 @@ use super::sheets::Boards;
 use super::status::MarkerStatus;
 use super::thread::spawn;
 use gripcast_annotate::{Annotation, Annotator, BoardHashes, Observation, annotation};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileName;
 use gripcast_dataset::{PoseRecord, approach_name};
 use gripcast_imaging::{Decoder, Frame, Intrinsics, Role};
@@ -324,7 +324,7 @@ impl Measurer {
         let kept = self.annotator.take();
         let sheet = sheet.ok_or_else(|| {
             let what = format!("there is no sheet for `{object}`");
-            Error::new(ErrorKind::NotFound, what)
+            Error::not_found(what)
         })?;
         let annotator = match kept {
             Some(annotator) if annotator.sheet() == &sheet => annotator,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::ContentKey;
 use gripcast_capture::calibration::{CameraConfig, RigFile};
 use gripcast_dataset::DatasetWriter;
@@ -33,9 +33,8 @@ pub(super) fn store_calibration(
                 camera,
                 intrinsics: intrinsics.get(role),
             };
-            let text = toml::to_string_pretty(&calibration).map_err(|e| {
-                Error::new(ErrorKind::Internal, "cannot write the calibration").because(e)
-            })?;
+            let text = toml::to_string_pretty(&calibration)
+                .map_err(|e| Error::internal("cannot write the calibration").because(e))?;
             Ok((*role, writer.put_calibration(&text)?))
         })
         .collect()
@@ -52,7 +51,7 @@ pub fn stored_intrinsics(text: &str) -> Result<Option<Intrinsics>> {
     }
     let stored: Stored = toml::from_str(text).map_err(|e| {
         let what = format!("the stored calibration cannot be read: {}", e.message());
-        Error::new(ErrorKind::Input, what).remedy("give --intrinsics FILE")
+        Error::input(what).remedy("give --intrinsics FILE")
     })?;
     stored.intrinsics.map(Intrinsics::validate).transpose()
 }

@@ -12,7 +12,7 @@ use super::decode;
 use super::hub::Hub;
 use super::infer::{InferRequest, Inference};
 use super::tasks::Tasks;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
 use gripcast_capture::camera::{
@@ -107,12 +107,9 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
     std::thread::sleep(WARM_UP / 2);
     let initial = |role| {
         let decoded = hub.slot(role).and_then(|slot| slot.latest());
-        decoded.map(|decoded| decoded.image).ok_or_else(|| {
-            Error::new(
-                ErrorKind::Internal,
-                format!("{role}: nothing decoded in 1 s"),
-            )
-        })
+        decoded
+            .map(|decoded| decoded.image)
+            .ok_or_else(|| Error::internal(format!("{role}: nothing decoded in 1 s")))
     };
     let request = InferRequest::SetInitial {
         change: 1,
@@ -122,7 +119,7 @@ pub fn drive(model: Model, params: LoadParams) -> Result<LoadFigures> {
     inference
         .requests()
         .send(request)
-        .map_err(|_| Error::new(ErrorKind::Internal, "the inference thread has ended"))?;
+        .map_err(|_| Error::internal("the inference thread has ended"))?;
     std::thread::sleep(WARM_UP / 2);
 
     // Reports come twice a second; the counters before and after are equally old.

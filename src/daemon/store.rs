@@ -117,7 +117,7 @@ impl Store {
     /// Asks the thread; an error means that it has ended.
     pub(super) fn send(&self, message: StoreMessage) -> Result<()> {
         self.messages.send(message).map_err(|_| {
-            Error::new(ErrorKind::Internal, "the writing thread has ended")
+            Error::internal("the writing thread has ended")
                 .remedy("what was acknowledged is on disk; restart gripcast")
         })
     }
@@ -129,12 +129,9 @@ impl Store {
     pub(super) fn stop(self) -> Result<()> {
         // Fails only when the thread has ended, which join tells.
         let _ = self.messages.send(StoreMessage::Stop);
-        self.thread.join().unwrap_or_else(|_| {
-            Err(Error::new(
-                ErrorKind::Internal,
-                "the writing thread panicked",
-            ))
-        })
+        self.thread
+            .join()
+            .unwrap_or_else(|_| Err(Error::internal("the writing thread panicked")))
     }
 }
 
@@ -295,12 +292,10 @@ impl Worker {
     }
 
     fn pending(&self, id: &GraspId) -> Result<PendingInitial> {
-        self.pending.get(id).cloned().ok_or_else(|| {
-            Error::new(
-                ErrorKind::Internal,
-                format!("no initial frame {id} is pending"),
-            )
-        })
+        self.pending
+            .get(id)
+            .cloned()
+            .ok_or_else(|| Error::internal(format!("no initial frame {id} is pending")))
     }
 
     fn now_pending(&mut self, pending: PendingInitial) -> StoreReply {
@@ -314,7 +309,7 @@ impl Worker {
     fn use_initial(&mut self, id: Option<&GraspId>, change: u64) {
         let pictures = match id {
             Some(id) => self.initial_pictures(id),
-            None => Err(Error::new(ErrorKind::NotFound, "no initial frame")),
+            None => Err(Error::not_found("no initial frame")),
         };
         let request = match pictures {
             Ok([left, right]) => InferRequest::SetInitial {
@@ -334,7 +329,7 @@ impl Worker {
         let mut picture = |role| -> Result<RgbImage> {
             let frame = frames.get(&role).ok_or_else(|| {
                 let what = format!("the initial frame has no picture of {role}");
-                Error::new(ErrorKind::NotFound, what)
+                Error::not_found(what)
             })?;
             Ok(self.picture(frame, role)?)
         };
@@ -369,15 +364,12 @@ impl Worker {
 }
 
 fn panicked(panic: &str) -> Error {
-    Error::new(
-        ErrorKind::Internal,
-        format!("the writing thread panicked: {panic}"),
-    )
-    .remedy("what was acknowledged is on disk; restart gripcast if it happens again")
+    Error::internal(format!("the writing thread panicked: {panic}"))
+        .remedy("what was acknowledged is on disk; restart gripcast if it happens again")
 }
 
 fn needed(capture: Option<&StageCapture>) -> Result<&StageCapture> {
-    capture.ok_or_else(|| Error::new(ErrorKind::Internal, "a save was asked for without frames"))
+    capture.ok_or_else(|| Error::internal("a save was asked for without frames"))
 }
 
 /// A pending initial frame as the session sees it.

@@ -3,7 +3,7 @@
 use super::{Finding, Verdict};
 use crate::camera_check::CameraCheck;
 use crate::daemon::Boards;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Decoder, Role};
 use gripcast_pose::BoardFile;
 use gripcast_pose::detect::detectors;
@@ -32,9 +32,9 @@ pub(super) fn findings(checks: &[CameraCheck], boards: Option<Result<Boards>>) -
         return vec![Finding::new("board", "markers", Verdict::Skipped, found)];
     };
     let picture = Decoder::new().and_then(|mut decoder| {
-        decoder.decode_full(frame).map_err(|damage| {
-            Error::new(ErrorKind::Input, damage.to_string()).remedy("measure again")
-        })
+        decoder
+            .decode_full(frame)
+            .map_err(|damage| Error::input(damage.to_string()).remedy("measure again"))
     });
     let grey = match picture {
         Ok(picture) => image::imageops::grayscale(&picture),

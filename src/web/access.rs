@@ -26,7 +26,7 @@ use subtle::ConstantTimeEq as _;
 use super::failure::Failure;
 use super::origin;
 use super::sessions::{Failures, SessionKey, Sessions};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
 
 /// Shortest token that is taken, characters.
@@ -90,10 +90,10 @@ impl Token {
         let metadata = file.metadata().map_err(unreadable)?;
         let mode = metadata.mode();
         if is_open(metadata.uid(), mode) {
-            return Err(Error::new(
-                ErrorKind::Config,
-                format!("others may read the token (mode {:o})", mode & 0o777),
-            )
+            return Err(Error::config(format!(
+                "others may read the token (mode {:o})",
+                mode & 0o777
+            ))
             .at(path.display())
             .remedy(format!("chmod 600 {}", path.display())));
         }
@@ -108,14 +108,11 @@ impl Token {
         let token = text.trim();
         let printable = token.chars().all(|c| c.is_ascii_graphic());
         if token.len() < MIN_TOKEN_CHARS || !printable {
-            return Err(Error::new(
-                ErrorKind::Config,
-                format!(
-                    "expected a token of at least {MIN_TOKEN_CHARS} printable ASCII characters \
+            return Err(Error::config(format!(
+                "expected a token of at least {MIN_TOKEN_CHARS} printable ASCII characters \
                      without blanks, found {} characters",
-                    token.chars().count()
-                ),
-            )
+                token.chars().count()
+            ))
             .remedy("make one: head -c 24 /dev/urandom | base64 > FILE; chmod 600 FILE"));
         }
         Ok(Self(token.to_owned()))

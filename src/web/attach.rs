@@ -46,11 +46,8 @@ impl Target {
         } else if !text.contains("://") && !text.is_empty() {
             return Ok(Self::Socket(PathBuf::from(text)));
         }
-        Err(Error::new(
-            ErrorKind::Usage,
-            format!("`{text}` is no place of a daemon"),
-        )
-        .remedy("give http://127.0.0.1:7471, or the path of the daemon's socket"))
+        Err(Error::usage(format!("`{text}` is no place of a daemon"))
+            .remedy("give http://127.0.0.1:7471, or the path of the daemon's socket"))
     }
 }
 
@@ -253,13 +250,10 @@ fn broken(error: WsError, target: &Target) -> Error {
 }
 
 fn of_another_version(error: serde_json::Error, target: &Target) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        "the daemon says what this gripcast does not know",
-    )
-    .because(error)
-    .at(target)
-    .remedy("use the same version for both")
+    Error::input("the daemon says what this gripcast does not know")
+        .because(error)
+        .at(target)
+        .remedy("use the same version for both")
 }
 
 #[cfg(test)]

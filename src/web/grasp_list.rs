@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use crate::daemon::verdict_of;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, PredictionRecord};
 use gripcast_imaging::Role;
 use gripcast_nn::predict::Verdict;
@@ -158,10 +158,9 @@ impl GraspList {
         }
         let limit = wanted.limit.unwrap_or(USUAL_LIMIT);
         if !(1..=MOST).contains(&limit) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("expected a limit of 1 to {MOST}, found {limit}"),
-            ));
+            return Err(Error::input(format!(
+                "expected a limit of 1 to {MOST}, found {limit}"
+            )));
         }
         let mut grasps: Vec<GraspSummary> = known
             .values()

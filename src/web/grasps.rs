@@ -109,7 +109,7 @@ pub(crate) async fn record(
     off_thread(move || {
         let record = record_of(&backend.grasps.dataset()?, &id)?;
         let json = serde_json::to_value(record)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         Ok(Json(json))
     })
     .await
@@ -208,10 +208,9 @@ fn small_picture(
             TactileDifference::between(&initial, &grasp)?.to_picture(DIFFERENCE_GAIN)
         }
         PreviewKind::Difference => {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("only gels have a difference, and `{role}` is none"),
-            ));
+            return Err(Error::input(format!(
+                "only gels have a difference, and `{role}` is none"
+            )));
         }
     };
     encode_jpeg(&shown, QUALITY)
@@ -225,10 +224,11 @@ fn stored(
     role: Role,
 ) -> CrateResult<image::RgbImage> {
     let absent = || {
-        Error::new(
-            ErrorKind::NotFound,
-            format!("{} has no {} picture of {role}", record.id, stage.name()),
-        )
+        Error::not_found(format!(
+            "{} has no {} picture of {role}",
+            record.id,
+            stage.name()
+        ))
     };
     let camera = record.stage(stage).cameras.get(&role).ok_or_else(absent)?;
     let crop = camera

@@ -138,12 +138,11 @@ async fn unix(path: &Path) -> Result<UnixListener> {
     let failed = |e| Error::io("cannot listen on the socket", e).at(path.display());
     if let Ok(found) = fs::symlink_metadata(path) {
         if !found.file_type().is_socket() {
-            return Err(Error::new(
-                ErrorKind::Config,
-                "there is something else in the socket's place",
-            )
-            .at(path.display())
-            .remedy("give another --socket, or move it away"));
+            return Err(
+                Error::config("there is something else in the socket's place")
+                    .at(path.display())
+                    .remedy("give another --socket, or move it away"),
+            );
         }
         if tokio::net::UnixStream::connect(path).await.is_ok() {
             return Err(

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use subtle::ConstantTimeEq as _;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
 
 /// Sessions at a time; one more ends the one that was used least lately.
@@ -53,11 +53,7 @@ impl Sessions {
     pub(super) fn open(&mut self, now: Instant) -> Result<String> {
         let mut random = [0; 32];
         getrandom::fill(&mut random).map_err(|e| {
-            Error::new(
-                ErrorKind::Internal,
-                "the operating system gives no random numbers for a session",
-            )
-            .because(e)
+            Error::internal("the operating system gives no random numbers for a session").because(e)
         })?;
         let id: String = random.iter().map(|byte| format!("{byte:02x}")).collect();
         self.end_old(now);

@@ -19,7 +19,7 @@ pub use plausibility::is_between_fingers;
 use glam::DQuat;
 use image::GrayImage;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{PoseQuality, PoseRecord};
 use gripcast_geometry::Pose;
 
@@ -63,8 +63,7 @@ impl Annotator {
         let named = seen.iter().map(|(name, seen)| (name.as_str(), seen));
         annotation(named, self.boards()).ok_or_else(|| {
             failure.unwrap_or_else(|| {
-                Error::new(
-                    ErrorKind::Input,
+                Error::input(
                     "there is no picture of the external camera from before the fingers closed",
                 )
                 .remedy("bind an external camera in the rig file")

@@ -3,7 +3,7 @@
 use image::GrayImage;
 
 use super::BoardHashes;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Intrinsics;
 use gripcast_pose::detect::{Diagnosis, diagnose, known_dictionaries};
 use gripcast_pose::refine::{refine_all, sharpness};
@@ -148,12 +148,9 @@ impl Annotator {
         let relative = relative(&object, &gripper.body);
         let distance_m = relative.t_object_gripper.translation_m.length();
         if distance_m > FARTHEST_M {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the gripper would be {distance_m:.2} m from the object, which is no grasp"
-                ),
-            )
+            return Err(Error::input(format!(
+                "the gripper would be {distance_m:.2} m from the object, which is no grasp"
+            ))
             .remedy("check that both board files have the sizes that were printed"));
         }
         let blur = sharpness(picture, &detections);
@@ -203,7 +200,7 @@ impl Annotator {
 }
 
 fn check_parts(sheet: &BoardFile, tags: &BoardFile) -> Result<()> {
-    let input = |what: String| Error::new(ErrorKind::Input, what);
+    let input = |what: String| Error::input(what);
     let is_object = |part: Part| part == Part::Object;
     if !sheet.board.markers.iter().any(|m| is_object(m.part)) {
         return Err(input(format!(
@@ -245,10 +242,9 @@ fn explain_absence(picture: &GrayImage, what: &str, board: &BoardFile) -> Result
     };
     let name = &board.board.name;
     if why == Diagnosis::Nothing {
-        return Ok(Error::new(
-            ErrorKind::Input,
-            format!("{what} (board `{name}`) is not in the picture: none of its markers is found"),
-        )
+        return Ok(Error::input(format!(
+            "{what} (board `{name}`) is not in the picture: none of its markers is found"
+        ))
         .remedy(
             "let the camera see it, sharp and evenly lit, its markers at least 20 pixels large; \
              give the board file of what was printed",

@@ -105,7 +105,7 @@ mod tests {
         let work = |n: &u32| {
             begun.fetch_add(1, Ordering::Relaxed);
             match n {
-                7 => Err(Error::new(ErrorKind::Input, "seven")),
+                7 => Err(Error::input("seven")),
                 _ => Ok(()),
             }
         };

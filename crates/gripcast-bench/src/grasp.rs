@@ -163,10 +163,10 @@ fn measure(args: &Args, progress: &Progress) -> Result<Outcome> {
         })
         .collect();
     if chosen.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Usage,
-            format!("no case of this class has {:?} in its name", args.only),
-        )
+        return Err(Error::usage(format!(
+            "no case of this class has {:?} in its name",
+            args.only
+        ))
         .remedy("leave --only out to see the names"));
     }
     let all = (chosen.len() * args.gel.len()) as u64;
@@ -216,8 +216,7 @@ fn measure_case(
             best = Some((summary, result.times));
         }
     }
-    let (summary, times) =
-        best.ok_or_else(|| Error::new(ErrorKind::Internal, "nothing was repeated"))?;
+    let (summary, times) = best.ok_or_else(|| Error::internal("nothing was repeated"))?;
     Ok(Measured {
         case: case.name,
         class: case.class,
@@ -275,7 +274,7 @@ fn grasps_a_second(scenes: &[Scene], settings: &GraspSettings, threads: usize) -
         for worker in workers {
             worker
                 .join()
-                .map_err(|_| Error::new(ErrorKind::Internal, "a grasp ended early"))??;
+                .map_err(|_| Error::internal("a grasp ended early"))??;
         }
         Ok::<(), Error>(())
     })?;
@@ -286,7 +285,7 @@ fn pool(threads: usize) -> Result<ThreadPool> {
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot start threads").because(e))
+        .map_err(|e| Error::internal("cannot start threads").because(e))
 }
 
 /// A mesh of the folder of shared data in metres, if it is there.

@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::process::{Command, Stdio};
 
 use gripcast::cli::Context;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use serde_json::Value;
 
 /// Exit code of a peer's script when its library cannot be imported.
@@ -66,6 +66,6 @@ impl Peer {
 
     /// The error of a peer that does not answer as it should.
     pub(crate) fn failed(&self, what: &str) -> Error {
-        Error::new(ErrorKind::Internal, format!("{} bench: {what}", self.name))
+        Error::internal(format!("{} bench: {what}", self.name))
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{MassProperties, Pose, TriangleMesh, stable_poses};
 use gripcast_sim::GraspSetup;
 use gripcast_sim::grasp::{GraspOutcome, GraspResult, Placement};
@@ -166,10 +166,7 @@ pub(crate) fn random_grasps(
             .map(|pose| pose.t_world_object)
             .collect();
         if poses.is_empty() {
-            return Err(
-                Error::new(ErrorKind::Input, format!("{name} has no stable pose"))
-                    .remedy("close its mesh"),
-            );
+            return Err(Error::input(format!("{name} has no stable pose")).remedy("close its mesh"));
         }
         let stream = seed ^ (index as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let mut rng = Pcg64Mcg::seed_from_u64(stream);

@@ -50,12 +50,8 @@ pub(crate) struct Args {
 
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
-    let architecture = Architecture::named(&args.arch).ok_or_else(|| {
-        Error::new(
-            ErrorKind::Usage,
-            format!("there is no network `{}`", args.arch),
-        )
-    })?;
+    let architecture = Architecture::named(&args.arch)
+        .ok_or_else(|| Error::usage(format!("there is no network `{}`", args.arch)))?;
     let [per_s, per_cpu_s] = measure(&architecture, args)?;
     let params = json!({
         "arch": args.arch,

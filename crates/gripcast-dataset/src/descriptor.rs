@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::layout::Layout;
 use super::schema::{SCHEMA_VERSION, check_schema};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileKind;
 
 /// What a new dataset is to say about itself.
@@ -57,9 +57,8 @@ impl Descriptor {
     }
 
     pub(super) fn to_toml(&self) -> Result<String> {
-        toml::to_string_pretty(self).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write the description as TOML").because(e)
-        })
+        toml::to_string_pretty(self)
+            .map_err(|e| Error::internal("cannot write the description as TOML").because(e))
     }
 
     /// Reads the description.
@@ -76,7 +75,7 @@ impl Descriptor {
 
     fn parse(text: &str) -> Result<Self> {
         let unreadable = |e: toml::de::Error| {
-            Error::new(ErrorKind::Input, "cannot read the dataset's description")
+            Error::input("cannot read the dataset's description")
                 .because(e)
                 .remedy("correct the line that is named, or restore the file from a copy")
         };
@@ -93,28 +92,21 @@ fn not_readable(layout: &Layout, error: io::Error) -> Error {
     let root = layout.root();
     if error.kind() == io::ErrorKind::NotFound {
         return if !root.exists() {
-            Error::new(ErrorKind::NotFound, "there is no such dataset")
+            Error::not_found("there is no such dataset")
                 .remedy("check the path; `gripcast collect --dataset DIR` begins a new one")
         } else if layout.grasps().is_dir() {
-            Error::new(ErrorKind::NotFound, "the dataset lacks its dataset.toml").remedy(format!(
+            Error::not_found("the dataset lacks its dataset.toml").remedy(format!(
                 "`gripcast dataset recover {}` writes it again",
                 root.display()
             ))
         } else {
-            Error::new(
-                ErrorKind::NotFound,
-                "this is not a dataset: it has no dataset.toml",
-            )
-            .remedy("give the directory that holds dataset.toml and grasps/")
+            Error::not_found("this is not a dataset: it has no dataset.toml")
+                .remedy("give the directory that holds dataset.toml and grasps/")
         }
         .at(root.display());
     }
     if error.kind() == io::ErrorKind::NotADirectory {
-        return Error::new(
-            ErrorKind::Input,
-            "this is a file, not a dataset's directory",
-        )
-        .at(root.display());
+        return Error::input("this is a file, not a dataset's directory").at(root.display());
     }
     Error::io("cannot read the dataset's description", error).at(layout.dataset_toml().display())
 }

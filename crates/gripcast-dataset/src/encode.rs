@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use image::GrayImage;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{
     Decoder, Frame, PixelFormat, check_structure, encode_png_grey8, encode_png_grey16,
     encode_png_rgb,
@@ -17,7 +17,7 @@ use gripcast_imaging::{
 /// `Input` when the payload does not fit the frame's size.
 pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
     if frame.data.is_empty() {
-        return Err(Error::new(ErrorKind::Input, "the frame is empty"));
+        return Err(Error::input("the frame is empty"));
     }
     Ok(match frame.format {
         PixelFormat::Mjpg => Cow::Borrowed(&frame.data),
@@ -28,8 +28,7 @@ pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
         PixelFormat::Grey => {
             check_structure(frame)?;
             let picture = GrayImage::from_raw(frame.width, frame.height, frame.data.to_vec());
-            let picture = picture
-                .ok_or_else(|| Error::new(ErrorKind::Internal, "a checked frame has no size"))?;
+            let picture = picture.ok_or_else(|| Error::internal("a checked frame has no size"))?;
             encode_png_grey8(&picture)?.into()
         }
     })
@@ -38,6 +37,7 @@ pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn frame(format: PixelFormat, width: u32, height: u32, data: Vec<u8>) -> Frame {
         Frame {

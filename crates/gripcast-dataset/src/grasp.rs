@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::digest::FileDigest;
 use super::layout::Stage;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, FileName, GraspId, Label, ObjectName};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{PixelFormat, Role};
@@ -225,7 +225,7 @@ impl PoseRecord {
     /// # Errors
     /// `Input`: it is in another frame, or its numbers are no pose.
     pub fn t_object_gripper(&self) -> Result<Pose> {
-        let wrong = |what: String| Error::new(ErrorKind::Input, what);
+        let wrong = |what: String| Error::input(what);
         if self.frame != POSE_FRAME {
             return Err(wrong(format!(
                 "its pose is `{}`, expected `{POSE_FRAME}`",

@@ -14,7 +14,7 @@ use super::record_file::{PendingInitial, read_grasp};
 use super::trash::set_aside;
 use super::unfinished::{Unfinished, unfinished};
 use super::writer::DatasetWriter;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
 
 /// What was found when a dataset was opened for writing.
@@ -141,12 +141,11 @@ fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
     match layout.top().entries() {
         Err(e) if e.kind() == io::ErrorKind::NotFound => create_all(disk, root)
             .map_err(|e| layout.failed("cannot make the dataset's directory", e)),
-        Err(e) if e.kind() == io::ErrorKind::NotADirectory => Err(Error::new(
-            ErrorKind::Input,
-            "this is a file, not a directory",
-        )
-        .at(root.display())
-        .remedy("give a directory that does not exist yet, is empty, or holds a dataset")),
+        Err(e) if e.kind() == io::ErrorKind::NotADirectory => {
+            Err(Error::input("this is a file, not a directory")
+                .at(root.display())
+                .remedy("give a directory that does not exist yet, is empty, or holds a dataset"))
+        }
         Err(e) => Err(layout.failed("cannot read the directory", e)),
         Ok(_) if layout.dataset_toml().is_taken() => Ok(()),
         Ok(entries) => {
@@ -158,13 +157,10 @@ fn create_root(disk: &dyn Disk, layout: &Layout) -> Result<()> {
             let Some(foreign) = foreign else {
                 return Ok(());
             };
-            let error = Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the directory holds `{}` but no dataset.toml: it is not a dataset",
-                    foreign.name()
-                ),
-            )
+            let error = Error::input(format!(
+                "the directory holds `{}` but no dataset.toml: it is not a dataset",
+                foreign.name()
+            ))
             .at(root.display());
             Err(if layout.grasps().is_dir() {
                 error.remedy(format!(

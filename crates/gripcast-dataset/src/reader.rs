@@ -8,7 +8,7 @@ use super::grasp::{CameraRecord, GraspRecord};
 use super::layout::{GRASP_JSON, Layout, Stage};
 use super::picture;
 use super::record_file::{check_id, read_grasp};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
 use gripcast_imaging::{Frame, PixelFormat, Role, decode_png};
 
@@ -141,7 +141,7 @@ impl Dataset {
     /// `NotFound`, `Io`: the file. `Input`: it is not what was stored, or damaged.
     pub fn stored_picture(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
         let path = self.layout.grasp(&record.id).join(&camera.file);
-        let refused = |what: String| Error::new(ErrorKind::Input, what).at(path.display());
+        let refused = |what: String| Error::input(what).at(path.display());
         let bytes = path
             .read(FileKind::Image)
             .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
@@ -164,10 +164,11 @@ impl Dataset {
     /// `NotFound` when there is none of that role at that stage; `Input` when the file is damaged.
     pub fn load_frame(&self, record: &GraspRecord, stage: Stage, role: Role) -> Result<Frame> {
         let camera = record.stage(stage).cameras.get(&role).ok_or_else(|| {
-            Error::new(
-                ErrorKind::NotFound,
-                format!("{} has no {} frame of {role}", record.id, stage.name()),
-            )
+            Error::not_found(format!(
+                "{} has no {} frame of {role}",
+                record.id,
+                stage.name()
+            ))
         })?;
         load_frame(&self.layout.grasp(&record.id), camera)
     }
@@ -238,5 +239,5 @@ fn decode(path: &BeneathPath, bytes: &[u8]) -> Result<image::DynamicImage> {
 }
 
 fn other_picture(path: &BeneathPath, expected: &str) -> Error {
-    Error::new(ErrorKind::Input, format!("the file is not {expected}")).at(path.display())
+    Error::input(format!("the file is not {expected}")).at(path.display())
 }

@@ -10,7 +10,7 @@ use super::digest::digest;
 use super::grasp::{GraspRecord, OverriddenGuard, StageRecord};
 use super::layout::{GRASP_JSON, INITIAL_JSON};
 use super::schema::check_schema;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId};
 
 /// A durable initial frame that waits for its grasp; the contents of `initial.json`.
@@ -72,10 +72,7 @@ pub(super) fn check_id(found: &GraspId, expected: &GraspId) -> Result<()> {
     if found == expected {
         Ok(())
     } else {
-        Err(Error::new(
-            ErrorKind::Input,
-            format!("the record is that of {found}"),
-        ))
+        Err(Error::input(format!("the record is that of {found}")))
     }
 }
 
@@ -108,8 +105,7 @@ pub(super) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
     struct Schema {
         schema: i64,
     }
-    let unreadable =
-        |e: serde_json::Error| Error::new(ErrorKind::Input, "cannot read the record").because(e);
+    let unreadable = |e: serde_json::Error| Error::input("cannot read the record").because(e);
     let Schema { schema } = serde_json::from_slice(bytes).map_err(unreadable)?;
     check_schema(schema)?;
     serde_json::from_slice(bytes).map_err(unreadable)
@@ -121,11 +117,7 @@ pub(super) fn from_json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
 /// `Internal` for values that JSON cannot hold (not a number, infinity).
 pub(super) fn to_json<T: Serialize + DeserializeOwned>(record: &T) -> Result<Vec<u8>> {
     let unwritable = |e: serde_json::Error| {
-        Error::new(
-            ErrorKind::Internal,
-            "the record holds a value that JSON cannot hold",
-        )
-        .because(e)
+        Error::internal("the record holds a value that JSON cannot hold").because(e)
     };
     let value = serde_json::to_value(record).map_err(unwritable)?;
     let mut bytes = serde_json::to_vec_pretty(&value).map_err(unwritable)?;
@@ -145,9 +137,7 @@ pub(super) fn check_files(dir: &BeneathPath, files: &BTreeMap<FileName, FileDige
             .read(FileKind::Image)
             .map_err(|e| Error::io("cannot read the file", e).at(path.display()))?;
         if digest(&bytes) != *expected {
-            return Err(
-                Error::new(ErrorKind::Input, "the file is not what was stored").at(path.display()),
-            );
+            return Err(Error::input("the file is not what was stored").at(path.display()));
         }
     }
     Ok(())
@@ -156,6 +146,7 @@ pub(super) fn check_files(dir: &BeneathPath, files: &BTreeMap<FileName, FileDige
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     #[test]
     fn json_is_sorted_and_refuses_what_does_not_read_back() {

@@ -1,6 +1,6 @@
 //! Version of the dataset format.
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Version of the dataset format that this build writes.
 pub const SCHEMA_VERSION: u32 = 1;
@@ -10,10 +10,9 @@ pub(super) fn check_schema(schema: i64) -> Result<()> {
     if schema == i64::from(SCHEMA_VERSION) {
         return Ok(());
     }
-    let error = Error::new(
-        ErrorKind::Input,
-        format!("format version {schema}, but this gripcast reads version {SCHEMA_VERSION}"),
-    );
+    let error = Error::input(format!(
+        "format version {schema}, but this gripcast reads version {SCHEMA_VERSION}"
+    ));
     Err(if schema > i64::from(SCHEMA_VERSION) {
         error.remedy("update gripcast")
     } else {

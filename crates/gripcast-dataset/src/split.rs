@@ -15,7 +15,7 @@ use super::grasp::{GraspRecord, Outcome};
 use super::reader::{Dataset, entries};
 use super::schema::SCHEMA_VERSION;
 use super::schema::check_schema;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, read_regular};
 
 /// How many seeded orders are tried; the best balanced one is kept.
@@ -167,8 +167,7 @@ impl SplitFile {
     }
 
     fn from_bytes(bytes: io::Result<Vec<u8>>) -> Result<Self> {
-        let unreadable =
-            |e: serde_json::Error| Error::new(ErrorKind::Input, "cannot read the split").because(e);
+        let unreadable = |e: serde_json::Error| Error::input("cannot read the split").because(e);
         let bytes = bytes.map_err(|e| Error::io("cannot read the split", e))?;
         let value: serde_json::Value = serde_json::from_slice(&bytes).map_err(unreadable)?;
         if let Some(schema) = value.get("schema").and_then(serde_json::Value::as_i64) {
@@ -218,7 +217,7 @@ impl SplitFile {
         let dir = layout.splits();
         let mut json = serde_json::to_value(self)
             .and_then(|value| serde_json::to_vec_pretty(&value))
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the split").because(e))?;
+            .map_err(|e| Error::internal("cannot write the split").because(e))?;
         json.push(b'\n');
         let made = if dir.is_dir() {
             Ok(())
@@ -255,10 +254,9 @@ pub(super) fn file_name(name: &str) -> Result<FileName> {
 /// Refuses names that are no plain file names or would hide the dataset from `imagefolder`.
 pub(super) fn check_name(name: &str) -> Result<()> {
     let refused = |why: &str| {
-        Err(Error::new(
-            ErrorKind::Usage,
-            format!("`{name}` cannot be the name of a split: {why}"),
-        ))
+        Err(Error::usage(format!(
+            "`{name}` cannot be the name of a split: {why}"
+        )))
     };
     let plain = !name.is_empty()
         && !name.starts_with('.')
@@ -288,13 +286,10 @@ fn check_fractions(fractions: &BTreeMap<String, f64>) -> Result<()> {
         .iter()
         .map(|(name, share)| format!("{name} {share}"))
         .collect();
-    Err(Error::new(
-        ErrorKind::Usage,
-        format!(
-            "the shares ({}) must lie between 0 and 1 and sum to 1, not {sum:.6}",
-            text.join(", ")
-        ),
-    ))
+    Err(Error::usage(format!(
+        "the shares ({}) must lie between 0 and 1 and sum to 1, not {sum:.6}",
+        text.join(", ")
+    )))
 }
 
 /// Grasps by outcome: stable, slip, unlabelled.
@@ -320,16 +315,13 @@ fn divide(
         .map(|(name, share)| (name, *share))
         .collect();
     if items.len() < parts.len() {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "{} parts need at least {} different {}s, but the dataset has {}",
-                parts.len(),
-                parts.len(),
-                plan.by,
-                items.len()
-            ),
-        )
+        return Err(Error::input(format!(
+            "{} parts need at least {} different {}s, but the dataset has {}",
+            parts.len(),
+            parts.len(),
+            plan.by,
+            items.len()
+        ))
         .remedy("collect more of them, or give fewer parts a share above 0"));
     }
     let tallies: Vec<(&String, Tally)> = items
@@ -436,6 +428,7 @@ fn draw(seed: u64, trial: u64, item: &str) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn plan(seed: u64) -> SplitPlan {
         SplitPlan {

@@ -116,10 +116,10 @@ impl DatasetWriter {
     ) -> Result<GraspRecord> {
         let dir = self.layout.pending(&pending.id);
         if !dir.join(INITIAL_JSON).is_file() {
-            return Err(Error::new(
-                ErrorKind::NotFound,
-                format!("the initial frame of {} is no longer there", pending.id),
-            )
+            return Err(Error::not_found(format!(
+                "the initial frame of {} is no longer there",
+                pending.id
+            ))
             .at(dir.display())
             .remedy("check that the disk is still there, then take the initial frame again"));
         }
@@ -170,10 +170,9 @@ impl DatasetWriter {
         self.change(id, &format!("cannot annotate {id}"), |record| {
             let by_hand = record.pose.as_ref().is_some_and(|p| p.corrected_by_hand);
             if by_hand && !pose.corrected_by_hand {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!("the pose of {id} was corrected by hand and is kept"),
-                ));
+                return Err(Error::input(format!(
+                    "the pose of {id} was corrected by hand and is kept"
+                )));
             }
             record.pose = Some(pose);
             Ok(())
@@ -381,7 +380,7 @@ impl DatasetWriter {
     fn read(&self, id: &GraspId) -> Result<GraspRecord> {
         read_grasp(&self.layout.grasp(id)).map_err(|e| {
             if e.kind() == ErrorKind::NotFound {
-                Error::new(ErrorKind::NotFound, format!("there is no grasp {id}"))
+                Error::not_found(format!("there is no grasp {id}"))
                     .at(self.layout.root().display())
                     .remedy("it was undone or moved away, or the disk has gone")
             } else {

@@ -10,7 +10,7 @@ use glam::DVec3;
 use robust::{Coord3D, orient3d};
 
 use super::mesh::TriangleMesh;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// A face with its neighbours across the sides that start at each corner, and the points in
 /// front of it that have no other face yet.
@@ -43,19 +43,15 @@ struct Horizon {
 pub fn convex_hull(points: &[DVec3]) -> Result<TriangleMesh> {
     if let Some(bad) = points.iter().find(|p| !p.is_finite()) {
         let found = bad.to_array();
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("a convex hull needs finite points, found {found:?}"),
-        ));
+        return Err(Error::input(format!(
+            "a convex hull needs finite points, found {found:?}"
+        )));
     }
     let simplex = first_simplex(points).ok_or_else(|| {
-        Error::new(
-            ErrorKind::Input,
-            format!(
-                "a convex hull needs points that span a volume, found {} in one plane",
-                points.len()
-            ),
-        )
+        Error::input(format!(
+            "a convex hull needs points that span a volume, found {} in one plane",
+            points.len()
+        ))
         .remedy("give the part thickness")
     })?;
     let mut hull = Hull::of_simplex(points, simplex);

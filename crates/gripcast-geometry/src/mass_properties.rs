@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 
 use super::mesh::TriangleMesh;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Exact integrals over the solid inside a closed mesh. Multiply by a density (kg/m³) for masses.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,10 +41,9 @@ impl MassProperties {
         // Written so that NaN is refused as well.
         let is_solid = volume > 0.0 && volume.is_finite();
         if !is_solid {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("the mesh must enclose a positive volume, found {volume:e} m³"),
-            )
+            return Err(Error::input(format!(
+                "the mesh must enclose a positive volume, found {volume:e} m³"
+            ))
             .remedy("close its holes and turn its triangles outwards"));
         }
         let center = first / volume;

@@ -5,7 +5,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::aabb::Aabb;
 use super::pose::Pose;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Triangles over shared vertices. Seen from outside, the corners of a triangle run
 /// counter-clockwise.
@@ -184,7 +184,7 @@ impl TriangleMesh {
     /// # Errors
     /// `Input`, with the first offending vertex or triangle (counted from 0).
     pub fn validate(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::new(ErrorKind::Input, what));
+        let bad = |what: String| Err(Error::input(what));
         if self.triangles.is_empty() {
             return bad("the mesh has no triangles".to_string());
         }

@@ -6,7 +6,7 @@ use super::{
     BUILTIN_NAMES, LengthUnit, MeshFormat, PrepareOptions, Prepared, TriangleMesh, builtin,
     load_mesh, prepare, read_mesh,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, companions};
 
 /// Reads `builtin:NAME` or a mesh file whose coordinates are in `unit`, scales it and makes it
@@ -45,7 +45,7 @@ pub fn load_object_mesh_below(
     check_scale(scale)?;
     let place = folder.resolve_allowed(named).map_err(|_| {
         let what = format!("the mesh {named:?} is not below the folder of the file that names it");
-        Error::new(ErrorKind::Input, what).remedy(
+        Error::input(what).remedy(
             "copy the mesh beside that file, or allow its folder with \
              GRIPCAST__FILES__LINKED_FOLDERS",
         )
@@ -67,7 +67,7 @@ pub fn load_object_mesh_below(
 
 /// The name of a built-in shape where a file was expected.
 fn bare_name(name: &str) -> Error {
-    Error::new(ErrorKind::NotFound, "there is no such mesh file")
+    Error::not_found("there is no such mesh file")
         .at(name)
         .remedy(format!("the built-in shape is builtin:{name}"))
 }
@@ -76,10 +76,9 @@ fn check_scale(scale: f64) -> Result<()> {
     if scale.is_finite() && scale > 0.0 {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!("the scale must be a number above 0, found {scale}"),
-    ))
+    Err(Error::input(format!(
+        "the scale must be a number above 0, found {scale}"
+    )))
 }
 
 fn prepared(mesh: &TriangleMesh, scale: f64) -> Result<Prepared> {

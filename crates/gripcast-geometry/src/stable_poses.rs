@@ -9,7 +9,7 @@ use super::mass_properties::MassProperties;
 use super::mesh::TriangleMesh;
 use super::mesh_query::closest_on_triangle;
 use super::pose::Pose;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Corners this far from the plane of a facet, relative to the body's diagonal, still rest on it.
 const FLATNESS: f64 = 1e-6;
@@ -84,14 +84,11 @@ pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StableP
         })
         .collect();
     if poses.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the body must rest on some facet, found that it tips over from each within \
+        return Err(Error::input(format!(
+            "the body must rest on some facet, found that it tips over from each within \
                  {:.3} degrees",
-                min_tip_rad.to_degrees()
-            ),
-        )
+            min_tip_rad.to_degrees()
+        ))
         .remedy("allow a smaller tip angle"));
     }
     poses.sort_by(|a, b| b.probability.total_cmp(&a.probability));

@@ -3,7 +3,7 @@
 //! Public code crops a GelSight Mini in three incompatible ways, so data and models name the one
 //! they use. A profile never changes: a different rule gets a new name.
 
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 
 /// A rectangle of whole pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,10 +96,8 @@ impl CropProfile {
         let known = Self::ALL.map(|profile| profile.name);
         let hint = nearest_name(name, known)
             .map_or(String::new(), |known| format!("did you mean `{known}`? "));
-        Err(
-            Error::new(ErrorKind::Config, format!("unknown crop profile `{name}`"))
-                .remedy(format!("{hint}known profiles: {}", known.join(", "))),
-        )
+        Err(Error::config(format!("unknown crop profile `{name}`"))
+            .remedy(format!("{hint}known profiles: {}", known.join(", "))))
     }
 
     /// Name under which the profile is stored with data and models.
@@ -153,6 +151,7 @@ fn fifteen_percent(side: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn ranges(profile: CropProfile, width: u32, height: u32) -> (u32, u32, u32, u32) {
         let w = profile.window(width, height).unwrap();

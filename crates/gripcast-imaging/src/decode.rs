@@ -11,7 +11,7 @@ use super::png::decode_png_rgb;
 use super::resample::{Source, check_stored, check_target, crop_and_resize, resample, window_of};
 use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
-use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
+use gripcast_base::error::{Error, Result as CrateResult};
 
 /// Turns frames into pictures; one per thread, it keeps its buffers between frames.
 ///
@@ -169,14 +169,11 @@ impl Decoder {
                 let picture = decode_png_rgb(bytes)?;
                 Ok(crop_and_resize(&picture, crop, width, height)?)
             }
-            _ => Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "expected a JPEG or PNG picture, found {} bytes that start with {:02X?}",
-                    bytes.len(),
-                    &bytes[..bytes.len().min(4)]
-                ),
-            )),
+            _ => Err(Error::input(format!(
+                "expected a JPEG or PNG picture, found {} bytes that start with {:02X?}",
+                bytes.len(),
+                &bytes[..bytes.len().min(4)]
+            ))),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use image::RgbImage;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Signed difference *grasp − initial* of two tactile pictures, per channel, in grey levels.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,14 +21,11 @@ impl TactileDifference {
     pub fn between(initial: &RgbImage, grasp: &RgbImage) -> Result<Self> {
         let (width, height) = initial.dimensions();
         if grasp.dimensions() != (width, height) || width == 0 || height == 0 {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "cannot take the tactile difference of a {}×{} grasp and a {width}×{height} initial picture: expected equal sizes with at least one pixel",
-                    grasp.width(),
-                    grasp.height(),
-                ),
-            ));
+            return Err(Error::input(format!(
+                "cannot take the tactile difference of a {}×{} grasp and a {width}×{height} initial picture: expected equal sizes with at least one pixel",
+                grasp.width(),
+                grasp.height(),
+            )));
         }
         let levels = grasp
             .as_raw()
@@ -64,16 +61,13 @@ impl TactileDifference {
     /// [`ErrorKind::Internal`] when `out` has another length than 3 × height × width.
     pub fn write_chw(&self, out: &mut [f32]) -> Result<()> {
         if out.len() != self.levels.len() {
-            return Err(Error::new(
-                ErrorKind::Internal,
-                format!(
-                    "a tactile difference of {}×{} fills {} values, the tensor has {}",
-                    self.width,
-                    self.height,
-                    self.levels.len(),
-                    out.len()
-                ),
-            ));
+            return Err(Error::internal(format!(
+                "a tactile difference of {}×{} fills {} values, the tensor has {}",
+                self.width,
+                self.height,
+                self.levels.len(),
+                out.len()
+            )));
         }
         let (red, rest) = out.split_at_mut(self.levels.len() / 3);
         let (green, blue) = rest.split_at_mut(self.levels.len() / 3);

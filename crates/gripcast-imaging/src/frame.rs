@@ -8,7 +8,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use gripcast_base::error::{Error, ErrorKind};
+use gripcast_base::error::Error;
 
 /// Largest side of an image that is decoded or produced, in pixels.
 pub const LARGEST_SIDE: u32 = 16_384;
@@ -74,7 +74,7 @@ impl FromStr for Role {
             .into_iter()
             .find(|role| role.name() == text)
             .ok_or_else(|| {
-                Error::new(ErrorKind::Usage, format!("unknown camera role `{text}`"))
+                Error::usage(format!("unknown camera role `{text}`"))
                     .remedy("use one of left, right, rgb, depth, external")
             })
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_text, save};
 
 /// How a lens bends the ideal picture.
@@ -51,9 +51,8 @@ impl Intrinsics {
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path, FileKind::Record)
             .map_err(|e| Error::io("cannot read the intrinsics", e).at(path.display()))?;
-        let read: Self = toml::from_str(&text).map_err(|e| {
-            Error::new(ErrorKind::Config, e.message().trim().to_owned()).at(path.display())
-        })?;
+        let read: Self = toml::from_str(&text)
+            .map_err(|e| Error::config(e.message().trim().to_owned()).at(path.display()))?;
         read.validate().map_err(|error| error.at(path.display()))
     }
 
@@ -62,9 +61,8 @@ impl Intrinsics {
     /// # Errors
     /// When the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let text = toml::to_string(self).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write intrinsics as TOML").because(e)
-        })?;
+        let text = toml::to_string(self)
+            .map_err(|e| Error::internal("cannot write intrinsics as TOML").because(e))?;
         save(path, text.as_bytes())
     }
 
@@ -86,14 +84,11 @@ impl Intrinsics {
         if plausible {
             return Ok(self);
         }
-        Err(Error::new(
-            ErrorKind::Config,
-            format!(
-                "implausible intrinsics for {}×{} pixels: focal length {:.1}, {:.1}, principal \
+        Err(Error::config(format!(
+            "implausible intrinsics for {}×{} pixels: focal length {:.1}, {:.1}, principal \
                  point {:.1}, {:.1}",
-                self.width, self.height, self.fx, self.fy, self.cx, self.cy
-            ),
-        )
+            self.width, self.height, self.fx, self.fy, self.cx, self.cy
+        ))
         .remedy("give fx, fy, cx, cy in pixels of this picture size"))
     }
 }

@@ -9,7 +9,7 @@ use image::{
 
 use super::resample::{MOST_STORED_BYTES, check_stored};
 use super::z16::DepthImage;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// RGB picture to PNG, with fast compression.
 ///
@@ -41,12 +41,7 @@ pub fn encode_png_grey16(picture: &DepthImage) -> Result<Vec<u8>> {
 }
 
 fn encode(bytes: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>> {
-    let refused = || {
-        Error::new(
-            ErrorKind::Input,
-            format!("cannot write a {width}×{height} picture as PNG"),
-        )
-    };
+    let refused = || Error::input(format!("cannot write a {width}×{height} picture as PNG"));
     if width == 0 || height == 0 {
         return Err(refused());
     }
@@ -72,13 +67,10 @@ pub fn decode_png_rgb(bytes: &[u8]) -> Result<RgbImage> {
 pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
     match decode_png(bytes)? {
         DynamicImage::ImageLuma16(depth) => Ok(depth),
-        other => Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "expected a 16-bit grey PNG (depth), found pixels of type {:?}",
-                other.color()
-            ),
-        )),
+        other => Err(Error::input(format!(
+            "expected a 16-bit grey PNG (depth), found pixels of type {:?}",
+            other.color()
+        ))),
     }
 }
 
@@ -87,7 +79,7 @@ pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
 /// # Errors
 /// [`ErrorKind::Input`] for a damaged or foreign file, and for a picture that is too large.
 pub fn decode_png(bytes: &[u8]) -> Result<DynamicImage> {
-    let unreadable = |cause| Error::new(ErrorKind::Input, "the PNG cannot be read").because(cause);
+    let unreadable = |cause| Error::input("the PNG cannot be read").because(cause);
     let mut limits = Limits::default();
     limits.max_alloc = Some(MOST_STORED_BYTES);
     let decoder = PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(unreadable)?;

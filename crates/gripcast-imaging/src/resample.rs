@@ -7,7 +7,7 @@ use image::RgbImage;
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
 use super::frame::LARGEST_SIDE;
-use gripcast_base::error::{Error, ErrorKind, Result as CrateResult};
+use gripcast_base::error::{Error, Result as CrateResult};
 
 /// Most that the pixels of a stored picture may take, bytes; a camera of 20 Mpx needs half of it.
 pub(super) const MOST_STORED_BYTES: u64 = 128 << 20;
@@ -21,15 +21,12 @@ pub(super) fn check_stored(width: u32, height: u32, bytes: u64) -> CrateResult<(
     if is_possible && bytes <= MOST_STORED_BYTES {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "expected a picture of at most {LARGEST_SIDE} pixels a side and {} MiB, found \
+    Err(Error::input(format!(
+        "expected a picture of at most {LARGEST_SIDE} pixels a side and {} MiB, found \
              {width}×{height} pixels that take {} MiB",
-            MOST_STORED_BYTES >> 20,
-            bytes >> 20
-        ),
-    ))
+        MOST_STORED_BYTES >> 20,
+        bytes >> 20
+    )))
 }
 
 /// RGB pixels of a picture that may have been decoded at a reduced scale.

@@ -11,7 +11,7 @@ use crate::network::{Network, Sense};
 use crate::predict::ModelContract;
 use crate::predict::contract::{INPUT_SHAPE, InputName, OUTPUT, OUTPUT_SHAPE};
 use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Widest padding of a recognised convolution, pixels.
 const MOST_PAD: usize = 16;
@@ -29,7 +29,7 @@ pub fn to_onnx(network: &Network, contract: &ModelContract) -> Result<Vec<u8>> {
         graph.input(name.name(), &of_any_batch(INPUT_SHAPE))?;
         if network.projection(sense(*name)).is_none() {
             let what = format!("the network has no encoder for `{name}`");
-            return Err(Error::new(ErrorKind::Internal, what));
+            return Err(Error::internal(what));
         }
     }
     for sense in [Sense::Touch, Sense::Vision] {

@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 use super::curves::{curves, min_height_m};
 use super::object_file::ReplayObject;
 use super::report::{CaseFacts, Curves, Setting};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, hex};
 use gripcast_base::workers::thread_cpu_s;
 use gripcast_sim::grasp::{
@@ -242,7 +242,7 @@ impl CaseStore {
             save(self.place(&record.identity, TRACE)?, &bytes)?;
         }
         let text = serde_json::to_vec(record)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         save(self.place(&record.identity, "json")?, &text)
     }
 
@@ -263,7 +263,7 @@ impl CaseStore {
     /// `<2 hex>/<30 hex>.<suffix>` of the hash of the identity.
     fn place(&self, identity: &Value, suffix: &str) -> Result<BeneathPath> {
         let text = serde_json::to_vec(identity)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         let digest = Sha256::digest(text);
         let name = FileName::parse(&format!("{}.{suffix}", hex(&digest[1..16])))?;
         Ok(self.folder.join_number("", digest[0]).join(&name))

@@ -9,7 +9,7 @@ use super::report::{
     ChangedOutcome, Changes, EngineFacts, GraspFacts, GraspReplay, REPORT_FORMAT, REPORT_VERSION,
     Report,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 
 /// Reads a report.
@@ -23,7 +23,7 @@ pub fn read_report(path: &Path) -> Result<Report> {
         version: u32,
     }
     let wrong = |what: String| {
-        Error::new(ErrorKind::Input, what)
+        Error::input(what)
             .at(path.display())
             .remedy("give the report.json of an earlier `gripcast replay`")
     };

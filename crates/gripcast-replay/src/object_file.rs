@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, ObjectName, Root};
 use gripcast_geometry::{Aabb, LengthUnit, Pose, TriangleMesh, load_object_mesh_below};
 use gripcast_pose::PrintedSheet;
@@ -97,9 +97,8 @@ impl ObjectFile {
     /// # Errors
     /// That of the operating system.
     pub fn save(&self, place: &BeneathPath) -> Result<()> {
-        let text = toml::to_string(self).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write the object file").because(e)
-        })?;
+        let text = toml::to_string(self)
+            .map_err(|e| Error::internal("cannot write the object file").because(e))?;
         place
             .replace(text.as_bytes())
             .map_err(|e| Error::io("cannot write the object file", e).at(place.display()))
@@ -110,21 +109,17 @@ impl ObjectFile {
             .read_to_string(FileKind::Record)
             .map_err(|e| Error::io("cannot read the object", e))?;
         let file: Self = toml::from_str(&text).map_err(|e| {
-            Error::new(ErrorKind::Input, "this is no object file")
-                .because(e)
-                .remedy(
-                    "write schema = 1, mesh, unit, mass_kg, and stable_pose or t_world_object \
+            Error::input("this is no object file").because(e).remedy(
+                "write schema = 1, mesh, unit, mass_kg, and stable_pose or t_world_object \
                      (docs/replay.md)",
-                )
+            )
         })?;
         file.check()?;
         Ok(file)
     }
 
     fn check(&self) -> Result<()> {
-        let wrong = |what: String, remedy: &str| {
-            Err(Error::new(ErrorKind::Input, what).remedy(remedy.to_owned()))
-        };
+        let wrong = |what: String, remedy: &str| Err(Error::input(what).remedy(remedy.to_owned()));
         if self.schema != SCHEMA {
             return wrong(
                 format!(
@@ -182,10 +177,9 @@ impl ReplayObject {
         if let Some(expected) = &file.mesh_sha256
             && *expected != mesh_sha256
         {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("the mesh changed: expected {expected}, found {mesh_sha256}"),
-            )
+            return Err(Error::input(format!(
+                "the mesh changed: expected {expected}, found {mesh_sha256}"
+            ))
             .remedy(
                 "restore the mesh, its unit and scale; or, if the new one is right and in the same \
                  frame, write its hash into `mesh_sha256`",
@@ -225,14 +219,11 @@ impl ReplayObject {
             .min
             .z;
         if lowest.abs() > GROUND_TOLERANCE_M {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the lowest point of the object must lie on the ground (z = 0), found it at \
+            return Err(Error::input(format!(
+                "the lowest point of the object must lie on the ground (z = 0), found it at \
                      {:.1} mm",
-                    1e3 * lowest
-                ),
-            )
+                1e3 * lowest
+            ))
             .remedy("correct `t_world_object`, or give `stable_pose` instead"));
         }
         // What a sheet leaves open to rounding would be a gap or a penetration.
@@ -244,14 +235,11 @@ impl ReplayObject {
         if *drawn == self.mesh_sha256 || self.file.drawn_from_sha256.as_ref() == Some(drawn) {
             return Ok(());
         }
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the printed sheet was drawn for another mesh ({}, {drawn}) than {} ({}): shape, \
+        Err(Error::input(format!(
+            "the printed sheet was drawn for another mesh ({}, {drawn}) than {} ({}): shape, \
                  unit, scale or frame may differ",
-                sheet.object, self.source, self.mesh_sha256
-            ),
-        )
+            sheet.object, self.source, self.mesh_sha256
+        ))
         .remedy(
             "give the mesh, unit and scale that the sheet was drawn for; or, if this one is in the \
              same frame, write the sheet's hash into `drawn_from_sha256`",
@@ -277,7 +265,7 @@ pub fn load_objects(folder: &Path) -> Result<BTreeMap<ObjectName, Result<ReplayO
         }
     }
     if objects.is_empty() {
-        return Err(Error::new(ErrorKind::NotFound, "there is no object file")
+        return Err(Error::not_found("there is no object file")
             .at(folder.display())
             .remedy("write NAME.toml for each object of the dataset (docs/replay.md)"));
     }

@@ -5,7 +5,7 @@ use image::{RgbImage, imageops};
 use super::object_file::ReplayObject;
 use super::recording::RecordedGrasp;
 use super::report::PicturePair;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileKind;
 use gripcast_dataset::{Dataset, Stage};
 use gripcast_geometry::Pose;
@@ -47,8 +47,7 @@ pub(super) fn view_pair(
     let camera = grasp.record.grasp.cameras.get(&Role::Rgb);
     let size = camera.map_or([0; 2], |camera| [camera.width, camera.height]);
     let path = dataset.path_of(&grasp.record, Stage::Grasp, Role::Rgb);
-    let path =
-        path.ok_or_else(|| Error::new(ErrorKind::NotFound, "the grasp has no colour picture"))?;
+    let path = path.ok_or_else(|| Error::not_found("the grasp has no colour picture"))?;
     let bytes = path
         .read(FileKind::Image)
         .map_err(|e| Error::io("cannot read the colour picture", e).at(path.display()))?;

@@ -8,7 +8,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::object_file::ReplayObject;
 use super::report::LeftOut;
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::{ContentKey, ObjectName};
 use gripcast_base::linear::Cholesky;
 use gripcast_base::random::SeedStream;
@@ -115,7 +115,7 @@ fn recorded(
     objects: &BTreeMap<ObjectName, Result<ReplayObject>>,
     sheets: &mut BTreeMap<ContentKey, Option<PrintedSheet>>,
 ) -> Result<RecordedGrasp> {
-    let wrong = |what: String| Error::new(ErrorKind::Input, what);
+    let wrong = |what: String| Error::input(what);
     let stable = match record.outcome {
         Outcome::Stable => true,
         Outcome::Slip => false,
@@ -187,11 +187,8 @@ fn stored_sheet(dataset: &Dataset, key: &ContentKey) -> Result<Option<PrintedShe
 fn unknown(name: &str, objects: &BTreeMap<ObjectName, Result<ReplayObject>>) -> Error {
     let nearest = nearest_name(name, objects.keys().map(ObjectName::as_str));
     let hint = nearest.map_or(String::new(), |n| format!("; the nearest name is {n}"));
-    Error::new(
-        ErrorKind::Input,
-        format!("there is no object file for {name:?}{hint}"),
-    )
-    .remedy(format!("write {name}.toml into the folder of the objects"))
+    Error::input(format!("there is no object file for {name:?}{hint}"))
+        .remedy(format!("write {name}.toml into the folder of the objects"))
 }
 
 /// Refuses poses from which nothing could be grasped; they are mostly a matter of units.
@@ -203,27 +200,21 @@ fn check_distance(object: &ReplayObject, t_object_gripper: &Pose) -> Result<()> 
         return Ok(());
     }
     let length = object.mesh.bounds().extent().max_element();
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the gripper is {apart:.3} m away from {}, which is {length:.3} m long: nothing could \
+    Err(Error::input(format!(
+        "the gripper is {apart:.3} m away from {}, which is {length:.3} m long: nothing could \
              be grasped",
-            object.name
-        ),
-    )
+        object.name
+    ))
     .remedy("check the units: t_m is in metres, and so is the mesh after `unit` and `scale`"))
 }
 
 fn covariance(numbers: &[f64]) -> Result<[[f64; 6]; 6]> {
     let mut out = [[0.0; 6]; 6];
     if numbers.len() != 36 || numbers.iter().any(|n| !n.is_finite()) {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the covariance of its pose must be 36 finite numbers, found {}",
-                numbers.len()
-            ),
-        ));
+        return Err(Error::input(format!(
+            "the covariance of its pose must be 36 finite numbers, found {}",
+            numbers.len()
+        )));
     }
     for (row, values) in out.iter_mut().zip(numbers.chunks_exact(6)) {
         row.copy_from_slice(values);
@@ -279,7 +270,7 @@ fn hash(grasps: &[RecordedGrasp]) -> Result<String> {
     let mut hasher = Sha256::new();
     for grasp in grasps {
         let text = serde_json::to_vec(&grasp.record)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         hasher.update(text);
     }
     let digest = hasher.finalize();

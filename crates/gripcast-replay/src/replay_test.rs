@@ -58,7 +58,7 @@ impl Engine for Known {
             .translation_m
             .z;
         if friction > 0.7 {
-            return Err(Error::new(ErrorKind::Input, "too sticky to compute"));
+            return Err(Error::input("too sticky to compute"));
         }
         let held = friction * force_n > 1e3 * height;
         let outcome = match (friction < 0.15, held) {

@@ -17,7 +17,7 @@ use super::report::{
 use super::score::{Outcomes, Scored};
 use super::sweep::{SweepProgress, sweep};
 use super::tactile_pair::tactile_pairs;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, ObjectName, read_text};
 use gripcast_base::statistics::mcnemar_p;
 use gripcast_base::workers::{cores, one_per_core};
@@ -106,10 +106,7 @@ pub fn replay(
     if grasps.is_empty() || settings.engines.is_empty() {
         let reason = input.recording.left_out.first();
         let reason = reason.map_or(String::new(), |l| format!("; {}: {}", l.grasp, l.reason));
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("there is no grasp to replay{reason}"),
-        ));
+        return Err(Error::input(format!("there is no grasp to replay{reason}")));
     }
     let cases = all_cases(input, settings)?;
     let swept = sweep(&cases, store, settings.jobs, &|at| {
@@ -156,12 +153,7 @@ fn object<'a>(input: &ReplayInput<'a>, grasp: &RecordedGrasp) -> Result<&'a Repl
     let found = input.objects.get(grasp.record.object.as_str());
     found
         .and_then(|object| object.as_ref().ok())
-        .ok_or_else(|| {
-            Error::new(
-                ErrorKind::Internal,
-                format!("{} has no object", grasp.record.id),
-            )
-        })
+        .ok_or_else(|| Error::internal(format!("{} has no object", grasp.record.id)))
 }
 
 /// Engine by engine, grasp by grasp, setting by setting.

@@ -1,7 +1,7 @@
 //! Runs cases, one on each core, and keeps what is finished.
 
 use super::case::{Case, CaseRecord, CaseStore};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::workers::one_per_core;
 
 /// How far a sweep is.
@@ -61,6 +61,6 @@ pub fn sweep(
         records[index] = Some(record);
     }
     let all: Option<Vec<CaseRecord>> = records.into_iter().collect();
-    let records = all.ok_or_else(|| Error::new(ErrorKind::Internal, "a simulation ended early"))?;
+    let records = all.ok_or_else(|| Error::internal("a simulation ended early"))?;
     Ok(Swept { records, simulated })
 }

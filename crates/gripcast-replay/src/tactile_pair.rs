@@ -5,7 +5,7 @@ use image::{Rgb, RgbImage, imageops};
 use super::object_file::ReplayObject;
 use super::recording::RecordedGrasp;
 use super::report::{PicturePair, TactilePair};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_dataset::{Dataset, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, TactileDifference};
@@ -69,9 +69,7 @@ fn recorded(
         let [width, height] = COMPARED;
         decoder
             .decode(&frame, crop.as_ref(), width, height)
-            .map_err(|damage| {
-                Error::new(ErrorKind::Input, format!("the {role} frame is damaged")).because(damage)
-            })
+            .map_err(|damage| Error::input(format!("the {role} frame is damaged")).because(damage))
     };
     let initial = read(Stage::Initial)?;
     Change::between(&initial, &read(Stage::Grasp)?)

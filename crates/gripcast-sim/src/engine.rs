@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::fem::GelGrid;
 use super::grasp::{GraspResult, GraspSettings, Scene, simulate};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// Which simulator.
@@ -93,9 +93,8 @@ impl Engine for FemEngine {
     }
 
     fn parameters(&self) -> Result<Value> {
-        let mut value = serde_json::to_value(self.settings).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write the parameters").because(e)
-        })?;
+        let mut value = serde_json::to_value(self.settings)
+            .map_err(|e| Error::internal("cannot write the parameters").because(e))?;
         if let Some(protocol) = value.get_mut("protocol").and_then(Value::as_object_mut) {
             protocol.remove("stop_force_n");
         }

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{Split, SplitGroup};
 
@@ -155,14 +155,11 @@ pub fn curate(
         curation.part.extend(kept);
     }
     if curation.part.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "no simulation is left of {}: {} of them held",
-                labelled.len(),
-                labelled.iter().filter(|one| one.stable).count()
-            ),
-        )
+        return Err(Error::input(format!(
+            "no simulation is left of {}: {} of them held",
+            labelled.len(),
+            labelled.iter().filter(|one| one.stable).count()
+        ))
         .remedy("simulate more grasps, or merge with --unbalanced"));
     }
     Ok(curation)

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::plan::{Plan, check_parameters};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
 use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
@@ -53,9 +53,6 @@ fn fem(parameters: &Value) -> Result<GraspSettings> {
 }
 
 fn unreadable(name: &str) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!("the plan's {name} cannot be read"),
-    )
-    .remedy("make a new plan with this release")
+    Error::input(format!("the plan's {name} cannot be read"))
+        .remedy("make a new plan with this release")
 }

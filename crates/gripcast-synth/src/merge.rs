@@ -10,7 +10,7 @@ use sha2::{Digest as _, Sha256};
 use super::curate::{Curation, CurationSettings, Labelled, LeftOut, PlannedObject, curate};
 use super::plan::{Plan, PlannedSimulation, replace};
 use super::store::{ResultStore, SimulationResult};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, sha256_hex};
 use gripcast_dataset::shard::{ShardRow, ShardWriter, shard_name, shard_place};
 
@@ -77,7 +77,7 @@ impl MergeReport {
                 .remedy("give the folder that `gripcast synth merge --out` wrote")
         })?;
         let wrong = |what: String| {
-            Error::new(ErrorKind::Input, what)
+            Error::input(what)
                 .at(place.display())
                 .remedy("merge again: gripcast synth merge --plan P --out D")
         };
@@ -169,7 +169,7 @@ pub fn merge(
     };
     replace(&root.top().join(CARD_FILE), card(plan, &report).as_bytes())?;
     let text = serde_json::to_string_pretty(&report)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+        .map_err(|e| Error::internal("cannot write JSON").because(e))?;
     // Last: with this file the dataset is whole.
     replace(
         &root.top().join(DATASET_FILE),
@@ -255,10 +255,7 @@ fn planned_objects(plan: &Plan) -> Result<BTreeMap<String, PlannedObject>> {
 }
 
 fn without_pictures(lacking: usize) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!("{lacking} of the chosen simulations have no pictures yet"),
-    )
+    Error::input(format!("{lacking} of the chosen simulations have no pictures yet"))
     .remedy(
         "take them with `gripcast synth run --pictures chosen` and the same choice, or those of all \
          with `gripcast synth run`",
@@ -274,13 +271,10 @@ struct Counts {
 }
 
 fn unfinished(plan: &Plan, open: usize) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "{open} of {} simulations have no result yet",
-            plan.simulations.len()
-        ),
-    )
+    Error::input(format!(
+        "{open} of {} simulations have no result yet",
+        plan.simulations.len()
+    ))
     .remedy("finish them with `gripcast synth run`, or merge what is there with --partial")
 }
 
@@ -295,11 +289,9 @@ fn check_free(root: &Root, plan: &Plan) -> Result<()> {
     if there.is_some_and(|there| there.plan_sha256 == plan.sha256) {
         return Ok(());
     }
-    Err(
-        Error::new(ErrorKind::Input, "the folder holds another dataset")
-            .at(place.display())
-            .remedy("give a new folder"),
-    )
+    Err(Error::input("the folder holds another dataset")
+        .at(place.display())
+        .remedy("give a new folder"))
 }
 
 /// Chosen simulations by part, in the order of the plan.

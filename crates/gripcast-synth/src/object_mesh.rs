@@ -2,7 +2,7 @@
 
 use super::family::{Category, family_shape};
 use super::plan::{MESHES, MeshSource, PlannedObject};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, FileName, Root};
 use gripcast_geometry::{MeshFormat, TriangleMesh, read_textured_mesh};
 
@@ -19,13 +19,10 @@ pub fn planned_mesh(object: &PlannedObject, root: &Root) -> Result<TriangleMesh>
     if found == object.mesh_sha256 {
         return Ok(mesh);
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the mesh of {} changed: expected {}, found {found}",
-            object.name, object.mesh_sha256
-        ),
-    )
+    Err(Error::input(format!(
+        "the mesh of {} changed: expected {}, found {found}",
+        object.name, object.mesh_sha256
+    ))
     .remedy("restore the mesh file, or make the plan again in another folder"))
 }
 
@@ -51,6 +48,7 @@ fn stored_mesh(root: &Root, file: &FileName) -> Result<TriangleMesh> {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
     use std::os::unix::fs::symlink;
 

@@ -397,7 +397,7 @@ fn appearance(
     }
     let texture = textures.get(which - looks.len()).ok_or_else(|| {
         let what = format!("{} has no appearance", object.name);
-        Error::new(ErrorKind::Input, what)
+        Error::input(what)
     })?;
     let model = Model::textured(mesh, &texture.load(root)?, texture.width_m)?;
     Ok((texture.words.to_string(), model))

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::plan::{Plan, PlannedSimulation};
-use gripcast_base::error::{Error, ErrorKind, Refused, Result};
+use gripcast_base::error::{Error, Refused, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Printable, Root, SimulationId, sha256_hex};
 use gripcast_dataset::shard::{ShardReader, ShardRow};
 use gripcast_sim::grasp::Snapshot;
@@ -136,14 +136,11 @@ impl ResultStore {
             return Ok(None);
         };
         if found.plan_sha256 != plan.sha256 {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the result is of another plan: expected {}, found {}",
-                    short(&plan.sha256),
-                    Printable(short(&found.plan_sha256))
-                ),
-            )
+            return Err(Error::input(format!(
+                "the result is of another plan: expected {}, found {}",
+                short(&plan.sha256),
+                Printable(short(&found.plan_sha256))
+            ))
             .at(place.display())
             .remedy("keep each plan with its results in a folder of its own"));
         }
@@ -175,7 +172,7 @@ impl ResultStore {
             });
         }
         let text = serde_json::to_vec(&result)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         write(&self.place(&result.id, FACTS), &text)
     }
 
@@ -196,7 +193,7 @@ impl ResultStore {
             snapshot: snapshot.clone(),
         };
         let text = serde_json::to_string(&state)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         let file = format!("{}\n{text}", sha256_hex(&text));
         write(&self.place(id, STATE), file.as_bytes())
     }
@@ -232,7 +229,7 @@ impl ResultStore {
     pub fn rows(&self, result: &SimulationResult) -> Result<Vec<ShardRow>> {
         let place = self.samples(&result.id);
         let wrong = || {
-            Error::new(ErrorKind::Input, "the pictures are not those of the result")
+            Error::input("the pictures are not those of the result")
                 .at(place.display())
                 .remedy("remove the file and run its shard again: it comes out the same")
         };
@@ -305,6 +302,7 @@ fn short(hash: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
     use std::os::unix::fs::symlink;
     use std::path::PathBuf;

@@ -4,7 +4,7 @@
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::ShardImages;
 use gripcast_imaging::Decoder;
@@ -108,10 +108,9 @@ impl SamplePictures {
             if (width as usize, height as usize) == (WIDTH, HEIGHT) {
                 return Ok(picture);
             }
-            Err(Error::new(
-                ErrorKind::Input,
-                format!("`{name}`: expected {WIDTH}×{HEIGHT} pixels, found {width}×{height}"),
-            )
+            Err(Error::input(format!(
+                "`{name}`: expected {WIDTH}×{HEIGHT} pixels, found {width}×{height}"
+            ))
             .remedy("make the dataset of pictures that are cropped and resized to 320×240"))
         };
         Ok(Self {

@@ -12,7 +12,7 @@ use super::metrics::{
     ReliabilityTable, Scored, SeedSummary, Summary, resampled_mean, summarise_groups,
 };
 use super::samples::{SampleFacts, SampleReader, Samples};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Decoder, TactileDifference};
 use gripcast_nn::predict::contract::{InputName, Origin, Variant};
 use gripcast_nn::predict::{Model, ModelInput};
@@ -525,7 +525,7 @@ fn mistakes(scored: &[Scored], samples: &Samples, threshold: f64) -> Vec<Mistake
 pub fn sample_pictures(samples: &Samples, sample: usize) -> Result<[image::RgbImage; 3]> {
     let rows = SampleReader::new(samples, 0).rows(&[sample])?;
     let Some((rows, row)) = rows.first() else {
-        return Err(Error::new(ErrorKind::Internal, "there is no such sample"));
+        return Err(Error::internal("there is no such sample"));
     };
     let mut decoder = Decoder::new()?;
     let pictures = SamplePictures::decode(&mut decoder, &rows[*row].images, [true, true])?;

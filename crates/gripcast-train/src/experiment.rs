@@ -15,7 +15,7 @@ use super::run_folder::RunFolder;
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::write;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root};
 use gripcast_base::workers::one_per_core;
 use gripcast_nn::predict::Model;
@@ -204,7 +204,7 @@ pub fn experiment(
     }
     let report = settings.report(&found)?;
     let text = serde_json::to_vec_pretty(&report)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the report").because(e))?;
+        .map_err(|e| Error::internal("cannot write the report").because(e))?;
     let top = Root::new(out).top();
     write(&top.join("fig6.json"), &text)?;
     for (name, chart) in charts(&report, settings) {
@@ -234,9 +234,9 @@ fn trained(
     if run.model().is_file() {
         return Ok(run.model().shown());
     }
-    let file = run.read()?.ok_or_else(|| {
-        Error::new(ErrorKind::Internal, "the run has no description").at(folder.display())
-    })?;
+    let file = run
+        .read()?
+        .ok_or_else(|| Error::internal("the run has no description").at(folder.display()))?;
     let name = format!("fig6-{}-{seed}", condition.folder());
     finish(&run, &file, data, &name, &|_| {})?;
     Ok(run.model().shown())
@@ -261,16 +261,17 @@ fn tested(model: &Path, folder: &Path, test: &TestSet) -> Result<ModelEvaluation
     }
     let samples = Samples::open(&test.data, &test.split)?;
     let mut report = evaluate(&[(model_file, loaded)], &samples, None, &sha256, &|_, _| {})?;
-    let evaluation = report.models.pop().ok_or_else(|| {
-        Error::new(ErrorKind::Internal, "the model was not measured").at(model.display())
-    })?;
+    let evaluation = report
+        .models
+        .pop()
+        .ok_or_else(|| Error::internal("the model was not measured").at(model.display()))?;
     let tested = Tested {
         dataset_sha256: sha256,
         split: test.split.clone(),
         evaluation,
     };
     let text = serde_json::to_vec(&tested)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the figures").because(e))?;
+        .map_err(|e| Error::internal("cannot write the figures").because(e))?;
     write(&place, &text)?;
     Ok(tested.evaluation)
 }
@@ -303,10 +304,9 @@ impl ExperimentSettings {
     /// What a condition is trained on.
     fn data(&self, condition: Condition) -> Result<&Path> {
         match (condition, &self.rigid) {
-            (Condition::BothRigid, None) => Err(Error::new(
-                ErrorKind::Internal,
-                "there is no dataset of rigid bodies",
-            )),
+            (Condition::BothRigid, None) => {
+                Err(Error::internal("there is no dataset of rigid bodies"))
+            }
             (Condition::BothRigid, Some(rigid)) => Ok(rigid),
             _ => Ok(&self.fem),
         }

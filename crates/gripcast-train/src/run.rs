@@ -12,7 +12,7 @@ use super::run_folder::{EpochFigures, RunFile, RunFolder, foreign_checkpoint, un
 use super::samples::{Samples, dataset_sha256};
 use super::settings::TrainSettings;
 use super::state::{self, Position};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::CropProfile;
@@ -120,7 +120,7 @@ pub fn train(
             train.facts().len(),
             settings.batch
         );
-        return Err(Error::new(ErrorKind::Usage, what).remedy("choose a smaller `--batch`"));
+        return Err(Error::usage(what).remedy("choose a smaller `--batch`"));
     }
     let folder = RunFolder::at(out);
     let file = begun(&folder, out, data, settings, &train)?;
@@ -136,7 +136,7 @@ fn check_labels(samples: &Samples) -> Result<()> {
         "the part `{}` has {stable} stable and {lost} lost samples; both labels are needed",
         samples.split()
     );
-    Err(Error::new(ErrorKind::Input, what)
+    Err(Error::input(what)
         .at(samples.root().display())
         .remedy("make a larger dataset, or split it in another way"))
 }
@@ -152,7 +152,7 @@ fn begun(
     let dataset_sha256 = dataset_sha256(data)?;
     if let Some(found) = folder.read()? {
         let other = |what: &str| {
-            Error::new(ErrorKind::Usage, format!("the run was begun with {what}"))
+            Error::usage(format!("the run was begun with {what}"))
                 .at(folder.run().display())
                 .remedy("go on with the same command, or name another folder for a new run")
         };
@@ -188,7 +188,7 @@ fn begun(
         objects: train.objects().into_iter().map(str::to_owned).collect(),
     };
     let text = serde_json::to_vec_pretty(&file)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the run").because(e))?;
+        .map_err(|e| Error::internal("cannot write the run").because(e))?;
     state::write(&folder.run(), &text)?;
     Ok(file)
 }
@@ -319,7 +319,7 @@ impl<'a> Training<'a> {
     fn note(&self, figures: &EpochFigures) -> Result<()> {
         let place = self.folder.metrics();
         let line = serde_json::to_string(figures)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the figures").because(e))?;
+            .map_err(|e| Error::internal("cannot write the figures").because(e))?;
         place
             .append()
             .and_then(|mut file| writeln!(file, "{line}"))
@@ -455,13 +455,10 @@ impl<'a> Training<'a> {
             Some(best) => format!("the best checkpoint, of epoch {best}, is kept"),
             None => "no epoch was finished".to_owned(),
         };
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "loss {loss} or its gradient is no number in epoch {}, step {step}; {kept}",
-                epoch + 1
-            ),
-        )
+        Err(Error::input(format!(
+            "loss {loss} or its gradient is no number in epoch {}, step {step}; {kept}",
+            epoch + 1
+        ))
         .remedy("train anew with a lower `--learning-rate`"))
     }
 

@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use super::settings::TrainSettings;
 use super::state;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Root};
 use gripcast_nn::Network;
 use gripcast_nn::predict::contract::RgbNormalisation;
@@ -119,7 +119,7 @@ impl RunFolder {
             Err(e) => return Err(Error::io("cannot read the run", e).at(place.display())),
         };
         let unreadable = |e| {
-            Error::new(ErrorKind::Input, "the run's description cannot be read")
+            Error::input("the run's description cannot be read")
                 .because(e)
                 .at(place.display())
         };
@@ -130,7 +130,7 @@ impl RunFolder {
             if let Some(value) = value.filter(|value| value.as_f64() != Some(0.0)) {
                 let what =
                     format!("the run was begun with `{name}` {value}, which is no longer there");
-                let error = Error::new(ErrorKind::Usage, what).at(place.display());
+                let error = Error::usage(what).at(place.display());
                 return Err(error.remedy(
                     "go on with the gripcast that began it (`software`), or name another folder",
                 ));
@@ -162,6 +162,6 @@ pub(super) fn untrained(settings: &TrainSettings, uniform: impl FnMut() -> f64) 
 
 pub(super) fn foreign_checkpoint(place: &BeneathPath) -> Error {
     let what = "the checkpoint is of a network with other sizes";
-    let error = Error::new(ErrorKind::Input, what).at(place.display());
+    let error = Error::input(what).at(place.display());
     error.remedy("name another folder for the run")
 }

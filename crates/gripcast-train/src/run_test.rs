@@ -1,3 +1,4 @@
+use gripcast_base::error::ErrorKind;
 use std::panic::AssertUnwindSafe;
 
 use super::*;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use sha2::{Digest as _, Sha256};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, hex};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
@@ -110,7 +110,7 @@ impl Samples {
     }
 
     fn check(&self, crops: &BTreeSet<String>) -> Result<()> {
-        let input = |what: String| Error::new(ErrorKind::Input, what);
+        let input = |what: String| Error::input(what);
         if self.facts.is_empty() {
             return Err(input(format!("the part `{}` has no samples", self.split)));
         }
@@ -169,21 +169,18 @@ impl Samples {
             return Ok(());
         }
         let some = shared.iter().take(3).copied().collect::<Vec<_>>();
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "{} objects are in `{}` as well as in `{}`: {}{}",
-                shared.len(),
-                self.split,
-                other.split,
-                some.join(", "),
-                if shared.len() > some.len() {
-                    ", …"
-                } else {
-                    ""
-                }
-            ),
-        )
+        Err(Error::input(format!(
+            "{} objects are in `{}` as well as in `{}`: {}{}",
+            shared.len(),
+            self.split,
+            other.split,
+            some.join(", "),
+            if shared.len() > some.len() {
+                ", …"
+            } else {
+                ""
+            }
+        ))
         .at(self.root.display())
         .remedy("split the dataset by object, as `synth merge` does"))
     }

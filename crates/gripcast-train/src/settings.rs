@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::augment::Augmentation;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
 use gripcast_nn::predict::contract::Variant;
 
@@ -61,7 +61,7 @@ impl TrainSettings {
     /// # Errors
     /// `Usage`, with the setting.
     pub fn check(&self) -> Result<()> {
-        let wrong = |what: String| Err(Error::new(ErrorKind::Usage, what));
+        let wrong = |what: String| Err(Error::usage(what));
         let within = |name: &str, value: f64, low: f64, high: f64| {
             if value >= low && value <= high {
                 return Ok(());

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use sha2::{Digest as _, Sha256};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind};
 
 /// What every checkpoint begins with.
@@ -34,7 +34,7 @@ pub(super) struct Position {
 /// Those of writing the file; an older one is then as it was.
 pub(super) fn save<H: Serialize>(place: &BeneathPath, header: &H, arrays: &[&[f32]]) -> Result<()> {
     let header = serde_json::to_vec(header)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the checkpoint").because(e))?;
+        .map_err(|e| Error::internal("cannot write the checkpoint").because(e))?;
     let floats: usize = arrays.iter().map(|array| array.len()).sum();
     let mut bytes = Vec::with_capacity(64 + header.len() + 4 * floats);
     bytes.extend_from_slice(MAGIC);
@@ -68,12 +68,9 @@ pub(super) fn load<H: DeserializeOwned>(place: &BeneathPath) -> Result<(H, Vec<V
         .read(FileKind::Bulk)
         .map_err(|e| Error::io("cannot read the checkpoint", e).at(place.display()))?;
     parse(&bytes).ok_or_else(|| {
-        Error::new(
-            ErrorKind::Input,
-            "the checkpoint is damaged or of another version",
-        )
-        .at(place.display())
-        .remedy("delete the file: the run then starts from the beginning")
+        Error::input("the checkpoint is damaged or of another version")
+            .at(place.display())
+            .remedy("delete the file: the run then starts from the beginning")
     })
 }
 

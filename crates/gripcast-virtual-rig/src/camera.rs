@@ -78,7 +78,7 @@ impl VirtualRig {
     /// [`ErrorKind::Config`] when the role cannot deliver that format, or size or rate are out of
     /// range.
     pub fn camera(&self, role: Role, config: &CameraConfig) -> Result<VirtualOpener> {
-        let wrong = |what: String| Error::new(ErrorKind::Config, what).at(role);
+        let wrong = |what: String| Error::config(what).at(role);
         let depth = role == Role::Depth;
         if depth != (config.format == PixelFormat::Z16) {
             let found = config.format;
@@ -338,10 +338,7 @@ impl Painter {
             return Ok(painted);
         }
         let failed = |error: &dyn std::fmt::Display| {
-            Error::new(
-                ErrorKind::Internal,
-                format!("cannot enlarge a picture: {error}"),
-            )
+            Error::internal(format!("cannot enlarge a picture: {error}"))
         };
         let small =
             ResizeImage::from_vec_u8(self.painted.0, self.painted.1, painted, PixelType::U8x3)

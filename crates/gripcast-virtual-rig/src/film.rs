@@ -23,7 +23,7 @@ use image::RgbImage;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, FileName, Root};
 use gripcast_dataset::SimulatedTruth;
 use gripcast_geometry::{Pose, TriangleMesh};
@@ -395,7 +395,7 @@ pub(super) fn film_header(header: &Value, keys: &FilmKeys) -> Result<Value> {
         fields.remove(of_the_machine);
     }
     let keys = serde_json::to_value(keys)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the film's keys").because(e))?;
+        .map_err(|e| Error::internal("cannot write the film's keys").because(e))?;
     fields.insert("film".to_owned(), keys);
     Ok(header)
 }
@@ -416,6 +416,6 @@ fn rows_of_one(rows: u32, count: usize) -> Result<u32> {
 }
 
 fn damaged(what: String) -> Error {
-    Error::new(ErrorKind::Input, format!("this is no film: {what}"))
+    Error::input(format!("this is no film: {what}"))
         .remedy("make it again with `gripcast render film`")
 }

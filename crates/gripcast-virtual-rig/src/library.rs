@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::film::{Film, FilmFiles, TRACE};
 use super::random::mixed;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
 
 macro_rules! films {
@@ -77,7 +77,7 @@ impl FilmLibrary {
         }
         names.sort();
         if names.is_empty() {
-            return Err(Error::new(ErrorKind::NotFound, "there are no films")
+            return Err(Error::not_found("there are no films")
                 .at(folder.display())
                 .remedy(
                     "simulate grasps with `gripcast sim grasp … --trace FILE.bin` and make films \
@@ -119,6 +119,7 @@ impl FilmLibrary {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
 
     use super::*;

@@ -8,7 +8,7 @@ use image::{RgbImage, imageops};
 use serde_json::Value;
 
 use super::film::{FilmFiles, FilmKeys, film_header};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_imaging::{DepthImage, Intrinsics, encode_png_grey16};
 use gripcast_pose::BoardFile;
@@ -208,11 +208,10 @@ fn depth_picture(renderer: &Renderer, camera: &Camera) -> Result<DepthImage> {
 /// pressed in.
 fn shown_steps(steps: &[TraceStep]) -> Result<Vec<usize>> {
     if steps.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Input,
-            "the trace has no steps, so there is nothing to show",
-        )
-        .remedy("take a grasp that was simulated; its outcome says whether it was"));
+        return Err(
+            Error::input("the trace has no steps, so there is nothing to show")
+                .remedy("take a grasp that was simulated; its outcome says whether it was"),
+        );
     }
     let count = |is: &dyn Fn(&TraceStep) -> bool| steps.iter().take_while(|s| is(s)).count();
     let free = count(&|s| s.min_gap_m == [None, None] && s.stage == StageName::Closure);
@@ -291,14 +290,14 @@ fn jpeg_strip(pictures: &[RgbImage], quality: u8) -> Result<Vec<u8>> {
     };
     turbojpeg::compress(image, i32::from(quality), turbojpeg::Subsamp::Sub2x2)
         .map(|jpeg| jpeg.to_vec())
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot encode the film").because(e))
+        .map_err(|e| Error::internal("cannot encode the film").because(e))
 }
 
 fn png_strip(pictures: &[DepthImage]) -> Result<Vec<u8>> {
     let (width, height) = pictures.first().map_or((0, 0), DepthImage::dimensions);
     let raw: Vec<u16> = pictures.iter().flat_map(|p| p.as_raw()).copied().collect();
     let strip = DepthImage::from_vec(width, height * pictures.len() as u32, raw)
-        .ok_or_else(|| Error::new(ErrorKind::Internal, "the depth strip has the wrong size"))?;
+        .ok_or_else(|| Error::internal("the depth strip has the wrong size"))?;
     encode_png_grey16(&strip)
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::camera::VirtualRig;
 use super::hand::VirtualHand;
 use super::library::FilmLibrary;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_capture::calibration::CameraConfig;
 use gripcast_capture::camera::{CameraOpener, MonotonicClock, VirtualCameras};
 use gripcast_imaging::Role;
@@ -44,12 +44,11 @@ impl VirtualCameras for VirtualSource {
                 .insert((made(config, self.seed)?, config.path.clone())),
         };
         if *films != config.path {
-            return Err(Error::new(
-                ErrorKind::Config,
-                "the virtual cameras of a rig must play the same films",
-            )
-            .at(format!("camera {role}"))
-            .remedy("give every virtual camera the same `path`, or none"));
+            return Err(
+                Error::config("the virtual cameras of a rig must play the same films")
+                    .at(format!("camera {role}"))
+                    .remedy("give every virtual camera the same `path`, or none"),
+            );
         }
         Ok(Box::new(rig.camera(role, config)?))
     }

@@ -8,7 +8,7 @@ use image::RgbImage;
 use super::film::Film;
 use super::hand::SceneMoment;
 use super::random::{NoiseTable, mixed};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::DepthImage;
 use gripcast_visual::DepthSettings;
 
@@ -82,12 +82,7 @@ impl ColourPainter {
 
     /// A picture in our size; what is too wide or too high is cut off on both sides.
     fn resized(&mut self, picture: RgbImage) -> Result<Vec<u8>> {
-        let failed = |cause: String| {
-            Error::new(
-                ErrorKind::Internal,
-                format!("cannot resize a picture: {cause}"),
-            )
-        };
+        let failed = |cause: String| Error::internal(format!("cannot resize a picture: {cause}"));
         let (width, height) = picture.dimensions();
         let from = ResizeImage::from_vec_u8(width, height, picture.into_raw(), PixelType::U8x3)
             .map_err(|e| failed(e.to_string()))?;

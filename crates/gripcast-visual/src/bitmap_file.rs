@@ -5,7 +5,7 @@ use std::path::Path;
 use image::{ImageFormat, ImageReader, Limits, RgbImage};
 
 use super::texture::Bitmap;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::jpeg::{JpegDecoder, JpegScale, inspect};
 use gripcast_imaging::{CropProfile, crop_and_resize};
@@ -79,10 +79,9 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Loaded> {
 }
 
 fn too_large(width: u32, height: u32) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!("a texture may have {LARGEST_SIDE} pixels a side, found {width}×{height}"),
-    )
+    Error::input(format!(
+        "a texture may have {LARGEST_SIDE} pixels a side, found {width}×{height}"
+    ))
     .remedy(format!(
         "scale it down; {LARGEST_TEXTURE} pixels are used at most"
     ))
@@ -103,7 +102,7 @@ fn decode_jpeg(bytes: &[u8]) -> Result<RgbImage> {
 
 fn decode_png(bytes: &[u8]) -> Result<RgbImage> {
     let unreadable = |e| {
-        Error::new(ErrorKind::Input, "the PNG cannot be read")
+        Error::input("the PNG cannot be read")
             .because(e)
             .remedy("check that the file was copied whole, or save the picture again")
     };
@@ -132,15 +131,13 @@ fn foreign(bytes: &[u8]) -> Error {
         _ if bytes.starts_with(b"#?") => "it is a Radiance HDR picture",
         _ => "its first bytes are those of neither",
     };
-    Error::new(
-        ErrorKind::Input,
-        format!("a texture must be a PNG or JPEG picture, but {is}"),
-    )
-    .remedy("convert it to PNG or JPEG")
+    Error::input(format!("a texture must be a PNG or JPEG picture, but {is}"))
+        .remedy("convert it to PNG or JPEG")
 }
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
 
     use super::*;

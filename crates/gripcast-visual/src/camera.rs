@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::Pose;
 
 /// Ray of light: `origin + t * direction`.
@@ -78,7 +78,7 @@ impl Camera {
     }
 
     pub(super) fn validate(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::new(ErrorKind::Input, what));
+        let bad = |what: String| Err(Error::input(what));
         let (width, height) = (self.width, self.height);
         // More rows or columns would not fit the seeds of the pixels.
         if !(1..=1 << 15).contains(&width) || !(1..=1 << 15).contains(&height) {

@@ -6,7 +6,7 @@ use super::model::{Model, is_closed};
 use super::pattern::paint_coat;
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{CREASE_RAD, TriangleMesh};
 
 /// Width and height of painted coats, px.
@@ -83,10 +83,9 @@ impl Model {
     /// `Input` for a width that is not positive.
     pub fn textured(mesh: &TriangleMesh, picture: &Bitmap, width_m: f64) -> Result<Self> {
         if !width_m.is_finite() || width_m <= 0.0 {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("the width of a texture must be positive, found {width_m} m"),
-            )
+            return Err(Error::input(format!(
+                "the width of a texture must be positive, found {width_m} m"
+            ))
             .remedy("give the width that the picture has on the object, in metres"));
         }
         let projection = Projection::Box {

@@ -1,7 +1,7 @@
 //! Dome of light around the scene.
 
 use super::picture::Picture;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Light from infinitely far away: radiance over directions, as a latitude-longitude picture.
 ///
@@ -35,7 +35,7 @@ impl Environment {
     }
 
     pub(super) fn validate(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::new(ErrorKind::Input, what));
+        let bad = |what: String| Err(Error::input(what));
         let (width, height) = (self.map.width, self.map.height);
         if width == 0 || height == 0 || self.map.pixels.len() != width * height {
             let found = self.map.pixels.len();

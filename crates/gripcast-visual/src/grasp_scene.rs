@@ -17,7 +17,7 @@ use super::print::{GraspPrints, PRINT_LIFT_M};
 use super::scene::{Mesh, Scene};
 use super::shading::{Projection, shaded_mesh};
 use super::texture::Bitmap;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Aabb, CREASE_RAD, Pose};
 
 /// Half width of the table, m; beyond it the lower half of the dome is seen.
@@ -193,7 +193,7 @@ fn external(state: &GraspState, [width, height]: [usize; 2]) -> Camera {
 /// object yet.
 fn check_camera(scene: &Scene, object: &Model) -> Result<()> {
     let bad = |what: String| {
-        Error::new(ErrorKind::Input, what)
+        Error::input(what)
             .at("camera")
             .remedy("move the gripper away, or make the object smaller (is its unit right?)")
     };
@@ -223,10 +223,9 @@ fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
         }
         GroundChoice::Picture(bitmap, width) => {
             if !(width.is_finite() && *width > 0.0) {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!("the width of the ground's texture must be positive, found {width} m"),
-                ));
+                return Err(Error::input(format!(
+                    "the width of the ground's texture must be positive, found {width} m"
+                )));
             }
             (
                 bitmap.clone(),

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, GelResolution, Side};
 use gripcast_sim::grasp::Snapshot;
@@ -62,13 +62,10 @@ fn gel_surface(nodes: &[[f64; 3]], grid: Option<&GelGrid>) -> Result<TriangleMes
             &built
         }
         _ => {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the gel of the trace has {} nodes, as no standard pad has",
-                    nodes.len()
-                ),
-            )
+            return Err(Error::input(format!(
+                "the gel of the trace has {} nodes, as no standard pad has",
+                nodes.len()
+            ))
             .remedy("give the gel mesh that the grasp was simulated with"));
         }
     };

@@ -38,7 +38,7 @@ use GripperSurface::{Anodised, CameraShell, CameraWindow, Housing, Print, Rubber
 
 use super::d435::t_gripper_camera;
 use super::solids::{cylinder, mirrored_x, rounded_box, smooth_path, tube};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// Widest opening that is drawn, m.
@@ -87,14 +87,13 @@ pub struct GripperPart {
 /// `Input` for an opening that is not from 0 to 0.2 m.
 pub fn gripper_parts(opening_m: f64) -> Result<Vec<GripperPart>> {
     if !(0.0..=WIDEST_M).contains(&opening_m) {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("the gripper's opening must be from 0 to {WIDEST_M} m, found {opening_m}"),
-        )
+        return Err(Error::input(format!(
+            "the gripper's opening must be from 0 to {WIDEST_M} m, found {opening_m}"
+        ))
         .remedy("give the distance between the gels' faces in metres"));
     }
     let Ok(blocks) = toml::from_str::<Blocks>(include_str!("gripper.toml")) else {
-        return Err(Error::new(ErrorKind::Internal, "the gripper is damaged"));
+        return Err(Error::internal("the gripper is damaged"));
     };
     let mut parts = Vec::new();
     for part in finger(blocks.finger) {

@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use super::picture::Picture;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 
 /// Most pixels of a side; a dome of 16384 × 8192 is the largest that is offered anywhere.
@@ -66,7 +66,7 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Picture> {
 }
 
 fn bad(what: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Input, what)
+    Error::input(what)
 }
 
 /// Says what the file is instead, where that is known.
@@ -240,6 +240,7 @@ fn radiance([r, g, b, exponent]: [u8; 4]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn file(size: &str, body: &[u8]) -> Vec<u8> {
         let head = format!("#?RADIANCE\n# by hand\nFORMAT=32-bit_rle_rgbe\n\n{size}\n");

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Colour of a material: one value or a texture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,10 +107,9 @@ impl Material {
         }?;
         match self.colour() {
             Some(Colour::Constant(rgb)) => in_range("colour", &rgb, 0.0..=1.0),
-            Some(Colour::Texture(t)) if t >= textures => Err(Error::new(
-                ErrorKind::Input,
-                format!("it names texture {t}, but there are only {textures}"),
-            )),
+            Some(Colour::Texture(t)) if t >= textures => Err(Error::input(format!(
+                "it names texture {t}, but there are only {textures}"
+            ))),
             Some(Colour::Texture(_)) | None => Ok(()),
         }
     }
@@ -119,13 +118,10 @@ impl Material {
 pub(super) fn in_range(name: &str, values: &[f32], range: RangeInclusive<f32>) -> Result<()> {
     match values.iter().find(|v| !range.contains(v)) {
         None => Ok(()),
-        Some(found) => Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "{name} must be from {} to {}, found {found}",
-                range.start(),
-                range.end()
-            ),
-        )),
+        Some(found) => Err(Error::input(format!(
+            "{name} must be from {} to {}, found {found}",
+            range.start(),
+            range.end()
+        ))),
     }
 }

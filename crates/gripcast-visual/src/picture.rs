@@ -2,7 +2,7 @@
 
 use image::RgbImage;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::srgb_encode;
 
 /// Weights of linear R, G, B in the luminance (ITU-R BT.709).
@@ -36,10 +36,9 @@ impl Picture {
     pub fn from_pixels(width: usize, height: usize, pixels: Vec<[f32; 3]>) -> Result<Self> {
         if width == 0 || height == 0 || pixels.len() != width * height {
             let found = pixels.len();
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("a picture of {width}×{height} cannot hold {found} pixels"),
-            ));
+            return Err(Error::input(format!(
+                "a picture of {width}×{height} cannot hold {found} pixels"
+            )));
         }
         Ok(Self {
             width,
@@ -71,10 +70,9 @@ impl Picture {
     pub fn rmse(&self, other: &Self) -> Result<f64> {
         if (self.width, self.height) != (other.width, other.height) {
             let [a, b] = [self, other].map(|p| format!("{}×{}", p.width, p.height));
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("pictures of {a} and {b} cannot be compared"),
-            ));
+            return Err(Error::input(format!(
+                "pictures of {a} and {b} cannot be compared"
+            )));
         }
         let mut sum = 0.0;
         for (a, b) in self.pixels.iter().zip(&other.pixels) {

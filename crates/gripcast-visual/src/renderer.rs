@@ -65,10 +65,9 @@ impl Renderer {
         // Indices of triangles share their 32 bits with a mark of the hierarchy.
         if faces.len() >= 1 << 30 {
             let found = faces.len();
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("a scene must have fewer than 2³⁰ triangles, found {found}"),
-            ));
+            return Err(Error::input(format!(
+                "a scene must have fewer than 2³⁰ triangles, found {found}"
+            )));
         }
         let corners: Vec<_> = faces.iter().map(|f| f.corners).collect();
         let bvh = Bvh::build(&corners);

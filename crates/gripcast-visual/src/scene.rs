@@ -6,7 +6,7 @@ use super::camera::Camera;
 use super::environment::Environment;
 use super::material::{Colour, Material};
 use super::texture::Bitmap;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// Winding number above which a point is inside.
@@ -67,7 +67,7 @@ impl Mesh {
     }
 
     fn validate(&self, scene: &Scene) -> Result<()> {
-        let bad = |what: String| Err(Error::new(ErrorKind::Input, what));
+        let bad = |what: String| Err(Error::input(what));
         let count = self.positions.len();
         for (name, found) in [("normals", self.normals.len()), ("uvs", self.uvs.len())] {
             if found != 0 && found != count {
@@ -111,8 +111,7 @@ impl Mesh {
             ));
         };
         if matches!(material.colour(), Some(Colour::Texture(_))) && self.uvs.is_empty() {
-            return Err(Error::new(
-                ErrorKind::Input,
+            return Err(Error::input(
                 "the mesh has a picture as texture, but no texture coordinates",
             )
             .remedy("use a mesh with texture coordinates"));
@@ -174,11 +173,10 @@ impl Scene {
                 .sum::<f64>()
                 / (4.0 * std::f64::consts::PI);
             if turns.abs() > INSIDE {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!("the camera at {eye} m is inside of mesh {m}"),
-                )
-                .remedy("move the camera or the mesh, or check the unit of the mesh"));
+                return Err(
+                    Error::input(format!("the camera at {eye} m is inside of mesh {m}"))
+                        .remedy("move the camera or the mesh, or check the unit of the mesh"),
+                );
             }
         }
         Ok(())

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// How much of the light around a pixel's centre counts for it (reconstruction filter).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -49,7 +49,7 @@ impl Default for RenderSettings {
 
 impl RenderSettings {
     pub(super) fn validate(&self) -> Result<()> {
-        let bad = |what: String| Err(Error::new(ErrorKind::Usage, what));
+        let bad = |what: String| Err(Error::usage(what));
         if !(1..=1 << 20).contains(&self.samples) {
             let found = self.samples;
             return bad(format!(

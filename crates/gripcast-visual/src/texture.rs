@@ -2,7 +2,7 @@
 
 use image::RgbImage;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::srgb_decode;
 
 /// Picture that is repeated over the texture plane and interpolated bilinearly in linear light.
@@ -26,10 +26,9 @@ impl Bitmap {
     pub fn from_srgb8(picture: &RgbImage) -> Result<Self> {
         let (width, height) = picture.dimensions();
         if width == 0 || height == 0 {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("a texture must have pixels, found a picture of {width}×{height}"),
-            ));
+            return Err(Error::input(format!(
+                "a texture must have pixels, found a picture of {width}×{height}"
+            )));
         }
         Ok(Self {
             width: width as usize,

@@ -5,7 +5,7 @@ use tokio::sync::oneshot;
 use super::Engine;
 use crate::daemon::asked::Asked;
 use crate::daemon::report::Ended;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_capture::camera::monotonic_ns;
 use gripcast_capture::trigger::{self, Answer, ScriptAction};
 use gripcast_session::{Command, CommandResult, CommandSource};
@@ -50,9 +50,9 @@ impl Engine {
             ScriptAction::Done => Ok(Some(Ended::ScriptDone)),
             ScriptAction::Failed(error) => Err(error),
             ScriptAction::Command(text) => {
-                let command: Command = text.parse().map_err(|e| {
-                    Error::new(ErrorKind::Internal, "the script was not checked").because(e)
-                })?;
+                let command: Command = text
+                    .parse()
+                    .map_err(|e| Error::internal("the script was not checked").because(e))?;
                 let (asked, answer) = Asked::with_answer(command, CommandSource::Script);
                 self.script_command = ScriptCommand {
                     open: Some(answer),

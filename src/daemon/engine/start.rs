@@ -15,7 +15,7 @@ use crate::daemon::decode;
 use crate::daemon::hub::Hub;
 use crate::daemon::infer::{Inference, ModelFacts};
 use crate::daemon::store::{Store, StoreContext, StoreMessage, pending_frame};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_capture::calibration::RigFile;
 use gripcast_capture::trigger::ScriptRunner;
 use gripcast_dataset::{DatasetWriter, PendingInitial};
@@ -145,7 +145,7 @@ fn crop_profiles(rig: &RigFile, model: Option<&Model>) -> Result<BTreeMap<Role, 
 fn model_card(model: &ModelFacts) -> Result<String> {
     serde_json::to_value(model)
         .and_then(|card| serde_json::to_string_pretty(&card))
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the model card").because(e))
+        .map_err(|e| Error::internal("cannot write the model card").because(e))
 }
 
 /// What the files of the black box say about themselves.

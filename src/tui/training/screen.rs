@@ -13,7 +13,7 @@ use super::super::palette::{ColourDepth, Palette};
 use super::super::terminal::ScreenTerminal;
 use super::dashboard;
 use super::status::{TrainingNews, TrainingStatus};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Longest wait for a key; bounds how late news are noticed.
 const POLL: Duration = Duration::from_millis(50);
@@ -85,9 +85,7 @@ impl TrainingScreen {
         match self.ended.recv_timeout(PATIENCE) {
             Ok(result) => result,
             Err(RecvTimeoutError::Timeout) => Ok(()),
-            Err(RecvTimeoutError::Disconnected) => {
-                Err(Error::new(ErrorKind::Internal, "the dashboard panicked"))
-            }
+            Err(RecvTimeoutError::Disconnected) => Err(Error::internal("the dashboard panicked")),
         }
     }
 }

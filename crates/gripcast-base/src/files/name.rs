@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use unicode_normalization::{UnicodeNormalization as _, is_nfc};
 
 use super::sha256_hex;
-use crate::error::{Error, ErrorKind, Result};
+use crate::error::{Error, Result};
 
 /// Longest name of a file, bytes: that of Linux file systems.
 const MAX_FILE_NAME_BYTES: usize = 255;
@@ -63,10 +63,7 @@ fn nfc(text: &str) -> String {
 }
 
 fn invalid(kind: &str, text: &str, expected: &str) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!("invalid {kind} {text:.80?}: expected {expected}"),
-    )
+    Error::input(format!("invalid {kind} {text:.80?}: expected {expected}"))
 }
 
 /// One line of at most [`MAX_LABEL_CHARS`] characters without unsafe ones, as NFC.

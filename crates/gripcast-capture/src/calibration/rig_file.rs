@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::camera::{CONTROLS, FORMER_NAMES};
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_imaging::{LARGEST_SIDE, PixelFormat, Role};
 
 /// Version of the rig file format that this program reads.
@@ -256,13 +256,10 @@ impl RigFile {
             .iter()
             .map(|directory| directory.join(&file).display().to_string())
             .collect();
-        Err(Error::new(
-            ErrorKind::NotFound,
-            format!(
-                "there is no rig `{name}` (looked for {}){hint}",
-                places.join(", ")
-            ),
-        )
+        Err(Error::not_found(format!(
+            "there is no rig `{name}` (looked for {}){hint}",
+            places.join(", ")
+        ))
         .remedy(format!(
             "use one of {}, the path of a rig file, or write one with `gripcast rig init`",
             known.join(", ")
@@ -464,7 +461,7 @@ fn check_control(name: &str) -> Result<()> {
 }
 
 fn wrong(what: String) -> Error {
-    Error::new(ErrorKind::Config, what)
+    Error::config(what)
 }
 
 fn check_schema(found: Option<u32>) -> Result<()> {

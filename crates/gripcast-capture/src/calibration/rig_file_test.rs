@@ -1,4 +1,5 @@
 use super::*;
+use gripcast_base::error::ErrorKind;
 
 const GOOD: &str = r#"schema = 1
 id = "bench-1"

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::source::{CameraIdentity, StreamInfo};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileName;
 use gripcast_imaging::{Frame, PixelFormat, Role};
 
@@ -115,11 +115,11 @@ impl Recorder {
                 .map_err(|error| Error::io("cannot create the directory", error))?;
             let stream = dir.join(STREAM_FILE);
             if stream.exists() {
-                return Err(Error::new(ErrorKind::Input, "there is a recording already")
+                return Err(Error::input("there is a recording already")
                     .remedy("choose another directory or remove this one"));
             }
             let mut text = serde_json::to_string_pretty(&StreamRecord::new(info))
-                .map_err(|error| Error::new(ErrorKind::Internal, STREAM_FILE).because(error))?;
+                .map_err(|error| Error::internal(STREAM_FILE).because(error))?;
             text.push('\n');
             write_synced(&stream, text.as_bytes())?;
             File::create_new(dir.join(FRAMES_FILE))
@@ -151,7 +151,7 @@ impl Recorder {
             fs::write(&path, &*frame.data)
                 .map_err(|error| Error::io(format!("cannot write {}", record.file), error))?;
             let mut line = serde_json::to_string(&record)
-                .map_err(|error| Error::new(ErrorKind::Internal, FRAMES_FILE).because(error))?;
+                .map_err(|error| Error::internal(FRAMES_FILE).because(error))?;
             line.push('\n');
             (&self.lines)
                 .write_all(line.as_bytes())
@@ -192,6 +192,7 @@ fn write_synced(path: &Path, bytes: &[u8]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn info() -> StreamInfo {
         StreamInfo {

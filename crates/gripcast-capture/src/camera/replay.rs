@@ -19,7 +19,7 @@ use super::source::{
     CameraIdentity, CameraOpener, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
 use crate::calibration::CameraConfig;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Root};
 use gripcast_imaging::{Frame, FrameBytes, PixelFormat, Role, decode_png_rgb};
 
@@ -40,7 +40,7 @@ impl ReplayOpener {
     /// [`ErrorKind::Config`] when the configuration names no directory.
     pub fn new(role: Role, config: &CameraConfig, clock: Arc<dyn Clock>) -> Result<Self> {
         let dir = config.path.clone().ok_or_else(|| {
-            Error::new(ErrorKind::Config, "a replay camera needs a directory")
+            Error::config("a replay camera needs a directory")
                 .at(role)
                 .remedy("add `path = \"DIRECTORY\"` to the camera in the rig file")
         })?;
@@ -60,10 +60,8 @@ impl ReplayOpener {
     pub fn load(&self) -> Result<(ReplaySource, Vec<String>)> {
         let load = || {
             if !self.dir.is_dir() {
-                return Err(
-                    Error::new(ErrorKind::NotFound, "there is no such directory")
-                        .remedy("correct the camera's `path` in the rig file"),
-                );
+                return Err(Error::not_found("there is no such directory")
+                    .remedy("correct the camera's `path` in the rig file"));
             }
             let of_role = self.dir.join(self.role.name());
             for dir in [&of_role, &self.dir] {
@@ -100,14 +98,11 @@ impl ReplayOpener {
             return Ok(recording);
         }
         let mode = |(format, width, height)| format!("{format} {width}×{height}");
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the recording is {}, expected {}",
-                mode(found),
-                mode(wanted)
-            ),
-        )
+        Err(Error::input(format!(
+            "the recording is {}, expected {}",
+            mode(found),
+            mode(wanted)
+        ))
         .remedy("set format, width and height of the camera in the rig file to the recording's"))
     }
 }
@@ -153,21 +148,14 @@ fn load_recording(dir: &Path) -> Result<Recording> {
             .map_err(|error| Error::io(format!("cannot read {name}"), error))
     };
     let stream: StreamRecord = serde_json::from_slice(&read(STREAM_FILE)?).map_err(|error| {
-        Error::new(
-            ErrorKind::Input,
-            format!("{STREAM_FILE} is no stream description"),
-        )
-        .because(error)
+        Error::input(format!("{STREAM_FILE} is no stream description")).because(error)
     })?;
     if stream.schema != StreamRecord::SCHEMA {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "{STREAM_FILE} has schema {}, expected {}",
-                stream.schema,
-                StreamRecord::SCHEMA
-            ),
-        )
+        return Err(Error::input(format!(
+            "{STREAM_FILE} has schema {}, expected {}",
+            stream.schema,
+            StreamRecord::SCHEMA
+        ))
         .remedy("use the version of gripcast that recorded it, or a newer one"));
     }
     let bytes = read(FRAMES_FILE)?;
@@ -183,16 +171,16 @@ fn load_recording(dir: &Path) -> Result<Recording> {
                 index + 1
             )),
             Err(error) => {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!("{FRAMES_FILE}:{}: no frame: `{line}`", index + 1),
-                )
+                return Err(Error::input(format!(
+                    "{FRAMES_FILE}:{}: no frame: `{line}`",
+                    index + 1
+                ))
                 .because(error));
             }
         }
     }
     let Some(first_ns) = records.first().map(|record| record.driver_time_ns) else {
-        return Err(Error::new(ErrorKind::Input, "the recording has no frames"));
+        return Err(Error::input("the recording has no frames"));
     };
     let mut frames = Vec::with_capacity(records.len());
     for record in records {
@@ -222,18 +210,14 @@ fn load_pictures(dir: &Path, config: &CameraConfig) -> Result<Recording> {
         }
     }
     if pictures.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("there is neither {STREAM_FILE} nor a .jpg, .jpeg or .png picture"),
-        )
+        return Err(Error::input(format!(
+            "there is neither {STREAM_FILE} nor a .jpg, .jpeg or .png picture"
+        ))
         .remedy("record one with `gripcast rig check --record DIRECTORY`"));
     }
     if config.fps.is_nan() || config.fps <= 0.0 {
         let fps = config.fps;
-        return Err(Error::new(
-            ErrorKind::Config,
-            format!("frame rate {fps}, expected above 0"),
-        ));
+        return Err(Error::config(format!("frame rate {fps}, expected above 0")));
     }
     let mut size = None;
     let mut frames = Vec::with_capacity(pictures.len());
@@ -245,13 +229,10 @@ fn load_pictures(dir: &Path, config: &CameraConfig) -> Result<Recording> {
         let (payload, found) = open_picture(&path).map_err(|error| error.at(&name))?;
         let expected = *size.get_or_insert(found);
         if found != expected {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the picture is {}×{}, those before are {}×{}",
-                    found.0, found.1, expected.0, expected.1
-                ),
-            )
+            return Err(Error::input(format!(
+                "the picture is {}×{}, those before are {}×{}",
+                found.0, found.1, expected.0, expected.1
+            ))
             .at(name));
         }
         frames.push(Recorded {
@@ -300,7 +281,7 @@ fn open_picture(path: &Path) -> Result<(Payload, (u32, u32))> {
         .map_err(|error| Error::io("cannot read the picture", error))?;
     if picture_kind(path) == Some(PictureKind::Jpeg) {
         let header = turbojpeg::read_header(&bytes)
-            .map_err(|error| Error::new(ErrorKind::Input, "this is no JPEG").because(error))?;
+            .map_err(|error| Error::input("this is no JPEG").because(error))?;
         let size = (header.width as u32, header.height as u32);
         return Ok((Payload::File(place), size));
     }
@@ -313,9 +294,8 @@ fn open_picture(path: &Path) -> Result<(Payload, (u32, u32))> {
         height: height as usize,
         format: JpegPixels::RGB,
     };
-    let jpeg = turbojpeg::compress(rgb, PNG_JPEG_QUALITY, Subsamp::None).map_err(|error| {
-        Error::new(ErrorKind::Input, "cannot encode the picture as JPEG").because(error)
-    })?;
+    let jpeg = turbojpeg::compress(rgb, PNG_JPEG_QUALITY, Subsamp::None)
+        .map_err(|error| Error::input("cannot encode the picture as JPEG").because(error))?;
     Ok((Payload::Bytes(jpeg.to_vec().into()), (width, height)))
 }
 

@@ -1,3 +1,4 @@
+use gripcast_base::error::ErrorKind;
 use std::io::Write;
 
 use super::*;

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use super::{CameraOpener, KernelNodes, MonotonicClock, ReplayOpener, V4l2Opener};
 use crate::calibration::{CameraConfig, RigFile, SourceKind, colour_intrinsics};
 use crate::device::SystemRoot;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{Intrinsics, Role};
 
 /// Opens the `virtual` cameras of a rig; the simulation behind them is not part of this crate.
@@ -24,7 +24,7 @@ pub struct NoVirtualCameras;
 impl VirtualCameras for NoVirtualCameras {
     fn camera(&mut self, role: Role, _: &CameraConfig) -> Result<Box<dyn CameraOpener>> {
         let what = "virtual cameras are not available here";
-        Err(Error::new(ErrorKind::Config, what)
+        Err(Error::config(what)
             .at(format!("camera {role}"))
             .remedy("set `source` to \"v4l2\" or \"replay\" in the rig file"))
     }
@@ -118,6 +118,7 @@ impl RigSources {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     #[test]
     fn a_virtual_rig_is_refused_where_nothing_simulates_it() {

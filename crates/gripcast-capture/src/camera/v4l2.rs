@@ -285,18 +285,15 @@ fn mode_error(
         .iter()
         .map(ToString::to_string)
         .collect();
-    Error::new(
-        ErrorKind::Config,
-        format!(
-            "{identity} does not deliver {} {}×{}: it stays at {} {}×{}",
-            config.format,
-            config.width,
-            config.height,
-            String::from_utf8_lossy(&chosen.fourcc).trim(),
-            chosen.width,
-            chosen.height
-        ),
-    )
+    Error::config(format!(
+        "{identity} does not deliver {} {}×{}: it stays at {} {}×{}",
+        config.format,
+        config.width,
+        config.height,
+        String::from_utf8_lossy(&chosen.fourcc).trim(),
+        chosen.width,
+        chosen.height
+    ))
     .remedy(format!(
         "write one of its modes into the rig file: {}",
         if offered.is_empty() {

@@ -91,14 +91,14 @@ impl KeyMap {
     pub fn from_config(config: &PedalConfig) -> Result<Self> {
         let place = pedal_name(config);
         if config.keys.is_empty() {
-            return Err(Error::new(ErrorKind::Config, "the pedal has no keys")
+            return Err(Error::config("the pedal has no keys")
                 .at(place)
                 .remedy("add for instance `keys = { b = \"trigger\" }`"));
         }
         let mut map = BTreeMap::new();
         for (name, command) in &config.keys {
             let usage = key_usage(name).ok_or_else(|| {
-                Error::new(ErrorKind::Config, format!("unknown key `{name}`"))
+                Error::config(format!("unknown key `{name}`"))
                     .at(&place)
                     .remedy(
                         "use a–z, 0–9, f1–f12, space, enter, escape, tab, period, comma, slash, \

@@ -17,7 +17,7 @@
 
 use std::fmt;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 const DEFAULT_TIMEOUT_S: f64 = 30.0;
 const LONGEST_S: f64 = 86_400.0;
@@ -138,7 +138,7 @@ impl Script {
             }
             let number = index + 1;
             let step = parse_step(code, check).map_err(|problem| {
-                Error::new(ErrorKind::Input, format!("`{code}`: {problem}"))
+                Error::input(format!("`{code}`: {problem}"))
                     .at(format!("{place}:{number}"))
                     .remedy(format!("a line is one of {FORMS}"))
             })?;
@@ -149,7 +149,7 @@ impl Script {
             });
         }
         if lines.is_empty() {
-            return Err(Error::new(ErrorKind::Input, "the script has no steps").at(place));
+            return Err(Error::input("the script has no steps").at(place));
         }
         Ok(Self { place, lines })
     }
@@ -358,7 +358,7 @@ impl ScriptRunner {
     fn fail(&mut self, line: &Line, problem: &str) -> ScriptAction {
         self.failed = true;
         ScriptAction::Failed(
-            Error::new(ErrorKind::Input, format!("`{}`: {problem}", line.text))
+            Error::input(format!("`{}`: {problem}", line.text))
                 .at(format!("{}:{}", self.script.place, line.number)),
         )
     }

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// One value on its way between a row and a column.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +57,7 @@ impl<'a> Cell<'a> {
 
 /// `Input`: what is wrong in a column.
 pub(super) fn wrong(column: &str, what: String) -> Error {
-    Error::new(ErrorKind::Input, format!("column {column} {what}"))
+    Error::input(format!("column {column} {what}"))
 }
 
 /// Takes the cells of a row one by one.
@@ -76,7 +76,7 @@ impl<'a> Cells<'a> {
         take: impl FnOnce(Cell<'static>) -> Option<T>,
     ) -> Result<(&'static str, T)> {
         let Some((name, cell)) = self.cells.next() else {
-            return Err(Error::new(ErrorKind::Internal, "a row has too few columns"));
+            return Err(Error::internal("a row has too few columns"));
         };
         match take(cell) {
             Some(value) => Ok((name, value)),

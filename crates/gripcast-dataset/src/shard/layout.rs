@@ -6,7 +6,7 @@ use parquet::schema::types::{ColumnDescriptor, SchemaDescriptor};
 
 use super::cell::wrong;
 use super::columns::{Column, Kind, columns};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Most values of a list that are looked at, so that a damaged count takes no memory.
 const MAX_LIST: i64 = 16;
@@ -80,7 +80,7 @@ fn leaf(schema: &SchemaDescriptor, column: &Column) -> Result<Option<usize>> {
         (None, _) => {
             let what = format!("the column {} is missing", column.name);
             let remedy = "the columns are those of a shard of gripcast";
-            Err(Error::new(ErrorKind::Input, what).remedy(remedy))
+            Err(Error::input(what).remedy(remedy))
         }
         // A column of nothing but nulls has no type in files that pandas wrote.
         (Some((_, leaf)), None) if column.nullable && is_unknown(leaf) => Ok(None),
@@ -132,11 +132,12 @@ fn expected(column: &Column) -> &'static str {
 }
 
 fn counts(what: String) -> Error {
-    Error::new(ErrorKind::Input, what)
+    Error::input(what)
 }
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::sync::Arc;
 
     use parquet::schema::parser::parse_message_type;

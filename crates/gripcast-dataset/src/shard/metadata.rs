@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Key of our own metadata.
 pub(super) const KEY: &str = "gripcast";
@@ -52,7 +52,7 @@ impl ShardMetadata {
 
     pub(super) fn to_json(&self) -> Result<String> {
         serde_json::to_string(self)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the metadata").because(e))
+            .map_err(|e| Error::internal("cannot write the metadata").because(e))
     }
 
     /// # Errors
@@ -64,12 +64,12 @@ impl ShardMetadata {
             version: u32,
         }
         let wrong = |e: serde_json::Error| {
-            Error::new(ErrorKind::Input, "the `gripcast` metadata cannot be read").because(e)
+            Error::input("the `gripcast` metadata cannot be read").because(e)
         };
         let Header { format, version } = serde_json::from_str(text).map_err(wrong)?;
         if format != FORMAT {
             let what = format!("this is a file of the format {format:?}, not {FORMAT:?}");
-            let error = Error::new(ErrorKind::Input, what);
+            let error = Error::input(what);
             return Err(match &*format {
                 EXPORT => error.remedy(
                     "this export is for other programs; make one for `train` and `eval` with \
@@ -80,7 +80,7 @@ impl ShardMetadata {
         }
         if version != VERSION {
             let what = format!("the shard has version {version}; known is {VERSION}");
-            let error = Error::new(ErrorKind::Input, what);
+            let error = Error::input(what);
             return Err(error.remedy("read it with the release of gripcast that wrote it"));
         }
         serde_json::from_str(text).map_err(wrong)

@@ -19,7 +19,7 @@ use super::layout::Layout;
 use super::metadata::{CREATED_BY, GroupHash, KEY, ShardMetadata};
 use super::row::{ShardFacts, ShardImages, ShardRow};
 use super::source::Source;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, open_regular};
 use gripcast_base::quiet_panic;
 
@@ -125,7 +125,7 @@ impl ShardReader {
         let groups = self.num_row_groups();
         if group >= groups {
             let what = format!("there is no row group {group}; the shard has {groups}");
-            return Err(Error::new(ErrorKind::Usage, what).at(&self.0.name));
+            return Err(Error::usage(what).at(&self.0.name));
         }
         let mut walk = Walk::new(Arc::clone(&self.0), group..group + 1);
         let mut rows = Vec::new();
@@ -204,7 +204,7 @@ fn read_footer(source: &Source) -> Result<ParquetMetaData> {
     let size = source.size();
     let no_parquet = || {
         let what = format!("this is no Parquet file, or it was cut ({size} bytes)");
-        Error::new(ErrorKind::Input, what).remedy("make or fetch the file again")
+        Error::input(what).remedy("make or fetch the file again")
     };
     let read = |offset, length| {
         let bytes = source.read(offset, length);
@@ -432,5 +432,5 @@ fn altered(what: &str) -> Error {
 }
 
 fn damaged(what: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Input, what).remedy("make or fetch the file again")
+    Error::input(what).remedy("make or fetch the file again")
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use super::reader::ShardReader;
 use super::row::{ShardFacts, ShardRow};
-use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
+use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::files::{BeneathPath, FileName, Printable, Root};
 
 /// Folder of the shards in that of a dataset.
@@ -43,12 +43,12 @@ pub fn shard_place(root: &Root, split: &str, index: usize, count: usize) -> Resu
 fn file_name(split: &str, index: usize, count: usize) -> Result<FileName> {
     if !is_split(split) {
         let what = format!("a split cannot be called {split:?}");
-        let error = Error::new(ErrorKind::Usage, what);
+        let error = Error::usage(what);
         return Err(error.remedy("use letters, digits and _, as in train, validation, test"));
     }
     if index >= count || count > MAX_SHARDS {
         let what = format!("there is no shard {index} of {count}; at most {MAX_SHARDS} are");
-        return Err(Error::new(ErrorKind::Usage, what));
+        return Err(Error::usage(what));
     }
     FileName::parse(&format!(
         "{split}-{index:0DIGITS$}-of-{count:0DIGITS$}{ENDING}"
@@ -142,7 +142,7 @@ impl ShardSet {
                 let id = row?.facts.id;
                 if let Some(other) = split_of.get(&id) {
                     let what = format!("the sample {id:?} is in {other} and again in {split}");
-                    return Err(Error::new(ErrorKind::Input, what).at(self.root.path().display()));
+                    return Err(Error::input(what).at(self.root.path().display()));
                 }
                 split_of.insert(id, split);
             }
@@ -187,7 +187,7 @@ fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
     if !folder.is_dir() && root.top().join(COLLECTED).is_file() {
         let what = "these are grasps as they were collected, not shards of samples";
         let remedy = "make shards of them with `gripcast dataset export FOLDER --to training --out SHARDS`, and give SHARDS";
-        return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
+        return Err(Error::input(what).remedy(remedy));
     }
     let unreadable = |e: std::io::Error| {
         let is_absent = e.kind() == std::io::ErrorKind::NotFound;
@@ -208,14 +208,14 @@ fn list(root: &Root) -> Result<BTreeMap<String, Vec<BeneathPath>>> {
         let Some((split, index, count)) = parse(&name) else {
             let what = format!("{DATA}/{} has no name of a shard", Printable(&name));
             let remedy = "shards are called SPLIT-00000-of-00003.parquet, counted from 0";
-            return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
+            return Err(Error::input(what).remedy(remedy));
         };
         let shards = found.entry(split.to_owned()).or_default();
         shards.insert((index, count));
     }
     if found.is_empty() {
         let what = format!("there is no shard in the folder {DATA}");
-        return Err(Error::new(ErrorKind::NotFound, what).remedy(MAKERS));
+        return Err(Error::not_found(what).remedy(MAKERS));
     }
     let complete = |(split, shards): (String, BTreeSet<(usize, usize)>)| {
         let files = files(root, &split, &shards)?;
@@ -231,7 +231,7 @@ fn files(root: &Root, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<
         let what = format!(
             "the split {split} has shards of {count} and shards of {other}: they are of two sets"
         );
-        return Err(Error::new(ErrorKind::Input, what).remedy("remove those of the older set"));
+        return Err(Error::input(what).remedy("remove those of the older set"));
     }
     let missing: Vec<usize> = (0..count)
         .filter(|index| !shards.contains(&(*index, count)))
@@ -242,7 +242,7 @@ fn files(root: &Root, split: &str, shards: &BTreeSet<(usize, usize)>) -> Result<
             1 => format!("{name} is missing"),
             several => format!("{name} and {} more are missing", several - 1),
         };
-        return Err(Error::new(ErrorKind::Input, what).remedy("make or fetch it again"));
+        return Err(Error::input(what).remedy("make or fetch it again"));
     }
     let place = |index| shard_place(root, split, index, count);
     (0..count).map(place).collect()
@@ -267,6 +267,7 @@ fn is_split(split: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
     use std::os::unix::fs::symlink;
     use std::path::Path;

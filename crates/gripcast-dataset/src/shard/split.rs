@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
 use super::shard_name;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Largest deviation of the shares' sum from 1 that is taken as rounding.
 const SUM_TOLERANCE: f64 = 1e-6;
@@ -153,12 +153,13 @@ fn chance(seed: u64, name: &str) -> [u8; 32] {
 }
 
 fn wrong(what: String) -> Error {
-    Error::new(ErrorKind::Usage, what).remedy("for instance train=0.8,validation=0.1,test=0.1")
+    Error::usage(what).remedy("for instance train=0.8,validation=0.1,test=0.1")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     fn group(stratum: String, size: usize) -> SplitGroup {
         SplitGroup { stratum, size }

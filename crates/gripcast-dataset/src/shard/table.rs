@@ -11,7 +11,7 @@ use super::row::picture_extension;
 use super::staged::StagedShard;
 use super::table_column::{TableKind, features, schema};
 use super::writer::{GROUP_BYTES, MAX_ROW_BYTES, table_properties, write_error};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::BeneathPath;
 
 /// Who wrote the file; a shard has another name, and hashes.
@@ -90,7 +90,7 @@ impl TableWriter {
         if cells.len() != self.columns.len() {
             let (found, expected) = (cells.len(), self.columns.len());
             let what = format!("a row has {found} cells, the table {expected} columns");
-            return Err(Error::new(ErrorKind::Internal, what));
+            return Err(Error::internal(what));
         }
         for ((name, _), cell) in self.columns.iter().zip(cells) {
             if let Cell::Picture(bytes) = cell
@@ -102,7 +102,7 @@ impl TableWriter {
         let size = cells.iter().map(Cell::size).sum();
         if size > MAX_ROW_BYTES {
             let what = format!("a row of {size} bytes is too large; at most {MAX_ROW_BYTES} bytes");
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         Ok(size)
     }
@@ -150,6 +150,7 @@ impl TableWriter {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
 
     use parquet::file::reader::{FileReader as _, SerializedFileReader};

@@ -115,13 +115,8 @@ struct Groups<W: Write + Send> {
 
 impl<W: Write + Send> Groups<W> {
     fn new(sink: W, info: &str) -> Result<Self> {
-        serde_json::from_str::<serde::de::IgnoredAny>(info).map_err(|e| {
-            Error::new(
-                ErrorKind::Input,
-                "the information for the metadata is no JSON",
-            )
-            .because(e)
-        })?;
+        serde_json::from_str::<serde::de::IgnoredAny>(info)
+            .map_err(|e| Error::input("the information for the metadata is no JSON").because(e))?;
         let schema = schema().map_err(write_error)?;
         let writer = SerializedFileWriter::new(sink, schema, Arc::new(properties(CREATED_BY)))
             .map_err(write_error)?;
@@ -140,7 +135,7 @@ impl<W: Write + Send> Groups<W> {
         let size = check(&row).map_err(|e| e.at(format!("sample {:?}", row.facts.id)))?;
         if self.ids.contains(&row.facts.id) {
             let what = format!("there are two samples with the id {:?}", row.facts.id);
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         if self.waiting_bytes + size > GROUP_BYTES {
             self.close_group()?;
@@ -193,7 +188,7 @@ fn check(row: &ShardRow) -> Result<usize> {
     }
     if size > MAX_ROW_BYTES {
         let what = format!("a sample of {size} bytes is too large; at most {MAX_ROW_BYTES} bytes");
-        return Err(Error::new(ErrorKind::Input, what));
+        return Err(Error::input(what));
     }
     Ok(size)
 }
@@ -235,12 +230,9 @@ pub(super) fn write_error(error: ParquetError) -> Error {
     match error {
         ParquetError::External(cause) => match cause.downcast::<io::Error>() {
             Ok(cause) => Error::io("cannot write the shard", *cause),
-            Err(cause) => Error::new(
-                ErrorKind::Internal,
-                format!("cannot write the shard: {cause}"),
-            ),
+            Err(cause) => Error::internal(format!("cannot write the shard: {cause}")),
         },
-        other => Error::new(ErrorKind::Internal, "cannot write the shard").because(other),
+        other => Error::internal("cannot write the shard").because(other),
     }
 }
 

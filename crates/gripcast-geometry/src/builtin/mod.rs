@@ -10,7 +10,7 @@ mod shapes;
 use glam::DVec3;
 
 use super::mesh::TriangleMesh;
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 
 #[cfg(test)]
 pub(super) use shapes::uv_sphere;
@@ -86,11 +86,8 @@ fn wedge() -> TriangleMesh {
 fn unknown(name: &str) -> Error {
     let nearest = nearest_name(name, BUILTIN_NAMES.iter().copied());
     let hint = nearest.map_or(String::new(), |n| format!("did you mean builtin:{n}? "));
-    Error::new(
-        ErrorKind::NotFound,
-        format!("there is no built-in mesh named {name:?}"),
-    )
-    .remedy(format!("{hint}known are: {}", BUILTIN_NAMES.join(", ")))
+    Error::not_found(format!("there is no built-in mesh named {name:?}"))
+        .remedy(format!("{hint}known are: {}", BUILTIN_NAMES.join(", ")))
 }
 
 #[cfg(test)]

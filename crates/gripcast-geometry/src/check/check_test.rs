@@ -1,5 +1,6 @@
 use super::*;
 use crate::{BUILTIN_NAMES, LengthUnit, MassProperties, MeshQuery, Pose, builtin, load_mesh};
+use gripcast_base::error::ErrorKind;
 use gripcast_testing::shared;
 use proptest::prelude::*;
 

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::place_mm;
 use crate::mesh::{MeshEdges, TriangleMesh};
 use crate::weld::root;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Smallest angle between two triangles at an edge for telling which is next, rad.
 const MIN_WEDGE_RAD: f64 = 1e-6;
@@ -69,14 +69,11 @@ fn pair(mesh: &TriangleMesh, edges: &MeshEdges) -> Result<Pairing> {
 
 fn unclear(mesh: &TriangleMesh, edges: &MeshEdges, edge: usize) -> Error {
     let [a, b] = edges.vertices[edge].map(|v| mesh.vertices[v as usize]);
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "an edge must have two triangles, found {} near {}",
-            edges.triangles(edge).len(),
-            place_mm(0.5 * (a + b))
-        ),
-    )
+    Error::input(format!(
+        "an edge must have two triangles, found {} near {}",
+        edges.triangles(edge).len(),
+        place_mm(0.5 * (a + b))
+    ))
     .remedy("remove inner faces and doubled sheets in a mesh editor (\"make manifold\")")
 }
 

@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::mesh::{MeshEdges, TriangleMesh};
 use super::weld::{root, weld};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// What [`prepare`] accepts.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,7 +96,7 @@ fn check_size(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<()> {
             millimetres(extent),
             millimetres(limit)
         );
-        Err(Error::new(ErrorKind::Input, what).remedy(remedy))
+        Err(Error::input(what).remedy(remedy))
     };
     if extent > options.max_extent_m {
         let likely = match extent {
@@ -121,11 +121,10 @@ fn refuse_open(mesh: &TriangleMesh) -> Result<()> {
         .filter(|&edge| edges.triangles(edge).len() == 1)
         .collect();
     if mesh.triangles.is_empty() {
-        return Err(Error::new(
-            ErrorKind::Input,
-            "the mesh has no triangles but degenerate and duplicate ones",
-        )
-        .remedy("export the mesh again as a solid body"));
+        return Err(
+            Error::input("the mesh has no triangles but degenerate and duplicate ones")
+                .remedy("export the mesh again as a solid body"),
+        );
     }
     if border.is_empty() {
         return Ok(());
@@ -137,17 +136,14 @@ fn refuse_open(mesh: &TriangleMesh) -> Result<()> {
         .flat_map(|hole| hole.iter())
         .flat_map(|&e| edges.vertices[e]);
     let bounds = super::aabb::Aabb::from_points(ends.map(|v| mesh.vertices[v as usize]));
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the mesh must be closed, found {} boundary edges in {} hole(s); the largest is {} mm \
+    Err(Error::input(format!(
+        "the mesh must be closed, found {} boundary edges in {} hole(s); the largest is {} mm \
              wide around {}",
-            border.len(),
-            holes.len(),
-            millimetres(bounds.extent().max_element()),
-            place_mm(bounds.center()),
-        ),
-    )
+        border.len(),
+        holes.len(),
+        millimetres(bounds.extent().max_element()),
+        place_mm(bounds.center()),
+    ))
     .remedy("close the holes in a mesh editor (\"make manifold\", \"fill holes\")"))
 }
 
@@ -194,7 +190,7 @@ fn refuse_self_intersection(
         warnings.push(what);
         return Ok(());
     }
-    Err(Error::new(ErrorKind::Input, what)
+    Err(Error::input(what)
         .remedy("unite the overlapping parts in a mesh editor (boolean union, voxel remesh)"))
 }
 

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::place_mm;
 use crate::mesh::TriangleMesh;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Flips can make new slivers of old ones; more rounds than this do not help.
 const ROUNDS: usize = 8;
@@ -34,10 +34,9 @@ pub(super) fn flip_away(
     let mut areas = mesh.triangle_areas().into_iter();
     if let Some(flat) = areas.position(|area| area < f64::MIN_POSITIVE) {
         let place = place_mm(mesh.corners(mesh.triangles[flat])[0]);
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("triangles must have an area, found one without near {place}"),
-        )
+        return Err(Error::input(format!(
+            "triangles must have an area, found one without near {place}"
+        ))
         .remedy("dissolve degenerate faces in a mesh editor"));
     }
     let thin = mesh.all_corners().filter(|c| height(c) < height_m).count();

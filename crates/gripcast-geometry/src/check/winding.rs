@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{millimetres, place_mm};
 use crate::mesh::TriangleMesh;
 use crate::mesh_query::MeshQuery;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Places at which it is tested whether a component lies inside of another.
 const NESTING_SAMPLES: usize = 16;
@@ -125,13 +125,10 @@ impl Component {
 
 fn one_sided(mesh: &TriangleMesh, triangle: u32) -> Error {
     let corner = mesh.corners(mesh.triangles[triangle as usize])[0];
-    Error::new(
-        ErrorKind::Input,
-        format!(
-            "the surface must have an inside, found it one-sided (like a Möbius strip) near {}",
-            place_mm(corner)
-        ),
-    )
+    Error::input(format!(
+        "the surface must have an inside, found it one-sided (like a Möbius strip) near {}",
+        place_mm(corner)
+    ))
     .remedy("remodel the part as a solid body, or remesh it by voxels")
 }
 
@@ -154,16 +151,13 @@ fn refuse_flat(mesh: &TriangleMesh, component: &Component, volume: f64) -> Resul
     if volume.abs() > 1e-6 * area * bounds.diagonal() {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "each component must enclose a volume, found one of {} triangles without, {} mm wide \
+    Err(Error::input(format!(
+        "each component must enclose a volume, found one of {} triangles without, {} mm wide \
              around {}",
-            component.triangles.len(),
-            millimetres(bounds.extent().max_element()),
-            place_mm(bounds.center())
-        ),
-    )
+        component.triangles.len(),
+        millimetres(bounds.extent().max_element()),
+        place_mm(bounds.center())
+    ))
     .remedy("remove the sheet, or give it thickness"))
 }
 

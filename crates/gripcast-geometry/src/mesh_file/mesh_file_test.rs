@@ -1,5 +1,6 @@
 use super::*;
 use crate::builtin;
+use gripcast_base::error::ErrorKind;
 use proptest::prelude::*;
 use std::fs;
 

@@ -23,7 +23,7 @@ pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mes
 
 use super::mesh::TriangleMesh;
 use super::weld::weld;
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::{FileKind, companions, read_regular, save};
 
 const SUFFIXES: [&str; 5] = ["obj", "stl", "ply", "glb", "gltf"];
@@ -74,11 +74,8 @@ impl FromStr for LengthUnit {
     fn from_str(text: &str) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|unit| unit.to_string() == text);
         known.ok_or_else(|| {
-            Error::new(
-                ErrorKind::Usage,
-                format!("{text:?} is not a length unit that is known"),
-            )
-            .remedy("use mm, cm, m or in")
+            Error::usage(format!("{text:?} is not a length unit that is known"))
+                .remedy("use mm, cm, m or in")
         })
     }
 }
@@ -116,10 +113,9 @@ impl MeshFormat {
 fn unknown_suffix(suffix: &str) -> Error {
     let nearest = nearest_name(suffix, SUFFIXES).filter(|_| !suffix.is_empty());
     let hint = nearest.map_or(String::new(), |n| format!("did you mean .{n}? "));
-    Error::new(
-        ErrorKind::Input,
-        format!("a mesh file must end in a known suffix, found {suffix:?}"),
-    )
+    Error::input(format!(
+        "a mesh file must end in a known suffix, found {suffix:?}"
+    ))
     .remedy(format!(
         "{hint}convert it to one of: .{}",
         SUFFIXES.join(" .")
@@ -174,15 +170,13 @@ pub fn read_mesh(
 /// Refuses an empty file and the text that Git LFS leaves in the place of a file.
 fn refuse_placeholders(bytes: &[u8]) -> Result<()> {
     if bytes.is_empty() {
-        return Err(Error::new(ErrorKind::Input, "the file is empty")
-            .remedy("export or download the mesh again"));
+        return Err(Error::input("the file is empty").remedy("export or download the mesh again"));
     }
     if bytes.starts_with(b"version https://git-lfs") {
-        return Err(Error::new(
-            ErrorKind::Input,
-            "the file is a Git LFS pointer, not the mesh itself",
-        )
-        .remedy("fetch the mesh with `git lfs pull`"));
+        return Err(
+            Error::input("the file is a Git LFS pointer, not the mesh itself")
+                .remedy("fetch the mesh with `git lfs pull`"),
+        );
     }
     Ok(())
 }
@@ -197,12 +191,11 @@ pub fn save_mesh(path: &Path, mesh: &TriangleMesh) -> Result<()> {
         MeshFormat::Obj => obj::write(mesh),
         MeshFormat::Ply => ply::write(mesh),
         other => {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("meshes cannot be written as {other:?}"),
-            )
-            .at(path.display())
-            .remedy("name the file .ply or .obj"));
+            return Err(
+                Error::input(format!("meshes cannot be written as {other:?}"))
+                    .at(path.display())
+                    .remedy("name the file .ply or .obj"),
+            );
         }
     };
     save(path, &bytes)
@@ -216,8 +209,7 @@ pub fn ply_bytes(mesh: &TriangleMesh) -> Vec<u8> {
 
 /// An error of the content, with the usual remedy.
 fn malformed(what: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Input, what)
-        .remedy("check that the file was copied whole, or export the mesh again")
+    Error::input(what).remedy("check that the file was copied whole, or export the mesh again")
 }
 
 /// Appends a polygon as a fan around its first corner; fewer than three corners are no face.

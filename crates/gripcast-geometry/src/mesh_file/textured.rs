@@ -10,7 +10,7 @@ use super::obj::{Corner, ObjFile};
 use super::{LengthUnit, MeshFormat, file_bytes, refuse_placeholders};
 use super::{glb, glb_material, mtl, obj, ply, stl};
 use crate::mesh::TriangleMesh;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::companions;
 
 /// A mesh as its file says it looks.
@@ -92,7 +92,7 @@ pub fn read_textured_mesh(
     };
     mesh.parts.retain(|part| !part.shape.triangles.is_empty());
     if mesh.parts.is_empty() {
-        return Err(Error::new(ErrorKind::Input, "the mesh has no triangles")
+        return Err(Error::input("the mesh has no triangles")
             .remedy("check that the file was copied whole, or export the mesh again"));
     }
     for part in &mut mesh.parts {

@@ -3,7 +3,7 @@
 use image::RgbImage;
 use turbojpeg::{Compressor, Image, PixelFormat, Subsamp};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Encodes a picture as a baseline 4:2:2 JPEG with the standard Huffman tables, the form in
 /// which UVC cameras send theirs. `quality` is 1 (worst) to 100.
@@ -13,20 +13,16 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 pub fn encode_jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
     let (width, height) = picture.dimensions();
     let refused = |cause| {
-        Error::new(
-            ErrorKind::Input,
-            format!("cannot encode a {width}×{height} picture as JPEG of quality {quality}"),
-        )
+        Error::input(format!(
+            "cannot encode a {width}×{height} picture as JPEG of quality {quality}"
+        ))
         .because(cause)
     };
     if width == 0 || height == 0 || !(1..=100).contains(&quality) {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "cannot encode a {width}×{height} picture as JPEG of quality {quality}: \
+        return Err(Error::input(format!(
+            "cannot encode a {width}×{height} picture as JPEG of quality {quality}: \
                  expected at least one pixel and a quality of 1 to 100"
-            ),
-        ));
+        )));
     }
     let mut compressor = Compressor::new().map_err(refused)?;
     compressor

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::plan::{ExportFormat, ExportPlan};
 use crate::left_out::LeftOut;
-use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
+use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_dataset::{Dataset, GraspId, GraspRecord, Outcome, SplitFile, Stage};
 use gripcast_imaging::Role;
 
@@ -135,23 +135,21 @@ fn split_of(dataset: &Dataset, plan: &ExportPlan) -> Result<Option<SplitFile>> {
     let names = dataset.split_names()?;
     match names.as_slice() {
         [only] => dataset.split(only).map(Some),
-        [] => Err(Error::new(
-            ErrorKind::Usage,
-            "a part was asked for, but the dataset has no split",
-        )
-        .remedy("make one with `gripcast dataset split`, or leave `--part` out")),
-        _ => Err(Error::new(
-            ErrorKind::Usage,
-            "a part was asked for, but the dataset has several splits",
-        )
-        .remedy(format!("name one with `--split`: {}", names.join(", ")))),
+        [] => Err(
+            Error::usage("a part was asked for, but the dataset has no split")
+                .remedy("make one with `gripcast dataset split`, or leave `--part` out"),
+        ),
+        _ => Err(
+            Error::usage("a part was asked for, but the dataset has several splits")
+                .remedy(format!("name one with `--split`: {}", names.join(", "))),
+        ),
     }
 }
 
 fn unknown_split(name: &str, known: &[&str]) -> Error {
     if known.is_empty() {
         let what = format!("there is no split named {name:?}: the dataset has none");
-        return Error::new(ErrorKind::Usage, what).remedy("make one with `gripcast dataset split`");
+        return Error::usage(what).remedy("make one with `gripcast dataset split`");
     }
     unknown_name("split", name, known)
 }
@@ -173,8 +171,9 @@ fn parts_of(split: SplitFile, plan: &ExportPlan) -> Result<Vec<(String, Vec<Gras
         let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_';
         if name.is_empty() || !name.chars().all(is_word) {
             let what = format!("the part {name:?} of the split cannot be a file name");
-            return Err(Error::new(ErrorKind::Input, what)
-                .remedy("call it by letters, digits and _ in splits/*.json"));
+            return Err(
+                Error::input(what).remedy("call it by letters, digits and _ in splits/*.json")
+            );
         }
         // `dataset split` says `val`, `train` wants `validation`.
         let name = match &*name {
@@ -218,5 +217,5 @@ fn nothing_left(choice: &Choice, all: usize, plan: &ExportPlan) -> Error {
             "run `gripcast dataset verify` and `recover`",
         )
     };
-    Error::new(ErrorKind::Input, what).remedy(remedy)
+    Error::input(what).remedy(remedy)
 }

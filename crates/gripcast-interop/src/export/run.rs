@@ -15,7 +15,7 @@ use super::training::TrainingShards;
 use super::webdataset::TarShards;
 use super::zarr::{self, ReplayBuffer};
 use crate::left_out::LeftOut;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Dataset;
 
 /// Writes a dataset in another format to `out`, whole or not at all.
@@ -106,7 +106,7 @@ fn write(
     if let (0, Some(first)) = (report.grasps, report.left_out.first()) {
         let what = format!("none of the {all} grasps can be exported, the first because of");
         let what = format!("{what} {}", first.why);
-        return Err(Error::new(ErrorKind::Input, what).remedy(match is_damaged {
+        return Err(Error::input(what).remedy(match is_damaged {
             true => "run `gripcast dataset verify` and `recover`",
             false => "the format needs more than these grasps have: docs/exports.md says what",
         }));
@@ -145,7 +145,7 @@ fn check_apart(dataset: &Path, out: &Path) -> Result<()> {
         .find_map(|path| fs::canonicalize(path).ok());
     if real.is_some_and(|real| real.starts_with(&root)) {
         let what = "the export would lie inside the dataset";
-        return Err(Error::new(ErrorKind::Usage, what)
+        return Err(Error::usage(what)
             .at(out.display())
             .remedy("choose an `--out` beside it"));
     }

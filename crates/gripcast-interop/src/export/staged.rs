@@ -30,7 +30,7 @@ impl StagedFolder {
     pub(super) fn create(target: &Path) -> Result<Self> {
         let Some(name) = target.file_name() else {
             let what = "the export needs a name of its own";
-            return Err(Error::new(ErrorKind::Usage, what).at(target.display()));
+            return Err(Error::usage(what).at(target.display()));
         };
         check_free(target)?;
         let parent = parent(target);
@@ -200,7 +200,7 @@ fn check_free(target: &Path) -> Result<()> {
 
 fn occupied(target: &Path) -> Error {
     let what = "there is something already; an export never replaces anything";
-    Error::new(ErrorKind::Input, what)
+    Error::input(what)
         .at(target.display())
         .remedy("choose another `--out`, or remove what is there")
 }

@@ -201,5 +201,5 @@ fn facts(record: &GraspRecord, outcome: ShardOutcome, crop: &str) -> Result<Shar
 }
 
 fn cannot(what: String) -> Error {
-    Error::new(ErrorKind::Input, what)
+    Error::input(what)
 }

@@ -10,7 +10,7 @@ use tar::{Builder, EntryType, Header};
 use super::format::{Setting, Writer};
 use super::source::Grasp;
 use super::staged::write_failed;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// A file's header, the padding after its contents.
 const OVERHEAD: usize = 1024;
@@ -77,7 +77,7 @@ impl Writer for TarShards<'_> {
         let id = &grasp.record.id;
         if id.contains('.') {
             let what = "the id has a dot, by which WebDataset would cut it";
-            return Ok(Some(Error::new(ErrorKind::Input, what)));
+            return Ok(Some(Error::input(what)));
         }
         let size = grasp.bytes() + OVERHEAD * (1 + grasp.pictures.len());
         let builder = self.shard(size)?;

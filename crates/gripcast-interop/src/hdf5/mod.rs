@@ -322,7 +322,7 @@ pub fn misshapen(key: &str, expected: &str, shape: &[u64]) -> Error {
 
 /// A file that holds something else than expected.
 pub fn wrong(what: String) -> Error {
-    Error::new(ErrorKind::Input, what)
+    Error::input(what)
 }
 
 fn give(of: &str) -> String {

@@ -18,7 +18,7 @@ use image::RgbImage;
 use image::imageops::crop_imm;
 
 use crate::hdf5::{ByteArray, Hdf5, misshapen, wrong};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::ObjectName;
 use gripcast_dataset::shard::ShardImages;
 use gripcast_imaging::{CropProfile, Decoder, crop_and_resize, encode_jpeg};
@@ -185,7 +185,7 @@ fn decoded(array: &ByteArray<'_>, key: &str, decoder: &mut Decoder) -> Result<Rg
     let found = bytes.len();
     RgbImage::from_raw(width, height, bytes).ok_or_else(|| {
         let what = format!("`{key}` has {found} bytes for {width}×{height} pixels");
-        Error::new(ErrorKind::Input, what)
+        Error::input(what)
     })
 }
 

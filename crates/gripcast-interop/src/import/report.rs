@@ -7,7 +7,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::left_out::LeftOut;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Printable, Root};
 use gripcast_dataset::shard::Split;
 
@@ -82,12 +82,8 @@ impl ImportReport {
             let bytes = place
                 .read(FileKind::List)
                 .map_err(|e| Error::io("cannot read the facts of the import", e))?;
-            let found: Self = serde_json::from_slice(&bytes).map_err(|e| {
-                Error::new(
-                    ErrorKind::Input,
-                    format!("these are no facts of an import: {e}"),
-                )
-            })?;
+            let found: Self = serde_json::from_slice(&bytes)
+                .map_err(|e| Error::input(format!("these are no facts of an import: {e}")))?;
             if found.format == FORMAT && found.version == VERSION {
                 return Ok(found);
             }
@@ -95,7 +91,7 @@ impl ImportReport {
                 "expected {FORMAT} version {VERSION}, found {:?} version {}",
                 found.format, found.version
             );
-            Err(Error::new(ErrorKind::Input, what))
+            Err(Error::input(what))
         };
         read().map_err(|e: Error| {
             e.at(place.display())
@@ -112,7 +108,7 @@ impl ImportReport {
         fs::create_dir_all(out)
             .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
         let refused = |what: &str| {
-            let error = Error::new(ErrorKind::Input, what).at(out.display());
+            let error = Error::input(what).at(out.display());
             Err(error.remedy("give a new folder"))
         };
         let top = Root::new(out).top();
@@ -147,7 +143,7 @@ impl ImportReport {
 
     pub(super) fn save(&self, out: &Path) -> Result<()> {
         let text = serde_json::to_string_pretty(self)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+            .map_err(|e| Error::internal("cannot write JSON").because(e))?;
         let place = Root::new(out).top().join(FILE);
         place
             .replace(format!("{text}\n").as_bytes())

@@ -104,7 +104,7 @@ pub fn import_feeling_of_success(
 /// Names of files without their endings: the beginnings of the ids.
 fn stems(files: &[PathBuf]) -> Result<Vec<String>> {
     if files.is_empty() {
-        return Err(Error::new(ErrorKind::Usage, "there is no file to import"));
+        return Err(Error::usage("there is no file to import"));
     }
     let mut seen = BTreeSet::new();
     let stems = files.iter().map(|path| {
@@ -114,7 +114,7 @@ fn stems(files: &[PathBuf]) -> Result<Vec<String>> {
             return Ok(stem);
         }
         let what = format!("two files are called {stem:?}; their grasps would have the same ids");
-        Err(Error::new(ErrorKind::Usage, what)
+        Err(Error::usage(what)
             .at(path.display())
             .remedy("give each file once, or rename one"))
     });
@@ -185,7 +185,7 @@ fn deal(found: &[Index], split: &Split) -> Result<BTreeMap<String, String>> {
             "the part `{empty}` would be empty: there are only {} objects",
             objects.len()
         );
-        return Err(Error::new(ErrorKind::Input, what).remedy("give more files, or fewer parts"));
+        return Err(Error::input(what).remedy("give more files, or fewer parts"));
     }
     Ok(dealt)
 }
@@ -299,7 +299,7 @@ impl<'a> PartWriter<'a> {
             if let Some(LeftOut { id, why }) = left_out {
                 what.push_str(&format!("; {id}: {why}"));
             }
-            return Err(Error::new(ErrorKind::Input, what).at(self.root.path().display()));
+            return Err(Error::input(what).at(self.root.path().display()));
         }
         self.facts.objects = self.objects.len();
         Ok((self.name.to_owned(), self.facts))

@@ -32,7 +32,7 @@ pub use super::tensors::{
     IMAGE_HEIGHT, IMAGE_WIDTH, INPUT_SHAPE, InputName, InputSpec, OUTPUT, OUTPUT_SHAPE,
     RgbNormalisation, Variant,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropProfile;
 
 /// Version of the contract that this build reads and writes.
@@ -111,9 +111,8 @@ impl ModelContract {
     /// When the contract itself would be refused.
     pub fn write(&self, graph: &mut OnnxGraphBuilder) -> Result<()> {
         self.check()?;
-        let inputs = serde_json::to_string(&self.inputs).map_err(|cause| {
-            Error::new(ErrorKind::Internal, "cannot write the inputs").because(cause)
-        })?;
+        let inputs = serde_json::to_string(&self.inputs)
+            .map_err(|cause| Error::internal("cannot write the inputs").because(cause))?;
         for (key, value) in &self.other {
             graph.metadata(key, value);
         }
@@ -181,10 +180,9 @@ impl ModelContract {
         let mut metadata = Metadata::of(model)?;
         let schema: u32 = metadata.parse("gripcast.schema", "a whole number")?;
         if schema != SCHEMA {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("`gripcast.schema`: expected {SCHEMA}, found {schema}"),
-            )
+            return Err(Error::input(format!(
+                "`gripcast.schema`: expected {SCHEMA}, found {schema}"
+            ))
             .remedy(if schema > SCHEMA {
                 "the model is newer than this gripcast: update gripcast, or export the model for \
                  this version"

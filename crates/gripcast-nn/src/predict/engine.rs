@@ -17,7 +17,7 @@ use super::input::ModelInput;
 use super::novelty::{self, Novelty};
 use super::onnx;
 use super::own_engine::OwnEngine;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::sha256_hex;
 use gripcast_base::quiet_panic;
 
@@ -162,14 +162,11 @@ impl Model {
             Engine::Tract { order, model } => run_tract(order, model, input)?,
         };
         if !(0.0..=1.0).contains(&p_stable) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the model `{}` answers {p_stable}; `{}` must be between 0 and 1",
-                    self.contract.name,
-                    contract::OUTPUT
-                ),
-            ));
+            return Err(Error::input(format!(
+                "the model `{}` answers {p_stable}; `{}` must be between 0 and 1",
+                self.contract.name,
+                contract::OUTPUT
+            )));
         }
         Ok(Prediction {
             p_stable: f64::from(p_stable),
@@ -180,7 +177,7 @@ impl Model {
 
 fn missing_input() -> Error {
     let what = "the model needs an input that was not given";
-    Error::new(ErrorKind::Internal, what)
+    Error::internal(what)
 }
 
 fn run_tract(
@@ -231,11 +228,7 @@ fn guarded<T>(step: &str, work: impl FnOnce() -> TractResult<T>) -> Result<T> {
         .and_then(|result| result.map_err(|cause| format!("{cause:#}")))
         .map_err(|cause| {
             let first_line = cause.lines().next().unwrap_or_default();
-            Error::new(
-                ErrorKind::Input,
-                format!("the engine cannot {step}: {first_line}"),
-            )
-            .remedy(
+            Error::input(format!("the engine cannot {step}: {first_line}")).remedy(
                 "export the model again with standard operators and fixed shapes (opset 17), and \
                  compare its sha256 with its card",
             )
@@ -252,6 +245,7 @@ mod tests {
     use crate::predict::baseline;
     use crate::predict::contract::{INPUT_SHAPE, OUTPUT, OUTPUT_SHAPE};
     use crate::predict::onnx::OnnxGraphBuilder;
+    use gripcast_base::error::ErrorKind;
 
     /// A touch model that answers `value` whatever it is shown.
     fn constant_model(value: f32) -> Vec<u8> {

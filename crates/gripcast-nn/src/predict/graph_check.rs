@@ -9,7 +9,7 @@ use tract_onnx::pb::tensor_shape_proto::dimension::Value as Dimension;
 use tract_onnx::pb::{GraphProto, ModelProto, ValueInfoProto, type_proto};
 
 use super::tensors::{INPUT_SHAPE, OUTPUT, OUTPUT_SHAPE, Variant};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Operator sets that the engine implements.
 const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
@@ -207,7 +207,7 @@ fn check_tensor(
 }
 
 pub(super) fn refusal(what: impl Into<String>) -> Error {
-    Error::new(ErrorKind::Input, what)
+    Error::input(what)
 }
 
 pub(super) fn list<T: Display>(items: impl IntoIterator<Item = T>) -> String {

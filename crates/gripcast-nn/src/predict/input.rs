@@ -8,7 +8,7 @@ use tract_onnx::prelude::{TValue, Tensor};
 use super::contract::{
     IMAGE_HEIGHT, IMAGE_WIDTH, InputName, InputSpec, ModelContract, RgbNormalisation,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::TactileDifference;
 
 const PIXELS: usize = IMAGE_WIDTH as usize * IMAGE_HEIGHT as usize;
@@ -114,23 +114,17 @@ impl InputTensor {
 }
 
 fn defect(cause: impl std::fmt::Display) -> Error {
-    Error::new(
-        ErrorKind::Internal,
-        format!("cannot hold an input tensor: {cause}"),
-    )
+    Error::internal(format!("cannot hold an input tensor: {cause}"))
 }
 
 fn check_size(name: InputName, width: u32, height: u32) -> Result<()> {
     if (width, height) == (IMAGE_WIDTH, IMAGE_HEIGHT) {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "picture for `{name}`: expected {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
+    Err(Error::input(format!(
+        "picture for `{name}`: expected {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
              {width}×{height}"
-        ),
-    )
+    ))
     .remedy("crop and resize the picture with the model's crop profile first"))
 }
 

@@ -9,7 +9,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_imaging::TactileDifference;
 
 /// Key of the metadata.
@@ -198,7 +198,7 @@ impl Novelty {
     pub fn of_metadata(text: &str) -> Result<Self> {
         let refused = |what: &str| {
             let what = format!("`{METADATA}` of the model {what}");
-            Error::new(ErrorKind::Input, what).remedy("train or export the model again")
+            Error::input(what).remedy("train or export the model again")
         };
         let found: Self = serde_json::from_str(text)
             .map_err(|e| refused("is no description of training pictures").because(e))?;

@@ -9,7 +9,7 @@ use super::pictures::Stand;
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
 use super::recording::{Recorder, film};
 use super::selection::{Chosen, choose};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
 
 /// How this reality differs from its replay.
@@ -81,7 +81,7 @@ fn record(
     let names: BTreeSet<String> = grasps.iter().map(|g| film(&all[g.object], g)).collect();
     if let Some(foreign) = recorder.foreign(&names) {
         let what = format!("the dataset holds `{foreign}`, which is no grasp of this demo");
-        return Err(Error::new(ErrorKind::Input, what)
+        return Err(Error::input(what)
             .at(dataset.display())
             .remedy("give an empty folder, or the seed and size that the data was begun with"));
     }

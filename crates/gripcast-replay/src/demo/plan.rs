@@ -108,7 +108,7 @@ mod tests {
             cancel: Some(&stop),
         };
         let nothing = watch.for_each(2, DemoStage::Recording, &[1, 2, 3], &|_| {
-            Err::<(), _>(Error::new(ErrorKind::Internal, "begun"))
+            Err::<(), _>(Error::internal("begun"))
         });
         assert_eq!(nothing.unwrap_err().kind(), ErrorKind::Stopped);
     }

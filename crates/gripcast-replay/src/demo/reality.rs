@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::object::DemoObject;
 use super::sampler::Candidate;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName};
 use gripcast_base::workers::thread_cpu_s;
 use gripcast_sim::fem::GelResolution;
@@ -130,7 +130,7 @@ impl<'a> Reality<'a> {
         )?;
         let done = self.kept(&result, key, thread_cpu_s() - began);
         let text = serde_json::to_vec(&done)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write a result").because(e))?;
+            .map_err(|e| Error::internal("cannot write a result").because(e))?;
         place
             .replace(&text)
             .map_err(|e| Error::io("cannot write a result", e).at(place.display()))?;

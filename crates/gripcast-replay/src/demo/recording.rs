@@ -15,7 +15,7 @@ use super::reality::{Class, reality};
 use super::selection::Chosen;
 use super::tactile::{Contact, FRAME, Sensors};
 use gripcast_annotate::Annotator;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ContentKey, Label, ObjectName};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::{
@@ -151,9 +151,11 @@ impl Recorder {
         chosen: &Chosen,
         watch: &DemoWatch<'_>,
     ) -> Result<Shot> {
-        let grasped = chosen.simulated.grasped.as_ref().ok_or_else(|| {
-            Error::new(ErrorKind::Internal, "a grasp without its state was chosen")
-        })?;
+        let grasped = chosen
+            .simulated
+            .grasped
+            .as_ref()
+            .ok_or_else(|| Error::internal("a grasp without its state was chosen"))?;
         let mut draw = SeedStream::named(self.seed, &format!("pictures {}", film(object, chosen)));
         let placed = &chosen.candidate.placed;
         let contact = Contact {
@@ -322,9 +324,8 @@ impl Recorder {
                     },
                     intrinsics: (role == Role::External).then_some(beside),
                 };
-                let text = toml::to_string_pretty(&calibration).map_err(|e| {
-                    Error::new(ErrorKind::Internal, "cannot write the calibration").because(e)
-                })?;
+                let text = toml::to_string_pretty(&calibration)
+                    .map_err(|e| Error::internal("cannot write the calibration").because(e))?;
                 Ok((role, writer.put_calibration(&text)?))
             })
             .collect()
@@ -404,9 +405,8 @@ fn captured_at(chosen: &Chosen) -> Result<Timestamp> {
 }
 
 fn time(text: &str) -> Result<Timestamp> {
-    text.parse().map_err(|e: jiff::Error| {
-        Error::new(ErrorKind::Input, format!("`{text}` is no time")).because(e)
-    })
+    text.parse()
+        .map_err(|e: jiff::Error| Error::input(format!("`{text}` is no time")).because(e))
 }
 
 fn label(

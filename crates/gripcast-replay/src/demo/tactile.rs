@@ -1,7 +1,7 @@
 //! Frames of the demo data's tactile sensors: GelSight Minis that are not the one the project was
 //! calibrated on.
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 use gripcast_imaging::encode_jpeg;
 use gripcast_sim::grasp::{Finger, Placed, Snapshot};
@@ -103,9 +103,10 @@ impl Sensors {
         let before = TactileScene::at_start(contact.mesh, contact.gel, poses, opening, place)?;
         let after = TactileScene::of_snapshot(contact.mesh, contact.gel, contact.grasped, place)?;
         let full = (FRAME[0], FRAME[1]);
-        let window = profile.crop_profile.window(full.0, full.1).ok_or_else(|| {
-            Error::new(ErrorKind::Internal, "the crop leaves nothing of the frame")
-        })?;
+        let window = profile
+            .crop_profile
+            .window(full.0, full.1)
+            .ok_or_else(|| Error::internal("the crop leaves nothing of the frame"))?;
         let whole = WholeFrame::new(profile, window, full, full);
         let untouched = renderer.render(&before.untouched(), None)?;
         let mut frame = |scene: &TactileScene<'_>, seed| -> Result<Vec<u8>> {

@@ -15,7 +15,7 @@ mod tables;
 mod text;
 
 use super::report::{REPORT_FORMAT, REPORT_VERSION, Reality, Report};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_report::page;
 use maud::{Markup, Render, html};
 
@@ -28,14 +28,11 @@ const SCRIPT: &str = include_str!("script.js");
 /// `Input` where the report is of another format or version.
 pub fn page(report: &Report) -> Result<String> {
     if report.format != REPORT_FORMAT || report.version != REPORT_VERSION {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "cannot draw the page: expected {REPORT_FORMAT} version {REPORT_VERSION}, found \
+        return Err(Error::input(format!(
+            "cannot draw the page: expected {REPORT_FORMAT} version {REPORT_VERSION}, found \
                  {:?} version {}",
-                report.format, report.version
-            ),
-        )
+            report.format, report.version
+        ))
         .remedy("replay again with this version of gripcast"));
     }
     let page = Page { report };

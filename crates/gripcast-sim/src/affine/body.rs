@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use super::state::AffineState;
 use super::{Matrix12, Vector12};
 use crate::fem::{Projection, svd, symmetric_eigen};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Constants of one affine body.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,7 +39,7 @@ impl AffineBody {
         ];
         if let Some((name, value)) = named.iter().find(|(_, v)| !(*v > 0.0 && v.is_finite())) {
             let what = format!("object's {name} must be positive and finite, found {value}");
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         let skew = volume_second_moment - volume_second_moment.transpose();
         let largest = volume_second_moment
@@ -53,8 +53,9 @@ impl AffineBody {
             let what = format!(
                 "object's second moment must be symmetric and positive definite, found {volume_second_moment}"
             );
-            return Err(Error::new(ErrorKind::Input, what)
-                .remedy("give a closed mesh whose triangles all face outwards"));
+            return Err(
+                Error::input(what).remedy("give a closed mesh whose triangles all face outwards")
+            );
         }
         Ok(Self {
             mass_kg,

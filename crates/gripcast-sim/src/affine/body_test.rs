@@ -5,6 +5,7 @@
 
 use super::*;
 use crate::affine::{AffineRate, Cholesky};
+use gripcast_base::error::ErrorKind;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

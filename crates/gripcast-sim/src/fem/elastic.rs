@@ -8,7 +8,7 @@ use super::batch::Batch;
 use super::neo_hookean::{NeoHookean, Projection};
 use super::pattern::StiffnessPattern;
 use super::safe_step::SafeStep;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Elastic energy of linear tetrahedra as a function of the node positions.
 ///
@@ -116,7 +116,7 @@ impl Elastic {
 }
 
 fn bad_mesh(what: String) -> Error {
-    Error::new(ErrorKind::Input, format!("tetrahedral mesh: {what}"))
+    Error::input(format!("tetrahedral mesh: {what}"))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@
 use super::*;
 use crate::fem::{GelGrid, GelResolution};
 use glam::DMat3;
+use gripcast_base::error::ErrorKind;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

@@ -10,7 +10,7 @@
 use glam::DVec3;
 
 use super::surface::{Surface, boundary_triangles};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Extent of the standard gel pad in m: x, y, thickness.
 pub const PAD_SIZE_M: [f64; 3] = [0.025, 0.020, 0.004];
@@ -291,10 +291,9 @@ impl GelGrid {
     /// `Input` when the density is not positive and finite.
     pub fn lumped_masses(&self, density: f64) -> Result<Vec<f64>> {
         if !(density > 0.0 && density.is_finite()) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("gel density must be positive and finite, found {density} kg/m3"),
-            ));
+            return Err(Error::input(format!(
+                "gel density must be positive and finite, found {density} kg/m3"
+            )));
         }
         let mut masses = vec![0.0; self.positions.len()];
         for tet in &self.tets {
@@ -308,7 +307,7 @@ impl GelGrid {
 }
 
 fn bad_grid(what: String) -> Error {
-    Error::new(ErrorKind::Input, format!("gel grid: {what}"))
+    Error::input(format!("gel grid: {what}"))
 }
 
 /// Nodes over 0..length, finer towards `length`.

@@ -1,4 +1,5 @@
 use super::*;
+use gripcast_base::error::ErrorKind;
 use std::collections::BTreeMap;
 
 fn grids() -> Vec<GelGrid> {

@@ -8,7 +8,7 @@
 use glam::{DMat3, DVec3};
 
 use super::svd::{Svd, symmetric_eigen};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// What to do with negative eigenvalues of an element's tangent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -53,16 +53,14 @@ impl NeoHookean {
     /// `Config` unless the modulus is positive and finite and 0 <= ratio < 0.5.
     pub fn new(young_pa: f64, poisson: f64) -> Result<Self> {
         if !(young_pa > 0.0 && young_pa.is_finite()) {
-            return Err(Error::new(
-                ErrorKind::Config,
-                format!("Young's modulus must be positive and finite, found {young_pa} Pa"),
-            ));
+            return Err(Error::config(format!(
+                "Young's modulus must be positive and finite, found {young_pa} Pa"
+            )));
         }
         if !(0.0..0.5).contains(&poisson) {
-            return Err(Error::new(
-                ErrorKind::Config,
-                format!("Poisson's ratio must be at least 0 and below 0.5, found {poisson}"),
-            )
+            return Err(Error::config(format!(
+                "Poisson's ratio must be at least 0 and below 0.5, found {poisson}"
+            ))
             .remedy("use 0.49 for a nearly incompressible gel"));
         }
         Ok(Self {

@@ -5,6 +5,7 @@
 
 use super::super::svd::svd;
 use super::*;
+use gripcast_base::error::ErrorKind;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 

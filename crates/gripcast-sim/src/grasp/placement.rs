@@ -3,7 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Aabb, Pose, StablePose, TriangleMesh, stable_poses};
 
 /// Free space that is left between the object and each gel, m.
@@ -53,14 +53,11 @@ pub fn resting_pose(mesh: &TriangleMesh, wanted: Option<usize>) -> Result<(usize
     };
     let index = wanted.or_else(nearest).unwrap_or(0);
     let pose = poses.get(index).ok_or_else(|| {
-        Error::new(
-            ErrorKind::Input,
-            format!(
-                "there is no stable pose {index}: the object has {} (0 to {})",
-                poses.len(),
-                poses.len().saturating_sub(1)
-            ),
-        )
+        Error::input(format!(
+            "there is no stable pose {index}: the object has {} (0 to {})",
+            poses.len(),
+            poses.len().saturating_sub(1)
+        ))
         .remedy("pass a smaller --stable-pose, or --pose with t_world_object")
     })?;
     Ok((index, *pose))
@@ -133,10 +130,9 @@ impl Placement {
         ];
         for (flag, value) in numbers {
             if !value.is_finite() {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!("`{flag}` must be a finite number, found {value}"),
-                ));
+                return Err(Error::input(format!(
+                    "`{flag}` must be a finite number, found {value}"
+                )));
             }
         }
         Ok(())
@@ -177,12 +173,10 @@ impl GraspPose {
     /// `Input` with the place of the mistake and an example.
     pub fn from_json(text: &str) -> Result<Self> {
         serde_json::from_str(text).map_err(|e| {
-            Error::new(ErrorKind::Input, "this is no grasp pose")
-                .because(e)
-                .remedy(
-                    "write {\"t_object_gripper\": {\"t_m\": [x, y, z], \"q_wxyz\": [w, x, y, z]}}, \
+            Error::input("this is no grasp pose").because(e).remedy(
+                "write {\"t_object_gripper\": {\"t_m\": [x, y, z], \"q_wxyz\": [w, x, y, z]}}, \
                      optionally with \"t_world_object\" and \"opening_m\"",
-                )
+            )
         })
     }
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// How the fingers follow the force.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -76,10 +76,9 @@ impl Protocol {
         }
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
-                return Err(Error::new(
-                    ErrorKind::Config,
-                    format!("`{name}` must be a number above 0, found {value}"),
-                ));
+                return Err(Error::config(format!(
+                    "`{name}` must be a number above 0, found {value}"
+                )));
             }
         }
         Ok(())

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use crate::affine::{AffineBody, AffineState};
 use crate::fem::{GelGrid, GelResolution};
 use crate::solver::{Collider, Drive, Gel, GelMaterial, Object, SolverParameters, System};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{MassProperties, Pose, TriangleMesh};
 
 /// A finger of the gripper. Its gel's own frame has z from the back to the face, x along the
@@ -122,7 +122,7 @@ fn facing_nodes(grid: &GelGrid) -> Vec<[u32; 2]> {
 }
 
 fn input(what: String, remedy: &str) -> Error {
-    Error::new(ErrorKind::Input, what).remedy(remedy)
+    Error::input(what).remedy(remedy)
 }
 
 impl Scene {

@@ -7,7 +7,7 @@ use super::protocol::Protocol;
 use super::scene::GelSpec;
 use crate::fem::GelResolution;
 use crate::solver::{Drive, GelMaterial, SolverParameters};
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 
 /// A named set of parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,11 +77,8 @@ pub fn resolution_by_name(name: &str) -> Result<GelResolution> {
     known.ok_or_else(|| {
         let nearest = nearest_name(name, all.map(resolution_name));
         let hint = nearest.map_or(String::new(), |n| format!("did you mean {n}? "));
-        Error::new(
-            ErrorKind::Usage,
-            format!("there is no gel mesh named {name:?}"),
-        )
-        .remedy(format!("{hint}known are: coarse, default, fine"))
+        Error::usage(format!("there is no gel mesh named {name:?}"))
+            .remedy(format!("{hint}known are: coarse, default, fine"))
     })
 }
 

@@ -29,7 +29,7 @@ use serde_json::Value;
 
 use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 use crate::solver::StepReport;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::Pose;
 
 const MAGIC: [u8; 8] = *b"\x89GCT\r\n\x1a\n";
@@ -72,7 +72,7 @@ impl TraceFile {
             trace: &self.trace,
         };
         serde_json::to_vec(&document)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the trace").because(e))
+            .map_err(|e| Error::internal("cannot write the trace").because(e))
     }
 
     /// The binary form.
@@ -81,7 +81,7 @@ impl TraceFile {
     /// `Internal` where the header cannot be written or there are more than 2³² items.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let header = serde_json::to_vec(&self.header)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the trace").because(e))?;
+            .map_err(|e| Error::internal("cannot write the trace").because(e))?;
         let mut out = Writer(Vec::new());
         out.0.extend(MAGIC);
         out.u32(VERSION);
@@ -180,23 +180,21 @@ impl TraceFile {
 }
 
 fn not_a_trace(what: &str) -> Error {
-    Error::new(ErrorKind::Input, what)
-        .remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
+    Error::input(what).remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
 }
 
 fn check_version(version: u32) -> Result<()> {
     if version == VERSION {
         return Ok(());
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!("expected a trace of version {VERSION}, found {version}"),
-    )
+    Err(Error::input(format!(
+        "expected a trace of version {VERSION}, found {version}"
+    ))
     .remedy("use the gripcast that wrote it, or simulate the grasp again"))
 }
 
 fn damaged(what: String) -> Error {
-    Error::new(ErrorKind::Input, format!("the trace is damaged: {what}"))
+    Error::input(format!("the trace is damaged: {what}"))
         .remedy("check that the file was copied whole, or simulate the grasp again")
 }
 
@@ -208,8 +206,8 @@ impl Writer {
     }
 
     fn count(&mut self, value: usize) -> Result<()> {
-        let value = u32::try_from(value)
-            .map_err(|_| Error::new(ErrorKind::Internal, "the trace has too many items"))?;
+        let value =
+            u32::try_from(value).map_err(|_| Error::internal("the trace has too many items"))?;
         self.u32(value);
         Ok(())
     }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::grasp::sample_trace;
+use gripcast_base::error::ErrorKind;
 
 fn file() -> TraceFile {
     TraceFile {

@@ -8,7 +8,7 @@ use std::f64::consts::{FRAC_PI_4, TAU};
 
 use glam::{DVec2, DVec3};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
 /// What is pressed into a gel. Long indenters lie along the gel's y axis.
@@ -64,7 +64,7 @@ impl Indenter {
                     return Ok(());
                 }
                 let what = format!("the indenter's radius must be above 0 m, found {radius_m}");
-                Err(Error::new(ErrorKind::Input, what))
+                Err(Error::input(what))
             }
             Self::Plate => Ok(()),
             Self::Mesh(mesh) => mesh.validate(),

@@ -16,7 +16,7 @@ use crate::fem::{GelGrid, Side, Surface};
 use crate::solver::{
     Collider, Drive, Gel, GelMaterial, Object, SolverParameters, StepStart, System,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Long enough for inertia to be nothing: 2 g over its square is 2e-5 N/m.
 const DT_S: f64 = 10.0;
@@ -136,7 +136,7 @@ impl Press {
                 let what = format!(
                     "a press goes to depths above 0 and at most {deepest} m, found {goal:?}"
                 );
-                return Err(Error::new(ErrorKind::Input, what));
+                return Err(Error::input(what));
             }
         }
         let positive = [
@@ -149,7 +149,7 @@ impl Press {
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
                 let what = format!("a press needs a positive `{name}`, found {value}");
-                return Err(Error::new(ErrorKind::Input, what));
+                return Err(Error::input(what));
             }
         }
         Ok(())

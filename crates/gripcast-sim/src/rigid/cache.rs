@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::decomposition::Decomposition;
 use super::settings::DecompositionSettings;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, hex, sha256_hex};
 use gripcast_geometry::TriangleMesh;
 
@@ -50,7 +50,7 @@ impl DecompositionCache {
         // Computed outside the lock: other meshes need not wait.
         slot.get_or_init(|| self.load_or_compute(&key, mesh))
             .clone()
-            .map_err(|what| Error::new(ErrorKind::Input, what))
+            .map_err(|what| Error::input(what))
     }
 
     fn load_or_compute(
@@ -81,9 +81,8 @@ struct Key {
 
 impl Key {
     fn of(mesh: &TriangleMesh, settings: &DecompositionSettings) -> Result<Self> {
-        let json = serde_json::to_vec(settings).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write the parameters").because(e)
-        })?;
+        let json = serde_json::to_vec(settings)
+            .map_err(|e| Error::internal("cannot write the parameters").because(e))?;
         Ok(Self {
             mesh: mesh.content_hash(),
             settings: *settings,
@@ -155,8 +154,8 @@ fn write(place: &BeneathPath, key: &Key, found: &Decomposition) -> Result<()> {
         pieces: found.pieces().iter().map(piece).collect(),
         sha256: checksum(found.pieces()),
     };
-    let json = serde_json::to_vec(&file)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+    let json =
+        serde_json::to_vec(&file).map_err(|e| Error::internal("cannot write JSON").because(e))?;
     place
         .replace(&json)
         .map_err(|e| Error::io("cannot write the file", e).at(place.display()))

@@ -5,7 +5,7 @@ use rapier3d_f64::geometry::SharedShape;
 use rapier3d_f64::parry::query::intersection_test;
 
 use super::convert;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
 /// A shape that can be tested for collisions, in its own frame, m.
@@ -19,9 +19,9 @@ impl CollisionShape {
     pub fn surface(mesh: &TriangleMesh) -> Result<Self> {
         let vertices = mesh.vertices.iter().map(|v| convert::vector(*v));
         let surface = SharedShape::trimesh(vertices.collect(), mesh.triangles.clone());
-        surface.map(Self).map_err(|e| {
-            Error::new(ErrorKind::Input, "the mesh cannot be tested for collisions").because(e)
-        })
+        surface
+            .map(Self)
+            .map_err(|e| Error::input("the mesh cannot be tested for collisions").because(e))
     }
 
     /// A solid by its convex hull; none for a hull without volume.
@@ -37,13 +37,8 @@ impl CollisionShape {
     pub fn intersects(&self, at: &Pose, other: &Self, other_at: &Pose) -> Result<bool> {
         let (place, other_place) = (convert::pose(at), convert::pose(other_at));
         let hit = intersection_test(&place, self.0.as_ref(), &other_place, other.0.as_ref());
-        let hit = hit.map_err(|e| {
-            Error::new(
-                ErrorKind::Internal,
-                "shapes cannot be tested for collisions",
-            )
-            .because(e)
-        })?;
+        let hit =
+            hit.map_err(|e| Error::internal("shapes cannot be tested for collisions").because(e))?;
         Ok(hit.intersecting)
     }
 }

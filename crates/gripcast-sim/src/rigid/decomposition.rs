@@ -7,7 +7,7 @@ use rapier3d_f64::parry::transformation::voxelization::FillMode;
 
 use super::settings::DecompositionSettings;
 use super::{convert, merge};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{MassProperties, TriangleMesh, convex_hull};
 
 /// An object as convex pieces, in the frame of its mesh.
@@ -72,7 +72,7 @@ impl Decomposition {
     /// `Input` where a piece is no solid, or there is none.
     pub(super) fn from_pieces(pieces: Vec<TriangleMesh>) -> Result<Self> {
         let refused = |what: &str| {
-            Error::new(ErrorKind::Input, what.to_owned())
+            Error::input(what.to_owned())
                 .remedy("give the object a closed mesh with some thickness")
         };
         if pieces.is_empty() {

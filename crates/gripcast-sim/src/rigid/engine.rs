@@ -12,7 +12,7 @@ use super::start;
 use super::world::{World, WorldSetup};
 use crate::grasp::GraspResult;
 use crate::{Engine, EngineKind, GraspSetup};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::BeneathPath;
 use gripcast_geometry::TriangleMesh;
 
@@ -74,7 +74,7 @@ impl Engine for RigidEngine {
 
     fn parameters(&self) -> Result<Value> {
         serde_json::to_value(self.settings)
-            .map_err(|e| Error::new(ErrorKind::Internal, "cannot write the parameters").because(e))
+            .map_err(|e| Error::internal("cannot write the parameters").because(e))
     }
 
     fn success_height_m(&self) -> f64 {
@@ -110,10 +110,9 @@ fn validate(setup: &GraspSetup, friction: f64, force_n: f64) -> Result<()> {
     for (name, found, unit, least, most) in numbers {
         // Written so that NaN is refused as well.
         if !(found >= least && found <= most) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("the {name} must be from {least} to {most} {unit}, found {found}"),
-            )
+            return Err(Error::input(format!(
+                "the {name} must be from {least} to {most} {unit}, found {found}"
+            ))
             .remedy("use SI units: kg, N, m"));
         }
     }
@@ -122,8 +121,7 @@ fn validate(setup: &GraspSetup, friction: f64, force_n: f64) -> Result<()> {
         .iter()
         .all(|p| p.translation_m.is_finite() && p.rotation.is_finite())
     {
-        return Err(Error::new(
-            ErrorKind::Input,
+        return Err(Error::input(
             "the poses of object and gripper must be finite",
         ));
     }

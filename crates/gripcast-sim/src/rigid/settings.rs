@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Parameters of a grasp of rigid bodies. The default is Taxim's set-up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -193,10 +193,9 @@ impl RigidSettings {
 }
 
 fn outside<T: std::fmt::Display>(name: &str, found: &T, least: &T, most: &T) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!("the rigid simulator's `{name}` must be from {least} to {most}, found {found}"),
-    )
+    Error::input(format!(
+        "the rigid simulator's `{name}` must be from {least} to {most}, found {found}"
+    ))
     .remedy("leave it out for the default")
 }
 

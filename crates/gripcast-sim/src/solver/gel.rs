@@ -11,7 +11,7 @@ use super::parameters::SolverParameters;
 use crate::affine::AffineState;
 use crate::contact::barrier::Barrier;
 use crate::fem::{Elastic, GelGrid, NeoHookean, Projection, Surface};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// A step may move a node by at most this much relative to the object, m: it bounds the pairs
 /// that one iteration has to look at.
@@ -124,10 +124,9 @@ impl Gel {
             })
             .collect();
         if let Some(bad) = drive.iter().find(|k| !(k.is_finite() && **k > 0.0)) {
-            return Err(Error::new(
-                ErrorKind::Config,
-                format!("the drive's stiffness must be above 0, found {bad} N/m at a node"),
-            ));
+            return Err(Error::config(format!(
+                "the drive's stiffness must be above 0, found {bad} N/m at a node"
+            )));
         }
         let mut inertia: Vec<f64> = masses.iter().map(|m| m / (dt * dt)).collect();
         for &node in &driven {

@@ -16,7 +16,7 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use faer::{Par, Side};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// The matrix is not positive definite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,7 +65,7 @@ impl GelFactor {
     /// [`ErrorKind::Internal`] where the pattern is none.
     pub fn new(column_pointers: &[usize], row_indices: &[usize]) -> Result<Self> {
         let n = column_pointers.len().saturating_sub(1);
-        let defect = |what: &str| Error::new(ErrorKind::Internal, what.to_owned());
+        let defect = |what: &str| Error::internal(what.to_owned());
         let pattern =
             SymbolicSparseColMatRef::new_checked(n, n, column_pointers, None, row_indices);
         let parameters = CholeskySymbolicParams {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::contact::barrier::Barrier;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// What one step of the simulator depends on, besides the scene.
 ///
@@ -97,8 +97,7 @@ impl SolverParameters {
             return Err(wrong("ccd_slack", self.ccd_slack, "a number below 1"));
         }
         if self.max_iterations == 0 || self.max_grasp_iterations == 0 || self.max_factor_age == 0 {
-            return Err(Error::new(
-                ErrorKind::Config,
+            return Err(Error::config(
                 "`max_iterations`, `max_grasp_iterations` and `max_factor_age` must be at least 1, \
                  found 0",
             ));
@@ -108,10 +107,7 @@ impl SolverParameters {
 }
 
 fn wrong(name: &str, value: f64, expected: &str) -> Error {
-    Error::new(
-        ErrorKind::Config,
-        format!("`{name}` must be {expected}, found {value}"),
-    )
+    Error::config(format!("`{name}` must be {expected}, found {value}"))
 }
 
 #[cfg(test)]

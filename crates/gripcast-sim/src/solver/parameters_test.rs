@@ -1,6 +1,7 @@
 //! What parameters are refused, and how.
 
 use super::*;
+use gripcast_base::error::ErrorKind;
 
 type Set = fn(&mut SolverParameters, f64);
 

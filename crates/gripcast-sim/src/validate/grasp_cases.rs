@@ -11,7 +11,7 @@ use super::report::{Recorder, Tolerance};
 use crate::fem::GelResolution;
 use crate::grasp::{GraspOutcome, GraspResult, Protocol, simulate};
 use crate::solver::SolverParameters;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
 /// Seed of the grasps that must not penetrate.
@@ -113,8 +113,7 @@ pub(super) fn determinism(recorder: &mut Recorder, is_quick: bool) -> Result<()>
         };
         let run = |threads: usize| -> Result<String> {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
-            let pool = pool
-                .map_err(|e| Error::new(ErrorKind::Internal, "cannot start threads").because(e))?;
+            let pool = pool.map_err(|e| Error::internal("cannot start threads").because(e))?;
             let parameters = SolverParameters::default();
             let result = pool.install(|| simulate(&grasp.scene, &protocol, &parameters))?;
             Ok(state_hash(&result))

@@ -18,7 +18,7 @@ pub use report::{CaseResult, Report, Tolerance};
 
 use report::Recorder;
 
-use gripcast_base::error::{Error, ErrorKind, Result, nearest_name};
+use gripcast_base::error::{Error, Result, nearest_name};
 
 /// How much is computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -63,7 +63,7 @@ pub fn check_names(names: &[String]) -> Result<()> {
     let hint = hint.map_or(String::new(), |n| format!("did you mean {n}? "));
     let what = format!("there is no case named {name:?}");
     let remedy = format!("{hint}known are: {}", CASE_NAMES.join(", "));
-    Err(Error::new(ErrorKind::Usage, what).remedy(remedy))
+    Err(Error::usage(what).remedy(remedy))
 }
 
 /// Runs the named groups of cases, or all if none is named.
@@ -102,16 +102,16 @@ fn run_group(group: &str, is_quick: bool, recorder: &mut Recorder) -> Result<()>
         "press-sphere-3mm" => press_cases::sphere_3().run(recorder, is_quick),
         "press-friction" => press_cases::friction(recorder, is_quick),
         "mesh" => grasp_cases::mesh_agreement(recorder, is_quick),
-        other => Err(Error::new(
-            ErrorKind::Internal,
-            format!("case {other} is listed but not written"),
-        )),
+        other => Err(Error::internal(format!(
+            "case {other} is listed but not written"
+        ))),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     /// Runs a group with little effort; every number must hold.
     fn passes(group: &str) {

@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use super::report::Recorder;
 use crate::press::{Goal, Indenter, Press, half_pad, quarter_pad};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 const REFERENCE: &str = include_str!("../../../../tests/data/press_reference.json");
 
@@ -33,7 +33,7 @@ pub(super) fn reference(case: &str) -> Result<Vec<Row>> {
     struct File {
         cases: std::collections::BTreeMap<String, Case>,
     }
-    let broken = |what: String| Error::new(ErrorKind::Internal, what);
+    let broken = |what: String| Error::internal(what);
     let mut file: File = serde_json::from_str(REFERENCE)
         .map_err(|e| broken("the press reference cannot be read".to_owned()).because(e))?;
     let case = file.cases.remove(case);

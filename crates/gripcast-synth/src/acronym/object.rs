@@ -102,7 +102,7 @@ impl AcronymObject {
 }
 
 fn missing(mesh_file: &str, meshes: &Root) -> Error {
-    Error::new(ErrorKind::NotFound, "the mesh of the grasps is missing")
+    Error::not_found("the mesh of the grasps is missing")
         .at(mesh_file)
         .at(meshes.path().display())
         .remedy(

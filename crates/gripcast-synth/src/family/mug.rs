@@ -9,7 +9,7 @@ use super::draw::Draw;
 use super::lathe::{Lathe, Section};
 use super::outline::{Knot, even, open_line, rounded, sharp};
 use super::shape::sized;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
 /// Steps (columns, rows) around the block of 2 × 2 faces that an end of the handle replaces,
@@ -124,10 +124,10 @@ impl Handle {
     ) -> Result<()> {
         let rows = self.ends.map(|z| nearest_row(profile, rings, columns, z));
         let [Some(upper), Some(lower)] = rows else {
-            return Err(Error::new(ErrorKind::Internal, "no place for a handle"));
+            return Err(Error::internal("no place for a handle"));
         };
         if upper < lower + 4 {
-            return Err(Error::new(ErrorKind::Internal, "the handle is too short"));
+            return Err(Error::internal("the handle is too short"));
         }
         let at = |row: usize, (column, step): (i64, i64)| {
             let ring = &rings[(row as i64 + step) as usize];

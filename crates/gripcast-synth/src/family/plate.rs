@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation as _};
 
 use super::shape::{rounded_to_grid, slenderness};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
 /// Points of the lattice stay this many edges away from the rim.
@@ -138,7 +138,7 @@ impl Plate<'_> {
 
 /// Triangles, counter-clockwise, of the area inside an odd number of rims.
 fn triangulated(points: &[DVec2], sides: &[[usize; 2]]) -> Result<Vec<[usize; 3]>> {
-    let crossing = || Error::new(ErrorKind::Internal, "the rims of a plate cross or touch");
+    let crossing = || Error::internal("the rims of a plate cross or touch");
     let mut net = ConstrainedDelaunayTriangulation::<Point2<f64>>::new();
     let mut handles = Vec::with_capacity(points.len());
     for p in points {

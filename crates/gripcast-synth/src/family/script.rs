@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
 
 use super::draw::Draw;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// A formula.
 #[derive(Debug)]
@@ -58,10 +58,9 @@ pub(super) fn parse(text: &'static str) -> Result<Vec<Step>> {
     let read = &parser.tokens[..parser.at];
     let line = 1 + read.iter().filter(|t| **t == "\n").count();
     let found = parser.peek().unwrap_or("the end");
-    Err(Error::new(
-        ErrorKind::Internal,
-        format!("line {line} of a shape cannot be read at {found:?}"),
-    ))
+    Err(Error::internal(format!(
+        "line {line} of a shape cannot be read at {found:?}"
+    )))
 }
 
 /// The arguments of a command at the top of a text.

@@ -22,7 +22,7 @@ use super::rounded_box::rounded_box;
 use super::script::{Formula, Step, Values, parse};
 use super::shape::{EDGE_M, sized_within};
 use super::solid::{Form, Role, Solid};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
 /// Draws a shape of a file.
@@ -42,7 +42,7 @@ pub(super) fn draw(text: &'static str, draw: &mut Draw) -> Result<TriangleMesh> 
         }
         None
     });
-    made.unwrap_or_else(|| Err(Error::new(ErrorKind::Internal, "the shape has no body")))
+    made.unwrap_or_else(|| Err(Error::internal("the shape has no body")))
 }
 
 fn section_of(step: &Step, values: &mut Values<'_>) -> Section {

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{MassProperties, PrepareOptions, TriangleMesh, prepare};
 
 /// Triangles that a shape is meant to have, if its faces then are neither too small nor too wide.
@@ -105,7 +105,7 @@ pub(super) fn finished(mut mesh: TriangleMesh) -> Result<TriangleMesh> {
 }
 
 fn check(mesh: &TriangleMesh) -> Result<()> {
-    let fail = |what: String| Err(Error::new(ErrorKind::Internal, what));
+    let fail = |what: String| Err(Error::internal(what));
     let size = mesh.bounds().extent().max_element();
     if !(SIZE_M.0..=SIZE_M.1).contains(&size) {
         return fail(format!("its size is {size} m"));

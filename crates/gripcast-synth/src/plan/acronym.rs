@@ -6,7 +6,7 @@ use super::{Drafts, MeshSource, ObjectDraft};
 use crate::acronym::read_acronym;
 use crate::family::Category;
 use crate::properties::Material;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Root, SimulationId};
 use gripcast_base::random::SeedStream;
 
@@ -52,7 +52,7 @@ fn h5_files(folder: &Path) -> Result<Vec<BeneathPath>> {
         .map_err(|e| Error::io("cannot read the folder of grasps", e).at(folder.display()))?;
     files.retain(|file| file.name().ends_with(ENDING));
     if files.is_empty() {
-        return Err(Error::new(ErrorKind::Input, "the folder has no .h5 files")
+        return Err(Error::input("the folder has no .h5 files")
             .at(folder.display())
             .remedy("give the folder `grasps` of ACRONYM"));
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{PlanHeader, PlannedObject, PlannedSimulation};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Printable, Root, SimulationId, sha256_hex};
 
 /// Name of the plan in its folder.
@@ -111,11 +111,9 @@ impl Plan {
         if there == self.text()?.as_bytes() {
             return Ok(());
         }
-        Err(
-            Error::new(ErrorKind::Input, "another plan is in the folder already")
-                .at(place.display())
-                .remedy("give a new folder: results belong to the plan they were made of"),
-        )
+        Err(Error::input("another plan is in the folder already")
+            .at(place.display())
+            .remedy("give a new folder: results belong to the plan they were made of"))
     }
 
     /// The object of a simulation.
@@ -125,7 +123,7 @@ impl Plan {
     pub fn object(&self, simulation: &PlannedSimulation) -> Result<&PlannedObject> {
         self.objects.get(&simulation.object).ok_or_else(|| {
             let what = format!("{} is not of this plan", simulation.id);
-            Error::new(ErrorKind::Internal, what)
+            Error::internal(what)
         })
     }
 
@@ -133,7 +131,7 @@ impl Plan {
         let mut text = String::new();
         let mut line = |line: &Line| -> Result<()> {
             let json = serde_json::to_string(line)
-                .map_err(|e| Error::new(ErrorKind::Internal, "cannot write JSON").because(e))?;
+                .map_err(|e| Error::internal("cannot write JSON").because(e))?;
             text.push_str(&json);
             text.push('\n');
             Ok(())
@@ -154,7 +152,7 @@ impl Plan {
     /// `Input` with the line that is none of a plan, and for what [`Plan::new`] refuses.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let wrong = |number: usize, what: String| {
-            Error::new(ErrorKind::Input, format!("line {number}: {what}"))
+            Error::input(format!("line {number}: {what}"))
                 .remedy("make the plan again with the same flags: it comes out the same")
         };
         let mut header = None;
@@ -182,12 +180,12 @@ impl Plan {
         ids.sort_unstable();
         if let Some(twice) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
             let what = format!("two simulations are named {}", twice[0]);
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         let unknown = |s: &&PlannedSimulation| !self.objects.contains_key(&s.object);
         if let Some(unknown) = self.simulations.iter().find(unknown) {
             let what = format!("{} is of the unknown object {}", unknown.id, unknown.object);
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         Ok(())
     }
@@ -201,7 +199,7 @@ fn checked(header: PlanHeader) -> Result<PlanHeader> {
     let (format, version) = (Printable(&header.format), header.version);
     let what =
         format!("expected {PLAN_FORMAT} version {PLAN_VERSION}, found {format} version {version}");
-    Err(Error::new(ErrorKind::Input, what).remedy(
+    Err(Error::input(what).remedy(
         "make the plan again with the same flags, in a new folder; or read it with the release of \
          gripcast that made it",
     ))
@@ -225,12 +223,9 @@ fn checked_hash(root: &Root, plan: &[u8]) -> Result<String> {
     if expected == found {
         return Ok(found);
     }
-    Err(Error::new(
-        ErrorKind::Input,
-        format!(
-            "the plan was altered: expected the hash {}, found {found}",
-            Printable(expected)
-        ),
-    )
+    Err(Error::input(format!(
+        "the plan was altered: expected the hash {}, found {found}",
+        Printable(expected)
+    ))
     .remedy("restore it, or make a new plan in another folder; results belong to one plan"))
 }

@@ -16,7 +16,7 @@ use crate::properties::{
     APPEARANCES, Appearances, FRICTION_RANGE, MassMap, Modifier, PhysicalProperties, PropertyAsker,
     PropertyQuery, PropertySource, builtin_appearances, estimate, map_masses, oriented_size_m,
 };
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName, Root, SimulationId};
 use gripcast_base::random::SeedStream;
 use gripcast_base::workers::one_per_core;
@@ -146,10 +146,7 @@ pub fn make_plan(
         let reason = left_out
             .first()
             .map_or("no object was given", |l| &l.reason);
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("no object can be used: {reason}"),
-        ));
+        return Err(Error::input(format!("no object can be used: {reason}")));
     }
     let objects = described(&kept, settings, asker)?;
     let simulations = simulations(&kept, settings, engine)?;
@@ -216,7 +213,7 @@ fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
             "the object is {size_m:.3e} m large, expected {} to {} m",
             SIZE_M[0], SIZE_M[1]
         );
-        return Err(Error::new(ErrorKind::Input, what).remedy("check its unit and scale"));
+        return Err(Error::input(what).remedy("check its unit and scale"));
     }
     let (name, wanted, seed) = (&draft.name, settings.grasps, settings.seed);
     for force_n in &settings.stop_forces_n {
@@ -227,7 +224,7 @@ fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
         None => choose_grasps(name, &draft.mesh, wanted, seed)?,
     };
     if choice.grasps.is_empty() {
-        return Err(Error::new(ErrorKind::Input, without_grasps(&choice)));
+        return Err(Error::input(without_grasps(&choice)));
     }
     Ok(Seen {
         choice,
@@ -250,10 +247,10 @@ fn without_grasps(choice: &GraspChoice) -> String {
 fn check_names(drafts: &[ObjectDraft]) -> Result<()> {
     let mut names = BTreeSet::new();
     match drafts.iter().find(|draft| !names.insert(&draft.name)) {
-        Some(twice) => Err(Error::new(
-            ErrorKind::Input,
-            format!("two objects are named {}", twice.name),
-        )),
+        Some(twice) => Err(Error::input(format!(
+            "two objects are named {}",
+            twice.name
+        ))),
         None => Ok(()),
     }
 }
@@ -465,10 +462,9 @@ pub fn check_parameters(plan: &Plan, engine: &dyn Engine) -> Result<()> {
     let now = engine.parameters()?;
     match difference("", &plan.header.parameters, &now) {
         None => Ok(()),
-        Some((name, planned, now)) => Err(Error::new(
-            ErrorKind::Input,
-            format!("the plan was made with {name} = {planned}, this build has {now}"),
-        )
+        Some((name, planned, now)) => Err(Error::input(format!(
+            "the plan was made with {name} = {planned}, this build has {now}"
+        ))
         .remedy(format!(
             "run it with {}, or make a new plan",
             plan.header.software

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::{Plan, PlannedSimulation};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Environment variables in which schedulers tell the index of a task, from 0.
 pub const INDEX_VARIABLES: [&str; 4] = [
@@ -33,14 +33,12 @@ impl Shard {
         if index < count {
             return Ok(Self { index, count });
         }
-        Err(Error::new(
-            ErrorKind::Usage,
-            format!("shard {index}/{count} does not exist"),
+        Err(
+            Error::usage(format!("shard {index}/{count} does not exist")).remedy(format!(
+                "shards are 0/{count} to {}/{count}",
+                count.max(1) - 1
+            )),
         )
-        .remedy(format!(
-            "shards are 0/{count} to {}/{count}",
-            count.max(1) - 1
-        )))
     }
 
     /// `INDEX/COUNT`, or `COUNT` alone (as `/COUNT`) with the index from `variable`, which reads
@@ -50,7 +48,7 @@ impl Shard {
     /// `Usage` for other text, an index outside of the count, or an index that is nowhere.
     pub fn parse(text: &str, variable: impl Fn(&str) -> Option<String>) -> Result<Self> {
         let wrong = || {
-            Error::new(ErrorKind::Usage, format!("`{text}` is no shard"))
+            Error::usage(format!("`{text}` is no shard"))
                 .remedy("write INDEX/COUNT such as 0/8, or /8 where a scheduler tells the index")
         };
         let (index, count) = text.split_once('/').ok_or_else(wrong)?;
@@ -63,16 +61,14 @@ impl Shard {
             .find_map(|name| Some((name, variable(name)?)));
         let Some((name, told)) = told else {
             return Err(
-                Error::new(ErrorKind::Usage, format!("shard {text} lacks its index")).remedy(
-                    format!(
-                        "write INDEX{text}, or run it where one of {} is set",
-                        INDEX_VARIABLES.join(", ")
-                    ),
-                ),
+                Error::usage(format!("shard {text} lacks its index")).remedy(format!(
+                    "write INDEX{text}, or run it where one of {} is set",
+                    INDEX_VARIABLES.join(", ")
+                )),
             );
         };
         let index = usize::from_str(told.trim()).map_err(|_| {
-            Error::new(ErrorKind::Usage, format!("{name} is `{told}`, no index"))
+            Error::usage(format!("{name} is `{told}`, no index"))
                 .remedy("array tasks are numbered from 0")
         })?;
         Self::new(index, count)

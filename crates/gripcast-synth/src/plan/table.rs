@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 use super::{Drafts, MeshSource, ObjectDraft, TextureDraft};
 use crate::properties::{FRICTION_RANGE, Material, Modifier};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, SimulationId, read_text};
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::load_object_mesh_below;
@@ -78,7 +78,7 @@ pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
     if found.schema != SCHEMA {
         let what = format!("the table has schema {}, known is {SCHEMA}", found.schema);
         let remedy = "read it with the release of gripcast that it was written for";
-        return Err(at(Error::new(ErrorKind::Input, what).remedy(remedy)));
+        return Err(at(Error::input(what).remedy(remedy)));
     }
     if found.object.is_empty() {
         return Err(at(no_table()));
@@ -98,7 +98,7 @@ pub fn table_drafts(table: &Path, seed: u64) -> Result<Drafts> {
 }
 
 fn no_table() -> Error {
-    Error::new(ErrorKind::Input, "this is no table of objects").remedy(
+    Error::input("this is no table of objects").remedy(
         "write schema = 1 and, for each object, [[object]] with name, mesh, unit, category and \
          material (docs/synth.md)",
     )
@@ -109,7 +109,7 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
     in_range("fill", row.fill, [0.0, 1.0])?;
     in_range("friction", row.friction, FRICTION_RANGE)?;
     if row.category.trim().is_empty() {
-        return Err(Error::new(ErrorKind::Input, "`category` is empty"));
+        return Err(Error::input("`category` is empty"));
     }
     let material = Material::named(&row.material)?;
     let is_builtin = row.mesh.starts_with("builtin:");
@@ -117,8 +117,7 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
         (Some(unit), _) => unit.as_str(),
         (None, true) => "m",
         (None, false) => {
-            return Err(Error::new(
-                ErrorKind::Input,
+            return Err(Error::input(
                 "`unit` is missing: mesh files do not tell what their numbers mean",
             )
             .remedy("write unit = \"mm\", \"cm\", \"m\" or \"in\""));
@@ -131,7 +130,7 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
     let texture = |file: &String| {
         let place = folder.resolve_allowed(file).map_err(|_| {
             let what = format!("the texture {file:?} is not below the folder of the table");
-            Error::new(ErrorKind::Input, what).remedy(
+            Error::input(what).remedy(
                 "copy the picture beside the table, or allow its folder with \
                  GRIPCAST__FILES__LINKED_FOLDERS",
             )
@@ -159,8 +158,7 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
 
 fn in_range(name: &str, value: Option<f64>, [low, high]: [f64; 2]) -> Result<()> {
     match value {
-        Some(value) if !(value > 0.0 && value >= low && value <= high) => Err(Error::new(
-            ErrorKind::Input,
+        Some(value) if !(value > 0.0 && value >= low && value <= high) => Err(Error::input(
             format!("`{name}` must be above 0, from {low} to {high}, found {value}"),
         )),
         _ => Ok(()),
@@ -169,6 +167,7 @@ fn in_range(name: &str, value: Option<f64>, [low, high]: [f64; 2]) -> Result<()>
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
 
     use super::*;

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::TEXTURES;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, FileName, Label, Root, sha256_hex};
 use gripcast_visual::{Bitmap, read_bitmap};
 
@@ -52,13 +52,10 @@ impl PictureTexture {
         if found == self.sha256 {
             return Ok(());
         }
-        Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the texture changed: expected {}, found {found}",
-                self.sha256
-            ),
-        )
+        Err(Error::input(format!(
+            "the texture changed: expected {}, found {found}",
+            self.sha256
+        ))
         .remedy("restore the picture, or make the plan again in another folder"))
     }
 }
@@ -70,10 +67,9 @@ impl TextureDraft {
     /// Those of reading the picture; `Input` for a width that is not above 0.
     pub fn of_file(source: BeneathPath, width_m: f64) -> Result<Self> {
         if !(width_m > 0.0 && width_m.is_finite()) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!("the width of a texture must be above 0, found {width_m} m"),
-            )
+            return Err(Error::input(format!(
+                "the width of a texture must be above 0, found {width_m} m"
+            ))
             .remedy("give the width that the picture has on the object, in metres"));
         }
         let bytes = read(&source)?;
@@ -122,7 +118,7 @@ pub fn texture_folder(folder: &Path, width_m: f64) -> Result<Vec<TextureDraft>> 
         ENDINGS.iter().any(|ending| name.ends_with(ending))
     });
     if files.is_empty() {
-        return Err(Error::new(ErrorKind::Input, "the folder has no pictures")
+        return Err(Error::input("the folder has no pictures")
             .at(folder.display())
             .remedy("put PNG or JPEG files into it"));
     }
@@ -140,6 +136,7 @@ fn read(place: &BeneathPath) -> Result<Vec<u8>> {
 
 #[cfg(test)]
 mod tests {
+    use gripcast_base::error::ErrorKind;
     use std::fs;
 
     use super::*;

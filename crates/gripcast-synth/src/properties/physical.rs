@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::material::Material;
 use super::surface::SURFACES;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 
 /// Coefficients of friction that the paper's prompt asks for (A.1).
@@ -69,19 +69,17 @@ pub fn estimate(
     seed: u64,
 ) -> Result<PhysicalProperties> {
     if !(volume_m3 > 0.0 && volume_m3.is_finite()) {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("the volume must be positive and finite, found {volume_m3} m³"),
-        )
+        return Err(Error::input(format!(
+            "the volume must be positive and finite, found {volume_m3} m³"
+        ))
         .remedy("give a closed mesh whose triangles run counter-clockwise seen from outside"));
     }
     if let Some(fill) = fill
         && !(fill > 0.0 && fill <= 1.0)
     {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("the fill must be above 0 and at most 1, found {fill}"),
-        )
+        return Err(Error::input(format!(
+            "the fill must be above 0 and at most 1, found {fill}"
+        ))
         .remedy("give the share of the volume that is material: 1 for a massive object"));
     }
     let name = format!("physical/{category}/{}", material.name);
@@ -134,10 +132,9 @@ pub enum MassMap {
 /// `Input` for a mass that is not positive and finite.
 pub fn map_masses(masses_kg: &[f64], map: MassMap) -> Result<Vec<f64>> {
     if let Some((i, mass)) = (masses_kg.iter().enumerate()).find(|(_, m)| !is_mass(**m)) {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("mass {i} must be positive and finite, found {mass} kg"),
-        ));
+        return Err(Error::input(format!(
+            "mass {i} must be positive and finite, found {mass} kg"
+        )));
     }
     let forth = match map {
         MassMap::None => return Ok(masses_kg.to_vec()),

@@ -6,7 +6,7 @@ use std::path::Path;
 use super::facts::{DatasetFacts, ProgressFacts};
 use crate::MergeReport;
 use crate::plan::Plan;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, Printable, Root, sha256_hex};
 use gripcast_dataset::shard::ShardReader;
 
@@ -36,7 +36,7 @@ impl FoundDataset {
             });
             let what =
                 format!("the dataset is of another plan: expected {expected}, found {found}");
-            return Err(Error::new(ErrorKind::Input, what)
+            return Err(Error::input(what)
                 .at(folder.display())
                 .remedy("give the plan that it was merged from, or merge this one"));
         }
@@ -75,5 +75,5 @@ fn check(place: &BeneathPath, sha256: &str) -> Result<()> {
         return Ok(());
     }
     let what = "the file is not the one that was merged";
-    Err(Error::new(ErrorKind::Input, what))
+    Err(Error::input(what))
 }

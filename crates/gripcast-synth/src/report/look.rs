@@ -5,7 +5,7 @@ use image::{RgbImage, imageops};
 use super::facts::ExamplePictures;
 use super::gather::Done;
 use crate::store::ResultStore;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardImages, ShardRow};
 use gripcast_imaging::{Decoder, TactileDifference};
@@ -48,7 +48,7 @@ pub(super) fn look(
     let rows = store.rows(&done.result)?;
     let mut draw = SeedStream::named(seed, &format!("rendering of {id}"));
     let row = rows.get(draw.index(rows.len().max(1)));
-    let row = row.ok_or_else(|| Error::new(ErrorKind::Input, "there is no rendering"));
+    let row = row.ok_or_else(|| Error::input("there is no rendering"));
     row.and_then(|row| seen(row, is_shown))
         .map_err(|e| e.at(store.samples(id).display()))
 }

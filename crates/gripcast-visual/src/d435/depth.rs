@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::{BASELINE_M, LEFT_IMAGER_M};
 use crate::camera::Camera;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::random::gaussians;
 use gripcast_imaging::DepthImage;
 
@@ -69,21 +69,17 @@ impl DepthSettings {
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
-                return Err(Error::new(
-                    ErrorKind::Input,
-                    format!("the {name} must be positive, found {value}"),
-                ));
+                return Err(Error::input(format!(
+                    "the {name} must be positive, found {value}"
+                )));
             }
         }
         if !(self.subpixel >= 0.0 && (0.0..=1.0).contains(&self.common_share)) {
-            return Err(Error::new(
-                ErrorKind::Input,
-                format!(
-                    "the disparity's error must not be negative and its common share from 0 to \
+            return Err(Error::input(format!(
+                "the disparity's error must not be negative and its common share from 0 to \
                      1, found {} and {}",
-                    self.subpixel, self.common_share
-                ),
-            ));
+                self.subpixel, self.common_share
+            )));
         }
         Ok(())
     }
@@ -108,10 +104,9 @@ pub fn measure_depth(
     let (width, height) = (camera.width, camera.height);
     if depth_m.len() != width * height || depth_m.is_empty() {
         let found = depth_m.len();
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("a depth picture of {width}×{height} cannot hold {found} depths"),
-        ));
+        return Err(Error::input(format!(
+            "a depth picture of {width}×{height} cannot hold {found} depths"
+        )));
     }
     let mut codes = vec![0_u16; depth_m.len()];
     codes
@@ -128,7 +123,7 @@ pub fn measure_depth(
             }
         });
     DepthImage::from_vec(width as u32, height as u32, codes)
-        .ok_or_else(|| Error::new(ErrorKind::Internal, "the depth picture has the wrong size"))
+        .ok_or_else(|| Error::internal("the depth picture has the wrong size"))
 }
 
 /// One depth with its noise and quantisation.

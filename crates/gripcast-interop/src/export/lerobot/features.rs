@@ -3,7 +3,7 @@
 use serde_json::{Map, Value, json};
 
 use super::super::choice::Survey;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Stage;
 use gripcast_dataset::shard::TableKind;
 use gripcast_imaging::Role;
@@ -86,7 +86,7 @@ impl Features {
         if colour.is_empty() {
             let what = "there is no camera that every grasp has in one size";
             let remedy = "choose grasps of one rig with `--split` and `--part`, or another format";
-            return Err(Error::new(ErrorKind::Input, what).remedy(remedy));
+            return Err(Error::input(what).remedy(remedy));
         }
         let features = Self {
             colour,
@@ -151,6 +151,7 @@ impl Features {
 mod tests {
     use super::super::super::choice::Seen;
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     /// Stage, role, grasps that have it, sizes.
     type SeenCamera<'a> = (Stage, Role, usize, &'a [(u32, u32)]);

@@ -7,7 +7,7 @@ use image::RgbImage;
 use super::super::source::{Grasp, Picture};
 use super::FRAMES;
 use super::features::Features;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Stage;
 use gripcast_dataset::shard::TableCell;
 use gripcast_imaging::{
@@ -153,7 +153,7 @@ impl Frames {
 fn found(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Picture> {
     grasp.pictures.get(&(stage, role)).ok_or_else(|| {
         let what = format!("the grasp has no {} frame of {role}", stage.name());
-        Error::new(ErrorKind::Input, what)
+        Error::input(what)
     })
 }
 

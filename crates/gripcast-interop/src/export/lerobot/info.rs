@@ -4,7 +4,7 @@ use serde_json::{Map, Value, json};
 
 use super::features::Features;
 use super::{DATA_FILE_BYTES, FILES_PER_CHUNK, FRAMES};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::Descriptor;
 
 /// Version of LeRobot's format.
@@ -51,7 +51,7 @@ pub(super) fn info(
         },
     });
     let mut text = serde_json::to_vec_pretty(&info)
-        .map_err(|e| Error::new(ErrorKind::Internal, "cannot write info.json").because(e))?;
+        .map_err(|e| Error::internal("cannot write info.json").because(e))?;
     text.push(b'\n');
     Ok(text)
 }

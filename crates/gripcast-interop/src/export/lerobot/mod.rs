@@ -13,7 +13,7 @@ use super::format::{Setting, Writer};
 use super::source::Grasp;
 use features::Features;
 use frames::Frames;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileName};
 use gripcast_dataset::Outcome;
 use gripcast_dataset::shard::{TableCell, TableKind, TableWriter};
@@ -150,7 +150,7 @@ impl Writer for LeRobot<'_> {
             Outcome::Slip => false,
             Outcome::Unlabelled => {
                 let what = "the grasp lost its label during the export";
-                return Ok(Some(Error::new(ErrorKind::Input, what)));
+                return Ok(Some(Error::input(what)));
             }
         };
         let pictures = match self.frames.pictures(&grasp) {

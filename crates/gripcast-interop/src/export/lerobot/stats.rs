@@ -7,7 +7,7 @@ use serde_json::{Map, Value, json};
 
 use super::features::{DEPTH, Features, colour_name};
 use super::frames::FrameRow;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::shard::TableKind;
 
 /// Largest value of an 8-bit channel.
@@ -165,9 +165,8 @@ impl Stats {
                 stats.insert(name.clone(), object(of, count));
             }
         }
-        let mut text = serde_json::to_vec_pretty(&stats).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write the statistics").because(e)
-        })?;
+        let mut text = serde_json::to_vec_pretty(&stats)
+            .map_err(|e| Error::internal("cannot write the statistics").because(e))?;
         text.push(b'\n');
         Ok(text)
     }

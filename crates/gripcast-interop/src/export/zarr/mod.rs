@@ -17,7 +17,7 @@ use serde_json::json;
 use super::format::{Setting, Writer};
 use super::source::Grasp;
 use array::{Kind, Pictures, Rows};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Outcome, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role};
 use store::Store;
@@ -128,7 +128,7 @@ impl<'a> ReplayBuffer<'a> {
         let possible = 1..=LARGEST_SIDE;
         if !possible.contains(&width) || !possible.contains(&height) {
             let what = format!("pictures of {width}×{height} pixels cannot be");
-            return Err(Error::new(ErrorKind::Usage, what).remedy(format!(
+            return Err(Error::usage(what).remedy(format!(
                 "give 1 to {LARGEST_SIDE} pixels a side, as 320x240"
             )));
         }
@@ -149,7 +149,7 @@ impl<'a> ReplayBuffer<'a> {
             .collect();
         if cameras.is_empty() {
             let what = "no grasp has a picture of left, right or rgb";
-            return Err(Error::new(ErrorKind::Input, what));
+            return Err(Error::input(what));
         }
         let mut store = Store::create(setting.folder, is_zip(setting.folder.target()))?;
         store.put_json(".zattrs", &attributes(setting))?;

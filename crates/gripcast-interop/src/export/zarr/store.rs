@@ -9,7 +9,7 @@ use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use super::super::staged::{StagedFolder, write_failed};
 use super::ZIP_NAME;
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Keys with their bytes.
 pub(super) enum Store<'a> {
@@ -43,9 +43,8 @@ impl<'a> Store<'a> {
     }
 
     pub(super) fn put_json(&mut self, key: &str, value: &Value) -> Result<()> {
-        let mut text = serde_json::to_vec_pretty(value).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write a description").because(e)
-        })?;
+        let mut text = serde_json::to_vec_pretty(value)
+            .map_err(|e| Error::internal("cannot write a description").because(e))?;
         text.push(b'\n');
         self.put(key, &text)
     }

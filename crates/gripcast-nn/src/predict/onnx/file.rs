@@ -5,7 +5,7 @@ use std::path::Path;
 use prost::Message as _;
 use tract_onnx::pb::ModelProto;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 
 /// Field 1, varint: what every ONNX writer puts first (`ir_version`).
@@ -26,15 +26,11 @@ pub fn read(path: &Path) -> Result<Vec<u8>> {
 /// When the bytes are no ONNX message; says what they are instead where that can be told.
 pub fn decode(bytes: &[u8]) -> Result<ModelProto> {
     if bytes.is_empty() {
-        return Err(
-            Error::new(ErrorKind::Input, "the model file is empty (0 bytes)")
-                .remedy("copy or export the model again"),
-        );
+        return Err(Error::input("the model file is empty (0 bytes)")
+            .remedy("copy or export the model again"));
     }
     if let Some((found, remedy)) = recognise(bytes) {
-        return Err(
-            Error::new(ErrorKind::Input, format!("not an ONNX file but {found}")).remedy(remedy),
-        );
+        return Err(Error::input(format!("not an ONNX file but {found}")).remedy(remedy));
     }
     let decoded = ModelProto::decode(bytes).map_err(|cause| {
         let what = if bytes[0] == FIRST_BYTE {
@@ -45,18 +41,15 @@ pub fn decode(bytes: &[u8]) -> Result<ModelProto> {
         } else {
             "not an ONNX file".to_owned()
         };
-        Error::new(ErrorKind::Input, what)
+        Error::input(what)
             .because(cause)
             .remedy("copy or export the model again and compare its sha256 with its card")
     })?;
     if decoded.graph.is_none() {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "the file has {} bytes but no ONNX graph: it is cut off, or no ONNX file",
-                bytes.len()
-            ),
-        )
+        return Err(Error::input(format!(
+            "the file has {} bytes but no ONNX graph: it is cut off, or no ONNX file",
+            bytes.len()
+        ))
         .remedy("copy or export the model again and compare its sha256 with its card"));
     }
     Ok(decoded)
@@ -97,6 +90,7 @@ fn recognise(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     #[test]
     fn says_what_the_file_is_instead() {

@@ -10,7 +10,7 @@ use tract_onnx::pb::{
 };
 
 use super::{Attribute, IR_VERSION, OPSET};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Side of an input's or output's shape that is left open: any number of pictures at once.
 pub const OPEN_BATCH: i64 = -1;
@@ -203,10 +203,7 @@ impl OnnxGraphBuilder {
 
     fn defect(&self, what: &str) -> Error {
         let name = &self.graph.name;
-        Error::new(
-            ErrorKind::Internal,
-            format!("the ONNX graph `{name}` {what}"),
-        )
+        Error::internal(format!("the ONNX graph `{name}` {what}"))
     }
 }
 

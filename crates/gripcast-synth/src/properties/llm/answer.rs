@@ -4,7 +4,7 @@ use serde_json::{Deserializer, Map, Value};
 
 use crate::properties::appearance::APPEARANCES;
 use crate::properties::physical::{FRICTION_RANGE, is_mass};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Longest answer that is read, bytes; the answers asked for have a hundred.
 const LONGEST_BYTES: usize = 64 << 10;
@@ -141,16 +141,14 @@ fn quote(text: &str) -> String {
 }
 
 fn unusable(what: String) -> Error {
-    Error::new(
-        ErrorKind::Input,
-        format!("the answer cannot be used: {what}"),
-    )
+    Error::input(format!("the answer cannot be used: {what}"))
     .remedy("ask another model, or allow the table of materials in place of its answers (--llm-fallback)")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     #[test]
     fn json_is_found_wherever_it_stands() {

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, Root, hex};
 
 /// Version of the files.
@@ -80,9 +80,8 @@ impl AnswerCache {
             prompt: prompt.to_owned(),
             answer: answer.to_owned(),
         };
-        let mut text = serde_json::to_string_pretty(&entry).map_err(|e| {
-            Error::new(ErrorKind::Internal, "cannot write the answer as JSON").because(e)
-        })?;
+        let mut text = serde_json::to_string_pretty(&entry)
+            .map_err(|e| Error::internal("cannot write the answer as JSON").because(e))?;
         text.push('\n');
         let folder = self.folder.path();
         fs::create_dir_all(folder)

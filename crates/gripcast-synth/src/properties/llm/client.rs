@@ -96,10 +96,8 @@ impl LlmClient {
         let endpoint = Endpoint::parse(&options.url)?;
         let model = options.model.trim().to_owned();
         if model.is_empty() {
-            return Err(
-                Error::new(ErrorKind::Usage, "the name of the model is empty")
-                    .remedy("name a model of the endpoint, for instance gpt-4o"),
-            );
+            return Err(Error::usage("the name of the model is empty")
+                .remedy("name a model of the endpoint, for instance gpt-4o"));
         }
         Ok(Self {
             transport: Transport::new(endpoint, options.key, options.timeout)?,

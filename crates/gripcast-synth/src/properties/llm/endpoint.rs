@@ -4,7 +4,7 @@ use std::net::IpAddr;
 
 use ureq::http::Uri;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 const PATH: &str = "/chat/completions";
 
@@ -26,9 +26,7 @@ impl Endpoint {
     /// `Usage` for what is no such address, or has credentials, a query or a fragment, which would
     /// be printed with it. The text of such an address is not repeated.
     pub(super) fn parse(base: &str) -> Result<Self> {
-        let wrong = |what: String, remedy: &str| {
-            Err(Error::new(ErrorKind::Usage, what).remedy(remedy.to_owned()))
-        };
+        let wrong = |what: String, remedy: &str| Err(Error::usage(what).remedy(remedy.to_owned()));
         let base = base.trim();
         if base.contains(['@', '?', '#']) {
             return wrong(
@@ -66,6 +64,7 @@ fn is_local(host: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use gripcast_base::error::ErrorKind;
 
     #[test]
     fn addresses_get_the_path_once() {

@@ -3,7 +3,7 @@
 use std::env;
 use std::fmt;
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Environment variable that the key is read from when none is named.
 pub const DEFAULT_KEY_VARIABLE: &str = "OPENAI_API_KEY";
@@ -35,8 +35,7 @@ impl EndpointKey {
     pub fn new(text: &str) -> Result<Option<Self>> {
         let key = text.trim();
         if !key.bytes().all(|b| b.is_ascii_graphic()) {
-            return Err(Error::new(
-                ErrorKind::Config,
+            return Err(Error::config(
                 "the key has characters that no key has (spaces, line breaks or no ASCII)",
             )
             .remedy("set the variable to the key alone"));

@@ -1,6 +1,6 @@
 //! The paper's prompts (A.1), word for word, and what makes their answers readable.
 
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 
 /// Longest category or texture, characters.
 const LONGEST_NAME: usize = 120;
@@ -22,10 +22,9 @@ pub fn physical_prompt(texture: &str, category: &str, size_m: f64) -> Result<Str
         format!("{} {category}", name("texture", texture)?)
     };
     if !(size_m > 0.0 && size_m <= LARGEST_M) {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("the size must be above 0 and at most {LARGEST_M} m, found {size_m}"),
-        )
+        return Err(Error::input(format!(
+            "the size must be above 0 and at most {LARGEST_M} m, found {size_m}"
+        ))
         .remedy("check the unit of the mesh"));
     }
     Ok(format!(
@@ -57,10 +56,9 @@ fn name(kind: &str, text: &str) -> Result<String> {
     let joined = words.join(" ");
     let length = joined.chars().count();
     if length == 0 || length > LONGEST_NAME {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!("a {kind} must have 1 to {LONGEST_NAME} characters, found {length}"),
-        )
+        return Err(Error::input(format!(
+            "a {kind} must have 1 to {LONGEST_NAME} characters, found {length}"
+        ))
         .remedy("name the object in one or two words, for instance `coffee mug`"));
     }
     Ok(joined)

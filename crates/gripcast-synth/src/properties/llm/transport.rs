@@ -49,10 +49,7 @@ impl Transport {
         timeout: Duration,
     ) -> Result<Self> {
         if key.is_some() && !endpoint.encrypted && !endpoint.local {
-            return Err(Error::new(
-                ErrorKind::Usage,
-                "the key would go over the network unencrypted",
-            )
+            return Err(Error::usage("the key would go over the network unencrypted")
             .at(&endpoint.url)
             .remedy(
                 "use https, a tunnel to localhost (ssh -L), or leave the variable of the key empty",
@@ -95,9 +92,8 @@ impl Transport {
         if let Some(key) = &self.key {
             let text = format!("Bearer {}", key.reveal());
             // The error would have the text in it.
-            let mut value = HeaderValue::from_str(&text).map_err(|_| {
-                Failure::Final(Error::new(ErrorKind::Config, "the key cannot be sent"))
-            })?;
+            let mut value = HeaderValue::from_str(&text)
+                .map_err(|_| Failure::Final(Error::config("the key cannot be sent")))?;
             value.set_sensitive(true);
             request = request.header(AUTHORIZATION, value);
         }
@@ -120,11 +116,8 @@ impl Transport {
         let read = body.with_config().limit(LARGEST_BYTES).read_to_vec();
         let bytes = read.map_err(|error| match error {
             ureq::Error::BodyExceedsLimit(_) => Failure::Unusable(
-                Error::new(
-                    ErrorKind::Input,
-                    format!("the reply is longer than {LARGEST_BYTES} bytes"),
-                )
-                .remedy("check that the address is that of an OpenAI-compatible endpoint"),
+                Error::input(format!("the reply is longer than {LARGEST_BYTES} bytes"))
+                    .remedy("check that the address is that of an OpenAI-compatible endpoint"),
             ),
             other => self.unsent(&other),
         })?;
@@ -140,13 +133,10 @@ impl Transport {
         // Once more: in JSON the key may be written with escapes.
         content.map(|c| self.hide(c)).ok_or_else(|| {
             Failure::Unusable(
-                Error::new(
-                    ErrorKind::Input,
-                    format!(
-                        "the reply has no choices[0].message.content{}",
-                        self.explained(text)
-                    ),
-                )
+                Error::input(format!(
+                    "the reply has no choices[0].message.content{}",
+                    self.explained(text)
+                ))
                 .remedy("check that the address is that of an OpenAI-compatible endpoint"),
             )
         })
@@ -156,11 +146,11 @@ impl Transport {
         let what = self.hide(&error.to_string());
         match error {
             ureq::Error::BadUri(_) | ureq::Error::Http(_) | ureq::Error::InvalidProxyUrl => {
-                Failure::Final(Error::new(ErrorKind::Usage, what))
+                Failure::Final(Error::usage(what))
             }
             // Of the encryption: what comes is no TLS, or its certificate is not trusted.
             ureq::Error::Io(e) if e.kind() == io::ErrorKind::InvalidData => Failure::Final(
-                Error::new(ErrorKind::Config, format!("no secure connection: {what}")).remedy(
+                Error::config(format!("no secure connection: {what}")).remedy(
                     "use an endpoint with a public certificate, or http through a tunnel to \
                      localhost (ssh -L)",
                 ),

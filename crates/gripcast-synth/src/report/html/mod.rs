@@ -11,7 +11,7 @@ mod page_test;
 mod sheet;
 
 use super::facts::{Labels, SYNTH_REPORT_FORMAT, SYNTH_REPORT_VERSION, SynthReport};
-use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::error::{Error, Result};
 use gripcast_report::page::{Page, stack};
 use gripcast_report::{MISSING, fixed};
 use maud::{Markup, html};
@@ -36,14 +36,11 @@ const SECTIONS: [(&str, &str); 8] = [
 /// `Input` where the report is of another format or version.
 pub fn page(report: &SynthReport) -> Result<String> {
     if report.format != SYNTH_REPORT_FORMAT || report.version != SYNTH_REPORT_VERSION {
-        return Err(Error::new(
-            ErrorKind::Input,
-            format!(
-                "cannot draw the page: expected {SYNTH_REPORT_FORMAT} version \
+        return Err(Error::input(format!(
+            "cannot draw the page: expected {SYNTH_REPORT_FORMAT} version \
                  {SYNTH_REPORT_VERSION}, found {:?} version {}",
-                report.format, report.version
-            ),
-        )
+            report.format, report.version
+        ))
         .remedy("report again with this version of gripcast"));
     }
     let page = Page {
