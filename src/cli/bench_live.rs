@@ -14,7 +14,9 @@ use gripcast_base::error::Result;
 use gripcast_nn::predict::{Model, SHIPPED};
 
 /// Arguments.
+// Flattened into the arguments of gripcast-bench.
 #[derive(Clone, Debug, clap::Args)]
+#[group(skip)]
 pub struct Args {
     /// Length of the measurement
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=3600))]

@@ -13,7 +13,9 @@ use gripcast_nn::predict::{Model, PredictFigures, SHIPPED, measure, model_bytes}
 const LEAST_RUNS: u64 = 30;
 
 /// Arguments.
+// Flattened into the arguments of gripcast-bench.
 #[derive(Clone, Debug, clap::Args)]
+#[group(skip)]
 pub struct Args {
     /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
     #[arg(long, value_name = "MODEL", default_value = SHIPPED)]

@@ -4,8 +4,9 @@ use std::fs;
 use std::path::Path;
 
 /// Where the figures of a command stand in full.
-const SOURCES: [(&str, &[&str]); 7] = [
+const SOURCES: [(&str, &[&str]); 8] = [
     ("gripcast bench", &["docs/performance.md"]),
+    ("-p gripcast-bench", &["docs/performance.md"]),
     (
         "gripcast eval",
         &["docs/training.md", "models/gripcast-vt.toml"],

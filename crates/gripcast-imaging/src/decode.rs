@@ -1,6 +1,5 @@
 //! Frames to pictures.
 
-use fast_image_resize::Resizer;
 use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
@@ -8,7 +7,7 @@ use super::damage::FrameDamage;
 use super::frame::{Frame, LARGEST_SIDE, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
 use super::png::decode_png_rgb;
-use super::resample::{Source, check_stored, check_target, crop_and_resize, resample, window_of};
+use super::resample::{RgbScaler, Source, check_stored, check_target, crop_and_resize, window_of};
 use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
 use gripcast_base::error::{Error, Result as CrateResult};
@@ -37,7 +36,7 @@ use gripcast_base::error::{Error, Result as CrateResult};
 /// ```
 pub struct Decoder {
     jpeg: JpegDecoder,
-    resizer: Resizer,
+    scaler: RgbScaler,
     rgb: Vec<u8>,
 }
 
@@ -49,7 +48,7 @@ impl Decoder {
     pub fn new() -> CrateResult<Self> {
         Ok(Self {
             jpeg: JpegDecoder::new()?,
-            resizer: Resizer::new(),
+            scaler: RgbScaler::default(),
             rgb: Vec::new(),
         })
     }
@@ -97,7 +96,7 @@ impl Decoder {
             rgb: &self.rgb,
             reduction: 1,
         };
-        resample(&mut self.resizer, &source, window, width, height)
+        self.scaler.resample(&source, window, width, height)
     }
 
     fn decode_jpeg(
@@ -118,7 +117,7 @@ impl Decoder {
             rgb: pixels.rgb,
             reduction: scale.denominator(),
         };
-        resample(&mut self.resizer, &source, window, width, height)
+        self.scaler.resample(&source, window, width, height)
     }
 
     /// The whole frame at its own size, RGB; depth in false colour as in [`Decoder::decode`].

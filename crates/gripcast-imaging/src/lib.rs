@@ -45,6 +45,6 @@ pub use png::{
     decode_png, decode_png_grey16, decode_png_rgb, encode_png_grey8, encode_png_grey16,
     encode_png_rgb,
 };
-pub use resample::crop_and_resize;
+pub use resample::{RgbScaler, crop_and_resize};
 pub use srgb::{linear_to_srgb, srgb_decode, srgb_encode, srgb_to_linear};
 pub use z16::DepthImage;

@@ -1,7 +1,8 @@
 //! Crop and resize: the one way in which every picture reaches a model or a screen.
 
-use fast_image_resize::images::{Image, ImageRef};
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use fast_image_resize::images::{TypedImage, TypedImageRef};
+use fast_image_resize::pixels::U8x3;
+use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
 use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
@@ -60,7 +61,7 @@ pub fn crop_and_resize(
         rgb: picture.as_raw(),
         reduction: 1,
     };
-    resample(&mut Resizer::new(), &source, window, width, height)
+    RgbScaler::default().resample(&source, window, width, height)
 }
 
 /// The crop's window, or why there is none.
@@ -86,32 +87,81 @@ pub(super) fn check_target(width: u32, height: u32) -> Result<(), FrameDamage> {
     }
 }
 
-/// Resizes `window`, given in pixels of the original picture, to `width` × `height`.
-pub(super) fn resample(
-    resizer: &mut Resizer,
-    source: &Source<'_>,
-    window: CropWindow,
-    width: u32,
-    height: u32,
-) -> Result<RgbImage, FrameDamage> {
-    check_target(width, height)?;
-    let refused = || FrameDamage::TargetSize { width, height };
-    let mut out = RgbImage::new(width, height);
-    let scaled = |pixels: u32| f64::from(pixels) / f64::from(source.reduction);
-    let options = ResizeOptions::new()
-        .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
-        .crop(
-            scaled(window.left),
-            scaled(window.top),
-            scaled(window.width),
-            scaled(window.height),
-        );
-    let from = ImageRef::new(source.width, source.height, source.rgb, PixelType::U8x3)
-        .map_err(|_| refused())?;
-    let mut to =
-        Image::from_slice_u8(width, height, &mut out, PixelType::U8x3).map_err(|_| refused())?;
-    resizer
-        .resize(&from, &mut to, &options)
-        .map_err(|_| refused())?;
-    Ok(out)
+/// Resizes 8-bit RGB images; keeps its buffers.
+#[derive(Clone, Debug, Default)]
+pub struct RgbScaler(Resizer);
+
+impl RgbScaler {
+    /// RGB rows of `from` = (width, height), enlarged to the size `to` by bilinear interpolation.
+    ///
+    /// # Errors
+    /// [`FrameDamage`] when a size is not that of the rows or is 0.
+    pub fn enlarge(
+        &mut self,
+        rgb: &[u8],
+        from: (u32, u32),
+        to: (u32, u32),
+    ) -> Result<RgbImage, FrameDamage> {
+        let interpolation = ResizeAlg::Interpolation(FilterType::Bilinear);
+        self.resize(
+            rgb,
+            from,
+            to,
+            ResizeOptions::new().resize_alg(interpolation),
+        )
+    }
+
+    /// The image in the size `to` with a Catmull-Rom filter; what is too wide or too high is cut
+    /// off on both sides.
+    ///
+    /// # Errors
+    /// [`FrameDamage`] when a size is 0.
+    pub fn cover(&mut self, image: &RgbImage, to: (u32, u32)) -> Result<RgbImage, FrameDamage> {
+        let options = ResizeOptions::new()
+            .resize_alg(ResizeAlg::Convolution(FilterType::CatmullRom))
+            .fit_into_destination(None);
+        self.resize(image.as_raw(), image.dimensions(), to, options)
+    }
+
+    /// Resizes `window`, given in pixels of the original image, to `width` × `height`.
+    pub(super) fn resample(
+        &mut self,
+        source: &Source<'_>,
+        window: CropWindow,
+        width: u32,
+        height: u32,
+    ) -> Result<RgbImage, FrameDamage> {
+        check_target(width, height)?;
+        let scaled = |pixels: u32| f64::from(pixels) / f64::from(source.reduction);
+        let options = ResizeOptions::new()
+            .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
+            .crop(
+                scaled(window.left),
+                scaled(window.top),
+                scaled(window.width),
+                scaled(window.height),
+            );
+        let size = (source.width, source.height);
+        self.resize(source.rgb, size, (width, height), options)
+    }
+
+    // `resize_typed`: `resize` would compile the kernels of all pixel types, megabytes of them.
+    fn resize(
+        &mut self,
+        rgb: &[u8],
+        from: (u32, u32),
+        (width, height): (u32, u32),
+        options: ResizeOptions,
+    ) -> Result<RgbImage, FrameDamage> {
+        let refused = || FrameDamage::TargetSize { width, height };
+        let mut out = RgbImage::new(width, height);
+        let from =
+            TypedImageRef::<U8x3>::from_buffer(from.0, from.1, rgb).map_err(|_| refused())?;
+        let mut to =
+            TypedImage::<U8x3>::from_buffer(width, height, &mut out).map_err(|_| refused())?;
+        self.0
+            .resize_typed(&from, &mut to, &options)
+            .map_err(|_| refused())?;
+        Ok(out)
+    }
 }

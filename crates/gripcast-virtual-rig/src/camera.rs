@@ -7,8 +7,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use fast_image_resize::images::Image as ResizeImage;
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::RgbImage;
 
 use super::gel::GelPainter;
@@ -20,7 +18,7 @@ use gripcast_capture::calibration::CameraConfig;
 use gripcast_capture::camera::{
     CameraIdentity, CameraOpener, CaptureError, Clock, ControlValues, FrameSource, StreamInfo,
 };
-use gripcast_imaging::{Frame, PixelFormat, Role, encode_jpeg};
+use gripcast_imaging::{Frame, PixelFormat, RgbScaler, Role, encode_jpeg};
 
 /// Pictures are painted at most this wide and enlarged.
 const PAINTED_WIDTH: u32 = 640;
@@ -279,7 +277,7 @@ struct Painter {
     scene: Scene,
     painted: (u32, u32),
     info: StreamInfo,
-    resizer: Resizer,
+    scaler: RgbScaler,
 }
 
 impl Painter {
@@ -307,7 +305,7 @@ impl Painter {
             scene,
             painted,
             info: info.clone(),
-            resizer: Resizer::new(),
+            scaler: RgbScaler::default(),
         })
     }
 
@@ -320,36 +318,19 @@ impl Painter {
             Scene::Gel(painter) => painter.paint(moment, frame)?,
             Scene::Colour(painter) => painter.paint(moment, frame)?,
         };
-        let rgb = self.enlarged(painted)?;
-        Ok(match self.info.format {
-            PixelFormat::Mjpg => {
-                let picture = RgbImage::from_raw(self.info.width, self.info.height, rgb);
-                encode_jpeg(&picture.unwrap_or_default(), JPEG_QUALITY)?
-            }
-            PixelFormat::Grey => rgb.chunks_exact(3).map(luminance).collect(),
-            PixelFormat::Rgb => rgb,
-            PixelFormat::Yuyv | PixelFormat::Z16 => yuyv_bytes(&rgb),
-        })
-    }
-
-    fn enlarged(&mut self, painted: Vec<u8>) -> Result<Vec<u8>> {
-        let (width, height) = (self.info.width, self.info.height);
-        if self.painted == (width, height) {
-            return Ok(painted);
-        }
-        let failed = |error: &dyn std::fmt::Display| {
-            Error::internal(format!("cannot enlarge a picture: {error}"))
+        let size = (self.info.width, self.info.height);
+        let image = if self.painted == size {
+            RgbImage::from_raw(size.0, size.1, painted)
+        } else {
+            Some(self.scaler.enlarge(&painted, self.painted, size)?)
         };
-        let small =
-            ResizeImage::from_vec_u8(self.painted.0, self.painted.1, painted, PixelType::U8x3)
-                .map_err(|error| failed(&error))?;
-        let mut large = ResizeImage::new(width, height, PixelType::U8x3);
-        let bilinear =
-            ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear));
-        self.resizer
-            .resize(&small, &mut large, &bilinear)
-            .map_err(|error| failed(&error))?;
-        Ok(large.into_vec())
+        let image = image.ok_or_else(|| Error::internal("a painted image has another size"))?;
+        Ok(match self.info.format {
+            PixelFormat::Mjpg => encode_jpeg(&image, JPEG_QUALITY)?,
+            PixelFormat::Grey => image.chunks_exact(3).map(luminance).collect(),
+            PixelFormat::Rgb => image.into_raw(),
+            PixelFormat::Yuyv | PixelFormat::Z16 => yuyv_bytes(&image),
+        })
     }
 
     /// Counts of the depth unit, little endian; enlarged without mixing near and far.

@@ -1,15 +1,11 @@
 //! What the D435 on the virtual gripper and a camera beside the table see: the path-traced
 //! picture of the last key step, with the noise of a frame.
 
-use fast_image_resize::images::Image as ResizeImage;
-use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
-use image::RgbImage;
-
 use super::film::Film;
 use super::hand::SceneMoment;
 use super::random::{NoiseTable, mixed};
-use gripcast_base::error::{Error, Result};
-use gripcast_imaging::DepthImage;
+use gripcast_base::error::Result;
+use gripcast_imaging::{DepthImage, RgbScaler};
 use gripcast_visual::DepthSettings;
 
 /// Noise of the colour camera, grey levels.
@@ -31,7 +27,7 @@ pub(super) struct ColourPainter {
     place: Place,
     seed: u64,
     size: (u32, u32),
-    resizer: Resizer,
+    scaler: RgbScaler,
     noise: NoiseTable,
     /// Pictures of the keys, and of which grasp they are.
     shown: Option<(u64, Vec<Vec<u8>>)>,
@@ -45,7 +41,7 @@ impl ColourPainter {
             place,
             seed,
             size,
-            resizer: Resizer::new(),
+            scaler: RgbScaler::default(),
             noise: NoiseTable::new(seed, COLOUR_NOISE),
             shown: None,
         }
@@ -76,24 +72,10 @@ impl ColourPainter {
             Place::Hand => film.colour(),
             Place::Outside => film.outside(),
         }?;
-        let resized = strip.into_iter().map(|picture| self.resized(picture));
-        resized.collect()
-    }
-
-    /// A picture in our size; what is too wide or too high is cut off on both sides.
-    fn resized(&mut self, picture: RgbImage) -> Result<Vec<u8>> {
-        let failed = |cause: String| Error::internal(format!("cannot resize a picture: {cause}"));
-        let (width, height) = picture.dimensions();
-        let from = ResizeImage::from_vec_u8(width, height, picture.into_raw(), PixelType::U8x3)
-            .map_err(|e| failed(e.to_string()))?;
-        let mut to = ResizeImage::new(self.size.0, self.size.1, PixelType::U8x3);
-        let options = ResizeOptions::new()
-            .resize_alg(ResizeAlg::Convolution(FilterType::CatmullRom))
-            .fit_into_destination(None);
-        self.resizer
-            .resize(&from, &mut to, &options)
-            .map_err(|e| failed(e.to_string()))?;
-        Ok(to.into_vec())
+        strip
+            .iter()
+            .map(|image| Ok(self.scaler.cover(image, self.size)?.into_raw()))
+            .collect()
     }
 }
 
