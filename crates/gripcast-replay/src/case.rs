@@ -274,3 +274,7 @@ fn has_gels(trace: &Trace) -> bool {
     let mut gels = trace.snapshots.iter().flat_map(|s| &s.gels);
     gels.any(|nodes| !nodes.is_empty())
 }
+
+#[cfg(test)]
+#[path = "case_test.rs"]
+mod tests;

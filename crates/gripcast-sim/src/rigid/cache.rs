@@ -50,7 +50,7 @@ impl DecompositionCache {
         // Computed outside the lock: other meshes need not wait.
         slot.get_or_init(|| self.load_or_compute(&key, mesh))
             .clone()
-            .map_err(|what| Error::input(what))
+            .map_err(Error::input)
     }
 
     fn load_or_compute(
@@ -186,6 +186,16 @@ mod tests {
         let cache = DecompositionCache::in_folder(Root::new(folder).top()).unwrap();
         let mesh = builtin("spike").unwrap();
         cache.get(&mesh, &SETTINGS()).unwrap().pieces().to_vec()
+    }
+
+    /// Where this fails, decompositions have changed: raise [`FORMAT`], so that files of the old
+    /// ones are not read, and write the new sum here.
+    #[test]
+    fn format_stands_for_the_decompositions_of_this_version() {
+        let mesh = builtin("mug").unwrap();
+        let computed = Decomposition::of(&mesh, &SETTINGS()).unwrap();
+        let sum = checksum(computed.pieces());
+        assert_eq!((FORMAT, &sum[..16]), ("gripcast-convex-pieces-v1", "4d68a2ec81d16c19"));
     }
 
     #[test]
