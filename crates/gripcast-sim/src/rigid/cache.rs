@@ -195,7 +195,10 @@ mod tests {
         let mesh = builtin("mug").unwrap();
         let computed = Decomposition::of(&mesh, &SETTINGS()).unwrap();
         let sum = checksum(computed.pieces());
-        assert_eq!((FORMAT, &sum[..16]), ("gripcast-convex-pieces-v1", "4d68a2ec81d16c19"));
+        assert_eq!(
+            (FORMAT, &sum[..16]),
+            ("gripcast-convex-pieces-v1", "4d68a2ec81d16c19")
+        );
     }
 
     #[test]
