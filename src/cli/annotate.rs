@@ -15,7 +15,6 @@
 //! each with the reason · 130 interrupted; what is written by then is whole.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -26,7 +25,7 @@ use serde::Serialize;
 
 use super::sim_object::SimObject;
 use super::working::{Progress, interruptible};
-use super::{Context, print, print_json};
+use super::{Context, create_folder, print_report};
 use crate::daemon::{read_sheets, stored_intrinsics};
 use gripcast_annotate::{
     Annotation, Annotator, Observation, OverlayContent, is_between_fingers, overlay,
@@ -114,11 +113,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let summary = interruptible(context, "annotating", move |progress| {
         annotate(&args, progress)
     })??;
-    if json {
-        print_json(&summary)?;
-    } else {
-        print(&summary.text())?;
-    }
+    print_report(json, &summary, |summary| summary.text())?;
     if !summary.failed.is_empty() {
         return Err(Error::new(
             ErrorKind::Partial,
@@ -409,8 +404,7 @@ impl Work<'_> {
         // Inside a dataset nothing is written through a link.
         let folder = match &self.args.overlays {
             Some(folder) => {
-                fs::create_dir_all(folder)
-                    .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
+                create_folder(folder)?;
                 Root::new(folder).top()
             }
             None => Root::new(&self.args.dataset).top().join(OVERLAYS),

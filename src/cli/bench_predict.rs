@@ -10,7 +10,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_nn::predict::{Model, PredictFigures, SHIPPED, measure, model_bytes};
 
 /// Runs below this give no usable median.
-const LEAST_RUNS: u64 = 30;
+const MIN_RUNS: u64 = 30;
 
 /// Arguments.
 // Flattened into the arguments of gripcast-bench.
@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(long, value_name = "MODEL", default_value = SHIPPED)]
     model: String,
     /// Predictions to measure
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(LEAST_RUNS..))]
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(MIN_RUNS..))]
     pub runs: u64,
     /// Print one JSON object
     #[arg(long)]

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::board::folder;
 use super::sim_object::{SimObject, unit};
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::save;
@@ -193,10 +193,7 @@ impl SheetFlags {
             sheets: &self.out,
             board: &board,
         };
-        if self.json {
-            return print_json(&made);
-        }
-        print(&made.text())
+        print_report(self.json, &made, |made| made.text())
     }
 }
 

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::picture_folder::{file_name, pictures, read_grey};
 use super::working::{Progress, interruptible};
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
 use gripcast_base::files::save;
@@ -70,11 +70,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     })??;
     save(&args.out, found.board.to_toml().as_bytes())?;
     let report = Report::new(&found, &seen, &args.out);
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(&report.text())?;
-    }
+    print_report(args.json, &report, |report| report.text())?;
     if !context.quiet {
         for skipped in report.skipped.iter() {
             note!(

@@ -1,6 +1,5 @@
 //! Views of a board from a camera of a rig, with hints in the terminal.
 
-use std::fs;
 use std::io::{self, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -10,9 +9,9 @@ use crossterm::terminal::{disable_raw_mode, enable_raw_mode};
 use image::GrayImage;
 use image::imageops::grayscale;
 
-use super::Context;
 use super::calibrate_intrinsics::{Taken, diagnosed};
 use super::working::{Progress, interruptible};
+use super::{Context, create_folder};
 use crate::tui::Keyboard;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Printable, save};
@@ -56,8 +55,7 @@ pub(super) fn collect(
         .remedy(format!("choose one with --camera: {}", known.join(", ")))
     })?;
     if let Some(folder) = keep {
-        fs::create_dir_all(folder)
-            .map_err(|e| Error::io("cannot create the folder", e).at(folder.display()))?;
+        create_folder(folder)?;
     }
     let is_terminal = !context.quiet && io::stdin().is_terminal() && io::stderr().is_terminal();
     let keep = keep.map(Path::to_owned);

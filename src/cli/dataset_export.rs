@@ -22,7 +22,7 @@ use clap::ValueEnum;
 use super::dataset_text::{counted, outcomes_text, size_text};
 use super::render_visual::size;
 use super::working::interruptible;
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::Dataset;
 use gripcast_interop::export::{ExportFormat, ExportPlan, ExportReport, export};
@@ -95,11 +95,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             progress.at(done as u64, all as u64);
         })
     })??;
-    if json {
-        print_json(&report)?;
-    } else {
-        print(&text(&report))?;
-    }
+    print_report(json, &report, text)?;
     if report.left_out.is_empty() {
         return Ok(());
     }

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde_json::json;
 
 use super::working::interruptible;
-use super::{Context, print, print_json};
+use super::{Context, create_folder, print, print_json};
 use crate::note;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files;
@@ -61,8 +61,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
                 },
             )?;
             if let Some(out) = &args.out {
-                std::fs::create_dir_all(out)
-                    .map_err(|e| Error::io("cannot make the folder", e).at(out.display()))?;
+                create_folder(out)?;
                 let text = serde_json::to_vec_pretty(&report)
                     .map_err(|e| Error::internal("cannot write the report").because(e))?;
                 files::save(&out.join("eval.json"), &text)?;

@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use super::training_flags::TrainingFlags;
 use super::working::resumable;
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use gripcast_base::error::Result;
 use gripcast_base::workers::cores;
 use gripcast_nn::predict::contract::Variant;
@@ -106,10 +106,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             ExperimentEvent::Train(..) => {}
         })
     })??;
-    if args.json {
-        return print_json(&report);
-    }
-    print(&text(&report))
+    print_report(args.json, &report, text)
 }
 
 fn text(report: &ExperimentReport) -> String {

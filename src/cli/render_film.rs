@@ -12,7 +12,6 @@
 //! Exit codes: 0 made · 1 nothing could be made · 2 usage · 3 some of several traces could not be
 //! made into films · 130 interrupted.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -22,8 +21,8 @@ use super::render_out::Report;
 use super::render_source::SimulatedGrasp;
 use super::render_visual::{finish, size};
 use super::working::{Progress, interruptible};
-use super::{Context, print, print_json};
-use gripcast_base::error::{Error, Result};
+use super::{Context, create_folder, print, print_json};
+use gripcast_base::error::Result;
 use gripcast_base::files::save;
 use gripcast_sim::grasp::TraceFile;
 use gripcast_virtual_rig::{ShootSettings, shoot};
@@ -67,8 +66,7 @@ struct Written {
 
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
-    fs::create_dir_all(&args.out)
-        .map_err(|e| Error::io("cannot create the folder", e).at(args.out.display()))?;
+    create_folder(&args.out)?;
     let json = args.json;
     let report = interruptible(context, "filming", move |progress| {
         Report::of_traces(&args.trace, progress, |trace| {

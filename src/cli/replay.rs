@@ -16,7 +16,6 @@
 //! 130 interrupted; what is finished is kept.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -25,7 +24,7 @@ use jiff::Timestamp;
 use super::replay_report::{finish, text, write_report};
 use super::sim_grasp::{GelName, PresetName, above_zero};
 use super::working::{Progress, resumable};
-use super::{Context, print, print_json};
+use super::{Context, create_folder, print, print_json};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{ObjectName, Root};
 use gripcast_dataset::Dataset;
@@ -297,9 +296,7 @@ impl SweepFlags {
         fem.solver.max_grasp_iterations = self.max_iterations;
         let mut rigid = RigidSettings::default();
         rigid.decomposition.resolution = self.resolution;
-        fs::create_dir_all(&self.out).map_err(|e| {
-            Error::io("cannot make the folder of the report", e).at(self.out.display())
-        })?;
+        create_folder(&self.out)?;
         let pieces = Root::new(&self.out).top().join("convex-pieces");
         let mut engines = Vec::new();
         for kind in EngineKind::ALL {

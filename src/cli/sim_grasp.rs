@@ -22,7 +22,7 @@ use serde_json::{Value, json};
 
 use super::sim_object::{ObjectFlags, ObjectRecord, SimObject};
 use super::working::interruptible;
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::save;
@@ -298,11 +298,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         summary,
     };
     write_files(&args, &report, result, json!(gel_axes_m))?;
-    if args.out.json {
-        print_json(&report)?;
-    } else {
-        print(&text(&report))?;
-    }
+    print_report(args.out.json, &report, text)?;
     finish(context, &report)
 }
 

@@ -21,7 +21,7 @@ use serde::Serialize;
 
 use super::sim_grasp::GelName;
 use super::working::interruptible;
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use crate::note;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_geometry::{LengthUnit, PrepareOptions, TriangleMesh, load_mesh, prepare};
@@ -140,11 +140,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         wall_s,
         points: points?,
     };
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(&text(&report.points))?;
-    }
+    print_report(args.json, &report, |_| text(&report.points))?;
     let lost = report.points.iter().filter(|p| !p.converged).count();
     if lost == 0 {
         return Ok(());

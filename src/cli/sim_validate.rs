@@ -10,7 +10,7 @@
 //! Exit codes: 0 all hold · 2 there is no such case · 4 a number does not hold · 130 interrupted.
 
 use super::working::interruptible;
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_sim::validate::{self, CASE_NAMES, CaseResult, Effort, Report, Tolerance};
 
@@ -48,11 +48,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         }
         Ok::<_, Error>(report)
     })??;
-    if args.json {
-        print_json(&report)?;
-    } else {
-        print(&text(&report))?;
-    }
+    print_report(args.json, &report, text)?;
     if report.failed == 0 {
         return Ok(());
     }

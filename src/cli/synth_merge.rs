@@ -6,7 +6,7 @@
 use std::path::PathBuf;
 
 use super::working::interruptible;
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::Split;
 use gripcast_synth::curate::{Apart, CurationSettings};
@@ -77,11 +77,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             progress.at(done as u64, all as u64);
         })
     })??;
-    if is_json {
-        print_json(&report)?;
-    } else {
-        print(&text(&report))?;
-    }
+    print_report(is_json, &report, text)?;
     if report.open + report.failed == 0 {
         return Ok(());
     }

@@ -3,12 +3,11 @@
 //! Exit codes: 0 the report is there and the plan finished · 1 it could not be made · 2 usage · 3 it
 //! was written, but simulations of the plan are open or could not be done · 130 interrupted.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::replay_report::write_report;
 use super::working::interruptible;
-use super::{Context, print, print_json};
+use super::{Context, create_folder, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
 use gripcast_synth::plan::Plan;
@@ -52,8 +51,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             progress.at(done as u64, all as u64);
         })
     })??;
-    fs::create_dir_all(&out)
-        .map_err(|e| Error::io("cannot make the folder of the report", e).at(out.display()))?;
+    create_folder(&out)?;
     write_report(&report, &page(&report)?, &out)?;
     if is_json {
         report.examples.clear();

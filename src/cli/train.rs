@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use super::training_flags::TrainingFlags;
 use super::working::{Progress, resumable, resumable_under_screen};
-use super::{Context, print, print_json};
+use super::{Context, print_report};
 use crate::note;
 use crate::tui::{TrainingNews, TrainingScreen, TrainingStatus, epoch_line};
 use gripcast_base::error::{Error, Result};
@@ -85,10 +85,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             all_seeds(&args, &|news| tell(progress, &news))
         })??
     };
-    if is_json {
-        return print_json(&found);
-    }
-    print(&text(&found))
+    print_report(is_json, &found, text)
 }
 
 /// Whether a dashboard can be shown, and keys can be read, without stopping a job in the background.

@@ -18,18 +18,8 @@ use serde_json::Value;
 use crate::dataset::write_dataset;
 use crate::program::{gripcast, json, succeed};
 
-/// Commands without a schema: benches for developers, whose figures change with the code, and
-/// `replay demo`, which takes minutes and prints the report of `replay`.
-const WITHOUT_SCHEMA: [&str; 8] = [
-    "bench contact",
-    "bench grasp",
-    "bench pose",
-    "bench render",
-    "bench rigid",
-    "bench synth",
-    "bench train",
-    "replay demo",
-];
+/// `replay demo` takes minutes and prints the report of `replay`.
+const WITHOUT_SCHEMA: [&str; 1] = ["replay demo"];
 
 /// Objects whose keys are data: objects, operators, models, scenes, roles, parts of a dataset.
 const KEYED_BY_DATA: [&str; 7] = [

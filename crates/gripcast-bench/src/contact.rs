@@ -42,7 +42,7 @@ use crate::contact_scene::{ContactPhases, ContactScene, ContactState};
 use crate::peer::Peer;
 
 /// Runs below this give no usable minimum.
-const LEAST_RUNS: u64 = 20;
+const MIN_RUNS: u64 = 20;
 /// Relative difference of energy and gradient that rounding explains.
 const AGREEMENT: f64 = 1e-9;
 const IPCTK: Peer = Peer {
@@ -62,7 +62,7 @@ pub(crate) struct Args {
         default_value = "1280,5120,20480")]
     faces: Vec<String>,
     /// Measurements of each phase
-    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u64).range(LEAST_RUNS..))]
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u64).range(MIN_RUNS..))]
     runs: u64,
     /// Measure PyPI's ipctk as well
     #[arg(long, value_parser = [IPCTK.name])]

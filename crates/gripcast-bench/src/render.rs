@@ -31,7 +31,7 @@ use crate::peer::Peer;
 use crate::timing::Timing;
 
 /// Runs below this give no usable median.
-const LEAST_RUNS: u64 = 10;
+const MIN_RUNS: u64 = 10;
 const TAXIM: Peer = Peer {
     name: "taxim",
     packages: "taxim jax",
@@ -42,7 +42,7 @@ const TAXIM: Peer = Peer {
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     /// Images of each kind
-    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(LEAST_RUNS..))]
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(MIN_RUNS..))]
     runs: u64,
     /// Paths for each pixel of the visual image
     #[arg(long, value_name = "N", default_value_t = 64,

@@ -19,6 +19,7 @@ use std::time::Instant;
 use gripcast::cli::Context;
 use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
+use gripcast_base::statistics::median;
 use gripcast_geometry::{LengthUnit, TriangleMesh, load_object_mesh};
 use gripcast_sim::Engine as _;
 use gripcast_sim::grasp::{GraspOutcome, GraspResult};
@@ -28,7 +29,6 @@ use serde_json::json;
 
 use crate::peer::Peer;
 use crate::rigid_grasps::{Agreement, PeerAnswer, PeerGrasp, compare, peer_cases, random_grasps};
-use crate::timing::median;
 
 /// Fraction of outcomes that have to agree.
 const LEAST_AGREEMENT: f64 = 0.9;
@@ -81,14 +81,14 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     }
     let decomposition_s = began.elapsed().as_secs_f64();
     let grasps = random_grasps(&engine, &meshes, args.per_object, args.seed)?;
-    let (results, mut seconds) = simulated(&engine, &grasps)?;
+    let (results, seconds) = simulated(&engine, &grasps)?;
     let peer = match args.peer {
         Some(_) => ask(context, &engine, &grasps, &results, args.refine)?,
         None => None,
     };
     let lifted = |r: &&GraspResult| r.outcome == GraspOutcome::Success;
     let figures = Figures {
-        wall_s_median: median(&mut seconds),
+        wall_s_median: median(seconds.iter().copied()).unwrap_or(f64::NAN),
         wall_s_max: seconds.iter().copied().fold(0.0, f64::max),
         decomposition_s,
         grasps: grasps.len(),
@@ -167,9 +167,9 @@ fn ask(
     };
     let answer: PeerAnswer = serde_json::from_value(answer)
         .map_err(|e| PYBULLET.failed("its answer lacks a figure").because(e))?;
-    let mut seconds: Vec<f64> = answer.grasps.iter().map(|grasp| grasp.seconds).collect();
+    let seconds = answer.grasps.iter().map(|grasp| grasp.seconds);
     Ok(Some(Theirs {
-        wall_s_median: median(&mut seconds),
+        wall_s_median: median(seconds).unwrap_or(f64::NAN),
         agreement: compare(engine, grasps, results, &answer),
         version: answer.version,
     }))

@@ -2,6 +2,7 @@
 
 use std::time::Instant;
 
+use gripcast_base::statistics::median;
 use serde::Serialize;
 
 /// Minimum and median wall time, ms.
@@ -18,20 +19,13 @@ pub(crate) fn timed<T>(runs: usize, mut work: impl FnMut() -> T) -> Timing {
         std::hint::black_box(work());
         ms_since(started)
     });
-    let mut took: Vec<f64> = took.collect();
+    let took: Vec<f64> = took.collect();
     Timing {
         min: took.iter().copied().fold(f64::INFINITY, f64::min),
-        median: median(&mut took),
+        median: median(took).unwrap_or(f64::NAN),
     }
 }
 
 pub(crate) fn ms_since(started: Instant) -> f64 {
     started.elapsed().as_secs_f64() * 1e3
-}
-
-/// The median, of two the lower; NaN without values.
-pub(crate) fn median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    let middle = values.len().saturating_sub(1) / 2;
-    values.get(middle).copied().unwrap_or(f64::NAN)
 }

@@ -9,13 +9,13 @@ use gripcast::cli::Context;
 use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::random::SeedStream;
+use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
 use gripcast_nn::predict::contract::Variant;
 use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Step};
 use serde_json::json;
 
 use crate::peer::Peer;
-use crate::timing::median;
 
 const TORCH: Peer = Peer {
     name: "torch",
@@ -131,5 +131,5 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
             }
         }
     });
-    Ok([wall, cpu].map(|mut took| count as f64 / median(&mut took)))
+    Ok([wall, cpu].map(|took| count as f64 / median(took).unwrap_or(f64::NAN)))
 }

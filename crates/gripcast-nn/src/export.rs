@@ -14,7 +14,7 @@ use crate::predict::onnx::{Attribute, OPEN_BATCH, OnnxGraphBuilder, Value};
 use gripcast_base::error::{Error, Result};
 
 /// Widest padding of a recognised convolution, pixels.
-const MOST_PAD: usize = 16;
+const MAX_PAD: usize = 16;
 
 /// The bytes of a model's file.
 ///
@@ -271,7 +271,7 @@ fn sizes(graph: &GraphProto, input: InputName) -> Option<Architecture> {
             stride: first("strides")?,
             pad: first("pads")?,
         };
-        if spec.kernel == 0 || spec.stride == 0 || spec.pad > MOST_PAD {
+        if spec.kernel == 0 || spec.stride == 0 || spec.pad > MAX_PAD {
             return None;
         }
         for side in &mut side {

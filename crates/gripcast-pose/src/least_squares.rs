@@ -7,9 +7,9 @@ use gripcast_geometry::Pose;
 
 /// When a search ends.
 pub(crate) struct Search {
-    pub(crate) most_iterations: usize,
+    pub(crate) max_iterations: usize,
     /// Relative decrease of the cost that ends it.
-    pub(crate) least_decrease: f64,
+    pub(crate) min_decrease: f64,
     /// Damping beyond which it ends where it is; `None` if a system without solution ends it
     /// without a result.
     pub(crate) largest_damping: Option<f64>,
@@ -46,7 +46,7 @@ impl Search {
             cost,
         };
         let mut damping = 1e-4;
-        for _ in 0..self.most_iterations {
+        for _ in 0..self.max_iterations {
             let trial = step(&best.state, &best.equations, damping);
             if trial.is_none() && self.largest_damping.is_none() {
                 return None;
@@ -63,7 +63,7 @@ impl Search {
             });
             if let Some(next) = next {
                 let decrease = best.cost - next.cost;
-                let is_done = decrease <= self.least_decrease * best.cost || is_small;
+                let is_done = decrease <= self.min_decrease * best.cost || is_small;
                 best = next;
                 damping = (damping * 0.1).max(1e-12);
                 if is_done {

@@ -1,8 +1,8 @@
 //! The whole engine on cameras in memory.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot, watch};
@@ -18,15 +18,38 @@ use gripcast_session::{Command, CommandResult, CommandSource};
 
 const WIDTH: u32 = 640;
 const HEIGHT: u32 = 480;
-const INTERVAL: Duration = Duration::from_millis(25);
 
-/// A tactile camera that sends YUYV: even grey, stripes while its gel is pressed.
+/// Sends whether the gel is pressed, once a frame.
+type Shutter = std::sync::mpsc::Sender<bool>;
+
+/// A tactile camera that sends YUYV: even grey, stripes while its gel is pressed. It takes a frame
+/// when the test says so.
 #[derive(Clone)]
 struct YuyvGel {
     role: Role,
-    is_pressed: Arc<AtomicBool>,
+    shutter: Arc<Mutex<Receiver<bool>>>,
     info: StreamInfo,
     sequence: u32,
+}
+
+impl YuyvGel {
+    fn new(role: Role) -> (Self, Shutter) {
+        let (shutter, taken) = std::sync::mpsc::channel();
+        let gel = Self {
+            role,
+            shutter: Arc::new(Mutex::new(taken)),
+            info: StreamInfo {
+                identity: CameraIdentity::default(),
+                format: PixelFormat::Yuyv,
+                width: WIDTH,
+                height: HEIGHT,
+                nominal_fps: 40.0,
+                depth_unit_m: None,
+            },
+            sequence: 0,
+        };
+        (gel, shutter)
+    }
 }
 
 impl CameraOpener for YuyvGel {
@@ -48,9 +71,10 @@ impl FrameSource for YuyvGel {
         &self.info
     }
 
-    fn next_frame(&mut self, _: Duration) -> std::result::Result<Frame, CaptureError> {
-        std::thread::sleep(INTERVAL);
-        let rise = 60 * u8::from(self.is_pressed.load(Ordering::Relaxed));
+    fn next_frame(&mut self, timeout: Duration) -> std::result::Result<Frame, CaptureError> {
+        let is_pressed = self.shutter.lock().unwrap().recv_timeout(timeout);
+        let is_pressed = is_pressed.map_err(|_| CaptureError::Timeout)?;
+        let rise = 60 * u8::from(is_pressed);
         // Luma and chroma of a pixel in turn; a stripe is 40 pixels wide.
         let pixel = |n: u32| [100 + rise * u8::from((n / 40).is_multiple_of(2)), 128];
         let data: Vec<u8> = (0..WIDTH * HEIGHT).flat_map(pixel).collect();
@@ -71,26 +95,13 @@ impl FrameSource for YuyvGel {
     }
 }
 
-fn setup(dataset: PathBuf, is_pressed: &Arc<AtomicBool>) -> EngineSetup {
+fn setup(dataset: PathBuf, gels: [YuyvGel; 2]) -> EngineSetup {
     let mut rig = RigFile::virtual_rig();
     rig.cameras.retain(|role, _| role.is_tactile());
-    let gel = |role| -> Box<dyn CameraOpener> {
-        Box::new(YuyvGel {
-            role,
-            is_pressed: Arc::clone(is_pressed),
-            info: StreamInfo {
-                identity: CameraIdentity::default(),
-                format: PixelFormat::Yuyv,
-                width: WIDTH,
-                height: HEIGHT,
-                nominal_fps: 40.0,
-                depth_unit_m: None,
-            },
-            sequence: 0,
-        })
-    };
     EngineSetup {
-        openers: vec![gel(Role::Left), gel(Role::Right)],
+        openers: gels
+            .map(|gel| Box::new(gel) as Box<dyn CameraOpener>)
+            .into(),
         rig,
         intrinsics: BTreeMap::new(),
         supervision: SupervisionPolicy {
@@ -118,29 +129,43 @@ fn setup(dataset: PathBuf, is_pressed: &Arc<AtomicBool>) -> EngineSetup {
     }
 }
 
-/// Gives a command until it is accepted: frames and contact have to come first.
-async fn accepted(commands: &mpsc::Sender<Asked>, command: Command) {
-    for _ in 0..400 {
-        let (asked, answer) = Asked::with_answer(command.clone(), CommandSource::Script);
-        commands.send(asked).await.unwrap();
-        match answer.await.unwrap() {
-            CommandResult::Accepted => return,
-            CommandResult::Refused { .. } => tokio::time::sleep(INTERVAL).await,
-            CommandResult::Failed { error } => panic!("{error}"),
+/// What the operator of the test has in hand.
+struct Bench {
+    commands: mpsc::Sender<Asked>,
+    shutters: [Shutter; 2],
+    status: watch::Receiver<Arc<EngineStatus>>,
+}
+
+impl Bench {
+    /// Gives a command until it is accepted: frames and contact have to come first. Each try takes
+    /// a frame with both gels; the next one waits for the engine's next status.
+    async fn accepted(&mut self, command: Command, is_pressed: bool) {
+        for _ in 0..400 {
+            for shutter in &self.shutters {
+                shutter.send(is_pressed).unwrap();
+            }
+            let (asked, answer) = Asked::with_answer(command.clone(), CommandSource::Script);
+            self.commands.send(asked).await.unwrap();
+            match answer.await.unwrap() {
+                CommandResult::Accepted => return,
+                CommandResult::Refused { .. } => self.status.changed().await.unwrap(),
+                CommandResult::Failed { error } => panic!("{error}"),
+            }
         }
+        panic!("`{command}` was never accepted");
     }
-    panic!("`{command}` was never accepted");
 }
 
 #[tokio::test]
 async fn a_rig_whose_gels_send_yuyv_saves_and_predicts() {
     let dir = tempfile::tempdir().unwrap();
-    let is_pressed = Arc::new(AtomicBool::new(false));
-    let setup = setup(dir.path().join("d"), &is_pressed);
+    let (left, left_shutter) = YuyvGel::new(Role::Left);
+    let (right, right_shutter) = YuyvGel::new(Role::Right);
+    let setup = setup(dir.path().join("d"), [left, right]);
     let starting = EngineStatus::starting("d", "bench", Labels::default());
     let (commands, command_queue) = mpsc::channel(8);
     let (_limits, limits) = mpsc::channel(1);
-    let (status, mut newest) = watch::channel(Arc::new(starting));
+    let (status, newest) = watch::channel(Arc::new(starting));
     let (tones, _heard) = mpsc::unbounded_channel();
     let links = EngineLinks {
         commands: command_queue,
@@ -152,15 +177,20 @@ async fn a_rig_whose_gels_send_yuyv_saves_and_predicts() {
     };
     let (_stop, stopped) = oneshot::channel::<Ended>();
     let stop = async { stopped.await.unwrap_or(Ended::Interrupted) };
+    let mut bench = Bench {
+        commands,
+        shutters: [left_shutter, right_shutter],
+        status: newest,
+    };
     let operator = async {
-        accepted(&commands, Command::Initial).await;
-        is_pressed.store(true, Ordering::Relaxed);
-        accepted(&commands, Command::Grasp).await;
-        let seen = newest
-            .wait_for(|status| status.session.last.is_some())
-            .await;
-        let last = seen.unwrap().session.last.clone().unwrap();
-        commands
+        bench.accepted(Command::Initial, false).await;
+        bench.accepted(Command::Grasp, true).await;
+        let seen = bench
+            .status
+            .wait_for(|status| status.session.last.is_some());
+        let last = seen.await.unwrap().session.last.clone().unwrap();
+        bench
+            .commands
             .send(Asked::new(Command::Quit, CommandSource::Script))
             .await
             .unwrap();

@@ -15,8 +15,8 @@ use gripcast_imaging::Intrinsics;
 /// Number of a lens's parameters: fx, fy, cx, cy, k1, k2, p1, p2, k3.
 pub(super) const LENS: usize = 9;
 const SEARCH: Search = Search {
-    most_iterations: 80,
-    least_decrease: 1e-11,
+    max_iterations: 80,
+    min_decrease: 1e-11,
     largest_damping: Some(1e12),
 };
 

@@ -15,8 +15,8 @@ use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
 const SEARCH: Search = Search {
-    most_iterations: 50,
-    least_decrease: 1e-10,
+    max_iterations: 50,
+    min_decrease: 1e-10,
     largest_damping: None,
 };
 /// Steps below this (m, rad) change nothing.

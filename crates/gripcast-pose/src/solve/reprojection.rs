@@ -9,8 +9,8 @@ use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
 const SEARCH: Search = Search {
-    most_iterations: 60,
-    least_decrease: 1e-12,
+    max_iterations: 60,
+    min_decrease: 1e-12,
     largest_damping: None,
 };
 /// Steps below this (m, rad) change nothing.
