@@ -8,6 +8,7 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot, watch};
 
 use super::*;
+use crate::daemon::{CameraState, CameraStatus};
 use gripcast_capture::camera::{
     CameraIdentity, CaptureError, ControlValues, FrameSource, StreamInfo,
 };
@@ -137,22 +138,19 @@ struct Bench {
 }
 
 impl Bench {
-    /// Gives a command until it is accepted: frames and contact have to come first. Each try takes
-    /// a frame with both gels; the next one waits for the engine's next status.
-    async fn accepted(&mut self, command: Command, is_pressed: bool) {
-        for _ in 0..400 {
-            for shutter in &self.shutters {
-                shutter.send(is_pressed).unwrap();
-            }
-            let (asked, answer) = Asked::with_answer(command.clone(), CommandSource::Script);
-            self.commands.send(asked).await.unwrap();
-            match answer.await.unwrap() {
-                CommandResult::Accepted => return,
-                CommandResult::Refused { .. } => self.status.changed().await.unwrap(),
-                CommandResult::Failed { error } => panic!("{error}"),
-            }
+    /// Takes a frame with both gels and waits until the engine's status shows it.
+    async fn take_frames(&mut self, is_pressed: bool, is_shown: impl Fn(&EngineStatus) -> bool) {
+        for shutter in &self.shutters {
+            shutter.send(is_pressed).unwrap();
         }
-        panic!("`{command}` was never accepted");
+        let shown = self.status.wait_for(|status| is_shown(status)).await;
+        assert!(shown.is_ok());
+    }
+
+    async fn accepted(&self, command: Command) {
+        let (asked, answer) = Asked::with_answer(command, CommandSource::Script);
+        self.commands.send(asked).await.unwrap();
+        assert_eq!(answer.await.unwrap(), CommandResult::Accepted);
     }
 }
 
@@ -183,8 +181,17 @@ async fn a_rig_whose_gels_send_yuyv_saves_and_predicts() {
         status: newest,
     };
     let operator = async {
-        bench.accepted(Command::Initial, false).await;
-        bench.accepted(Command::Grasp, true).await;
+        let are_live = |status: &EngineStatus| {
+            let live = |camera: &CameraStatus| camera.state == CameraState::Live;
+            status.cameras.len() == 2 && status.cameras.iter().all(live)
+        };
+        bench.take_frames(false, are_live).await;
+        bench.accepted(Command::Initial).await;
+        let is_felt = |status: &EngineStatus| {
+            status.contact.len() == 2 && status.contact.values().all(|levels| *levels > 10.0)
+        };
+        bench.take_frames(true, is_felt).await;
+        bench.accepted(Command::Grasp).await;
         let seen = bench
             .status
             .wait_for(|status| status.session.last.is_some());
