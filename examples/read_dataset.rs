@@ -73,7 +73,7 @@ fn image_of(
 ) -> Result<RgbImage> {
     let missing = || Error::new(ErrorKind::NotFound, format!("{} has no {role}", record.id));
     let camera = record.stage(stage).cameras.get(&role).ok_or_else(missing)?;
-    let image = decoder.stored_picture(&dataset.stored_picture(record, camera)?)?;
+    let image = decoder.stored_image(&dataset.stored_image(record, camera)?)?;
     match &camera.crop_profile {
         Some(name) => Ok(crop_and_resize(
             &image,

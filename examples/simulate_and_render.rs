@@ -93,7 +93,7 @@ pub(crate) fn run(object: &str, folder: &Path) -> Result<String> {
     };
     let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
     let colour = develop(
-        &rendering.picture,
+        &rendering.image,
         &ColourSettings::default(),
         conditions.sensor_seed,
     );

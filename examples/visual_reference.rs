@@ -6,7 +6,7 @@
 //!     [--samples 4,16,64] [--reference 4096] [--threads N] [--export]
 //! ```
 //!
-//! Prints one JSON object. `OUT` receives the pictures as PFM (linear light) and PNG, and with
+//! Prints one JSON object. `OUT` receives the images as PFM (linear light) and PNG, and with
 //! `--export` the scene as `scene.json` with PLY meshes, PNG textures and a PFM dome whose rows
 //! begin and end at the poles, which `tests/peers/mitsuba_scene.py` renders.
 //! Materials: diffuse, principled, metal, glass.
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use gripcast_visual::{
-    Bitmap, Camera, Colour, DenoiseSettings, Environment, Material, Mesh, Picture, PixelFilter,
+    Bitmap, Camera, Colour, DenoiseSettings, Environment, Image, Material, Mesh, PixelFilter,
     RenderSettings, Renderer, Rendering, Scene, Watch, denoise, load_hdr,
 };
 use image::{Rgb, RgbImage};
@@ -62,10 +62,10 @@ fn main() -> Done<()> {
     let reference = match options.reference {
         0 => None,
         samples => {
-            let (Rendering { picture, .. }, cpu_s) = render(samples, 1)?;
-            save(&picture, &options.out.join("reference"))?;
-            figures.push(json!({"samples": samples, "cpu_s": cpu_s, "mean": picture.mean()}));
-            Some(picture)
+            let (Rendering { image, .. }, cpu_s) = render(samples, 1)?;
+            save(&image, &options.out.join("reference"))?;
+            figures.push(json!({"samples": samples, "cpu_s": cpu_s, "mean": image.mean()}));
+            Some(image)
         }
     };
     for &samples in &options.samples {
@@ -73,15 +73,15 @@ fn main() -> Done<()> {
         let started = cpu_seconds();
         let smooth = denoise(&rendering, &DenoiseSettings::default());
         let denoise_cpu_s = cpu_seconds() - started;
-        let picture = rendering.picture;
-        save(&picture, &options.out.join(format!("samples{samples}")))?;
+        let image = rendering.image;
+        save(&image, &options.out.join(format!("samples{samples}")))?;
         save(
             &smooth,
             &options.out.join(format!("samples{samples}denoised")),
         )?;
-        let error = |picture: &Picture| reference.as_ref().map(|r| picture.rmse(r)).transpose();
+        let error = |image: &Image| reference.as_ref().map(|r| image.rmse(r)).transpose();
         figures.push(json!({
-            "samples": samples, "cpu_s": cpu_s, "rmse": error(&picture)?, "mean": picture.mean(),
+            "samples": samples, "cpu_s": cpu_s, "rmse": error(&image)?, "mean": image.mean(),
             "denoise_cpu_s": denoise_cpu_s, "denoised_rmse": error(&smooth)?,
         }));
     }
@@ -124,7 +124,7 @@ fn options() -> Done<Options> {
         }
     }
     if options.out.as_os_str().is_empty() {
-        return Err("name a folder for the pictures".into());
+        return Err("name a folder for the images".into());
     }
     Ok(options)
 }
@@ -249,7 +249,7 @@ fn stripes(size: u32, dark: [u8; 3], light: [u8; 3]) -> RgbImage {
 }
 
 /// Soft sky with two bright spots.
-fn sky(width: usize, height: usize) -> Picture {
+fn sky(width: usize, height: usize) -> Image {
     let spots = [
         (
             DVec3::new(0.3, -0.6, 0.6).normalize(),
@@ -258,7 +258,7 @@ fn sky(width: usize, height: usize) -> Picture {
         ),
         (DVec3::new(0.5, 0.8, 0.4).normalize(), 25.0, [0.6, 0.8, 1.0]),
     ];
-    let mut picture = Picture::filled(width, height, [0.0; 3]);
+    let mut image = Image::filled(width, height, [0.0; 3]);
     for row in 0..height {
         for column in 0..width {
             let azimuth = 2.0 * PI * (0.5 - (column as f64 + 0.5) / width as f64);
@@ -276,22 +276,22 @@ fn sky(width: usize, height: usize) -> Picture {
                     rgb[k] += strength * colour[k] * falloff;
                 }
             }
-            picture.pixels[row * width + column] = rgb.map(|v| v as f32);
+            image.pixels[row * width + column] = rgb.map(|v| v as f32);
         }
     }
-    picture
+    image
 }
 
-fn save(picture: &Picture, path: &Path) -> Done<()> {
-    write_pfm(picture, &path.with_extension("pfm"))?;
-    picture.to_srgb8(0.8).save(path.with_extension("png"))?;
+fn save(image: &Image, path: &Path) -> Done<()> {
+    write_pfm(image, &path.with_extension("pfm"))?;
+    image.to_srgb8(0.8).save(path.with_extension("png"))?;
     Ok(())
 }
 
 /// Portable float map: rows from the bottom, little-endian.
-fn write_pfm(picture: &Picture, path: &Path) -> Done<()> {
-    let mut bytes = format!("PF\n{} {}\n-1.0\n", picture.width, picture.height).into_bytes();
-    for row in picture.pixels.chunks(picture.width).rev() {
+fn write_pfm(image: &Image, path: &Path) -> Done<()> {
+    let mut bytes = format!("PF\n{} {}\n-1.0\n", image.width, image.height).into_bytes();
+    for row in image.pixels.chunks(image.width).rev() {
         bytes.extend(row.iter().flatten().flat_map(|v| v.to_le_bytes()));
     }
     Ok(fs::write(path, bytes)?)
@@ -363,9 +363,9 @@ fn material_json(material: &Material) -> serde_json::Value {
 }
 
 /// The same dome on rows that begin and end at the poles: exact where ours is bilinear.
-fn with_poles(map: &Picture) -> Picture {
+fn with_poles(map: &Image) -> Image {
     let row = |r: usize, column: usize| map.at(column, r.min(map.height - 1));
-    let mut out = Picture::filled(map.width, 2 * map.height + 1, [0.0; 3]);
+    let mut out = Image::filled(map.width, 2 * map.height + 1, [0.0; 3]);
     for r in 0..out.height {
         for column in 0..map.width {
             let above = row((r.max(1) - 1) / 2, column);

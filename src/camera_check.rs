@@ -14,10 +14,10 @@ use gripcast_capture::camera::{
 use gripcast_capture::device::SystemRoot;
 use gripcast_imaging::{Frame, Intrinsics, Role};
 
-/// Share of the nominal frame rate that a camera has to reach; GelSight Minis are known to
+/// Fraction of the nominal frame rate that a camera has to reach; GelSight Minis are known to
 /// deliver three quarters of theirs.
 const RATE_NEEDED: f64 = 0.7;
-/// Share of damaged frames that is borne.
+/// Fraction of damaged frames that is borne.
 const DAMAGE_BORNE: f64 = 0.1;
 /// Longest wait for one frame.
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);

@@ -1,4 +1,4 @@
-//! What `collect` and `daemon` share: the rig, the model and the dataset of a configuration, made
+//! What `collect` and `daemon` fraction: the rig, the model and the dataset of a configuration, made
 //! ready for the engine, and the pedals.
 
 use std::collections::BTreeMap;

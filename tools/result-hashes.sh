@@ -13,8 +13,8 @@ binary=$(realpath "$1")
 mkdir -p "$2"
 folder=$(realpath "$2")
 cd "$(dirname "$0")/.."
-rm -rf "$folder"/{hashes,plan,data,run,pictures} "$folder"/*.json
-mkdir -p "$folder/pictures"
+rm -rf "$folder"/{hashes,plan,data,run,images} "$folder"/*.json
+mkdir -p "$folder/images"
 
 bench=("$(dirname "$binary")/gripcast-bench" -q)
 if "$binary" bench grasp --help >/dev/null 2>&1; then
@@ -51,11 +51,11 @@ for threads in 1 2; do
     done
 done
 trace=$folder/mug-1.json
-"$binary" -q render tactile --trace "$trace" --object builtin:mug --seed 1 --out "$folder/pictures/tactile" >/dev/null
+"$binary" -q render tactile --trace "$trace" --object builtin:mug --seed 1 --out "$folder/images/tactile" >/dev/null
 "$binary" -q render visual --trace "$trace" --object builtin:mug --seed 1 --samples 16 --size 160x120 \
-    --out "$folder/pictures/visual.png" >/dev/null
-(cd "$folder/pictures" && find . -name '*.png' | sort | xargs sha256sum) | note "render tactile, render visual"
-"${bench[@]}" pose --pictures 20 --json | untimed | note "bench pose"
+    --out "$folder/images/visual.png" >/dev/null
+(cd "$folder/images" && find . -name '*.png' | sort | xargs sha256sum) | note "render tactile, render visual"
+"${bench[@]}" pose --images 20 --json | untimed | note "bench pose"
 "$binary" -q synth plan --preset tiny --out "$folder/plan" >/dev/null
 "$binary" -q synth run --plan "$folder/plan" >/dev/null
 "$binary" -q synth merge --plan "$folder/plan" --out "$folder/data" --partial >/dev/null

@@ -5,7 +5,7 @@
 #   examples/cluster/slurm-submit.sh /shared/plan /shared/dataset 500
 #
 # Both folders must be on a file system that all nodes see. The plan's folder holds its meshes and
-# pictures, so it can be made elsewhere and copied as a whole. GRIPCAST names the program if it is
+# images, so it can be made elsewhere and copied as a whole. GRIPCAST names the program if it is
 # not on the PATH of the nodes. Shards are 0 to N-1; most clusters allow arrays of up to 1000 tasks.
 set -euo pipefail
 if [ "$#" -ne 3 ]; then

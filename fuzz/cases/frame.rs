@@ -1,4 +1,4 @@
-//! Frames as a camera may send them, and pictures as a dataset may hold them.
+//! Frames as a camera may send them, and images as a dataset may hold them.
 //!
 //! Input: format (byte 0, modulo 4), width and height in pixels less one (bytes 1 and 2), payload.
 
@@ -6,7 +6,7 @@ use std::cell::RefCell;
 
 use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, check_structure};
 
-/// Larger pictures only take longer.
+/// Larger images only take longer.
 const MAX_PIXELS: u32 = 1 << 16;
 
 thread_local! {
@@ -38,11 +38,8 @@ pub(crate) fn check(input: &[u8]) {
         let sound = check_structure(&frame).is_ok();
         let whole = decoder.decode_full(&frame);
         assert!(sound || whole.is_err(), "decoded a frame that is refused");
-        if let Ok(picture) = &whole {
-            assert_eq!(
-                (picture.width(), picture.height()),
-                (frame.width, frame.height)
-            );
+        if let Ok(image) = &whole {
+            assert_eq!((image.width(), image.height()), (frame.width, frame.height));
         }
         let _ = decoder.verify(&frame);
         let _ = decoder.depth(&frame);

@@ -7,7 +7,7 @@
 //! gripcast annotate demo --again --json           also those that have a pose
 //! ```
 //!
-//! The last sharp pictures of the external camera before the fingers close give
+//! The last sharp images of the external camera before the fingers close give
 //! `t_object_gripper` with its covariance, which goes into `grasp.json`; `overlays/GRASP.jpg` shows
 //! what was found. A pose that a person has corrected is never overwritten.
 //!
@@ -60,10 +60,10 @@ pub(crate) struct Args {
     /// Annotate grasps that have a pose again, unless a person has corrected it
     #[arg(long)]
     again: bool,
-    /// Folder of the overlay pictures [default: DATASET/overlays]
+    /// Folder of the overlay images [default: DATASET/overlays]
     #[arg(long, value_name = "DIR")]
     overlays: Option<PathBuf>,
-    /// Draw no overlay pictures
+    /// Draw no overlay images
     #[arg(long, conflicts_with = "overlays")]
     no_overlays: bool,
     /// Change nothing, only say what would be found
@@ -242,10 +242,10 @@ struct Work<'a> {
 
 impl Work<'_> {
     fn grasp(&mut self, record: &GraspRecord) -> Result<Annotated> {
-        let (pictures, unreadable) = self.pictures(record);
-        if pictures.is_empty() {
+        let (images, unreadable) = self.images(record);
+        if images.is_empty() {
             return Err(unreadable.unwrap_or_else(|| {
-                Error::not_found("the grasp has no picture of an external camera")
+                Error::not_found("the grasp has no image of an external camera")
                     .remedy("bind [cameras.external] in the rig file when collecting")
             }));
         }
@@ -253,14 +253,14 @@ impl Work<'_> {
         let Some(annotator) = &mut self.annotator else {
             return Err(Error::internal("there is no annotator"));
         };
-        let grey = pictures.iter().map(|p| (p.name.clone(), &p.grey));
+        let grey = images.iter().map(|p| (p.name.clone(), &p.grey));
         let Annotation {
             record: mut pose,
             shown,
-            shown_picture,
+            shown_image,
         } = annotator.annotate(grey)?;
         if let (Some(quality), Some(error)) = (&mut pose.quality, unreadable) {
-            let note = format!("a picture was left out: {}", error.what());
+            let note = format!("an image was left out: {}", error.what());
             quality.notes.push(note);
         }
         let mesh = self.mesh();
@@ -278,10 +278,10 @@ impl Work<'_> {
             let (shift_m, turn_rad) = distance(&pose, &truth.t_object_gripper_initial);
             (1e3 * shift_m, turn_rad.to_degrees())
         });
-        let colour = pictures.into_iter().find(|p| p.name == shown_picture);
+        let colour = images.into_iter().find(|p| p.name == shown_image);
         let overlay = match colour {
-            Some(picture) if !self.args.no_overlays && !self.args.dry_run => {
-                Some(self.draw(record, picture.colour, &shown, &pose, mesh.as_deref())?)
+            Some(image) if !self.args.no_overlays && !self.args.dry_run => {
+                Some(self.draw(record, image.colour, &shown, &pose, mesh.as_deref())?)
             }
             _ => None,
         };
@@ -295,17 +295,17 @@ impl Work<'_> {
         })
     }
 
-    /// The pictures from before the fingers closed, by time; an error of one that cannot be read.
-    fn pictures(&mut self, record: &GraspRecord) -> (Vec<Picture>, Option<Error>) {
+    /// The images from before the fingers closed, by time; an error of one that cannot be read.
+    fn images(&mut self, record: &GraspRecord) -> (Vec<Image>, Option<Error>) {
         let mut failure = None;
-        let mut pictures = Vec::new();
+        let mut images = Vec::new();
         for (camera, path) in self.dataset.before_closing(record) {
             let bytes = path
                 .read(FileKind::Image)
-                .map_err(|e| Error::io("cannot read the picture", e));
-            let read = bytes.and_then(|bytes| self.decoder.stored_picture(&bytes));
+                .map_err(|e| Error::io("cannot read the image", e));
+            let read = bytes.and_then(|bytes| self.decoder.stored_image(&bytes));
             match read.map_err(|e| e.at(path.display())) {
-                Ok(colour) => pictures.push(Picture {
+                Ok(colour) => images.push(Image {
                     name: camera.file.into(),
                     grey: grayscale(&colour),
                     colour,
@@ -313,7 +313,7 @@ impl Work<'_> {
                 Err(error) => failure = Some(error),
             }
         }
-        (pictures, failure)
+        (images, failure)
     }
 
     /// Sees to an annotator for the boards and the camera of a grasp.
@@ -396,7 +396,7 @@ impl Work<'_> {
     fn draw(
         &self,
         record: &GraspRecord,
-        mut picture: RgbImage,
+        mut image: RgbImage,
         shown: &Observation,
         pose: &PoseRecord,
         mesh: Option<&TriangleMesh>,
@@ -415,9 +415,9 @@ impl Work<'_> {
                 mesh,
                 lines: lines(record, pose),
             };
-            overlay(&mut picture, shown, annotator.intrinsics(), &content);
+            overlay(&mut image, shown, annotator.intrinsics(), &content);
         }
-        let jpeg = encode_jpeg(&picture, OVERLAY_QUALITY)?;
+        let jpeg = encode_jpeg(&image, OVERLAY_QUALITY)?;
         let place = folder.join_affixed("", &record.id, ".jpg");
         let written = folder.create_dir_all().and_then(|()| place.replace(&jpeg));
         written.map_err(unwritten)?;
@@ -425,7 +425,7 @@ impl Work<'_> {
     }
 }
 
-struct Picture {
+struct Image {
     name: String,
     grey: GrayImage,
     colour: RgbImage,

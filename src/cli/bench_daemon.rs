@@ -1,6 +1,6 @@
 //! `gripcast bench daemon`: a daemon on the virtual rig, asked and watched while it collects.
 //!
-//! The virtual rig paints its pictures itself, which takes most of the cores; what viewers cost is
+//! The virtual rig paints its images itself, which takes most of the cores; what viewers cost is
 //! the difference between watched and not.
 
 use std::fs;
@@ -63,8 +63,8 @@ struct Figures {
     cores_alone: f64,
     cores_watched: f64,
     cores_of_viewers: f64,
-    /// Pictures that reached the viewers, 1/s.
-    pictures_per_s: f64,
+    /// Images that reached the viewers, 1/s.
+    images_per_s: f64,
     rss_alone_mb: f64,
     rss_watched_mb: f64,
     /// Frames lost by the cameras' counters.
@@ -94,9 +94,9 @@ impl Args {
         daemon.command("undo")?;
         let (cores_alone, rss_alone_mb) = daemon.cores(self.seconds)?;
         let viewers = Viewers::start(&daemon.url, self.viewers);
-        let before = viewers.pictures();
+        let before = viewers.images();
         let (cores_watched, rss_watched_mb) = daemon.cores(self.seconds)?;
-        let pictures_per_s = (viewers.pictures() - before) as f64 / self.seconds as f64;
+        let images_per_s = (viewers.images() - before) as f64 / self.seconds as f64;
         let asked = Asker::start(&daemon.url);
         let mut durable_ms = Vec::new();
         for number in 0..self.grasps {
@@ -120,7 +120,7 @@ impl Args {
             cores_alone,
             cores_watched,
             cores_of_viewers: cores_watched - cores_alone,
-            pictures_per_s,
+            images_per_s,
             rss_alone_mb,
             rss_watched_mb,
             frames_lost,
@@ -141,7 +141,7 @@ impl Figures {
         format!(
             "a call of the API {:.1} ms (median) {:.1} ms (p99)\n\
          trigger until durable {:.0} ms (median) {:.0} ms (p99)\n\
-         {:.2} cores alone, {:.2} with {} viewers ({:.0} pictures/s)\n\
+         {:.2} cores alone, {:.2} with {} viewers ({:.0} images/s)\n\
          {:.0} MB alone, {:.0} MB watched; {} frames lost; stopped in {:.2} s",
             self.api_p50_ms,
             self.api_p99_ms,
@@ -150,7 +150,7 @@ impl Figures {
             self.cores_alone,
             self.cores_watched,
             viewers,
-            self.pictures_per_s,
+            self.images_per_s,
             self.rss_alone_mb,
             self.rss_watched_mb,
             self.frames_lost,
@@ -342,26 +342,26 @@ impl Asker {
 
 /// Pages that watch all cameras.
 struct Viewers {
-    pictures: Arc<AtomicU64>,
+    images: Arc<AtomicU64>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Viewers {
     fn start(url: &str, viewers: u64) -> Self {
-        let pictures = Arc::new(AtomicU64::new(0));
+        let images = Arc::new(AtomicU64::new(0));
         let streams = (0..viewers).flat_map(|_| SHOWN);
         let threads = streams
             .map(|role| {
                 let url = format!("{url}/api/cameras/{role}/preview.mjpg");
-                let pictures = Arc::clone(&pictures);
-                std::thread::spawn(move || watch(&url, &pictures))
+                let images = Arc::clone(&images);
+                std::thread::spawn(move || watch(&url, &images))
             })
             .collect();
-        Self { pictures, threads }
+        Self { images, threads }
     }
 
-    fn pictures(&self) -> u64 {
-        self.pictures.load(Ordering::Relaxed)
+    fn images(&self) -> u64 {
+        self.images.load(Ordering::Relaxed)
     }
 
     fn end(self) {
@@ -372,8 +372,8 @@ impl Viewers {
     }
 }
 
-/// Reads a stream to its end and counts the pictures.
-fn watch(url: &str, pictures: &AtomicU64) {
+/// Reads a stream to its end and counts the images.
+fn watch(url: &str, images: &AtomicU64) {
     let Ok(answer) = agent().get(url).call() else {
         return;
     };
@@ -390,12 +390,12 @@ fn watch(url: &str, pictures: &AtomicU64) {
             .and_then(|line| line.strip_prefix("Content-Length: "))
             .and_then(|length| length.trim().parse::<u64>().ok());
         if let Some(length) = length {
-            // The blank line, then the picture.
+            // The blank line, then the image.
             let mut skipped = reader.by_ref().take(length + 2);
             if std::io::copy(&mut skipped, &mut std::io::sink()).is_err() {
                 return;
             }
-            pictures.fetch_add(1, Ordering::Relaxed);
+            images.fetch_add(1, Ordering::Relaxed);
         }
     }
 }

@@ -18,7 +18,7 @@ struct Source {
     /// Intrinsics: gripcast's TOML, camera_info of ROS, YAML of OpenCV, camchain.yaml of Kalibr
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// Size of the pictures, for files that do not have it
+    /// Size of the images, for files that do not have it
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[u32; 2]>,
     /// Which camera of a camchain; what a camera_info is to call it [default: external]
@@ -129,7 +129,7 @@ pub(super) fn show(args: &ShowArgs) -> Result<()> {
     print(&describe(&read))
 }
 
-/// Angles between the picture's left and right, and its upper and lower edge, through the
+/// Angles between the image's left and right, and its upper and lower edge, through the
 /// principal point; none where the lens model does not reach an edge.
 fn field_of_view_deg(camera: &Intrinsics) -> Option<[f64; 2]> {
     let (right, below) = (
@@ -153,7 +153,7 @@ fn describe(read: &CameraFile) -> String {
     };
     let mut lines = vec![
         format!("format      {}", read.format.name()),
-        format!("pictures    {} × {}", camera.width, camera.height),
+        format!("images    {} × {}", camera.width, camera.height),
         format!("focal       {} {} px", camera.fx, camera.fy),
         format!("centre      {} {} px", camera.cx, camera.cy),
         format!("distortion  {model}"),

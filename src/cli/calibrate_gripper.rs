@@ -1,10 +1,10 @@
-//! `gripcast calibrate gripper`: where the gripper's tags are, from pictures.
+//! `gripcast calibrate gripper`: where the gripper's tags are, from images.
 
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::picture_folder::{file_name, pictures, read_grey};
+use super::image_folder::{file_name, images, read_grey};
 use super::working::{Progress, interruptible};
 use super::{Context, print_report};
 use crate::note;
@@ -12,8 +12,7 @@ use gripcast_base::error::{Error, ErrorKind, Result, unknown_name};
 use gripcast_base::files::save;
 use gripcast_imaging::{Decoder, Intrinsics};
 use gripcast_pose::calibrate::{
-    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
-    calibrate_gripper,
+    CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState, calibrate_gripper,
 };
 use gripcast_pose::detect::{detectors, diagnose, known_dictionaries};
 use gripcast_pose::refine::refine_all;
@@ -28,10 +27,10 @@ pub(super) struct Args {
     /// Intrinsics of the camera, of any format that `calibrate show` reads
     #[arg(long, value_name = "FILE")]
     intrinsics: PathBuf,
-    /// Folder of pictures of the gripper (.png, .jpg), in the order of their names
+    /// Folder of images of the gripper (.png, .jpg), in the order of their names
     #[arg(long, value_name = "FOLDER")]
-    pictures: PathBuf,
-    /// Picture in which the gel faces touch; may be given several times
+    images: PathBuf,
+    /// Image in which the gel faces touch; may be given several times
     #[arg(long, value_name = "NAME", num_args = 1..)]
     closed: Vec<String>,
     /// Board file to write
@@ -42,15 +41,15 @@ pub(super) struct Args {
     json: bool,
 }
 
-/// Pictures with their markers, and those that could not be read.
+/// Images with their markers, and those that could not be read.
 struct Seen {
-    pictures: Vec<GripperPicture>,
+    images: Vec<GripperImage>,
     unreadable: Vec<Skipped>,
 }
 
 #[derive(Clone, Serialize)]
 struct Skipped {
-    picture: String,
+    image: String,
     reason: String,
 }
 
@@ -58,13 +57,13 @@ struct Skipped {
 pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let nominal = BoardFile::load(&args.tags)?;
     let intrinsics = load_intrinsics(&args.intrinsics)?;
-    let files = pictures(&args.pictures)?;
+    let files = images(&args.images)?;
     let closed = closed(&args.closed, &files)?;
-    let (folder, board) = (args.pictures.clone(), nominal.clone());
-    let (seen, found) = interruptible(context, "pictures", move |progress| {
+    let (folder, board) = (args.images.clone(), nominal.clone());
+    let (seen, found) = interruptible(context, "images", move |progress| {
         let seen = look(&board, &intrinsics, &files, &closed, progress)
             .map_err(|e| e.at(folder.display()))?;
-        let found = calibrate_gripper(&board, &intrinsics, &seen.pictures)
+        let found = calibrate_gripper(&board, &intrinsics, &seen.images)
             .map_err(|e| e.at(folder.display()))?;
         Ok::<_, Error>((seen, found))
     })??;
@@ -75,7 +74,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         for skipped in report.skipped.iter() {
             note!(
                 "gripcast: {} is not used: {}",
-                skipped.picture,
+                skipped.image,
                 skipped.reason
             );
         }
@@ -89,12 +88,12 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         (0, 0) => Ok(()),
         (unreadable, loose) => Err(Error::new(
             ErrorKind::Partial,
-            format!("{unreadable} pictures could not be read, {loose} tags were loose"),
+            format!("{unreadable} images could not be read, {loose} tags were loose"),
         )),
     }
 }
 
-/// Whether each picture was named as one with closed fingers, by its name with or without suffix.
+/// Whether each image was named as one with closed fingers, by its name with or without suffix.
 fn closed(wanted: &[String], files: &[PathBuf]) -> Result<Vec<bool>> {
     let names: Vec<String> = files.iter().map(|f| file_name(f)).collect();
     let known: Vec<&str> = names.iter().map(|n| &**n).collect();
@@ -106,7 +105,7 @@ fn closed(wanted: &[String], files: &[PathBuf]) -> Result<Vec<bool>> {
                     .is_some_and(|stem| stem.to_string_lossy() == *wanted)
         };
         let place = files.iter().position(is_it);
-        let place = place.ok_or_else(|| unknown_name("picture", wanted, &known))?;
+        let place = place.ok_or_else(|| unknown_name("image", wanted, &known))?;
         closed[place] = true;
     }
     Ok(closed)
@@ -125,7 +124,7 @@ fn look(
     };
     let mut decoder = Decoder::new()?;
     let mut seen = Seen {
-        pictures: Vec::new(),
+        images: Vec::new(),
         unreadable: Vec::new(),
     };
     let mut first = None;
@@ -133,29 +132,28 @@ fn look(
         let name = file_name(file);
         match read_grey(&mut decoder, file) {
             Err(error) => seen.unreadable.push(Skipped {
-                picture: name,
+                image: name,
                 reason: error.to_string(),
             }),
-            Ok(picture) => {
-                require_size(intrinsics, picture.width(), picture.height())
-                    .map_err(|e| e.at(&name))?;
-                let found = detector.detect(&picture).map_err(|e| e.at(&name))?;
-                seen.pictures.push(GripperPicture {
-                    detections: refine_all(&picture, &found),
+            Ok(image) => {
+                require_size(intrinsics, image.width(), image.height()).map_err(|e| e.at(&name))?;
+                let found = detector.detect(&image).map_err(|e| e.at(&name))?;
+                seen.images.push(GripperImage {
+                    detections: refine_all(&image, &found),
                     closed: *closed,
                     name,
                 });
-                first.get_or_insert(picture);
+                first.get_or_insert(image);
             }
         }
         progress.at(i as u64 + 1, files.len() as u64);
     }
     let Some(first) = first else {
         let reason = seen.unreadable.first().map_or("", |s| &s.reason);
-        let what = format!("none of the pictures can be read: {reason}");
+        let what = format!("none of the images can be read: {reason}");
         return Err(Error::input(what));
     };
-    if seen.pictures.iter().all(|p| p.detections.is_empty()) {
+    if seen.images.iter().all(|p| p.detections.is_empty()) {
         let others = known_dictionaries();
         let why = diagnose(&first, &board.dictionary, &board.board.ids(), &others)?;
         return Err(why.explain(&board.board.name));
@@ -168,7 +166,7 @@ struct Report<'a> {
     file: &'a Path,
     name: &'a str,
     hash: String,
-    pictures: usize,
+    images: usize,
     skipped: Vec<Skipped>,
     rms_px: f64,
     described_rms_px: Option<f64>,
@@ -191,7 +189,7 @@ struct MarkerReport {
     part: &'static str,
     state: &'static str,
     reason: Option<String>,
-    pictures: usize,
+    images: usize,
     outliers: usize,
     shift_mm: f64,
     shift_xyz_mm: [f64; 3],
@@ -226,7 +224,7 @@ impl MarkerReport {
             part: marker.part.name(),
             state,
             reason,
-            pictures: marker.pictures,
+            images: marker.images,
             outliers: marker.outliers,
             shift_mm: 1e3 * marker.shift_m.length(),
             shift_xyz_mm: (1e3 * marker.shift_m).to_array(),
@@ -244,7 +242,7 @@ impl MarkerReport {
             "{:>5}  {:<12} {:>8} {:>9.2} {:>7.2} {:>9} {:>8} {:>7} {:>9}  {}",
             self.id,
             self.part,
-            self.pictures,
+            self.images,
             self.shift_mm,
             self.turn_deg,
             number(self.sigma_mm),
@@ -258,15 +256,15 @@ impl MarkerReport {
 
 impl<'a> Report<'a> {
     fn new(found: &'a GripperCalibration, seen: &Seen, file: &'a Path) -> Self {
-        let without = found.left_out.iter().map(|(picture, reason)| Skipped {
-            picture: picture.clone(),
+        let without = found.left_out.iter().map(|(image, reason)| Skipped {
+            image: image.clone(),
             reason: reason.clone(),
         });
         Self {
             file,
             name: &found.board.board.name,
             hash: found.board.board.hash(),
-            pictures: found.pictures,
+            images: found.images,
             skipped: seen.unreadable.iter().cloned().chain(without).collect(),
             rms_px: found.rms_px,
             described_rms_px: found.described_rms_px,
@@ -288,13 +286,9 @@ impl<'a> Report<'a> {
         let pixels = |value: Option<f64>| value.map_or("–".to_owned(), |v| format!("{v:.3} px"));
         let mut lines = vec![
             format!("board       {} ({})", self.name, self.hash),
+            format!("images    {}, {} not used", self.images, self.skipped.len()),
             format!(
-                "pictures    {}, {} not used",
-                self.pictures,
-                self.skipped.len()
-            ),
-            format!(
-                "error       {:.3} px; held-out pictures {}; tags as described {}",
+                "error       {:.3} px; held-out images {}; tags as described {}",
                 self.rms_px,
                 pixels(self.holdout_rms_px),
                 pixels(self.described_rms_px)
@@ -306,7 +300,7 @@ impl<'a> Report<'a> {
                 1e3 * least,
                 1e3 * most,
                 match self.opening_zero_from {
-                    "fingers" => "closed pictures",
+                    "fingers" => "closed images",
                     other => other,
                 }
             ));
@@ -318,7 +312,7 @@ impl<'a> Report<'a> {
             ));
         }
         lines.push(
-            "   id  part         pictures  off, mm  off, °  sigma, mm sigma, °  rms px  left out"
+            "   id  part         images  off, mm  off, °  sigma, mm sigma, °  rms px  left out"
                 .into(),
         );
         lines.extend(self.markers.iter().map(MarkerReport::row));

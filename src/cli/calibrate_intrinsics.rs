@@ -3,16 +3,16 @@
 //! ```text
 //! gripcast board charuco --out charuco.pdf
 //! gripcast calibrate intrinsics --board charuco.toml --rig bench --camera external --out external.toml
-//! gripcast calibrate intrinsics --board charuco.toml --pictures shots/ --out external.toml
+//! gripcast calibrate intrinsics --board charuco.toml --images shots/ --out external.toml
 //! ```
 //!
-//! With `--pictures` the JPEG and PNG files of a folder are taken in the order of their names.
+//! With `--images` the JPEG and PNG files of a folder are taken in the order of their names.
 //! With `--rig` a camera of the rig is opened, hints say which view is still missing, and it ends
 //! when there are enough. On a terminal Enter ends it with the views so far, and `q` or Ctrl-C
 //! leaves without writing. docs/calibration.md says what the numbers mean.
 //!
 //! Exit codes: 0 done · 1 the views do not give a calibration, or a file is refused · 2 usage ·
-//! 3 done, but pictures could not be read or did not show the board · 69 no such camera ·
+//! 3 done, but images could not be read or did not show the board · 69 no such camera ·
 //! 130 interrupted; nothing was written.
 
 use std::path::{Path, PathBuf};
@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use image::GrayImage;
 use serde_json::{Value, json};
 
-use super::picture_folder::{file_name, pictures, read_grey};
+use super::image_folder::{file_name, images, read_grey};
 use super::working::interruptible;
 use super::{Context, calibrate_live, print, print_json};
 use crate::note;
@@ -36,7 +36,7 @@ use gripcast_pose::detect::{Diagnosis, diagnose, known_dictionaries};
 const LARGE_RMS_PX: f64 = 0.5;
 /// Ratio of the error of left out views to that of the others that shows overfitting.
 const LARGE_HOLDOUT: f64 = 1.5;
-/// Uncertainty of the picture's corners that is told, px.
+/// Uncertainty of the image's corners that is told, px.
 const LARGE_CORNER_PX: f64 = 1.0;
 
 /// Arguments.
@@ -45,14 +45,14 @@ pub(crate) struct Args {
     /// Board file: a chessboard of `board charuco`, or any flat board of markers
     #[arg(long, value_name = "FILE.toml")]
     board: PathBuf,
-    /// Folder of JPEG and PNG pictures of one camera
+    /// Folder of JPEG and PNG images of one camera
     #[arg(
         long,
         value_name = "DIR",
         required_unless_present = "rig",
         conflicts_with_all = ["rig", "keep"]
     )]
-    pictures: Option<PathBuf>,
+    images: Option<PathBuf>,
     /// Rig whose camera is calibrated live: its name or file
     #[arg(long, value_name = "NAME|FILE")]
     rig: Option<String>,
@@ -62,7 +62,7 @@ pub(crate) struct Args {
     /// Views that are enough if they cover everything
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(3..=60))]
     views: u16,
-    /// Keep the pictures that were used, live
+    /// Keep the images that were used, live
     #[arg(long, value_name = "DIR")]
     keep: Option<PathBuf>,
     /// Intrinsics file to write
@@ -76,7 +76,7 @@ pub(crate) struct Args {
 fn role(text: &str) -> Result<Role, String> {
     let role: Role = text.parse().map_err(|e: Error| e.to_string())?;
     if role == Role::Depth {
-        return Err("the depth camera gives no pictures of markers".to_owned());
+        return Err("the depth camera gives no images of markers".to_owned());
     }
     Ok(role)
 }
@@ -86,7 +86,7 @@ pub(super) struct Taken {
     pub(super) collector: Collector,
     /// Names of the views, in their order.
     pub(super) names: Vec<String>,
-    /// Pictures that are not used, and why.
+    /// Images that are not used, and why.
     pub(super) left_out: Vec<(String, String)>,
     /// How many of these should have been usable.
     pub(super) lost: usize,
@@ -103,11 +103,11 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
     }
     let settings = CollectorSettings {
         wanted: usize::from(args.views),
-        still: args.pictures.is_none(),
+        still: args.images.is_none(),
         ..CollectorSettings::default()
     };
     let collector = Collector::new(&board, settings).map_err(|e| e.at(args.board.display()))?;
-    let taken = match (&args.pictures, &args.rig) {
+    let taken = match (&args.images, &args.rig) {
         (Some(folder), _) => {
             let folder = folder.clone();
             interruptible(context, "calibrating", move |progress| {
@@ -117,7 +117,7 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
         (None, Some(rig)) => {
             calibrate_live::collect(context, collector, rig, args.camera, args.keep.as_deref())?
         }
-        (None, None) => return Err(Error::usage("give --pictures or --rig")),
+        (None, None) => return Err(Error::usage("give --images or --rig")),
     };
     let report = taken
         .collector
@@ -137,7 +137,7 @@ pub(super) fn run(context: &Context, args: &Args) -> Result<()> {
         return Err(Error::new(
             ErrorKind::Partial,
             format!(
-                "{} picture(s) could not be used; the calibration is of the others",
+                "{} image(s) could not be used; the calibration is of the others",
                 taken.lost
             ),
         ));
@@ -155,23 +155,23 @@ fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Res
     };
     let mut sizes: Vec<String> = Vec::new();
     let mut without_board: Option<GrayImage> = None;
-    for path in pictures(folder)? {
+    for path in images(folder)? {
         let name = file_name(&path);
         let offered = read_grey(&mut decoder, &path)
-            .and_then(|picture| Ok((taken.collector.offer(&picture)?, picture)));
+            .and_then(|image| Ok((taken.collector.offer(&image)?, image)));
         let reason = match offered {
             Err(error) => {
                 taken.lost += 1;
                 Some(error.to_string())
             }
-            Ok((offer, picture)) => {
+            Ok((offer, image)) => {
                 match offer.refused {
                     Some(Refusal::Size([width, height], _)) => {
                         sizes.push(format!("{name} ({width}×{height})"));
                     }
                     Some(Refusal::NoBoard) => {
                         taken.lost += 1;
-                        without_board.get_or_insert(picture);
+                        without_board.get_or_insert(image);
                     }
                     _ => {}
                 }
@@ -189,8 +189,8 @@ fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Res
     if !sizes.is_empty() {
         return Err(other_sizes(&taken, &sizes).at(folder.display()));
     }
-    if let Some(picture) = without_board {
-        let diagnosis = diagnosed(&taken.collector, &picture)?;
+    if let Some(image) = without_board {
+        let diagnosis = diagnosed(&taken.collector, &image)?;
         let explained = diagnosis.explain(&taken.collector.file().board.name);
         if taken.names.is_empty() {
             return Err(explained.at(folder.display()));
@@ -203,27 +203,27 @@ fn from_folder(collector: Collector, folder: &Path, say: &dyn Fn(String)) -> Res
     Ok(taken)
 }
 
-/// What is in a picture in place of the board.
-pub(super) fn diagnosed(collector: &Collector, picture: &GrayImage) -> Result<Diagnosis> {
+/// What is in an image in place of the board.
+pub(super) fn diagnosed(collector: &Collector, image: &GrayImage) -> Result<Diagnosis> {
     let file = collector.file();
     let others = known_dictionaries();
-    diagnose(picture, &file.dictionary, &file.board.ids(), &others)
+    diagnose(image, &file.dictionary, &file.board.ids(), &others)
 }
 
 fn other_sizes(taken: &Taken, sizes: &[String]) -> Error {
-    const MOST: usize = 8;
+    const MAX: usize = 8;
     let [width, height] = taken.collector.size().unwrap_or_default();
-    let more = sizes.len().saturating_sub(MOST);
+    let more = sizes.len().saturating_sub(MAX);
     let more = if more > 0 {
         format!(" and {more} more")
     } else {
         String::new()
     };
     Error::input(format!(
-        "the pictures have different sizes: {width}×{height} first, then {}{more}",
-        sizes[..sizes.len().min(MOST)].join(", ")
+        "the images have different sizes: {width}×{height} first, then {}{more}",
+        sizes[..sizes.len().min(MAX)].join(", ")
     ))
-    .remedy("intrinsics are those of one size: keep the pictures of one camera in one mode")
+    .remedy("intrinsics are those of one size: keep the images of one camera in one mode")
 }
 
 fn none_usable(taken: &Taken) -> Error {
@@ -231,7 +231,7 @@ fn none_usable(taken: &Taken) -> Error {
     let reason = first.map_or(String::new(), |(name, reason)| {
         format!(": {name}: {reason}")
     });
-    Error::input(format!("no picture is usable{reason}"))
+    Error::input(format!("no image is usable{reason}"))
         .remedy("docs/calibration.md says how to take them")
 }
 
@@ -240,7 +240,7 @@ fn warnings(taken: &Taken, report: &CalibrationReport) -> Vec<String> {
     let mut said = Vec::new();
     if report.rms_px > LARGE_RMS_PX {
         said.push(format!(
-            "the reprojection error of {:.2} px is large: is the board flat, were the pictures \
+            "the reprojection error of {:.2} px is large: is the board flat, were the images \
              sharp, is the focus fixed?",
             report.rms_px
         ));
@@ -256,7 +256,7 @@ fn warnings(taken: &Taken, report: &CalibrationReport) -> Vec<String> {
     }
     if report.corner_sigma_px > LARGE_CORNER_PX {
         said.push(format!(
-            "the lens is known to {:.1} px only in the corners of the picture: hold the board \
+            "the lens is known to {:.1} px only in the corners of the image: hold the board \
              there too",
             report.corner_sigma_px
         ));
@@ -333,14 +333,13 @@ fn as_json(args: &Args, taken: &Taken, report: &CalibrationReport, warnings: &[S
     let view = |view: &gripcast_pose::calibrate::ViewFit| {
         json!({
             "outliers": view.outliers,
-            "picture": taken.names[view.view],
+            "image": taken.names[view.view],
             "points": view.points,
             "rms_px": view.rms_px,
             "t_camera_board": view.t_camera_plane * t_plane_board,
         })
     };
-    let left_out =
-        |(picture, reason): &(String, String)| json!({ "picture": picture, "reason": reason });
+    let left_out = |(image, reason): &(String, String)| json!({ "image": image, "reason": reason });
     json!({
         "board": { "hash": file.board.hash(), "name": file.board.name },
         "corner_sigma_px": report.corner_sigma_px,

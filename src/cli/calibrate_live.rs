@@ -26,7 +26,7 @@ use gripcast_virtual_rig::VirtualSource;
 const FRAME_TIMEOUT: Duration = Duration::from_secs(1);
 /// Waits without a frame after which the camera counts as silent.
 const TIMEOUTS_BORNE: u32 = 5;
-/// Pictures without the board after which it is looked for what is there instead.
+/// Images without the board after which it is looked for what is there instead.
 const WITHOUT_BOARD: u32 = 90;
 /// Between two drawings of the block.
 const DRAW_EVERY: Duration = Duration::from_millis(100);
@@ -107,9 +107,9 @@ enum Wish {
 struct Live {
     taken: Taken,
     keep: Option<PathBuf>,
-    /// Pictures without the board in a row.
+    /// Images without the board in a row.
     without_board: u32,
-    /// What was said last that is not of the newest picture.
+    /// What was said last that is not of the newest image.
     message: String,
     /// The newest line, to say nothing twice.
     said: Option<Hint>,
@@ -120,14 +120,14 @@ impl Live {
         let mut source = opener.open().map_err(|e| e.at(opener.describe()))?;
         let mut decoder = Decoder::new()?;
         loop {
-            let Some(picture) = next(source.as_mut(), &mut decoder)? else {
+            let Some(image) = next(source.as_mut(), &mut decoder)? else {
                 return self.ended();
             };
-            let offer = self.taken.collector.offer(&picture)?;
+            let offer = self.taken.collector.offer(&image)?;
             if offer.refused.is_none() {
-                self.keep(&picture)?;
+                self.keep(&image)?;
             }
-            self.look_again(&offer, &picture)?;
+            self.look_again(&offer, &image)?;
             self.show(&offer, screen)?;
             if offer.hint == Hint::Enough {
                 return Ok(());
@@ -146,26 +146,26 @@ impl Live {
         }
     }
 
-    fn keep(&mut self, picture: &GrayImage) -> Result<()> {
+    fn keep(&mut self, image: &GrayImage) -> Result<()> {
         let name = format!("view_{:03}.png", self.taken.names.len());
         if let Some(folder) = &self.keep {
             let path = folder.join(&name);
-            let bytes = encode_png_grey8(picture)?;
+            let bytes = encode_png_grey8(image)?;
             save(&path, &bytes)?;
         }
         self.taken.names.push(name);
         Ok(())
     }
 
-    /// Says what is in the picture if the board has not been there for long.
-    fn look_again(&mut self, offer: &Offer, picture: &GrayImage) -> Result<()> {
+    /// Says what is in the image if the board has not been there for long.
+    fn look_again(&mut self, offer: &Offer, image: &GrayImage) -> Result<()> {
         if offer.refused != Some(Refusal::NoBoard) {
             self.without_board = 0;
             return Ok(());
         }
         self.without_board += 1;
         if self.without_board == WITHOUT_BOARD {
-            let diagnosis = diagnosed(&self.taken.collector, picture)?;
+            let diagnosis = diagnosed(&self.taken.collector, image)?;
             self.message = diagnosis.to_string();
         }
         Ok(())
@@ -194,21 +194,21 @@ impl Live {
         if self.taken.names.is_empty() {
             let what = "the recording has ended without a usable view of the board";
             return Err(Error::input(what)
-                .remedy("check that the board file is that of the board in the pictures"));
+                .remedy("check that the board file is that of the board in the images"));
         }
         Ok(())
     }
 }
 
-/// The next whole picture; none at the end of a recording.
+/// The next whole image; none at the end of a recording.
 fn next(source: &mut dyn FrameSource, decoder: &mut Decoder) -> Result<Option<GrayImage>> {
     let mut timeouts = 0;
     loop {
         match source.next_frame(FRAME_TIMEOUT) {
             Ok(frame) => {
                 // A damaged frame is one view less and no reason to stop.
-                if let Ok(picture) = decoder.decode_full(&frame) {
-                    return Ok(Some(grayscale(&picture)));
+                if let Ok(image) = decoder.decode_full(&frame) {
+                    return Ok(Some(grayscale(&image)));
                 }
             }
             Err(CaptureError::Damaged { .. }) => {}

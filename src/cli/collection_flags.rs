@@ -1,4 +1,4 @@
-//! Flags that `collect` and `daemon` share: what is collected, and with what.
+//! Flags that `collect` and `daemon` fraction: what is collected, and with what.
 
 use std::path::PathBuf;
 

@@ -77,13 +77,13 @@ struct RecoverArgs {
 struct SplitArgs {
     #[command(flatten)]
     place: Place,
-    /// Share of the grasps for training
+    /// Fraction of the grasps for training
     #[arg(long, default_value_t = 0.7)]
     train: f64,
-    /// Share of the grasps for validation
+    /// Fraction of the grasps for validation
     #[arg(long, default_value_t = 0.15)]
     val: f64,
-    /// Share of the grasps for testing
+    /// Fraction of the grasps for testing
     #[arg(long, default_value_t = 0.15)]
     test: f64,
     /// Seed; the same seed and grasps give the same split
@@ -146,7 +146,7 @@ fn run_verify(context: &Context, place: &Place) -> Result<()> {
         format!("{} found", counted(report.problems.len(), "problem")),
     )
     .at(place.dataset.display())
-    .remedy("`gripcast dataset recover` mends what can be mended"))
+    .remedy("`gripcast dataset recover` fixes what can be fixed"))
 }
 
 fn run_recover(context: &Context, args: &RecoverArgs) -> Result<()> {
@@ -249,10 +249,10 @@ fn info_text(summary: &Summary) -> String {
         },
     );
     line("outcomes", &outcomes_text(&summary.outcomes));
-    if let Some(share) = summary.stable_share {
+    if let Some(fraction) = summary.stable_fraction {
         line(
             "balance",
-            &format!("{:.0} % of the labelled are stable", share * 100.0),
+            &format!("{:.0} % of the labelled are stable", fraction * 100.0),
         );
     }
     if let (Some(first), Some(last)) = (&summary.first_captured_at, &summary.last_captured_at) {
@@ -372,10 +372,10 @@ fn split_text(name: &str, file: &SplitFile) -> String {
     let all: usize = file.parts.values().map(|part| part.grasps.len()).sum();
     let mut text = format!("splits/{name}.json, by {}, seed {}\n", file.by, file.seed);
     for (name, part) in &file.parts {
-        let share = 100.0 * part.grasps.len() as f64 / all.max(1) as f64;
+        let fraction = 100.0 * part.grasps.len() as f64 / all.max(1) as f64;
         let _ = writeln!(
             text,
-            "{name:<6} {:>6} ({share:.1} %)  {:>4}  {}",
+            "{name:<6} {:>6} ({fraction:.1} %)  {:>4}  {}",
             counted(part.grasps.len(), "grasp"),
             counted(part.items.len(), &file.by.to_string()),
             outcomes_text(&part.outcomes)

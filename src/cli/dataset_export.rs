@@ -47,7 +47,7 @@ pub(super) struct Args {
     /// Leave out grasps without a label; lerobot and training always do
     #[arg(long)]
     only_labelled: bool,
-    /// Size of the pictures in zarr, pixels [default: 320x240]
+    /// Size of the images in zarr, pixels [default: 320x240]
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[usize; 2]>,
     /// Print one JSON object
@@ -57,7 +57,7 @@ pub(super) struct Args {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Format {
-    /// Shards with embedded pictures, for Hugging Face datasets and pandas
+    /// Shards with embedded images, for Hugging Face datasets and pandas
     Parquet,
     /// Tar shards, for webdataset
     #[value(name = "webdataset")]
@@ -114,7 +114,7 @@ fn plan(args: &Args) -> Result<ExportPlan> {
         if args.to != Format::Zarr {
             let what = match args.to {
                 Format::Training => "`--size` is for zarr; models know one size".to_owned(),
-                _ => format!("`--size` is for zarr; {} keeps the pictures", plan.format),
+                _ => format!("`--size` is for zarr; {} keeps the images", plan.format),
             };
             return Err(Error::usage(what).remedy("leave `--size` out"));
         }

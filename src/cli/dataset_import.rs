@@ -35,8 +35,8 @@ pub(super) struct Args {
     /// New folder for the dataset
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Parts and their shares
-    #[arg(long, value_name = "PART=SHARE,…", default_value = "test")]
+    /// Parts and their fractions
+    #[arg(long, value_name = "PART=FRACTION,…", default_value = "test")]
     split: Split,
     /// Print one JSON object
     #[arg(long)]

@@ -1,4 +1,4 @@
-//! Words and bars that the verbs of `dataset` share.
+//! Words and bars that the verbs of `dataset` fraction.
 
 use std::collections::BTreeMap;
 use std::io::{self, IsTerminal as _};

@@ -105,8 +105,8 @@ fn text(findings: &[Finding]) -> String {
             finding.name,
             finding.found.replace('\n', "\n        ")
         ));
-        if let Some(mend) = &finding.mend {
-            lines.push(format!("        → {}", mend.replace('\n', "\n        ")));
+        if let Some(remedy) = &finding.remedy {
+            lines.push(format!("        → {}", remedy.replace('\n', "\n        ")));
         }
     }
     lines.join("\n")

@@ -85,7 +85,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     let jobs = args.jobs.map_or_else(cores, usize::from);
     let conditions = Condition::ALL.len() - usize::from(args.rigid.is_none());
     let runs = conditions as u64 * args.seeds;
-    let shares: Mutex<BTreeMap<(Condition, u64), f64>> = Mutex::default();
+    let fractions: Mutex<BTreeMap<(Condition, u64), f64>> = Mutex::default();
     let report = resumable(context, "experiment", move |progress| {
         experiment(&settings, &out, jobs, &|event| match event {
             ExperimentEvent::Run(condition, seed) => {
@@ -98,9 +98,9 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
                     at: [done, all], ..
                 },
             ) => {
-                let mut shares = shares.lock().unwrap_or_else(PoisonError::into_inner);
-                shares.insert((condition, seed), done as f64 / all.max(1) as f64);
-                let sum: f64 = shares.values().sum();
+                let mut fractions = fractions.lock().unwrap_or_else(PoisonError::into_inner);
+                fractions.insert((condition, seed), done as f64 / all.max(1) as f64);
+                let sum: f64 = fractions.values().sum();
                 progress.at((1000.0 * sum) as u64, 1000 * runs);
             }
             ExperimentEvent::Train(..) => {}

@@ -1,13 +1,13 @@
-//! `gripcast predict`: check a model, or predict the stability of one grasp from pictures.
+//! `gripcast predict`: check a model, or predict the stability of one grasp from images.
 //!
 //! `predict check MODEL` loads an ONNX file as `collect` would, runs it once and prints what it
-//! promises. `predict images` predicts one grasp from picture files (PNG or JPEG): both tactile
-//! pictures of the open gripper, both of the closed one, and the colour picture where the model
-//! uses it. Tactile pictures are cropped with the model's crop profile unless `--already-cropped`;
+//! promises. `predict images` predicts one grasp from image files (PNG or JPEG): both tactile
+//! images of the open gripper, both of the closed one, and the colour image where the model
+//! uses it. Tactile images are cropped with the model's crop profile unless `--already-cropped`;
 //! all are resized to 320×240. `predict baseline` writes the built-in contact-strength heuristic
 //! as an ONNX file.
 //!
-//! Exit codes: 0 predicted, 1 the model or a picture is refused, 2 usage.
+//! Exit codes: 0 predicted, 1 the model or an image is refused, 2 usage.
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,7 @@ pub(crate) struct Args {
 enum Action {
     /// Load a model, hold it against its contract and print what it promises
     Check(CheckArgs),
-    /// Predict one grasp from picture files
+    /// Predict one grasp from image files
     Images(ImagesArgs),
     /// Write the built-in contact-strength heuristic as an ONNX file
     #[command(hide = true)]
@@ -55,25 +55,25 @@ struct CheckArgs {
 
 #[derive(Debug, clap::Args)]
 struct ImagesArgs {
-    /// Left tactile picture, gripper open
+    /// Left tactile image, gripper open
     #[arg(long, value_name = "FILE")]
     initial_left: Option<PathBuf>,
-    /// Right tactile picture, gripper open
+    /// Right tactile image, gripper open
     #[arg(long, value_name = "FILE")]
     initial_right: Option<PathBuf>,
-    /// Left tactile picture, gripper closed
+    /// Left tactile image, gripper closed
     #[arg(long, value_name = "FILE")]
     grasp_left: Option<PathBuf>,
-    /// Right tactile picture, gripper closed
+    /// Right tactile image, gripper closed
     #[arg(long, value_name = "FILE")]
     grasp_right: Option<PathBuf>,
-    /// Colour picture, gripper closed
+    /// Colour image, gripper closed
     #[arg(long, value_name = "FILE")]
     rgb: Option<PathBuf>,
-    /// Crop profile to apply to the tactile pictures [default: the model's own]
+    /// Crop profile to apply to the tactile images [default: the model's own]
     #[arg(long, value_name = "PROFILE")]
     crop: Option<String>,
-    /// The tactile pictures are already cropped with the model's profile: take them whole
+    /// The tactile images are already cropped with the model's profile: take them whole
     #[arg(long, conflicts_with = "crop")]
     already_cropped: bool,
     /// ONNX file, `gripcast-vt`, the built-in classifier, or `baseline-contact`, a heuristic
@@ -186,12 +186,12 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
             ),
             InputName::Rgb => {
                 let file = needed(args.rgb.as_deref(), "--rgb", name)?;
-                input.set_rgb(&picture(file, &CropProfile::FULL)?)?;
+                input.set_rgb(&image(file, &CropProfile::FULL)?)?;
                 continue;
             }
         };
         let difference =
-            TactileDifference::between(&picture(initial, &crop)?, &picture(grasp, &crop)?)?;
+            TactileDifference::between(&image(initial, &crop)?, &image(grasp, &crop)?)?;
         input.set_tactile(name, &difference)?;
         differences.push(difference);
     }
@@ -223,7 +223,7 @@ fn predict_images(context: &Context, args: &ImagesArgs) -> Result<()> {
         ));
     }
     let why = match verdict {
-        Verdict::Unsure => "; the tactile pictures are unlike those of the training",
+        Verdict::Unsure => "; the tactile images are unlike those of the training",
         Verdict::Stable | Verdict::Slip => "",
     };
     print(&format!(
@@ -254,18 +254,18 @@ fn needed<'a>(file: Option<&'a Path>, flag: &str, input: InputName) -> Result<&'
     })
 }
 
-/// A picture file, cropped and resized as a live frame would be.
-fn picture(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
+/// An image file, cropped and resized as a live frame would be.
+fn image(path: &Path, crop: &CropProfile) -> Result<RgbImage> {
     let read = || -> Result<RgbImage> {
         let bytes = read_regular(path, FileKind::Image)
-            .map_err(|e| Error::io("cannot read the picture", e))?;
+            .map_err(|e| Error::io("cannot read the image", e))?;
         if bytes.starts_with(b"\x89PNG") {
-            let picture = decode_png_rgb(&bytes)?;
-            return Ok(crop_and_resize(&picture, crop, IMAGE_WIDTH, IMAGE_HEIGHT)?);
+            let image = decode_png_rgb(&bytes)?;
+            return Ok(crop_and_resize(&image, crop, IMAGE_WIDTH, IMAGE_HEIGHT)?);
         }
         if !bytes.starts_with(&[0xff, 0xd8]) {
             return Err(Error::input(
-                "expected a PNG or JPEG picture, found another kind of file",
+                "expected a PNG or JPEG image, found another kind of file",
             ));
         }
         let header = jpeg::inspect(&bytes).map_err(FrameDamage::Jpeg)?;

@@ -12,9 +12,9 @@ pub(crate) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Pictures of the GelSight Minis
+    /// Images of the GelSight Minis
     Tactile(Box<render_tactile::Args>),
-    /// Path-traced pictures of the camera between the fingers
+    /// Path-traced images of the camera between the fingers
     Visual(Box<render_visual::Args>),
     /// Fit a sensor's profile to presses of a ball
     Calibrate(render_calibrate::Args),

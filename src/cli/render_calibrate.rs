@@ -5,9 +5,9 @@
 //! gripcast render calibrate --presses ball --train-fraction 1 --serial 2BKC --out 2BKC.toml --json
 //! ```
 //!
-//! `--presses` is a folder with one picture of the untouched gel (`no_contact.png`) and a few of a
+//! `--presses` is a folder with one image of the untouched gel (`no_contact.png`) and a few of a
 //! ball pressed in at different places. Where it has a `presses.json`, contacts are read from it,
-//! else they are found in the pictures; docs/rendering.md has the format. Half of the presses are
+//! else they are found in the images; docs/rendering.md has the format. Half of the presses are
 //! fitted and the other half scored, unless `--train-fraction` says otherwise.
 //!
 //! Beside `--out FILE.toml` are written `FILE.background.png`, the untouched gel, and
@@ -38,8 +38,8 @@ pub(crate) struct Args {
     /// Profile to write
     #[arg(long, value_name = "FILE.toml")]
     out: PathBuf,
-    /// Share of the presses that is fitted; the others are scored
-    #[arg(long, value_name = "SHARE", default_value_t = 0.5)]
+    /// Fraction of the presses that is fitted; the others are scored
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.5)]
     train_fraction: f64,
     /// Most presses that are fitted
     #[arg(long, value_name = "N")]
@@ -50,22 +50,22 @@ pub(crate) struct Args {
     /// Diameter of the ball [default: that of presses.json]
     #[arg(long, value_name = "MM")]
     ball_mm: Option<f64>,
-    /// Size of a pixel of the stored pictures [default: that of presses.json]
+    /// Size of a pixel of the stored images [default: that of presses.json]
     #[arg(long, value_name = "MM")]
     pixel_mm: Option<f64>,
     /// Try sizes of a pixel up to 15 % around that one
     #[arg(long)]
     fit_scale: bool,
-    /// Find contacts in the pictures although presses.json has them
+    /// Find contacts in the images although presses.json has them
     #[arg(long)]
     find_contacts: bool,
-    /// Crop of the stored pictures before they are fitted
+    /// Crop of the stored images before they are fitted
     #[arg(long, value_name = "PROFILE", default_value = "full-v1", value_parser = crop)]
     crop: CropProfile,
     /// Columns and rows after the crop [default: as stored]
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(u32, u32)>,
-    /// Crop that the rig makes such pictures with
+    /// Crop that the rig makes such images with
     #[arg(long, value_name = "PROFILE", default_value = "gsmini-seventh-v1", value_parser = crop)]
     crop_profile: CropProfile,
     /// Shading that is fitted
@@ -179,7 +179,7 @@ struct Report<'a> {
     #[serde(flatten)]
     calibration: &'a CalibrationReport,
     profile: &'a Path,
-    picture: &'a Path,
+    image: &'a Path,
 }
 
 /// Runs the verb.
@@ -188,8 +188,8 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let options = args.options();
     let calibration = interruptible(context, "fitting", move |_| calibrate::run(&options))??;
     calibration.profile.save(&args.out)?;
-    let picture = args.out.with_extension("fit.png");
-    save(&picture, &encode_png_rgb(&calibration.picture)?)?;
+    let image = args.out.with_extension("fit.png");
+    save(&image, &encode_png_rgb(&calibration.image)?)?;
     if !context.quiet {
         for press in &calibration.skipped {
             note!("gripcast: {} is not used: {}", press.file, press.reason);
@@ -199,7 +199,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         print_json(&Report {
             calibration: &calibration.report,
             profile: &args.out,
-            picture: &picture,
+            image: &image,
         })?;
     } else {
         print(&text(&calibration.report, &args.out))?;

@@ -1,4 +1,4 @@
-//! `gripcast render figure`: the renderers side by side, as one picture.
+//! `gripcast render figure`: the renderers side by side, as one image.
 //!
 //! ```text
 //! gripcast render figure --presses ball --ball-mm 4 --trace mug.bin --out renderers.png
@@ -57,31 +57,31 @@ pub(crate) struct Args {
     /// Diameter of the ball [default: that of presses.json]
     #[arg(long, value_name = "MM")]
     ball_mm: Option<f64>,
-    /// Find contacts in the pictures although presses.json has them
+    /// Find contacts in the images although presses.json has them
     #[arg(long)]
     find_contacts: bool,
     /// Trace of a simulated grasp of a built-in object
     #[arg(long, value_name = "FILE")]
     trace: PathBuf,
-    /// Paths for each pixel of the path-traced pictures
+    /// Paths for each pixel of the path-traced images
     #[arg(long, value_name = "N", default_value_t = 256,
         value_parser = clap::value_parser!(u32).range(1..=1 << 16))]
     samples: u32,
     /// Seed of the split, of noise, light and ground
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Picture to write
+    /// Image to write
     #[arg(long, value_name = "FILE.png|FILE.jpg")]
     out: PathBuf,
 }
 
-/// A picture with what stands above it.
+/// An image with what stands above it.
 type Tile = (String, RgbImage);
 
 /// Runs the verb.
 pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     let out = args.out.clone();
-    let picture = interruptible(context, "drawing", move |progress| {
+    let image = interruptible(context, "drawing", move |progress| {
         let step = |done: u64| progress.at(done, 3);
         step(0);
         let grasp = SimulatedGrasp::read(&args.trace, None)?;
@@ -94,9 +94,9 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     })??;
     let is_jpeg = out.extension().is_some_and(|e| e == "jpg" || e == "jpeg");
     let bytes = if is_jpeg {
-        encode_jpeg(&picture, JPEG_QUALITY)?
+        encode_jpeg(&image, JPEG_QUALITY)?
     } else {
-        encode_png_rgb(&picture)?
+        encode_png_rgb(&image)?
     };
     save(&out, &bytes)?;
     print(&format!("{}", out.display()))
@@ -139,12 +139,12 @@ fn real_row(args: &Args) -> Result<(Vec<Tile>, Fitted)> {
     let gel_surface = TactileRenderer::new(&unsmoothed)?.render(&flat, &quiet)?;
     let tiles = vec![
         ("real, no contact".to_owned(), set.no_contact.clone()),
-        (format!("real press, {}", press.file), press.picture.clone()),
+        (format!("real press, {}", press.file), press.image.clone()),
         ("gripcast, fitted to others".to_owned(), ours),
         ("gel-surface, 19 x 16 nodes".to_owned(), gel_surface),
         (
             "lookup (taxim), same fit".to_owned(),
-            lookup.picture(&contact.cap())?,
+            lookup.image(&contact.cap())?,
         ),
     ];
     Ok((tiles, Fitted { profile, lookup }))
@@ -164,7 +164,7 @@ fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
         ),
         (
             "grasp, depth".to_owned(),
-            depth_picture(&touched, ours.grid()),
+            depth_image(&touched, ours.grid()),
         ),
         ("gripcast".to_owned(), ours.render(&touched, None)?),
         ("gel-surface".to_owned(), gel.render(&touched, None)?),
@@ -173,7 +173,7 @@ fn simulated_row(grasp: &SimulatedGrasp, fitted: &Fitted) -> Result<Vec<Tile>> {
 }
 
 /// Deeper is brighter.
-fn depth_picture(scene: &TactileScene<'_>, grid: gripcast_tactile::SensorGeometry) -> RgbImage {
+fn depth_image(scene: &TactileScene<'_>, grid: gripcast_tactile::SensorGeometry) -> RgbImage {
     let press: PressDepth = object_depth(scene, &grid, &mut Rasteriser::new());
     let deepest = press.deepest_m().max(1e-9);
     let grey = GrayImage::from_fn(grid.width as u32, grid.height as u32, |x, y| {
@@ -208,8 +208,8 @@ fn traced_row(grasp: &SimulatedGrasp, args: &Args) -> Result<Vec<Tile>> {
         let rendering =
             Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
         let light = denoise(&rendering, &DenoiseSettings::default());
-        let picture = develop(&light, &ColourSettings::default(), conditions.sensor_seed);
-        tiles.push((format!("{name}, seed {seed}"), picture));
+        let image = develop(&light, &ColourSettings::default(), conditions.sensor_seed);
+        tiles.push((format!("{name}, seed {seed}"), image));
     }
     Ok(tiles)
 }
@@ -220,13 +220,13 @@ fn compose(rows: &[Vec<Tile>]) -> RgbImage {
     let (width, height) = (columns * step_x + GAP, rows.len() as u32 * step_y + GAP);
     let mut sheet = RgbImage::from_pixel(width, height, Rgb([24; 3]));
     for (row, tiles) in rows.iter().enumerate() {
-        for (column, (caption, picture)) in tiles.iter().enumerate() {
+        for (column, (caption, image)) in tiles.iter().enumerate() {
             let (x, y) = (GAP + column as u32 * step_x, row as u32 * step_y);
             write_text(&mut sheet, x, y + 5, caption, Rgb([225; 3]));
-            let tile = if picture.dimensions() == TILE {
-                picture.clone()
+            let tile = if image.dimensions() == TILE {
+                image.clone()
             } else {
-                resize(picture, TILE.0, TILE.1, FilterType::Triangle)
+                resize(image, TILE.0, TILE.1, FilterType::Triangle)
             };
             image::imageops::replace(&mut sheet, &tile, i64::from(x), i64::from(y + CAPTION));
         }

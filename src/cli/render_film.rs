@@ -43,11 +43,11 @@ pub(crate) struct Args {
     /// Seed of light, ground, camera and colours
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Paths for each pixel of a colour picture
+    /// Paths for each pixel of a colour image
     #[arg(long, value_name = "N", default_value_t = 64,
         value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     samples: u32,
-    /// Columns and rows of the colour pictures
+    /// Columns and rows of the colour images
     #[arg(long, value_name = "WxH", default_value = "480x360", value_parser = size)]
     size: [usize; 2],
     /// Print one JSON object
@@ -80,7 +80,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
             let kilobytes = w.bytes / 1000;
             format!("{}: {kilobytes} kB in {:.1} s", w.name, w.wall_s)
         };
-        let lines: Vec<_> = report.pictures.iter().map(line).collect();
+        let lines: Vec<_> = report.images.iter().map(line).collect();
         print(&lines.join("\n"))?;
     }
     report.finish()
@@ -107,7 +107,7 @@ fn film(args: &Args, trace: &Path, progress: &Progress) -> Result<Written> {
     let label = name.clone();
     let mesh = &grasp.mesh;
     let files = shoot(&file, mesh, &model, &settings, &|done, all| {
-        progress.line(format!("{label}: picture {} of {all}", done + 1));
+        progress.line(format!("{label}: image {} of {all}", done + 1));
     })?;
     let mut written = Written {
         name: name.clone(),

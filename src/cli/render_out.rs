@@ -1,4 +1,4 @@
-//! Where rendered pictures go, and what is said about them.
+//! Where rendered images go, and what is said about them.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,14 +8,14 @@ use serde::Serialize;
 use super::working::Progress;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
-/// One picture, or a folder of several.
+/// One image, or a folder of several.
 pub(super) struct OutPlan {
     pub(super) out: PathBuf,
     pub(super) is_single: bool,
 }
 
 impl OutPlan {
-    /// Checks the name and makes folders; `single` says how to ask for one picture.
+    /// Checks the name and makes folders; `single` says how to ask for one image.
     pub(super) fn prepare(&self, single: &str) -> Result<()> {
         let out = &self.out;
         let is_png = out
@@ -23,13 +23,13 @@ impl OutPlan {
             .is_some_and(|e| e.eq_ignore_ascii_case("png"));
         if is_png != self.is_single {
             let what = if self.is_single {
-                "`--out` must end in .png for one picture"
+                "`--out` must end in .png for one image"
             } else {
-                "`--out` must be a folder for several pictures"
+                "`--out` must be a folder for several images"
             };
             return Err(Error::usage(what)
                 .at(out.display())
-                .remedy(format!("one picture is {single} of one trace")));
+                .remedy(format!("one image is {single} of one trace")));
         }
         let parent = out.parent().filter(|f| !f.as_os_str().is_empty());
         let folder = if self.is_single { parent } else { Some(&**out) };
@@ -39,7 +39,7 @@ impl OutPlan {
         })
     }
 
-    /// Where a picture goes that is called `name` among several.
+    /// Where an image goes that is called `name` among several.
     pub(super) fn place(&self, name: &str) -> PathBuf {
         if self.is_single {
             self.out.clone()
@@ -52,7 +52,7 @@ impl OutPlan {
 /// What was written and what was not.
 #[derive(Debug, Serialize)]
 pub(super) struct Report<T> {
-    pub(super) pictures: Vec<T>,
+    pub(super) images: Vec<T>,
     failed: Vec<Failed>,
 }
 
@@ -64,9 +64,9 @@ struct Failed {
 
 impl<T> Report<T> {
     /// All went well.
-    pub(super) fn of(pictures: Vec<T>) -> Self {
+    pub(super) fn of(images: Vec<T>) -> Self {
         Self {
-            pictures,
+            images,
             failed: Vec::new(),
         }
     }
@@ -84,7 +84,7 @@ impl<T> Report<T> {
         for (done, trace) in traces.iter().enumerate() {
             progress.at(done as u64, traces.len() as u64);
             match render(trace) {
-                Ok(written) => report.pictures.extend(written),
+                Ok(written) => report.images.extend(written),
                 Err(error) if traces.len() == 1 => return Err(error),
                 Err(error) => {
                     progress.line(format!("gripcast: {error}"));
@@ -95,7 +95,7 @@ impl<T> Report<T> {
                 }
             }
         }
-        if report.pictures.is_empty() {
+        if report.images.is_empty() {
             return Err(Error::input("no trace could be rendered"));
         }
         Ok(report)

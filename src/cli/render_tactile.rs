@@ -1,15 +1,15 @@
-//! `gripcast render tactile`: pictures of the GelSight Minis.
+//! `gripcast render tactile`: images of the GelSight Minis.
 //!
 //! ```text
 //! gripcast render tactile --trace grasp.bin --side left --out left.png
-//! gripcast render tactile --trace *.bin --side both --moment initial,grasp --out pictures
+//! gripcast render tactile --trace *.bin --side both --moment initial,grasp --out images
 //! gripcast render tactile --object part.stl --unit mm --pose press.json --out press.png
 //! ```
 //!
-//! `--out` is a `.png` for one picture, else a folder, which then holds
+//! `--out` is a `.png` for one image, else a folder, which then holds
 //! `TRACE.MOMENT.SIDE.png`. `--depth` writes the depths of the press beside each as
 //! `….depth.png`, 16 bits, one unit a micrometre; `--difference` writes the signed difference to
-//! the untouched picture, grey 128 being none.
+//! the untouched image, grey 128 being none.
 //!
 //! Without a trace an object is pressed `--press-m` deep into one gel. `--pose` is a JSON file
 //! with `t_sensor_object`, the object in the frame of the sensor: x along the columns, y along the
@@ -70,7 +70,7 @@ pub(crate) struct Args {
     /// When
     #[arg(long, value_enum, value_delimiter = ',', default_value = "grasp")]
     moment: Vec<Moment>,
-    /// How the picture is made
+    /// How the image is made
     #[arg(long, value_enum, default_value_t = Method::Object)]
     method: Method,
     /// Presses of a ball to fit the table of --method lookup to, as `render calibrate` reads them
@@ -79,7 +79,7 @@ pub(crate) struct Args {
     /// Diameter of that ball [default: that of presses.json]
     #[arg(long, value_name = "MM")]
     ball_mm: Option<f64>,
-    /// Find contacts in those pictures although presses.json has them
+    /// Find contacts in those images although presses.json has them
     #[arg(long)]
     find_contacts: bool,
     /// Profile of the left or only sensor [default: a generic GelSight Mini]
@@ -100,13 +100,13 @@ pub(crate) struct Args {
     /// Leave the noise out
     #[arg(long)]
     no_noise: bool,
-    /// Picture, or folder for several
+    /// Image, or folder for several
     #[arg(long, value_name = "FILE.png|DIR")]
     out: PathBuf,
     /// Write the depths of the press as well
     #[arg(long)]
     depth: bool,
-    /// Write the difference to the untouched picture as well
+    /// Write the difference to the untouched image as well
     #[arg(long)]
     difference: bool,
     /// Print one JSON object
@@ -153,14 +153,14 @@ fn side_name(finger: Finger) -> &'static str {
     }
 }
 
-/// A picture that was written.
+/// An image that was written.
 #[derive(Debug, Serialize)]
 struct Written {
     file: PathBuf,
     side: &'static str,
     moment: &'static str,
     deepest_m: f64,
-    /// Share of the pixels under which the object touches.
+    /// Fraction of the pixels under which the object touches.
     contact: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
     depth: Option<PathBuf>,
@@ -192,7 +192,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         };
         print(
             &report
-                .pictures
+                .images
                 .iter()
                 .map(line)
                 .collect::<Vec<_>>()
@@ -205,11 +205,10 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 impl Args {
     fn plan(&self) -> OutPlan {
         let one_press = self.trace.is_empty();
-        let one_picture =
-            self.trace.len() == 1 && self.side != Side::Both && self.moment.len() == 1;
+        let one_image = self.trace.len() == 1 && self.side != Side::Both && self.moment.len() == 1;
         OutPlan {
             out: self.out.clone(),
-            is_single: one_press || one_picture,
+            is_single: one_press || one_image,
         }
     }
 
@@ -268,7 +267,7 @@ impl Args {
     }
 }
 
-/// A renderer with what the depth beside its pictures needs.
+/// A renderer with what the depth beside its images needs.
 struct Eye {
     renderer: Box<dyn SceneRenderer>,
     rasteriser: Rasteriser,
@@ -366,8 +365,8 @@ fn write(
     finger: Finger,
     moment: &'static str,
 ) -> Result<Written> {
-    let picture = eye.renderer.render(scene, args.noise())?;
-    save(out, &encode_png_rgb(&picture)?)?;
+    let image = eye.renderer.render(scene, args.noise())?;
+    save(out, &encode_png_rgb(&image)?)?;
     let grid = eye.renderer.grid();
     let press = object_depth(scene, &grid, &mut eye.rasteriser);
     let touched = press.depth_m.iter().filter(|&&d| d > 0.0).count();
@@ -380,8 +379,8 @@ fn write(
         .then(|| out.with_extension("difference.png"));
     if let Some(path) = &difference {
         let untouched = eye.renderer.render(&scene.untouched(), args.noise())?;
-        let change = TactileDifference::between(&untouched, &picture)?;
-        save(path, &encode_png_rgb(&change.to_picture(1.0))?)?;
+        let change = TactileDifference::between(&untouched, &image)?;
+        save(path, &encode_png_rgb(&change.to_image(1.0))?)?;
     }
     Ok(Written {
         file: out.to_owned(),

@@ -1,17 +1,17 @@
-//! `gripcast render visual`: path-traced pictures of the camera between the fingers.
+//! `gripcast render visual`: path-traced images of the camera between the fingers.
 //!
 //! ```text
 //! gripcast render visual --trace grasp.bin --out grasp.png
-//! gripcast render visual --trace *.bin --count 3 --hdri studio.hdr --depth --out pictures
+//! gripcast render visual --trace *.bin --count 3 --hdri studio.hdr --depth --out images
 //! gripcast render visual --object part.glb --pose grasp.json --view outside --out part.png
 //! ```
 //!
 //! Light, ground, colours, camera and noise are drawn from `--seed`; `--hdri` and `--ground` name
-//! the pictures to draw from, else they are painted. Paths are spread by a low-discrepancy
+//! the images to draw from, else they are painted. Paths are spread by a low-discrepancy
 //! sequence, so powers of two are best for `--samples`. Nothing is clamped unless `--clamp` is
 //! given, and `--denoise` is off.
 //!
-//! `--out` is a `.png` for one picture, else a folder, which then holds `TRACE.MOMENT.NUMBER.png`.
+//! `--out` is a `.png` for one image, else a folder, which then holds `TRACE.MOMENT.NUMBER.png`.
 //! `--depth` writes what the D435 would measure beside each as `….depth.png`, 16 bits, one unit a
 //! millimetre, 0 where it measures nothing.
 //!
@@ -37,8 +37,8 @@ use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
 use gripcast_sim::grasp::{GraspPose, Placed, Placement, resting_pose};
 use gripcast_visual::{
-    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Model, Pattern,
-    Picture, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
+    Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Image, Model,
+    Pattern, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
     denoise, develop, grasp_scene, load_bitmap, load_hdr, measure_depth, normalise,
 };
 
@@ -60,7 +60,7 @@ pub(crate) struct Args {
     look: LookFlags,
     #[command(flatten)]
     quality: QualityFlags,
-    /// Picture, or folder for several
+    /// Image, or folder for several
     #[arg(long, value_name = "FILE.png|DIR")]
     out: PathBuf,
     /// Write what the D435 would measure as depth as well
@@ -106,7 +106,7 @@ struct LookFlags {
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = sky,
         conflicts_with = "hdri")]
     sky: Vec<Sky>,
-    /// Pictures to draw the ground from [default: painted]
+    /// Images to draw the ground from [default: painted]
     #[arg(long, value_name = "FILE", num_args = 1..)]
     ground: Vec<PathBuf>,
     /// Kinds of painted ground to draw from: wood, stone, concrete, tiles, … [default: all that
@@ -114,13 +114,13 @@ struct LookFlags {
     #[arg(long, value_name = "NAME", value_delimiter = ',', value_parser = pattern,
         conflicts_with = "ground")]
     pattern: Vec<Pattern>,
-    /// Width of such a picture on the ground
+    /// Width of such an image on the ground
     #[arg(long, value_name = "M", default_value_t = 0.5)]
     ground_width_m: f64,
     /// Seed of everything that is drawn
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Pictures of each moment, each under conditions of its own
+    /// Images of each moment, each under conditions of its own
     #[arg(long, value_name = "N", default_value_t = 1,
         value_parser = clap::value_parser!(u32).range(1..=1000))]
     count: u32,
@@ -145,7 +145,7 @@ struct QualityFlags {
     /// Smooth what few paths leave rough, guided by colour, normal and depth of the surfaces
     #[arg(long)]
     denoise: bool,
-    /// Threads; the pictures do not depend on them [default: all cores]
+    /// Threads; the images do not depend on them [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: Option<u16>,
 }
@@ -180,7 +180,7 @@ pub(super) fn size(text: &str) -> Result<[usize; 2], String> {
     sides.ok_or_else(|| "must be two numbers from 1 to 8192, as 320x240".to_owned())
 }
 
-/// A picture that was written.
+/// An image that was written.
 #[derive(Debug, Serialize)]
 struct Written {
     file: PathBuf,
@@ -209,7 +209,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
         let line = |w: &Written| format!("{}: {:.1} s", w.file.display(), w.wall_s);
         print(
             &report
-                .pictures
+                .images
                 .iter()
                 .map(line)
                 .collect::<Vec<_>>()
@@ -229,7 +229,7 @@ impl Args {
     }
 }
 
-/// What all pictures share.
+/// What all images fraction.
 struct Job<'a> {
     args: &'a Args,
     plan: &'a OutPlan,
@@ -239,7 +239,7 @@ struct Job<'a> {
 
 impl<'a> Job<'a> {
     fn new(args: &'a Args, plan: &'a OutPlan, progress: &'a Progress) -> Result<Self> {
-        let dome = |path: &PathBuf| -> Result<Arc<Picture>> {
+        let dome = |path: &PathBuf| -> Result<Arc<Image>> {
             let mut dome = load_hdr(path)?;
             normalise(&mut dome);
             Ok(Arc::new(dome))
@@ -292,7 +292,7 @@ impl<'a> Job<'a> {
                     }
                 }
             };
-            written.extend(self.pictures(&grasp.object, &state, &stem, moment.name())?);
+            written.extend(self.images(&grasp.object, &state, &stem, moment.name())?);
         }
         Ok(written)
     }
@@ -330,11 +330,11 @@ impl<'a> Job<'a> {
         };
         let stem = Path::new(name).file_stem().unwrap_or_default();
         let stem = stem.to_string_lossy().replace(':', "-");
-        self.pictures(&source, &state, &stem, Moment::Initial.name())
+        self.images(&source, &state, &stem, Moment::Initial.name())
     }
 
-    /// All pictures of a moment.
-    fn pictures(
+    /// All images of a moment.
+    fn images(
         &self,
         object: &ObjectSource,
         state: &GraspState,
@@ -347,12 +347,12 @@ impl<'a> Job<'a> {
             let seed = look.seed.wrapping_add(u64::from(number));
             let model = object.model(self.args.object.finish, seed, self.progress)?;
             let out = self.plan.place(&format!("{stem}.{moment}.{number}.png"));
-            written.push(self.picture(&model, state, seed, moment, out)?);
+            written.push(self.image(&model, state, seed, moment, out)?);
         }
         Ok(written)
     }
 
-    fn picture(
+    fn image(
         &self,
         model: &Model,
         state: &GraspState,
@@ -385,7 +385,7 @@ impl<'a> Job<'a> {
         let light = if quality.denoise {
             denoise(&rendering, &DenoiseSettings::default())
         } else {
-            rendering.picture
+            rendering.image
         };
         save(&out, &encode_png_rgb(&self.developed(&light, &conditions))?)?;
         let depth = self.args.depth.then(|| out.with_extension("depth.png"));
@@ -408,10 +408,10 @@ impl<'a> Job<'a> {
         })
     }
 
-    fn developed(&self, light: &Picture, conditions: &VisualConditions) -> RgbImage {
+    fn developed(&self, light: &Image, conditions: &VisualConditions) -> RgbImage {
         let mut settings = ColourSettings::default();
         if self.args.view == ViewName::Outside {
-            // A picture for people, not of the sensor.
+            // An image for people, not of the sensor.
             settings.full_well_e = 1e9;
             settings.read_noise_e = 0.0;
             settings.blur_px = 0.0;

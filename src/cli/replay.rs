@@ -117,15 +117,15 @@ struct SweepFlags {
     /// Cases at a time; the results do not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
-    /// Seed of drawn poses, pictures and the demo
+    /// Seed of drawn poses, images and the demo
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Sensor profile of the simulated tactile pictures [default: the GelSight Mini's]
+    /// Sensor profile of the simulated tactile images [default: the GelSight Mini's]
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Leave the pictures out of the report
+    /// Leave the images out of the report
     #[arg(long)]
-    no_pictures: bool,
+    no_images: bool,
     /// Folder of report and cases
     #[arg(long, value_name = "DIR", default_value = "replay")]
     out: PathBuf,
@@ -135,7 +135,7 @@ struct SweepFlags {
     /// Simulate nothing, only say what would be replayed
     #[arg(long)]
     dry_run: bool,
-    /// Print the report as JSON, without pictures and curves
+    /// Print the report as JSON, without images and curves
     #[arg(long)]
     json: bool,
 }
@@ -330,7 +330,7 @@ impl SweepFlags {
             jobs: self.jobs(),
             pose_samples: self.pose_samples,
             sensor,
-            view_samples: (!self.no_pictures).then_some(VIEW_SAMPLES),
+            view_samples: (!self.no_images).then_some(VIEW_SAMPLES),
         })
     }
 }
@@ -413,7 +413,7 @@ fn told(progress: &Progress, at: ReplayProgress) {
     let (stage, done, all) = match at {
         ReplayProgress::Cases(at) => ("replaying", at.done, at.all),
         ReplayProgress::Poses(at) => ("replaying drawn poses", at.done, at.all),
-        ReplayProgress::Pictures { done, all } => ("drawing pictures", done, all),
+        ReplayProgress::Images { done, all } => ("drawing images", done, all),
         ReplayProgress::Note(line) => return progress.line(line),
     };
     progress.stage(stage);

@@ -44,9 +44,9 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
             text,
             "  {:5}  best settings {}, leave one out {}, one setting for all {}",
             engine.name,
-            share(&scores.paper.all),
-            share(&scores.leave_one_out.all),
-            share(&scores.one_setting.all)
+            fraction(&scores.paper.all),
+            fraction(&scores.leave_one_out.all),
+            fraction(&scores.one_setting.all)
         );
         let forces = scores.force_n.iter();
         let forces = forces.map(|(object, force)| format!("{object} {force} N"));
@@ -78,15 +78,15 @@ pub(super) fn text(report: &Report, out: &Path) -> String {
     text
 }
 
-fn share(proportion: &Proportion) -> String {
+fn fraction(proportion: &Proportion) -> String {
     let Proportion {
         agree,
         n,
-        share,
+        fraction,
         low,
         high,
     } = proportion;
-    format!("{share:.2} ({low:.2}–{high:.2}; {agree} of {n})")
+    format!("{fraction:.2} ({low:.2}–{high:.2}; {agree} of {n})")
 }
 
 fn probability(p: f64) -> String {

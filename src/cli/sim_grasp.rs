@@ -419,8 +419,8 @@ fn suffix(path: &Path) -> String {
 fn write_files(args: &Args, report: &Report, result: GraspResult, axes: Value) -> Result<()> {
     if let Some(path) = &args.out.plot {
         let height = report.parameters.protocol.success_height_m;
-        let picture = plot(&result.trace, &report.summary, height, &args.object.object);
-        save(path, picture.as_bytes())?;
+        let image = plot(&result.trace, &report.summary, height, &args.object.object);
+        save(path, image.as_bytes())?;
     }
     if let Some(path) = &args.out.trace {
         let mut header = serde_json::to_value(report)

@@ -71,7 +71,7 @@ fn line(case: &CaseResult, width: usize) -> String {
     let mark = if case.passed { "ok  " } else { "FAIL" };
     let tolerance = match case.tolerance {
         Tolerance::Absolute(limit) => format!("within {limit} {}", case.unit),
-        Tolerance::Relative(share) => format!("within {} %", 100.0 * share),
+        Tolerance::Relative(fraction) => format!("within {} %", 100.0 * fraction),
         Tolerance::AtLeast => "at least".to_owned(),
         Tolerance::AtMost => "at most".to_owned(),
         Tolerance::Stated => "stated".to_owned(),

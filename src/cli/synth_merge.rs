@@ -35,8 +35,8 @@ pub(crate) struct Args {
 /// Which simulations are chosen.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ChoiceArgs {
-    /// Parts and their shares
-    #[arg(long, value_name = "PART=SHARE,…", default_value_t = Split::usual())]
+    /// Parts and their fractions
+    #[arg(long, value_name = "PART=FRACTION,…", default_value_t = Split::usual())]
     split: Split,
     /// What may not be in two parts
     #[arg(long, value_enum, default_value_t = ApartName::Object)]

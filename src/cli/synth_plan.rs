@@ -17,7 +17,7 @@ use gripcast_sim::grasp::GraspSettings;
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
-    Drafts, LEAST_FRICTION_SHARE, MadePlan, PlanPreset, PlanSettings, RenderingPlan,
+    Drafts, MIN_FRICTION_FRACTION, MadePlan, PlanPreset, PlanSettings, RenderingPlan,
     acronym_drafts, family_drafts, make_plan, table_drafts, texture_folder,
 };
 use gripcast_synth::properties::{
@@ -67,7 +67,7 @@ pub(crate) struct Args {
     /// Renderings of each simulation [default: that of the preset]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100))]
     renderings: Option<u32>,
-    /// Paths for each pixel of a colour picture
+    /// Paths for each pixel of a colour image
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     samples: Option<u32>,
     /// Spread of the tactile sensors: 0 the shipped profile, 1 as real ones differ
@@ -80,9 +80,9 @@ pub(crate) struct Args {
     /// How estimated masses become masses of 10 to 200 g; given ones stay
     #[arg(long, value_enum, default_value_t = MassMapName::Log)]
     mass_map: MassMapName,
-    /// Share of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
-    #[arg(long, value_name = "S", default_value_t = LEAST_FRICTION_SHARE)]
-    least_friction_share: f64,
+    /// Fraction of a clean, dry surface's friction that the dirtiest keeps; for friction of the table
+    #[arg(long, value_name = "S", default_value_t = MIN_FRICTION_FRACTION)]
+    least_friction_fraction: f64,
     /// Objects at a time; the plan does not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
@@ -91,7 +91,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// Objects and pictures of the user's.
+/// Objects and images of the user's.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Objects of your own")]
 struct Sources {
@@ -108,10 +108,10 @@ struct Sources {
     #[arg(long, value_name = "N", requires = "acronym",
         value_parser = clap::value_parser!(u32).range(1..))]
     acronym_objects: Option<u32>,
-    /// Folder of pictures that objects may wear besides their built-in appearances
+    /// Folder of images that objects may wear besides their built-in appearances
     #[arg(long, value_name = "DIR")]
     textures: Option<PathBuf>,
-    /// Width of these pictures on an object, m
+    /// Width of these images on an object, m
     #[arg(long, value_name = "M", default_value_t = 0.1, value_parser = above_zero)]
     texture_width_m: f64,
 }
@@ -239,10 +239,10 @@ impl Args {
                 )));
             }
         }
-        if !(self.least_friction_share > 0.0 && self.least_friction_share <= 1.0) {
+        if !(self.least_friction_fraction > 0.0 && self.least_friction_fraction <= 1.0) {
             return Err(Error::usage(format!(
-                "`--least-friction-share` must be above 0 and at most 1, found {}",
-                self.least_friction_share
+                "`--least-friction-fraction` must be above 0 and at most 1, found {}",
+                self.least_friction_fraction
             )));
         }
         let of_preset = preset.rendering();
@@ -264,7 +264,7 @@ impl Args {
             },
             textures,
             mass_map: self.mass_map.into(),
-            least_friction_share: self.least_friction_share,
+            least_friction_fraction: self.least_friction_fraction,
             jobs,
         };
         let drafts = self.drafts(preset, jobs, progress)?;

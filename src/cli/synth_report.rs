@@ -36,7 +36,7 @@ pub(crate) struct Args {
     /// cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
-    /// Print the report without its pictures as JSON
+    /// Print the report without its images as JSON
     #[arg(long)]
     json: bool,
 }

@@ -15,7 +15,7 @@ use super::{Context, print, print_json};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
 use gripcast_synth::plan::{Plan, Shard};
-use gripcast_synth::{MergeSettings, Pictures, ResultStore, RunSettings, chosen, planned_engine};
+use gripcast_synth::{Images, MergeSettings, ResultStore, RunSettings, chosen, planned_engine};
 
 /// Reasons of failures that are shown.
 const SHOWN_FAILURES: usize = 10;
@@ -33,11 +33,11 @@ pub(crate) struct Args {
     /// Simulations at a time; the results do not depend on it [default: all cores]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
     jobs: Option<u16>,
-    /// Which simulations get pictures; labels alone are there sooner, and a balanced dataset needs
-    /// the pictures of half of them
-    #[arg(long, value_enum, default_value_t = PicturesName::All)]
-    pictures: PicturesName,
-    /// With --pictures chosen: those that `synth merge --partial` takes of what has a label by now;
+    /// Which simulations get images; labels alone are there sooner, and a balanced dataset needs
+    /// the images of half of them
+    #[arg(long, value_enum, default_value_t = ImagesName::All)]
+    images: ImagesName,
+    /// With --images chosen: those that `synth merge --partial` takes of what has a label by now;
     /// nothing is simulated
     #[arg(long)]
     partial: bool,
@@ -49,13 +49,13 @@ pub(crate) struct Args {
     json: bool,
     #[command(
         flatten,
-        next_help_heading = "With --pictures chosen, as given to synth merge"
+        next_help_heading = "With --images chosen, as given to synth merge"
     )]
     choice: ChoiceArgs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum PicturesName {
+enum ImagesName {
     /// All with a label
     All,
     /// None of them
@@ -83,11 +83,11 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
     };
     let folder = args.plan.clone();
     let choice = args.choice.curation()?;
-    if args.partial && args.pictures != PicturesName::Chosen {
+    if args.partial && args.images != ImagesName::Chosen {
         return Err(Error::usage(
-            "--partial is for the pictures that a dataset of an unfinished plan needs",
+            "--partial is for the images that a dataset of an unfinished plan needs",
         )
-        .remedy("give --pictures chosen with it, or leave it out"));
+        .remedy("give --images chosen with it, or leave it out"));
     }
     let summary = resumable(context, "simulating", move |progress| {
         let plan = Plan::read(&folder)?;
@@ -96,15 +96,15 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
             jobs: args.jobs.map_or_else(cores, usize::from),
             is_failed_retried: args.retry_failed,
             is_open_simulated: !args.partial,
-            pictures: match args.pictures {
-                PicturesName::All => Pictures::All,
-                PicturesName::None => Pictures::None,
-                PicturesName::Chosen => {
+            images: match args.images {
+                ImagesName::All => Images::All,
+                ImagesName::None => Images::None,
+                ImagesName::Chosen => {
                     let settings = MergeSettings {
                         curation: choice,
                         is_partial_allowed: args.partial,
                     };
-                    Pictures::Of(chosen(&plan, &folder, &settings)?)
+                    Images::Of(chosen(&plan, &folder, &settings)?)
                 }
             },
         };
@@ -138,7 +138,7 @@ pub(super) fn run(context: &Context, args: Args) -> Result<()> {
         text.push_str("\n  …");
     }
     Err(Error::new(ErrorKind::Partial, text).remedy(
-        "they are results like others; once the cause is mended, --retry-failed does them again",
+        "they are results like others; once the cause is fixed, --retry-failed does them again",
     ))
 }
 
@@ -159,7 +159,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
         stable += usize::from(result.stable == Some(true));
         slip += usize::from(result.stable == Some(false));
         rows += result.samples.as_ref().map_or(0, |file| file.rows);
-        lacking += usize::from(result.lacks_pictures());
+        lacking += usize::from(result.lacks_images());
         let cpu = result.cpu_s;
         cpu_s += cpu.prepare + cpu.simulate + cpu.tactile + cpu.visual;
         *outcomes.entry(result.outcome).or_default() += 1;
@@ -173,7 +173,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
             "stable": stable,
             "slip": slip,
             "rows": rows,
-            "without_pictures": lacking,
+            "without_images": lacking,
             "outcomes": outcomes,
             "cpu_s": cpu_s,
             "estimated_open_cpu_s": open_s,
@@ -185,7 +185,7 @@ pub(super) fn status(args: &StatusArgs) -> Result<()> {
         .collect();
     let lacking = match lacking {
         0 => String::new(),
-        count => format!(", {count} with a label and without pictures"),
+        count => format!(", {count} with a label and without images"),
     };
     print(&format!(
         "{done} of {all} simulations done: {stable} held, {slip} lost, {rows} renderings{lacking}\n\

@@ -57,7 +57,7 @@ pub(crate) struct Args {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum Modality {
-    /// The colour picture
+    /// The colour image
     V,
     /// Both tactile differences
     T,
@@ -113,7 +113,7 @@ fn under_dashboard(args: Args) -> Result<Value> {
     found?
 }
 
-fn all_seeds(args: &Args, told: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value> {
+fn all_seeds(args: &Args, on_progress: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value> {
     let mut runs = Vec::new();
     let mut best: Option<(f64, Finished)> = None;
     for seed in args.seed..args.seed.saturating_add(args.seeds) {
@@ -123,15 +123,15 @@ fn all_seeds(args: &Args, told: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value>
             args.out.join(format!("seed-{seed}"))
         };
         let settings = args.settings(seed)?;
-        told(TrainingNews::Seed(seed));
+        on_progress(TrainingNews::Seed(seed));
         let trained = train(&args.data, &folder, &settings, &|event| {
-            told(TrainingNews::Train(event));
+            on_progress(TrainingNews::Train(event));
         })?;
         let folder = RunFolder::at(folder);
         let file = folder.read()?.ok_or_else(|| {
             Error::internal("the run has no description").at(folder.run().display())
         })?;
-        told(TrainingNews::Stage("calibrating"));
+        on_progress(TrainingNews::Stage("calibrating"));
         let senses = file.settings.variant.name().to_lowercase();
         let name = args.name.clone().unwrap_or(format!("trained-{senses}"));
         let finished = finish(&folder, &file, &args.data, &name, &|_| {})?;
@@ -140,7 +140,7 @@ fn all_seeds(args: &Args, told: &(dyn Fn(TrainingNews) + Sync)) -> Result<Value>
         if best.as_ref().is_none_or(|(most, _)| accuracy > *most) {
             best = Some((accuracy, finished));
         }
-        told(TrainingNews::Stage("training"));
+        on_progress(TrainingNews::Stage("training"));
     }
     let model = args.out.join("model.onnx");
     if let (true, Some((_, finished))) = (args.seeds > 1, &best) {

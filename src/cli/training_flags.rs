@@ -1,4 +1,4 @@
-//! How classifiers are trained: flags that `train` and `experiment` share.
+//! How classifiers are trained: flags that `train` and `experiment` fraction.
 
 use gripcast_base::error::{Error, Result};
 use gripcast_nn::Architecture;
@@ -20,16 +20,16 @@ pub(super) struct TrainingFlags {
     /// Learning rate at its highest; it falls linearly to zero
     #[arg(long, default_value_t = 3e-4)]
     learning_rate: f64,
-    /// Share of themselves that weights lose in a step at a rate of 1
+    /// Fraction of themselves that weights lose in a step at a rate of 1
     #[arg(long, default_value_t = 0.01)]
     weight_decay: f64,
-    /// Share of the hidden floats that are left out at random
+    /// Fraction of the hidden floats that are left out at random
     #[arg(long, default_value_t = 0.2)]
     dropout: f64,
     /// Epochs without a better validation accuracy after which training ends; 0 for never
     #[arg(long, default_value_t = 0)]
     patience: u32,
-    /// Leave pictures as they are
+    /// Leave images as they are
     #[arg(long)]
     no_augmentation: bool,
 }

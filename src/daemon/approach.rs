@@ -22,7 +22,7 @@ use gripcast_imaging::{Decoder, Frame, Intrinsics, Role};
 const PAUSE: Duration = Duration::from_millis(120);
 /// Most frames that are kept. The newest half is kept whole; of the older ones those go that leave
 /// the smallest hole for their age, so that any time since the initial frame stays covered.
-const MOST: usize = 48;
+const MAX: usize = 48;
 /// Frames from this long before the initial trigger count: the operator holds still to press.
 const BEFORE_TRIGGER_NS: u64 = 700_000_000;
 /// Frames that are stored where no board tells which are the right ones.
@@ -265,15 +265,15 @@ fn run(
     }
 }
 
-/// Takes one frame out if there are too many; see [`MOST`].
+/// Takes one frame out if there are too many; see [`MAX`].
 fn thin(ring: &mut VecDeque<Seen>) {
-    if ring.len() <= MOST {
+    if ring.len() <= MAX {
         return;
     }
     let time = |i: usize| ring[i].frame.driver_time_ns as f64;
     let newest = time(ring.len() - 1);
     let hole = |i: &usize| (time(i + 1) - time(i - 1)) / (newest - time(*i));
-    let dispensable = (1..ring.len() - MOST / 2).min_by(|a, b| hole(a).total_cmp(&hole(b)));
+    let dispensable = (1..ring.len() - MAX / 2).min_by(|a, b| hole(a).total_cmp(&hole(b)));
     if let Some(frame) = dispensable {
         ring.remove(frame);
     }
@@ -310,8 +310,8 @@ impl Measurer {
     ) -> (Result<Observation, String>, String) {
         let mut observe = || {
             let annotator = self.annotator(object)?;
-            let picture = decoder.decode_full(frame)?;
-            annotator.observe(&grayscale(&picture))
+            let image = decoder.decode_full(frame)?;
+            annotator.observe(&grayscale(&image))
         };
         let observation = observe().map_err(|error: Error| error.what().to_owned());
         let sheet = self.annotator.as_ref().map(|a| a.boards().sheet);
@@ -364,9 +364,9 @@ mod tests {
             ring.push_back(seen(n * 120 * MS));
             thin(&mut ring);
         }
-        assert_eq!(ring.len(), MOST);
+        assert_eq!(ring.len(), MAX);
         let times: Vec<u64> = ring.iter().map(|s| s.frame.driver_time_ns / MS).collect();
-        let (old, new) = times.split_at(MOST / 2);
+        let (old, new) = times.split_at(MAX / 2);
         assert!(
             new.windows(2).all(|pair| pair[1] - pair[0] == 120),
             "{new:?}"

@@ -18,9 +18,9 @@ const PATIENCE: Duration = Duration::from_millis(200);
 /// Pause between previews of cameras whose every frame need not be decoded.
 const PREVIEW_PAUSE: Duration = Duration::from_millis(100);
 
-/// The picture of a frame that models and screens use: the tactile crop profile, or all of a
+/// The image of a frame that models and screens use: the tactile crop profile, or all of a
 /// colour camera, at the model's size.
-pub(super) fn model_picture(
+pub(super) fn model_image(
     decoder: &mut Decoder,
     frame: &Frame,
     crop: Option<&CropProfile>,
@@ -64,7 +64,7 @@ fn run(
         };
         let started = Instant::now();
         beat.busy();
-        match model_picture(decoder, &frame, crop) {
+        match model_image(decoder, &frame, crop) {
             Ok(image) => {
                 slot.decoded(&frame, image);
                 if infer.send(InferRequest::Fresh(slot.role())).is_err() {

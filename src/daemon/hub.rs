@@ -33,7 +33,7 @@ struct Held {
 /// A frame that was decoded for inference and preview.
 #[derive(Clone, Debug)]
 pub(super) struct Decoded {
-    /// Cropped and scaled picture.
+    /// Cropped and scaled image.
     pub image: Arc<RgbImage>,
     /// Driver time of its frame, ns.
     pub driver_time_ns: u64,
@@ -203,7 +203,7 @@ impl CameraSlot {
         state.ring.retain(|held| !same(&held.frame, frame));
     }
 
-    /// The newest decoded picture.
+    /// The newest decoded image.
     #[must_use]
     pub(super) fn latest(&self) -> Option<Decoded> {
         self.lock().decoded.clone()

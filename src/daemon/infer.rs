@@ -1,4 +1,4 @@
-//! Inference at every new tactile picture, on a thread of its own.
+//! Inference at every new tactile image, on a thread of its own.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::ControlFlow;
@@ -31,7 +31,7 @@ const PREVIEW_GAIN: f32 = 1.5;
 /// What the inference thread is asked.
 #[derive(Debug)]
 pub(super) enum InferRequest {
-    /// A camera has a new decoded picture.
+    /// A camera has a new decoded image.
     Fresh(Role),
     /// Subtract these from now on.
     SetInitial {
@@ -45,10 +45,10 @@ pub(super) enum InferRequest {
     /// There is no initial frame any more, or none that can be subtracted, for this reason. Contact
     /// is still told against the last one.
     ClearInitial(String),
-    /// Predict on exactly these pictures, against the present initial frame.
+    /// Predict on exactly these images, against the present initial frame.
     Judge {
-        /// Pictures by role.
-        pictures: BTreeMap<Role, RgbImage>,
+        /// Images by role.
+        images: BTreeMap<Role, RgbImage>,
         /// Where the answer goes; `None` when there is no prediction.
         reply: Sender<Option<PredictionRecord>>,
     },
@@ -117,7 +117,7 @@ pub(super) struct Findings {
     /// The newest change of the initial frame that brought one. A number and no key: after an undo
     /// the same frame comes back, and what was found against it before is stale.
     pub(super) change: Option<u64>,
-    /// Small pictures.
+    /// Small images.
     pub(super) previews: BTreeMap<Role, Preview>,
     /// Predictions made.
     pub(super) predictions: u64,
@@ -222,7 +222,7 @@ struct Worker {
     initial: BTreeMap<Role, Arc<RgbImage>>,
     predicting: bool,
     smoothing: Smoothing,
-    /// Serial of the newest picture used, by role.
+    /// Serial of the newest image used, by role.
     seen: BTreeMap<Role, u64>,
     findings: Arc<Mutex<Findings>>,
 }
@@ -244,7 +244,7 @@ impl Worker {
         }
     }
 
-    /// What waits for an answer comes first; of each camera only the newest picture is looked at.
+    /// What waits for an answer comes first; of each camera only the newest image is looked at.
     fn run(&mut self, inbox: &Receiver<InferRequest>, beat: &Beat) {
         let mut fresh = VecDeque::new();
         loop {
@@ -268,7 +268,7 @@ impl Worker {
         }
     }
 
-    /// Carries out a request, or notes that a camera has a new picture.
+    /// Carries out a request, or notes that a camera has a new image.
     fn take(&mut self, request: InferRequest, fresh: &mut VecDeque<Role>) -> ControlFlow<()> {
         match request {
             InferRequest::Fresh(role) if fresh.contains(&role) => {}
@@ -279,9 +279,9 @@ impl Worker {
                 right,
             } => self.set_initial(change, left, right),
             InferRequest::ClearInitial(reason) => self.clear_initial(reason),
-            InferRequest::Judge { pictures, reply } => {
+            InferRequest::Judge { images, reply } => {
                 // The asker has given up when nobody receives.
-                let _ = reply.send(self.judge(pictures));
+                let _ = reply.send(self.judge(images));
             }
             InferRequest::Stop => return ControlFlow::Break(()),
         }
@@ -332,7 +332,7 @@ impl Worker {
             is_difference: shown.is_some(),
             image: shown.map_or_else(
                 || Arc::clone(&decoded.image),
-                |difference| Arc::new(difference.to_picture(PREVIEW_GAIN)),
+                |difference| Arc::new(difference.to_image(PREVIEW_GAIN)),
             ),
         };
         {
@@ -396,11 +396,11 @@ impl Worker {
         }
     }
 
-    /// Predicts on saved pictures, then puts the live ones back.
-    fn judge(&mut self, pictures: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
+    /// Predicts on saved images, then puts the live ones back.
+    fn judge(&mut self, images: BTreeMap<Role, RgbImage>) -> Option<PredictionRecord> {
         let (predictor, model) = self.predictor.as_mut().filter(|_| self.predicting)?;
-        for (role, picture) in pictures {
-            predictor.update(role, picture, 0);
+        for (role, image) in images {
+            predictor.update(role, image, 0);
         }
         let result = predictor.predict();
         for role in [Role::Left, Role::Right, Role::Rgb] {
@@ -426,22 +426,22 @@ mod tests {
     }
 
     #[test]
-    fn of_many_pictures_that_wait_one_a_camera_is_looked_at_after_all_that_is_asked() {
+    fn of_many_images_that_wait_one_a_camera_is_looked_at_after_all_that_is_asked() {
         let hub = Hub::new([Role::Left]);
         let findings = Arc::default();
         let mut worker = Worker::new(&hub, None, &findings);
         let mut fresh = VecDeque::new();
         let (reply, answer) = std::sync::mpsc::channel();
-        let pictures = BTreeMap::new();
+        let images = BTreeMap::new();
         for request in [
             InferRequest::Fresh(Role::Left),
             InferRequest::Fresh(Role::Right),
             InferRequest::Fresh(Role::Left),
-            InferRequest::Judge { pictures, reply },
+            InferRequest::Judge { images, reply },
         ] {
             assert!(worker.take(request, &mut fresh).is_continue());
         }
-        assert_eq!(answer.try_recv(), Ok(None), "answered before the pictures");
+        assert_eq!(answer.try_recv(), Ok(None), "answered before the images");
         assert_eq!(fresh, [Role::Left, Role::Right]);
         assert!(worker.take(InferRequest::Stop, &mut fresh).is_break());
     }
@@ -482,7 +482,7 @@ mod tests {
             "the frame is older than the capture"
         );
         assert_eq!(known(2, 0), None, "the next change has not come");
-        // An undo: the same picture is the initial frame again.
+        // An undo: the same image is the initial frame again.
         set(&mut worker, 2);
         assert_eq!(known(2, 0), None, "found before the change");
         assert_eq!(known(1, 0), None);

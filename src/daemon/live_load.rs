@@ -37,7 +37,7 @@ const DISTINCT: u64 = 6;
 /// Time before the measurement, for threads, caches and the first predictions.
 const WARM_UP: Duration = Duration::from_secs(2);
 
-/// Quality of the synthesised gel pictures.
+/// Quality of the synthesised gel images.
 #[derive(Clone, Copy, Debug)]
 pub struct LoadParams {
     /// Length of the measurement, s.
@@ -189,19 +189,19 @@ impl Counts {
 /// When it cannot be encoded.
 pub fn gel_frame(quality: u8) -> Result<Frame> {
     let (width, height) = GEL_SIZE;
-    let picture = synthetic_gel(width, height, 100, 0.0);
+    let image = synthetic_gel(width, height, 100, 0.0);
     Ok(Frame {
         format: PixelFormat::Mjpg,
         width,
         height,
-        data: encode_jpeg(&picture, quality)?.into(),
+        data: encode_jpeg(&image, quality)?.into(),
         sequence: 0,
         driver_time_ns: 0,
         received_ns: 0,
     })
 }
 
-/// CPU time of the live path's decoding of `frame` to the model's picture, median, ms.
+/// CPU time of the live path's decoding of `frame` to the model's image, median, ms.
 ///
 /// # Errors
 /// When the frame is damaged.
@@ -211,7 +211,7 @@ pub fn decode_ms(frame: &Frame, runs: u64) -> Result<f64> {
     let times_ms = (0..runs)
         .map(|_| {
             let started = process_cpu_s();
-            decode::model_picture(&mut decoder, frame, crop)?;
+            decode::model_image(&mut decoder, frame, crop)?;
             Ok((process_cpu_s() - started) * 1e3)
         })
         .collect::<Result<Vec<f64>>>()?;
@@ -255,8 +255,8 @@ fn gel_frames(seed: u64, quality: u8) -> Result<Recording> {
     let frames = (0..DISTINCT)
         .map(|i| {
             let contact = (i as f32 / DISTINCT as f32 * std::f32::consts::PI).sin();
-            let picture = synthetic_gel(size.0, size.1, seed * 100 + i, contact);
-            Ok(encode_jpeg(&picture, quality)?.into())
+            let image = synthetic_gel(size.0, size.1, seed * 100 + i, contact);
+            Ok(encode_jpeg(&image, quality)?.into())
         })
         .collect::<Result<_>>()?;
     Ok(recording(

@@ -102,9 +102,7 @@ pub(super) fn fault_text(health: &Health, now_ns: u64) -> Option<String> {
         Health::Live => None,
         Health::Opening => Some("not open yet".into()),
         Health::Silent { since_ns } => Some(format!("silent for {:.1} s", since_s(since_ns))),
-        Health::Frozen { since_ns } => {
-            Some(format!("picture frozen for {:.1} s", since_s(since_ns)))
-        }
+        Health::Frozen { since_ns } => Some(format!("image frozen for {:.1} s", since_s(since_ns))),
         Health::Lost { reason } => Some(format!("lost: {reason}")),
         Health::Ended => Some("the recording has ended".into()),
     }

@@ -38,7 +38,7 @@ pub struct EngineStatus {
     pub prediction_absent: Option<String>,
     /// Mean absolute difference of each gel to the initial frame, grey levels of 255.
     pub contact: BTreeMap<Role, f64>,
-    /// Small pictures, which the API sends apart: tactile cameras show the difference to the initial frame (grey = no
+    /// Small images, which the API sends apart: tactile cameras show the difference to the initial frame (grey = no
     /// change) once there is one, the others what they see.
     #[serde(skip)]
     pub previews: BTreeMap<Role, Preview>,
@@ -65,12 +65,12 @@ impl EngineStatus {
     }
 }
 
-/// A small picture for the screen.
+/// A small image for the screen.
 #[derive(Clone, Debug)]
 pub struct Preview {
-    /// RGB picture, at most 320×240.
+    /// RGB image, at most 320×240.
     pub image: Arc<RgbImage>,
-    /// Whether the picture is a tactile difference.
+    /// Whether the image is a tactile difference.
     pub is_difference: bool,
 }
 
@@ -127,7 +127,7 @@ pub enum CameraState {
         /// Seconds since the last frame.
         for_s: f64,
     },
-    /// The picture does not change although frames arrive.
+    /// The image does not change although frames arrive.
     Frozen {
         /// Seconds since the last change.
         for_s: f64,
@@ -211,7 +211,7 @@ pub struct CameraStatus {
 mod tests {
     use super::*;
 
-    /// What the API says is the status itself: `collect --attach` gets back all but the pictures.
+    /// What the API says is the status itself: `collect --attach` gets back all but the images.
     #[test]
     fn a_status_comes_back_from_json() {
         let said = PredictionRecord {

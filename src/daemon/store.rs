@@ -11,7 +11,7 @@ use image::RgbImage;
 use jiff::Timestamp;
 use tokio::sync::mpsc::UnboundedSender;
 
-use super::decode::model_picture;
+use super::decode::model_image;
 use super::infer::InferRequest;
 use super::tasks::{Beat, TaskState, Tasks};
 use super::thread::spawn;
@@ -61,7 +61,7 @@ pub(super) enum StoreMessage {
     Stop,
 }
 
-/// What every grasp of a session shares.
+/// What every grasp of a session fractions.
 #[derive(Debug)]
 pub(super) struct StoreContext {
     /// Rig id.
@@ -304,14 +304,14 @@ impl Worker {
         StoreReply::Initial(frame)
     }
 
-    /// Hands the pictures of a pending initial frame to inference. Where that fails there is no
+    /// Hands the images of a pending initial frame to inference. Where that fails there is no
     /// prediction, and the reason stands in its place.
     fn use_initial(&mut self, id: Option<&GraspId>, change: u64) {
-        let pictures = match id {
-            Some(id) => self.initial_pictures(id),
+        let images = match id {
+            Some(id) => self.initial_images(id),
             None => Err(Error::not_found("no initial frame")),
         };
-        let request = match pictures {
+        let request = match images {
             Ok([left, right]) => InferRequest::SetInitial {
                 change,
                 left: Arc::new(left),
@@ -323,22 +323,22 @@ impl Worker {
         let _ = self.infer.send(request);
     }
 
-    /// The pictures of both gels of a pending initial frame.
-    fn initial_pictures(&mut self, id: &GraspId) -> Result<[RgbImage; 2]> {
+    /// The images of both gels of a pending initial frame.
+    fn initial_images(&mut self, id: &GraspId) -> Result<[RgbImage; 2]> {
         let frames = self.writer.pending_frames(&self.pending(id)?)?;
-        let mut picture = |role| -> Result<RgbImage> {
+        let mut image = |role| -> Result<RgbImage> {
             let frame = frames.get(&role).ok_or_else(|| {
-                let what = format!("the initial frame has no picture of {role}");
+                let what = format!("the initial frame has no image of {role}");
                 Error::not_found(what)
             })?;
-            Ok(self.picture(frame, role)?)
+            Ok(self.image(frame, role)?)
         };
-        Ok([picture(Role::Left)?, picture(Role::Right)?])
+        Ok([image(Role::Left)?, image(Role::Right)?])
     }
 
-    fn picture(&mut self, frame: &Frame, role: Role) -> std::result::Result<RgbImage, FrameDamage> {
+    fn image(&mut self, frame: &Frame, role: Role) -> std::result::Result<RgbImage, FrameDamage> {
         let crop = self.context.crops.get(&role).copied();
-        model_picture(&mut self.decoder, frame, crop.as_ref())
+        model_image(&mut self.decoder, frame, crop.as_ref())
     }
 
     /// The prediction on exactly the frames that are being saved, so that it can be repeated from
@@ -347,16 +347,16 @@ impl Worker {
         if !self.context.has_model {
             return None;
         }
-        let pictures = [Role::Left, Role::Right, Role::Rgb]
+        let images = [Role::Left, Role::Right, Role::Rgb]
             .into_iter()
             .filter_map(|role| {
                 let frame = &capture.cameras.get(&role)?.frame;
-                Some((role, self.picture(frame, role).ok()?))
+                Some((role, self.image(frame, role).ok()?))
             })
             .collect();
         let (reply, answer) = channel();
         self.infer
-            .send(InferRequest::Judge { pictures, reply })
+            .send(InferRequest::Judge { images, reply })
             .ok()?;
         let said = answer.recv_timeout(JUDGE_PATIENCE).ok()??;
         Some(PredictionRecord { latency_ms, ..said })

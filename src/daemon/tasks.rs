@@ -21,7 +21,7 @@ use gripcast_capture::camera::monotonic_ns;
 /// Pause before the first restart; it doubles with each one that follows soon.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// Longest pause before a restart.
-const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+const MAX_PAUSE: Duration = Duration::from_secs(5);
 /// A task that worked this long starts with the first pause again.
 const STEADY: Duration = Duration::from_secs(60);
 /// A task that is busy with one piece of work for this long is stuck.
@@ -154,7 +154,7 @@ impl Tasks {
                 if tasks.closes_within(pause) {
                     return;
                 }
-                pause = (pause * 2).min(LONGEST_PAUSE);
+                pause = (pause * 2).min(MAX_PAUSE);
                 tasks.set(&task, TaskState::Running, None);
             }
         })

@@ -31,13 +31,13 @@ pub(super) fn findings(checks: &[CameraCheck], boards: Option<Result<Boards>>) -
         let found = "the external camera sent no frame";
         return vec![Finding::new("board", "markers", Verdict::Skipped, found)];
     };
-    let picture = Decoder::new().and_then(|mut decoder| {
+    let image = Decoder::new().and_then(|mut decoder| {
         decoder
             .decode_full(frame)
             .map_err(|damage| Error::input(damage.to_string()).remedy("measure again"))
     });
-    let grey = match picture {
-        Ok(picture) => image::imageops::grayscale(&picture),
+    let grey = match image {
+        Ok(image) => image::imageops::grayscale(&image),
         Err(error) => return vec![Finding::failed("board", "markers", &error)],
     };
     let mut wanted = vec![("the gripper's tags", Some(boards.tags.clone()))];
@@ -52,11 +52,11 @@ pub(super) fn findings(checks: &[CameraCheck], boards: Option<Result<Boards>>) -
     seen.collect()
 }
 
-/// How many markers of a board a picture shows.
-fn markers(board: &BoardFile, picture: &image::GrayImage) -> Result<usize> {
+/// How many markers of a board an image shows.
+fn markers(board: &BoardFile, image: &image::GrayImage) -> Result<usize> {
     let mut detectors = detectors(&board.dictionary, &board.board.ids())?;
     match detectors.first_mut() {
-        Some(detector) => Ok(detector.detect(picture)?.len()),
+        Some(detector) => Ok(detector.detect(image)?.len()),
         None => Ok(0),
     }
 }
@@ -71,5 +71,5 @@ fn visibility(name: &str, seen: usize, all: usize) -> Finding {
         verdict: Verdict::Warn,
         ..finding
     }
-    .mend("turn the camera or the gripper until they are seen, sharp and evenly lit")
+    .remedy("turn the camera or the gripper until they are seen, sharp and evenly lit")
 }

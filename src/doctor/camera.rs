@@ -19,14 +19,14 @@ pub(super) fn findings(
         .problems
         .iter()
         .map(|problem| {
-            let (found, mend) = match problem.split_once("\n  → ") {
-                Some((found, mend)) => (found, mend),
+            let (found, remedy) = match problem.split_once("\n  → ") {
+                Some((found, remedy)) => (found, remedy),
                 None => (
                     &**problem,
                     "see docs/kernel-tests.md for what cameras are known to do",
                 ),
             };
-            Finding::new("camera", role, Verdict::Fail, found).mend(mend)
+            Finding::new("camera", role, Verdict::Fail, found).remedy(remedy)
         })
         .collect();
     let Some(opened) = &check.opened else {
@@ -62,7 +62,8 @@ fn rate(role: &str, opened: &Opened) -> Finding {
     if is_whole {
         return finding;
     }
-    finding.mend("another cable or port; cameras on one USB controller take frames from each other")
+    finding
+        .remedy("another cable or port; cameras on one USB controller take frames from each other")
 }
 
 fn timestamps(role: &str, opened: &Opened, guards: &GuardLimits) -> Option<Finding> {
@@ -82,20 +83,20 @@ fn timestamps(role: &str, opened: &Opened, guards: &GuardLimits) -> Option<Findi
             "timestamps ran backwards {} times",
             opened.frames.backwards
         ))
-        .mend("`dmesg` for the camera's clock; uvcvideo's parameter clock=CLOCK_MONOTONIC")
+        .remedy("`dmesg` for the camera's clock; uvcvideo's parameter clock=CLOCK_MONOTONIC")
     } else if least < -AHEAD_MS {
         warned(format!(
             "timestamps lie up to {:.1} ms in the future",
             -least
         ))
-        .mend("load uvcvideo with clock=CLOCK_MONOTONIC, as it is by default")
+        .remedy("load uvcvideo with clock=CLOCK_MONOTONIC, as it is by default")
     } else if most > guards.max_frame_age_ms {
         warned(format!(
             "{found}; triggers take frames of up to {} ms",
             guards.max_frame_age_ms,
             found = finding.found
         ))
-        .mend("a faster computer, smaller frames, or a larger guards.max_frame_age_ms")
+        .remedy("a faster computer, smaller frames, or a larger guards.max_frame_age_ms")
     } else {
         finding
     })
@@ -124,7 +125,7 @@ fn controls(role: &str, opened: &Opened, wanted: Option<&CameraConfig>) -> Findi
         };
         return Finding::new("camera", name, Verdict::Ok, found);
     }
-    Finding::new("camera", name, Verdict::Warn, notes.join("; ")).mend(
+    Finding::new("camera", name, Verdict::Warn, notes.join("; ")).remedy(
         "correct [cameras.ROLE.controls] of the rig file; `gripcast rig check` prints what holds",
     )
 }
@@ -167,8 +168,8 @@ mod tests {
             .extend(gain.map(|gain| ("gain".to_owned(), gain)));
         let found = findings(check, Some(&wanted), &GuardLimits::default());
         for finding in &found {
-            let needs_mending = finding.verdict > Verdict::Ok;
-            assert_eq!(needs_mending, finding.mend.is_some(), "{finding:?}");
+            let needs_fixing = finding.verdict > Verdict::Ok;
+            assert_eq!(needs_fixing, finding.remedy.is_some(), "{finding:?}");
         }
         found.iter().map(|finding| finding.verdict).collect()
     }
@@ -207,6 +208,6 @@ mod tests {
         let broken = check(sound, &[], &["no frame came\n  → plug it in"]);
         assert_eq!(verdicts(&broken, None), [Fail, Ok, Ok]);
         let found = findings(&broken, None, &GuardLimits::default());
-        assert_eq!(found[0].mend.as_deref(), Some("plug it in"));
+        assert_eq!(found[0].remedy.as_deref(), Some("plug it in"));
     }
 }

@@ -10,7 +10,7 @@ use gripcast_base::files;
 use gripcast_dataset::Dataset;
 use gripcast_session::GuardLimits;
 
-/// Files that are written, and their size: about the pictures of a grasp's stage.
+/// Files that are written, and their size: about the images of a grasp's stage.
 const WRITES: usize = 20;
 const BYTES: usize = 1 << 20;
 /// Longest time for one of them that no operator notices, ms.
@@ -28,7 +28,7 @@ pub(super) fn findings(dataset: &Path, guards: &GuardLimits) -> Vec<Finding> {
     let Some(folder) = existing(dataset) else {
         let found = format!("there is no folder above {}", dataset.display());
         findings.push(
-            Finding::new("disk", "folder", Verdict::Fail, found).mend("choose another --dataset"),
+            Finding::new("disk", "folder", Verdict::Fail, found).remedy("choose another --dataset"),
         );
         return findings;
     };
@@ -69,14 +69,14 @@ fn room(folder: &Path, guards: &GuardLimits) -> Vec<Finding> {
     let free = space.f_bavail.saturating_mul(space.f_frsize);
     let gigabytes = free as f64 / 1e9;
     let found = format!("{gigabytes:.1} GB free");
-    let mend = "free some, or choose a dataset on another disk";
+    let remedy = "free some, or choose a dataset on another disk";
     let finding = if free < guards.min_free_bytes {
         let least = guards.min_free_bytes as f64 / 1e9;
         let found = format!("{found}; triggers are refused below {least:.1} GB");
-        Finding::new("disk", "space", Verdict::Fail, found).mend(mend)
+        Finding::new("disk", "space", Verdict::Fail, found).remedy(remedy)
     } else if free < guards.min_free_bytes + GRASPS_AHEAD * GRASP_BYTES {
         let found = format!("{found}, less than {GRASPS_AHEAD} grasps may take");
-        Finding::new("disk", "space", Verdict::Warn, found).mend(mend)
+        Finding::new("disk", "space", Verdict::Warn, found).remedy(remedy)
     } else {
         Finding::new("disk", "space", Verdict::Ok, found)
     };
@@ -88,7 +88,7 @@ fn room(folder: &Path, guards: &GuardLimits) -> Vec<Finding> {
             folder.display()
         );
         findings.push(
-            Finding::new("disk", "kind", Verdict::Warn, found).mend("choose a dataset on a disk"),
+            Finding::new("disk", "kind", Verdict::Warn, found).remedy("choose a dataset on a disk"),
         );
     }
     findings
@@ -136,7 +136,7 @@ fn durability(took_ms: Vec<f64>) -> Finding {
         verdict: Verdict::Warn,
         ..finding
     }
-    .mend("tones come late on this disk, though nothing is lost; a solid-state disk is quicker")
+    .remedy("tones come late on this disk, though nothing is lost; a solid-state disk is quicker")
 }
 
 #[cfg(test)]
@@ -165,7 +165,7 @@ mod tests {
     fn slow_full_and_foreign_folders_are_told() {
         assert_eq!(durability(vec![1.0, 2.0, 40.0]).verdict, Verdict::Ok);
         let slow = durability(vec![1.0, 2.0, 400.0]);
-        assert_eq!((slow.verdict, slow.mend.is_some()), (Verdict::Warn, true));
+        assert_eq!((slow.verdict, slow.remedy.is_some()), (Verdict::Warn, true));
 
         let folder = tempfile::tempdir().unwrap();
         let guards = |min_free_bytes| GuardLimits {

@@ -33,13 +33,13 @@ fn processor() -> Finding {
             verdict: Verdict::Warn,
             ..finding
         }
-        .mend("predictions take several times longer; use a processor with AVX2 and FMA")
+        .remedy("predictions take several times longer; use a processor with AVX2 and FMA")
     } else if cores < CORES {
         Finding {
             verdict: Verdict::Warn,
             ..finding
         }
-        .mend("frames may be shown late, though none that is saved is lost; give it two cores")
+        .remedy("frames may be shown late, though none that is saved is lost; give it two cores")
     } else {
         finding
     }
@@ -51,7 +51,7 @@ fn date(now: SystemTime) -> Finding {
     if since.as_secs() < RELEASED_S {
         let found = format!("the clock says {text}, before this program was made");
         return Finding::new("machine", "clock", Verdict::Fail, found)
-            .mend("set it (`timedatectl set-ntp true`): grasps are named by their time");
+            .remedy("set it (`timedatectl set-ntp true`): grasps are named by their time");
     }
     Finding::new("machine", "clock", Verdict::Ok, text)
 }
@@ -92,7 +92,7 @@ fn steadiness(monotonic_s: f64, system_s: f64) -> Finding {
         found: format!("the clock was set by {step_s:.3} s while cameras were measured"),
         ..finding
     }
-    .mend("wait until the time service has settled (`timedatectl`)")
+    .remedy("wait until the time service has settled (`timedatectl`)")
 }
 
 #[cfg(test)]

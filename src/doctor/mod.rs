@@ -1,4 +1,4 @@
-//! What keeps a rig from collecting: every part looked at, each with a verdict and how to mend it.
+//! What keeps a rig from collecting: every part looked at, each with a verdict and how to fix it.
 
 mod board;
 mod camera;
@@ -63,7 +63,7 @@ pub(crate) struct Finding {
     pub(crate) found: String,
     /// What helps.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub(crate) mend: Option<String>,
+    pub(crate) remedy: Option<String>,
     /// Numbers that were measured, the unit in the name.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub(crate) figures: BTreeMap<&'static str, f64>,
@@ -81,7 +81,7 @@ impl Finding {
             name: name.into(),
             verdict,
             found: found.into(),
-            mend: None,
+            remedy: None,
             figures: BTreeMap::new(),
         }
     }
@@ -91,12 +91,12 @@ impl Finding {
         let text = error.to_string();
         let found = text.split("\n  → ").next().unwrap_or_default();
         let mut finding = Self::new(area, name, Verdict::Fail, found);
-        finding.mend = error.remedy_text().map(str::to_owned);
+        finding.remedy = error.remedy_text().map(str::to_owned);
         finding
     }
 
-    fn mend(mut self, mend: impl Into<String>) -> Self {
-        self.mend = Some(mend.into());
+    fn remedy(mut self, remedy: impl Into<String>) -> Self {
+        self.remedy = Some(remedy.into());
         self
     }
 
@@ -129,30 +129,30 @@ impl Patient {
     /// # Errors
     /// When the rig file asks for what a source cannot do. What is wrong with devices, disk and
     /// model is a finding.
-    pub(crate) fn examine(&self, told: &dyn Fn(&'static str)) -> Result<Vec<Finding>> {
-        told("machine");
+    pub(crate) fn examine(&self, on_progress: &dyn Fn(&'static str)) -> Result<Vec<Finding>> {
+        on_progress("machine");
         let mut findings = machine::findings();
-        told("USB devices");
+        on_progress("USB devices");
         findings.extend(usb::findings(&self.root, self.rig.as_ref()));
         if let Some(rig) = &self.rig {
-            told("cameras");
+            on_progress("cameras");
             findings.extend(self.of_rig(rig)?);
         } else {
             let skipped = "no rig was named, so no camera was measured";
             findings.push(
                 Finding::new("camera", "all", Verdict::Skipped, skipped)
-                    .mend("--rig NAME; `gripcast rig init` writes a rig file"),
+                    .remedy("--rig NAME; `gripcast rig init` writes a rig file"),
             );
         }
-        told("disk");
+        on_progress("disk");
         match &self.dataset {
             Some(dataset) => findings.extend(disk::findings(dataset, &self.guards)),
             None => findings.push(
                 Finding::new("disk", "all", Verdict::Skipped, "no dataset was named")
-                    .mend("--dataset DIR"),
+                    .remedy("--dataset DIR"),
             ),
         }
-        told("model");
+        on_progress("model");
         findings.extend(model::findings(&self.model, self.rig.as_ref()));
         Ok(findings)
     }

@@ -36,13 +36,13 @@ fn looked_at(name: &str, rig: Option<&RigFile>) -> Result<Vec<Finding>> {
         let found = format!("{why}: `{BASELINE}`, a heuristic, predicts");
         findings.push(
             Finding::new("model", name, Verdict::Warn, found)
-                .mend("bind the camera in the rig file to use the classifier"),
+                .remedy("bind the camera in the rig file to use the classifier"),
         );
     }
     if let Some(why) = rig.and_then(|rig| misfit(model.contract(), rig)) {
         findings.push(
             Finding::new("model", name, Verdict::Fail, why)
-                .mend("bind such a camera in the rig file, or choose another --model"),
+                .remedy("bind such a camera in the rig file, or choose another --model"),
         );
     }
     findings.push(answers(name, &self_check(&bytes)?));
@@ -72,14 +72,14 @@ fn answers(name: &str, check: &SelfCheck) -> Finding {
             found,
             ..finding
         }
-        .mend("the processor or the program is damaged: install it again, test the memory");
+        .remedy("the processor or the program is damaged: install it again, test the memory");
     }
     if engine_ms > FRAME_MS {
         return Finding {
             verdict: Verdict::Warn,
             ..finding
         }
-        .mend("slower than a gel's frames come: the gauge lags; use a smaller model");
+        .remedy("slower than a gel's frames come: the gauge lags; use a smaller model");
     }
     finding
 }

@@ -11,7 +11,7 @@ use gripcast_capture::device::{
 };
 use gripcast_imaging::PixelFormat;
 
-/// Share of a link that isochronous transfers may reserve (USB 2.0, 5.6.4).
+/// Fraction of a link that isochronous transfers may reserve (USB 2.0, 5.6.4).
 const RESERVABLE: f64 = 0.8;
 
 /// The cameras that are plugged in, each asked for its modes.
@@ -68,7 +68,7 @@ pub(super) fn findings(root: &SystemRoot, rig: Option<&RigFile>) -> Vec<Finding>
     }
     let mut findings: Vec<Finding> = devices.iter().map(access).collect();
     for sentence in crowding(&devices) {
-        findings.push(Finding::new("usb", "bandwidth", Verdict::Warn, sentence).mend(
+        findings.push(Finding::new("usb", "bandwidth", Verdict::Warn, sentence).remedy(
             "plug one of them into a port of another USB controller; a second hub does not help",
         ));
     }
@@ -92,20 +92,21 @@ fn access(device: &VideoDevice) -> Finding {
         Access::Denied => {
             let error = permission_error(device, "open");
             finding.verdict = Verdict::Fail;
-            finding.mend(error.remedy_text().unwrap_or_default())
+            finding.remedy(error.remedy_text().unwrap_or_default())
         }
         Access::Busy(_) => {
             finding.verdict = Verdict::Fail;
-            finding.mend("end the program that uses it")
+            finding.remedy("end the program that uses it")
         }
         Access::Unknown | Access::Missing | Access::Failed(_) => {
             finding.verdict = Verdict::Fail;
-            finding.mend("unplug it and plug it in again; `sudo dmesg` tells what the kernel says")
+            finding
+                .remedy("unplug it and plug it in again; `sudo dmesg` tells what the kernel says")
         }
     }
 }
 
-/// Bits a second of a camera's pictures; none where it compresses them.
+/// Bits a second of a camera's images; none where it compresses them.
 fn raw_mbps(camera: &CameraConfig) -> Option<f64> {
     let bytes = match camera.format {
         PixelFormat::Yuyv | PixelFormat::Z16 => 2.0,
@@ -117,7 +118,7 @@ fn raw_mbps(camera: &CameraConfig) -> Option<f64> {
     Some(8e-6 * bytes * pixels * camera.fps)
 }
 
-/// Links that cannot carry the raw pictures that the rig asks of the cameras behind them.
+/// Links that cannot carry the raw images that the rig asks of the cameras behind them.
 fn overload(rig: &RigFile, devices: &[VideoDevice]) -> Vec<Finding> {
     let mut links: BTreeMap<&str, (f64, u32, Vec<String>)> = BTreeMap::new();
     for (role, camera) in &rig.cameras {
@@ -144,7 +145,7 @@ fn overload(rig: &RigFile, devices: &[VideoDevice]) -> Vec<Finding> {
             Finding::new("usb", "link", Verdict::Fail, found)
                 .figure("asked_mbps", mbps)
                 .figure("carried_mbps", carried)
-                .mend(
+                .remedy(
                     "use a USB 3 cable and port (blue, or marked SS), or ask for fewer or smaller \
                      frames in the rig file",
                 )
@@ -159,7 +160,7 @@ mod tests {
     use gripcast_imaging::Role;
     use gripcast_testing::sysfs_tree::{Tree, Usb, d435};
 
-    /// A D435 on a link of this speed, and the rig that asks for both of its pictures.
+    /// A D435 on a link of this speed, and the rig that asks for both of its images.
     fn verdicts(speed_mbps: &str, [width, height]: [u32; 2]) -> Vec<Finding> {
         let mut tree = Tree::new();
         let d435 = Usb {

@@ -16,11 +16,11 @@ use crate::daemon::EngineStatus;
 /// Below this only one line is shown.
 const MIN_COLUMNS: u16 = 40;
 const MIN_ROWS: u16 = 10;
-/// Below this there are neither pictures nor sensors.
+/// Below this there are neither images nor sensors.
 const FULL_COLUMNS: u16 = 60;
 const FULL_ROWS: u16 = 18;
 
-/// Draws the whole screen. Pure: the same status and state give the same picture.
+/// Draws the whole screen. Pure: the same status and state give the same image.
 pub fn draw(frame: &mut Frame<'_>, status: &EngineStatus, state: &ScreenState) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
@@ -62,7 +62,7 @@ fn draw_screen(buffer: &mut Buffer, area: Rect, status: &EngineStatus, state: &S
     }
 }
 
-/// Step, gauge, and below them counts and sensors beside the pictures.
+/// Step, gauge, and below them counts and sensors beside the images.
 fn draw_work(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let full = area.width >= FULL_COLUMNS && area.height + 4 >= FULL_ROWS;
     let banner_rows = match area.height {

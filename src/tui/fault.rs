@@ -51,7 +51,7 @@ fn remedy_word(state: &CameraState) -> &'static str {
 
 fn remedy(state: &CameraState) -> &'static str {
     match state {
-        CameraState::Frozen { .. } => "REPLUG IT: the picture does not change",
+        CameraState::Frozen { .. } => "REPLUG IT: the image does not change",
         CameraState::Lost { .. } => "PLUG IT IN: it is opened again by itself",
         _ => "REPLUG IT: no frames arrive",
     }

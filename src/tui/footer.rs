@@ -65,7 +65,7 @@ fn outcome(outcome: Outcome, palette: Palette) -> Span<'static> {
 }
 
 /// `predicted 0.74 ✓`: a tick when the label agrees, a cross when it does not, a question mark where
-/// the model did not know such pictures.
+/// the model did not know such images.
 fn predicted(last: &LastGrasp, palette: Palette) -> Vec<Span<'static>> {
     let Some(said) = &last.predicted else {
         return Vec::new();

@@ -37,7 +37,7 @@ pub(super) fn word(verdict: Verdict) -> &'static str {
 }
 
 /// What may be claimed in one word: the verdict, that it is too old to be one, or that the model
-/// knows nothing of such pictures.
+/// knows nothing of such images.
 pub(super) fn claim(prediction: &PredictionStatus) -> &'static str {
     if is_stale(prediction) || !prediction.said.p_stable.is_finite() {
         "OLD"
@@ -236,7 +236,7 @@ fn write_title(
         left.push(Span::styled("HEURISTIC ", palette.warning()));
     }
     if prediction.verdict == Verdict::Unsure {
-        let words = "unlike the training pictures ";
+        let words = "unlike the training images ";
         left.push(Span::styled(words, palette.warning()));
     }
     let room = usize::from(rest.width).saturating_sub(Line::from(left.clone()).width());
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_claimed_of_pictures_that_the_model_does_not_know() {
+    fn nothing_is_claimed_of_images_that_the_model_does_not_know() {
         let read =
             |novelty, age_ms| reading(Some(&prediction_on(0.97, Some(novelty), age_ms)), PALETTE);
         let odd = read(1.01, 18.0);

@@ -156,7 +156,7 @@ impl LinePrinter {
         if let Some(prediction) = &status.prediction {
             self.absence = None;
             let verdict = match prediction.verdict {
-                Verdict::Unsure => "UNSURE, unlike the training pictures",
+                Verdict::Unsure => "UNSURE, unlike the training images",
                 known => word(known),
             };
             return self

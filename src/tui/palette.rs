@@ -9,7 +9,7 @@ pub enum ColourDepth {
     True,
     /// The 256 colours of xterm.
     Indexed,
-    /// No colour; pictures become shades of characters.
+    /// No colour; images become shades of characters.
     Mono,
 }
 

@@ -1,4 +1,4 @@
-//! Camera pictures as half blocks: two pixels a cell, the aspect kept.
+//! Camera images as half blocks: two pixels a cell, the aspect kept.
 
 use image::RgbImage;
 use ratatui::buffer::Buffer;
@@ -11,16 +11,16 @@ use super::text::{clipped, row, write};
 use crate::daemon::{EngineStatus, Preview};
 use gripcast_imaging::Role;
 
-/// Narrower pictures show nothing that helps; the last roles are left out instead.
+/// Narrower images show nothing that helps; the last roles are left out instead.
 const MIN_COLUMNS: u16 = 16;
-/// Shape of a picture that has not arrived yet, width to height.
+/// Shape of an image that has not arrived yet, width to height.
 const USUAL_ASPECT: (u32, u32) = (4, 3);
 /// Characters from empty to full, for terminals without colours.
 const SHADES: &[u8] = b" .:-=+*#%@";
-/// Grey of "no change" in a difference picture.
+/// Grey of "no change" in a difference image.
 const NO_CHANGE: u8 = 128;
 
-/// Draws the pictures of all cameras that fit side by side or in rows, each with its caption.
+/// Draws the images of all cameras that fit side by side or in rows, each with its caption.
 pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palette: Palette) {
     let mut roles: Vec<Role> = status.cameras.iter().map(|camera| camera.role).collect();
     for role in status.previews.keys() {
@@ -54,7 +54,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, status: &EngineStatus, palet
     }
 }
 
-/// Tiles across, and the size of one, for the arrangement with the largest pictures.
+/// Tiles across, and the size of one, for the arrangement with the largest images.
 fn grid(area: Rect, count: usize) -> (u16, Rect) {
     let count = u16::try_from(count).unwrap_or(u16::MAX).max(1);
     let tile = |across: u16| {
@@ -97,11 +97,11 @@ fn draw_tile(
     };
     match preview {
         Some(preview) if preview.image.width() > 0 && preview.image.height() > 0 => {
-            draw_picture(buffer, below, preview, palette.depth);
+            draw_image(buffer, below, preview, palette.depth);
         }
         _ => {
             let line = Line::styled(
-                clipped("no picture yet", usize::from(below.width)),
+                clipped("no image yet", usize::from(below.width)),
                 palette.faint(),
             );
             write(buffer, row(below, below.height / 2), &line);
@@ -130,7 +130,7 @@ fn caption(
     ])
 }
 
-/// Cells of a picture of `aspect` within `columns` × `rows`; a cell is two square pixels high.
+/// Cells of an image of `aspect` within `columns` × `rows`; a cell is two square pixels high.
 fn fitted((width, height): (u32, u32), columns: u16, rows: u16) -> Rect {
     let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
     let scale = (f64::from(columns) / width).min(2.0 * f64::from(rows) / height);
@@ -142,7 +142,7 @@ fn fitted((width, height): (u32, u32), columns: u16, rows: u16) -> Rect {
     )
 }
 
-fn draw_picture(buffer: &mut Buffer, area: Rect, preview: &Preview, depth: ColourDepth) {
+fn draw_image(buffer: &mut Buffer, area: Rect, preview: &Preview, depth: ColourDepth) {
     let image = &*preview.image;
     let size = fitted(image.dimensions(), area.width, area.height);
     for y in 0..size.height {
@@ -190,7 +190,7 @@ fn mean(image: &RgbImage, columns: std::ops::Range<u32>, rows: std::ops::Range<u
     sum.map(|total| (total / count) as u8)
 }
 
-/// Brightness, or in a difference picture the strength of the change, as a character.
+/// Brightness, or in a difference image the strength of the change, as a character.
 fn shade(upper: [u8; 3], lower: [u8; 3], is_difference: bool) -> char {
     let strength = |pixel: [u8; 3]| -> usize {
         if is_difference {
@@ -235,7 +235,7 @@ mod tests {
         });
         let area = Rect::new(0, 0, 2, 1);
         let mut buffer = Buffer::empty(area);
-        draw_picture(&mut buffer, area, &preview(image, false), ColourDepth::True);
+        draw_image(&mut buffer, area, &preview(image, false), ColourDepth::True);
         for x in 0..2 {
             let cell = &buffer[(x, 0)];
             assert_eq!(cell.symbol(), "▀");
@@ -249,13 +249,13 @@ mod tests {
         let image = RgbImage::from_fn(2, 1, |x, _| Rgb([128 + 127 * x as u8; 3]));
         let area = Rect::new(0, 0, 2, 1);
         let mut buffer = Buffer::empty(area);
-        draw_picture(&mut buffer, area, &preview(image, true), ColourDepth::Mono);
+        draw_image(&mut buffer, area, &preview(image, true), ColourDepth::Mono);
         assert_eq!(buffer[(0, 0)].symbol(), " ");
         assert_ne!(buffer[(1, 0)].symbol(), " ");
     }
 
     #[test]
-    fn the_grid_takes_the_larger_pictures() {
+    fn the_grid_takes_the_larger_images() {
         assert_eq!(grid(Rect::new(0, 0, 60, 9), 3).0, 3);
         assert_eq!(grid(Rect::new(0, 0, 100, 40), 4).0, 2);
         assert_eq!(grid(Rect::new(0, 0, 30, 60), 3).0, 1);

@@ -30,7 +30,7 @@ pub(super) fn draw(buffer: &mut Buffer, area: Rect, refusal: &Refusal, palette: 
         ])
     } else {
         Line::styled(
-            "this cannot be overridden: mend it, then trigger again",
+            "this cannot be overridden: fix it, then trigger again",
             panel,
         )
     });

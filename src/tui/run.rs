@@ -1,4 +1,4 @@
-//! The loop of the screen: newest status in, picture out; keys in, commands out.
+//! The loop of the screen: newest status in, image out; keys in, commands out.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ use gripcast_session::{Command, CommandSource, Tone};
 
 /// Longest wait for a key; bounds how late a tone, a status or the engine's end is noticed.
 const POLL: Duration = Duration::from_millis(50);
-/// Shortest time between two pictures: 10 per second are plenty and cost little over SSH.
+/// Shortest time between two images: 10 per second are plenty and cost little over SSH.
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 
 /// All that joins the screen to the engine.
@@ -59,7 +59,7 @@ struct Screen {
     wiring: Wiring,
     state: ScreenState,
     speaker: Speaker,
-    /// When the last picture was drawn.
+    /// When the last image was drawn.
     drawn: Option<Instant>,
     /// Whether it is out of date.
     changed: bool,
@@ -76,7 +76,7 @@ impl Screen {
         if self.changed && self.drawn.is_none_or(|at| at.elapsed() >= MIN_INTERVAL) {
             self.draw(terminal)?;
         }
-        // Keys are read until none waits, so that a burst costs one picture.
+        // Keys are read until none waits, so that a burst costs one image.
         if !keyboard.wait(POLL).map_err(unreadable)? {
             return Ok(false);
         }

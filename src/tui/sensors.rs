@@ -10,8 +10,8 @@ use super::palette::Palette;
 use super::text::{clipped, duration_ms, row, write};
 use crate::daemon::{CameraState, CameraStatus};
 
-/// Share of the nominal rate below which the rate is shown as a warning.
-const SLOW_SHARE: f64 = 0.9;
+/// Fraction of the nominal rate below which the rate is shown as a warning.
+const SLOW_FRACTION: f64 = 0.9;
 /// Age of the newest frame from which it is shown as a warning, in nominal intervals.
 const OLD_INTERVALS: f64 = 3.0;
 
@@ -47,7 +47,7 @@ fn line(camera: &CameraStatus, flagged: bool, palette: Palette) -> Line<'static>
         let (words, style) = state(&camera.state, palette);
         return Line::from(vec![role, flag, Span::styled(words, style)]);
     }
-    let slow = camera.measured_fps < SLOW_SHARE * camera.nominal_fps;
+    let slow = camera.measured_fps < SLOW_FRACTION * camera.nominal_fps;
     let rate = format!("{:>5.1}/{:.0} fps", camera.measured_fps, camera.nominal_fps);
     let old = camera
         .frame_age_ms

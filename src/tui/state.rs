@@ -1,4 +1,4 @@
-//! What the screen remembers between two pictures, and how keys change it.
+//! What the screen remembers between two images, and how keys change it.
 
 use crossterm::event::KeyEvent;
 

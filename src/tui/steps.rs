@@ -46,7 +46,7 @@ fn banner(session: &SessionView, palette: Palette) -> Banner {
         ),
         _ if is_refused => (
             "REFUSED",
-            "NOT TAKEN — mend it and trigger again",
+            "NOT TAKEN — fix it and trigger again",
             "NOT TAKEN — see reasons",
             palette.refusal(),
         ),

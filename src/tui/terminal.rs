@@ -16,7 +16,7 @@ use ratatui::{Frame, Terminal};
 
 use gripcast_base::error::{Error, Result};
 
-/// Bytes of one picture that are collected before they are written; holds a 200×60 screen of
+/// Bytes of one image that are collected before they are written; holds a 200×60 screen of
 /// half blocks in 24-bit colour.
 const WRITE_BUFFER_BYTES: usize = 512 * 1024;
 
@@ -63,7 +63,7 @@ impl ScreenTerminal {
             .map_err(failed)
     }
 
-    /// Draws one picture, whole or not at all on terminals with synchronized output.
+    /// Draws one image, whole or not at all on terminals with synchronized output.
     ///
     /// # Errors
     /// When the terminal is gone.
@@ -77,7 +77,7 @@ impl ScreenTerminal {
         execute!(self.terminal.backend_mut(), EndSynchronizedUpdate).map_err(failed)
     }
 
-    /// Rings the bell; between pictures, so that it never lands inside an escape sequence.
+    /// Rings the bell; between images, so that it never lands inside an escape sequence.
     pub(super) fn ring(&mut self) -> Result<()> {
         let backend = self.terminal.backend_mut();
         backend.write_all(b"\x07").map_err(failed)?;

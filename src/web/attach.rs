@@ -1,4 +1,4 @@
-//! A screen on a daemon that runs already: its state and pictures come over the API, commands go
+//! A screen on a daemon that runs already: its state and images come over the API, commands go
 //! back.
 
 use std::collections::BTreeMap;
@@ -151,7 +151,7 @@ async fn show<S: AsyncRead + AsyncWrite + Unpin>(
                     Ok(Heard::Answer { error: None } | Heard::Other) => continue,
                     Err(e) => return Err(of_another_version(e, target)),
                 },
-                Some(Ok(Message::Binary(bytes))) => shown.take_picture(&bytes),
+                Some(Ok(Message::Binary(bytes))) => shown.take_image(&bytes),
                 Some(Ok(Message::Close(_))) => return Ok(Attached::Ended),
                 Some(Ok(_)) => continue,
                 Some(Err(e)) => return Err(broken(e, target)),
@@ -180,13 +180,13 @@ struct Shown {
 }
 
 impl Shown {
-    /// A picture: the place of its role, then a JPEG. One that cannot be read is left out.
-    fn take_picture(&mut self, bytes: &[u8]) {
+    /// An image: the place of its role, then a JPEG. One that cannot be read is left out.
+    fn take_image(&mut self, bytes: &[u8]) {
         let Some((place, jpeg)) = bytes.split_first() else {
             return;
         };
         let role = Role::ALL.get(usize::from(*place)).copied();
-        let Some((role, image)) = role.zip(self.decoder.stored_picture(jpeg).ok()) else {
+        let Some((role, image)) = role.zip(self.decoder.stored_image(jpeg).ok()) else {
             return;
         };
         let has_initial = |state: &EngineStatus| state.session.initial_at.is_some();

@@ -27,7 +27,7 @@ const SECRET: &str = "correct-horse-battery";
 const SHORT: Duration = Duration::from_millis(100);
 /// A test that waits this long has failed; without it, it would hang.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Side of a picture that no buffer of a socket holds.
+/// Side of an image that no buffer of a socket holds.
 const LARGE_SIDE: u32 = 1600;
 
 /// A daemon without an engine.
@@ -177,7 +177,7 @@ impl Drop for Site {
     }
 }
 
-/// A camera with a picture that is large once it is a JPEG.
+/// A camera with an image that is large once it is a JPEG.
 fn status() -> EngineStatus {
     let mut status = EngineStatus::starting("d", "r", Labels::default());
     status.cameras.push(CameraStatus {
@@ -313,9 +313,9 @@ fn a_head_that_does_not_come_loses_its_place() {
 
 #[test]
 fn a_flood_over_tcp_does_not_lock_out_the_socket() {
-    const MOST: usize = 4;
+    const MAX: usize = 4;
     let site = Site::open(None, |listeners, backend| {
-        listeners.places = Places::new(MOST, MOST);
+        listeners.places = Places::new(MAX, MAX);
         backend.listeners = Places::new(1, 1);
         backend.previews.streams = Places::new(1, 1);
     });
@@ -340,7 +340,7 @@ fn a_flood_over_tcp_does_not_lock_out_the_socket() {
     let upgrade = "Upgrade: websocket\r\nConnection: upgrade\r\nSec-WebSocket-Version: 13\r\n\
                    Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n";
     assert_eq!(busy("GET /api/events", upgrade), 503);
-    let _held: Vec<TcpStream> = (2..MOST).map(|_| site.held()).collect();
+    let _held: Vec<TcpStream> = (2..MAX).map(|_| site.held()).collect();
     assert!(ask(site.tcp(), "GET /", "Host: localhost\r\n", "").is_none());
 
     assert_eq!(over_socket("GET /api/state"), 200);
@@ -603,7 +603,7 @@ fn who_guesses_tokens_is_not_heard_for_a_while_and_others_are() {
 }
 
 #[test]
-fn pictures_wait_for_a_core_and_not_for_ever() {
+fn images_wait_for_a_core_and_not_for_ever() {
     const PATH: &str = "GET /api/grasps/2026-11-20T10-15-03Z-7f3a/preview/grasp/left.jpg";
     let site = Site::open(None, |_, backend| {
         backend.decodes = Arc::new(Semaphore::new(1));

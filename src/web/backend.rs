@@ -1,4 +1,4 @@
-//! What all handlers share.
+//! What all handlers fraction.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ const NEWS_QUEUE: usize = 64;
 const MAX_LISTENERS: usize = 32;
 /// How long a client may take for the body of a request; the largest has 16 KiB.
 const BODY_PATIENCE: Duration = Duration::from_secs(10);
-/// How long a small picture may wait until others have been decoded.
+/// How long a small image may wait until others have been decoded.
 const DECODE_PATIENCE: Duration = Duration::from_secs(5);
 /// How long an answer may take; a save on an ordinary disk takes a tenth of a second.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -37,7 +37,7 @@ pub(crate) enum News {
     Bye,
 }
 
-/// What all handlers share.
+/// What all handlers fraction.
 pub(crate) struct Backend {
     pub(crate) status: watch::Receiver<Arc<EngineStatus>>,
     pub(crate) commands: mpsc::Sender<Asked>,
@@ -50,7 +50,7 @@ pub(crate) struct Backend {
     pub(crate) started: Instant,
     /// Places for those who listen to events.
     pub(crate) listeners: Places,
-    /// Places for pictures that are decoded, one for each core.
+    /// Places for images that are decoded, one for each core.
     pub(crate) decodes: Arc<Semaphore>,
     pub(crate) body_patience: Duration,
     pub(crate) decode_patience: Duration,

@@ -1,4 +1,4 @@
-//! Small live pictures over HTTP: one at a time, or as a stream.
+//! Small live images over HTTP: one at a time, or as a stream.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -16,9 +16,9 @@ use super::failure::{Complaint, Failure};
 use super::previews::MAX_STREAMS;
 use gripcast_imaging::Role;
 
-/// Pause between two pictures of a stream.
+/// Pause between two images of a stream.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Text between two pictures of a stream.
+/// Text between two images of a stream.
 const BOUNDARY: &str = "gripcast-frame";
 
 fn known(backend: &Backend, role: Role) -> Result<Role, Failure> {
@@ -52,8 +52,8 @@ pub(crate) async fn still(
 
 /// What a camera shows, as it goes on
 ///
-/// `multipart/x-mixed-replace`, ten pictures a second at most. A reader that is slow misses
-/// pictures.
+/// `multipart/x-mixed-replace`, ten images a second at most. A reader that is slow misses
+/// images.
 #[utoipa::path(get, path = "/api/cameras/{role}/preview.mjpg", tag = "cameras",
     params(("role" = Role, Path)),
     responses((status = 200, content_type = "multipart/x-mixed-replace", body = [u8]),
@@ -66,10 +66,10 @@ pub(crate) async fn stream(
 ) -> Result<Response, Failure> {
     let role = known(&backend, role)?;
     let place = backend.previews.streams.take(peer).ok_or_else(|| {
-        Failure::busy(format!("{MAX_STREAMS} picture streams are open already"))
+        Failure::busy(format!("{MAX_STREAMS} image streams are open already"))
             .remedy("close another page")
     })?;
-    // The next picture is made when the one before has been taken: nothing queues for a slow reader.
+    // The next image is made when the one before has been taken: nothing queues for a slow reader.
     let start = (backend, pass, place, Bytes::new());
     let next = move |(backend, pass, place, last): (Arc<Backend>, Pass, _, Bytes)| async move {
         let jpeg = loop {
@@ -89,9 +89,9 @@ pub(crate) async fn stream(
         let taken = Ok::<_, Infallible>(part(&jpeg));
         Some((taken, (backend, pass, place, jpeg)))
     };
-    let pictures = futures_util::stream::unfold(start, next);
+    let images = futures_util::stream::unfold(start, next);
     let kind = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
-    Ok(([(header::CONTENT_TYPE, kind)], Body::from_stream(pictures)).into_response())
+    Ok(([(header::CONTENT_TYPE, kind)], Body::from_stream(images)).into_response())
 }
 
 fn part(jpeg: &[u8]) -> Bytes {

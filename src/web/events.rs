@@ -2,7 +2,7 @@
 //!
 //! Text to the client: `{"type": "state" | "tone" | "stored" | "answer" | "bye", …}`. Text from
 //! the client: `{"command": "trigger", "id": 7}`, answered with the same id. With `?previews=true`
-//! the small pictures come too, as binary messages: one byte, the place of the role in
+//! the small images come too, as binary messages: one byte, the place of the role in
 //! left, right, rgb, depth, external, then a JPEG.
 
 use std::collections::BTreeMap;
@@ -29,14 +29,14 @@ use gripcast_session::Tone;
 /// Shortest time between two states.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Longest message of a client, bytes.
-const LONGEST_MESSAGE: usize = 4096;
+const MAX_MESSAGE: usize = 4096;
 
 /// What a client wants to hear.
 #[derive(Clone, Copy, Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(crate) struct Wishes {
-    /// Small pictures as binary messages too.
+    /// Small images as binary messages too.
     #[serde(default)]
     #[param(default = false)]
     previews: bool,
@@ -98,9 +98,9 @@ pub(crate) async fn events(
     })?;
     // A frame is refused by its length, before any of it is kept.
     let upgrade = upgrade
-        .max_frame_size(LONGEST_MESSAGE)
-        .max_message_size(LONGEST_MESSAGE)
-        .read_buffer_size(LONGEST_MESSAGE);
+        .max_frame_size(MAX_MESSAGE)
+        .max_message_size(MAX_MESSAGE)
+        .read_buffer_size(MAX_MESSAGE);
     Ok(upgrade.on_upgrade(move |socket| async move {
         // A client that goes, or takes nothing, ends its own connection only.
         let _ = Listener::new(backend, pass, socket, wishes).run().await;
@@ -115,7 +115,7 @@ struct Listener {
     pass: Pass,
     socket: WebSocket,
     wishes: Wishes,
-    /// The newest picture sent of each role.
+    /// The newest image sent of each role.
     sent: BTreeMap<Role, Bytes>,
 }
 

@@ -17,7 +17,7 @@ use gripcast_nn::predict::Verdict;
 /// Grasps in an answer where no number is asked for.
 const USUAL_LIMIT: usize = 24;
 /// Most of them.
-const MOST: usize = 500;
+const MAX: usize = 500;
 
 /// A grasp in a list.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -157,9 +157,9 @@ impl GraspList {
             }
         }
         let limit = wanted.limit.unwrap_or(USUAL_LIMIT);
-        if !(1..=MOST).contains(&limit) {
+        if !(1..=MAX).contains(&limit) {
             return Err(Error::input(format!(
-                "expected a limit of 1 to {MOST}, found {limit}"
+                "expected a limit of 1 to {MAX}, found {limit}"
             )));
         }
         let mut grasps: Vec<GraspSummary> = known

@@ -1,4 +1,4 @@
-//! Saved grasps over HTTP: list, records, files, small pictures, relabelling and trash.
+//! Saved grasps over HTTP: list, records, files, small images, relabelling and trash.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,12 +24,12 @@ use gripcast_imaging::{
 };
 use gripcast_session::Command;
 
-/// Size of the small pictures.
+/// Size of the small images.
 const PREVIEW_WIDTH: u32 = 320;
 const PREVIEW_HEIGHT: u32 = 240;
-/// Quality of the small pictures.
+/// Quality of the small images.
 const QUALITY: u8 = 80;
-/// When a picture that could not be decoded yet may be asked for again.
+/// When an image that could not be decoded yet may be asked for again.
 const DECODE_RETRY: Duration = Duration::from_secs(1);
 /// Gain of a difference, as on the operator's screen.
 const DIFFERENCE_GAIN: f32 = 1.5;
@@ -41,7 +41,7 @@ pub(crate) struct LabelRequest {
     outcome: Outcome,
 }
 
-/// Decodes pictures off the threads that serve; not more at a time than there are cores.
+/// Decodes images off the threads that serve; not more at a time than there are cores.
 async fn decode<T: Send + 'static>(
     backend: &Backend,
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
@@ -49,7 +49,7 @@ async fn decode<T: Send + 'static>(
     let place = Arc::clone(&backend.decodes).acquire_owned();
     let Ok(Ok(place)) = tokio::time::timeout(backend.decode_patience, place).await else {
         return Err(Failure::busy(format!(
-            "the picture was not decoded within {} s: too many others are",
+            "the image was not decoded within {} s: too many others are",
             backend.decode_patience.as_secs_f64()
         ))
         .remedy("ask again")
@@ -145,7 +145,7 @@ pub(crate) async fn file(
     .await
 }
 
-/// What a small picture shows.
+/// What a small image shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum PreviewKind {
@@ -157,7 +157,7 @@ pub(crate) enum PreviewKind {
     Difference,
 }
 
-/// A small picture of a grasp
+/// A small image of a grasp
 ///
 /// 320×240, gels cropped as the model sees them, depth in false colour.
 #[utoipa::path(get, path = "/api/grasps/{id}/preview/{kind}/{file}", tag = "grasps",
@@ -165,7 +165,7 @@ pub(crate) enum PreviewKind {
         ("file" = String, Path, description = "`ROLE.jpg`", pattern = "^(left|right|rgb|depth|external)\\.jpg$")),
     responses((status = 200, body = [u8], content_type = "image/jpeg"), (status = 400, body = Complaint),
         (status = 404, body = Complaint), (status = 422, body = Complaint),
-        (status = 503, body = Complaint, description = "too many pictures are decoded; `Retry-After` says when")))]
+        (status = 503, body = Complaint, description = "too many images are decoded; `Retry-After` says when")))]
 pub(crate) async fn preview(
     Shared(backend): Shared<Arc<Backend>>,
     Segment((id, kind, file)): Segment<(String, PreviewKind, String)>,
@@ -181,8 +181,8 @@ pub(crate) async fn preview(
     decode(&backend, move || {
         let dataset = list.grasps.dataset()?;
         let record = record_of(&dataset, &id)?;
-        let jpeg = small_picture(&dataset, &record, kind, role)?;
-        // A grasp's pictures never change.
+        let jpeg = small_image(&dataset, &record, kind, role)?;
+        // A grasp's images never change.
         let headers = [
             (header::CONTENT_TYPE, "image/jpeg"),
             (header::CACHE_CONTROL, "private, max-age=86400, immutable"),
@@ -192,20 +192,20 @@ pub(crate) async fn preview(
     .await
 }
 
-fn small_picture(
+fn small_image(
     dataset: &Dataset,
     record: &GraspRecord,
     kind: PreviewKind,
     role: Role,
 ) -> CrateResult<Vec<u8>> {
     let mut decoder = Decoder::new()?;
-    let mut picture = |stage| stored(&mut decoder, dataset, record, stage, role);
+    let mut image = |stage| stored(&mut decoder, dataset, record, stage, role);
     let shown = match kind {
-        PreviewKind::Initial => picture(Stage::Initial)?,
-        PreviewKind::Grasp => picture(Stage::Grasp)?,
+        PreviewKind::Initial => image(Stage::Initial)?,
+        PreviewKind::Grasp => image(Stage::Grasp)?,
         PreviewKind::Difference if role.is_tactile() => {
-            let (initial, grasp) = (picture(Stage::Initial)?, picture(Stage::Grasp)?);
-            TactileDifference::between(&initial, &grasp)?.to_picture(DIFFERENCE_GAIN)
+            let (initial, grasp) = (image(Stage::Initial)?, image(Stage::Grasp)?);
+            TactileDifference::between(&initial, &grasp)?.to_image(DIFFERENCE_GAIN)
         }
         PreviewKind::Difference => {
             return Err(Error::input(format!(
@@ -225,7 +225,7 @@ fn stored(
 ) -> CrateResult<image::RgbImage> {
     let absent = || {
         Error::not_found(format!(
-            "{} has no {} picture of {role}",
+            "{} has no {} image of {role}",
             record.id,
             stage.name()
         ))
@@ -239,18 +239,18 @@ fn stored(
     let path = dataset.path_of(record, stage, role).ok_or_else(absent)?;
     let bytes = path
         .read(FileKind::Image)
-        .map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
+        .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
     let (width, height) = (PREVIEW_WIDTH, PREVIEW_HEIGHT);
-    let picture = match camera.format {
+    let image = match camera.format {
         PixelFormat::Z16 => decode_png_grey16(&bytes).and_then(|depth| {
             Ok(decoder.decode(&depth_frame(&depth), crop.as_ref(), width, height)?)
         }),
         _ => decoder.decode_file(&bytes, crop.as_ref(), width, height),
     };
-    picture.map_err(|e| e.at(path.display()))
+    image.map_err(|e| e.at(path.display()))
 }
 
-/// Depth as its camera sends it, for the picture in false colour.
+/// Depth as its camera sends it, for the image in false colour.
 fn depth_frame(depth: &DepthImage) -> Frame {
     let data: Vec<u8> = depth.iter().flat_map(|v| v.to_le_bytes()).collect();
     Frame {

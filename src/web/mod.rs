@@ -4,7 +4,7 @@
 //!  engine ── status, 20 a second ──► EngineStatus ──► GET /api/state, /api/events
 //!         ◄── Asked ── answer ────── POST /api/commands, labels, names, trash
 //!  previews ──► encoder, one a camera, while somebody looks ──► MJPEG
-//!  dataset ──► list of grasps, files, small pictures
+//!  dataset ──► list of grasps, files, small images
 //! ```
 //!
 //! Handlers never wait for the engine longer than a save takes, and the engine never waits for

@@ -145,7 +145,7 @@ fn check_origin(headers: &HeaderMap, host: &Authority) -> Result<(), Failure> {
     Err(foreign(format!("a page of {origin:.100} may not ask here")))
 }
 
-/// Refuses pictures and frames in pages of other sites: those come without an `Origin`. A link to
+/// Refuses images and frames in pages of other sites: those come without an `Origin`. A link to
 /// the page itself may be followed.
 fn check_site(request: &Request) -> Result<(), Failure> {
     let of = |name: &'static str| only(request.headers(), name);

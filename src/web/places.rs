@@ -7,7 +7,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::access::Peer;
 
-/// Places; a clone shares them.
+/// Places; a clone fractions them.
 #[derive(Clone, Debug)]
 pub(crate) struct Places {
     pub(super) network: Arc<Semaphore>,

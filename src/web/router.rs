@@ -15,19 +15,19 @@ use super::{access, cameras, commands, events, grasps, health, login, page};
 use gripcast_imaging::Role;
 
 /// Largest body that is taken, bytes.
-const LARGEST_BODY: usize = 16 * 1024;
+const MAX_BODY: usize = 16 * 1024;
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
     info(
         title = "gripcast",
-        description = "The running collection: state, commands, grasps, pictures."
+        description = "The running collection: state, commands, grasps, images."
     ),
     components(schemas(events::Event, grasps::PreviewKind, Role)),
     tags(
         (name = "session", description = "Step, prediction and commands"),
         (name = "grasps", description = "What was saved"),
-        (name = "cameras", description = "Live pictures"),
+        (name = "cameras", description = "Live images"),
         (name = "daemon", description = "The daemon itself")
     )
 )]
@@ -79,7 +79,7 @@ pub(crate) fn router(backend: Arc<Backend>) -> Router {
             "that cannot be done with this; /api/openapi.json tells what can",
         )
     })
-    .layer(DefaultBodyLimit::max(LARGEST_BODY))
+    .layer(DefaultBodyLimit::max(MAX_BODY))
     .layer(middleware::from_fn_with_state(access, access::guard))
     .with_state(backend)
 }

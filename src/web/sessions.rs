@@ -14,7 +14,7 @@ const MAX_SESSIONS: usize = 64;
 /// A session ends after this time without a request …
 const IDLE: Duration = Duration::from_secs(12 * 3600);
 /// … and this long after the login in any case.
-const LONGEST: Duration = Duration::from_secs(7 * 24 * 3600);
+const MAX: Duration = Duration::from_secs(7 * 24 * 3600);
 
 /// Wrong tokens of an address within [`FAILURE_WINDOW`] after which it is not heard.
 pub(super) const MAX_FAILURES: u32 = 10;
@@ -98,7 +98,7 @@ impl Sessions {
     fn end_old(&mut self, now: Instant) {
         self.0.retain(|session| {
             now.saturating_duration_since(session.used) < IDLE
-                && now.saturating_duration_since(session.opened) < LONGEST
+                && now.saturating_duration_since(session.opened) < MAX
         });
     }
 }
@@ -163,11 +163,11 @@ mod tests {
 
         let key = SessionKey::of(&sessions.open(start).unwrap());
         let mut now = start;
-        while now + IDLE / 2 < start + LONGEST {
+        while now + IDLE / 2 < start + MAX {
             now += IDLE / 2;
             assert!(sessions.is_open(&key, now, true));
         }
-        assert!(!sessions.is_open(&key, start + LONGEST, true));
+        assert!(!sessions.is_open(&key, start + MAX, true));
     }
 
     #[test]

@@ -102,7 +102,7 @@ fn poses_of_the_virtual_rig_are_true() {
     for off in [&mut off_mm, &mut off_deg] {
         off.sort_by(f64::total_cmp);
     }
-    // Median and worst; the numbers for many pictures are those of `gripcast-bench pose`.
+    // Median and worst; the numbers for many images are those of `gripcast-bench pose`.
     assert!(off_mm[GRASPS / 2] <= 0.1 && off_deg[GRASPS / 2] <= 0.08);
     assert!(off_mm[GRASPS - 1] <= 0.4 && off_deg[GRASPS - 1] <= 0.2);
     let clean = verify(&dataset);

@@ -115,8 +115,8 @@ fn every_frame_is_logged_and_the_saved_ones_are_the_same() {
                 assert!(dropped > 0, "{id} {stage} {role} is not in the log");
                 continue;
             };
-            let picture = Compressed::decode(&*found.data).unwrap();
-            let digest = hex(&Sha256::digest(&picture.data));
+            let image = Compressed::decode(&*found.data).unwrap();
+            let digest = hex(&Sha256::digest(&image.data));
             let file = camera["file"].as_str().unwrap();
             assert_eq!(record["files"][file]["sha256"], digest, "{id} {file}");
         }

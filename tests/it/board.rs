@@ -41,8 +41,8 @@ fn a_sheet_is_written_in_three_formats_with_its_board() {
     assert!(svg.contains("width=\"297mm\" height=\"210mm\""));
     let hash = made["hash"].as_str().unwrap();
     assert!(svg.contains(hash), "the hash is printed");
-    let picture = gripcast_imaging::decode_png_rgb(&fs::read(at("mug.png")).unwrap()).unwrap();
-    assert_eq!(picture.dimensions(), (1169, 827));
+    let image = gripcast_imaging::decode_png_rgb(&fs::read(at("mug.png")).unwrap()).unwrap();
+    assert_eq!(image.dimensions(), (1169, 827));
     let file = BoardFile::load(Path::new(&at("mug.toml"))).unwrap();
     assert_eq!(file.board.hash(), hash);
     assert_eq!(

@@ -7,7 +7,7 @@ use std::process::Command;
 use glam::{DMat3, DQuat, DVec3};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{Intrinsics, encode_png_grey8};
-use gripcast_pose::synthetic::{PictureConditions, Placed, render, test_camera};
+use gripcast_pose::synthetic::{ImageConditions, Placed, render, test_camera};
 use gripcast_pose::{BoardFile, Part, load_intrinsics};
 
 use crate::json_schema::assert_schema;
@@ -121,7 +121,7 @@ fn wrong_intrinsics_are_explained() {
     assert_eq!(load_intrinsics(Path::new(&out)).unwrap().fx, 900.0);
 }
 
-/// Pictures of the gripper from its front, the first two with closed fingers.
+/// Images of the gripper from its front, the first two with closed fingers.
 fn photograph(folder: &Path, count: u32) {
     let board = BoardFile::load(Path::new(TAGS)).unwrap();
     for i in 0..count {
@@ -150,14 +150,14 @@ fn photograph(folder: &Path, count: u32) {
             dictionary: &board.dictionary,
             t_camera_part: t_camera_gripper * Pose::from_translation(DVec3::X * (by * opening)),
         });
-        let picture = render(
+        let image = render(
             &camera(),
             &placed,
-            &PictureConditions::default(),
+            &ImageConditions::default(),
             u64::from(i),
         );
         let name = folder.join(format!("{i:02}.png"));
-        fs::write(name, encode_png_grey8(&picture.picture).unwrap()).unwrap();
+        fs::write(name, encode_png_grey8(&image.image).unwrap()).unwrap();
     }
 }
 
@@ -171,7 +171,7 @@ fn tags_are_calibrated_from_a_folder() {
     camera().save(Path::new(&at("camera.toml"))).unwrap();
     let run = |more: &str| {
         calibrate(&format!(
-            "gripper --tags {TAGS} --intrinsics {} --pictures {} --out {} {more}",
+            "gripper --tags {TAGS} --intrinsics {} --images {} --out {} {more}",
             at("camera.toml"),
             photos.display(),
             at("gripper.toml")
@@ -179,7 +179,7 @@ fn tags_are_calibrated_from_a_folder() {
     };
     let report = json(&succeed(&mut run("--closed 00.png 01 --json")));
     assert_schema("calibrate gripper", &[&report]);
-    assert_eq!(report["pictures"], 10);
+    assert_eq!(report["images"], 10);
     assert_eq!(report["opening_zero_from"], "fingers");
     assert!(report["rms_px"].as_f64().unwrap() < 0.15, "{report}");
     let calibrated = BoardFile::load(Path::new(&at("gripper.toml"))).unwrap();
@@ -196,12 +196,12 @@ fn tags_are_calibrated_from_a_folder() {
         assert!(a.center_m().distance(b.center_m()) < 5e-4, "{}", a.id);
     }
 
-    // A damaged picture is skipped and named.
+    // A damaged image is skipped and named.
     fs::write(photos.join("99.jpg"), [0xff, 0xd8, 0xff, 0x00]).unwrap();
     let (code, said) = refused(&mut run("--closed 00.png"));
     assert_eq!(code, 3, "{said}");
     assert!(
-        said.contains("99.jpg is not used") && said.contains("1 pictures"),
+        said.contains("99.jpg is not used") && said.contains("1 images"),
         "{said}"
     );
     let (code, said) = refused(&mut run("--closed 0.png"));
@@ -220,7 +220,7 @@ fn tags_are_calibrated_from_a_folder() {
 }
 
 #[test]
-fn pictures_without_tags_are_explained() {
+fn images_without_tags_are_explained() {
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
     fs::create_dir(&photos).unwrap();
@@ -229,7 +229,7 @@ fn pictures_without_tags_are_explained() {
     small.save(&intrinsics).unwrap();
     let run = |tags: &str| {
         let words = format!(
-            "gripper --tags {tags} --intrinsics {} --pictures {} --out {}",
+            "gripper --tags {tags} --intrinsics {} --images {} --out {}",
             intrinsics.display(),
             photos.display(),
             dir.path().join("o.toml").display()

@@ -9,7 +9,7 @@ use gripcast_capture::camera::{CameraIdentity, Recorder, StreamInfo};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{DistortionModel, Frame, Intrinsics, PixelFormat, Role, encode_png_grey8};
 use gripcast_pose::BoardFile;
-use gripcast_pose::synthetic::{PictureConditions, render_board};
+use gripcast_pose::synthetic::{ImageConditions, render_board};
 use image::GrayImage;
 use image::imageops::flip_horizontal;
 use serde_json::Value;
@@ -41,11 +41,11 @@ fn board(dir: &Path) -> BoardFile {
 }
 
 /// Views of a board, tilted to all sides.
-fn pictures(board: &BoardFile) -> Vec<GrayImage> {
+fn images(board: &BoardFile) -> Vec<GrayImage> {
     let facing = DQuat::from_rotation_x(std::f64::consts::PI);
-    let conditions = PictureConditions {
+    let conditions = ImageConditions {
         noise: 1.0,
-        ..PictureConditions::default()
+        ..ImageConditions::default()
     };
     (0..9u32)
         .map(|k| {
@@ -56,14 +56,14 @@ fn pictures(board: &BoardFile) -> Vec<GrayImage> {
             let at = [k % 3, k / 3].map(|c| f64::from(c) - 1.0);
             let at = DVec3::new(0.2 * at[0], 0.15 * at[1], 1.0) * depth;
             let pose = Pose::new(DQuat::from_axis_angle(axis, lean) * facing, at);
-            render_board(&LENS, board, &pose, &conditions, u64::from(k)).picture
+            render_board(&LENS, board, &pose, &conditions, u64::from(k)).image
         })
         .collect()
 }
 
-fn save(dir: &Path, name: &str, picture: &GrayImage) {
+fn save(dir: &Path, name: &str, image: &GrayImage) {
     fs::create_dir_all(dir).unwrap();
-    fs::write(dir.join(name), encode_png_grey8(picture).unwrap()).unwrap();
+    fs::write(dir.join(name), encode_png_grey8(image).unwrap()).unwrap();
 }
 
 fn calibrate(dir: &Path, more: &[&str]) -> Command {
@@ -87,18 +87,18 @@ fn assert_found(dir: &Path) {
 }
 
 #[test]
-fn a_folder_of_pictures_gives_the_lens() {
+fn a_folder_of_images_gives_the_lens() {
     let dir = tempfile::tempdir().unwrap();
     let board = board(dir.path());
     let shots = dir.path().join("shots");
-    let all = pictures(&board);
-    for (k, picture) in all.iter().enumerate() {
-        save(&shots, &format!("{k}.png"), picture);
+    let all = images(&board);
+    for (k, image) in all.iter().enumerate() {
+        save(&shots, &format!("{k}.png"), image);
     }
-    let run = || calibrate(dir.path(), &["--pictures", "shots"]);
+    let run = || calibrate(dir.path(), &["--images", "shots"]);
     let report = json(&succeed(&mut run()));
     assert!(report["rms_px"].as_f64().unwrap() < 0.15, "{report}");
-    // A picture that shows what another one shows is left out and said to be.
+    // An image that shows what another one shows is left out and said to be.
     let views = count(&report, "views");
     assert!(views >= 7, "{report}");
     assert_eq!(views + count(&report, "left_out"), all.len());
@@ -129,21 +129,21 @@ fn a_folder_of_pictures_gives_the_lens() {
 }
 
 #[test]
-fn what_is_wrong_with_pictures_is_told() {
+fn what_is_wrong_with_images_is_told() {
     let dir = tempfile::tempdir().unwrap();
     let board = board(dir.path());
     let shots = dir.path().join("shots");
-    let pictures = pictures(&board);
-    save(&shots, "0.png", &flip_horizontal(&pictures[0]));
+    let images = images(&board);
+    save(&shots, "0.png", &flip_horizontal(&images[0]));
     let refused = |folder: &str| {
-        let output = calibrate(dir.path(), &["--pictures", folder])
+        let output = calibrate(dir.path(), &["--images", folder])
             .output()
             .unwrap();
         (output.status.code(), stderr(&output))
     };
     let (code, said) = refused("shots");
     assert!(code == Some(1) && said.contains("mirrored"), "{said}");
-    save(&shots, "0.png", &pictures[0]);
+    save(&shots, "0.png", &images[0]);
     let (code, said) = refused("shots");
     assert!(
         code == Some(1) && said.contains("at least 3 usable views"),
@@ -168,12 +168,12 @@ fn a_camera_gives_the_lens() {
     };
     let mut recorder = Recorder::create(dir.path(), Role::External, &info).unwrap();
     // Every view twice: the board has to be still.
-    for (k, picture) in pictures(&board).iter().flat_map(|p| [p, p]).enumerate() {
+    for (k, image) in images(&board).iter().flat_map(|p| [p, p]).enumerate() {
         let frame = Frame {
             format: info.format,
             width: info.width,
             height: info.height,
-            data: picture.as_raw().clone().into(),
+            data: image.as_raw().clone().into(),
             sequence: k as u32,
             driver_time_ns: k as u64 * 33_000_000,
             received_ns: k as u64 * 33_000_000,

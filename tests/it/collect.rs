@@ -131,7 +131,7 @@ fn the_usual_model_tells_good_grasps_of_the_virtual_rig_from_bad_ones() {
         );
     }
     assert_eq!(found.len(), 8);
-    // Two more are told wrongly: `bottle-low` is heavy and slippery, which no picture shows, and
+    // Two more are told wrongly: `bottle-low` is heavy and slippery, which no image shows, and
     // the flat `box` leaves little to see.
     for film in ["mug", "ball", "bottle", "ball-aside", "wedge", "box-end"] {
         let (is_stable, held) = found[film];

@@ -119,7 +119,7 @@ fn nothing_acknowledged_is_lost_at_200_random_moments() {
         }
         let mut child = collect_on(&rig, &script, &dataset)
             .args(["--events", "--quiet"])
-            // Noise of its own: equal pictures in two grasps would rightly be a problem.
+            // Noise of its own: equal images in two grasps would rightly be a problem.
             .args(["--seed", &kill.to_string()])
             // Without contact no virtual hand has to be waited for.
             .env("GRIPCAST__GUARDS__MIN_CONTACT_FRACTION", "0")

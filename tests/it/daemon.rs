@@ -490,7 +490,7 @@ fn hear_all<const N: usize>(
     socket: &mut tungstenite::WebSocket<TcpStream>,
     wanted: [&dyn Fn(&Value) -> bool; N],
 ) -> [Value; N] {
-    // Pictures come all the time.
+    // Images come all the time.
     const PATIENCE: usize = 20_000;
     let mut heard = [const { Value::Null }; N];
     let mut others = Vec::new();
@@ -748,9 +748,9 @@ fn a_configuration_that_was_only_found_opens_nothing() {
     assert!(!socket.exists() && dir.join("gripcast.sock").exists());
 }
 
-/// A file of a hundred bytes that stands for a picture of 160 MB.
+/// A file of a hundred bytes that stands for an image of 160 MB.
 #[test]
-fn a_picture_that_would_take_all_memory_is_not_decoded() {
+fn an_image_that_would_take_all_memory_is_not_decoded() {
     let place = Place::new();
     let daemon = place.daemon();
     let id = daemon.grasp("stable");

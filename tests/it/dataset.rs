@@ -331,7 +331,7 @@ fn info_shows_counts_and_agreement() {
       "scenes": {
         "table": 4
       },
-      "stable_share": 0.6666666666666666,
+      "stable_fraction": 0.6666666666666666,
       "trash_bytes": 0,
       "unreadable": 0
     }

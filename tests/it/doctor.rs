@@ -65,7 +65,7 @@ fn the_virtual_rig_is_healthy_and_nothing_is_left_behind() {
     let findings = report["findings"].as_array().unwrap().clone();
     for role in ["left", "right", "rgb", "depth", "external"] {
         let camera = of(&findings, "camera", role);
-        // A loaded machine paints pictures late; nothing else may be wrong.
+        // A loaded machine paints images late; nothing else may be wrong.
         let is_late = camera["found"]
             .as_str()
             .unwrap()
@@ -90,7 +90,7 @@ fn the_virtual_rig_is_healthy_and_nothing_is_left_behind() {
 }
 
 #[test]
-fn cameras_that_cannot_be_used_fail_with_the_mend() {
+fn cameras_that_cannot_be_used_fail_with_the_fix() {
     let mut tree = Tree::new();
     let first = tree.plug(
         mini("3-1", "GelSight Mini R0B 2BNN-4ZE7", "2BNN4ZE7"),
@@ -120,7 +120,7 @@ fn cameras_that_cannot_be_used_fail_with_the_mend() {
     for role in ["left", "right"] {
         let camera = of(&found, "camera", role);
         assert_eq!(camera["verdict"], "fail");
-        assert!(camera["mend"].is_string(), "{camera}");
+        assert!(camera["remedy"].is_string(), "{camera}");
     }
     assert_eq!(of(&found, "usb", "bandwidth")["verdict"], "warn");
     assert_eq!(of(&found, "disk", "all")["verdict"], "skipped");

@@ -95,14 +95,14 @@ fn a_damaged_grasp_is_named_and_told_by_the_exit_code() {
     assert!(out.join("data/train-00000-of-00001.parquet").exists());
 }
 
-/// A pipe in place of a picture stops the export where the kill is to come.
+/// A pipe in place of an image stops the export where the kill is to come.
 #[test]
 fn a_killed_export_leaves_nothing_that_passes_for_whole() {
     let dir = tempfile::tempdir().unwrap();
     let root = dir.path().join("d");
     let ids = write_dataset(&root, &["mug", "bottle"]);
-    let picture = root.join(format!("grasps/{}/grasp.rgb.png", ids[1]));
-    let bytes = fs::read(&picture).unwrap();
+    let image = root.join(format!("grasps/{}/grasp.rgb.png", ids[1]));
+    let bytes = fs::read(&image).unwrap();
     for format in FORMATS {
         let out = dir.path().join(format);
         // The last grasp of every format: some leave the unlabelled one out.
@@ -111,10 +111,10 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
         } else {
             &ids[1]
         };
-        let picture = root.join(format!("grasps/{kept}/grasp.rgb.png"));
-        let stored = fs::read(&picture).unwrap();
-        fs::remove_file(&picture).unwrap();
-        mknodat(CWD, &picture, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+        let image = root.join(format!("grasps/{kept}/grasp.rgb.png"));
+        let stored = fs::read(&image).unwrap();
+        fs::remove_file(&image).unwrap();
+        mknodat(CWD, &image, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_gripcast"))
             .args(["dataset", "export", "--quiet"])
             .arg(&root)
@@ -122,15 +122,15 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
             .spawn()
             .unwrap();
         // Opens when the export reads the other end.
-        let pipe = fs::OpenOptions::new().write(true).open(&picture).unwrap();
+        let pipe = fs::OpenOptions::new().write(true).open(&image).unwrap();
         kill_process(Pid::from_child(&child), Signal::KILL).unwrap();
         child.wait().unwrap();
         drop(pipe);
         assert!(!out.exists(), "{format}");
         let hidden = dir.path().join(format!(".{format}.gripcast-partial"));
         assert!(hidden.is_dir(), "{format}");
-        fs::remove_file(&picture).unwrap();
-        fs::write(&picture, &stored).unwrap();
+        fs::remove_file(&image).unwrap();
+        fs::write(&image, &stored).unwrap();
         for place in [&out, &dir.path().join(format!("{format}-unhurt"))] {
             let output = gripcast(&arguments(format, place), &root);
             assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
@@ -145,7 +145,7 @@ fn a_killed_export_leaves_nothing_that_passes_for_whole() {
         };
         assert_eq!(relative(&out), relative(&unhurt), "{format}");
     }
-    assert_eq!(fs::read(&picture).unwrap(), bytes);
+    assert_eq!(fs::read(&image).unwrap(), bytes);
 }
 
 #[test]

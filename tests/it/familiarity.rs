@@ -1,6 +1,6 @@
-//! The shipped classifier on real tactile pictures: where it says that it does not know.
+//! The shipped classifier on real tactile images: where it says that it does not know.
 //!
-//! Outcomes of real lifts are not known here; only whether such pictures count as known is looked
+//! Outcomes of real lifts are not known here; only whether such images count as known is looked
 //! at.
 
 use std::path::{Path, PathBuf};
@@ -18,13 +18,13 @@ const NO_CONTACT: [&str; 3] = [
     "data/gsmini_ai4ce_bg/background.png",
 ];
 
-fn picture(path: &Path) -> RgbImage {
-    let picture = decode_png_rgb(&std::fs::read(path).unwrap()).unwrap();
-    crop_and_resize(&picture, &CropProfile::FULL, 320, 240).unwrap()
+fn image(path: &Path) -> RgbImage {
+    let image = decode_png_rgb(&std::fs::read(path).unwrap()).unwrap();
+    crop_and_resize(&image, &CropProfile::FULL, 320, 240).unwrap()
 }
 
-/// Pictures in a folder whose names begin alike, sorted.
-fn pictures(folder: &Path, prefix: &str) -> Vec<PathBuf> {
+/// Images in a folder whose names begin alike, sorted.
+fn images(folder: &Path, prefix: &str) -> Vec<PathBuf> {
     let all = std::fs::read_dir(folder).unwrap();
     let mut found: Vec<PathBuf> = all.map(|entry| entry.unwrap().path()).collect();
     found.retain(|path| {
@@ -39,15 +39,15 @@ fn pictures(folder: &Path, prefix: &str) -> Vec<PathBuf> {
 fn novelties(initial: &Path, grasps: &[PathBuf]) -> Vec<f64> {
     let model = Model::named(SHIPPED).unwrap();
     let known = model.novelty().unwrap();
-    let initial = picture(initial);
+    let initial = image(initial);
     let score = |grasp: &PathBuf| {
-        let difference = TactileDifference::between(&initial, &picture(grasp)).unwrap();
+        let difference = TactileDifference::between(&initial, &image(grasp)).unwrap();
         known.score(&difference).unwrap()
     };
     grasps.iter().map(score).collect()
 }
 
-fn share_unknown(novelties: &[f64]) -> f64 {
+fn fraction_unknown(novelties: &[f64]) -> f64 {
     novelties.iter().filter(|novelty| **novelty > 1.0).count() as f64 / novelties.len() as f64
 }
 
@@ -60,15 +60,15 @@ fn real_presses_of_a_gelsight_mini_are_known() {
         return;
     };
     let open = folder.join("nocontact.png");
-    let presses = pictures(&folder, "ball_");
+    let presses = images(&folder, "ball_");
     assert!(presses.len() >= 24);
     let found = novelties(&open, &presses);
     eprintln!(
         "false alarms: {:.3} of {}",
-        share_unknown(&found),
+        fraction_unknown(&found),
         found.len()
     );
-    assert!(share_unknown(&found) <= 0.05, "{found:.2?}");
+    assert!(fraction_unknown(&found) <= 0.05, "{found:.2?}");
     for item in NO_CONTACT {
         let Some(open) = shared(item) else { return };
         let still = novelties(&open, std::slice::from_ref(&open));
@@ -89,7 +89,7 @@ fn an_initial_frame_of_another_sensor_is_not_known() {
         let others: Vec<PathBuf> = [&opens[..at], &opens[at + 1..]].concat();
         let found = novelties(initial, &others);
         assert!(
-            share_unknown(&found) == 1.0,
+            fraction_unknown(&found) == 1.0,
             "{}: {found:.2?}",
             initial.display()
         );
@@ -111,7 +111,7 @@ fn a_gel_of_other_colours_is_not_known() {
     let Some(folder) = shared("data/fots_ball") else {
         return;
     };
-    let found = novelties(&folder.join("no_contact.png"), &pictures(&folder, "press_"));
+    let found = novelties(&folder.join("no_contact.png"), &images(&folder, "press_"));
     assert!(found.len() >= 28);
-    assert!(share_unknown(&found) >= 0.95, "{found:.2?}");
+    assert!(fraction_unknown(&found) >= 0.95, "{found:.2?}");
 }

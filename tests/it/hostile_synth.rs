@@ -27,11 +27,11 @@ impl Jail {
         self.0.path().join(name)
     }
 
-    /// A plan of one object of a table, with a picture.
+    /// A plan of one object of a table, with an image.
     fn plan(&self) -> PathBuf {
         fs::create_dir_all(self.at("table")).unwrap();
-        let picture = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
-        picture.save(self.at("table/label.png")).unwrap();
+        let image = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
+        image.save(self.at("table/label.png")).unwrap();
         fs::write(self.at("table/part.obj"), MESH).unwrap();
         let row = "mesh = \"part.obj\"\nunit = \"mm\"\ntextures = [\"label.png\"]";
         succeed(&mut self.plan_of(row));
@@ -137,7 +137,7 @@ fn links_in_a_plan_lead_nowhere() {
     symlink(&secret, &facts).unwrap();
     refused(&synth("run", &plan).output().unwrap(), "leads out of");
     fs::remove_file(&facts).unwrap();
-    // Its pictures and its state, and what the rigid engine keeps.
+    // Its images and its state, and what the rigid engine keeps.
     for ending in ["parquet", "state"] {
         symlink(&secret, facts.with_extension(ending)).unwrap();
     }
@@ -152,7 +152,7 @@ fn links_in_a_plan_lead_nowhere() {
         fs::remove_file(path).unwrap();
         symlink(&secret, path).unwrap();
     }
-    // Mesh and picture.
+    // Mesh and image.
     for folder in ["meshes", "textures"] {
         fs::remove_dir_all(plan.join("results")).unwrap();
         let entry = fs::read_dir(plan.join(folder)).unwrap().next().unwrap();

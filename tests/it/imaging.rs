@@ -1,4 +1,4 @@
-//! Frames to pictures: golden values, damage, and real tactile pictures.
+//! Frames to images: golden values, damage, and real tactile images.
 
 use std::fs;
 
@@ -27,13 +27,13 @@ fn frame(format: PixelFormat, width: u32, height: u32, data: Vec<u8>) -> Frame {
     }
 }
 
-fn mjpg(picture: &RgbImage, quality: u8) -> Frame {
-    let (width, height) = picture.dimensions();
-    let bytes = encode_jpeg(picture, quality).unwrap();
+fn mjpg(image: &RgbImage, quality: u8) -> Frame {
+    let (width, height) = image.dimensions();
+    let bytes = encode_jpeg(image, quality).unwrap();
     frame(PixelFormat::Mjpg, width, height, bytes)
 }
 
-/// Mean and largest difference of two pictures in grey levels.
+/// Mean and largest difference of two images in grey levels.
 fn distance(a: &RgbImage, b: &RgbImage) -> (f64, u8) {
     assert_eq!(a.dimensions(), b.dimensions());
     let each = || {
@@ -71,17 +71,17 @@ fn scan_start(jpeg: &[u8]) -> usize {
 }
 
 /// A JPEG whose Huffman tables are made for it, or one in several scans.
-fn unusual_jpeg(picture: &RgbImage, progressive: bool) -> Vec<u8> {
+fn unusual_jpeg(image: &RgbImage, progressive: bool) -> Vec<u8> {
     let mut compressor = turbojpeg::Compressor::new().unwrap();
     compressor.set_optimize(true).unwrap();
     compressor.set_progressive(progressive).unwrap();
     compressor.set_subsamp(turbojpeg::Subsamp::Sub2x2).unwrap();
     compressor
         .compress_to_vec(turbojpeg::Image {
-            pixels: picture.as_raw().as_slice(),
-            width: picture.width() as usize,
-            pitch: picture.width() as usize * 3,
-            height: picture.height() as usize,
+            pixels: image.as_raw().as_slice(),
+            width: image.width() as usize,
+            pitch: image.width() as usize * 3,
+            height: image.height() as usize,
             format: turbojpeg::PixelFormat::RGB,
         })
         .unwrap()
@@ -95,11 +95,11 @@ fn red_stays_red_in_every_format() {
     let (y, u, v) = (94, 88, 209);
     let yuyv = frame(PixelFormat::Yuyv, 64, 48, [y, u, y, v].repeat(64 * 48 / 2));
     for (name, frame) in [("MJPG", mjpg(&red, 95)), ("YUYV", yuyv)] {
-        for picture in [
+        for image in [
             decoder.decode(&frame, None, 32, 24).unwrap(),
             decoder.decode_full(&frame).unwrap(),
         ] {
-            let middle = picture.get_pixel(picture.width() / 2, picture.height() / 2);
+            let middle = image.get_pixel(image.width() / 2, image.height() / 2);
             for (found, expected) in middle.0.into_iter().zip([220u8, 40, 10]) {
                 assert!(found.abs_diff(expected) <= 3, "{name}: {middle:?}");
             }
@@ -172,7 +172,7 @@ fn odd_sizes_and_enlargement_work() {
 }
 
 #[test]
-fn a_file_cut_off_anywhere_gives_no_picture() {
+fn a_file_cut_off_anywhere_gives_no_image() {
     let frame_bytes = encode_jpeg(&synthetic_gel(640, 480, 3, 0.5), 85).unwrap();
     let mut decoder = JpegDecoder::new().unwrap();
     let tenths = (1..10).map(|tenth| frame_bytes.len() * tenth / 10);
@@ -253,7 +253,7 @@ fn missing_huffman_tables_are_supplied_whatever_came_before() {
 
 #[test]
 fn restart_markers_are_followed_and_their_order_is_held() {
-    // Two pictures of one coding unit each make one of two with a restart between them.
+    // Two images of one coding unit each make one of two with a restart between them.
     let parts = [1, 2].map(|seed| encode_jpeg(&synthetic_gel(16, 8, seed, 0.5), 85).unwrap());
     let start = scan_start(&parts[0]);
     let scans = parts.each_ref().map(|part| &part[start..part.len() - 2]);
@@ -396,7 +396,7 @@ fn every_wrong_frame_is_explained() {
         .decode(&tiny, Some(&CropProfile::GSMINI_SEVENTH), 8, 8)
         .unwrap_err()
         .to_string();
-    assert!(text.contains("leaves nothing of a 2×2 picture"), "{text}");
+    assert!(text.contains("leaves nothing of a 2×2 image"), "{text}");
 }
 
 #[test]
@@ -427,11 +427,11 @@ fn a_decoder_can_move_to_its_thread() {
 }
 
 #[test]
-fn grey_frames_become_grey_pictures() {
+fn grey_frames_become_grey_images() {
     let frame = frame(PixelFormat::Grey, 4, 2, vec![0, 50, 100, 255, 1, 2, 3, 4]);
-    let picture = Decoder::new().unwrap().decode_full(&frame).unwrap();
-    assert_eq!(picture.get_pixel(1, 0).0, [50; 3]);
-    assert_eq!(picture.get_pixel(3, 1).0, [4; 3]);
+    let image = Decoder::new().unwrap().decode_full(&frame).unwrap();
+    assert_eq!(image.get_pixel(1, 0).0, [50; 3]);
+    assert_eq!(image.get_pixel(3, 1).0, [4; 3]);
 }
 
 #[test]
@@ -450,15 +450,15 @@ fn a_real_press_stands_out_of_the_noise() {
     );
 
     let profile = CropProfile::GSMINI_SEVENTH;
-    let model_view = |picture: &RgbImage| {
-        let frame = mjpg(picture, 92);
+    let model_view = |image: &RgbImage| {
+        let frame = mjpg(image, 92);
         Decoder::new()
             .unwrap()
             .decode(&frame, Some(&profile), 320, 240)
             .unwrap()
     };
     let reference = model_view(&free);
-    // The set has one picture without contact: the far corner of each press, which the ball
+    // The set has one image without contact: the far corner of each press, which the ball
     // does not reach, is the second look at an untouched gel.
     for press in 0..24 {
         let pressed = model_view(&load(&format!("ball_{press:02}.png")));
@@ -479,7 +479,7 @@ fn a_real_press_stands_out_of_the_noise() {
         let all = strength(0, 0, 320, 240);
         assert!(
             all > noise,
-            "ball {press}: whole picture {all}, noise {noise}"
+            "ball {press}: whole image {all}, noise {noise}"
         );
     }
 }

@@ -79,7 +79,7 @@ fn what_is_no_model_is_refused_as_what_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let refusal = |bytes: &[u8]| refusal(folder.path(), bytes);
     assert!(refusal(b"").contains("empty (0 bytes)"));
-    assert!(refusal(b"\xff\xd8\xff\xe0\0\x10JFIF").contains("a JPEG picture"));
+    assert!(refusal(b"\xff\xd8\xff\xe0\0\x10JFIF").contains("a JPEG image"));
     assert!(refusal(b"PK\x03\x04rest").contains("PyTorch"));
     assert!(refusal(b"version https://git-lfs.github.com/spec/v1\n").contains("git lfs pull"));
     assert!(refusal(b"<html></html>").contains("a text file"));
@@ -154,18 +154,18 @@ fn damage_of_any_bit_never_panics() {
 }
 
 #[test]
-fn one_grasp_is_predicted_from_picture_files() {
+fn one_grasp_is_predicted_from_image_files() {
     let folder = tempfile::tempdir().unwrap();
-    let picture = |name: &str, seed, contact| {
+    let image = |name: &str, seed, contact| {
         let file = folder.path().join(name);
         let bytes = encode_png_rgb(&synthetic_gel(640, 480, seed, contact)).unwrap();
         fs::write(&file, bytes).unwrap();
         file.to_str().unwrap().to_owned()
     };
-    let open_left = picture("open-left.png", 1, 0.0);
-    let open_right = picture("open-right.png", 2, 0.0);
-    let closed_left = picture("closed-left.png", 3, 0.8);
-    let closed_right = picture("closed-right.png", 4, 0.8);
+    let open_left = image("open-left.png", 1, 0.0);
+    let open_right = image("open-right.png", 2, 0.0);
+    let closed_left = image("closed-left.png", 3, 0.8);
+    let closed_right = image("closed-right.png", 4, 0.8);
     let predict = |left: &str, right: &str, more: &[&str]| {
         let mut arguments = vec!["predict", "images", "--json"];
         arguments.extend(["--initial-left", &open_left, "--initial-right", &open_right]);
@@ -201,10 +201,10 @@ fn one_grasp_is_predicted_from_picture_files() {
         text.contains("--crop: unknown crop profile `seventh`"),
         "{text}"
     );
-    let not_a_picture = shipped();
-    let (status, text) = code(predict(&closed_left, not_a_picture.to_str().unwrap(), &[]));
+    let not_a_image = shipped();
+    let (status, text) = code(predict(&closed_left, not_a_image.to_str().unwrap(), &[]));
     assert_eq!(status, Some(1), "{text}");
-    assert!(text.contains("expected a PNG or JPEG picture"), "{text}");
+    assert!(text.contains("expected a PNG or JPEG image"), "{text}");
     let (status, text) = code(gripcast(&[
         "predict",
         "images",

@@ -138,14 +138,14 @@ fn grasps_are_replayed_stopped_continued_and_reported() {
     );
     assert_eq!(made["engines"][1]["name"], "rigid");
     for grasp in made["grasps"].as_array().unwrap() {
-        let picture = |value: &Value| {
+        let image = |value: &Value| {
             value
                 .as_str()
                 .unwrap()
                 .starts_with("data:image/jpeg;base64,")
         };
         if grasp["replays"][0]["case"]["outcome"] != "miss" {
-            assert!(picture(&grasp["view"]["sim"]));
+            assert!(image(&grasp["view"]["sim"]));
             assert_eq!(grasp["tactile"].as_array().unwrap().len(), 2);
         }
     }
@@ -154,7 +154,7 @@ fn grasps_are_replayed_stopped_continued_and_reported() {
 
     // Stopped after the first case, then continued: the same as in one go.
     let parts = dir.path().join("parts");
-    let more = ["--jobs", "1", "--no-pictures"];
+    let more = ["--jobs", "1", "--no-images"];
     let mut child = replay(&dataset, &objects, &parts, &more)
         .stdout(Stdio::null())
         .stderr(Stdio::null())
@@ -174,7 +174,7 @@ fn grasps_are_replayed_stopped_continued_and_reported() {
     assert_eq!(outcomes(&continued), outcomes(&made));
 
     let old = whole.join("report.json");
-    let more = ["--no-pictures", "--compare", old.to_str().unwrap()];
+    let more = ["--no-images", "--compare", old.to_str().unwrap()];
     succeed(&mut replay(&dataset, &objects, &parts, &more));
     let compared = report(&parts);
     assert_eq!(compared["cost"]["simulated_now"], 0);
@@ -189,7 +189,7 @@ fn what_is_left_out_is_told_with_exit_code_3() {
     change(&dataset, &ids[0], |record| record["object"] = json!("bax"));
     change(&dataset, &ids[1], |record| record["pose"] = json!(null));
     let out = dir.path().join("out");
-    let more = ["--engine", "rigid", "--no-pictures"];
+    let more = ["--engine", "rigid", "--no-images"];
     let output = replay(&dataset, &objects, &out, &more).output().unwrap();
     assert_eq!(output.status.code(), Some(3), "{}", stderr(&output));
     let left_out = report(&out)["left_out"].clone();

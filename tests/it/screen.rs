@@ -56,7 +56,7 @@ fn camera(role: Role, serial: &str, port: &str, nominal_fps: f64) -> CameraStatu
     }
 }
 
-/// A bright spot: at the top left as a picture, in the middle as a difference.
+/// A bright spot: at the top left as an image, in the middle as a difference.
 fn preview(is_difference: bool) -> Preview {
     let image = RgbImage::from_fn(64, 48, |x, y| {
         let (cx, cy) = if is_difference {
@@ -199,7 +199,7 @@ fn state() -> ScreenState {
     })
 }
 
-fn picture(width: u16, height: u16, status: &EngineStatus, state: &ScreenState) -> String {
+fn image(width: u16, height: u16, status: &EngineStatus, state: &ScreenState) -> String {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
     terminal.draw(|frame| draw(frame, status, state)).unwrap();
     terminal.backend().to_string()
@@ -211,11 +211,11 @@ fn press(state: &mut ScreenState, code: KeyCode, status: &EngineStatus) -> React
 
 #[test]
 fn the_screen_at_80_by_24() {
-    insta::assert_snapshot!("initial", picture(80, 24, &waiting_for_initial(), &state()));
-    insta::assert_snapshot!("grasp", picture(80, 24, &waiting_for_grasp(), &state()));
-    insta::assert_snapshot!("label", picture(80, 24, &labelling(), &state()));
-    insta::assert_snapshot!("refusal", picture(80, 24, &refused(), &state()));
-    insta::assert_snapshot!("fault", picture(80, 24, &faulty(), &state()));
+    insta::assert_snapshot!("initial", image(80, 24, &waiting_for_initial(), &state()));
+    insta::assert_snapshot!("grasp", image(80, 24, &waiting_for_grasp(), &state()));
+    insta::assert_snapshot!("label", image(80, 24, &labelling(), &state()));
+    insta::assert_snapshot!("refusal", image(80, 24, &refused(), &state()));
+    insta::assert_snapshot!("fault", image(80, 24, &faulty(), &state()));
 }
 
 #[test]
@@ -223,10 +223,10 @@ fn the_overlays_at_80_by_24() {
     let status = waiting_for_grasp();
     let mut help = state();
     press(&mut help, KeyCode::Char('?'), &status);
-    insta::assert_snapshot!("help", picture(80, 24, &status, &help));
+    insta::assert_snapshot!("help", image(80, 24, &status, &help));
     let mut sensors = state();
     press(&mut sensors, KeyCode::Char('h'), &status);
-    insta::assert_snapshot!("sensors", picture(80, 24, &status, &sensors));
+    insta::assert_snapshot!("sensors", image(80, 24, &status, &sensors));
 }
 
 #[test]
@@ -234,7 +234,7 @@ fn the_screen_without_a_model() {
     let mut status = waiting_for_grasp();
     status.prediction = None;
     status.prediction_absent = Some("no model is loaded (--model FILE)".to_owned());
-    insta::assert_snapshot!("no_model", picture(80, 24, &status, &state()));
+    insta::assert_snapshot!("no_model", image(80, 24, &status, &state()));
 }
 
 #[test]
@@ -245,10 +245,10 @@ fn other_sizes() {
     for c in "Tasse für 茶".chars() {
         press(&mut typing, KeyCode::Char(c), &status);
     }
-    insta::assert_snapshot!("narrow", picture(60, 18, &status, &typing));
-    insta::assert_snapshot!("wide", picture(160, 50, &status, &state()));
-    insta::assert_snapshot!("compact", picture(48, 14, &status, &state()));
-    insta::assert_snapshot!("tiny", picture(39, 5, &status, &state()));
+    insta::assert_snapshot!("narrow", image(60, 18, &status, &typing));
+    insta::assert_snapshot!("wide", image(160, 50, &status, &state()));
+    insta::assert_snapshot!("compact", image(48, 14, &status, &state()));
+    insta::assert_snapshot!("tiny", image(39, 5, &status, &state()));
 }
 
 #[test]
@@ -257,9 +257,9 @@ fn an_old_prediction_says_so_instead_of_a_verdict() {
     if let Some(prediction) = &mut status.prediction {
         prediction.frame_age_ms = 1_400.0;
     }
-    let tiny = picture(39, 5, &status, &state());
+    let tiny = image(39, 5, &status, &state());
     assert!(tiny.contains("OLD") && !tiny.contains("STABLE"), "{tiny}");
-    let full = picture(80, 24, &status, &state());
+    let full = image(80, 24, &status, &state());
     assert!(full.contains("frame 1.4 s old"), "{full}");
 }
 
@@ -268,13 +268,13 @@ fn a_fault_put_aside_stays_one_line_until_another_camera_fails() {
     let mut status = faulty();
     let mut state = state();
     press(&mut state, KeyCode::Esc, &status);
-    let aside = picture(80, 24, &status, &state);
+    let aside = image(80, 24, &status, &state);
     assert!(aside.contains("CLOSE THE GRIPPER"), "{aside}");
     assert!(aside.contains("LEFT GELSIGHT SILENT 1.4 s"), "{aside}");
     status.cameras[2].state = CameraState::Lost {
         reason: "no device with serial 842512070215".to_owned(),
     };
-    let both = picture(80, 24, &status, &state);
+    let both = image(80, 24, &status, &state);
     assert!(!both.contains("CLOSE THE GRIPPER"), "{both}");
     assert!(both.contains("also: COLOUR CAMERA LOST"), "{both}");
 }
@@ -284,7 +284,7 @@ fn a_camera_that_is_back_may_fail_loudly_again() {
     let mut state = state();
     press(&mut state, KeyCode::Esc, &faulty());
     state.settle(&waiting_for_grasp());
-    let again = picture(80, 24, &faulty(), &state);
+    let again = image(80, 24, &faulty(), &state);
     assert!(!again.contains("CLOSE THE GRIPPER"), "{again}");
 }
 
@@ -302,10 +302,10 @@ fn what_the_external_camera_sees_of_the_markers_is_told() {
         status
     };
     let seen = with(Ok("sheet 13, tags 6, 0.06 px"));
-    let shown = picture(120, 40, &seen, &state());
+    let shown = image(120, 40, &seen, &state());
     assert!(shown.contains("sheet 13, tags 6"), "{shown}");
-    let lost = with(Err("the sheet is not in the picture"));
-    let shown = picture(120, 40, &lost, &state());
+    let lost = with(Err("the sheet is not in the image"));
+    let shown = image(120, 40, &lost, &state());
     assert!(shown.contains("no pose: the sheet"), "{shown}");
 
     let mut printer = LinePrinter::default();
@@ -526,11 +526,11 @@ prop_compose! {
         absent in proptest::option::of(any_text()),
         text in any_text(),
         disk in proptest::option::of(any::<u64>()),
-        picture in (0..70_u32, 0..70_u32, any::<bool>()),
+        image in (0..70_u32, 0..70_u32, any::<bool>()),
     ) -> EngineStatus {
         let preview = Preview {
-            image: Arc::new(RgbImage::new(picture.0, picture.1)),
-            is_difference: picture.2,
+            image: Arc::new(RgbImage::new(image.0, image.1)),
+            is_difference: image.2,
         };
         let contact = prediction.as_ref().map(|p| (Role::Left, p.said.p_stable));
         EngineStatus {
@@ -572,7 +572,7 @@ proptest! {
                 press(&mut state, KeyCode::Char(c), &status);
             }
         }
-        picture(width, height, &status, &state);
+        image(width, height, &status, &state);
         LinePrinter::default().lines(&status, Instant::now());
     }
 }

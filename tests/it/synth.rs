@@ -204,22 +204,22 @@ fn what_does_not_belong_together_is_refused() {
         .arg("--out")
         .arg(&one);
     fails(&mut again, "plan");
-    // A picture that was changed, then one that was cut off: that one is open again.
+    // An image that was changed, then one that was cut off: that one is open again.
     let dataset = dir.path().join("d");
     let result = files(&one.join("results"));
     let (name, bytes) = result
         .iter()
         .find(|(path, _)| path.extension().is_some_and(|end| end == "parquet"))
         .unwrap();
-    let picture = one.join("results").join(name);
+    let image = one.join("results").join(name);
     let mut changed = bytes.clone();
     changed[bytes.len() / 2] ^= 1;
-    fs::write(&picture, &changed).unwrap();
+    fs::write(&image, &changed).unwrap();
     fails(&mut merge(&one, &dataset), "not those of the result");
-    fs::write(&picture, &bytes[..bytes.len() / 2]).unwrap();
+    fs::write(&image, &bytes[..bytes.len() / 2]).unwrap();
     fails(&mut merge(&one, &dataset), "no result yet");
     succeed(&mut synth("run", &one));
-    assert_eq!(&fs::read(&picture).unwrap(), bytes);
+    assert_eq!(&fs::read(&image).unwrap(), bytes);
     succeed(&mut merge(&one, &dataset));
     // Results of another plan, and a dataset of another one.
     fs::rename(one.join("results"), other.join("results")).unwrap();
@@ -245,8 +245,8 @@ fn what_does_not_belong_together_is_refused() {
 fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
     let dir = tempfile::tempdir().unwrap();
     let table = dir.path().join("objects.toml");
-    let picture = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
-    picture.save(dir.path().join("red.png")).unwrap();
+    let image = image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]));
+    image.save(dir.path().join("red.png")).unwrap();
     let rows = "schema = 1\n\
         [[object]]\nname = \"own-mug\"\nmesh = \"builtin:mug\"\ncategory = \"mug\"\n\
         material = \"ceramic\"\nmass_kg = 0.12\nfriction = 0.8\ntextures = [\"red.png\"]\n\
@@ -278,7 +278,7 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         (&0.12.into(), &0.8.into())
     );
     succeed(&mut synth("run", &folder));
-    // The picture is part of the plan, not of the table.
+    // The image is part of the plan, not of the table.
     fs::remove_file(dir.path().join("red.png")).unwrap();
     let stored = paths(&folder.join("textures")).remove(0);
     let kept = fs::read(&stored).unwrap();
@@ -292,7 +292,7 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
         "{}",
         stderr(&changed)
     );
-    // Mended: a failure is a result until it is asked for again.
+    // Fixed: a failure is a result until it is asked for again.
     fs::write(&stored, kept).unwrap();
     let same = synth("run", &folder).output().unwrap();
     assert_eq!(same.status.code(), Some(3), "{}", stderr(&same));
@@ -303,30 +303,30 @@ fn objects_come_from_a_table_and_wrong_ones_are_left_out() {
 }
 
 #[test]
-fn pictures_of_an_unfinished_plan_are_of_what_has_a_label() {
+fn images_of_an_unfinished_plan_are_of_what_has_a_label() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("part");
     plan(&folder, &FEW);
-    succeed(synth("run", &folder).args(["--shard", "0/2", "--pictures", "none"]));
+    succeed(synth("run", &folder).args(["--shard", "0/2", "--images", "none"]));
     let status = || json(&succeed(synth("status", &folder).arg("--json")));
     let before = status();
     let all = before["simulations"].as_u64().unwrap();
     let done = before["done"].as_u64().unwrap();
-    let labelled = before["without_pictures"].as_u64().unwrap();
+    let labelled = before["without_images"].as_u64().unwrap();
     assert!(labelled > 0 && done < all, "{done} of {all}");
 
     let alone = synth("run", &folder).arg("--partial").output().unwrap();
     assert_eq!(alone.status.code(), Some(2));
-    assert!(stderr(&alone).contains("--pictures chosen"));
+    assert!(stderr(&alone).contains("--images chosen"));
     let mut run = synth("run", &folder);
-    run.args(["--pictures", "chosen", "--partial", "--json"]);
+    run.args(["--images", "chosen", "--partial", "--json"]);
     run.args(["--unbalanced", "--split", "train=1"]);
     let told = json(&succeed(&mut run));
     assert_eq!(told["simulated_now"], labelled);
     assert_eq!(told["simulations"], done);
     let after = status();
     assert_eq!(after["done"], done, "nothing new is simulated");
-    assert_eq!(after["without_pictures"], 0);
+    assert_eq!(after["without_images"], 0);
 
     let out = dir.path().join("dataset");
     let merged = merge(&folder, &out).arg("--partial").output().unwrap();
@@ -337,7 +337,7 @@ fn pictures_of_an_unfinished_plan_are_of_what_has_a_label() {
 }
 
 #[test]
-fn pictures_can_wait_until_labels_tell_which_are_needed() {
+fn images_can_wait_until_labels_tell_which_are_needed() {
     let dir = tempfile::tempdir().unwrap();
     let [whole, late] = ["whole", "late"].map(|name| dir.path().join(name));
     let merge = |folder: &Path| {
@@ -350,15 +350,15 @@ fn pictures_can_wait_until_labels_tell_which_are_needed() {
         plan(folder, &FEW);
     }
     succeed(&mut synth("run", &whole));
-    succeed(synth("run", &late).args(["--pictures", "none"]));
+    succeed(synth("run", &late).args(["--images", "none"]));
     let status = json(&succeed(synth("status", &late).arg("--json")));
     let labelled = status["stable"].as_u64().unwrap() + status["slip"].as_u64().unwrap();
-    assert_eq!(status["without_pictures"], labelled);
+    assert_eq!(status["without_images"], labelled);
     assert_eq!(status["rows"], 0);
     let early = merge(&late).output().unwrap();
     assert_eq!(early.status.code(), Some(1));
     assert!(
-        stderr(&early).contains("no pictures yet") && stderr(&early).contains("--pictures chosen"),
+        stderr(&early).contains("no images yet") && stderr(&early).contains("--images chosen"),
         "{}",
         stderr(&early)
     );
@@ -388,7 +388,7 @@ fn pictures_can_wait_until_labels_tell_which_are_needed() {
     }
 
     let mut run = synth("run", &late);
-    run.args(["--pictures", "chosen", "--split", "train=1", "--json"]);
+    run.args(["--images", "chosen", "--split", "train=1", "--json"]);
     let told = json(&succeed(&mut run));
     let taken = told["simulated_now"].as_u64().unwrap();
     assert!(taken > 0 && taken < labelled, "{taken} of {labelled}");
@@ -404,6 +404,6 @@ fn pictures_can_wait_until_labels_tell_which_are_needed() {
 
     succeed(&mut synth("run", &late));
     let status = json(&succeed(synth("status", &late).arg("--json")));
-    assert_eq!(status["without_pictures"], 0);
+    assert_eq!(status["without_images"], 0);
     assert!(states(&late).is_empty());
 }

@@ -52,13 +52,13 @@ fn row(part: &str, number: u64, is_stable: bool) -> ShardRow {
         crop_profile: "full-v1".to_owned(),
     };
     let gel = |side: u64, contact: f32| {
-        let picture = synthetic_gel(
+        let image = synthetic_gel(
             320,
             240,
             100 * part.len() as u64 + 2 * number + side,
             contact,
         );
-        encode_jpeg(&picture, 85).unwrap()
+        encode_jpeg(&image, 85).unwrap()
     };
     let contact = if is_stable { 0.9 } else { 0.05 };
     let colour = RgbImage::from_fn(320, 240, |x, y| Rgb([(x / 2) as u8, y as u8, 90]));

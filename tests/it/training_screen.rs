@@ -91,7 +91,7 @@ fn resumed() -> TrainingStatus {
     status
 }
 
-fn picture(width: u16, height: u16, status: &TrainingStatus) -> String {
+fn image(width: u16, height: u16, status: &TrainingStatus) -> String {
     drawn(width, height, status, ColourDepth::Mono).to_string()
 }
 
@@ -105,17 +105,17 @@ fn drawn(width: u16, height: u16, status: &TrainingStatus, depth: ColourDepth) -
 
 #[test]
 fn the_dashboard_at_80_by_24() {
-    insta::assert_snapshot!("waiting", picture(80, 24, &fresh(1)));
-    insta::assert_snapshot!("first_epoch", picture(80, 24, &begun()));
-    insta::assert_snapshot!("resumed", picture(80, 24, &resumed()));
+    insta::assert_snapshot!("waiting", image(80, 24, &fresh(1)));
+    insta::assert_snapshot!("first_epoch", image(80, 24, &begun()));
+    insta::assert_snapshot!("resumed", image(80, 24, &resumed()));
 }
 
 #[test]
 fn the_dashboard_at_other_sizes() {
-    insta::assert_snapshot!("wide", picture(120, 36, &resumed()));
-    insta::assert_snapshot!("narrow", picture(48, 20, &resumed()));
-    insta::assert_snapshot!("low", picture(80, 9, &resumed()));
-    insta::assert_snapshot!("tiny", picture(30, 3, &resumed()));
+    insta::assert_snapshot!("wide", image(120, 36, &resumed()));
+    insta::assert_snapshot!("narrow", image(48, 20, &resumed()));
+    insta::assert_snapshot!("low", image(80, 9, &resumed()));
+    insta::assert_snapshot!("tiny", image(30, 3, &resumed()));
 }
 
 #[test]
@@ -124,9 +124,9 @@ fn what_is_done_besides_steps_is_said() {
     let now = Duration::from_secs(70);
     let look = TrainEvent::Look([64, 96]);
     status.take(TrainingNews::Train(look), now);
-    assert!(picture(80, 24, &status).contains("validation, 64 of 96 samples"));
+    assert!(image(80, 24, &status).contains("validation, 64 of 96 samples"));
     status.take(TrainingNews::Stage("calibrating"), now);
-    assert!(picture(80, 24, &status).contains("calibrating"));
+    assert!(image(80, 24, &status).contains("calibrating"));
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn the_next_seed_begins_anew_and_the_last_one_is_kept_as_a_line() {
     status.take(TrainingNews::Seed(0), now);
     status.take(TrainingNews::Train(TrainEvent::Begun(start(7))), now);
     status.take(TrainingNews::Seed(1), now);
-    let text = picture(100, 24, &status);
+    let text = image(100, 24, &status);
     assert!(text.contains("seed 1, 2 of 2"), "{text}");
     let line = "seed 0: best epoch 5 of 7, validation accuracy 0.900, AUROC 0.942";
     assert!(text.contains(line), "{text}");

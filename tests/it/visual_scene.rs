@@ -1,4 +1,4 @@
-//! Real domes, textures and meshes for visual pictures.
+//! Real domes, textures and meshes for visual images.
 
 use std::fs;
 use std::path::{Path, PathBuf};

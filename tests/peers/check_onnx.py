@@ -4,7 +4,7 @@
     venv/bin/python tests/peers/check_onnx.py MODEL.onnx [--gripcast target/release/gripcast] [--n 64]
 
 Checks that onnx.checker accepts the file in full, that onnxruntime sees the contract, and that
-`gripcast predict images` on random pictures answers what onnxruntime answers on tensors that are
+`gripcast predict images` on random images answers what onnxruntime answers on tensors that are
 computed here from the contract's formulas, and that a file with an open batch answers the same for
 all of them at once. Prints one JSON object; ends with 1 above the tolerance.
 """
@@ -26,11 +26,11 @@ TOLERANCE = 1e-5
 HEIGHT, WIDTH = 240, 320
 
 
-def write_png(path, picture):
+def write_png(path, image):
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    rows = b"".join(b"\0" + row.tobytes() for row in picture)
+    rows = b"".join(b"\0" + row.tobytes() for row in image)
     header = struct.pack(">IIBBBBB", WIDTH, HEIGHT, 8, 2, 0, 0, 0)
     path.write_bytes(
         b"\x89PNG\r\n\x1a\n"
@@ -41,13 +41,13 @@ def write_png(path, picture):
 
 
 def gel(random):
-    """A picture before and after a contact of random place, size and strength, with noise."""
+    """An image before and after a contact of random place, size and strength, with noise."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     cx, cy, size = random.uniform(60, 260), random.uniform(50, 190), random.uniform(8, 60)
     bump = np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / size**2)
     strength = random.uniform(-1, 1, 3) * random.choice([0, 8, 25, 120])
     base = random.uniform(60, 180, 3) + 30 * np.sin(x / 90)[..., None]
-    noisy = lambda picture: np.clip(picture + random.normal(0, 2, picture.shape), 0, 255)
+    noisy = lambda image: np.clip(image + random.normal(0, 2, image.shape), 0, 255)
     return [noisy(p).astype(np.uint8) for p in (base, base + bump[..., None] * strength)]
 
 
@@ -87,9 +87,9 @@ def main():
                     difference = (after.astype(np.float32) - before) / np.float32(255)
                     feed[spec["name"]] = tensor(difference)
                     files = {f"--initial-{side}": before, f"--grasp-{side}": after}
-                for flag, picture in files.items():
+                for flag, image in files.items():
                     path = folder / f"{flag.lstrip('-')}.png"
-                    write_png(path, picture)
+                    write_png(path, image)
                     flags += [flag, str(path)]
             command = [args.gripcast, "--quiet", "predict", "images", "--json", "--already-cropped"]
             ours = subprocess.run(

@@ -4,7 +4,7 @@
     venv/bin/pip install deepdish==0.3.7 numpy==1.23.5 tables==3.8.0 'scipy<1.12' 'setuptools<70'
     venv/bin/python tests/peers/feeling_of_success.py tests/data/import
 
-The pictures are made up: each has its own colour, so that a test sees which went where.
+The images are made up: each has its own colour, so that a test sees which went where.
 """
 
 import pathlib

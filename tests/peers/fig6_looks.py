@@ -61,7 +61,7 @@ def difference(one, other, objects):
     at = lambda drawn: mean(one, drawn, auroc) - mean(other, drawn, auroc)
     rng = random.Random(0)
     drawn = sorted(at(rng.choices(objects, k=len(objects))) for _ in range(RESAMPLES))
-    ends = lambda share: [drawn[round(q * (RESAMPLES - 1))] for q in (share / 2, 1 - share / 2)]
+    ends = lambda fraction: [drawn[round(q * (RESAMPLES - 1))] for q in (fraction / 2, 1 - fraction / 2)]
     print(f"  {len(objects)} objects: {at(objects):.3f}", end="")
     for level in (0.05, 0.025):
         low, high = ends(level)

@@ -53,8 +53,8 @@ def barrier():
     law = ipctk.NormalizedClampedLogBarrier()
     rows = []
     for power, name in ((2, "squared"), (1, "linear")):
-        for share in SHARES:
-            x, support = (share * D_HAT) ** power, D_HAT**power
+        for fraction in SHARES:
+            x, support = (fraction * D_HAT) ** power, D_HAT**power
             values = [
                 law(x, support),
                 law.first_derivative(x, support),
@@ -137,8 +137,8 @@ def mollifiers():
 
 def friction_scalars():
     rows = []
-    for share in [0, 1e-6, 1e-3, 0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.999, 1, 1.001, 2, 10]:
-        y = share * EPSILON
+    for fraction in [0, 1e-6, 1e-3, 0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.999, 1, 1.001, 2, 10]:
+        y = fraction * EPSILON
         functions = [
             ipctk.smooth_friction_f0,
             ipctk.smooth_friction_f1,

@@ -6,8 +6,8 @@
         [--lerobot L] [--zarr Z] [--training T]
 
 DATASET must be without splits and faults. Z is a folder or a .zip. Compared are ids, outcomes,
-predictions, poses, and all pictures: equal pixels where bytes are kept, sizes and near colours in
-Zarr, whose pictures are resized. Without the package `lerobot` its files are read as its
+predictions, poses, and all images: equal pixels where bytes are kept, sizes and near colours in
+Zarr, whose images are resized. Without the package `lerobot` its files are read as its
 documentation describes them, and a line says so. Exits 1 when something differs.
 """
 
@@ -49,27 +49,27 @@ assert records, "the dataset has no grasps"
 
 
 def stored(record, stage, role):
-    """The picture in the dataset, or None."""
+    """The image in the dataset, or None."""
     camera = record[stage]["cameras"].get(role)
     if camera is None:
         return None
     return Image.open(args.dataset / "grasps" / record["id"] / camera["file"])
 
 
-def same_pixels(picture, record, stage, role, where, mode=None):
+def same_pixels(image, record, stage, role, where, mode=None):
     original = stored(record, stage, role)
-    if original is None or picture is None:
-        expect(original is None and picture is None, f"{where}: {picture}, stored {original}")
+    if original is None or image is None:
+        expect(original is None and image is None, f"{where}: {image}, stored {original}")
         return
     if mode:
-        original, picture = original.convert(mode), picture.convert(mode)
-    expect(picture.mode == original.mode, f"{where}: mode {picture.mode}, stored {original.mode}")
-    a, b = numpy.asarray(picture), numpy.asarray(original)
+        original, image = original.convert(mode), image.convert(mode)
+    expect(image.mode == original.mode, f"{where}: mode {image.mode}, stored {original.mode}")
+    a, b = numpy.asarray(image), numpy.asarray(original)
     expect(a.shape == b.shape and (a == b).all(), f"{where}: pixels differ")
 
 
 def kinds():
-    """Stage and role of every kind of picture that any grasp has."""
+    """Stage and role of every kind of image that any grasp has."""
     return sorted(
         {
             (stage, role)
@@ -141,13 +141,13 @@ def check_webdataset(root):
         there = {name.rsplit(".", 1)[0]: data for name, data in sample.items() if "_" in name[1:]}
         for stage, role in kinds():
             data = there.get(f"{stage}_{role}")
-            picture = None if data is None else Image.open(io.BytesIO(data))
-            same_pixels(picture, record, stage, role, f"{where} {stage}_{role}")
+            image = None if data is None else Image.open(io.BytesIO(data))
+            same_pixels(image, record, stage, role, f"{where} {stage}_{role}")
     expect(seen == sorted(records), f"webdataset: keys {seen}")
-    # What its users do: keys and pictures are decoded by their endings.
+    # What its users do: keys and images are decoded by their endings.
     decoded = next(iter(webdataset.WebDataset(shards, shardshuffle=False).decode("pil")))
     expect(isinstance(decoded["json"], dict), "webdataset: json is not decoded")
-    expect(isinstance(decoded["grasp_left.jpg"], Image.Image), "webdataset: no picture")
+    expect(isinstance(decoded["grasp_left.jpg"], Image.Image), "webdataset: no image")
 
 
 def check_lerobot(root):
@@ -211,13 +211,13 @@ def check_frame(frame, record, stage, info, where):
 def check_lerobot_statistics(frames):
     """Against sums over the frames as LeRobot loads them."""
     for name in [key for key in frames.meta.stats if key.startswith("observation.images.")]:
-        pictures = numpy.stack([frames[i][name].numpy() for i in range(len(frames))])
+        images = numpy.stack([frames[i][name].numpy() for i in range(len(frames))])
         found = frames.meta.stats[name]
         for figure, expected in (
-            ("mean", pictures.mean((0, 2, 3))),
-            ("std", pictures.std((0, 2, 3))),
-            ("min", pictures.min((0, 2, 3))),
-            ("max", pictures.max((0, 2, 3))),
+            ("mean", images.mean((0, 2, 3))),
+            ("std", images.std((0, 2, 3))),
+            ("min", images.min((0, 2, 3))),
+            ("max", images.max((0, 2, 3))),
         ):
             near = numpy.allclose(found[figure].reshape(-1), expected, atol=1e-4)
             expect(near, f"lerobot: {name} {figure} {found[figure].reshape(-1)}, {expected}")
@@ -264,10 +264,10 @@ def check_zarr(path):
         for at, stage in enumerate(("initial", "grasp")):
             expect(group["data/stage"][2 * index + at] == at, f"{where}: stage")
             for role in ("left", "right", "rgb"):
-                check_zarr_picture(group, 2 * index + at, record, stage, role, where)
+                check_zarr_image(group, 2 * index + at, record, stage, role, where)
 
 
-def check_zarr_picture(group, row, record, stage, role, where):
+def check_zarr_image(group, row, record, stage, role, where):
     if role not in group["data"]:
         return
     found = group[f"data/{role}"][row]
@@ -304,8 +304,8 @@ def check_training(root):
         expect(row["object"] == record["object"], f"{where}: object {row['object']}")
         expect(row["label"] == (record["outcome"] == "stable"), f"{where}: label {row['label']}")
         for column in ("initial_left", "initial_right", "grasp_left", "grasp_right", "grasp_rgb"):
-            picture = Image.open(io.BytesIO(row[column]["bytes"]))
-            expect(picture.size == (320, 240), f"{where}: {column} {picture.size}")
+            image = Image.open(io.BytesIO(row[column]["bytes"]))
+            expect(image.size == (320, 240), f"{where}: {column} {image.size}")
 
 
 asked = 0

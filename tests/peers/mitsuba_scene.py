@@ -3,7 +3,7 @@
     python3 tests/peers/mitsuba_scene.py DIR [--samples 4,16,64] [--reference 4096] [--ours]
 
 Prints one JSON object: for each number of samples the process' CPU time, RMSE to Mitsuba's own
-reference and mean. With `--ours`, the gripcast pictures DIR/reference.pfm and DIR/samplesN.pfm are
+reference and mean. With `--ours`, the gripcast images DIR/reference.pfm and DIR/samplesN.pfm are
 held against Mitsuba's reference, too. DIR/mitsuba_reference.npy is kept and used again.
 Ends with code 3 when mitsuba or numpy is absent.
 
@@ -121,14 +121,14 @@ def load(folder):
 
 
 def render(scene, samples, seed):
-    """Picture and CPU seconds; large numbers of samples in parts, for the memory."""
+    """Image and CPU seconds; large numbers of samples in parts, for the memory."""
     total, done, took = None, 0, 0.0
     while done < samples:
         part = min(64, samples - done)
         started = time.process_time()
-        picture = np.array(mi.render(scene, spp=part, seed=seed * 100_003 + done), dtype=np.float64)
+        image = np.array(mi.render(scene, spp=part, seed=seed * 100_003 + done), dtype=np.float64)
         took += time.process_time() - started
-        total = picture * part if total is None else total + picture * part
+        total = image * part if total is None else total + image * part
         done += part
     return total / samples, took
 
@@ -156,7 +156,7 @@ def main():
     variant = "llvm_ad_rgb" if os.environ.get("DRJIT_LIBLLVM_PATH") else "scalar_rgb"
     mi.set_variant(variant)
     scene = load(options.folder)
-    # The first picture pays for compiling the kernels.
+    # The first image pays for compiling the kernels.
     render(scene, 1, 999)
     kept = options.folder / "mitsuba_reference.npy"
     report = {"peer": "mitsuba", "version": mi.__version__, "variant": variant, "figures": []}
@@ -169,13 +169,13 @@ def main():
     report["reference_mean"] = reference.mean(axis=(0, 1)).tolist()
     for samples in map(int, options.samples.split(",")):
         render(scene, samples, 3)
-        picture, took = render(scene, samples, 2)
+        image, took = render(scene, samples, 2)
         report["figures"].append(
             {
                 "samples": samples,
                 "cpu_s": took,
-                "rmse": rmse(picture, reference),
-                "mean": picture.mean(axis=(0, 1)).tolist(),
+                "rmse": rmse(image, reference),
+                "mean": image.mean(axis=(0, 1)).tolist(),
             }
         )
     if options.ours:
@@ -183,10 +183,10 @@ def main():
         for path in sorted(options.folder.glob("*.pfm")):
             if path.stem == "environment":
                 continue
-            picture = read_pfm(path)
-            relative = picture.mean(axis=(0, 1)) / reference.mean(axis=(0, 1)) - 1
+            image = read_pfm(path)
+            relative = image.mean(axis=(0, 1)) / reference.mean(axis=(0, 1)) - 1
             report["ours"].append(
-                {"file": path.name, "rmse": rmse(picture, reference), "mean_relative_difference": relative.tolist()}
+                {"file": path.name, "rmse": rmse(image, reference), "mean_relative_difference": relative.tolist()}
             )
     print(json.dumps(report, indent=2))
 

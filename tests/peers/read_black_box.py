@@ -5,7 +5,7 @@
     venv/bin/python tests/peers/read_black_box.py DATASET [--box FOLDER] [--require]
 
 Prints what each file has. Exits 1 when a frame that the dataset saved is in the log with other
-bytes, times or sequence, when the pictures are not what Foxglove's schemas say, or when frames are
+bytes, times or sequence, when the images are not what Foxglove's schemas say, or when frames are
 missing and no gap is told. Files of a killed program (`.partial.mcap`) are read as far as they go.
 With --require every saved frame has to be in the log.
 """
@@ -159,8 +159,8 @@ for path in sorted(args.dataset.glob("grasps/2*/grasp.json")):
             expect((width, height) == (camera["width"], camera["height"]), f"{where}: size")
             expect(step == width * pixel_bytes, f"{where}: step {step}")
             if found["depth"] is not None:
-                picture = Image.open(io.BytesIO((path.parent / camera["file"]).read_bytes()))
-                expect(picture.tobytes() == found["depth"], f"{where}: other depths")
+                image = Image.open(io.BytesIO((path.parent / camera["file"]).read_bytes()))
+                expect(image.tobytes() == found["depth"], f"{where}: other depths")
 print(f"{present} of {saved} saved frames are in the log")
 for fault in faults:
     print(f"FAULT {fault}", file=sys.stderr)

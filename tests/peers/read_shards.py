@@ -54,16 +54,16 @@ def check_row(row, where):
     expect(row["label"] == ["slip", "stable"].index(row["outcome"]), f"{where}: label, outcome")
     expect(len(row["pose_t_m"]) == 3 and len(row["pose_q_wxyz"]) == 4, f"{where}: pose")
     for column in IMAGES + NULLABLE_IMAGES:
-        picture = row[column]
-        if picture is None:
+        image = row[column]
+        if image is None:
             expect(column in NULLABLE_IMAGES, f"{where}: {column} is null")
             continue
-        if not isinstance(picture, Image.Image):
-            faults.append(f"{where}: {column} is {type(picture)}")
+        if not isinstance(image, Image.Image):
+            faults.append(f"{where}: {column} is {type(image)}")
             continue
-        picture.load()
+        image.load()
         if column == "grasp_depth":
-            expect(picture.mode in ("I;16", "I"), f"{where}: depth came as {picture.mode}")
+            expect(image.mode in ("I;16", "I"), f"{where}: depth came as {image.mode}")
 
 
 def read_all():

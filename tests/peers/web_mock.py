@@ -78,7 +78,7 @@ def scene(seed, closed, depth=False):
     return numpy.stack([far, far * 0.45, 255 - far], axis=2)
 
 
-def picture(role, stage, seed, contact=1.0):
+def image(role, stage, seed, contact=1.0):
     if role in ("left", "right"):
         seed = f"{seed}{role}"
         if stage == "difference":
@@ -407,12 +407,12 @@ def routes(mock):
     @table.get("/api/grasps/{id}/preview/{stage}/{role}.jpg")
     async def _(request):
         info, grasp = request.match_info, wanted(request)
-        return web.Response(body=picture(info["role"], info["stage"], grasp["id"]), content_type="image/jpeg")
+        return web.Response(body=image(info["role"], info["stage"], grasp["id"]), content_type="image/jpeg")
 
     @table.get("/api/grasps/{id}/files/{stage}.{role}.jpg")
     async def _(request):
         info, grasp = request.match_info, wanted(request)
-        return web.Response(body=picture(info["role"], info["stage"], grasp["id"]), content_type="image/jpeg")
+        return web.Response(body=image(info["role"], info["stage"], grasp["id"]), content_type="image/jpeg")
 
     @table.post("/api/grasps/{id}/{what:label|trash|restore}")
     async def _(request):
@@ -490,7 +490,7 @@ def routes(mock):
 
 
 def live(mock, role):
-    """What a camera shows now; twenty different pictures are enough."""
+    """What a camera shows now; twenty different images are enough."""
     contact = 1.0 if mock.pending else 0.0
     seed, phase = len(mock.grasps), int(5 * time.monotonic()) % 10
     return frame(role, seed, contact * (0.8 + 0.02 * abs(phase - 5)), bool(mock.pending))
@@ -504,7 +504,7 @@ def frame(role, seed, contact, closed):
     if key not in CACHE:
         if len(CACHE) > 200:
             CACHE.clear()
-        CACHE[key] = picture(role, "difference" if role in ("left", "right") else "grasp" if closed else "initial", seed, contact)
+        CACHE[key] = image(role, "difference" if role in ("left", "right") else "grasp" if closed else "initial", seed, contact)
     return CACHE[key]
 
 

@@ -1,4 +1,4 @@
-"""Drives the web page in a headless Chromium as a person would, and takes pictures of it.
+"""Drives the web page in a headless Chromium as a person would, and takes images of it.
 
     apt-get install chromium; python3 -m venv venv
     venv/bin/pip install playwright aiohttp numpy pillow
@@ -348,7 +348,7 @@ async def keyboard(d, context):
             break
     d.check("Tab comes to a card, with a visible focus", at == ["card", "solid"], reached)
     await page.keyboard.press("Enter")
-    await page.locator("#detail-dialog[open] .detail-pictures img").first.wait_for()
+    await page.locator("#detail-dialog[open] .detail-images img").first.wait_for()
     title = await page.locator("#detail-title").inner_text()
     await page.keyboard.press("ArrowRight")
     await page.locator(f"#detail-title:not(:text-is({json.dumps(title)}))").wait_for()
@@ -382,7 +382,7 @@ async def gallery(d, context):
     newest = d.server.call("/api/grasps?limit=2")["grasps"][-1]
     card = page.locator(f"#gallery > li[data-id='{newest['id']}'] .card")
     await card.click()
-    await true(page, "[...document.querySelectorAll('.detail-pictures img')].length > 5 && [...document.querySelectorAll('.detail-pictures img')].every((i) => i.complete && i.naturalWidth > 0)")
+    await true(page, "[...document.querySelectorAll('.detail-images img')].length > 5 && [...document.querySelectorAll('.detail-images img')].every((i) => i.complete && i.naturalWidth > 0)")
     await d.shot(page, "detail")
     await d.legible(page, "detail")
     turned = "stable" if newest["outcome"] == "slip" else "slip"
@@ -410,7 +410,7 @@ async def gallery(d, context):
     await small.wait_for_timeout(800)
     await d.shot(small, "phone-gallery")
     await small.locator("#gallery .card").first.click()
-    await true(small, "[...document.querySelectorAll('.detail-pictures img')].slice(0, 3).every((i) => i.complete && i.naturalWidth > 0)")
+    await true(small, "[...document.querySelectorAll('.detail-images img')].slice(0, 3).every((i) => i.complete && i.naturalWidth > 0)")
     await d.shot(small, "phone-detail")
     await small.context.close()
     await page.close()
@@ -425,30 +425,30 @@ async def counted(page, wanted):
     return await page.locator("#gallery > li").count() == wanted
 
 
-async def pictures(d, context):
+async def images(d, context):
     """Two windows of one browser: one streams, the other fetches stills, and commands get through."""
     page = await d.page(context)
     other = await d.page(context)
     roles = [camera["role"] for camera in d.server.state()["cameras"]]
-    ready = f"[...document.querySelectorAll('#pictures img')].filter((i) => i.naturalWidth > 0).length === {len(roles)}"
+    ready = f"[...document.querySelectorAll('#images img')].filter((i) => i.naturalWidth > 0).length === {len(roles)}"
     for name, each in (("first", page), ("second", other)):
         await true(each, ready)
         d.check(f"{name} window shows all {len(roles)} cameras", True)
     sources = []
     for _ in range(100):
-        sources = [await each.evaluate("document.querySelector('#pictures img').src.split(':')[0]") for each in (page, other)]
+        sources = [await each.evaluate("document.querySelector('#images img').src.split(':')[0]") for each in (page, other)]
         if "http" in sources:
             break
         await asyncio.sleep(0.1)
     d.check("one window streams, the other fetches stills", sorted(sources) == ["blob", "http"], sources)
-    before = await other.evaluate("document.querySelector('#pictures img').src")
-    await true(other, f"document.querySelector('#pictures img').src !== {json.dumps(before)}")
+    before = await other.evaluate("document.querySelector('#images img').src")
+    await true(other, f"document.querySelector('#images img').src !== {json.dumps(before)}")
     answer = await other.evaluate("fetch('api/state').then((r) => r.status)")
     d.check("six connections are enough", answer == 200)
     streaming = page if sources[0] == "http" else other
     waiting = other if sources[0] == "http" else page
     await streaming.close()
-    await true(waiting, "document.querySelector('#pictures img').src.startsWith('http')")
+    await true(waiting, "document.querySelector('#images img').src.startsWith('http')")
     d.check("the stream moves to the window that is left", True)
     await waiting.close()
 
@@ -479,7 +479,7 @@ async def themes(d):
     for name, size, scheme in (("phone-light", PHONE, "light"), ("phone-dark", PHONE, "dark"), ("phone-side", (740, 360), "dark"), ("tablet-light", (1024, 768), "light"), ("tablet-dark", TABLET, "dark"), ("desktop", DESKTOP, "dark")):
         page = await d.page(await d.context(size, scheme))
         await d.go_to(page, "grasp")
-        await true(page, "document.querySelectorAll('#pictures img').length > 0 && [...document.querySelectorAll('#pictures img')].every((i) => i.naturalWidth > 0)")
+        await true(page, "document.querySelectorAll('#images img').length > 0 && [...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
         await page.wait_for_timeout(400)
         await d.shot(page, name)
         await d.quality(page, name)
@@ -607,7 +607,7 @@ async def cable(d, context):
     for each in (page, other):
         await each.locator("#fault").wait_for(state="hidden", timeout=20000)
     d.check(f"the page shows it back ({time.monotonic() - back:.2f} s)", True)
-    await true(page, "[...document.querySelectorAll('#pictures img')].every((i) => i.naturalWidth > 0)")
+    await true(page, "[...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
     await d.advance(page, "grasp", page.locator("#trigger").click)
     await other.context.close()
 
@@ -647,8 +647,8 @@ async def restart(d, context):
             await page.keyboard.press("Enter")
             await page.locator("#steps .here").wait_for()
         await page.locator("#link").wait_for(state="hidden", timeout=30000)
-        await true(page, "[...document.querySelectorAll('#pictures img')].every((i) => i.naturalWidth > 0)")
-        d.check(f"{how.name}: back with pictures", await page.locator("#trigger[aria-disabled]").count() == 0)
+        await true(page, "[...document.querySelectorAll('#images img')].every((i) => i.naturalWidth > 0)")
+        d.check(f"{how.name}: back with images", await page.locator("#trigger[aria-disabled]").count() == 0)
     await page.close()
 
 
@@ -708,7 +708,7 @@ async def run(options):
             "cycle": lambda: cycle(d, context),
             "keyboard": lambda: keyboard(d, context),
             "gallery": lambda: gallery(d, context),
-            "pictures": lambda: pictures(d, context),
+            "images": lambda: images(d, context),
             "sound": lambda: sound(d),
             "themes": lambda: themes(d),
             "grasps": lambda: grasps(d, context),
@@ -746,7 +746,7 @@ def main():
     parser.add_argument("--url", help="of a server that runs")
     parser.add_argument("--serve", help="command that serves at {port}")
     parser.add_argument("--token")
-    parser.add_argument("--shots", help="directory for pictures of the page")
+    parser.add_argument("--shots", help="directory for images of the page")
     parser.add_argument("--only", help="parts, separated by commas")
     parser.add_argument("--chromium", help="the browser's program")
     options = parser.parse_args()

@@ -1,11 +1,11 @@
-//! Annotation of rendered pictures whose poses are known.
+//! Annotation of rendered images whose poses are known.
 
 use glam::{DQuat, DVec3};
 use image::{GrayImage, Luma, imageops};
 
 use super::*;
 use gripcast_imaging::Intrinsics;
-use gripcast_pose::synthetic::{PictureConditions, Placed, render, ring_board, test_camera};
+use gripcast_pose::synthetic::{ImageConditions, Placed, render, ring_board, test_camera};
 use gripcast_pose::{BoardFile, Dictionary, Part};
 
 const WIDTH: u32 = 960;
@@ -62,7 +62,7 @@ impl Default for Shot {
 }
 
 impl Shot {
-    fn picture(&self, sheet: &BoardFile) -> GrayImage {
+    fn image(&self, sheet: &BoardFile) -> GrayImage {
         let tags = tags();
         let t_camera_object = t_camera_object();
         let lift = Pose::from_translation(DVec3::Z * self.moved_m);
@@ -84,11 +84,11 @@ impl Shot {
             part(Part::FingerLeft, -0.5 * self.opening_m),
             part(Part::FingerRight, 0.5 * self.opening_m),
         ];
-        let conditions = PictureConditions {
+        let conditions = ImageConditions {
             psf_px: self.blur_px,
-            ..PictureConditions::default()
+            ..ImageConditions::default()
         };
-        render(&camera(), &placed, &conditions, self.seed).picture
+        render(&camera(), &placed, &conditions, self.seed).image
     }
 }
 
@@ -98,16 +98,12 @@ fn annotator() -> Annotator {
 
 fn shots(shots: &[Shot]) -> Vec<(String, GrayImage)> {
     let sheet = sheet("DICT_6X6_250");
-    let picture = |(i, shot): (usize, &Shot)| (format!("{i}"), shot.picture(&sheet));
-    shots.iter().enumerate().map(picture).collect()
+    let image = |(i, shot): (usize, &Shot)| (format!("{i}"), shot.image(&sheet));
+    shots.iter().enumerate().map(image).collect()
 }
 
-fn annotated(pictures: &[(String, GrayImage)]) -> Result<Annotation> {
-    annotator().annotate(
-        pictures
-            .iter()
-            .map(|(name, picture)| (name.clone(), picture)),
-    )
+fn annotated(images: &[(String, GrayImage)]) -> Result<Annotation> {
+    annotator().annotate(images.iter().map(|(name, image)| (name.clone(), image)))
 }
 
 fn frames(annotation: &Annotation) -> &[String] {
@@ -119,7 +115,7 @@ fn off_mm(record: &PoseRecord) -> f64 {
 }
 
 #[test]
-fn a_picture_gives_the_pose_its_covariance_and_its_quality() {
+fn an_image_gives_the_pose_its_covariance_and_its_quality() {
     let found = annotated(&shots(&[Shot::default()])).unwrap();
     let record = &found.record;
     assert!(off_mm(record) < 0.2, "{} mm", off_mm(record));
@@ -147,12 +143,12 @@ fn a_picture_gives_the_pose_its_covariance_and_its_quality() {
 }
 
 #[test]
-fn the_last_sharp_pictures_before_the_fingers_close_count() {
+fn the_last_sharp_images_before_the_fingers_close_count() {
     let shot = |seed: u64| Shot {
         seed,
         ..Shot::default()
     };
-    let pictures = shots(&[
+    let images = shots(&[
         // Before the gripper came to rest.
         Shot {
             moved_m: 0.01,
@@ -175,9 +171,9 @@ fn the_last_sharp_pictures_before_the_fingers_close_count() {
             ..shot(6)
         },
     ]);
-    let found = annotated(&pictures).unwrap();
+    let found = annotated(&images).unwrap();
     assert_eq!(frames(&found), ["1", "3"]);
-    assert_eq!(found.shown_picture, "3");
+    assert_eq!(found.shown_image, "3");
     let quality = found.record.quality.as_ref().unwrap();
     assert!(
         quality.spread_m > 0.0 && quality.spread_m < 3e-4,
@@ -188,8 +184,8 @@ fn the_last_sharp_pictures_before_the_fingers_close_count() {
 
 #[test]
 fn what_is_wrong_is_explained() {
-    let fails = |picture: &GrayImage| annotator().observe(picture).unwrap_err().to_string();
-    let whole = Shot::default().picture(&sheet("DICT_6X6_250"));
+    let fails = |image: &GrayImage| annotator().observe(image).unwrap_err().to_string();
+    let whole = Shot::default().image(&sheet("DICT_6X6_250"));
     let empty = GrayImage::from_pixel(whole.width(), whole.height(), Luma([90]));
     assert!(fails(&empty).contains("the sheet"), "{}", fails(&empty));
     let small = imageops::crop_imm(&whole, 0, 0, 640, 360).to_image();
@@ -200,7 +196,7 @@ fn what_is_wrong_is_explained() {
         "{}",
         fails(&mirrored)
     );
-    let other = Shot::default().picture(&sheet("36h11"));
+    let other = Shot::default().image(&sheet("36h11"));
     let text = fails(&other);
     assert!(text.contains("36h11"), "{text}");
     // Without the upper part there is no tag of the body; without the lower no sheet.
@@ -225,14 +221,14 @@ fn what_is_wrong_is_explained() {
         annotated(&none)
             .unwrap_err()
             .to_string()
-            .contains("no picture")
+            .contains("no image")
     );
 }
 
-/// The picture with everything but the markers in `kept` covered.
-fn with_only(picture: &GrayImage, kept: &[u32]) -> GrayImage {
-    let seen = annotator().observe(picture).unwrap();
-    let mut covered = picture.clone();
+/// The image with everything but the markers in `kept` covered.
+fn with_only(image: &GrayImage, kept: &[u32]) -> GrayImage {
+    let seen = annotator().observe(image).unwrap();
+    let mut covered = image.clone();
     for detection in seen.detections.iter().filter(|d| !kept.contains(&d.id)) {
         let [x, y] = (detection.corners_px.iter().sum::<glam::DVec2>() / 4.0)
             .to_array()
@@ -242,7 +238,7 @@ fn with_only(picture: &GrayImage, kept: &[u32]) -> GrayImage {
         }
         // Through the border, so that no square is left.
         for dx in 0..40 {
-            let column = (x + dx).saturating_sub(20).min(picture.width() - 1);
+            let column = (x + dx).saturating_sub(20).min(image.width() - 1);
             (0..3).for_each(|dy| covered.put_pixel(column, y + dy - 1, Luma([205])));
         }
     }
@@ -251,16 +247,16 @@ fn with_only(picture: &GrayImage, kept: &[u32]) -> GrayImage {
 
 #[test]
 fn what_few_markers_leave_open_is_told() {
-    let picture = Shot::default().picture(&sheet("DICT_6X6_250"));
+    let image = Shot::default().image(&sheet("DICT_6X6_250"));
     let tags: Vec<u32> = (240..246).collect();
-    let half = with_only(&picture, &[&[9, 10, 11][..], &tags].concat());
+    let half = with_only(&image, &[&[9, 10, 11][..], &tags].concat());
     let found = annotated(&[("half".to_owned(), half)]).unwrap();
     let notes = &found.record.quality.as_ref().unwrap().notes;
     assert!(notes.iter().any(|n| n.contains("of 14")), "{notes:?}");
     assert!(off_mm(&found.record) < 5.0);
 
     let sheet_ids: Vec<u32> = (0..14).collect();
-    let single = with_only(&picture, &[&sheet_ids[..], &[242]].concat());
+    let single = with_only(&image, &[&sheet_ids[..], &[242]].concat());
     let found = annotated(&[("single".to_owned(), single)]).unwrap();
     let quality = found.record.quality.as_ref().unwrap();
     assert_eq!(quality.markers[1], 1);
@@ -287,10 +283,10 @@ fn boards_that_do_not_go_together_are_refused() {
 
 #[test]
 fn the_overlay_shows_axes_markers_and_the_mesh() {
-    let picture = Shot::default().picture(&sheet("DICT_6X6_250"));
+    let image = Shot::default().image(&sheet("DICT_6X6_250"));
     let mut annotator = annotator();
-    let seen = annotator.observe(&picture).unwrap();
-    let grey = image::DynamicImage::ImageLuma8(picture).to_rgb8();
+    let seen = annotator.observe(&image).unwrap();
+    let grey = image::DynamicImage::ImageLuma8(image).to_rgb8();
     let mut drawn = grey.clone();
     let mesh = gripcast_geometry::builtin("box").unwrap();
     let content = OverlayContent {

@@ -1,4 +1,4 @@
-//! Which pictures a pose is taken from.
+//! Which images a pose is taken from.
 
 use glam::{DQuat, DVec3};
 
@@ -7,22 +7,22 @@ use gripcast_geometry::Pose;
 
 /// Fingers that have moved by this much are closing, m.
 const CLOSING_M: f64 = 1e-3;
-/// A gripper that moves less than this between pictures is at rest, m and rad.
+/// A gripper that moves less than this between images is at rest, m and rad.
 const REST_M: f64 = 1e-3;
 const REST_RAD: f64 = 0.01;
-/// Most pictures that are used.
-const MOST: usize = 5;
-/// Pictures more blurred than the sharpest by this factor are left out.
+/// Most images that are used.
+const MAX: usize = 5;
+/// Images more blurred than the sharpest by this factor are left out.
 const BLURRED: f64 = 1.25;
 
-/// Pictures that are used, and their pose.
+/// Images that are used, and their pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Choice {
     /// Numbers of the observations, ascending; at least one.
     pub used: Vec<usize>,
     /// Mean of their poses.
     pub t_object_gripper: Pose,
-    /// Mean of their covariances. What the pictures have in common, such as the corners' bias at
+    /// Mean of their covariances. What the images have in common, such as the corners' bias at
     /// one place, does not average out, so it is not divided by their number.
     pub covariance: [[f64; 6]; 6],
     /// Largest distance of one from the mean, m.
@@ -41,9 +41,9 @@ impl Choice {
     }
 }
 
-/// The last sharp pictures before the gripper moves, of observations by time: those at rest until
+/// The last sharp images before the gripper moves, of observations by time: those at rest until
 /// the fingers begin to close. Fingers close when the opening that the tags show falls by a
-/// millimetre below its largest; where no finger's tag is seen, all pictures are from before.
+/// millimetre below its largest; where no finger's tag is seen, all images are from before.
 /// None without observations.
 #[must_use]
 pub fn choose(observations: &[&Observation]) -> Option<Choice> {
@@ -80,7 +80,7 @@ pub fn choose(observations: &[&Observation]) -> Option<Choice> {
     if used.len() < 2 && observations.len() > 2 {
         notes.push("the gripper was not at rest before it closed".to_owned());
     }
-    used.truncate(MOST);
+    used.truncate(MAX);
     used.sort_unstable();
     let chosen: Vec<&Observation> = used.iter().map(|i| observations[*i]).collect();
     let t_object_gripper = mean(&chosen);

@@ -1,10 +1,10 @@
 //! Where the gripper was, relative to the object, in a grasp of a dataset: the external camera's
-//! pictures from before the fingers closed, the sheet that the object stands on and the gripper's
+//! images from before the fingers closed, the sheet that the object stands on and the gripper's
 //! tags give `t_object_gripper` (the paper's grasp-annotated dataset, §5.1).
 //!
-//! [`Annotator::observe`] measures one picture, [`choose`] takes the last sharp ones before the
+//! [`Annotator::observe`] measures one image, [`choose`] takes the last sharp ones before the
 //! gripper moves, [`Annotator::annotate`] does both for a grasp; [`overlay`] draws what was found
-//! over the picture.
+//! over the image.
 
 mod choice;
 mod observation;
@@ -28,10 +28,10 @@ use gripcast_geometry::Pose;
 pub struct Annotation {
     /// What goes into `grasp.json`.
     pub record: PoseRecord,
-    /// The last picture that was used.
+    /// The last image that was used.
     pub shown: Observation,
-    /// Name of that picture's file.
-    pub shown_picture: String,
+    /// Name of that image's file.
+    pub shown_image: String,
 }
 
 /// Hashes of the boards that a pose was found with.
@@ -44,18 +44,18 @@ pub struct BoardHashes {
 }
 
 impl Annotator {
-    /// The pose of a grasp from pictures by time, each with the name of its file.
+    /// The pose of a grasp from images by time, each with the name of its file.
     ///
     /// # Errors
-    /// `Input` if no picture shows sheet and tags; it tells why the last one does not.
+    /// `Input` if no image shows sheet and tags; it tells why the last one does not.
     pub fn annotate<'a>(
         &mut self,
-        pictures: impl IntoIterator<Item = (String, &'a GrayImage)>,
+        images: impl IntoIterator<Item = (String, &'a GrayImage)>,
     ) -> Result<Annotation> {
         let mut seen = Vec::new();
         let mut failure = None;
-        for (name, picture) in pictures {
-            match self.observe(picture) {
+        for (name, image) in images {
+            match self.observe(image) {
                 Ok(observation) => seen.push((name, observation)),
                 Err(error) => failure = Some(error.at(name)),
             }
@@ -64,7 +64,7 @@ impl Annotator {
         annotation(named, self.boards()).ok_or_else(|| {
             failure.unwrap_or_else(|| {
                 Error::input(
-                    "there is no picture of the external camera from before the fingers closed",
+                    "there is no image of the external camera from before the fingers closed",
                 )
                 .remedy("bind an external camera in the rig file")
             })
@@ -86,7 +86,7 @@ pub fn annotation<'a>(
     Some(Annotation {
         record: record(&shown, &choice, used.collect(), boards),
         shown,
-        shown_picture: names[choice.last()].to_owned(),
+        shown_image: names[choice.last()].to_owned(),
     })
 }
 

@@ -1,4 +1,4 @@
-//! Sheet and tags in one picture.
+//! Sheet and tags in one image.
 
 use image::GrayImage;
 
@@ -13,7 +13,7 @@ use gripcast_pose::solve::{
 use gripcast_pose::{BoardFile, Detection, MarkerDetector, Part, require_size};
 
 /// A gripper that holds or is about to hold the object is not farther from its frame, m.
-const FARTHEST_M: f64 = 0.5;
+const MAX_M: f64 = 0.5;
 /// Residuals from which the sheet is not as its description says, px.
 const POOR_FIT_PX: f64 = 1.0;
 /// Tags fewer than this are told of.
@@ -21,7 +21,7 @@ const FEW_TAGS: usize = 2;
 /// The same for the sheet's markers.
 const FEW_MARKERS: usize = 4;
 
-/// Sheet and gripper as one picture shows them.
+/// Sheet and gripper as one image shows them.
 #[derive(Clone, Debug)]
 pub struct Observation {
     /// The sheet, which has the object's frame, in the camera.
@@ -112,18 +112,18 @@ impl Annotator {
         &self.intrinsics
     }
 
-    /// Measures sheet and gripper in a picture.
+    /// Measures sheet and gripper in an image.
     ///
     /// # Errors
-    /// `Input` for a picture of another size than the intrinsics', without the sheet or the tags
+    /// `Input` for an image of another size than the intrinsics', without the sheet or the tags
     /// (what is there in their place is told), or in which they are not as described.
-    pub fn observe(&mut self, picture: &GrayImage) -> Result<Observation> {
-        require_size(&self.intrinsics, picture.width(), picture.height())?;
+    pub fn observe(&mut self, image: &GrayImage) -> Result<Observation> {
+        require_size(&self.intrinsics, image.width(), image.height())?;
         let mut found = Vec::new();
         for detector in &mut self.detectors {
-            found.extend(detector.detect(picture)?);
+            found.extend(detector.detect(image)?);
         }
-        let detections = refine_all(picture, &found);
+        let detections = refine_all(image, &found);
         let seen = |board: &BoardFile| {
             let ids = board.board.ids();
             detections.iter().any(|d| ids.contains(&d.id))
@@ -133,7 +133,7 @@ impl Annotator {
             ("the gripper's tags", &self.tags),
         ] {
             if !seen(board) {
-                return Err(explain_absence(picture, what, board)?);
+                return Err(explain_absence(image, what, board)?);
             }
         }
         let object = solve_part(
@@ -147,13 +147,13 @@ impl Annotator {
             .map_err(|e| e.at("the gripper's tags"))?;
         let relative = relative(&object, &gripper.body);
         let distance_m = relative.t_object_gripper.translation_m.length();
-        if distance_m > FARTHEST_M {
+        if distance_m > MAX_M {
             return Err(Error::input(format!(
                 "the gripper would be {distance_m:.2} m from the object, which is no grasp"
             ))
             .remedy("check that both board files have the sizes that were printed"));
         }
-        let blur = sharpness(picture, &detections);
+        let blur = sharpness(image, &detections);
         let mut notes: Vec<String> = [&object.notes, &gripper.body.notes]
             .into_iter()
             .flatten()
@@ -232,18 +232,18 @@ fn check_parts(sheet: &BoardFile, tags: &BoardFile) -> Result<()> {
 }
 
 /// Why none of a board's markers was found.
-fn explain_absence(picture: &GrayImage, what: &str, board: &BoardFile) -> Result<Error> {
+fn explain_absence(image: &GrayImage, what: &str, board: &BoardFile) -> Result<Error> {
     let ids = board.board.ids();
-    let why = diagnose(picture, &board.dictionary, &ids, &known_dictionaries())?;
+    let why = diagnose(image, &board.dictionary, &ids, &known_dictionaries())?;
     let why = match why {
-        // Other markers are in every such picture: the other board's.
+        // Other markers are in every such image: the other board's.
         Diagnosis::OtherMarkers(_) => Diagnosis::Nothing,
         why => why,
     };
     let name = &board.board.name;
     if why == Diagnosis::Nothing {
         return Ok(Error::input(format!(
-            "{what} (board `{name}`) is not in the picture: none of its markers is found"
+            "{what} (board `{name}`) is not in the image: none of its markers is found"
         ))
         .remedy(
             "let the camera see it, sharp and evenly lit, its markers at least 20 pixels large; \

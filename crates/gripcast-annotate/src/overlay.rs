@@ -1,4 +1,4 @@
-//! What was found, drawn over the picture that it was found in.
+//! What was found, drawn over the image that it was found in.
 
 use glam::{DVec2, DVec3};
 use image::{Rgb, RgbImage};
@@ -34,18 +34,18 @@ pub struct OverlayContent<'a> {
     pub lines: Vec<String>,
 }
 
-/// Draws over `picture`: the markers that were found (cyan, those left out magenta), the frames of
+/// Draws over `image`: the markers that were found (cyan, those left out magenta), the frames of
 /// object and gripper (x red, y green, z blue), and the object's mesh (yellow: its outline and
 /// sharp edges that face the camera).
 pub fn overlay(
-    picture: &mut RgbImage,
+    image: &mut RgbImage,
     seen: &Observation,
     intrinsics: &Intrinsics,
     content: &OverlayContent<'_>,
 ) {
     if let Some(mesh) = content.mesh {
         for [a, b] in visible_edges(mesh, &seen.object.t_camera_part) {
-            segment(picture, intrinsics, a, b, 1.0, MESH);
+            segment(image, intrinsics, a, b, 1.0, MESH);
         }
     }
     let residuals = seen.object.markers.iter().chain(&seen.gripper.body.markers);
@@ -58,20 +58,20 @@ pub fn overlay(
         };
         let corners = detection.corners_px;
         for i in 0..4 {
-            line(picture, corners[i], corners[(i + 1) % 4], 1.0, colour);
+            line(image, corners[i], corners[(i + 1) % 4], 1.0, colour);
         }
     }
     for pose in [&seen.object.t_camera_part, &seen.gripper.body.t_camera_part] {
         for (axis, colour) in AXES {
             let tip = pose.transform_point(AXIS_M * axis);
-            segment(picture, intrinsics, pose.translation_m, tip, 2.5, colour);
+            segment(image, intrinsics, pose.translation_m, tip, 2.5, colour);
         }
     }
     let step = 2 * HEIGHT;
     for (row, text) in content.lines.iter().enumerate() {
         let y = HEIGHT + row as u32 * step;
-        shade(picture, y.saturating_sub(4), step);
-        write_text(picture, 8, y, text, TEXT);
+        shade(image, y.saturating_sub(4), step);
+        write_text(image, 8, y, text, TEXT);
     }
 }
 
@@ -104,7 +104,7 @@ fn visible_edges(mesh: &TriangleMesh, t_camera_object: &Pose) -> Vec<[DVec3; 2]>
 
 /// A straight line in space, in short pieces as the lens bends it.
 fn segment(
-    picture: &mut RgbImage,
+    image: &mut RgbImage,
     intrinsics: &Intrinsics,
     a: DVec3,
     b: DVec3,
@@ -118,14 +118,14 @@ fn segment(
     };
     for i in 0..PIECES {
         if let (Some(from), Some(to)) = (place(i), place(i + 1)) {
-            line(picture, from, to, width, colour);
+            line(image, from, to, width, colour);
         }
     }
 }
 
-/// A line with soft borders; what lies outside of the picture is cut.
-fn line(picture: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>) {
-    let size = DVec2::new(f64::from(picture.width()), f64::from(picture.height()));
+/// A line with soft borders; what lies outside of the image is cut.
+fn line(image: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>) {
+    let size = DVec2::new(f64::from(image.width()), f64::from(image.height()));
     let reach = DVec2::splat(0.5 * width + 1.0);
     let low = (a.min(b) - reach).max(DVec2::ZERO);
     let high = (a.max(b) + reach).min(size - 1.0);
@@ -141,7 +141,7 @@ fn line(picture: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>)
             let nearest = along * (off.dot(along) / length_squared).clamp(0.0, 1.0);
             let cover = (0.5 * width + 0.5 - off.distance(nearest)).clamp(0.0, 1.0);
             if cover > 0.0 {
-                let pixel = picture.get_pixel_mut(x, y);
+                let pixel = image.get_pixel_mut(x, y);
                 for (level, wanted) in pixel.0.iter_mut().zip(colour.0) {
                     let (old, new) = (f64::from(*level), f64::from(wanted));
                     *level = (old + cover * (new - old)).round() as u8;
@@ -152,11 +152,11 @@ fn line(picture: &mut RgbImage, a: DVec2, b: DVec2, width: f64, colour: Rgb<u8>)
 }
 
 /// Darkens rows, so that text can be read.
-fn shade(picture: &mut RgbImage, from: u32, rows: u32) {
-    let (width, height) = picture.dimensions();
+fn shade(image: &mut RgbImage, from: u32, rows: u32) {
+    let (width, height) = image.dimensions();
     for y in from..(from + rows).min(height) {
         for x in 0..width {
-            let pixel = picture.get_pixel_mut(x, y);
+            let pixel = image.get_pixel_mut(x, y);
             pixel.0 = pixel.0.map(|level| level / 3);
         }
     }

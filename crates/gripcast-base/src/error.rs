@@ -1,4 +1,4 @@
-//! The one error type of the crate: what failed, where, and how to mend it.
+//! The one error type of the crate: what failed, where, and how to fix it.
 //!
 //! Every message names the operation and the object, what was expected and what was found;
 //! the caller that knows the path, camera role or port adds it with [`Error::at`].
@@ -178,7 +178,7 @@ impl Error {
         self.0.place.as_deref()
     }
 
-    /// How to mend it, where known.
+    /// How to fix it, where known.
     #[must_use]
     pub fn remedy_text(&self) -> Option<&str> {
         self.0.remedy.as_deref()

@@ -29,7 +29,7 @@ pub use opening::{FileKind, open_regular, read_regular, read_text};
 pub use owner_lock::{NotLocked, OwnerLock};
 
 /// Most symbolic links that are followed, as Linux has it.
-const MOST_LINKS: usize = 40;
+const MAX_LINKS: usize = 40;
 
 /// Bytes as lower-case hex.
 pub fn hex(bytes: &[u8]) -> String {
@@ -141,7 +141,7 @@ fn replaceable(path: &Path) -> io::Result<Option<PathBuf>> {
         return Ok(None);
     }
     let mut target = path.to_owned();
-    for _ in 0..MOST_LINKS {
+    for _ in 0..MAX_LINKS {
         // An open file, as /dev/stdout is one: its reader holds the file, not the name.
         if fs::canonicalize(folder(&target)).is_ok_and(|f| f.starts_with("/proc")) {
             return Ok(None);

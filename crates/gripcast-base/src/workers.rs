@@ -14,7 +14,7 @@ pub fn cores() -> usize {
 
 /// Does `work` for every item, `jobs` at a time; results in the order of the items.
 ///
-/// What `work` shares over rayon's threads stays in the thread of its item, so that many items keep
+/// What `work` fractions over rayon's threads stays in the thread of its item, so that many items keep
 /// all cores busy and each takes the same time and gives the same bytes on any number of them.
 /// `told` gets the number of finished items after each, from any thread.
 ///
@@ -24,7 +24,7 @@ pub fn one_per_core<T: Sync, R: Send>(
     jobs: usize,
     items: &[T],
     work: &(dyn Fn(&T) -> Result<R> + Sync),
-    told: &(dyn Fn(usize) + Sync),
+    on_progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<R>> {
     let next = AtomicUsize::new(0);
     let done = AtomicUsize::new(0);
@@ -51,7 +51,7 @@ pub fn one_per_core<T: Sync, R: Send>(
             let is_done = result.is_ok();
             keep(at, result);
             if is_done {
-                told(1 + done.fetch_add(1, Ordering::Relaxed));
+                on_progress(1 + done.fetch_add(1, Ordering::Relaxed));
             }
         }
     };

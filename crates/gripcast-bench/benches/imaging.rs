@@ -1,7 +1,7 @@
-//! Frames to pictures: what one frame costs.
+//! Frames to images: what one frame costs.
 //!
 //! `tactile/<KB>/…` are 3280×2464 4:2:2 frames of a few file sizes. The peer, `whole_resize`, is
-//! the plain way with the same library: decode the whole picture, then crop and resize it.
+//! the plain way with the same library: decode the whole image, then crop and resize it.
 
 #![allow(
     missing_docs,

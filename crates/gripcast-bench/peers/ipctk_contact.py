@@ -26,7 +26,7 @@ try:
 except ImportError:
     sys.exit(3)
 
-SHARE = 0.25
+FRACTION = 0.25
 
 
 def timed(work, runs):
@@ -76,7 +76,7 @@ def same_energy(scene, mesh, vertices):
             threshold = ipctk.edge_edge_mollifier_threshold(*rest[ids])
             factor = ipctk.edge_edge_mollifier(*vertices[ids], threshold)
             slope = np.asarray(ipctk.edge_edge_mollifier_gradient(*vertices[ids], threshold)).ravel()
-        scale = SHARE * area * d_hat * kappa
+        scale = FRACTION * area * d_hat * kappa
         value = barrier(squared, d_hat**2)
         energy += scale * factor * value
         force = candidate.compute_distance_gradient(vertices, edges, faces)
@@ -131,7 +131,7 @@ def main():
     _, phases["build_kept"] = timed(build_kept, runs)
     candidates, phases["candidates"] = timed(swept, runs)
     step = lambda: candidates.compute_collision_free_stepsize(mesh, vertices, moved)
-    free_share, phases["ccd"] = timed(step, runs)
+    free_fraction, phases["ccd"] = timed(step, runs)
     barrier = ipctk.NormalizedClampedLogBarrier()
     potential = ipctk.BarrierPotential(barrier, d_hat, scene["kappa_pa"])
     _, phases["energy"] = timed(lambda: potential(collisions, mesh, vertices), runs)
@@ -144,7 +144,7 @@ def main():
             "phases": phases,
             "collisions": len(collisions),
             "own_min_distance_m": collisions.compute_minimum_distance(mesh, vertices) ** 0.5,
-            "free_share": free_share,
+            "free_fraction": free_fraction,
             "state": same_energy(scene, mesh, vertices),
             "version": importlib.metadata.version("ipctk"),
         },

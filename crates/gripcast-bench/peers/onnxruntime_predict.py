@@ -21,18 +21,18 @@ LOADS = 5
 
 
 def pattern(shift):
-    """The picture that `gripcast bench predict` uses: height x width x RGB, 8 bits."""
+    """The image that `gripcast bench predict` uses: height x width x RGB, 8 bits."""
     y, x = np.mgrid[0:240, 0:320]
     return ((np.stack([x, y, x * y], axis=-1) + shift) % 256).astype(np.int16)
 
 
 def tensors(session):
-    """Inputs by name: a tactile difference, or a picture scaled to [0, 1]."""
+    """Inputs by name: a tactile difference, or an image scaled to [0, 1]."""
     difference = (pattern(40) - pattern(0)) / 255
-    picture = pattern(40) / 255
+    image = pattern(40) / 255
     return {
         i.name: np.ascontiguousarray(
-            (picture if i.name == "rgb" else difference).transpose(2, 0, 1)[None], dtype=np.float32
+            (image if i.name == "rgb" else difference).transpose(2, 0, 1)[None], dtype=np.float32
         )
         for i in session.get_inputs()
     }

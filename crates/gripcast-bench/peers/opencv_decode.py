@@ -1,4 +1,4 @@
-"""What OpenCV needs to turn one full-size gel frame into a 320x240 picture, on one thread.
+"""What OpenCV needs to turn one full-size gel frame into a 320x240 image, on one thread.
 
 Reads one JPEG from stdin; prints one JSON object. Exit code 3: OpenCV cannot be imported.
 """
@@ -25,9 +25,9 @@ jpeg = numpy.frombuffer(sys.stdin.buffer.read(), numpy.uint8)
 times_ms = []
 for _ in range(runs):
     started = time.process_time()
-    picture = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
-    height, width = picture.shape[:2]
-    inside = picture[height // 7 : height - height // 7, width // 7 : width - width // 7]
+    image = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
+    height, width = image.shape[:2]
+    inside = image[height // 7 : height - height // 7, width // 7 : width - width // 7]
     cv2.resize(inside, (320, 240), interpolation=cv2.INTER_AREA)
     times_ms.append((time.process_time() - started) * 1e3)
 print(

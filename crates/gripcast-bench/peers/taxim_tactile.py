@@ -5,9 +5,9 @@
 PRESS `-` reads standard input: {"width", "height", "depth_m"}, the depths of a press row by row, m.
 Ends with code 3 when taxim, or both of jax and torch with torch-scatter, are absent.
 
-`tactile_ms` is a picture from the height map without shadow, `tactile_shadow_ms` with it. taxim
+`tactile_ms` is an image from the height map without shadow, `tactile_shadow_ms` with it. taxim
 starts from a height map, so reading the object is not part of it. Its calibration is that of its
-GelSight Mini, resampled to the size of the picture.
+GelSight Mini, resampled to the size of the image.
 """
 
 import argparse
@@ -46,10 +46,10 @@ def timed(work, runs):
     return {"min": took[0], "median": took[(len(took) - 1) // 2]}
 
 
-def finished(picture):
+def finished(image):
     """jax answers before it has computed."""
-    wait = getattr(picture, "block_until_ready", None)
-    return wait() if wait else picture
+    wait = getattr(image, "block_until_ready", None)
+    return wait() if wait else image
 
 
 def main():
@@ -63,15 +63,15 @@ def main():
     depth = 1e3 * depth.reshape(press["height"], press["width"])
     heights = SIMULATOR.convert_height_map(np.where(depth > 0, -depth, AWAY_MM))
 
-    def picture(with_shadow):
+    def image(with_shadow):
         return finished(SIMULATOR.render_direct(heights, with_shadow=with_shadow))
 
     report = {
         "taxim": version("taxim"),
         "backend": SIMULATOR.backend_name,
-        "tactile_ms": timed(lambda: picture(False), arguments.runs),
-        "tactile_shadow_ms": timed(lambda: picture(True), arguments.runs),
-        "mean_rgb": np.asarray(SIMULATOR.img_to_numpy(picture(False))).mean((0, 1)).tolist(),
+        "tactile_ms": timed(lambda: image(False), arguments.runs),
+        "tactile_shadow_ms": timed(lambda: image(True), arguments.runs),
+        "mean_rgb": np.asarray(SIMULATOR.img_to_numpy(image(False))).mean((0, 1)).tolist(),
     }
     json.dump(report, sys.stdout)
     print()

@@ -17,7 +17,7 @@
 //! | --- | --- |
 //! | find active contacts | `NormalCollisions.build` with its own broad phase |
 //! | gather candidates, half of it | `Candidates.build` over the motion |
-//! | largest free share of the step | `compute_collision_free_stepsize` |
+//! | largest free fraction of the step | `compute_collision_free_stepsize` |
 //! | energy, gradient | the same of `BarrierPotential` |
 //! | positive semidefinite stiffness | `hessian` with CLAMP |
 //!

@@ -88,7 +88,7 @@ pub(crate) struct ContactState {
     /// Length of the gradient over all gel nodes, N.
     pub(crate) gradient_n: f64,
     /// Largest fraction of the motion without contact.
-    pub(crate) free_share: f64,
+    pub(crate) free_fraction: f64,
 }
 
 /// The scene's surfaces as one mesh: gels' front and sides, then the sphere.
@@ -212,7 +212,7 @@ impl ContactScene {
                 .fold(f64::INFINITY, f64::min),
             energy_j: parts.iter().map(|part| part.0).sum(),
             gradient_n: parts.iter().map(|part| part.1).sum::<f64>().sqrt(),
-            free_share: parts.iter().map(|part| part.2).fold(1.0, f64::min),
+            free_fraction: parts.iter().map(|part| part.2).fold(1.0, f64::min),
         }
     }
 
@@ -346,7 +346,7 @@ mod tests {
         );
         assert!(state.energy_j > 0.0 && state.gradient_n > 0.0);
         // 0.2 mm along the sphere eat at most a part of a gap of 0.25 mm.
-        assert!(state.free_share > 0.5, "{state:?}");
+        assert!(state.free_fraction > 0.5, "{state:?}");
         let phases = scene.measure(3);
         assert!(phases.iteration_ms() > 0.0);
         assert!(phases.gathering_iteration_ms() > phases.iteration_ms());

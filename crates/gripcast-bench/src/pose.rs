@@ -5,10 +5,10 @@
 //! gripcast-bench pose --motion-px 3 --json
 //! ```
 //!
-//! Renders pictures of a board with 14 markers of 30 mm and a gripper with two, at 0.4–0.8 m, with
+//! Renders images of a board with 14 markers of 30 mm and a gripper with two, at 0.4–0.8 m, with
 //! the blur, shading and noise of a good camera; detects, refines, solves, and compares with the
 //! truth. `ms` is CPU time of one thread from grey levels to the pose. Every detector that is
-//! compiled in sees the same pictures.
+//! compiled in sees the same images.
 //!
 //! Exit codes: 0 measured · 2 usage.
 
@@ -21,20 +21,20 @@ use serde_json::{Map, Value, json};
 use crate::pose_scenes::{PoseFigures, PoseScenes};
 
 /// Images below this give no usable 95th percentile.
-const LEAST_PICTURES: u64 = 20;
+const MIN_IMAGES: u64 = 20;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Pictures, each of another scene
+    /// Images, each of another scene
     #[arg(long, value_name = "N", default_value_t = 40,
-        value_parser = clap::value_parser!(u64).range(LEAST_PICTURES..=100_000))]
-    pictures: u64,
-    /// Width of the pictures; their height is 9/16 of it
+        value_parser = clap::value_parser!(u64).range(MIN_IMAGES..=100_000))]
+    images: u64,
+    /// Width of the images; their height is 9/16 of it
     #[arg(long, value_name = "PX", default_value_t = 1280,
         value_parser = clap::value_parser!(u32).range(320..=7680))]
     width: u32,
-    /// Path of the picture during the exposure
+    /// Path of the image during the exposure
     #[arg(long, value_name = "PX", default_value_t = 0.0, value_parser = pixels)]
     motion_px: f64,
     /// Standard deviation of the lens's blur
@@ -61,15 +61,15 @@ fn pixels(text: &str) -> Result<f64, String> {
 /// Runs the bench.
 pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
     let scenes = PoseScenes {
-        pictures: args.pictures,
+        images: args.images,
         seed: args.seed,
         width: args.width,
         motion_px: args.motion_px,
         psf_px: args.blur_px,
         noise: args.noise,
     };
-    let measured = interruptible(context, "pictures", move |progress| {
-        scenes.measure(|done| progress.at(done, scenes.pictures))
+    let measured = interruptible(context, "images", move |progress| {
+        scenes.measure(|done| progress.at(done, scenes.images))
     })??;
     let mut detectors = measured.iter();
     let default = detectors.next();
@@ -78,7 +78,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         "detector": default.map(|(name, _)| name),
         "motion_px": scenes.motion_px,
         "noise": scenes.noise,
-        "pictures": scenes.pictures,
+        "images": scenes.images,
         "seed": scenes.seed,
         "size": [scenes.width, scenes.width * 9 / 16],
         "threads": 1,
@@ -97,7 +97,7 @@ fn table(measured: &[(&'static str, PoseFigures)]) -> String {
     let mut lines = Vec::new();
     for (name, figures) in measured {
         lines.push(format!(
-            "{name}: {:.1} % of markers found, {} false, {:.0} % of pictures solved",
+            "{name}: {:.1} % of markers found, {} false, {:.0} % of images solved",
             100.0 * figures.detected,
             figures.false_ids,
             100.0 * figures.solved
@@ -110,7 +110,7 @@ fn table(measured: &[(&'static str, PoseFigures)]) -> String {
         row("pose, degrees", figures.median_deg, figures.p95_deg);
         row("corners, px", figures.corner_px, figures.corner_p95_px);
         lines.push(format!(
-            "  {:.1} ms a picture, {:.1} of them detection; squared error over covariance {:.2}",
+            "  {:.1} ms an image, {:.1} of them detection; squared error over covariance {:.2}",
             figures.ms, figures.detect_ms, figures.normalised_error
         ));
     }

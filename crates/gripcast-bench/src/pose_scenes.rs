@@ -1,4 +1,4 @@
-//! How exact poses are and how long they take, on synthetic pictures with known truth.
+//! How exact poses are and how long they take, on synthetic images with known truth.
 
 use glam::DVec2;
 use gripcast_base::error::Result;
@@ -8,7 +8,7 @@ use gripcast_pose::detect::detectors;
 use gripcast_pose::refine::refine_all;
 use gripcast_pose::solve::{RelativePose, relative, solve_gripper, solve_part};
 use gripcast_pose::synthetic::{
-    GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera,
+    GraspScene, ImageConditions, SyntheticImage, gripper_markers, ring_board, test_camera,
 };
 use gripcast_pose::{Detection, Dictionary, MarkerDetector, Part};
 use serde::Serialize;
@@ -19,13 +19,13 @@ const DICTIONARY: &str = "36h11";
 /// What is measured.
 #[derive(Clone, Copy)]
 pub(crate) struct PoseScenes {
-    /// Pictures, each of another scene.
-    pub(crate) pictures: u64,
+    /// Images, each of another scene.
+    pub(crate) images: u64,
     /// Seed of scenes and noise.
     pub(crate) seed: u64,
-    /// Width of the pictures, px; the height is 9/16 of it.
+    /// Width of the images, px; the height is 9/16 of it.
     pub(crate) width: u32,
-    /// Path of the picture during the exposure, px, in a direction of its own for each picture.
+    /// Path of the image during the exposure, px, in a direction of its own for each image.
     pub(crate) motion_px: f64,
     /// Standard deviation of the lens's blur, px.
     pub(crate) psf_px: f64,
@@ -52,13 +52,13 @@ pub(crate) struct PoseFigures {
     pub(crate) corner_bias_px: f64,
     /// Part of the completely visible markers that was found.
     pub(crate) detected: f64,
-    /// Part of the pictures that gave a pose that is not ambiguous.
+    /// Part of the images that gave a pose that is not ambiguous.
     pub(crate) solved: f64,
     /// Detections that are not where a marker of that number is.
     pub(crate) false_ids: u64,
     /// Mean squared error of the pose by its covariance, over 6: 1 for an honest one.
     pub(crate) normalised_error: f64,
-    /// Median time for one picture from grey levels to the pose, ms.
+    /// Median time for one image from grey levels to the pose, ms.
     pub(crate) ms: f64,
     /// The part of it that the detector takes, ms.
     pub(crate) detect_ms: f64,
@@ -80,14 +80,14 @@ impl PoseScenes {
             .into_iter()
             .map(|detector| (detector, Tally::default()))
             .collect();
-        for index in 0..self.pictures {
+        for index in 0..self.images {
             let scene = GraspScene::random(&board, &gripper, &dictionary, self.seed, index);
             let seen = scene.render(&camera, &self.conditions(index), self.seed ^ index);
             for (detector, tally) in &mut runs {
                 let started = thread_cpu_s();
-                let found = detector.detect(&seen.picture)?;
+                let found = detector.detect(&seen.image)?;
                 let detected = thread_cpu_s();
-                let found = refine_all(&seen.picture, &found);
+                let found = refine_all(&seen.image, &found);
                 let pose = pose_of(&scene, &found, &camera);
                 tally.ms.push(1e3 * (thread_cpu_s() - started));
                 tally.detect_ms.push(1e3 * (detected - started));
@@ -99,19 +99,19 @@ impl PoseScenes {
             progress(index + 1);
         }
         let figures = |(detector, tally): (Box<dyn MarkerDetector>, Tally)| {
-            (detector.name(), tally.figures(self.pictures))
+            (detector.name(), tally.figures(self.images))
         };
         Ok(runs.into_iter().map(figures).collect())
     }
 
-    fn conditions(&self, index: u64) -> PictureConditions {
+    fn conditions(&self, index: u64) -> ImageConditions {
         // Golden-ratio steps spread directions evenly.
         let direction = 2.399_963 * index as f64;
-        PictureConditions {
+        ImageConditions {
             motion_px: DVec2::from_angle(direction) * self.motion_px,
             psf_px: self.psf_px,
             noise: self.noise,
-            ..PictureConditions::default()
+            ..ImageConditions::default()
         }
     }
 }
@@ -139,7 +139,7 @@ struct Tally {
 const ELSEWHERE_PX: f64 = 10.0;
 
 impl Tally {
-    fn add_corners(&mut self, seen: &SyntheticPicture, found: &[Detection]) {
+    fn add_corners(&mut self, seen: &SyntheticImage, found: &[Detection]) {
         self.visible += seen.truth.len() as u64;
         for detection in found {
             let errors = |truth: &Detection| {
@@ -174,7 +174,7 @@ impl Tally {
         self.normalised.extend(pose.normalised_square(&error));
     }
 
-    fn figures(mut self, pictures: u64) -> PoseFigures {
+    fn figures(mut self, images: u64) -> PoseFigures {
         let mut lengths: Vec<f64> = self.corners.iter().map(|e| e.length()).collect();
         let count = self.corners.len().max(1) as f64;
         let bias = self.corners.iter().sum::<DVec2>() / count;
@@ -188,7 +188,7 @@ impl Tally {
             corner_p95_px: quantile(&mut lengths, 0.95),
             corner_bias_px: bias.abs().max_element(),
             detected: self.found as f64 / self.visible.max(1) as f64,
-            solved: self.mm.len() as f64 / pictures.max(1) as f64,
+            solved: self.mm.len() as f64 / images.max(1) as f64,
             false_ids: self.false_ids,
             normalised_error: mean / 6.0,
             ms: quantile(&mut self.ms, 0.5),
@@ -209,9 +209,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_pictures_reach_the_numbers() {
+    fn a_few_images_reach_the_numbers() {
         let scenes = PoseScenes {
-            pictures: 4,
+            images: 4,
             seed: 1,
             width: 1280,
             motion_px: 0.0,
@@ -219,13 +219,13 @@ mod tests {
             noise: 3.0,
         };
         let done = std::cell::Cell::new(0);
-        let all = scenes.measure(|pictures| done.set(pictures)).unwrap();
+        let all = scenes.measure(|images| done.set(images)).unwrap();
         let (name, figures) = &all[0];
         assert_eq!(*name, "apriltag");
         assert_eq!(done.get(), 4);
         assert_eq!((figures.false_ids, figures.solved), (0, 1.0));
         assert!(figures.detected > 0.98, "{figures:?}");
-        // Of four pictures the median is rougher than the goal for many.
+        // Of four images the median is rougher than the goal for many.
         assert!(
             figures.median_mm < 0.1 && figures.median_deg < 0.12,
             "{figures:?}"

@@ -31,7 +31,7 @@ use crate::peer::Peer;
 use crate::rigid_grasps::{Agreement, PeerAnswer, PeerGrasp, compare, peer_cases, random_grasps};
 
 /// Fraction of outcomes that have to agree.
-const LEAST_AGREEMENT: f64 = 0.9;
+const MIN_AGREEMENT: f64 = 0.9;
 const PYBULLET: Peer = Peer {
     name: "pybullet",
     packages: "pybullet",
@@ -93,15 +93,15 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         decomposition_s,
         grasps: grasps.len(),
         lifted: results.iter().filter(lifted).count(),
-        outcome_ok: peer.as_ref().and_then(|peer| peer.agreement.share()),
+        outcome_ok: peer.as_ref().and_then(|peer| peer.agreement.fraction()),
     };
     report(args, &figures, peer.as_ref()).print(args.json)?;
     match figures.outcome_ok {
-        Some(share) if share < LEAST_AGREEMENT => Err(Error::new(
+        Some(fraction) if fraction < MIN_AGREEMENT => Err(Error::new(
             ErrorKind::Check,
             format!(
                 "the outcomes agree on {:.1} % of the grasps only",
-                1e2 * share
+                1e2 * fraction
             ),
         )),
         _ => Ok(()),

@@ -142,8 +142,8 @@ pub(crate) struct Disagreement {
 }
 
 impl Agreement {
-    /// Share of the grasps that agree; none where none was compared.
-    pub(crate) fn share(&self) -> Option<f64> {
+    /// Fraction of the grasps that agree; none where none was compared.
+    pub(crate) fn fraction(&self) -> Option<f64> {
         (self.compared > 0).then(|| self.agreeing as f64 / self.compared as f64)
     }
 }
@@ -361,6 +361,6 @@ mod tests {
         assert_eq!(found.agreeing, found.lifted_ours);
         assert_eq!(found.disagreements.len(), 5 - found.lifted_ours);
         assert!(lifted >= found.lifted_ours);
-        assert_eq!(Agreement::default().share(), None);
+        assert_eq!(Agreement::default().fraction(), None);
     }
 }

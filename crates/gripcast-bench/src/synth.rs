@@ -22,19 +22,19 @@ use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name, resolution_name};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
-    LEAST_FRICTION_SHARE, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
+    MIN_FRICTION_FRACTION, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
 };
 use gripcast_synth::properties::MassMap;
 use gripcast_synth::{
-    CpuSeconds, Pictures, ResultStore, RunSettings, run as run_plan, simulate_labels,
+    CpuSeconds, Images, ResultStore, RunSettings, run as run_plan, simulate_labels,
 };
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-/// Share of labels that have to agree.
-const LEAST_AGREEMENT: f64 = 0.95;
-/// Share of simulations that may fail.
-const MOST_FAILURES: f64 = 0.01;
+/// Fraction of labels that have to agree.
+const MIN_AGREEMENT: f64 = 0.95;
+/// Fraction of simulations that may fail.
+const MAX_FAILURES: f64 = 0.01;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -75,7 +75,7 @@ struct Figures {
     /// Mean CPU time of the parts of a simulation.
     cpu_s: CpuSeconds,
     rss_mb: f64,
-    /// Share of the simulations with a label whose label is the other mesh's.
+    /// Fraction of the simulations with a label whose label is the other mesh's.
     #[serde(skip_serializing_if = "Option::is_none")]
     label_agreement: Option<f64>,
 }
@@ -87,10 +87,10 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
         measure(&own, progress)
     })??;
     report(args, &found).print(args.json)?;
-    let failed = |f: &Figures| f.failed as f64 > MOST_FAILURES * f.simulations as f64;
+    let failed = |f: &Figures| f.failed as f64 > MAX_FAILURES * f.simulations as f64;
     let differs = |f: &Figures| {
         f.label_agreement
-            .is_some_and(|share| share < LEAST_AGREEMENT)
+            .is_some_and(|fraction| fraction < MIN_AGREEMENT)
     };
     if found.iter().any(|(_, f)| failed(f) || differs(f)) {
         return Err(Error::new(
@@ -145,7 +145,7 @@ fn figures(
         jobs,
         is_failed_retried: false,
         is_open_simulated: true,
-        pictures: Pictures::All,
+        images: Images::All,
     };
     let summary = run_plan(plan, folder, &settings, engine, &told)?;
     let wall_h = began.elapsed().as_secs_f64() / 3600.0;
@@ -167,16 +167,16 @@ fn figures(
         figures.held += usize::from(result.stable == Some(true));
         figures.lost += usize::from(result.stable == Some(false));
         let (sum, own) = (&mut figures.cpu_s, result.cpu_s);
-        let share = 1.0 / summary.all as f64;
-        sum.prepare += share * own.prepare;
-        sum.simulate += share * own.simulate;
-        sum.tactile += share * own.tactile;
-        sum.visual += share * own.visual;
+        let fraction = 1.0 / summary.all as f64;
+        sum.prepare += fraction * own.prepare;
+        sum.simulate += fraction * own.simulate;
+        sum.tactile += fraction * own.tactile;
+        sum.visual += fraction * own.visual;
     }
     Ok(figures)
 }
 
-/// Share of the results with a label that have that of `reference`, simulation by simulation.
+/// Fraction of the results with a label that have that of `reference`, simulation by simulation.
 fn agreement(
     plan: &Plan,
     folder: &Path,
@@ -214,7 +214,7 @@ impl Args {
             rendering: PlanPreset::Small.rendering(),
             textures: Vec::new(),
             mass_map: MassMap::Logarithmic,
-            least_friction_share: LEAST_FRICTION_SHARE,
+            least_friction_fraction: MIN_FRICTION_FRACTION,
             jobs: self.jobs(),
         }
     }
@@ -254,12 +254,12 @@ fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
             cpu.visual,
             figures.rss_mb,
         ));
-        if let (Some(share), Some(other)) = (figures.label_agreement, args.against) {
+        if let (Some(fraction), Some(other)) = (figures.label_agreement, args.against) {
             lines.push(format!(
                 "{:8} labels agree with {} gels on {:.1} %",
                 "",
                 resolution_name(other),
-                1e2 * share
+                1e2 * fraction
             ));
         }
     }

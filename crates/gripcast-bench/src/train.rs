@@ -1,6 +1,6 @@
 //! `gripcast-bench train`: samples that the classifier learns from in a second.
 //!
-//! Steps of training on random pictures that are in memory: forwards, backwards, Adam. `--peer torch`
+//! Steps of training on random images that are in memory: forwards, backwards, Adam. `--peer torch`
 //! does the same with PyPI's torch in `python3`, in the same run.
 
 use std::time::Instant;
@@ -12,7 +12,7 @@ use gripcast_base::random::SeedStream;
 use gripcast_base::statistics::median;
 use gripcast_base::workers::process_cpu_s;
 use gripcast_nn::predict::contract::Variant;
-use gripcast_nn::{Adam, Architecture, Batch, Network, PICTURE, Step};
+use gripcast_nn::{Adam, Architecture, Batch, IMAGE, Network, Step};
 use serde_json::json;
 
 use crate::peer::Peer;
@@ -95,15 +95,15 @@ fn measure(architecture: &Architecture, args: &Args) -> Result<[f64; 2]> {
     let mut draw = SeedStream::named(0, "bench train");
     let mut network = Network::new(architecture, Variant::Vt, || draw.uniform());
     let count = usize::from(args.batch);
-    let picture: usize = PICTURE.iter().product();
-    let mut pictures = |pictures: usize| -> Vec<f32> {
-        (0..pictures * picture)
+    let image: usize = IMAGE.iter().product();
+    let mut images = |images: usize| -> Vec<f32> {
+        (0..images * image)
             .map(|_| draw.uniform() as f32 - 0.5)
             .collect()
     };
     let batch = Batch {
-        touch: pictures(2 * count),
-        vision: pictures(count),
+        touch: images(2 * count),
+        vision: images(count),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: vec![1.0; count],
     };

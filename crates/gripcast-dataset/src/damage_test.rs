@@ -250,7 +250,7 @@ fn a_frozen_camera_shows() {
 }
 
 #[test]
-fn a_picture_that_came_damaged_shows() {
+fn an_image_that_came_damaged_shows() {
     let dir = tempfile::tempdir().unwrap();
     let (mut writer, _) = DatasetWriter::open_or_create(dir.path(), &new_dataset()).unwrap();
     let mut initial = capture(1);
@@ -262,7 +262,7 @@ fn a_picture_that_came_damaged_shows() {
         .save_grasp(&pending, &capture(2), meta("mug"))
         .unwrap();
     drop(writer);
-    assert_eq!(problems(dir.path()), [ProblemKind::DamagedPicture].into());
+    assert_eq!(problems(dir.path()), [ProblemKind::DamagedImage].into());
 }
 
 #[test]

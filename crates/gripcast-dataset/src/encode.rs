@@ -11,7 +11,7 @@ use gripcast_imaging::{
 };
 
 /// Bytes to store: a JPEG exactly as the camera sent it, raw formats as PNG (YUYV as the RGB
-/// picture that it decodes to).
+/// image that it decodes to).
 ///
 /// # Errors
 /// `Input` when the payload does not fit the frame's size.
@@ -27,9 +27,9 @@ pub(super) fn encode(frame: &Frame) -> Result<Cow<'_, [u8]>> {
         PixelFormat::Z16 => encode_png_grey16(&Decoder::new()?.depth(frame)?)?.into(),
         PixelFormat::Grey => {
             check_structure(frame)?;
-            let picture = GrayImage::from_raw(frame.width, frame.height, frame.data.to_vec());
-            let picture = picture.ok_or_else(|| Error::internal("a checked frame has no size"))?;
-            encode_png_grey8(&picture)?.into()
+            let image = GrayImage::from_raw(frame.width, frame.height, frame.data.to_vec());
+            let image = image.ok_or_else(|| Error::internal("a checked frame has no size"))?;
+            encode_png_grey8(&image)?.into()
         }
     })
 }

@@ -322,7 +322,7 @@ pub struct SimulatedTruth {
 pub struct PredictionRecord {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
-    /// Distance of the tactile pictures from those of the training, over what counts as known;
+    /// Distance of the tactile images from those of the training, over what counts as known;
     /// absent where the model does not say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub novelty: Option<f64>,

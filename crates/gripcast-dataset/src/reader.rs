@@ -5,8 +5,8 @@ use std::path::Path;
 use super::descriptor::Descriptor;
 use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord};
+use super::image_file;
 use super::layout::{GRASP_JSON, Layout, Stage};
-use super::picture;
 use super::record_file::{check_id, read_grasp};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, GraspId};
@@ -90,7 +90,7 @@ impl Dataset {
         Some(self.layout.grasp(&record.id).join(name))
     }
 
-    /// Pictures of the external camera from before the fingers closed, by time: the approach and
+    /// Images of the external camera from before the fingers closed, by time: the approach and
     /// the initial frame.
     #[must_use]
     pub fn before_closing(&self, record: &GraspRecord) -> Vec<(CameraRecord, BeneathPath)> {
@@ -133,13 +133,13 @@ impl Dataset {
         Ok((record, json))
     }
 
-    /// The bytes of a stored picture, exactly as they were stored: size and sha256 are those of
-    /// the record, and the picture has the recorded size. The entropy-coded data of a JPEG is not
+    /// The bytes of a stored image, exactly as they were stored: size and sha256 are those of
+    /// the record, and the image has the recorded size. The entropy-coded data of a JPEG is not
     /// decoded.
     ///
     /// # Errors
     /// `NotFound`, `Io`: the file. `Input`: it is not what was stored, or damaged.
-    pub fn stored_picture(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
+    pub fn stored_image(&self, record: &GraspRecord, camera: &CameraRecord) -> Result<Vec<u8>> {
         let path = self.layout.grasp(&record.id).join(&camera.file);
         let refused = |what: String| Error::input(what).at(path.display());
         let bytes = path
@@ -151,7 +151,7 @@ impl Dataset {
         if digest(&bytes) != *expected {
             return Err(refused("the file is not what was stored".to_owned()));
         }
-        match picture::fault(&bytes, camera) {
+        match image_file::fault(&bytes, camera) {
             Some(fault) => Err(refused(fault)),
             None => Ok(bytes),
         }
@@ -212,15 +212,15 @@ pub(super) fn load_frame(dir: &BeneathPath, camera: &CameraRecord) -> Result<Fra
                 .into_iter()
                 .flat_map(u16::to_le_bytes)
                 .collect(),
-            _ => return Err(other_picture(&path, "a 16-bit grey picture")),
+            _ => return Err(other_image(&path, "a 16-bit grey image")),
         },
         PixelFormat::Grey => match decode(&path, &bytes)? {
             image::DynamicImage::ImageLuma8(image) => image.into_raw(),
-            _ => return Err(other_picture(&path, "an 8-bit grey picture")),
+            _ => return Err(other_image(&path, "an 8-bit grey image")),
         },
         PixelFormat::Yuyv | PixelFormat::Rgb => match decode(&path, &bytes)? {
             image::DynamicImage::ImageRgb8(image) => image.into_raw(),
-            _ => return Err(other_picture(&path, "an RGB picture")),
+            _ => return Err(other_image(&path, "an RGB image")),
         },
     };
     Ok(Frame {
@@ -238,6 +238,6 @@ fn decode(path: &BeneathPath, bytes: &[u8]) -> Result<image::DynamicImage> {
     decode_png(bytes).map_err(|e| e.at(path.display()))
 }
 
-fn other_picture(path: &BeneathPath, expected: &str) -> Error {
+fn other_image(path: &BeneathPath, expected: &str) -> Error {
     Error::input(format!("the file is not {expected}")).at(path.display())
 }

@@ -12,8 +12,8 @@ use super::descriptor::SOFTWARE;
 use super::digest::FileDigest;
 use super::digest::digest;
 use super::grasp::{CameraRecord, GraspRecord, StageRecord};
+use super::image_file;
 use super::layout::{APPROACH_PREFIX, GRASP_JSON, Stage};
-use super::picture;
 use super::reader::entries;
 use super::schema::SCHEMA_VERSION;
 use gripcast_base::files::{BeneathPath, FileKind, FileName, GraspId, Label, ObjectName};
@@ -29,7 +29,7 @@ pub(super) fn is_newer(dir: &BeneathPath) -> bool {
 
 /// The record of `id` as far as it can be known. `row`: its line of the index.
 ///
-/// Needs whole pictures of both gels at both stages; otherwise says what is missing.
+/// Needs whole images of both gels at both stages; otherwise says what is missing.
 pub(super) fn rebuild(
     dir: &BeneathPath,
     id: &GraspId,
@@ -51,7 +51,7 @@ pub(super) fn rebuild(
         for role in [Role::Left, Role::Right] {
             if !record.cameras.contains_key(&role) {
                 return Err(format!(
-                    "without a whole {} picture of {role} it cannot be made again",
+                    "without a whole {} image of {role} it cannot be made again",
                     stage.name()
                 ));
             }
@@ -123,7 +123,7 @@ fn old_record(dir: &BeneathPath) -> Value {
         .unwrap_or_default()
 }
 
-/// Cameras whose pictures of a stage are there and whole; notes the digests of those files.
+/// Cameras whose images of a stage are there and whole; notes the digests of those files.
 fn cameras(
     dir: &BeneathPath,
     stage: Stage,
@@ -134,7 +134,7 @@ fn cameras(
     for role in Role::ALL {
         let found = ["jpg", "png"].iter().find_map(|extension| {
             let file = FileName::of_words(&[stage.name(), role.name(), extension]);
-            whole_picture(dir, file, known.get(&role), files)
+            whole_image(dir, file, known.get(&role), files)
         });
         cameras.extend(found.map(|camera| (role, camera)));
     }
@@ -154,24 +154,24 @@ fn approach(
         .filter(|name| name.starts_with(APPROACH_PREFIX));
     let found = names.into_iter().filter_map(|name| {
         let known = known.iter().find(|camera| camera.file == name);
-        whole_picture(dir, name, known, files)
+        whole_image(dir, name, known, files)
     });
     found.collect()
 }
 
-/// A picture's record, as it was where that still fits; notes its digest. None where the file is
-/// no whole picture.
-fn whole_picture(
+/// An image's record, as it was where that still fits; notes its digest. None where the file is
+/// no whole image.
+fn whole_image(
     dir: &BeneathPath,
     file: FileName,
     known: Option<&CameraRecord>,
     files: &mut BTreeMap<FileName, FileDigest>,
 ) -> Option<CameraRecord> {
     let bytes = dir.join(&file).read(FileKind::Image).ok()?;
-    let (format, width, height) = picture::recognise(&bytes)?;
+    let (format, width, height) = image_file::recognise(&bytes)?;
     files.insert(file.clone(), digest(&bytes));
     let fits =
-        |camera: &&CameraRecord| camera.file == file && picture::fault(&bytes, camera).is_none();
+        |camera: &&CameraRecord| camera.file == file && image_file::fault(&bytes, camera).is_none();
     Some(known.filter(fits).cloned().unwrap_or_else(|| CameraRecord {
         file,
         product: "unknown".into(),

@@ -61,7 +61,7 @@ pub struct SplitPlan {
     pub by: SplitBy,
     /// Decides between equally good splits.
     pub seed: u64,
-    /// Share of the grasps of each part; sums to 1.
+    /// Fraction of the grasps of each part; sums to 1.
     pub fractions: BTreeMap<String, f64>,
 }
 
@@ -75,7 +75,7 @@ pub struct SplitFile {
     pub by: SplitBy,
     /// Seed.
     pub seed: u64,
-    /// Share of the grasps that was asked for.
+    /// Fraction of the grasps that was asked for.
     pub fractions: BTreeMap<String, f64>,
     /// The parts.
     pub parts: BTreeMap<String, SplitPart>,
@@ -278,16 +278,18 @@ pub(super) fn check_name(name: &str) -> Result<()> {
 
 fn check_fractions(fractions: &BTreeMap<String, f64>) -> Result<()> {
     let sum: f64 = fractions.values().sum();
-    let are_shares = fractions.values().all(|share| (0.0..=1.0).contains(share));
-    if are_shares && (sum - 1.0).abs() < 1e-6 {
+    let are_fractions = fractions
+        .values()
+        .all(|fraction| (0.0..=1.0).contains(fraction));
+    if are_fractions && (sum - 1.0).abs() < 1e-6 {
         return Ok(());
     }
     let text: Vec<String> = fractions
         .iter()
-        .map(|(name, share)| format!("{name} {share}"))
+        .map(|(name, fraction)| format!("{name} {fraction}"))
         .collect();
     Err(Error::usage(format!(
-        "the shares ({}) must lie between 0 and 1 and sum to 1, not {sum:.6}",
+        "the fractions ({}) must lie between 0 and 1 and sum to 1, not {sum:.6}",
         text.join(", ")
     )))
 }
@@ -311,8 +313,8 @@ fn divide(
     let parts: Vec<(&String, f64)> = plan
         .fractions
         .iter()
-        .filter(|(_, share)| **share > 0.0)
-        .map(|(name, share)| (name, *share))
+        .filter(|(_, fraction)| **fraction > 0.0)
+        .map(|(name, fraction)| (name, *fraction))
         .collect();
     if items.len() < parts.len() {
         return Err(Error::input(format!(
@@ -322,7 +324,7 @@ fn divide(
             plan.by,
             items.len()
         ))
-        .remedy("collect more of them, or give fewer parts a share above 0"));
+        .remedy("collect more of them, or give fewer parts a fraction above 0"));
     }
     let tallies: Vec<(&String, Tally)> = items
         .iter()
@@ -336,7 +338,7 @@ fn divide(
     }
     let targets: Vec<Tally> = parts
         .iter()
-        .map(|(_, share)| total.map(|count| count * share))
+        .map(|(_, fraction)| total.map(|count| count * fraction))
         .collect();
     let mut best: Option<(f64, BTreeMap<&String, usize>)> = None;
     for trial in 0..TRIALS {
@@ -479,10 +481,10 @@ mod tests {
             .filter(|(_, outcome)| *outcome == Outcome::Slip)
             .count() as f64
             / all as f64;
-        for (name, share) in &plan(7).fractions {
+        for (name, fraction) in &plan(7).fractions {
             let part = &parts[name];
             let found = part.grasps.len() as f64 / all as f64;
-            assert!((found - share).abs() < 0.03, "{name}: {found}");
+            assert!((found - fraction).abs() < 0.03, "{name}: {found}");
             let slips = part.outcomes[&Outcome::Slip] as f64 / part.grasps.len() as f64;
             assert!((slips - slips_of_all).abs() < 0.05, "{name}: {slips}");
         }
@@ -497,17 +499,17 @@ mod tests {
     }
 
     #[test]
-    fn shares_must_be_shares() {
-        let shares = |train: f64, val: f64| {
+    fn fractions_must_be_fractions() {
+        let fractions = |train: f64, val: f64| {
             check_fractions(&BTreeMap::from([
                 ("train".into(), train),
                 ("val".into(), val),
             ]))
         };
-        assert!(shares(0.8, 0.2).is_ok());
-        assert!(shares(0.8, 0.3).is_err());
-        assert!(shares(1.5, -0.5).is_err());
-        assert!(shares(f64::NAN, 1.0).is_err());
+        assert!(fractions(0.8, 0.2).is_ok());
+        assert!(fractions(0.8, 0.3).is_err());
+        assert!(fractions(1.5, -0.5).is_err());
+        assert!(fractions(f64::NAN, 1.0).is_err());
     }
 
     #[test]

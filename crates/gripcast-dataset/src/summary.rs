@@ -33,8 +33,8 @@ pub struct Summary {
     pub scenes: BTreeMap<Label, usize>,
     /// Grasps by operator.
     pub operators: BTreeMap<Label, usize>,
-    /// Share of stable among the labelled grasps.
-    pub stable_share: Option<f64>,
+    /// Fraction of stable among the labelled grasps.
+    pub stable_fraction: Option<f64>,
     /// When the first grasp was taken, RFC 3339 UTC.
     pub first_captured_at: Option<String>,
     /// When the last grasp was taken, RFC 3339 UTC.
@@ -119,7 +119,7 @@ pub fn summary(dataset: &Dataset) -> Result<Summary> {
     summary.last_captured_at = times.iter().max().map(Timestamp::to_string);
     let count = |outcome| summary.outcomes.get(&outcome).copied().unwrap_or(0);
     let (stable, slip) = (count(Outcome::Stable), count(Outcome::Slip));
-    summary.stable_share = (stable + slip > 0).then(|| stable as f64 / (stable + slip) as f64);
+    summary.stable_fraction = (stable + slip > 0).then(|| stable as f64 / (stable + slip) as f64);
     Ok(summary)
 }
 
@@ -161,7 +161,7 @@ mod tests {
         drop(writer);
         let summary = summary(&Dataset::open(dir.path()).unwrap()).unwrap();
         assert_eq!(summary.grasps, 3);
-        assert_eq!(summary.stable_share, Some(0.5));
+        assert_eq!(summary.stable_fraction, Some(0.5));
         assert_eq!(
             summary.predictions["baseline"],
             Agreement {

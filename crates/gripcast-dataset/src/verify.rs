@@ -11,10 +11,10 @@ use super::descriptor::Descriptor;
 use super::digest::digest;
 use super::disk::is_partial;
 use super::grasp::{CameraRecord, GraspRecord, Outcome};
+use super::image_file;
 use super::index::{IndexRow, to_jsonl};
 use super::layout::{GRASP_JSON, INITIAL_JSON, Layout, pending_id};
 use super::lock::DatasetLock;
-use super::picture;
 use super::reader::{entries, grasp_ids};
 use super::record_file::{Pending, read_grasp};
 use super::split::{SplitFile, check_name};
@@ -42,8 +42,8 @@ pub enum ProblemKind {
     ExtraFile,
     /// A file is not what was stored.
     Altered,
-    /// A picture is incomplete or not of the recorded size.
-    DamagedPicture,
+    /// An image is incomplete or not of the recorded size.
+    DamagedImage,
     /// Two files of the dataset are identical: a frozen camera or a copied grasp.
     DuplicateContent,
     /// A calibration is missing or altered.
@@ -65,7 +65,7 @@ impl ProblemKind {
             Self::MissingFile | Self::Altered => {
                 "restore it from a copy, or run `gripcast dataset recover`"
             }
-            Self::DamagedPicture => {
+            Self::DamagedImage => {
                 "the camera sent it damaged: leave the grasp out by moving it to trash/"
             }
             Self::DuplicateContent => "look at both, and move the grasp that is not real to trash/",
@@ -277,10 +277,10 @@ fn check_grasp(layout: &Layout, id: &GraspId) -> CheckedGrasp {
                 );
             } else if let Some(fault) = cameras
                 .get(name.as_str())
-                .and_then(|camera| picture::fault(&bytes, camera))
+                .and_then(|camera| image_file::fault(&bytes, camera))
             {
                 found.add(
-                    ProblemKind::DamagedPicture,
+                    ProblemKind::DamagedImage,
                     Some(id),
                     &at(name),
                     format!("{fault}; it was stored so"),

@@ -138,7 +138,7 @@ impl DatasetWriter {
         let json = to_json(&record)?;
         self.complete(&record.id, &contents, &json).map_err(|e| {
             self.failed("cannot save the grasp", e)
-                .remedy("mend that, then trigger again: the initial frame is still saved")
+                .remedy("fix that, then trigger again: the initial frame is still saved")
         })?;
         self.insert(&record);
         Ok(record)

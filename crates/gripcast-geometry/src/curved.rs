@@ -6,7 +6,7 @@ use super::corner_normals::corner_normals;
 use super::mesh::TriangleMesh;
 
 /// Parts into which an edge is cut at most: a square of that many triangles take its place.
-const MOST_PARTS: usize = 5;
+const MAX_PARTS: usize = 5;
 /// Distance of a control point from its edge under which the edge counts as straight, as a part of
 /// the edge.
 const STRAIGHT: f64 = 1e-4;
@@ -43,7 +43,7 @@ pub fn curved(mesh: &TriangleMesh, crease_rad: f64, side_m: f64) -> TriangleMesh
         (off > STRAIGHT * a.distance(b)).then(|| a.distance(b))
     });
     let parts = (longest.fold(0.0, f64::max) / side_m).ceil() as usize;
-    match parts.min(MOST_PARTS) {
+    match parts.min(MAX_PARTS) {
         0 | 1 => mesh.clone(),
         parts => cut(mesh, &bent, parts),
     }

@@ -40,7 +40,7 @@ pub use curved::curved;
 pub use mass_properties::MassProperties;
 pub use mesh::{MeshEdges, TriangleMesh};
 pub use mesh_file::{
-    LengthUnit, MeshFormat, MeshMaterial, MeshPart, PictureSource, TexturedMesh, load_mesh,
+    ImageSource, LengthUnit, MeshFormat, MeshMaterial, MeshPart, TexturedMesh, load_mesh,
     load_textured_mesh, ply_bytes, read_mesh, read_textured_mesh, save_mesh,
 };
 pub use mesh_query::{ClosestPoint, MeshQuery, RayHit};

@@ -186,7 +186,7 @@ fn closest_weights(p: DVec3, a: DVec3, b: DVec3, c: DVec3) -> [f64; 3] {
     [va / sum, vb / sum, vc / sum]
 }
 
-/// A ray with what its tests against boxes and triangles share.
+/// A ray with what its tests against boxes and triangles fraction.
 struct Ray {
     origin: DVec3,
     inverse: DVec3,

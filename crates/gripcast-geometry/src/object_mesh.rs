@@ -1,4 +1,4 @@
-//! The mesh of an object to simulate: a file or a built-in shape, scaled, checked and mended.
+//! The mesh of an object to simulate: a file or a built-in shape, scaled, checked and repaired.
 
 use std::path::Path;
 

@@ -48,7 +48,7 @@ pub fn likely_poses(
 /// All poses in which a closed mesh (m, unit density) rests on a plane, by falling probability.
 ///
 /// Each facet of the convex hull is a candidate; it is seen from the centre of mass under the
-/// solid angle that is its share of landings (Goldberg et al., Part pose statistics, IJRR 1999,
+/// solid angle that is its fraction of landings (Goldberg et al., Part pose statistics, IJRR 1999,
 /// without dynamics). A facet whose polygon the centre of mass is not above tumbles over its
 /// nearest side, to where that neighbour comes to rest. So does a facet that is left after a tilt
 /// of less than `min_tip_rad`: 0 keeps all that are stable, 0.02 those that survive a nudge.
@@ -76,10 +76,10 @@ pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StableP
     let mut poses: Vec<StablePose> = facets
         .iter()
         .zip(&probability)
-        .filter(|(_, share)| **share > 0.0)
-        .map(|(facet, share)| StablePose {
+        .filter(|(_, fraction)| **fraction > 0.0)
+        .map(|(facet, fraction)| StablePose {
             t_world_object: resting_pose(&hull, center, facet.normal),
-            probability: share / total,
+            probability: fraction / total,
             tip_angle_rad: facet.tip_angle,
         })
         .collect();
@@ -99,7 +99,7 @@ pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StableP
 struct Facet {
     /// Outward unit normal.
     normal: DVec3,
-    /// Solid angle under which the centre of mass sees it, as a share of the sphere.
+    /// Solid angle under which the centre of mass sees it, as a fraction of the sphere.
     solid_angle: f64,
     /// Tilt after which the body leaves the facet, rad; negative if it does so by itself.
     tip_angle: f64,

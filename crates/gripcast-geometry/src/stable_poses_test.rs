@@ -80,15 +80,15 @@ fn a_box_rests_on_its_six_sides() {
     assert_eq!(poses.len(), 6);
     assert!((total(&poses) - 1.0).abs() < 1e-12);
     // Solid angle of a side b × c at distance a/2: 4 asin(bc / sqrt((a²+b²)(a²+c²))).
-    let share =
+    let fraction =
         |a: f64, b: f64, c: f64| (b * c / ((a * a + b * b) * (a * a + c * c)).sqrt()).asin() / PI;
     for pose in &poses[..4] {
-        assert!((pose.probability - share(0.04, 0.04, 0.06)).abs() < 1e-12);
+        assert!((pose.probability - fraction(0.04, 0.04, 0.06)).abs() < 1e-12);
         assert!((pose.tip_angle_rad - PI / 4.0).abs() < 1e-12);
         assert!(down(pose).z.abs() < 1e-12);
     }
     for pose in &poses[4..] {
-        assert!((pose.probability - share(0.06, 0.04, 0.04)).abs() < 1e-12);
+        assert!((pose.probability - fraction(0.06, 0.04, 0.04)).abs() < 1e-12);
         assert!((pose.tip_angle_rad - (2.0f64 / 3.0).atan()).abs() < 1e-12);
         assert!((pose.t_world_object.translation_m.z - 0.03).abs() < 1e-15);
     }

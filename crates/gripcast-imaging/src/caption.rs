@@ -1,4 +1,4 @@
-//! A font of 5 × 7 pixels for labels of pictures.
+//! A font of 5 × 7 pixels for labels of images.
 
 use image::{Rgb, RgbImage};
 
@@ -62,7 +62,7 @@ fn rows(letter: char) -> [u8; 7] {
 }
 
 /// Writes a line of text with its upper left corner at (x, y); what lies outside is cut.
-pub fn write_text(picture: &mut RgbImage, x: u32, y: u32, text: &str, colour: Rgb<u8>) {
+pub fn write_text(image: &mut RgbImage, x: u32, y: u32, text: &str, colour: Rgb<u8>) {
     for (i, letter) in text.chars().enumerate() {
         for (dy, bits) in rows(letter).into_iter().enumerate() {
             for dx in 0..5 {
@@ -70,7 +70,7 @@ pub fn write_text(picture: &mut RgbImage, x: u32, y: u32, text: &str, colour: Rg
                     continue;
                 }
                 let place = (x + i as u32 * ADVANCE + dx, y + dy as u32);
-                if let Some(pixel) = picture.get_pixel_mut_checked(place.0, place.1) {
+                if let Some(pixel) = image.get_pixel_mut_checked(place.0, place.1) {
                     *pixel = colour;
                 }
             }
@@ -84,12 +84,12 @@ mod tests {
 
     #[test]
     fn letters_are_drawn_inside_and_cut_outside() {
-        let mut picture = RgbImage::new(9, 7);
-        write_text(&mut picture, 0, 0, "LL", Rgb([255; 3]));
-        assert_eq!(picture.get_pixel(0, 0).0, [255; 3]);
-        assert_eq!(picture.get_pixel(4, 6).0, [255; 3]);
-        assert_eq!(picture.get_pixel(1, 0).0, [0; 3]);
-        assert_eq!(picture.get_pixel(8, 6).0, [255; 3]);
-        write_text(&mut picture, 100, 100, "fve 0.9?", Rgb([1; 3]));
+        let mut image = RgbImage::new(9, 7);
+        write_text(&mut image, 0, 0, "LL", Rgb([255; 3]));
+        assert_eq!(image.get_pixel(0, 0).0, [255; 3]);
+        assert_eq!(image.get_pixel(4, 6).0, [255; 3]);
+        assert_eq!(image.get_pixel(1, 0).0, [0; 3]);
+        assert_eq!(image.get_pixel(8, 6).0, [255; 3]);
+        write_text(&mut image, 100, 100, "fve 0.9?", Rgb([1; 3]));
     }
 }

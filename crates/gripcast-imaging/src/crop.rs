@@ -18,7 +18,7 @@ pub struct CropWindow {
     pub height: u32,
 }
 
-/// A rule that picks a window out of a picture of any size.
+/// A rule that picks a window out of an image of any size.
 ///
 /// | name | 3280×2464: columns, rows | 640×480: columns, rows |
 /// | --- | --- | --- |
@@ -42,13 +42,13 @@ enum Rule {
 }
 
 impl CropProfile {
-    /// The whole picture.
+    /// The whole image.
     pub const FULL: Self = Self {
         name: "full-v1",
         rule: Rule::Full,
     };
 
-    /// The whole picture of another sensor: the GelSight of 2017 with markers, of the *Feeling of
+    /// The whole image of another sensor: the GelSight of 2017 with markers, of the *Feeling of
     /// Success*. A name of its own keeps models and data of the Mini apart from it.
     pub const GELSIGHT_2017_FULL: Self = Self {
         name: "gelsight-2017-full-v1",
@@ -106,7 +106,7 @@ impl CropProfile {
         self.name
     }
 
-    /// The window in a picture of `width` × `height` pixels; `None` when nothing would be left.
+    /// The window in an image of `width` × `height` pixels; `None` when nothing would be left.
     #[must_use]
     pub fn window(&self, width: u32, height: u32) -> Option<CropWindow> {
         let (left, top, right, bottom) = match self.rule {
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn gs_sdk_trims_the_left_of_a_wide_picture_and_the_top_of_a_tall_one() {
+    fn gs_sdk_trims_the_left_of_a_wide_image_and_the_top_of_a_tall_one() {
         assert_eq!(
             ranges(CropProfile::GSMINI_GS_SDK, 1400, 700),
             (200 + 333, 1200, 100, 600)
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn too_small_pictures_have_no_window_and_none_panics() {
+    fn too_small_images_have_no_window_and_none_panics() {
         for profile in CropProfile::ALL {
             for width in 0..20 {
                 for height in 0..20 {

@@ -1,12 +1,12 @@
-//! Why a frame gives no picture.
+//! Why a frame gives no image.
 
 use std::fmt;
 
-use super::frame::{LARGEST_SIDE, PixelFormat};
+use super::frame::{MAX_SIDE, PixelFormat};
 use super::jpeg::JpegDamage;
 use gripcast_base::error::{Error, ErrorKind};
 
-/// Why a frame gives no picture. The message says what was expected and what was found.
+/// Why a frame gives no image. The message says what was expected and what was found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FrameDamage {
@@ -26,7 +26,7 @@ pub enum FrameDamage {
         found: usize,
     },
     /// The JPEG is sound, but of another size than the camera was set to.
-    PictureSize {
+    ImageSize {
         /// Width and height that the frame announces.
         expected: (u32, u32),
         /// Width and height inside the JPEG.
@@ -43,7 +43,7 @@ pub enum FrameDamage {
         /// What such a frame must satisfy.
         expected: &'static str,
     },
-    /// Nothing is left of the picture after the crop.
+    /// Nothing is left of the image after the crop.
     NothingLeft {
         /// Crop profile.
         crop: &'static str,
@@ -80,9 +80,9 @@ impl fmt::Display for FrameDamage {
                 f,
                 "a {width}×{height} {format} frame has {expected} bytes, found {found}"
             ),
-            Self::PictureSize { expected, found } => write!(
+            Self::ImageSize { expected, found } => write!(
                 f,
-                "expected a {}×{} picture as the camera was set, found {}×{} in the JPEG",
+                "expected a {}×{} image as the camera was set, found {}×{} in the JPEG",
                 expected.0, expected.1, found.0, found.1
             ),
             Self::FrameSize {
@@ -100,11 +100,11 @@ impl fmt::Display for FrameDamage {
                 height,
             } => write!(
                 f,
-                "crop profile `{crop}` leaves nothing of a {width}×{height} picture"
+                "crop profile `{crop}` leaves nothing of a {width}×{height} image"
             ),
             Self::TargetSize { width, height } => write!(
                 f,
-                "cannot make a picture of {width}×{height} pixels: expected 1 to {LARGEST_SIDE} a side"
+                "cannot make an image of {width}×{height} pixels: expected 1 to {MAX_SIDE} a side"
             ),
             Self::NoDepth { format } => {
                 write!(f, "expected a Z16 depth frame, found a {format} frame")

@@ -1,10 +1,10 @@
-//! Frames to pictures.
+//! Frames to images.
 
 use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
-use super::frame::{Frame, LARGEST_SIDE, PixelFormat};
+use super::frame::{Frame, MAX_SIDE, PixelFormat};
 use super::jpeg::{self, JpegDecoder, JpegHeader, JpegScale};
 use super::png::decode_png_rgb;
 use super::resample::{RgbScaler, Source, check_stored, check_target, crop_and_resize, window_of};
@@ -12,9 +12,9 @@ use super::yuyv::yuyv_to_rgb;
 use super::z16::{self, DepthImage};
 use gripcast_base::error::{Error, Result as CrateResult};
 
-/// Turns frames into pictures; one per thread, it keeps its buffers between frames.
+/// Turns frames into images; one per thread, it keeps its buffers between frames.
 ///
-/// A damaged frame gives an error, never a picture.
+/// A damaged frame gives an error, never an image.
 ///
 /// ```
 /// use gripcast_imaging::{CropProfile, Decoder, Frame, PixelFormat, encode_jpeg, synthetic_gel};
@@ -53,11 +53,11 @@ impl Decoder {
         })
     }
 
-    /// A stored picture, JPEG or PNG, as it is.
+    /// A stored image, JPEG or PNG, as it is.
     ///
     /// # Errors
     /// [`ErrorKind::Input`] for a damaged or foreign file.
-    pub fn stored_picture(&mut self, bytes: &[u8]) -> CrateResult<RgbImage> {
+    pub fn stored_image(&mut self, bytes: &[u8]) -> CrateResult<RgbImage> {
         if bytes.starts_with(&[0xff, 0xd8]) {
             let JpegHeader { width, height, .. } = jpeg::inspect(bytes)?;
             return self.decode_file(bytes, None, width, height);
@@ -165,11 +165,11 @@ impl Decoder {
                 Ok(self.decode_jpeg(bytes, &header, crop, width, height)?)
             }
             _ if bytes.starts_with(PNG) => {
-                let picture = decode_png_rgb(bytes)?;
-                Ok(crop_and_resize(&picture, crop, width, height)?)
+                let image = decode_png_rgb(bytes)?;
+                Ok(crop_and_resize(&image, crop, width, height)?)
             }
             _ => Err(Error::input(format!(
-                "expected a JPEG or PNG picture, found {} bytes that start with {:02X?}",
+                "expected a JPEG or PNG image, found {} bytes that start with {:02X?}",
                 bytes.len(),
                 &bytes[..bytes.len().min(4)]
             ))),
@@ -227,7 +227,7 @@ fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
         height,
         expected,
     };
-    if !(1..=LARGEST_SIDE).contains(&width) || !(1..=LARGEST_SIDE).contains(&height) {
+    if !(1..=MAX_SIDE).contains(&width) || !(1..=MAX_SIDE).contains(&height) {
         return Err(impossible("1 to 16384 pixels a side"));
     }
     if format == PixelFormat::Yuyv && width % 2 != 0 {
@@ -249,7 +249,7 @@ fn check(frame: &Frame) -> Result<Option<JpegHeader>, FrameDamage> {
     let header = jpeg::inspect(data)?;
     let (expected, found) = ((width, height), (header.width, header.height));
     if expected != found {
-        return Err(FrameDamage::PictureSize { expected, found });
+        return Err(FrameDamage::ImageSize { expected, found });
     }
     Ok(Some(header))
 }

@@ -1,10 +1,10 @@
-//! What a contact changed in a tactile picture.
+//! What a contact changed in a tactile image.
 
 use image::RgbImage;
 
 use gripcast_base::error::{Error, Result};
 
-/// Signed difference *grasp − initial* of two tactile pictures, per channel, in grey levels.
+/// Signed difference *grasp − initial* of two tactile images, per channel, in grey levels.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TactileDifference {
     width: u32,
@@ -22,7 +22,7 @@ impl TactileDifference {
         let (width, height) = initial.dimensions();
         if grasp.dimensions() != (width, height) || width == 0 || height == 0 {
             return Err(Error::input(format!(
-                "cannot take the tactile difference of a {}×{} grasp and a {width}×{height} initial picture: expected equal sizes with at least one pixel",
+                "cannot take the tactile difference of a {}×{} grasp and a {width}×{height} initial image: expected equal sizes with at least one pixel",
                 grasp.width(),
                 grasp.height(),
             )));
@@ -84,13 +84,13 @@ impl TactileDifference {
     ///
     /// A gain of 0.5 shows every difference; 2 makes light contacts visible and clips strong ones.
     #[must_use]
-    pub fn to_picture(&self, gain: f32) -> RgbImage {
-        let mut picture = RgbImage::new(self.width, self.height);
-        for (shown, level) in picture.iter_mut().zip(&self.levels) {
+    pub fn to_image(&self, gain: f32) -> RgbImage {
+        let mut image = RgbImage::new(self.width, self.height);
+        for (shown, level) in image.iter_mut().zip(&self.levels) {
             // The cast saturates at 0 and 255; + 0.5 rounds.
             *shown = (128.5 + f32::from(*level) * gain) as u8;
         }
-        picture
+        image
     }
 
     /// Contact strength: mean of |difference| over all pixels and channels, in grey levels.
@@ -138,15 +138,15 @@ mod tests {
         assert_eq!(chw[6..12], [-10.0 / 255.0; 6]);
         assert_eq!(chw[12..], [0.0; 6]);
         assert!((d.mean_abs() - 10.0).abs() < 1e-6);
-        assert_eq!(d.to_picture(0.5).get_pixel(1, 2).0, [138, 123, 128]);
-        assert_eq!(d.to_picture(100.0).get_pixel(0, 0).0, [255, 0, 128]);
+        assert_eq!(d.to_image(0.5).get_pixel(1, 2).0, [138, 123, 128]);
+        assert_eq!(d.to_image(100.0).get_pixel(0, 0).0, [255, 0, 128]);
     }
 
     #[test]
     fn extremes_fit() {
         let d = TactileDifference::between(&plain([0, 7, 255]), &plain([255, 7, 0])).unwrap();
         assert_eq!(&d.levels()[..3], &[255, 0, -255]);
-        assert_eq!(d.to_picture(0.5).get_pixel(0, 0).0, [255, 128, 1]);
+        assert_eq!(d.to_image(0.5).get_pixel(0, 0).0, [255, 128, 1]);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 use gripcast_base::error::Error;
 
 /// Largest side of an image that is decoded or produced, in pixels.
-pub const LARGEST_SIDE: u32 = 16_384;
+pub const MAX_SIDE: u32 = 16_384;
 
 /// What a camera is for; the key of everything that is stored per camera.
 #[derive(
@@ -142,7 +142,7 @@ impl fmt::Display for PixelFormat {
     }
 }
 
-/// Immutable bytes of a frame; cloning shares them.
+/// Immutable bytes of a frame; cloning fractions them.
 #[derive(Clone, PartialEq, Eq)]
 pub struct FrameBytes(Arc<Vec<u8>>);
 

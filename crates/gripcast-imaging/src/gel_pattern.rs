@@ -1,4 +1,4 @@
-//! A picture like that of a GelSight Mini, made from numbers alone.
+//! An image like that of a GelSight Mini, made from numbers alone.
 //!
 //! Colours and noise follow measurements on real Minis: without contact the top is about
 //! (40, 97, 108), the centre (125, 120, 145) and the bottom (68, 95, 81); the noise has a
@@ -9,14 +9,14 @@
 use gripcast_base::random::scramble;
 use image::RgbImage;
 
-/// A round contact, in fractions of the picture.
+/// A round contact, in fractions of the image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GelContact {
-    /// Centre from the left edge, in picture widths.
+    /// Centre from the left edge, in image widths.
     pub centre_x: f32,
-    /// Centre from the top edge, in picture heights.
+    /// Centre from the top edge, in image heights.
     pub centre_y: f32,
-    /// Radius in picture heights.
+    /// Radius in image heights.
     pub radius: f32,
     /// 0 = touching nothing, 1 = pressed hard.
     pub strength: f32,
@@ -44,7 +44,7 @@ const NOISE_BITS: [u32; 3] = [9, 4, 13];
 pub fn synthetic_gel(width: u32, height: u32, seed: u64, contact: f32) -> RgbImage {
     let place = scramble(seed ^ 0x6765_6c00);
     let offset = |bits: u64| ((bits & 0xff) as f32 / 255.0 - 0.5) * 0.2;
-    gel_picture(
+    gel_image(
         width,
         height,
         seed,
@@ -59,8 +59,8 @@ pub fn synthetic_gel(width: u32, height: u32, seed: u64, contact: f32) -> RgbIma
 
 /// The gel with a given contact; `noise_seed` draws the noise alone, so that successive frames
 /// of one scene differ as those of a camera do.
-pub fn gel_picture(width: u32, height: u32, noise_seed: u64, contact: GelContact) -> RgbImage {
-    let mut picture = RgbImage::new(width, height);
+pub fn gel_image(width: u32, height: u32, noise_seed: u64, contact: GelContact) -> RgbImage {
+    let mut image = RgbImage::new(width, height);
     let columns: Vec<f32> = (0..width)
         .map(|x| {
             let u = (x as f32 + 0.5) / width as f32 * 2.0 - 1.0;
@@ -76,7 +76,7 @@ pub fn gel_picture(width: u32, height: u32, noise_seed: u64, contact: GelContact
     // The gel is dragged down around the object: shading reaches beyond the contact itself.
     let reach = radius * 1.6;
     let noise = scramble(noise_seed);
-    for (y, row) in picture
+    for (y, row) in image
         .chunks_exact_mut((width as usize * 3).max(3))
         .enumerate()
     {
@@ -100,7 +100,7 @@ pub fn gel_picture(width: u32, height: u32, noise_seed: u64, contact: GelContact
             }
         }
     }
-    picture
+    image
 }
 
 /// Colour of the untouched gel at a fraction of the height: a smooth curve through `COLUMN`.
@@ -131,12 +131,12 @@ fn shade(colour: &mut [f32; 3], u: f32, v: f32, strength: f32) {
 mod tests {
     use super::*;
 
-    fn mean(picture: &RgbImage, rows: std::ops::Range<u32>) -> [f64; 3] {
+    fn mean(image: &RgbImage, rows: std::ops::Range<u32>) -> [f64; 3] {
         let mut sum = [0.0; 3];
         let mut count = 0.0;
         for y in rows {
-            for x in picture.width() * 2 / 5..picture.width() * 3 / 5 {
-                for (total, level) in sum.iter_mut().zip(picture.get_pixel(x, y).0) {
+            for x in image.width() * 2 / 5..image.width() * 3 / 5 {
+                for (total, level) in sum.iter_mut().zip(image.get_pixel(x, y).0) {
                     *total += f64::from(level);
                 }
                 count += 1.0;
@@ -195,8 +195,8 @@ mod tests {
             strength: 0.0,
             ..contact
         };
-        let free = gel_picture(160, 120, 7, untouched);
-        let pressed = gel_picture(160, 120, 7, contact);
+        let free = gel_image(160, 120, 7, untouched);
+        let pressed = gel_image(160, 120, 7, contact);
         let mut at_edge = 0;
         for (x, y, pixel) in pressed.enumerate_pixels() {
             let (dx, dy) = (x as f32 + 0.5 - 64.0, y as f32 + 0.5 - 60.0);

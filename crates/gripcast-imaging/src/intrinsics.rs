@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_text, save};
 
-/// How a lens bends the ideal picture.
+/// How a lens bends the ideal image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DistortionModel {
@@ -19,15 +19,15 @@ pub enum DistortionModel {
     InverseBrownConrady,
 }
 
-/// Pinhole intrinsics of one picture size, all in pixels of that size.
+/// Pinhole intrinsics of one image size, all in pixels of that size.
 ///
 /// Pixel (0,0) is the centre of the top-left pixel; camera frame x right, y down, z forward.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Intrinsics {
-    /// Width of the picture.
+    /// Width of the image.
     pub width: u32,
-    /// Height of the picture.
+    /// Height of the image.
     pub height: u32,
     /// Focal length along x.
     pub fx: f64,
@@ -66,7 +66,7 @@ impl Intrinsics {
         save(path, text.as_bytes())
     }
 
-    /// Refuses what no camera has: a focal length or principal point far outside the picture.
+    /// Refuses what no camera has: a focal length or principal point far outside the image.
     ///
     /// # Errors
     /// [`ErrorKind::Config`] with what is implausible.
@@ -89,7 +89,7 @@ impl Intrinsics {
                  point {:.1}, {:.1}",
             self.width, self.height, self.fx, self.fy, self.cx, self.cy
         ))
-        .remedy("give fx, fy, cx, cy in pixels of this picture size"))
+        .remedy("give fx, fy, cx, cy in pixels of this image size"))
     }
 }
 

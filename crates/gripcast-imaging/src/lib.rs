@@ -1,7 +1,7 @@
-//! Frames and pictures: pixel formats, decoding, crops, differences.
+//! Frames and images: pixel formats, decoding, crops, differences.
 //!
 //! Colour order is RGB in memory and in files. Pixel (0,0) is the centre of the top-left pixel.
-//! A [`Frame`] is what a camera sent; a [`Decoder`] makes pictures of frames, all through one
+//! A [`Frame`] is what a camera sent; a [`Decoder`] makes images of frames, all through one
 //! crop-and-resize; [`TactileDifference`] is what a contact changed between two of them.
 //!
 //! ```
@@ -37,8 +37,8 @@ pub use damage::FrameDamage;
 pub use decode::{Decoder, check_structure};
 pub use difference::TactileDifference;
 pub use flat_print::FlatPrint;
-pub use frame::{Frame, FrameBytes, FramePool, LARGEST_SIDE, PixelFormat, Role};
-pub use gel_pattern::{GelContact, gel_picture, synthetic_gel};
+pub use frame::{Frame, FrameBytes, FramePool, MAX_SIDE, PixelFormat, Role};
+pub use gel_pattern::{GelContact, gel_image, synthetic_gel};
 pub use intrinsics::{DistortionModel, Intrinsics};
 pub use jpeg::{JpegDamage, JpegDecoder, encode_jpeg};
 pub use png::{

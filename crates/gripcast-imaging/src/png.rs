@@ -7,41 +7,41 @@ use image::{
     DynamicImage, ExtendedColorType, GrayImage, ImageDecoder as _, ImageEncoder, Limits, RgbImage,
 };
 
-use super::resample::{MOST_STORED_BYTES, check_stored};
+use super::resample::{MAX_STORED_BYTES, check_stored};
 use super::z16::DepthImage;
 use gripcast_base::error::{Error, Result};
 
-/// RGB picture to PNG, with fast compression.
+/// RGB image to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a picture without pixels.
-pub fn encode_png_rgb(picture: &RgbImage) -> Result<Vec<u8>> {
-    let (width, height) = picture.dimensions();
-    encode(picture.as_raw(), width, height, ExtendedColorType::Rgb8)
+/// [`ErrorKind::Input`] for an image without pixels.
+pub fn encode_png_rgb(image: &RgbImage) -> Result<Vec<u8>> {
+    let (width, height) = image.dimensions();
+    encode(image.as_raw(), width, height, ExtendedColorType::Rgb8)
 }
 
-/// 8-bit grey picture to PNG, with fast compression.
+/// 8-bit grey image to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a picture without pixels.
-pub fn encode_png_grey8(picture: &GrayImage) -> Result<Vec<u8>> {
-    let (width, height) = picture.dimensions();
-    encode(picture.as_raw(), width, height, ExtendedColorType::L8)
+/// [`ErrorKind::Input`] for an image without pixels.
+pub fn encode_png_grey8(image: &GrayImage) -> Result<Vec<u8>> {
+    let (width, height) = image.dimensions();
+    encode(image.as_raw(), width, height, ExtendedColorType::L8)
 }
 
 /// 16-bit depth to PNG, with fast compression.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a picture without pixels.
-pub fn encode_png_grey16(picture: &DepthImage) -> Result<Vec<u8>> {
-    let (width, height) = picture.dimensions();
+/// [`ErrorKind::Input`] for an image without pixels.
+pub fn encode_png_grey16(image: &DepthImage) -> Result<Vec<u8>> {
+    let (width, height) = image.dimensions();
     // The encoder takes 16-bit samples in native byte order.
-    let bytes: Vec<u8> = picture.iter().flat_map(|v| v.to_ne_bytes()).collect();
+    let bytes: Vec<u8> = image.iter().flat_map(|v| v.to_ne_bytes()).collect();
     encode(&bytes, width, height, ExtendedColorType::L16)
 }
 
 fn encode(bytes: &[u8], width: u32, height: u32, colour: ExtendedColorType) -> Result<Vec<u8>> {
-    let refused = || Error::input(format!("cannot write a {width}×{height} picture as PNG"));
+    let refused = || Error::input(format!("cannot write a {width}×{height} image as PNG"));
     if width == 0 || height == 0 {
         return Err(refused());
     }
@@ -74,16 +74,16 @@ pub fn decode_png_grey16(bytes: &[u8]) -> Result<DepthImage> {
     }
 }
 
-/// A PNG as it is, of a size that stored pictures can have.
+/// A PNG as it is, of a size that stored images can have.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for a damaged or foreign file, and for a picture that is too large.
+/// [`ErrorKind::Input`] for a damaged or foreign file, and for an image that is too large.
 pub fn decode_png(bytes: &[u8]) -> Result<DynamicImage> {
     let unreadable = |cause| Error::input("the PNG cannot be read").because(cause);
     let mut limits = Limits::default();
-    limits.max_alloc = Some(MOST_STORED_BYTES);
+    limits.max_alloc = Some(MAX_STORED_BYTES);
     let decoder = PngDecoder::with_limits(Cursor::new(bytes), limits).map_err(unreadable)?;
-    // Before anything is decoded: a small file may hold a huge picture.
+    // Before anything is decoded: a small file may hold a huge image.
     let (width, height) = decoder.dimensions();
     check_stored(width, height, decoder.total_bytes())?;
     DynamicImage::from_decoder(decoder).map_err(unreadable)
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_survive_the_round_trip() {
+    fn images_survive_the_round_trip() {
         let rgb = RgbImage::from_fn(7, 5, |x, y| image::Rgb([x as u8, y as u8, 200]));
         assert_eq!(decode_png_rgb(&encode_png_rgb(&rgb).unwrap()).unwrap(), rgb);
         let grey = GrayImage::from_fn(7, 5, |x, y| image::Luma([(x * y) as u8]));
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_file_of_a_huge_picture_is_refused_before_it_is_decoded() {
+    fn a_small_file_of_a_huge_image_is_refused_before_it_is_decoded() {
         let mut bomb = encode_png_grey16(&DepthImage::new(1, 1)).unwrap();
         // Width and height are the first fields of the first chunk, IHDR; its checksum follows.
         bomb[16..20].copy_from_slice(&9000_u32.to_be_bytes());

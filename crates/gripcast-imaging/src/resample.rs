@@ -1,4 +1,4 @@
-//! Crop and resize: the one way in which every picture reaches a model or a screen.
+//! Crop and resize: the one way in which every image reaches a model or a screen.
 
 use fast_image_resize::images::{TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;
@@ -7,30 +7,30 @@ use image::RgbImage;
 
 use super::crop::{CropProfile, CropWindow};
 use super::damage::FrameDamage;
-use super::frame::LARGEST_SIDE;
+use super::frame::MAX_SIDE;
 use gripcast_base::error::{Error, Result as CrateResult};
 
-/// Most that the pixels of a stored picture may take, bytes; a camera of 20 Mpx needs half of it.
-pub(super) const MOST_STORED_BYTES: u64 = 128 << 20;
+/// Most that the pixels of a stored image may take, bytes; a camera of 20 Mpx needs half of it.
+pub(super) const MAX_STORED_BYTES: u64 = 128 << 20;
 
-/// Whether a stored picture may be decoded.
+/// Whether a stored image may be decoded.
 ///
 /// # Errors
 /// `Input` for one that would take too much memory.
 pub(super) fn check_stored(width: u32, height: u32, bytes: u64) -> CrateResult<()> {
-    let is_possible = width <= LARGEST_SIDE && height <= LARGEST_SIDE;
-    if is_possible && bytes <= MOST_STORED_BYTES {
+    let is_possible = width <= MAX_SIDE && height <= MAX_SIDE;
+    if is_possible && bytes <= MAX_STORED_BYTES {
         return Ok(());
     }
     Err(Error::input(format!(
-        "expected a picture of at most {LARGEST_SIDE} pixels a side and {} MiB, found \
+        "expected an image of at most {MAX_SIDE} pixels a side and {} MiB, found \
              {width}×{height} pixels that take {} MiB",
-        MOST_STORED_BYTES >> 20,
+        MAX_STORED_BYTES >> 20,
         bytes >> 20
     )))
 }
 
-/// RGB pixels of a picture that may have been decoded at a reduced scale.
+/// RGB pixels of an image that may have been decoded at a reduced scale.
 pub(super) struct Source<'a> {
     /// Width of `rgb` in pixels.
     pub(super) width: u32,
@@ -42,23 +42,23 @@ pub(super) struct Source<'a> {
     pub(super) reduction: u32,
 }
 
-/// Crops a picture and resizes it to `width` × `height` with an antialiased bilinear filter.
+/// Crops an image and resizes it to `width` × `height` with an antialiased bilinear filter.
 ///
 /// Pixels just outside the crop contribute to its edge, as far as the filter reaches.
 ///
 /// # Errors
 /// [`FrameDamage`] when the crop leaves nothing or a side is 0 or beyond 16384.
 pub fn crop_and_resize(
-    picture: &RgbImage,
+    image: &RgbImage,
     crop: &CropProfile,
     width: u32,
     height: u32,
 ) -> Result<RgbImage, FrameDamage> {
-    let window = window_of(crop, picture.width(), picture.height())?;
+    let window = window_of(crop, image.width(), image.height())?;
     let source = Source {
-        width: picture.width(),
-        height: picture.height(),
-        rgb: picture.as_raw(),
+        width: image.width(),
+        height: image.height(),
+        rgb: image.as_raw(),
         reduction: 1,
     };
     RgbScaler::default().resample(&source, window, width, height)
@@ -77,9 +77,9 @@ pub(super) fn window_of(
     })
 }
 
-/// Whether a picture of this size may be produced.
+/// Whether an image of this size may be produced.
 pub(super) fn check_target(width: u32, height: u32) -> Result<(), FrameDamage> {
-    let possible = 1..=LARGEST_SIDE;
+    let possible = 1..=MAX_SIDE;
     if possible.contains(&width) && possible.contains(&height) {
         Ok(())
     } else {

@@ -38,7 +38,7 @@ impl Adam {
     ) {
         self.steps += 1;
         let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
-        let [first_share, second_share] = BETA.map(|beta| 1.0 - beta.powi(steps));
+        let [first_fraction, second_fraction] = BETA.map(|beta| 1.0 - beta.powi(steps));
         for part in layout.parts() {
             let shrink = if part.is_weight() { rate * decay } else { 0.0 };
             let range = part.range();
@@ -49,14 +49,15 @@ impl Adam {
             for ((first, second), (parameter, gradient)) in means.zip(moved) {
                 *first += (1.0 - BETA[0]) * (gradient - *first);
                 *second += (1.0 - BETA[1]) * (gradient * gradient - *second);
-                let slope = *first / first_share / ((*second / second_share).sqrt() + EPSILON);
+                let slope =
+                    *first / first_fraction / ((*second / second_fraction).sqrt() + EPSILON);
                 *parameter -= rate * slope + shrink * *parameter;
             }
         }
     }
 }
 
-/// The share of the learning rate at a step: rising over the first `warm_up` steps, then falling
+/// The fraction of the learning rate at a step: rising over the first `warm_up` steps, then falling
 /// linearly to zero after `all`.
 pub fn linear_schedule(step: u64, warm_up: u64, all: u64) -> f32 {
     let rising = (step + 1) as f32 / warm_up.max(1) as f32;

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::conv::ConvShape;
 use crate::predict::contract::Variant;
 
-/// Height, width and channels of the pictures that go in.
-pub const PICTURE: [usize; 3] = [240, 320, 3];
+/// Height, width and channels of the images that go in.
+pub const IMAGE: [usize; 3] = [240, 320, 3];
 
 /// One convolution with batch normalisation and ReLU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,7 +22,7 @@ pub struct ConvSpec {
 }
 
 /// Sizes of a classifier: an encoder for tactile differences, one of the same sizes for the colour
-/// picture, and two layers over their embeddings.
+/// image, and two layers over their embeddings.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Architecture {
     /// Its name on the command line and in files.
@@ -97,7 +97,7 @@ impl Architecture {
 
     /// Shapes of an encoder's convolutions.
     pub fn shapes(&self) -> Vec<ConvShape> {
-        let mut input = PICTURE;
+        let mut input = IMAGE;
         let shape = |spec: &ConvSpec| {
             let shape = ConvShape {
                 input,
@@ -115,7 +115,7 @@ impl Architecture {
     /// Height, width and channels of the means that are projected; windows that do not fit are
     /// left out.
     pub fn pooled(&self) -> [usize; 3] {
-        let [height, width, channels] = self.shapes().last().map_or(PICTURE, ConvShape::output);
+        let [height, width, channels] = self.shapes().last().map_or(IMAGE, ConvShape::output);
         [height / self.pool[0], width / self.pool[1], channels]
     }
 }

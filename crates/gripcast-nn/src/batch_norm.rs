@@ -1,7 +1,7 @@
 //! Batch normalisation with ReLU (Ioffe and Szegedy, "Batch normalization", 2015).
 //!
 //! `a = max(0, γ·(z − mean)/√(var + ε) + β)` for each channel, mean and variance over all pixels of
-//! all pictures of a batch.
+//! all images of a batch.
 
 use rayon::prelude::*;
 
@@ -19,7 +19,7 @@ pub(super) struct Moments {
 }
 
 impl Moments {
-    /// Of pictures of `image` floats each, with `channels` channels.
+    /// Of images of `image` floats each, with `channels` channels.
     pub(super) fn of(z: &[f32], image: usize, channels: usize) -> Self {
         let parts: Vec<Vec<[f64; 2]>> = z
             .par_chunks(image)
@@ -83,7 +83,7 @@ pub(super) fn normalise(z: &[f32], image: usize, scale: &[f32], shift: &[f32], a
         .for_each(|(a, z)| Isa::best().run(Normalise { z, scale, shift, a }));
 }
 
-/// What a layer did on its way forwards, for pictures of `image` floats.
+/// What a layer did on its way forwards, for images of `image` floats.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pass<'a> {
     /// Before normalisation.

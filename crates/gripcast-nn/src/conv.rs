@@ -1,6 +1,6 @@
-//! Convolution of one picture, forwards and backwards.
+//! Convolution of one image, forwards and backwards.
 //!
-//! Pictures are HWC (channels of a pixel side by side), weights are KH·KW·C rows of as many columns
+//! Images are HWC (channels of a pixel side by side), weights are KH·KW·C rows of as many columns
 //! as there are output channels.
 
 use super::lanes::{Isa, Lanes, WithLanes};
@@ -114,7 +114,7 @@ pub(super) struct Scratch {
     spread: Vec<f32>,
 }
 
-/// `y = finish(x ∗ weights)`, one picture.
+/// `y = finish(x ∗ weights)`, one image.
 pub(super) fn forward(
     shape: &ConvShape,
     x: &[f32],
@@ -137,7 +137,7 @@ pub(super) fn forward(
     });
 }
 
-/// Adds to `dweights` what one picture contributes.
+/// Adds to `dweights` what one image contributes.
 pub(super) fn backward_weights(
     shape: &ConvShape,
     x: &[f32],
@@ -158,7 +158,7 @@ pub(super) fn backward_weights(
     });
 }
 
-/// Gradient of the input of one picture.
+/// Gradient of the input of one image.
 pub(super) fn backward_input(
     shape: &ConvShape,
     dy: &[f32],

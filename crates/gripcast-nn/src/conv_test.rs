@@ -8,7 +8,7 @@ fn numbers(seed: usize, count: usize) -> Vec<f32> {
 }
 
 /// Calls `told` with the places in input, weights and output of every product.
-fn each_product(shape: &ConvShape, mut told: impl FnMut(usize, usize, usize)) {
+fn each_product(shape: &ConvShape, mut on_progress: impl FnMut(usize, usize, usize)) {
     let [height, width, inputs] = shape.input;
     let [rows, columns, outputs] = shape.output();
     for (y, x) in (0..rows).flat_map(|y| (0..columns).map(move |x| (y, x))) {
@@ -24,7 +24,7 @@ fn each_product(shape: &ConvShape, mut told: impl FnMut(usize, usize, usize)) {
             }
             for input in 0..inputs {
                 for output in 0..outputs {
-                    told(
+                    on_progress(
                         (v * width + u) * inputs + input,
                         ((i * shape.kernel + j) * inputs + input) * outputs + output,
                         (y * columns + x) * outputs + output,

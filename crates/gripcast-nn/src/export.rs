@@ -6,7 +6,7 @@
 
 use tract_onnx::pb::{GraphProto, NodeProto, TensorProto, tensor_proto::DataType};
 
-use crate::architecture::{Architecture, ConvSpec, PICTURE, Part};
+use crate::architecture::{Architecture, ConvSpec, IMAGE, Part};
 use crate::network::{Network, Sense};
 use crate::predict::ModelContract;
 use crate::predict::contract::{INPUT_SHAPE, InputName, OUTPUT, OUTPUT_SHAPE};
@@ -50,7 +50,7 @@ fn sense(input: InputName) -> Sense {
     }
 }
 
-/// A shape for any number of pictures at once.
+/// A shape for any number of images at once.
 fn of_any_batch<const N: usize>(mut shape: [i64; N]) -> [i64; N] {
     shape[0] = OPEN_BATCH;
     shape
@@ -191,8 +191,8 @@ fn channels_first(weight: &[f32], [pixels, channels]: [usize; 2], columns: usize
 }
 
 const _: () = {
-    // The file's inputs and the network's pictures are of one size.
-    assert!(INPUT_SHAPE[1] as usize == PICTURE[2] && INPUT_SHAPE[2] as usize == PICTURE[0]);
+    // The file's inputs and the network's images are of one size.
+    assert!(INPUT_SHAPE[1] as usize == IMAGE[2] && INPUT_SHAPE[2] as usize == IMAGE[0]);
 };
 
 /// A file's graph that is one of our networks.
@@ -261,7 +261,7 @@ impl<'a> Recognised<'a> {
 fn sizes(graph: &GraphProto, input: InputName) -> Option<Architecture> {
     let sense = sense(input);
     let outputs = |name: &str, at: usize| dims(constant(graph, name)?)?.get(at).copied();
-    let mut side = [PICTURE[0], PICTURE[1]];
+    let mut side = [IMAGE[0], IMAGE[1]];
     let mut convolutions = Vec::new();
     while let Some(node) = node(graph, &format!("{input}_conv{}", convolutions.len() + 1)) {
         let first = |name: &str| ints(node, name)?.first().copied();

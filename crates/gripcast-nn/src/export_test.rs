@@ -50,22 +50,21 @@ fn network(architecture: &Architecture, variant: Variant, draw: &mut SeedStream)
     network
 }
 
-/// Pictures CHW, and the same as a batch of one.
-fn pictures(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
+/// Images CHW, and the same as a batch of one.
+fn images(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
     let mut input = ModelInput::zeros(model.contract()).unwrap();
     let mut batch = Batch {
         targets: vec![0.0],
         weights: vec![1.0],
         ..Batch::default()
     };
-    let mut picture = || {
+    let mut image = || {
         image::RgbImage::from_fn(320, 240, |_, _| {
             image::Rgb([0; 3].map(|_: u8| draw.bits() as u8))
         })
     };
     for name in [InputName::TactileLeft, InputName::TactileRight] {
-        let difference =
-            gripcast_imaging::TactileDifference::between(&picture(), &picture()).unwrap();
+        let difference = gripcast_imaging::TactileDifference::between(&image(), &image()).unwrap();
         input.set_tactile(name, &difference).unwrap();
         if model.contract().variant != Variant::V {
             batch
@@ -73,7 +72,7 @@ fn pictures(model: &Model, draw: &mut SeedStream) -> (ModelInput, Batch) {
                 .extend(difference.levels().iter().map(|x| f32::from(*x) / 255.0));
         }
     }
-    let rgb = picture();
+    let rgb = image();
     input.set_rgb(&rgb).unwrap();
     if model.contract().variant != Variant::T {
         batch
@@ -99,7 +98,7 @@ fn the_network_and_both_engines_agree_on_its_file() {
         let tract = Model::on_tract(&bytes).unwrap();
         assert!(!tract.is_on_own_engine());
         for _ in 0..3 {
-            let (input, batch) = pictures(&own, &mut draw);
+            let (input, batch) = images(&own, &mut draw);
             let logit = f64::from(network.logits(&batch)[0]) / contract.temperature;
             let expected = 1.0 / (1.0 + (-logit).exp());
             let found = [&own, &tract].map(|model| model.predict(&input).unwrap().p_stable);
@@ -117,7 +116,7 @@ fn a_graph_with_anything_else_in_it_goes_to_the_general_engine() {
     let network = network(&architecture, Variant::T, &mut draw);
     let bytes = to_onnx(&network, &contract(Variant::T, 1.0)).unwrap();
     let whole = Model::from_bytes(&bytes).unwrap();
-    let (input, _) = pictures(&whole, &mut draw);
+    let (input, _) = images(&whole, &mut draw);
     let expected = whole.predict(&input).unwrap().p_stable;
     let altered = |change: &dyn Fn(&mut GraphProto)| {
         let mut proto = onnx::decode(&bytes).unwrap();

@@ -1,4 +1,4 @@
-//! Layers of a trained network: weights packed once, one picture at a time.
+//! Layers of a trained network: weights packed once, one image at a time.
 
 use super::conv::{ConvShape, Multiply};
 use super::lanes::{Isa, Lanes, WithLanes};
@@ -7,7 +7,7 @@ use super::product::{Finish, Output, Packed, multiply_patches};
 /// Sides of windows for which [`Patches`] is compiled.
 const PATCH_SIDES: [usize; 3] = [2, 4, 8];
 
-/// A picture HWC with a border of zeros, which windows may read.
+/// An image HWC with a border of zeros, which windows may read.
 #[derive(Clone, Debug)]
 pub(crate) struct Padded {
     size: [usize; 3],
@@ -16,7 +16,7 @@ pub(crate) struct Padded {
 }
 
 impl Padded {
-    /// A black picture of height, width and channels with a border of so many pixels.
+    /// A black image of height, width and channels with a border of so many pixels.
     pub(crate) fn new(size: [usize; 3], border: usize) -> Self {
         let [height, width, channels] = size;
         let floats = (height + 2 * border) * (width + 2 * border) * channels;
@@ -32,7 +32,7 @@ impl Padded {
         (self.size[1] + 2 * self.border) * self.size[2]
     }
 
-    /// Place of a pixel that lies `border` pixels within the picture with its border.
+    /// Place of a pixel that lies `border` pixels within the image with its border.
     fn at(&self, border: usize) -> usize {
         let inset = self.border - border;
         inset * self.row() + inset * self.size[2]
@@ -56,7 +56,7 @@ impl Padded {
     pub(crate) fn pool(&self, window: [usize; 2], means: &mut Vec<f32>) {
         let [height, width, channels] = self.size;
         let [tall, wide] = window;
-        let share = 1.0 / (tall * wide) as f32;
+        let fraction = 1.0 / (tall * wide) as f32;
         for y in 0..height / tall {
             for x in 0..width / wide {
                 let begun = means.len();
@@ -66,7 +66,7 @@ impl Padded {
                     let pixels = self.values[from..][..wide * channels].chunks_exact(channels);
                     for pixel in pixels {
                         for (mean, value) in means[begun..].iter_mut().zip(pixel) {
-                            *mean += share * value;
+                            *mean += fraction * value;
                         }
                     }
                 }
@@ -127,7 +127,7 @@ impl Convolution {
         }
     }
 
-    /// Convolves a picture whose border is as wide as the convolution's padding.
+    /// Convolves an image whose border is as wide as the convolution's padding.
     pub(crate) fn of(&self, x: &Padded, y: &mut Padded) {
         let (rows, [height, _, width]) = self.shape.rows();
         let step = x.row();
@@ -219,7 +219,7 @@ impl Dense {
         }
     }
 
-    /// A layer of the pixels of a picture HWC; `weights` has its rows for planes.
+    /// A layer of the pixels of an image HWC; `weights` has its rows for planes.
     pub(crate) fn of_planes(
         [pixels, channels]: [usize; 2],
         weights: &[f32],

@@ -27,7 +27,7 @@ pub mod predict;
 mod product;
 
 pub use adam::{Adam, linear_schedule};
-pub use architecture::{Architecture, ConvSpec, Layout, PICTURE, Part};
+pub use architecture::{Architecture, ConvSpec, IMAGE, Layout, Part};
 pub use export::to_onnx;
 pub use lanes::vector_bits;
 pub use network::{Batch, Network, Step};

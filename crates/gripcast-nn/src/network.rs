@@ -2,24 +2,24 @@
 
 use rayon::prelude::*;
 
-use super::architecture::{Architecture, EncoderParts, Layout, PICTURE, Part};
+use super::architecture::{Architecture, EncoderParts, IMAGE, Layout, Part};
 use super::batch_norm::{self, Moments};
 use super::conv::{self, ConvShape, Scratch};
 use super::product::{Finish, Packed};
 use crate::predict::contract::Variant;
 
-/// Share of a batch's moments in the running ones, at least.
+/// Fraction of a batch's moments in the running ones, at least.
 const MOMENTUM: f32 = 0.1;
 /// Parts of a batch whose gradients are summed on their own, so that sums do not depend on the
 /// number of threads.
 const GROUPS: usize = 8;
 
-/// Pictures of a batch, HWC floats one after the other; empty where the classifier lacks the sense.
+/// Images of a batch, HWC floats one after the other; empty where the classifier lacks the sense.
 #[derive(Clone, Debug, Default)]
 pub struct Batch {
     /// All left tactile differences, then all right ones.
     pub touch: Vec<f32>,
-    /// Colour pictures.
+    /// Colour images.
     pub vision: Vec<f32>,
     /// 1 for a stable grasp, 0 for a lost one.
     pub targets: Vec<f32>,
@@ -41,7 +41,7 @@ pub struct Step {
 pub(crate) enum Sense {
     /// Of tactile differences.
     Touch,
-    /// Of the colour picture.
+    /// Of the colour image.
     Vision,
 }
 
@@ -231,10 +231,10 @@ impl Network {
         loss
     }
 
-    /// Gives the batch's moments their share in the running ones.
+    /// Gives the batch's moments their fraction in the running ones.
     fn update_moments(&mut self, passes: &[EncoderPass], number: u64) {
         // At the beginning the mean of all batches: the first moments stand for nothing.
-        let share = MOMENTUM.max(1.0 / (number + 1) as f32);
+        let fraction = MOMENTUM.max(1.0 / (number + 1) as f32);
         let encoders: Vec<EncoderParts> = self.encoder_parts().into_iter().cloned().collect();
         for (encoder, pass) in encoders.iter().zip(passes) {
             for ([mean, variance], (moments, z)) in
@@ -245,7 +245,7 @@ impl Network {
                 let unbiased = count / (count - 1.0).max(1.0);
                 let keep = |running: &mut [f32], found: &[f32], factor: f32| {
                     for (running, found) in running.iter_mut().zip(found) {
-                        *running += share * (found * factor - *running);
+                        *running += fraction * (found * factor - *running);
                     }
                 };
                 keep(&mut self.moments[mean.clone()], &moments.mean, 1.0);
@@ -276,18 +276,18 @@ impl Network {
         let parts = self.encoder_parts();
         passes.resize_with(parts.len(), EncoderPass::default);
         for ((parts, images), pass) in parts.into_iter().zip(self.inputs(batch)).zip(passes) {
-            self.encode_pictures(parts, images, is_training, pass);
+            self.encode_images(parts, images, is_training, pass);
         }
     }
 
-    fn encode_pictures(
+    fn encode_images(
         &self,
         parts: &EncoderParts,
         images: &[f32],
         is_training: bool,
         pass: &mut EncoderPass,
     ) {
-        let count = images.len() / PICTURE.iter().product::<usize>();
+        let count = images.len() / IMAGE.iter().product::<usize>();
         pass.z.resize_with(self.shapes.len(), Vec::new);
         pass.a.resize_with(self.shapes.len(), Vec::new);
         pass.moments.clear();
@@ -325,7 +325,7 @@ impl Network {
 
     /// Height, width and channels of what the last convolution gives.
     fn last(&self) -> [usize; 3] {
-        self.shapes.last().map_or(PICTURE, ConvShape::output)
+        self.shapes.last().map_or(IMAGE, ConvShape::output)
     }
 
     /// Means over windows.
@@ -334,7 +334,7 @@ impl Network {
         let image: usize = self.last().iter().product();
         let [rows, columns, _] = self.architecture.pooled();
         let [tall, wide] = self.architecture.pool;
-        let share = 1.0 / (tall * wide) as f32;
+        let fraction = 1.0 / (tall * wide) as f32;
         let mut pooled = vec![0.0; count * rows * columns * channels];
         for (a, pooled) in a
             .chunks_exact(image)
@@ -346,7 +346,7 @@ impl Network {
                     let from = (y * width + column) * channels;
                     for pixel in a[from..from + wide * channels].chunks_exact(channels) {
                         for (pooled, a) in pooled.iter_mut().zip(pixel) {
-                            *pooled += share * a;
+                            *pooled += fraction * a;
                         }
                     }
                 }
@@ -361,7 +361,7 @@ impl Network {
         let image: usize = self.last().iter().product();
         let [rows, columns, _] = self.architecture.pooled();
         let [tall, wide] = self.architecture.pool;
-        let share = 1.0 / (tall * wide) as f32;
+        let fraction = 1.0 / (tall * wide) as f32;
         let count = dpooled.len() / (rows * columns * channels);
         d.clear();
         d.resize(count * image, 0.0);
@@ -375,7 +375,7 @@ impl Network {
                     let from = (y * width + column) * channels;
                     for pixel in d[from..from + wide * channels].chunks_exact_mut(channels) {
                         for (d, dpooled) in pixel.iter_mut().zip(dpooled) {
-                            *d = share * dpooled;
+                            *d = fraction * dpooled;
                         }
                     }
                 }

@@ -29,11 +29,11 @@ fn tiny() -> Architecture {
 }
 
 fn batch(variant: Variant, count: usize, draw: &mut impl FnMut() -> f64) -> Batch {
-    let picture: usize = PICTURE.iter().product();
-    let mut pictures = |n: usize| (0..n * picture).map(|_| (draw() - 0.5) as f32).collect();
+    let image: usize = IMAGE.iter().product();
+    let mut images = |n: usize| (0..n * image).map(|_| (draw() - 0.5) as f32).collect();
     Batch {
-        touch: pictures(2 * count * usize::from(variant.has_touch())),
-        vision: pictures(count * usize::from(variant.has_vision())),
+        touch: images(2 * count * usize::from(variant.has_touch())),
+        vision: images(count * usize::from(variant.has_vision())),
         targets: (0..count).map(|i| (i % 2) as f32).collect(),
         weights: (0..count).map(|i| 0.5 + i as f32).collect(),
     }
@@ -66,8 +66,8 @@ fn every_gradient_is_the_slope_of_the_loss() {
             moved.learn(&batch, &step, &mut vec![0.0; gradient.len()])
         };
         // ReLUs bend the loss, floats round it: one of the steps is between both.
-        let off = [1e-2, 3e-3, 1e-3].map(|share| {
-            let step = share * size;
+        let off = [1e-2, 3e-3, 1e-3].map(|fraction| {
+            let step = fraction * size;
             ((loss(step) - loss(-step)) / (2.0 * step) / norm - 1.0).abs()
         });
         let least = off.into_iter().fold(f64::INFINITY, f64::min);

@@ -1,6 +1,6 @@
 //! The inner loops of all layers: sums of products kept in registers.
 //!
-//! A product is C = A·B with B packed into panels. Rows of A are gathered from a picture: one row
+//! A product is C = A·B with B packed into panels. Rows of A are gathered from an image: one row
 //! is the window of a convolution at one pixel, a few runs of neighbouring floats. Nothing is
 //! copied into a matrix first.
 

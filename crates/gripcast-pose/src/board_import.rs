@@ -19,7 +19,7 @@ use super::yaml;
 use gripcast_base::error::{Error, Result};
 
 /// Most markers of an imported board.
-const MOST_MARKERS: u64 = 1024;
+const MAX_MARKERS: u64 = 1024;
 
 /// Program whose file is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,7 +103,7 @@ pub fn import_kalibr(text: &str, name: &str, dictionary: Option<&Dictionary>) ->
     let side = target.side.ok_or_else(|| missing("tagSize"))?;
     let spacing = target.spacing.ok_or_else(|| missing("tagSpacing"))?;
     if !(0.0..=2.0).contains(&spacing) {
-        let what = format!("tagSpacing must be a share of tagSize, found {spacing}");
+        let what = format!("tagSpacing must be a fraction of tagSize, found {spacing}");
         return Err(Error::input(what).remedy("divide the gap between two tags by tagSize"));
     }
     let grid = Grid {
@@ -176,9 +176,9 @@ struct Grid {
 impl Grid {
     fn board(&self, name: &str, dictionary: &Dictionary) -> Result<BoardFile> {
         let count = u64::from(self.columns) * u64::from(self.rows);
-        if count == 0 || count > MOST_MARKERS {
+        if count == 0 || count > MAX_MARKERS {
             let what = format!(
-                "a grid must have from 1 to {MOST_MARKERS} markers, found {} × {}",
+                "a grid must have from 1 to {MAX_MARKERS} markers, found {} × {}",
                 self.columns, self.rows
             );
             return Err(Error::input(what));
@@ -350,7 +350,7 @@ tagSpacing: 0.3          #ratio of space between tags to tagSize
                 "tagSize: 88 ",
                 "millimetres where metres",
             ),
-            ("tagSpacing: 0.3", "tagSpacing: 26.4", "share of tagSize"),
+            ("tagSpacing: 0.3", "tagSpacing: 26.4", "fraction of tagSize"),
             ("tagRows: 5\n", "", "no tagRows"),
             ("tagCols: 6", "tagCols: 200", "does not fit"),
         ] {

@@ -5,11 +5,11 @@ use glam::{DMat2, DVec2, DVec3};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
 /// Steps of Newton's method that any usable lens needs fewer than.
-const MOST_STEPS: usize = 30;
+const MAX_STEPS: usize = 30;
 /// Change of ideal coordinates at which Newton's method has converged; far below 1e-6 px.
 const CONVERGED: f64 = 1e-12;
 /// Nearest depth that is in front of the camera, m.
-const NEAREST_M: f64 = 1e-6;
+const MIN_M: f64 = 1e-6;
 
 /// Pixel of a point of the camera's frame (m); none behind the camera or where the lens model
 /// folds over.
@@ -22,7 +22,7 @@ pub fn project_with_jacobian(
     intrinsics: &Intrinsics,
     point_m: DVec3,
 ) -> Option<(DVec2, [DVec3; 2])> {
-    if !(point_m.is_finite() && point_m.z > NEAREST_M) {
+    if !(point_m.is_finite() && point_m.z > MIN_M) {
         return None;
     }
     let inverse_z = point_m.z.recip();
@@ -75,7 +75,7 @@ fn distort(intrinsics: &Intrinsics, ideal: DVec2) -> Option<(DVec2, DMat2)> {
         DistortionModel::None => Some((ideal, DMat2::IDENTITY)),
         DistortionModel::BrownConrady => {
             let (bent, derivative) = polynomial(k, ideal);
-            // Beyond the fold far points come back into the picture.
+            // Beyond the fold far points come back into the image.
             let unfolded = derivative.determinant() > 0.0 && derivative.col(0).x > 0.0;
             unfolded.then_some((bent, derivative))
         }
@@ -116,7 +116,7 @@ fn polynomial(k: &[f64; 5], at: DVec2) -> (DVec2, DMat2) {
 /// What the polynomial maps onto `target`, by Newton's method from `target`.
 fn invert(k: &[f64; 5], target: DVec2) -> Option<DVec2> {
     let mut at = target;
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         let (value, derivative) = polynomial(k, at);
         if !(derivative.determinant() > 0.0 && derivative.col(0).x > 0.0) {
             return None;
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_picture_has_no_pixel() {
+    fn what_has_no_image_has_no_pixel() {
         let plain = lens(DistortionModel::None);
         for point in [
             DVec3::new(0.0, 0.0, 0.0),

@@ -2,7 +2,7 @@
 //!
 //! S. Garrido-Jurado et al., *Automatic generation and detection of highly reliable fiducial
 //! markers under occlusion*, Pattern Recognition 47 (2014), describe the markers; the squares'
-//! inner corners are saddle points of the picture, which blur leaves where they are.
+//! inner corners are saddle points of the image, which blur leaves where they are.
 
 use glam::{DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ const SQUARES: [u32; 2] = [3, 60];
 /// How far a marker may be from the middle of its square, relative to the square.
 const OFF_CENTRE: f64 = 0.03;
 /// Largest marker, relative to its square: detectors need white around it.
-const LARGEST_MARKER: f64 = 0.9;
+const MAX_MARKER: f64 = 0.9;
 
 /// Black and white squares around the middle of a board's object frame: x along the rows to the
 /// right, y up, z out of the sheet.
@@ -116,7 +116,7 @@ impl Chessboard {
         self.check_size()?;
         for (marker, square) in marker_mm.iter().zip(self.square_mm) {
             check_side(1e-3 * marker)?;
-            if *marker > LARGEST_MARKER * square {
+            if *marker > MAX_MARKER * square {
                 return Err(Error::input(format!(
                     "markers of {marker:.2} mm leave no white in squares of {square:.2} mm"
                 ))
@@ -202,7 +202,7 @@ impl Chessboard {
         }
         let right: DVec3 = marker.corners_m[1] - marker.corners_m[0];
         let [width, _] = self.square_mm;
-        if right.length() > 1e-3 * LARGEST_MARKER * width {
+        if right.length() > 1e-3 * MAX_MARKER * width {
             return Err(bad("is too large for its square"));
         }
         Ok(())

@@ -5,7 +5,7 @@ use image::GrayImage;
 
 use gripcast_base::error::Result;
 
-/// A marker found in a picture.
+/// A marker found in an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Detection {
     /// Its number in the dictionary.
@@ -19,15 +19,15 @@ pub struct Detection {
     pub margin: f32,
 }
 
-/// Finds markers of one dictionary in grey pictures.
+/// Finds markers of one dictionary in grey images.
 pub trait MarkerDetector: Send {
     /// Its name on the command line.
     fn name(&self) -> &'static str;
 
-    /// All markers of a picture, by id. Ids outside of the whitelist given at construction are
+    /// All markers of an image, by id. Ids outside of the whitelist given at construction are
     /// not reported.
     ///
     /// # Errors
-    /// `Input` for a picture that is too small or too large.
-    fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>>;
+    /// `Input` for an image that is too small or too large.
+    fn detect(&mut self, image: &GrayImage) -> Result<Vec<Detection>>;
 }

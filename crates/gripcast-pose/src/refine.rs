@@ -20,16 +20,16 @@ use super::Detection;
 use gripcast_imaging::srgb_decode;
 
 /// Most passes over the four sides; each samples along the lines of the one before.
-const MOST_PASSES: usize = 10;
+const MAX_PASSES: usize = 10;
 /// Corners that move less than this in a pass have arrived, px.
 const ARRIVED_PX: f64 = 0.005;
 /// Samples of the widest profile.
-const MOST_SAMPLES: usize = 15;
+const MAX_SAMPLES: usize = 15;
 /// Part of a side at each end that the other side's blur reaches.
 const ENDS: f64 = 0.12;
 /// Fewest profiles of a side, and fewest that its line is fitted to.
-const LEAST_PROFILES: usize = 8;
-const LEAST_FITTED: usize = 5;
+const MIN_PROFILES: usize = 8;
+const MIN_FITTED: usize = 5;
 /// Half-width of a profile: a part of the side between two limits, px.
 const HALF_OF_SIDE: f64 = 1.0 / 12.0;
 const HALF_WIDTH_PX: (f64, f64) = (1.5, 3.0);
@@ -38,25 +38,25 @@ const STEP_PX: f64 = 0.5;
 /// Reach of the light that is summed to both sides of an edge, as a part of the blur, and at least,
 /// in samples: what lies beyond is noise or another edge.
 const REACH_OF_BLUR: f64 = 1.3;
-const LEAST_REACH: usize = 2;
+const MIN_REACH: usize = 2;
 /// Profiles with less contrast than this part of the median are not of this edge.
 const FAINT: f64 = 0.3;
 /// Residuals within this many robust deviations are kept.
 const KEPT_DEVIATIONS: f64 = 3.0;
 /// Residuals of a perfect line, px.
-const LEAST_DEVIATION_PX: f64 = 0.02;
+const MIN_DEVIATION_PX: f64 = 0.02;
 /// Corners that move farther than this follow something else, px.
-const FARTHEST_PX: f64 = 4.0;
+const MAX_PX: f64 = 4.0;
 
 /// The detection with corners where lines along its border meet; unchanged where the border does
 /// not show four lines near the corners that were found.
 ///
 /// Expects a dark border on a bright surround.
 #[must_use]
-pub fn refine_corners(picture: &GrayImage, detection: &Detection) -> Detection {
+pub fn refine_corners(image: &GrayImage, detection: &Detection) -> Detection {
     let mut corners = detection.corners_px;
-    for _ in 0..MOST_PASSES {
-        let Some(next) = pass(picture, &corners) else {
+    for _ in 0..MAX_PASSES {
+        let Some(next) = pass(image, &corners) else {
             return detection.clone();
         };
         let step = farthest(&next, &corners);
@@ -65,7 +65,7 @@ pub fn refine_corners(picture: &GrayImage, detection: &Detection) -> Detection {
             break;
         }
     }
-    let is_near = farthest(&corners, &detection.corners_px) < FARTHEST_PX;
+    let is_near = farthest(&corners, &detection.corners_px) < MAX_PX;
     if !(is_near && corners.iter().all(|c| c.is_finite())) {
         return detection.clone();
     }
@@ -82,10 +82,10 @@ fn farthest(a: &[DVec2; 4], b: &[DVec2; 4]) -> f64 {
 
 /// [`refine_corners`] of all detections.
 #[must_use]
-pub fn refine_all(picture: &GrayImage, detections: &[Detection]) -> Vec<Detection> {
+pub fn refine_all(image: &GrayImage, detections: &[Detection]) -> Vec<Detection> {
     detections
         .iter()
-        .map(|detection| refine_corners(picture, detection))
+        .map(|detection| refine_corners(image, detection))
         .collect()
 }
 
@@ -99,25 +99,25 @@ pub struct Sharpness {
     pub contrast: f64,
 }
 
-/// Sharpness of the markers of a picture: the median over them. None without markers.
+/// Sharpness of the markers of an image: the median over them. None without markers.
 #[must_use]
-pub fn sharpness(picture: &GrayImage, detections: &[Detection]) -> Option<Sharpness> {
+pub fn sharpness(image: &GrayImage, detections: &[Detection]) -> Option<Sharpness> {
     let mut all: Vec<Sharpness> = detections
         .iter()
-        .filter_map(|d| marker_sharpness(picture, &d.corners_px))
+        .filter_map(|d| marker_sharpness(image, &d.corners_px))
         .collect();
     all.sort_by(|a, b| a.blur_px.total_cmp(&b.blur_px));
     all.get(all.len() / 2).copied()
 }
 
-fn marker_sharpness(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpness> {
+fn marker_sharpness(image: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpness> {
     let mut sides = [Sharpness {
         blur_px: 0.0,
         contrast: 0.0,
     }; 4];
     for (i, side) in sides.iter_mut().enumerate() {
         let edge = Edge::new(corners, i)?;
-        let seen = Side::sample(picture, edge)?;
+        let seen = Side::sample(image, edge)?;
         let (blur_px, contrast) = (seen.blur_px()?, seen.contrast());
         *side = Sharpness { blur_px, contrast };
     }
@@ -135,10 +135,10 @@ fn marker_sharpness(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<Sharpne
 }
 
 /// New corners from a line along each side.
-fn pass(picture: &GrayImage, corners: &[DVec2; 4]) -> Option<[DVec2; 4]> {
+fn pass(image: &GrayImage, corners: &[DVec2; 4]) -> Option<[DVec2; 4]> {
     let mut sides = Vec::with_capacity(4);
     for i in 0..4 {
-        sides.push(Side::sample(picture, Edge::new(corners, i)?)?);
+        sides.push(Side::sample(image, Edge::new(corners, i)?)?);
     }
     let mut lines = [(DVec2::ZERO, DVec2::ZERO); 4];
     for (line, side) in lines.iter_mut().zip(&sides) {
@@ -160,9 +160,9 @@ fn intersection((p, d): (DVec2, DVec2), (q, e): (DVec2, DVec2)) -> Option<DVec2>
 /// Samples across a side, from inside to outside.
 struct Profile {
     /// Levels as the camera stored them.
-    levels: [f64; MOST_SAMPLES],
+    levels: [f64; MAX_SAMPLES],
     /// Light, from 0 to 1; interpolated as light, as an edge is as steep as a pixel is wide.
-    light: [f64; MOST_SAMPLES],
+    light: [f64; MAX_SAMPLES],
 }
 
 /// A side of a marker, to be sampled across.
@@ -199,13 +199,13 @@ impl Edge {
 
     /// Places of profiles along the side, px from its middle.
     fn positions(&self) -> impl Iterator<Item = f64> {
-        let count = LEAST_PROFILES.max(self.length as usize);
+        let count = MIN_PROFILES.max(self.length as usize);
         let span = (1.0 - 2.0 * ENDS) * self.length;
         (0..count).map(move |i| span * (i as f64 / (count - 1) as f64 - 0.5))
     }
 
     fn samples(&self) -> usize {
-        (2 * ((self.half_width + 0.5) / STEP_PX) as usize + 1).min(MOST_SAMPLES)
+        (2 * ((self.half_width + 0.5) / STEP_PX) as usize + 1).min(MAX_SAMPLES)
     }
 
     /// Distance of sample `i` from the side, outwards, px.
@@ -214,21 +214,21 @@ impl Edge {
     }
 
     /// Levels across the side, from inside to outside, [`Self::samples`] of them; none
-    /// beyond the picture's border.
-    fn profile(&self, picture: &GrayImage, along: f64) -> Option<Profile> {
+    /// beyond the image's border.
+    fn profile(&self, image: &GrayImage, along: f64) -> Option<Profile> {
         let on_side = self.middle + self.direction * along;
         let mut profile = Profile {
-            levels: [0.0; MOST_SAMPLES],
-            light: [0.0; MOST_SAMPLES],
+            levels: [0.0; MAX_SAMPLES],
+            light: [0.0; MAX_SAMPLES],
         };
         for i in 0..self.samples() {
             [profile.levels[i], profile.light[i]] =
-                bilinear(picture, on_side + self.outward * self.across(i))?;
+                bilinear(image, on_side + self.outward * self.across(i))?;
         }
         Some(profile)
     }
 
-    fn mean<'a>(&self, profiles: impl Iterator<Item = &'a [f64; MOST_SAMPLES]>) -> Vec<f64> {
+    fn mean<'a>(&self, profiles: impl Iterator<Item = &'a [f64; MAX_SAMPLES]>) -> Vec<f64> {
         let mut sums = vec![0.0; self.samples()];
         let mut count = 0.0;
         for profile in profiles {
@@ -241,7 +241,7 @@ impl Edge {
     }
 }
 
-/// An edge with what the picture shows across it.
+/// An edge with what the image shows across it.
 struct Side {
     edge: Edge,
     /// Places along the edge, px from its middle, and the profile there.
@@ -251,12 +251,12 @@ struct Side {
 }
 
 impl Side {
-    /// None where the picture shows less than a line needs.
-    fn sample(picture: &GrayImage, edge: Edge) -> Option<Self> {
-        let at = |along| Some((along, edge.profile(picture, along)?));
+    /// None where the image shows less than a line needs.
+    fn sample(image: &GrayImage, edge: Edge) -> Option<Self> {
+        let at = |along| Some((along, edge.profile(image, along)?));
         let profiles: Vec<_> = edge.positions().filter_map(at).collect();
         let light = edge.mean(profiles.iter().map(|p| &p.1.light));
-        (profiles.len() >= LEAST_FITTED).then_some(Self {
+        (profiles.len() >= MIN_FITTED).then_some(Self {
             edge,
             profiles,
             light,
@@ -268,7 +268,7 @@ impl Side {
         let edge = &self.edge;
         let last = self.light.len() - 1;
         let reach = (REACH_OF_BLUR * self.blur_px()? / STEP_PX).round() as usize;
-        let reach = reach.clamp(LEAST_REACH, last / 2);
+        let reach = reach.clamp(MIN_REACH, last / 2);
         let within = last / 2 - reach..=last / 2 + reach;
         let (dark, bright) = (self.light[*within.start()], self.light[*within.end()]);
         let contrast = bright - dark;
@@ -317,7 +317,7 @@ fn robust_line(mut points: Vec<[f64; 3]>) -> Option<[f64; 2]> {
     for _ in 0..3 {
         let residual = |p: &[f64; 3], line: &[f64; 2]| (p[1] - line[0] - line[1] * p[0]).abs();
         let deviation = 1.4826 * median(points.iter().map(|p| residual(p, &line)))?;
-        let limit = KEPT_DEVIATIONS * deviation.max(LEAST_DEVIATION_PX);
+        let limit = KEPT_DEVIATIONS * deviation.max(MIN_DEVIATION_PX);
         points.retain(|p| residual(p, &line) < limit);
         line = fitted(&points)?;
     }
@@ -325,7 +325,7 @@ fn robust_line(mut points: Vec<[f64; 3]>) -> Option<[f64; 2]> {
 }
 
 fn fitted(points: &[[f64; 3]]) -> Option<[f64; 2]> {
-    if points.len() < LEAST_FITTED {
+    if points.len() < MIN_FITTED {
         return None;
     }
     let count = points.len() as f64;
@@ -337,9 +337,9 @@ fn fitted(points: &[[f64; 3]]) -> Option<[f64; 2]> {
     slope.is_finite().then_some([y - slope * x, slope])
 }
 
-/// Level, and light from 0 to 1, between pixels; none outside of the picture.
-fn bilinear(picture: &GrayImage, at: DVec2) -> Option<[f64; 2]> {
-    let (width, height) = (picture.width() as usize, picture.height() as usize);
+/// Level, and light from 0 to 1, between pixels; none outside of the image.
+fn bilinear(image: &GrayImage, at: DVec2) -> Option<[f64; 2]> {
+    let (width, height) = (image.width() as usize, image.height() as usize);
     // Written so that NaN is outside as well.
     let inside =
         at.x >= 0.0 && at.y >= 0.0 && at.x <= (width as f64) - 1.0 && at.y <= (height as f64) - 1.0;
@@ -349,7 +349,7 @@ fn bilinear(picture: &GrayImage, at: DVec2) -> Option<[f64; 2]> {
     let (x, y) = (at.x as usize, at.y as usize);
     let (fx, fy) = (at.x - x as f64, at.y - y as f64);
     let (right, below) = ((x + 1).min(width - 1), (y + 1).min(height - 1));
-    let pixels = picture.as_raw();
+    let pixels = image.as_raw();
     let levels =
         [(x, y), (right, y), (x, below), (right, below)].map(|(x, y)| pixels[y * width + x]);
     let mixed = |[a, b, c, d]: [f64; 4]| {

@@ -7,11 +7,11 @@ use rand_pcg::Pcg64;
 
 use super::refine::*;
 use crate::synthetic::{
-    GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera,
+    GraspScene, ImageConditions, SyntheticImage, gripper_markers, ring_board, test_camera,
 };
 use crate::{Detection, Dictionary, Part};
 
-fn picture(index: u64, conditions: &PictureConditions) -> SyntheticPicture {
+fn image(index: u64, conditions: &ImageConditions) -> SyntheticImage {
     let dictionary = Dictionary::by_name("36h11").unwrap();
     let board = ring_board(&dictionary);
     let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
@@ -20,8 +20,8 @@ fn picture(index: u64, conditions: &PictureConditions) -> SyntheticPicture {
 }
 
 /// Errors of corners refined from places up to 1.2 px off the truth.
-fn errors(index: u64, conditions: &PictureConditions) -> Vec<DVec2> {
-    let seen = picture(index, conditions);
+fn errors(index: u64, conditions: &ImageConditions) -> Vec<DVec2> {
+    let seen = image(index, conditions);
     let mut random = Pcg64::seed_from_u64(index);
     let mut errors = Vec::new();
     for truth in &seen.truth {
@@ -30,7 +30,7 @@ fn errors(index: u64, conditions: &PictureConditions) -> Vec<DVec2> {
             let mut off = || random.random_range(-0.85..0.85);
             *corner += DVec2::new(off(), off());
         }
-        let found = refine_corners(&seen.picture, &rough);
+        let found = refine_corners(&seen.image, &rough);
         errors.extend((0..4).map(|i| found.corners_px[i] - truth.corners_px[i]));
     }
     errors
@@ -45,7 +45,7 @@ fn quantile(errors: &[DVec2], part: f64) -> f64 {
 #[test]
 fn corners_are_exact_to_hundredths_of_a_pixel_and_not_biased() {
     let errors: Vec<DVec2> = (0..4)
-        .flat_map(|index| errors(index, &PictureConditions::default()))
+        .flat_map(|index| errors(index, &ImageConditions::default()))
         .collect();
     assert!(errors.len() > 150, "{}", errors.len());
     let bias = errors.iter().sum::<DVec2>() / errors.len() as f64;
@@ -56,24 +56,24 @@ fn corners_are_exact_to_hundredths_of_a_pixel_and_not_biased() {
 
 #[test]
 fn motion_blurs_without_shifting() {
-    let moving = PictureConditions {
+    let moving = ImageConditions {
         motion_px: DVec2::new(2.5, 1.7),
-        ..PictureConditions::default()
+        ..ImageConditions::default()
     };
     let errors = errors(1, &moving);
     assert!(quantile(&errors, 0.5) < 0.08, "{}", quantile(&errors, 0.5));
 }
 
 #[test]
-fn sharpness_orders_pictures_by_their_blur() {
+fn sharpness_orders_images_by_their_blur() {
     let blur = |psf_px: f64, motion_px: DVec2| {
-        let conditions = PictureConditions {
+        let conditions = ImageConditions {
             psf_px,
             motion_px,
-            ..PictureConditions::default()
+            ..ImageConditions::default()
         };
-        let seen = picture(2, &conditions);
-        sharpness(&seen.picture, &seen.truth).unwrap()
+        let seen = image(2, &conditions);
+        sharpness(&seen.image, &seen.truth).unwrap()
     };
     let sharp = blur(0.7, DVec2::ZERO);
     assert!((0.6..1.0).contains(&sharp.blur_px), "{sharp:?}");
@@ -85,7 +85,7 @@ fn sharpness_orders_pictures_by_their_blur() {
         assert!(other.blur_px > 1.2 * sharp.blur_px, "{other:?} {sharp:?}");
     }
     assert_eq!(
-        sharpness(&picture(2, &PictureConditions::default()).picture, &[]),
+        sharpness(&image(2, &ImageConditions::default()).image, &[]),
         None
     );
 }

@@ -64,9 +64,9 @@ fn engine<'a>(report: &'a Report, name: &str) -> Option<&'a EngineFacts> {
 
 fn scores(old: &Report, new: &Report) -> BTreeMap<String, [Option<f64>; 2]> {
     let names = old.engines.iter().chain(&new.engines).map(|e| &e.name);
-    let share = |report, name: &str| engine(report, name).map(|e| e.scores.paper.all.share);
+    let fraction = |report, name: &str| engine(report, name).map(|e| e.scores.paper.all.fraction);
     names
-        .map(|name| (name.clone(), [share(old, name), share(new, name)]))
+        .map(|name| (name.clone(), [fraction(old, name), fraction(new, name)]))
         .collect()
 }
 

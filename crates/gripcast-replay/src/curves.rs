@@ -6,7 +6,7 @@ use gripcast_sim::GraspSetup;
 use gripcast_sim::grasp::{StageName, Trace, TraceStep};
 
 /// Points of a curve.
-const MOST_POINTS: usize = 160;
+const MAX_POINTS: usize = 160;
 /// The curve begins this long before the first contact, s.
 const LEAD_S: f64 = 0.1;
 /// Forces below this are no contact, N.
@@ -27,7 +27,7 @@ pub(super) fn curves(trace: &Trace, setup: &GraspSetup) -> Curves {
     let contact = steps.iter().position(touches).unwrap_or(0);
     let begin = steps.get(contact).map_or(0.0, |step| step.t_s - LEAD_S);
     let shown: Vec<&TraceStep> = steps.iter().filter(|step| step.t_s >= begin).collect();
-    let stride = shown.len().div_ceil(MOST_POINTS).max(1);
+    let stride = shown.len().div_ceil(MAX_POINTS).max(1);
     let last = shown.len().saturating_sub(1);
     let kept = shown.iter().enumerate();
     let kept = kept.filter(|(i, _)| i % stride == 0 || *i == last);

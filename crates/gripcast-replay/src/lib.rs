@@ -6,6 +6,7 @@
 //! them ([`Outcomes`]) and makes the [`Report`]. It is written as JSON; the [`page`] is drawn from
 //! it. [`build_demo`] makes a dataset whose reality is simulated.
 
+mod camera_view;
 mod case;
 mod compare;
 mod curves;
@@ -13,7 +14,6 @@ mod demo;
 mod grasp_chart;
 mod html;
 mod object_file;
-mod picture;
 mod recording;
 #[cfg(test)]
 mod replay_test;
@@ -35,9 +35,9 @@ pub use object_file::{ObjectFile, ReplayObject, load_objects};
 pub use recording::{RecordedGrasp, Recording};
 pub use report::{
     CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
-    EngineFacts, GraspCell, GraspFacts, GraspReplay, LeftOut, ObjectFacts, PicturePair,
-    PoseSamples, Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores,
-    Setting, TactilePair,
+    EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut, ObjectFacts, PoseSamples,
+    Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores, Setting,
+    TactilePair,
 };
 pub use run::{EngineSweep, ReplayInput, ReplayProgress, ReplaySettings, replay};
 pub use schema::report_schema;

@@ -83,7 +83,7 @@ pub struct ReplayObject {
     pub mesh: Arc<TriangleMesh>,
     /// Its content hash.
     pub mesh_sha256: String,
-    /// What was mended in the mesh.
+    /// What was fixed in the mesh.
     pub warnings: Vec<String>,
 }
 

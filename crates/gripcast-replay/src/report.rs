@@ -52,12 +52,12 @@ pub struct Report {
 }
 
 impl Report {
-    /// The same without pictures and curves.
+    /// The same without images and curves.
     #[must_use]
     pub fn thinned(&self) -> Self {
         let mut thin = self.clone();
         for object in &mut thin.objects {
-            object.picture = None;
+            object.image = None;
         }
         for grasp in &mut thin.grasps {
             grasp.view = None;
@@ -66,8 +66,8 @@ impl Report {
             }
             for pair in &mut grasp.tactile {
                 pair.difference.clear();
-                pair.pictures.real.clear();
-                pair.pictures.sim.clear();
+                pair.images.real.clear();
+                pair.images.sim.clear();
             }
         }
         thin
@@ -123,8 +123,8 @@ pub struct ObjectFacts {
     pub grasps: usize,
     /// Of those, stable in reality.
     pub stable: usize,
-    /// Picture of the object, `data:image/jpeg;base64,…`.
-    pub picture: Option<String>,
+    /// Image of the object, `data:image/jpeg;base64,…`.
+    pub image: Option<String>,
 }
 
 /// An engine, what it was asked, and how it did.
@@ -192,7 +192,7 @@ pub struct Score {
     pub by_object: BTreeMap<String, Proportion>,
 }
 
-/// A share of grasps with its 95 % Wilson interval; cases without outcome are not counted.
+/// A fraction of grasps with its 95 % Wilson interval; cases without outcome are not counted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Proportion {
@@ -201,7 +201,7 @@ pub struct Proportion {
     /// Grasps with an outcome.
     pub n: usize,
     /// `agree / n`; 0 where n is 0.
-    pub share: f64,
+    pub fraction: f64,
     /// Lower end of the interval.
     pub low: f64,
     /// Upper end.
@@ -212,11 +212,11 @@ impl Proportion {
     /// Of some grasps that agree among those with an outcome.
     pub(crate) fn of(agree: usize, n: usize) -> Self {
         let [low, high] = wilson_interval(agree, n);
-        let share = if n == 0 { 0.0 } else { agree as f64 / n as f64 };
+        let fraction = if n == 0 { 0.0 } else { agree as f64 / n as f64 };
         Self {
             agree,
             n,
-            share,
+            fraction,
             low,
             high,
         }
@@ -292,8 +292,8 @@ pub struct GraspFacts {
     pub pose_sd_rad: Option<[f64; 3]>,
     /// What each engine made of it, in the order of the report's engines.
     pub replays: Vec<GraspReplay>,
-    /// Camera's picture before the lift, and the simulation's, `data:image/jpeg;base64,…`.
-    pub view: Option<PicturePair>,
+    /// Camera's image before the lift, and the simulation's, `data:image/jpeg;base64,…`.
+    pub view: Option<ImagePair>,
     /// Left and right sensor.
     pub tactile: Vec<TactilePair>,
 }
@@ -387,31 +387,31 @@ pub struct Curves {
     pub success_height_m: f64,
 }
 
-/// Two pictures of the same, `data:image/jpeg;base64,…`.
+/// Two images of the same, `data:image/jpeg;base64,…`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct PicturePair {
+pub struct ImagePair {
     /// As recorded.
     pub real: String,
     /// As simulated.
     pub sim: String,
 }
 
-/// A tactile difference picture (grasp minus initial, mid-grey is no change), real and simulated.
+/// A tactile difference image (grasp minus initial, mid-grey is no change), real and simulated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TactilePair {
     /// `left` or `right`.
     pub sensor: String,
     /// Real and simulated.
-    pub pictures: PicturePair,
+    pub images: ImagePair,
     /// Real minus simulated.
     pub difference: String,
     /// Overlap of both contact masks by their union; none where neither touches.
     pub contact_iou: Option<f64>,
-    /// Share of the real difference's variance that the simulated one explains.
+    /// Fraction of the real difference's variance that the simulated one explains.
     pub fve: Option<f64>,
-    /// Peak signal-to-noise ratio of the difference picture, dB.
+    /// Peak signal-to-noise ratio of the difference image, dB.
     pub psnr_db: Option<f64>,
     /// Mean absolute difference, 8-bit levels.
     pub l1: Option<f64>,
@@ -425,7 +425,7 @@ pub struct LeftOut {
     pub grasp: String,
     /// Its object.
     pub object: String,
-    /// What is missing, and how to mend it.
+    /// What is missing, and how to fix it.
     pub reason: String,
 }
 

@@ -1,18 +1,17 @@
-//! The whole replay: cases, scores, drawn poses, pictures, report.
+//! The whole replay: cases, scores, drawn poses, images, report.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
+use super::camera_view::{ViewSettings, object_image, view_pair};
 use super::case::{Case, CaseRecord, CaseStore};
 use super::object_file::ReplayObject;
-use super::picture::{ViewSettings, object_picture, view_pair};
 use super::recording::{RecordedGrasp, Recording};
 use super::report::{
-    Cost, DatasetFacts, Duel, EngineFacts, GraspCell, GraspFacts, GraspReplay, LeftOut,
-    ObjectFacts, PicturePair, PoseSamples, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Setting,
-    TactilePair,
+    Cost, DatasetFacts, Duel, EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut,
+    ObjectFacts, PoseSamples, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Setting, TactilePair,
 };
 use super::score::{Outcomes, Scored};
 use super::sweep::{SweepProgress, sweep};
@@ -42,7 +41,7 @@ pub struct EngineSweep {
 pub struct ReplaySettings {
     /// Engines in the order of the tables.
     pub engines: Vec<EngineSweep>,
-    /// Seed of drawn poses and of pictures.
+    /// Seed of drawn poses and of images.
     pub seed: u64,
     /// Cases at a time.
     pub jobs: usize,
@@ -50,7 +49,7 @@ pub struct ReplaySettings {
     pub pose_samples: usize,
     /// Profile of the simulated sensors.
     pub sensor: SensorProfile,
-    /// Paths for each pixel of the views; none for a report without pictures.
+    /// Paths for each pixel of the views; none for a report without images.
     pub view_samples: Option<u32>,
 }
 
@@ -77,9 +76,9 @@ pub enum ReplayProgress {
     Cases(SweepProgress),
     /// It simulates drawn poses.
     Poses(SweepProgress),
-    /// It draws the pictures of so many of so many grasps.
-    Pictures {
-        /// Grasps with pictures.
+    /// It draws the images of so many of so many grasps.
+    Images {
+        /// Grasps with images.
         done: usize,
         /// All grasps.
         all: usize,
@@ -114,7 +113,7 @@ pub fn replay(
     })?;
     let replayed = Replayed::new(input, settings, cases, swept.records);
     let drawn = replayed.drawn_poses(store, progress)?;
-    let pictures = replayed.pictures(store, progress)?;
+    let images = replayed.images(store, progress)?;
     let objects = replayed.objects(progress)?;
     let mut left_out = input.recording.left_out.clone();
     left_out.extend(replayed.without_outcome());
@@ -143,7 +142,7 @@ pub fn replay(
             cpu_s: replayed.cpu_s(),
             processor: processor(),
         },
-        grasps: replayed.grasp_facts(drawn, pictures),
+        grasps: replayed.grasp_facts(drawn, images),
         left_out,
         changes: None,
     })
@@ -188,10 +187,10 @@ struct Drawn {
     simulated: usize,
 }
 
-/// Pictures of a grasp.
+/// Images of a grasp.
 #[derive(Default)]
-struct Pictures {
-    view: Option<PicturePair>,
+struct Images {
+    view: Option<ImagePair>,
     tactile: Vec<TactilePair>,
 }
 
@@ -311,10 +310,10 @@ impl<'a> Replayed<'a> {
         })
     }
 
-    /// Pictures of the finite-element replay; without it there are none.
-    fn pictures(&self, store: &CaseStore, progress: &Told<'_>) -> Result<Vec<Pictures>> {
+    /// Images of the finite-element replay; without it there are none.
+    fn images(&self, store: &CaseStore, progress: &Told<'_>) -> Result<Vec<Images>> {
         let grasps = self.grasps();
-        let none = || grasps.iter().map(|_| Pictures::default()).collect();
+        let none = || grasps.iter().map(|_| Images::default()).collect();
         let fem = (0..self.settings.engines.len()).find(|e| self.kind(*e) == EngineKind::Fem);
         let (Some(fem), Some(samples)) = (fem, self.settings.view_samples) else {
             return Ok(none());
@@ -328,10 +327,10 @@ impl<'a> Replayed<'a> {
             samples,
             seed: self.settings.seed,
         };
-        let of_grasp = |(index, grasp): &(usize, &RecordedGrasp)| -> Result<Pictures> {
+        let of_grasp = |(index, grasp): &(usize, &RecordedGrasp)| -> Result<Images> {
             let case = &self.cases[self.chosen(fem, *index)];
             let Some(snapshot) = store.snapshot(case, StageName::Adjustment)? else {
-                return Ok(Pictures::default());
+                return Ok(Images::default());
             };
             let (dataset, object) = (self.input.dataset, case.object);
             let mut renderer = renderer.clone();
@@ -341,13 +340,13 @@ impl<'a> Replayed<'a> {
             let told = |e: &Error| {
                 progress(ReplayProgress::Note(format!("{}: {e}", grasp.record.id)));
             };
-            Ok(Pictures {
+            Ok(Images {
                 view: view.inspect_err(told).ok(),
                 tactile: tactile.inspect_err(told).unwrap_or_default(),
             })
         };
         let all = grasps.len();
-        let told = |done| progress(ReplayProgress::Pictures { done, all });
+        let told = |done| progress(ReplayProgress::Images { done, all });
         let items: Vec<(usize, &RecordedGrasp)> = grasps.iter().enumerate().collect();
         one_per_core(self.settings.jobs, &items, &of_grasp, &told)
     }
@@ -362,10 +361,10 @@ impl<'a> Replayed<'a> {
                     samples,
                     seed: self.settings.seed,
                 });
-                let picture = view.and_then(|view| {
-                    let picture = object_picture(object, grasp, &view);
+                let image = view.and_then(|view| {
+                    let image = object_image(object, grasp, &view);
                     let told = |e: &Error| progress(ReplayProgress::Note(format!("{name}: {e}")));
-                    picture.inspect_err(told).ok()
+                    image.inspect_err(told).ok()
                 });
                 found.push(ObjectFacts {
                     name: name.to_string(),
@@ -376,7 +375,7 @@ impl<'a> Replayed<'a> {
                     mass_kg: object.file.mass_kg,
                     grasps: 0,
                     stable: 0,
-                    picture,
+                    image,
                 });
             }
             if let Some(last) = found.last_mut() {
@@ -472,10 +471,10 @@ impl<'a> Replayed<'a> {
         found
     }
 
-    fn grasp_facts(&self, drawn: Drawn, pictures: Vec<Pictures>) -> Vec<GraspFacts> {
-        let grasps = self.grasps().iter().enumerate().zip(pictures);
+    fn grasp_facts(&self, drawn: Drawn, images: Vec<Images>) -> Vec<GraspFacts> {
+        let grasps = self.grasps().iter().enumerate().zip(images);
         grasps
-            .map(|((index, grasp), pictures)| {
+            .map(|((index, grasp), images)| {
                 let engines = 0..self.settings.engines.len();
                 let t = grasp.t_object_gripper;
                 let ([x, y, z], q) = (t.translation_m.to_array(), t.rotation);
@@ -490,8 +489,8 @@ impl<'a> Replayed<'a> {
                     replays: engines
                         .map(|engine| self.replay_of(engine, index, drawn.samples[engine][index]))
                         .collect(),
-                    view: pictures.view,
-                    tactile: pictures.tactile,
+                    view: images.view,
+                    tactile: images.tactile,
                 }
             })
             .collect()

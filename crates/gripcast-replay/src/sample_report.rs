@@ -6,16 +6,16 @@ use serde_json::json;
 
 use super::report::{
     CaseFacts, CellScore, ChangedOutcome, Changes, Confusion, Cost, Curves, DatasetFacts, Duel,
-    EngineFacts, GraspCell, GraspFacts, GraspReplay, LeftOut, ObjectFacts, PicturePair,
-    PoseSamples, Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores,
-    Setting, TactilePair,
+    EngineFacts, GraspCell, GraspFacts, GraspReplay, ImagePair, LeftOut, ObjectFacts, PoseSamples,
+    Proportion, REPORT_FORMAT, REPORT_VERSION, Reality, Report, Score, Scores, Setting,
+    TactilePair,
 };
 
 /// What every free string of the sample carries.
 pub(super) const HOSTILE: &str = "<script>alert(\"1\")</script>&'\u{202e}";
 
 /// A JPEG header of 8 × 6 px; enough for whoever only asks for the size.
-pub(super) const PICTURE: &str = "data:image/jpeg;base64,/9j/wAALCAAGAAgBAREA";
+pub(super) const IMAGE: &str = "data:image/jpeg;base64,/9j/wAALCAAGAAgBAREA";
 
 const ENGINES: [&str; 2] = ["fem", "rigid"];
 const FRICTIONS: [f64; 3] = [0.2, 0.4, 0.8];
@@ -88,18 +88,18 @@ fn object(name: &str) -> ObjectFacts {
         mass_kg: 0.07,
         grasps: 3,
         stable: 2,
-        picture: Some(PICTURE.to_owned()),
+        image: Some(IMAGE.to_owned()),
     }
 }
 
 fn proportion(agree: usize, n: usize) -> Proportion {
-    let share = if n == 0 { 0.0 } else { agree as f64 / n as f64 };
+    let fraction = if n == 0 { 0.0 } else { agree as f64 / n as f64 };
     Proportion {
         agree,
         n,
-        share,
-        low: 0.8 * share,
-        high: 0.5 + 0.5 * share,
+        fraction,
+        low: 0.8 * fraction,
+        high: 0.5 + 0.5 * fraction,
     }
 }
 
@@ -159,17 +159,17 @@ fn cells(object: &str) -> Vec<CellScore> {
 }
 
 fn grasp(i: usize, object: &str) -> GraspFacts {
-    let has_pictures = i != 5;
+    let has_images = i != 5;
     GraspFacts {
         id: hostile(&format!("g{i}")),
         object: object.to_owned(),
         stable: !i.is_multiple_of(4),
         t_object_gripper: [0.01, -0.002, 0.03, 1.0, 0.0, 0.0, 0.0],
-        pose_sd_m: has_pictures.then_some([1e-4; 3]),
-        pose_sd_rad: has_pictures.then_some([1e-3; 3]),
+        pose_sd_m: has_images.then_some([1e-4; 3]),
+        pose_sd_rad: has_images.then_some([1e-3; 3]),
         replays: ENGINES.map(|engine| replay(i, engine)).to_vec(),
-        view: has_pictures.then(pictures),
-        tactile: if has_pictures {
+        view: has_images.then(images),
+        tactile: if has_images {
             ["left", &hostile("right")].map(tactile).to_vec()
         } else {
             Vec::new()
@@ -177,18 +177,18 @@ fn grasp(i: usize, object: &str) -> GraspFacts {
     }
 }
 
-fn pictures() -> PicturePair {
-    PicturePair {
-        real: PICTURE.to_owned(),
-        sim: PICTURE.to_owned(),
+fn images() -> ImagePair {
+    ImagePair {
+        real: IMAGE.to_owned(),
+        sim: IMAGE.to_owned(),
     }
 }
 
 fn tactile(sensor: &str) -> TactilePair {
     TactilePair {
         sensor: sensor.to_owned(),
-        pictures: pictures(),
-        difference: PICTURE.to_owned(),
+        images: images(),
+        difference: IMAGE.to_owned(),
         contact_iou: Some(0.81),
         fve: Some(0.9),
         psnr_db: Some(27.0),

@@ -176,7 +176,7 @@ impl<'a> Outcomes<'a> {
         let counted: Vec<f64> = by_object
             .values()
             .filter(|proportion| proportion.n > 0)
-            .map(|proportion| proportion.share)
+            .map(|proportion| proportion.fraction)
             .collect();
         Score {
             all: count(None),
@@ -270,7 +270,7 @@ mod tests {
         assert_eq!(scores.force_n["a"], 40.0);
         assert_eq!(scores.force_n["b"], 20.0);
         assert_eq!((scores.paper.all.agree, scores.paper.all.n), (5, 6));
-        assert_eq!(scores.paper.by_object["b"].share, 1.0);
+        assert_eq!(scores.paper.by_object["b"].fraction, 1.0);
         assert!((scores.paper.mean - 0.5 * (2.0 / 3.0 + 1.0)).abs() < 1e-12);
         assert_eq!(found.chosen, [1, 1, 1, 0, 0, 0]);
     }

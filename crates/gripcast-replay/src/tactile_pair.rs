@@ -1,21 +1,21 @@
-//! Real and simulated tactile pictures of the same grasp, side by side.
+//! Real and simulated tactile images of the same grasp, side by side.
 
 use image::{Rgb, RgbImage, imageops};
 
 use super::object_file::ReplayObject;
 use super::recording::RecordedGrasp;
-use super::report::{PicturePair, TactilePair};
+use super::report::{ImagePair, TactilePair};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_dataset::{Dataset, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role, TactileDifference};
-use gripcast_report::picture::data_uri;
+use gripcast_report::image::data_uri;
 use gripcast_sim::grasp::{Finger, Snapshot};
 use gripcast_tactile::{SceneRenderer, SensorPlace, SimulatedGel, TactileScene};
 
-/// Columns and rows of the pictures that are compared.
+/// Columns and rows of the images that are compared.
 const COMPARED: [u32; 2] = [320, 240];
-/// Columns and rows of the pictures that are shown.
+/// Columns and rows of the images that are shown.
 const SHOWN: [u32; 2] = [160, 120];
 /// Grey levels shown for each level of difference.
 const GAIN: f32 = 1.5;
@@ -75,15 +75,15 @@ fn recorded(
     Change::between(&initial, &read(Stage::Grasp)?)
 }
 
-fn compared(picture: &RgbImage) -> RgbImage {
+fn compared(image: &RgbImage) -> RgbImage {
     let [width, height] = COMPARED;
-    if picture.dimensions() == (width, height) {
-        return picture.clone();
+    if image.dimensions() == (width, height) {
+        return image.clone();
     }
-    imageops::resize(picture, width, height, imageops::FilterType::Triangle)
+    imageops::resize(image, width, height, imageops::FilterType::Triangle)
 }
 
-/// Change of a picture from before to after the contact, grey levels, R, G, B of each pixel.
+/// Change of an image from before to after the contact, grey levels, R, G, B of each pixel.
 struct Change {
     levels: Vec<f32>,
 }
@@ -119,14 +119,14 @@ impl Change {
     }
 
     /// 128 is no change.
-    fn picture(&self) -> RgbImage {
+    fn image(&self) -> RgbImage {
         let [width, height] = COMPARED;
-        let mut picture = RgbImage::new(width, height);
-        for (pixel, levels) in picture.pixels_mut().zip(self.levels.chunks_exact(3)) {
+        let mut image = RgbImage::new(width, height);
+        for (pixel, levels) in image.pixels_mut().zip(self.levels.chunks_exact(3)) {
             // The cast saturates; + 0.5 rounds.
             *pixel = Rgb([0, 1, 2].map(|c| (128.5 + GAIN * levels[c]) as u8));
         }
-        picture
+        image
     }
 }
 
@@ -141,8 +141,8 @@ fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
     };
     let shown = |change: &Change| {
         let [width, height] = SHOWN;
-        let picture = imageops::thumbnail(&change.picture(), width, height);
-        data_uri(&picture)
+        let image = imageops::thumbnail(&change.image(), width, height);
+        data_uri(&image)
     };
     let (touched, simulated) = (real.mask(), sim.mask());
     let both = touched
@@ -171,7 +171,7 @@ fn pair(role: Role, real: &Change, sim: &Change) -> Result<TactilePair> {
     let any = union > 0;
     Ok(TactilePair {
         sensor: role.name().to_owned(),
-        pictures: PicturePair {
+        images: ImagePair {
             real: shown(real)?,
             sim: shown(sim)?,
         },
@@ -218,7 +218,7 @@ fn box_mean(values: &[f32], half: usize) -> Vec<f32> {
 mod tests {
     use super::*;
 
-    /// A grey picture with a brighter disc.
+    /// A grey image with a brighter disc.
     fn disc(center: [f32; 2], radius: f32, level: u8) -> RgbImage {
         let [width, height] = COMPARED;
         RgbImage::from_fn(width, height, |x, y| {

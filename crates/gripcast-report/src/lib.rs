@@ -1,12 +1,12 @@
-//! What reports and figures share: the page with its parts ([`page`]), charts ([`chart`]), pictures
+//! What reports and figures fraction: the page with its parts ([`page`]), charts ([`chart`]), images
 //! and the text of numbers.
 //!
 //! A page is one file: no network, inline CSS and SVG, readable without a script. Every string is
-//! escaped by the [`maud`] templates; pictures are data URIs that [`picture`] has checked.
+//! escaped by the [`maud`] templates; images are data URIs that [`image`] has checked.
 
 pub mod chart;
+pub mod image;
 pub mod page;
-pub mod picture;
 pub mod polyline;
 mod text;
 

@@ -138,11 +138,11 @@ pub fn stack<'a>(parts: impl IntoIterator<Item = (&'a str, f64)>) -> Markup {
     }
 }
 
-/// A card of a grasp: its pictures, the largest first, and what is said of it.
-pub fn grasp_card(held: bool, pictures: impl Render, text: impl Render) -> Markup {
+/// A card of a grasp: its images, the largest first, and what is said of it.
+pub fn grasp_card(held: bool, images: impl Render, text: impl Render) -> Markup {
     html! {
         li class=(if held { "of-held" } else { "of-lost" }) {
-            div.views { (pictures) }
+            div.views { (images) }
             (text)
         }
     }

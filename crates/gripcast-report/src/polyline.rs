@@ -72,12 +72,12 @@ fn distance(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let along = [b[0] - a[0], b[1] - a[1]];
     let to = [p[0] - a[0], p[1] - a[1]];
     let square = along[0] * along[0] + along[1] * along[1];
-    let share = if square > 0.0 {
+    let fraction = if square > 0.0 {
         ((to[0] * along[0] + to[1] * along[1]) / square).clamp(0.0, 1.0)
     } else {
         0.0
     };
-    (to[0] - share * along[0]).hypot(to[1] - share * along[1])
+    (to[0] - fraction * along[0]).hypot(to[1] - fraction * along[1])
 }
 
 #[cfg(test)]

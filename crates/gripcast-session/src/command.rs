@@ -95,7 +95,7 @@ pub enum CommandResult {
     },
     /// It failed on disk; nothing changed.
     Failed {
-        /// What failed, and how to mend it.
+        /// What failed, and how to fix it.
         error: String,
     },
 }

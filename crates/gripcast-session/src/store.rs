@@ -100,7 +100,7 @@ pub enum StoreReply {
     Done,
     /// Nothing changed on disk.
     Failed {
-        /// Why, and how to mend it.
+        /// Why, and how to fix it.
         message: String,
     },
 }

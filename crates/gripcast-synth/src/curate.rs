@@ -29,7 +29,7 @@ pub enum Apart {
 pub struct CurationSettings {
     /// What may not be in two parts.
     pub apart: Apart,
-    /// Parts and their shares of the simulations.
+    /// Parts and their fractions of the simulations.
     pub parts: Split,
     /// Most simulations of a category, as a multiple of the mean; none for no cap.
     pub category_cap: Option<f64>,
@@ -284,8 +284,8 @@ mod tests {
         }
         let total: usize = counts.values().sum();
         let train = 2 * counts[&("train", true)];
-        let share = train as f64 / total as f64;
-        assert!((0.72..0.88).contains(&share), "{share}");
+        let fraction = train as f64 / total as f64;
+        assert!((0.72..0.88).contains(&fraction), "{fraction}");
     }
 
     #[test]

@@ -1,5 +1,5 @@
 //! The synthetic dataset: objects, their properties and grasps; a plan of simulations that any
-//! number of processes work on; pictures; and the choice of what becomes the dataset.
+//! number of processes work on; images; and the choice of what becomes the dataset.
 //!
 //! ```text
 //! family, acronym ─► drafts ─► plan ─► run (shards) ─► results ─┬─► merge ─► Parquet
@@ -16,15 +16,15 @@ pub mod family;
 pub mod grasp;
 mod merge;
 mod object_mesh;
-mod picture;
 pub mod plan;
 pub mod properties;
 pub mod report;
 mod run;
+mod sample_images;
 mod store;
 
 pub use engine::planned_engine;
 pub use merge::{MergeReport, MergeSettings, chosen, merge};
 pub use object_mesh::planned_mesh;
-pub use run::{Pictures, RunProgress, RunSettings, RunSummary, run, simulate_labels};
+pub use run::{Images, RunProgress, RunSettings, RunSummary, run, simulate_labels};
 pub use store::{CpuSeconds, FAILED, RESULTS, ResultStore, SampleFile, SimulationResult};

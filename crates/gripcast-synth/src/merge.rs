@@ -55,7 +55,7 @@ pub struct MergeReport {
     pub without_sample: BTreeMap<String, usize>,
     /// Simulations that were left out, by reason.
     pub left_out: BTreeMap<LeftOut, usize>,
-    /// Pictures that stand in more than one simulation, which no camera would take.
+    /// Images that stand in more than one simulation, which no camera would take.
     pub duplicates: usize,
     /// What is in each part.
     pub parts: BTreeMap<String, PartFacts>,
@@ -119,14 +119,14 @@ type Part<'a> = Vec<(&'a PlannedSimulation, SimulationResult)>;
 ///
 /// # Errors
 /// `Input` where simulations are open and that is not allowed, or nothing is left to choose, or
-/// `out` holds another dataset; for pictures that are not those of the result; those of the
+/// `out` holds another dataset; for images that are not those of the result; those of the
 /// operating system.
 pub fn merge(
     plan: &Plan,
     plan_folder: &Path,
     out: &Path,
     settings: &MergeSettings,
-    told: &(dyn Fn(usize, usize) + Sync),
+    on_progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<MergeReport> {
     let store = ResultStore::beside(plan_folder);
     let Chosen {
@@ -138,11 +138,11 @@ pub fn merge(
     check_free(&root, plan)?;
     let parts = parts(plan, &curation, usable);
     let chosen = parts.values().flatten();
-    let lacking = chosen.filter(|(_, result)| result.lacks_pictures()).count();
+    let lacking = chosen.filter(|(_, result)| result.lacks_images()).count();
     if lacking > 0 {
-        return Err(without_pictures(lacking));
+        return Err(without_images(lacking));
     }
-    let mut writing = Writing::new(plan, &store, &root, told)?;
+    let mut writing = Writing::new(plan, &store, &root, on_progress)?;
     let mut facts = BTreeMap::new();
     writing.all = parts.values().map(Vec::len).sum();
     for (name, part) in &parts {
@@ -254,10 +254,12 @@ fn planned_objects(plan: &Plan) -> Result<BTreeMap<String, PlannedObject>> {
     Ok(objects)
 }
 
-fn without_pictures(lacking: usize) -> Error {
-    Error::input(format!("{lacking} of the chosen simulations have no pictures yet"))
+fn without_images(lacking: usize) -> Error {
+    Error::input(format!(
+        "{lacking} of the chosen simulations have no images yet"
+    ))
     .remedy(
-        "take them with `gripcast synth run --pictures chosen` and the same choice, or those of all \
+        "take them with `gripcast synth run --images chosen` and the same choice, or those of all \
          with `gripcast synth run`",
     )
 }
@@ -340,10 +342,10 @@ struct Writing<'a> {
     plan: &'a Plan,
     store: &'a ResultStore,
     root: Root,
-    told: &'a (dyn Fn(usize, usize) + Sync),
+    on_progress: &'a (dyn Fn(usize, usize) + Sync),
     done: usize,
     all: usize,
-    /// Simulation by hash of its tactile pictures.
+    /// Simulation by hash of its tactile images.
     seen: BTreeMap<[u8; 16], String>,
     duplicates: usize,
     files: BTreeMap<String, String>,
@@ -354,7 +356,7 @@ impl<'a> Writing<'a> {
         plan: &'a Plan,
         store: &'a ResultStore,
         root: &Root,
-        told: &'a (dyn Fn(usize, usize) + Sync),
+        on_progress: &'a (dyn Fn(usize, usize) + Sync),
     ) -> Result<Self> {
         let folder = root.top().join(DATA);
         fs::create_dir_all(root.path())
@@ -364,7 +366,7 @@ impl<'a> Writing<'a> {
             plan,
             store,
             root: root.clone(),
-            told,
+            on_progress,
             done: 0,
             all: 0,
             seen: BTreeMap::new(),
@@ -386,7 +388,7 @@ impl<'a> Writing<'a> {
                     writer.push(row)?;
                 }
                 self.done += 1;
-                (self.told)(self.done, self.all);
+                (self.on_progress)(self.done, self.all);
             }
             writer.finish()?;
             let bytes = place
@@ -400,8 +402,8 @@ impl<'a> Writing<'a> {
 
     fn note(&mut self, row: &ShardRow) {
         let mut hasher = Sha256::new();
-        for picture in [&row.images.grasp_left, &row.images.grasp_right] {
-            hasher.update(picture);
+        for image in [&row.images.grasp_left, &row.images.grasp_right] {
+            hasher.update(image);
         }
         let mut key = [0; 16];
         key.copy_from_slice(&hasher.finalize()[..16]);

@@ -1,4 +1,4 @@
-//! Simulates a part of a plan and takes the pictures.
+//! Simulates a part of a plan and takes the images.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::AssertUnwindSafe;
@@ -6,8 +6,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::object_mesh::planned_mesh;
-use super::picture::{Grasped, Photographer, before_lift, rendering_seed, seen_surface};
 use super::plan::{Plan, PlannedObject, PlannedSimulation, Shard, check_parameters};
+use super::sample_images::{Grasped, Photographer, before_lift, rendering_seed, seen_surface};
 use super::store::{ResultStore, SimulationResult};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::{Root, SimulationId};
@@ -25,7 +25,7 @@ use gripcast_visual::Model;
 
 /// Normal force on each finger before the lift under which nobody would lift, N: the object was
 /// squeezed out, or lies beside the gels.
-const LEAST_FORCE_N: f64 = 0.5;
+const MIN_FORCE_N: f64 = 0.5;
 
 /// How far a run is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,18 +49,18 @@ pub struct RunSummary {
     pub failed: Vec<(String, String)>,
 }
 
-/// Which simulations get pictures.
+/// Which simulations get images.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Pictures {
+pub enum Images {
     /// Those with a label.
     All,
-    /// None: labels are there sooner, and tell which pictures a dataset needs.
+    /// None: labels are there sooner, and tell which images a dataset needs.
     None,
     /// Those with a label that are named.
     Of(BTreeSet<SimulationId>),
 }
 
-impl Pictures {
+impl Images {
     fn are_taken(&self, id: &SimulationId) -> bool {
         match self {
             Self::All => true,
@@ -80,10 +80,10 @@ pub struct RunSettings {
     /// Whether simulations that could not be done are tried again, as after a missing file came
     /// back.
     pub is_failed_retried: bool,
-    /// Whether simulations without a result are done; else only pictures are taken.
+    /// Whether simulations without a result are done; else only images are taken.
     pub is_open_simulated: bool,
-    /// Which of them get pictures. Results do not depend on when they got them.
-    pub pictures: Pictures,
+    /// Which of them get images. Results do not depend on when they got them.
+    pub images: Images,
 }
 
 /// Simulates what of a part has no result yet, each simulation in one thread. Every result is kept
@@ -98,7 +98,7 @@ pub fn run(
     folder: &Path,
     settings: &RunSettings,
     engine: &dyn Engine,
-    told: &(dyn Fn(RunProgress) + Sync),
+    on_progress: &(dyn Fn(RunProgress) + Sync),
 ) -> Result<RunSummary> {
     check_parameters(plan, engine)?;
     let store = ResultStore::beside(folder);
@@ -119,9 +119,7 @@ pub fn run(
             Some(result) if settings.is_failed_retried && result.is_failed() => {
                 open.push((*simulation, None));
             }
-            Some(result)
-                if result.lacks_pictures() && settings.pictures.are_taken(&simulation.id) =>
-            {
+            Some(result) if result.lacks_images() && settings.images.are_taken(&simulation.id) => {
                 open.push((*simulation, Some(result)));
             }
             Some(result) => note_failure(&result, &mut failed),
@@ -129,7 +127,7 @@ pub fn run(
     }
     let found = part.len() - open.len();
     let tell = |simulated| {
-        told(RunProgress {
+        on_progress(RunProgress {
             done: found + simulated,
             simulated,
             all: part.len(),
@@ -141,7 +139,7 @@ pub fn run(
         let id = &simulation.id;
         let labelled = earlier.clone();
         let earlier = labelled.and_then(|result| Some((result, store.state(plan, id)?)));
-        let is_taken = settings.pictures.are_taken(id);
+        let is_taken = settings.images.are_taken(id);
         let (result, beside) = workshop.make(simulation, earlier, is_taken)?;
         // A result that is there has what belongs to it.
         match beside {
@@ -149,7 +147,7 @@ pub fn run(
                 store.keep_state(plan, id, &snapshot)?;
                 store.keep(result.clone(), None)?;
             }
-            Beside::Pictures(rows, bytes) => {
+            Beside::Images(rows, bytes) => {
                 store.keep(result.clone(), Some((rows, &bytes)))?;
                 store.drop_state(id);
             }
@@ -168,7 +166,7 @@ pub fn run(
     })
 }
 
-/// Whether each simulation of a plan holds with another engine, without pictures; none where it has
+/// Whether each simulation of a plan holds with another engine, without images; none where it has
 /// no outcome.
 ///
 /// # Errors
@@ -178,7 +176,7 @@ pub fn simulate_labels(
     folder: &Path,
     engine: &dyn Engine,
     jobs: usize,
-    told: &(dyn Fn(usize) + Sync),
+    on_progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<Option<bool>>> {
     let root = Root::new(folder);
     let label = |simulation: &PlannedSimulation| -> Result<Option<bool>> {
@@ -188,7 +186,7 @@ pub fn simulate_labels(
         let grasp = engine.simulate(&setup, object.friction, force_n)?;
         Ok(stable(grasp.outcome))
     };
-    one_per_core(jobs, &plan.simulations, &label, told)
+    one_per_core(jobs, &plan.simulations, &label, on_progress)
 }
 
 fn setup(
@@ -217,15 +215,15 @@ enum Beside {
     /// Nothing is to be seen.
     Nothing,
     /// Rows and the file of them.
-    Pictures(usize, Vec<u8>),
-    /// What pictures can be taken of later.
+    Images(usize, Vec<u8>),
+    /// What images can be taken of later.
     State(Snapshot),
 }
 
-/// A label without pictures and what they are to be taken of.
+/// A label without images and what they are to be taken of.
 type Earlier = Option<(SimulationResult, Snapshot)>;
 
-/// Everything that all simulations share.
+/// Everything that all simulations fraction.
 struct Workshop<'a> {
     plan: &'a Plan,
     root: Root,
@@ -309,7 +307,7 @@ impl<'a> Workshop<'a> {
         let rows = self.rows(simulation, object, &grasped, &mut result, &mut clock)?;
         let info = format!("{{\"plan_sha256\":\"{}\"}}", self.plan.sha256);
         let count = rows.len();
-        Ok((result, Beside::Pictures(count, to_bytes(rows, &info)?)))
+        Ok((result, Beside::Images(count, to_bytes(rows, &info)?)))
     }
 
     /// The renderings of a grasp that has an outcome and held something before the lift.
@@ -418,7 +416,7 @@ fn stable(outcome: GraspOutcome) -> Option<bool> {
 /// The state before the lift of a grasp that has an outcome and held something by then.
 fn seen_before_lift(grasp: &GraspResult) -> Option<&Snapshot> {
     stable(grasp.outcome)?;
-    let is_held = |force_n: [f64; 2]| force_n.iter().all(|force| *force >= LEAST_FORCE_N);
+    let is_held = |force_n: [f64; 2]| force_n.iter().all(|force| *force >= MIN_FORCE_N);
     forces(grasp)
         .filter(|force_n| is_held(*force_n))
         .and_then(|_| before_lift(&grasp.trace.snapshots))

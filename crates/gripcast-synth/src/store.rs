@@ -45,13 +45,13 @@ pub struct SimulationResult {
     pub newton_iterations: u64,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
-    /// The file of pictures; none where there is nothing to see, or they are still to be taken.
+    /// The file of images; none where there is nothing to see, or they are still to be taken.
     pub samples: Option<SampleFile>,
     /// CPU time, s.
     pub cpu_s: CpuSeconds,
 }
 
-/// The file of a simulation's pictures.
+/// The file of a simulation's images.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SampleFile {
@@ -71,9 +71,9 @@ pub struct CpuSeconds {
     pub prepare: f64,
     /// The simulator.
     pub simulate: f64,
-    /// Tactile pictures.
+    /// Tactile images.
     pub tactile: f64,
-    /// Colour pictures.
+    /// Colour images.
     pub visual: f64,
 }
 
@@ -103,8 +103,8 @@ impl SimulationResult {
         self.outcome == FAILED
     }
 
-    /// Whether it has a label but no pictures yet.
-    pub fn lacks_pictures(&self) -> bool {
+    /// Whether it has a label but no images yet.
+    pub fn lacks_images(&self) -> bool {
         self.stable.is_some() && self.samples.is_none()
     }
 }
@@ -153,7 +153,7 @@ impl ResultStore {
         Ok(is_whole.then_some(found))
     }
 
-    /// Keeps a result with its pictures, a file of rows.
+    /// Keeps a result with its images, a file of rows.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, …; what was finished before stays.
@@ -162,7 +162,7 @@ impl ResultStore {
         mut result: SimulationResult,
         samples: Option<(usize, &[u8])>,
     ) -> Result<()> {
-        // The pictures first: a result that is there is whole.
+        // The images first: a result that is there is whole.
         if let Some((rows, bytes)) = samples {
             write(&self.samples(&result.id), bytes)?;
             result.samples = Some(SampleFile {
@@ -176,7 +176,7 @@ impl ResultStore {
         write(&self.place(&result.id, FACTS), &text)
     }
 
-    /// Keeps what pictures of a labelled simulation are to be taken of later.
+    /// Keeps what images of a labelled simulation are to be taken of later.
     ///
     /// # Errors
     /// `DiskFull`, `Io`, ….
@@ -225,18 +225,18 @@ impl ResultStore {
     /// The renderings of a result, whose file must be the one that was kept.
     ///
     /// # Errors
-    /// `Input` for pictures that are damaged or of another result; those of the operating system.
+    /// `Input` for images that are damaged or of another result; those of the operating system.
     pub fn rows(&self, result: &SimulationResult) -> Result<Vec<ShardRow>> {
         let place = self.samples(&result.id);
         let wrong = || {
-            Error::input("the pictures are not those of the result")
+            Error::input("the images are not those of the result")
                 .at(place.display())
                 .remedy("remove the file and run its shard again: it comes out the same")
         };
         let expected = result.samples.as_ref().ok_or_else(wrong)?;
         let bytes = place
             .read(FileKind::Bulk)
-            .map_err(|e| Error::io("cannot read the pictures", e).at(place.display()))?;
+            .map_err(|e| Error::io("cannot read the images", e).at(place.display()))?;
         if sha256_hex(&bytes) != expected.sha256 {
             return Err(wrong());
         }
@@ -244,7 +244,7 @@ impl ResultStore {
         reader.rows().collect()
     }
 
-    /// The file of a simulation's pictures.
+    /// The file of a simulation's images.
     pub fn samples(&self, id: &SimulationId) -> BeneathPath {
         self.place(id, ".parquet")
     }
@@ -263,7 +263,7 @@ const FACTS: &str = ".json";
 /// Suffix of the files of states.
 const STATE: &str = ".state";
 
-/// What a simulation was kept in before its pictures. In its file it comes after a line with its
+/// What a simulation was kept in before its images. In its file it comes after a line with its
 /// SHA-256.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -334,7 +334,7 @@ mod tests {
         let error = store.find(&sample_plan(4), id).unwrap_err().to_string();
         assert!(error.contains("another plan"), "{error}");
         fs::write(store.samples(id).shown(), b"row").unwrap();
-        assert_eq!(store.find(&plan, id).unwrap(), None, "pictures cut off");
+        assert_eq!(store.find(&plan, id).unwrap(), None, "images cut off");
         store.keep(result(&plan), None).unwrap();
         assert!(store.find(&plan, id).unwrap().is_some());
         fs::write(store.place(id, FACTS).shown(), b"{").unwrap();

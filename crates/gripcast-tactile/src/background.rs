@@ -1,4 +1,4 @@
-//! The picture of the untouched gel: a smooth fit that fits into a profile, or a picture beside it.
+//! The image of the untouched gel: a smooth fit that fits into a profile, or an image beside it.
 
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::{Error, Result};
 
 /// Highest total degree of a fit.
-const HIGHEST_DEGREE: usize = 12;
+const MAX_DEGREE: usize = 12;
 
 /// Smooth colours of the untouched gel: per channel Σ c_ij P_i(x) P_j(y), i + j ≤ degree, with
 /// Legendre polynomials P and x, y in ±1 over the columns and rows.
@@ -24,17 +24,17 @@ pub struct BackgroundFit {
 }
 
 impl BackgroundFit {
-    /// Least-squares fit to a picture of at least 2 × 2 pixels.
+    /// Least-squares fit to an image of at least 2 × 2 pixels.
     ///
     /// The sampled polynomials are nearly orthogonal: a few sweeps over the normal equations make
     /// the fit exact enough.
-    pub fn of_picture(picture: &RgbImage, degree: usize) -> Self {
-        let degree = degree.min(HIGHEST_DEGREE);
-        let (width, height) = (picture.width() as usize, picture.height() as usize);
+    pub fn of_image(image: &RgbImage, degree: usize) -> Self {
+        let degree = degree.min(MAX_DEGREE);
+        let (width, height) = (image.width() as usize, image.height() as usize);
         let (columns, rows) = (legendre(width, degree), legendre(height, degree));
         let (column_products, row_products) = (products(&columns), products(&rows));
         let [red, green, blue] = std::array::from_fn(|channel| {
-            let wanted = moments(picture, channel, &columns, &rows);
+            let wanted = moments(image, channel, &columns, &rows);
             let mut values = vec![0.0; terms(degree).count()];
             for _ in 0..SWEEPS {
                 for (term, (i, j)) in terms(degree).enumerate() {
@@ -61,9 +61,9 @@ impl BackgroundFit {
     /// # Errors
     /// `Config` with the channel, the number expected and found.
     pub fn validate(&self) -> Result<()> {
-        if self.degree > HIGHEST_DEGREE {
+        if self.degree > MAX_DEGREE {
             return Err(Error::config(format!(
-                "background.degree must be 0 to {HIGHEST_DEGREE}, found {}",
+                "background.degree must be 0 to {MAX_DEGREE}, found {}",
                 self.degree
             )));
         }
@@ -129,16 +129,16 @@ fn products(polynomials: &[Vec<f64>]) -> Vec<Vec<f64>> {
     polynomials.iter().map(with).collect()
 }
 
-/// `[i][j]`: sum of a channel of a picture times column polynomial i and row polynomial j.
+/// `[i][j]`: sum of a channel of an image times column polynomial i and row polynomial j.
 fn moments(
-    picture: &RgbImage,
+    image: &RgbImage,
     channel: usize,
     columns: &[Vec<f64>],
     rows: &[Vec<f64>],
 ) -> Vec<Vec<f64>> {
     let mut sums = vec![vec![0.0; rows.len()]; columns.len()];
-    let mut line = Vec::with_capacity(picture.width() as usize);
-    for (y, pixels) in picture.rows().enumerate() {
+    let mut line = Vec::with_capacity(image.width() as usize);
+    for (y, pixels) in image.rows().enumerate() {
         line.clear();
         line.extend(pixels.map(|pixel| f64::from(pixel.0[channel])));
         for (sums, column) in sums.iter_mut().zip(columns) {
@@ -165,9 +165,9 @@ fn subtract(plane: &mut [f64], column: &[f64], row: &[f64], step: f64) {
     }
 }
 
-/// Planes of red, green, blue of a picture, grey levels.
-pub(super) fn planes_of(picture: &RgbImage) -> [Vec<f32>; 3] {
-    std::array::from_fn(|c| picture.pixels().map(|p| f32::from(p.0[c])).collect())
+/// Planes of red, green, blue of an image, grey levels.
+pub(super) fn planes_of(image: &RgbImage) -> [Vec<f32>; 3] {
+    std::array::from_fn(|c| image.pixels().map(|p| f32::from(p.0[c])).collect())
 }
 
 #[cfg(test)]
@@ -176,16 +176,16 @@ mod tests {
     use image::Rgb;
 
     #[test]
-    fn a_smooth_picture_comes_back() {
+    fn a_smooth_image_comes_back() {
         let colour = |x: f64, y: f64| [120.0 + 40.0 * x * y, 100.0 - 50.0 * y * y, 80.0 + 20.0 * x];
-        let picture = RgbImage::from_fn(64, 48, |x, y| {
+        let image = RgbImage::from_fn(64, 48, |x, y| {
             let place = |i: u32, n: f64| (2.0 * f64::from(i) + 1.0) / n - 1.0;
             Rgb(colour(place(x, 64.0), place(y, 48.0)).map(|v| v.round() as u8))
         });
-        let fit = BackgroundFit::of_picture(&picture, 4);
+        let fit = BackgroundFit::of_image(&image, 4);
         fit.validate().unwrap();
         let planes = fit.planes(64, 48);
-        for (i, pixel) in picture.pixels().enumerate() {
+        for (i, pixel) in image.pixels().enumerate() {
             for (plane, level) in planes.iter().zip(pixel.0) {
                 assert!((plane[i] - f32::from(level)).abs() < 0.8);
             }
@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn wrong_fits_are_refused() {
-        let mut fit = BackgroundFit::of_picture(&RgbImage::new(8, 8), 2);
+        let mut fit = BackgroundFit::of_image(&RgbImage::new(8, 8), 2);
         fit.green.pop();
         assert!(fit.validate().unwrap_err().to_string().contains("green"));
         fit.degree = 99;
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn degree_zero_is_the_mean() {
-        let fit = BackgroundFit::of_picture(&RgbImage::from_pixel(5, 4, Rgb([7, 8, 9])), 0);
+        let fit = BackgroundFit::of_image(&RgbImage::from_pixel(5, 4, Rgb([7, 8, 9])), 0);
         assert!((fit.red[0] - 7.0).abs() < 1e-9 && fit.blue.len() == 1);
     }
 }

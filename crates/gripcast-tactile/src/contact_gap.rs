@@ -3,8 +3,8 @@
 //! Contact forces act over a distance: the barrier of incremental potential contact begins at
 //! `d_hat` and grows without bound towards 0, so the gel is pressed by a surface that lies a gap g
 //! in front of the object, smaller where the pressure is higher. A real gel lies on the object.
-//! The picture of the press is therefore that of the object moved towards the gel by g. The object
-//! keeps its shape, so one g is taken for the whole picture: the mean of the gaps between the
+//! The image of the press is therefore that of the object moved towards the gel by g. The object
+//! keeps its shape, so one g is taken for the whole image: the mean of the gaps between the
 //! deformed face and the object, weighted by the barrier's force at each.
 
 use super::press_depth::SensorGeometry;

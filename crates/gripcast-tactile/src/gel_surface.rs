@@ -1,4 +1,4 @@
-//! The picture of the deformed gel's own mesh, to compare with: what Taccel's built-in renderer
+//! The image of the deformed gel's own mesh, to compare with: what Taccel's built-in renderer
 //! looks at (Li et al. 2025).
 //!
 //! Rays meet the flat triangles of the gel's face, so each triangle of the mesh has one normal and
@@ -89,7 +89,7 @@ pub fn faceted(press: &PressDepth, gel: &GelGrid, rasteriser: &mut Rasteriser) -
     depth_below(seen, thickness, grid)
 }
 
-/// Depth at the pixel nearest to a point of the face; 0 outside the picture.
+/// Depth at the pixel nearest to a point of the face; 0 outside the image.
 fn depth_at(press: &PressDepth, point: &DVec3) -> f64 {
     let grid = &press.geometry;
     let pixel = |at: f64, count: usize| {
@@ -132,10 +132,10 @@ mod tests {
     }
 
     #[test]
-    fn an_undeformed_gel_is_the_untouched_picture_for_every_renderer() {
+    fn an_undeformed_gel_is_the_untouched_image_for_every_renderer() {
         let object = builtin("builtin:sphere").unwrap();
         let profile = SensorProfile::gelsight_mini().unwrap();
-        let untouched = profile.background.picture.clone().unwrap();
+        let untouched = profile.background.image.clone().unwrap();
         let table = TaximTable::constant(9, [640, 480], [5.0, 0.0, 0.0]);
         let lookup = LookupRenderer::new(
             profile.geometry,
@@ -150,8 +150,8 @@ mod tests {
         ];
         for mut renderer in renderers {
             assert_eq!(renderer.grid(), profile.geometry);
-            let picture = renderer.render(&scene(&object, 0.0), None).unwrap();
-            assert_eq!(picture, untouched, "{}", renderer.name());
+            let image = renderer.render(&scene(&object, 0.0), None).unwrap();
+            assert_eq!(image, untouched, "{}", renderer.name());
         }
     }
 
@@ -160,7 +160,7 @@ mod tests {
         let object = builtin("builtin:sphere").unwrap();
         let mut profile = SensorProfile::gelsight_mini().unwrap();
         // A flat background and colours that do not depend on the place.
-        profile.background.picture = None;
+        profile.background.image = None;
         let mut renderer = GelSurfaceRenderer::new(&profile).unwrap();
         let change = |renderer: &mut GelSurfaceRenderer, depth: f64| {
             let grid = renderer.grid();

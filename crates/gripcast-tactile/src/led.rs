@@ -16,7 +16,7 @@ use gripcast_base::error::{Error, Result};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Led {
-    /// Place: x along the columns and y along the rows from the picture's middle, z from the
+    /// Place: x along the columns and y along the rows from the image's middle, z from the
     /// face towards the camera, m.
     pub position_m: [f64; 3],
     /// Diffuse strength in red, green, blue, grey levels.
@@ -36,13 +36,13 @@ pub struct LedShading {
 }
 
 /// Most lamps.
-const MOST_LEDS: usize = 16;
+const MAX_LEDS: usize = 16;
 /// Largest Phong exponent.
-const MOST_SHININESS: u32 = 64;
+const MAX_SHININESS: u32 = 64;
 
 impl LedShading {
     /// Three lamps, red, green and blue, a third of a turn apart beside the pad, as a Mini's
-    /// colours suggest: red from the top of the picture. Strengths are a guess to start a fit
+    /// colours suggest: red from the top of the image. Strengths are a guess to start a fit
     /// from.
     pub fn mini_guess() -> Self {
         let lamp = |degrees: f64, channel: usize| {
@@ -69,15 +69,15 @@ impl LedShading {
     /// `Config` with what was expected and found.
     pub fn validate(&self) -> Result<()> {
         let refused = |what: String| Err(Error::config(what));
-        if self.leds.is_empty() || self.leds.len() > MOST_LEDS {
+        if self.leds.is_empty() || self.leds.len() > MAX_LEDS {
             return refused(format!(
-                "shading.leds must hold 1 to {MOST_LEDS} lamps, found {}",
+                "shading.leds must hold 1 to {MAX_LEDS} lamps, found {}",
                 self.leds.len()
             ));
         }
-        if self.shininess == 0 || self.shininess > MOST_SHININESS {
+        if self.shininess == 0 || self.shininess > MAX_SHININESS {
             return refused(format!(
-                "shading.shininess must be 1 to {MOST_SHININESS}, found {}",
+                "shading.shininess must be 1 to {MAX_SHININESS}, found {}",
                 self.shininess
             ));
         }

@@ -1,17 +1,17 @@
-//! Pictures of a GelSight Mini pressed on an object.
+//! Images of a GelSight Mini pressed on an object.
 //!
 //! A press is a map of depths on the sensor's pixel grid ([`PressDepth`]); a renderer makes a
-//! picture of it. Columns of the picture run along the gel's x axis (the gripper's approach,
+//! image of it. Columns of the image run along the gel's x axis (the gripper's approach,
 //! 25 mm), rows along its y axis, as the sensor's camera sees it from behind the gel.
 //!
 //! A [`TactileScene`] is what a sensor meets, of a simulated grasp or of a mesh pressed by hand;
-//! every [`SceneRenderer`] makes pictures of it. That of the paper is [`ObjectDepthRenderer`]:
+//! every [`SceneRenderer`] makes images of it. That of the paper is [`ObjectDepthRenderer`]:
 //! [`object_depth`] by a z-buffer ([`Rasteriser`]), then [`TactileRenderer`]. To compare with are
 //! [`GelSurfaceRenderer`] and [`lookup::LookupRenderer`].
 //!
 //! [`TactileRenderer`] works by a [`SensorProfile`], which [`calibrate`] fits to real presses:
 //! depth → shape of the gel ([`Smoothing`]) → normals → change of light ([`ShadingModel`]) on the
-//! picture of the untouched gel → drift and noise ([`FrameLook`]).
+//! image of the untouched gel → drift and noise ([`FrameLook`]).
 
 mod background;
 mod bessel;

@@ -31,7 +31,7 @@ pub fn sink_of_ball_m(contact_m: f64, ball_m: f64, length_m: f64) -> f64 {
     slope * length_m * k0(x) / k1(x)
 }
 
-/// Grids of one size, coarsest last; level 0 has half the resolution of the picture.
+/// Grids of one size, coarsest last; level 0 has half the resolution of the image.
 #[derive(Clone, Debug)]
 pub(super) struct Membrane {
     length_px: f64,

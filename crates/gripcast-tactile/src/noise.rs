@@ -10,7 +10,7 @@ pub struct FrameLook {
     pub gain: [f32; 3],
     /// Added to red, green, blue after the gain, grey levels.
     pub offset: [f32; 3],
-    /// Seed of the noise; none for a picture without noise.
+    /// Seed of the noise; none for an image without noise.
     pub noise_seed: Option<u64>,
 }
 

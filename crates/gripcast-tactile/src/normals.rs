@@ -83,7 +83,7 @@ impl Normals {
     }
 }
 
-/// −∂h/∂x along one row, one-sided at the picture's border.
+/// −∂h/∂x along one row, one-sided at the image's border.
 fn row_slopes(row: &[f32], region: Region, per_pixel: f32, out: &mut [f32]) {
     let last = row.len() - 1;
     let half = 0.5 * per_pixel;

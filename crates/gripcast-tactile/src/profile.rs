@@ -1,8 +1,8 @@
 //! A sensor's profile: everything the tactile renderer has to know of one sensor.
 //!
 //! A profile is a TOML file (`calib/sensors/<serial>.toml`), written by the calibration. The
-//! picture of the untouched gel lies beside it as PNG; the file itself holds a smooth fit of that
-//! picture, so that it also works alone.
+//! image of the untouched gel lies beside it as PNG; the file itself holds a smooth fit of that
+//! image, so that it also works alone.
 
 use std::io;
 use std::path::Path;
@@ -22,8 +22,8 @@ use gripcast_imaging::{CropProfile, decode_png_rgb, encode_png_rgb};
 
 /// Version of the file format.
 const SCHEMA: u32 = 1;
-/// Largest width or height of a picture, pixels.
-const LARGEST_SIDE: usize = 4096;
+/// Largest width or height of an image, pixels.
+const MAX_SIDE: usize = 4096;
 /// Pixel sizes that are believed, m.
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
 /// Gel thicknesses that are believed, m.
@@ -57,14 +57,14 @@ impl ShadingModel {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Background {
-    /// Name of the picture (PNG) beside the profile; without one the fit is shown.
+    /// Name of the image (PNG) beside the profile; without one the fit is shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<FileName>,
-    /// Smooth fit of the picture.
+    /// Smooth fit of the image.
     pub fit: BackgroundFit,
-    /// The picture itself, once read.
+    /// The image itself, once read.
     #[serde(skip)]
-    pub picture: Option<RgbImage>,
+    pub image: Option<RgbImage>,
 }
 
 /// Everything the renderer knows of a sensor.
@@ -78,7 +78,7 @@ pub struct SensorProfile {
     /// USB serial of the sensor; empty for a generic profile.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub serial: String,
-    /// Named crop that makes such pictures of the camera's frames.
+    /// Named crop that makes such images of the camera's frames.
     #[serde(with = "crop_name")]
     pub crop_profile: CropProfile,
     /// Where the numbers come from.
@@ -104,8 +104,8 @@ impl SensorProfile {
     /// None; the shipped file is held by a test.
     pub fn gelsight_mini() -> Result<Self> {
         let mut profile = Self::from_toml(MINI_TOML)?;
-        profile.background.picture = Some(decode_png_rgb(MINI_BACKGROUND)?);
-        profile.check_picture()?;
+        profile.background.image = Some(decode_png_rgb(MINI_BACKGROUND)?);
+        profile.check_image()?;
         Ok(profile)
     }
 
@@ -120,11 +120,11 @@ impl SensorProfile {
         Ok(profile)
     }
 
-    /// Reads a profile and the picture beside it.
+    /// Reads a profile and the image beside it.
     ///
     /// # Errors
     /// `NotFound`, `Permission`, `Io` if a file cannot be read; `Config` as
-    /// [`SensorProfile::from_toml`]; `Input` if the picture is none or of another size.
+    /// [`SensorProfile::from_toml`]; `Input` if the image is none or of another size.
     pub fn load(path: &Path) -> Result<Self> {
         let text = read_text(path, FileKind::Record).map_err(|e| {
             Error::io("cannot read the sensor profile", e)
@@ -135,7 +135,7 @@ impl SensorProfile {
         if let Some(name) = &profile.background.file {
             let beside = Root::beside(path).join(name);
             let bytes = beside.read(FileKind::Image).map_err(|e| {
-                Error::io("cannot read the picture of the untouched gel", e)
+                Error::io("cannot read the image of the untouched gel", e)
                     .at(beside.display())
                     .remedy(format!(
                         "put it beside the profile, or delete the line `file = {:?}` there to use \
@@ -143,16 +143,14 @@ impl SensorProfile {
                         name.as_str()
                     ))
             })?;
-            profile.background.picture =
+            profile.background.image =
                 Some(decode_png_rgb(&bytes).map_err(|e| e.at(beside.display()))?);
-            profile
-                .check_picture()
-                .map_err(|e| e.at(beside.display()))?;
+            profile.check_image().map_err(|e| e.at(beside.display()))?;
         }
         Ok(profile)
     }
 
-    /// Writes the profile and, if it has one, the picture beside it as `<stem>.background.png`.
+    /// Writes the profile and, if it has one, the image beside it as `<stem>.background.png`.
     ///
     /// # Errors
     /// `Config` if the profile is not valid; the error of the operating system if a file cannot
@@ -162,14 +160,14 @@ impl SensorProfile {
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
         profile.background.file = self
             .background
-            .picture
+            .image
             .as_ref()
             .map(|_| FileName::nearest(&format!("{stem}.background.png")));
         profile.validate()?;
-        profile.check_picture()?;
+        profile.check_image()?;
         let mut files = Vec::new();
-        if let (Some(name), Some(picture)) = (&profile.background.file, &self.background.picture) {
-            files.push((path.with_file_name(name.as_str()), encode_png_rgb(picture)?));
+        if let (Some(name), Some(image)) = (&profile.background.file, &self.background.image) {
+            files.push((path.with_file_name(name.as_str()), encode_png_rgb(image)?));
         }
         files.push((path.to_owned(), profile.to_toml()?.into_bytes()));
         // All are on the disk before the first takes its name: they belong together.
@@ -206,9 +204,9 @@ impl SensorProfile {
         }
         let grid = &self.geometry;
         for (key, side) in [("width", grid.width), ("height", grid.height)] {
-            if !(2..=LARGEST_SIDE).contains(&side) {
+            if !(2..=MAX_SIDE).contains(&side) {
                 return Err(wrong(format!(
-                    "geometry.{key} must be 2 to {LARGEST_SIDE} pixels, found {side}"
+                    "geometry.{key} must be 2 to {MAX_SIDE} pixels, found {side}"
                 )));
             }
         }
@@ -233,17 +231,17 @@ impl SensorProfile {
         self.background.fit.validate()
     }
 
-    fn check_picture(&self) -> Result<()> {
-        let Some(picture) = &self.background.picture else {
+    fn check_image(&self) -> Result<()> {
+        let Some(image) = &self.background.image else {
             return Ok(());
         };
         let expected = (self.geometry.width, self.geometry.height);
-        let found = (picture.width() as usize, picture.height() as usize);
+        let found = (image.width() as usize, image.height() as usize);
         if expected == found {
             return Ok(());
         }
         Err(Error::input(format!(
-            "the picture of the untouched gel must be {}×{} as the profile's geometry, found \
+            "the image of the untouched gel must be {}×{} as the profile's geometry, found \
                  {}×{}",
             expected.0, expected.1, found.0, found.1
         )))
@@ -309,7 +307,7 @@ mod tests {
             back.background.file.as_deref(),
             Some("2BNN-4ZE7.background.png")
         );
-        assert_eq!(back.background.picture, profile.background.picture);
+        assert_eq!(back.background.image, profile.background.image);
         assert_eq!(back.shading, profile.shading);
         assert_eq!(back.smoothing, profile.smoothing);
     }
@@ -352,14 +350,14 @@ mod tests {
         );
         let profile = SensorProfile::gelsight_mini().unwrap();
         profile.save(&path).unwrap();
-        let picture = folder.path().join("a.background.png");
-        fs::write(&picture, b"no picture").unwrap();
+        let image = folder.path().join("a.background.png");
+        fs::write(&image, b"no image").unwrap();
         let text = SensorProfile::load(&path).unwrap_err().to_string();
         assert!(text.contains("a.background.png"), "{text}");
-        fs::write(&picture, encode_png_rgb(&RgbImage::new(10, 10)).unwrap()).unwrap();
+        fs::write(&image, encode_png_rgb(&RgbImage::new(10, 10)).unwrap()).unwrap();
         let text = SensorProfile::load(&path).unwrap_err().to_string();
         assert!(text.contains("found 10×10"), "{text}");
-        fs::remove_file(&picture).unwrap();
+        fs::remove_file(&image).unwrap();
         let text = SensorProfile::load(&path).unwrap_err().to_string();
         assert!(text.contains("smooth fit"), "{text}");
         let nowhere = folder.path().join("no/such/a.toml");
@@ -367,16 +365,16 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_that_cannot_be_written_leaves_the_old_picture() {
+    fn a_profile_that_cannot_be_written_leaves_the_old_image() {
         let folder = tempfile::tempdir().unwrap();
         let mut profile = SensorProfile::gelsight_mini().unwrap();
-        let picture = folder.path().join("a.background.png");
-        fs::write(&picture, b"old").unwrap();
-        // No file can have this name, but the picture can have its own.
+        let image = folder.path().join("a.background.png");
+        fs::write(&image, b"old").unwrap();
+        // No file can have this name, but the image can have its own.
         std::os::unix::fs::symlink("no/such/a.toml", folder.path().join("a.toml")).unwrap();
-        profile.background.picture = Some(RgbImage::new(320, 240));
+        profile.background.image = Some(RgbImage::new(320, 240));
         assert!(profile.save(&folder.path().join("a.toml")).is_err());
-        assert_eq!(fs::read(&picture).unwrap(), b"old");
+        assert_eq!(fs::read(&image).unwrap(), b"old");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 }

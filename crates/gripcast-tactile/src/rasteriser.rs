@@ -18,7 +18,7 @@ type Corner = [f64; 3];
 
 /// Buffers of the z-buffer, kept between frames.
 ///
-/// The frame of a sensor has x along the columns and y along the rows of its picture and z from
+/// The frame of a sensor has x along the columns and y along the rows of its image and z from
 /// the gel's back to its face; its origin lies in the middle of the back.
 #[derive(Clone, Debug, Default)]
 pub struct Rasteriser {
@@ -106,7 +106,7 @@ impl Rasteriser {
     }
 }
 
-/// Size of the picture.
+/// Size of the image.
 #[derive(Clone, Copy)]
 struct Grid {
     width: f64,

@@ -82,7 +82,7 @@ fn thin_and_steep_triangles_are_those_of_rays() {
 }
 
 #[test]
-fn what_has_no_area_on_the_picture_is_not_seen() {
+fn what_has_no_area_on_the_image_is_not_seen() {
     let p = |x: f64, y: f64, z: f64| DVec3::new(x, y, z) * 1e-3;
     let mesh = TriangleMesh {
         vertices: vec![
@@ -178,7 +178,7 @@ fn a_fan_covers_each_pixel_once() {
 }
 
 #[test]
-fn triangles_far_larger_than_the_picture_keep_their_depth() {
+fn triangles_far_larger_than_the_image_keep_their_depth() {
     let mesh = TriangleMesh {
         vertices: vec![
             DVec3::new(-300.0, -200.0, -30.0),

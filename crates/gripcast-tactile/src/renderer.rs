@@ -1,4 +1,4 @@
-//! From the depth of a press to the sensor's picture.
+//! From the depth of a press to the sensor's image.
 
 use image::RgbImage;
 
@@ -13,7 +13,7 @@ use gripcast_base::error::{Error, Result};
 /// Largest relative difference of pixel sizes that counts as the same.
 const SAME_PIXEL: f64 = 1e-6;
 
-/// Makes pictures of one sensor; keeps its buffers from frame to frame. One thread; several
+/// Makes images of one sensor; keeps its buffers from frame to frame. One thread; several
 /// renderers work side by side.
 #[derive(Clone, Debug)]
 pub struct TactileRenderer {
@@ -34,8 +34,8 @@ impl TactileRenderer {
     pub fn new(profile: &SensorProfile) -> Result<Self> {
         profile.validate()?;
         let geometry = profile.geometry;
-        let untouched = match &profile.background.picture {
-            Some(picture) => planes_of(picture),
+        let untouched = match &profile.background.image {
+            Some(image) => planes_of(image),
             None => profile
                 .background
                 .fit
@@ -52,12 +52,12 @@ impl TactileRenderer {
         })
     }
 
-    /// Grid, scale and gel of the pictures.
+    /// Grid, scale and gel of the images.
     pub fn geometry(&self) -> SensorGeometry {
         self.geometry
     }
 
-    /// What the press changes in the picture, grey levels: planes of red, green, blue, each
+    /// What the press changes in the image, grey levels: planes of red, green, blue, each
     /// `width * height`, not rounded and not clipped.
     ///
     /// # Errors
@@ -80,19 +80,19 @@ impl TactileRenderer {
         Ok(&self.change)
     }
 
-    /// The sensor's picture of the press, 8 bits a channel.
+    /// The sensor's image of the press, 8 bits a channel.
     ///
     /// # Errors
     /// `Input` if the press was taken on another grid.
     pub fn render(&mut self, press: &PressDepth, look: &FrameLook) -> Result<RgbImage> {
         self.change(press)?;
-        let mut picture = RgbImage::new(self.geometry.width as u32, self.geometry.height as u32);
-        self.compose(look, &mut picture);
-        Ok(picture)
+        let mut image = RgbImage::new(self.geometry.width as u32, self.geometry.height as u32);
+        self.compose(look, &mut image);
+        Ok(image)
     }
 
     /// gain · (untouched + change) + offset + noise, rounded.
-    fn compose(&self, look: &FrameLook, picture: &mut RgbImage) {
+    fn compose(&self, look: &FrameLook, image: &mut RgbImage) {
         let [red, green, blue] = &self.untouched;
         let [d_red, d_green, d_blue] = &self.change;
         let light = red.iter().zip(d_red);
@@ -101,7 +101,7 @@ impl TactileRenderer {
         // + 0.5 rounds; the cast saturates at 0 and 255.
         let [o_red, o_green, o_blue] = look.offset.map(|v| v + 0.5);
         let [g_red, g_green, g_blue] = look.gain;
-        let pixels = picture.chunks_exact_mut(3).zip(light);
+        let pixels = image.chunks_exact_mut(3).zip(light);
         let Some(seed) = look.noise_seed else {
             for (pixel, (((r, dr), (g, dg)), (b, db))) in pixels {
                 pixel[0] = (g_red * (r + dr) + o_red) as u8;

@@ -14,8 +14,8 @@ fn nothing_touches_and_the_untouched_gel_is_seen() {
     let profile = SensorProfile::gelsight_mini().unwrap();
     let mut renderer = mini();
     let press = PressDepth::untouched(renderer.geometry());
-    let picture = renderer.render(&press, &FrameLook::default()).unwrap();
-    assert_eq!(Some(picture), profile.background.picture);
+    let image = renderer.render(&press, &FrameLook::default()).unwrap();
+    assert_eq!(Some(image), profile.background.image);
 }
 
 #[test]
@@ -95,8 +95,8 @@ fn gain_and_offset_apply_and_saturate() {
         offset: [300.0, -5.0, 77.0],
         noise_seed: None,
     };
-    let picture = renderer.render(&press, &look).unwrap();
-    assert!(picture.pixels().all(|p| p.0 == [255, 0, 77]));
+    let image = renderer.render(&press, &look).unwrap();
+    assert!(image.pixels().all(|p| p.0 == [255, 0, 77]));
 }
 
 #[test]

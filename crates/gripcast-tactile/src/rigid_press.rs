@@ -15,7 +15,7 @@ pub fn foundation_pa_m(young_pa: f64, poisson: f64, thickness_m: f64) -> f64 {
 }
 
 /// Depth (m) of the deepest pixel at which a foundation of `stiffness_pa_m` carries `force_n`, at
-/// most the gel's thickness; none where the object does not lie over the picture. `t_sensor_object`
+/// most the gel's thickness; none where the object does not lie over the image. `t_sensor_object`
 /// gives the object's turn and its place across; its z is not used.
 pub fn depth_under_force(
     object: &TriangleMesh,
@@ -71,7 +71,7 @@ mod tests {
         let k = foundation_pa_m(1e6, 0.3, 0.004);
         let grid = grid();
         let depth = depth_under_force(&bar, &Pose::IDENTITY, 20.0, k, &grid).unwrap();
-        // The box covers the whole picture.
+        // The box covers the whole image.
         let area = grid.pixel_m.powi(2) * (grid.width * grid.height) as f64;
         let expected = 20.0 / (k * area);
         assert!((depth / expected - 1.0).abs() < 1e-3, "{depth} {expected}");

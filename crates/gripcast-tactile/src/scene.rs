@@ -4,8 +4,8 @@
 //! The gel's own frame is that of [`Finger`]: z from the back to the face, x along the gripper's
 //! approach, y across; its origin lies in the middle of the back, which moves with the finger. The
 //! sensor's frame is the gel's, turned about z by the [`Mounting`], so that x runs along the
-//! columns and y along the rows of the picture. Unturned, what lies further along the approach is
-//! further right in both pictures; what lies further along the gripper's y is further up in the
+//! columns and y along the rows of the image. Unturned, what lies further along the approach is
+//! further right in both images; what lies further along the gripper's y is further up in the
 //! left finger's and further down in the right one's.
 
 use glam::{DQuat, DVec3};
@@ -19,7 +19,7 @@ use gripcast_geometry::{Pose, TriangleMesh};
 use gripcast_sim::fem::{GelGrid, Side};
 use gripcast_sim::grasp::{Finger, Snapshot, TraceStep};
 
-/// How a sensor is turned on its finger, in quarter turns: its picture's columns run along the
+/// How a sensor is turned on its finger, in quarter turns: its image's columns run along the
 /// gel's x axis turned by this angle about the gel's z axis, towards its y axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "u16", into = "u16")]
@@ -229,7 +229,7 @@ impl<'a> TactileScene<'a> {
         }
     }
 
-    /// A gel with the object beside it, out of its picture.
+    /// A gel with the object beside it, out of its image.
     pub fn without_contact(object: &'a TriangleMesh, grid: &SensorGeometry) -> Self {
         Self {
             object,
@@ -240,7 +240,7 @@ impl<'a> TactileScene<'a> {
         }
     }
 
-    /// An object pressed in along the sensor's z axis until the deepest pixel of the picture is
+    /// An object pressed in along the sensor's z axis until the deepest pixel of the image is
     /// `depth_m` deep. `t_sensor_object` gives its turn and its place across; its z is not used.
     ///
     /// # Errors
@@ -266,7 +266,7 @@ impl<'a> TactileScene<'a> {
         let lowest = f64::from(seen.iter().copied().fold(f32::INFINITY, f32::min));
         if !lowest.is_finite() {
             return Err(
-                Error::input("the object does not lie over the sensor's picture")
+                Error::input("the object does not lie over the sensor's image")
                     .remedy("shift it: x = 0, y = 0 is the middle of the gel"),
             );
         }

@@ -11,17 +11,17 @@ use super::renderer::TactileRenderer;
 use super::scene::TactileScene;
 use gripcast_base::error::Result;
 
-/// Makes the picture that a sensor would take of a scene.
+/// Makes the image that a sensor would take of a scene.
 ///
 /// A renderer keeps buffers between frames: each thread takes its own.
 pub trait SceneRenderer: Send {
     /// Its name on the command line.
     fn name(&self) -> &'static str;
 
-    /// Pixel grid of its pictures.
+    /// Pixel grid of its images.
     fn grid(&self) -> SensorGeometry;
 
-    /// The picture of a scene. Noise and drift, where the renderer has any, follow from the seed;
+    /// The image of a scene. Noise and drift, where the renderer has any, follow from the seed;
     /// without one there are none.
     ///
     /// # Errors
@@ -39,7 +39,7 @@ pub struct ObjectDepthRenderer {
 }
 
 impl ObjectDepthRenderer {
-    /// A renderer of a sensor's pictures.
+    /// A renderer of a sensor's images.
     ///
     /// # Errors
     /// `Config` if the profile is not valid.

@@ -58,7 +58,7 @@ fn snapshot(gel: &SimulatedGel) -> Snapshot {
     }
 }
 
-/// Mean column and row of what is pressed in, from the picture's middle, and the deepest point.
+/// Mean column and row of what is pressed in, from the image's middle, and the deepest point.
 fn pressed_at(object: &TriangleMesh, place: SensorPlace) -> ([f64; 2], f64) {
     let gel = gel();
     let scene = TactileScene::of_snapshot(object, &gel, &snapshot(&gel), place).unwrap();
@@ -100,7 +100,7 @@ fn features_appear_where_the_frames_say() {
 }
 
 #[test]
-fn a_turned_sensor_turns_its_picture_the_other_way() {
+fn a_turned_sensor_turns_its_image_the_other_way() {
     let ahead = feature(DVec3::Z * 5e-3);
     let expected = [
         (0, [25.0, 0.0]),

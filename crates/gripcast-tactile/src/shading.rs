@@ -1,10 +1,10 @@
-//! Polynomial shading: what a slope of the gel adds to the picture.
+//! Polynomial shading: what a slope of the gel adds to the image.
 //!
 //! For each channel the change against the untouched gel, in grey levels, is
 //! d(n, x, y) = Σ_k t_k(n) · Σ_p c_kp · q_p(x, y), with terms t_k of the unit normal (linear:
 //! nx, ny, nz − 1; quadratic adds nx², ny², nx ny, nx (nz − 1), ny (nz − 1); cubic adds nx³, ny³,
 //! nx² ny, nx ny²) and terms q_p of the place (constant: 1; linear: x, y; quadratic: x², y², xy).
-//! x and y count from the picture's middle and are ±1 at the ends of its longer side. It is the
+//! x and y count from the image's middle and are ±1 at the ends of its longer side. It is the
 //! form of GelSight's `gssim`, whose coefficients per light are polynomials of the place too.
 
 use serde::{Deserialize, Serialize};

@@ -11,7 +11,7 @@ use super::press_depth::PressDepth;
 use gripcast_base::error::{Error, Result};
 
 /// Largest length that is believed, pixels.
-const LARGEST_PX: f64 = 200.0;
+const MAX_PX: f64 = 200.0;
 
 /// What the gel does that the object does not.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -34,9 +34,9 @@ impl Smoothing {
             ("sigma_m", self.sigma_m),
         ] {
             let pixels = length_m / pixel_m;
-            if !(0.0..=LARGEST_PX).contains(&pixels) {
+            if !(0.0..=MAX_PX).contains(&pixels) {
                 return Err(Error::config(format!(
-                    "smoothing.{key} must be 0 to {LARGEST_PX} pixels (of {pixel_m} m), found \
+                    "smoothing.{key} must be 0 to {MAX_PX} pixels (of {pixel_m} m), found \
                          {length_m} m = {pixels} pixels"
                 )));
             }

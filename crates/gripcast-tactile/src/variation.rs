@@ -81,12 +81,12 @@ impl SensorVariation {
             self.scale(shading);
         }
         let background = &mut varied.background;
-        let picture = background.picture.get_or_insert_with(|| {
+        let image = background.image.get_or_insert_with(|| {
             let geometry = profile.geometry;
             fitted(&background.fit, geometry.width, geometry.height)
         });
-        self.repaint(picture);
-        background.fit = BackgroundFit::of_picture(picture, background.fit.degree);
+        self.repaint(image);
+        background.fit = BackgroundFit::of_image(image, background.fit.degree);
         varied
     }
 
@@ -97,12 +97,12 @@ impl SensorVariation {
         }
     }
 
-    fn repaint(&self, picture: &mut RgbImage) {
+    fn repaint(&self, image: &mut RgbImage) {
         if self.is_mirrored {
-            imageops::flip_horizontal_in_place(picture);
+            imageops::flip_horizontal_in_place(image);
         }
-        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-        for (column, row, pixel) in picture.enumerate_pixels_mut() {
+        let (width, height) = (f64::from(image.width()), f64::from(image.height()));
+        for (column, row, pixel) in image.enumerate_pixels_mut() {
             let x = (2.0 * f64::from(column) + 1.0) / width - 1.0;
             let y = (2.0 * f64::from(row) + 1.0) / height - 1.0;
             let terms = [x, y, x * y, 2.0 * x * x - 1.0, 2.0 * y * y - 1.0];
@@ -134,7 +134,7 @@ mod tests {
     }
 
     fn background(profile: &SensorProfile) -> RgbImage {
-        profile.background.picture.clone().unwrap()
+        profile.background.image.clone().unwrap()
     }
 
     #[test]
@@ -167,9 +167,9 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_without_a_picture_is_painted_from_its_fit() {
+    fn a_profile_without_a_image_is_painted_from_its_fit() {
         let mut profile = shipped();
-        profile.background.picture = None;
+        profile.background.image = None;
         let varied = SensorVariation::NONE.of(&profile);
         let off = mean_difference(&background(&varied), &background(&shipped()));
         assert!(off < 4.0, "{off}");

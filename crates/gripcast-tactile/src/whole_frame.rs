@@ -1,4 +1,4 @@
-//! The frame of a sensor's camera around the picture that a renderer makes of its crop.
+//! The frame of a sensor's camera around the image that a renderer makes of its crop.
 
 use std::ops::Range;
 
@@ -8,18 +8,18 @@ use super::profile::SensorProfile;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::CropWindow;
 
-/// Where a column or row of the painted frame lies in the sensor's own picture.
+/// Where a column or row of the painted frame lies in the sensor's own image.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     /// The line before it.
     before: usize,
-    /// Share of the line after that.
-    share: f32,
+    /// Fraction of the line after that.
+    fraction: f32,
     /// Distance outside of the crop, in parts of its size.
     outside: f32,
 }
 
-/// How the sensor's picture, which is a crop, fills the whole frame of its camera.
+/// How the sensor's image, which is a crop, fills the whole frame of its camera.
 #[derive(Clone, Debug)]
 pub struct WholeFrame {
     columns: Vec<Line>,
@@ -47,17 +47,17 @@ impl WholeFrame {
         }
     }
 
-    /// The whole frame: inside of the crop `picture`, outside its rim, the contact fading into
+    /// The whole frame: inside of the crop `image`, outside its rim, the contact fading into
     /// the untouched gel and both into the dark housing.
     ///
     /// # Errors
-    /// `Internal` where a picture has another size than its profile.
-    pub fn place(&self, picture: &RgbImage, untouched: &RgbImage) -> Result<RgbImage> {
+    /// `Internal` where an image has another size than its profile.
+    pub fn place(&self, image: &RgbImage, untouched: &RgbImage) -> Result<RgbImage> {
         let wrong_size = || {
-            let what = "a tactile picture has another size than its profile";
+            let what = "a tactile image has another size than its profile";
             Error::internal(what)
         };
-        if picture.dimensions() != self.size || untouched.dimensions() != self.size {
+        if image.dimensions() != self.size || untouched.dimensions() != self.size {
             return Err(wrong_size());
         }
         let stride = 3 * self.size.0 as usize;
@@ -70,16 +70,16 @@ impl WholeFrame {
             let between = |of: &RgbImage| -> Vec<f32> {
                 let (above, below) = (line(of, row.before), line(of, row.before + 1));
                 let mixed = above.iter().zip(&below);
-                mixed.map(|(a, b)| a + row.share * (b - a)).collect()
+                mixed.map(|(a, b)| a + row.fraction * (b - a)).collect()
             };
-            let (touched, bare) = (between(picture), between(untouched));
+            let (touched, bare) = (between(image), between(untouched));
             for column in &self.columns {
                 let rim = column.outside.hypot(row.outside) / 0.2;
                 let light = 1.0 - 0.62 * ease((rim - 0.25) / 0.75);
                 let contact = 1.0 - ease((rim - 0.15) / 0.7);
                 for channel in 0..3 {
                     let at = 3 * column.before + channel;
-                    let mix = |of: &[f32]| of[at] + column.share * (of[at + 3] - of[at]);
+                    let mix = |of: &[f32]| of[at] + column.fraction * (of[at + 3] - of[at]);
                     let (touched, bare) = (mix(&touched), mix(&bare));
                     let level = light * (bare + contact * (touched - bare));
                     frame.push((level + 0.5) as u8);
@@ -91,7 +91,7 @@ impl WholeFrame {
     }
 }
 
-/// Places of `painted` lines, which show `full` lines of which `window` is the crop, in a picture
+/// Places of `painted` lines, which show `full` lines of which `window` is the crop, in an image
 /// of `size` lines.
 fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> {
     let (first, span) = (
@@ -101,13 +101,13 @@ fn lines(painted: u32, full: u32, window: Range<u32>, size: usize) -> Vec<Line> 
     (0..painted)
         .map(|line| {
             let at = (f64::from(line) + 0.5) * f64::from(full) / f64::from(painted);
-            let share = (at - first) / span;
-            let pixel = (share * size as f64 - 0.5).clamp(0.0, size as f64 - 1.0);
+            let fraction = (at - first) / span;
+            let pixel = (fraction * size as f64 - 0.5).clamp(0.0, size as f64 - 1.0);
             let before = (pixel as usize).min(size.saturating_sub(2));
             Line {
                 before,
-                share: (pixel - before as f64) as f32,
-                outside: (-share).max(share - 1.0).max(0.0) as f32,
+                fraction: (pixel - before as f64) as f32,
+                outside: (-fraction).max(fraction - 1.0).max(0.0) as f32,
             }
         })
         .collect()
@@ -127,7 +127,7 @@ mod tests {
     use gripcast_testing::mean_difference;
 
     #[test]
-    fn the_crop_gives_the_picture_back_and_the_rim_is_dark() {
+    fn the_crop_gives_the_image_back_and_the_rim_is_dark() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         // Waves of 40 pixels show a shift of a fraction of one.
         let wave = |x: u32| 128.0 + 60.0 * (f64::from(x) * std::f64::consts::TAU / 40.0).sin();
@@ -136,14 +136,14 @@ mod tests {
                 image::Rgb([wave(x + shift), wave(y), wave(x + y + shift)].map(|v| v as u8))
             })
         };
-        let picture = waves(0);
+        let image = waves(0);
         let full = (640, 480);
         let window = profile.crop_profile.window(full.0, full.1).unwrap();
         let whole = WholeFrame::new(&profile, window, full, full);
-        let frame = whole.place(&picture, &picture).unwrap();
+        let frame = whole.place(&image, &image).unwrap();
         let cut = crop_and_resize(&frame, &CropProfile::GSMINI_SEVENTH, 320, 240).unwrap();
         let (off, shifted) = (
-            mean_difference(&cut, &picture),
+            mean_difference(&cut, &image),
             mean_difference(&cut, &waves(1)),
         );
         assert!(off < 0.3 * shifted, "{off} {shifted}");
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_another_size_is_refused() {
+    fn an_image_of_another_size_is_refused() {
         let profile = SensorProfile::gelsight_mini().unwrap();
         let window = profile.crop_profile.window(640, 480).unwrap();
         let whole = WholeFrame::new(&profile, window, (640, 480), (320, 240));

@@ -1,4 +1,4 @@
-//! What tests of gripcast share: where real data are, and how a test says that it cannot run here.
+//! What tests of gripcast fraction: where real data are, and how a test says that it cannot run here.
 
 // A helper of a test fails as a test does.
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// What a test needs beside the repository.
 #[derive(Clone, Copy, Debug)]
 pub enum Needs {
-    /// OpenCV's ChArUco pictures, in the folder `GRIPCAST_CHARUCO`.
+    /// OpenCV's ChArUco images, in the folder `GRIPCAST_CHARUCO`.
     Charuco,
     /// The User-Mode-Linux kernel of tests/kernel.
     Kernel,
@@ -90,7 +90,7 @@ pub fn shared(item: &str) -> Option<PathBuf> {
     None
 }
 
-/// Mean difference of two pictures of one size, grey levels.
+/// Mean difference of two images of one size, grey levels.
 pub fn mean_difference(a: &image::RgbImage, b: &image::RgbImage) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let pairs = a.iter().zip(b.iter());

@@ -81,7 +81,7 @@ impl Tree {
     }
 
     /// Plugs a device in; each function is an interface number and how many nodes it has, the
-    /// first and third of which carry pictures. Returns the number of its first node.
+    /// first and third of which carry images. Returns the number of its first node.
     pub fn plug(&mut self, usb: Usb<'_>, functions: &[(u8, u32)]) -> u32 {
         let device = self
             .path("sys/devices/pci0000:00/0000:00:14.0")

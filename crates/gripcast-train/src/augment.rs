@@ -1,4 +1,4 @@
-//! From the pictures of a sample to the floats that the network sees, changed at random in
+//! From the images of a sample to the floats that the network sees, changed at random in
 //! training.
 
 use image::RgbImage;
@@ -8,49 +8,49 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::ShardImages;
 use gripcast_imaging::Decoder;
-use gripcast_nn::PICTURE;
+use gripcast_nn::IMAGE;
 use gripcast_nn::predict::contract::RgbNormalisation;
 
-const HEIGHT: usize = PICTURE[0];
-const WIDTH: usize = PICTURE[1];
-/// Floats of a picture.
-pub(super) const FLOATS: usize = HEIGHT * WIDTH * PICTURE[2];
+const HEIGHT: usize = IMAGE[0];
+const WIDTH: usize = IMAGE[1];
+/// Floats of an image.
+pub(super) const FLOATS: usize = HEIGHT * WIDTH * IMAGE[2];
 /// Numbers that noise is taken from, at random places: drawing new ones would take longer than the
 /// network.
 const NOISE: usize = 1 << 20;
 
-/// How far pictures are changed in training. Zeros and `false` leave them as they are.
+/// How far images are changed in training. Zeros and `false` leave them as they are.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Augmentation {
     /// Half of the samples are seen as if the gripper were turned by 180° about its approach: the
-    /// sensors swap, the colour picture turns.
+    /// sensors swap, the colour image turns.
     pub turned: bool,
-    /// Half of the samples are mirrored between the fingers: the sensors swap and their pictures
-    /// turn upside down, left and right of the colour picture swap.
+    /// Half of the samples are mirrored between the fingers: the sensors swap and their images
+    /// turn upside down, left and right of the colour image swap.
     pub mirrored: bool,
-    /// Sensitivity of a tactile sensor, as a share: 0.25 is 0.75 to 1.25.
+    /// Sensitivity of a tactile sensor, as a fraction: 0.25 is 0.75 to 1.25.
     pub tactile_gain: f64,
     /// The same for each of its colours.
     pub tactile_colour: f64,
-    /// Drift of a colour between the initial and the grasp picture, grey levels of 255.
+    /// Drift of a colour between the initial and the grasp image, grey levels of 255.
     pub tactile_offset: f64,
     /// Largest deviation of a tactile difference's noise, grey levels of 255.
     pub tactile_noise: f64,
-    /// Largest shift of a tactile sensor's picture, pixels.
+    /// Largest shift of a tactile sensor's image, pixels.
     pub tactile_shift: usize,
-    /// Largest part of the colour picture's sides that is cut off.
+    /// Largest part of the colour image's sides that is cut off.
     pub crop: f64,
-    /// Brightness of the colour picture, as a share.
+    /// Brightness of the colour image, as a fraction.
     pub brightness: f64,
     /// The same for each of its colours.
     pub colour: f64,
-    /// Saturation, as a share.
+    /// Saturation, as a fraction.
     pub saturation: f64,
 }
 
 impl Augmentation {
-    /// Pictures as they are.
+    /// Images as they are.
     pub const NONE: Self = Self {
         turned: false,
         mirrored: false,
@@ -80,51 +80,51 @@ impl Augmentation {
     };
 }
 
-/// The decoded pictures of a sample.
+/// The decoded images of a sample.
 #[derive(Clone, Debug)]
-pub(super) struct SamplePictures {
+pub(super) struct SampleImages {
     /// Left and right sensor, initial and grasp.
     pub(super) tactile: [[RgbImage; 2]; 2],
     /// Colour camera in the grasp.
     pub(super) rgb: RgbImage,
 }
 
-impl SamplePictures {
-    /// Decodes what a network with these senses sees; other pictures are empty.
+impl SampleImages {
+    /// Decodes what a network with these senses sees; other images are empty.
     ///
     /// # Errors
-    /// `Input`: a picture is damaged or not 320×240.
+    /// `Input`: an image is damaged or not 320×240.
     pub(super) fn decode(
         decoder: &mut Decoder,
         images: &ShardImages,
         [touch, vision]: [bool; 2],
     ) -> Result<Self> {
-        let mut picture = |is_seen: bool, name: &str, bytes: &[u8]| {
+        let mut image = |is_seen: bool, name: &str, bytes: &[u8]| {
             if !is_seen {
                 return Ok(RgbImage::default());
             }
-            let picture = decoder.stored_picture(bytes)?;
-            let (width, height) = picture.dimensions();
+            let image = decoder.stored_image(bytes)?;
+            let (width, height) = image.dimensions();
             if (width as usize, height as usize) == (WIDTH, HEIGHT) {
-                return Ok(picture);
+                return Ok(image);
             }
             Err(Error::input(format!(
                 "`{name}`: expected {WIDTH}×{HEIGHT} pixels, found {width}×{height}"
             ))
-            .remedy("make the dataset of pictures that are cropped and resized to 320×240"))
+            .remedy("make the dataset of images that are cropped and resized to 320×240"))
         };
         Ok(Self {
             tactile: [
                 [
-                    picture(touch, "initial_left", &images.initial_left)?,
-                    picture(touch, "grasp_left", &images.grasp_left)?,
+                    image(touch, "initial_left", &images.initial_left)?,
+                    image(touch, "grasp_left", &images.grasp_left)?,
                 ],
                 [
-                    picture(touch, "initial_right", &images.initial_right)?,
-                    picture(touch, "grasp_right", &images.grasp_right)?,
+                    image(touch, "initial_right", &images.initial_right)?,
+                    image(touch, "grasp_right", &images.grasp_right)?,
                 ],
             ],
-            rgb: picture(vision, "grasp_rgb", &images.grasp_rgb)?,
+            rgb: image(vision, "grasp_rgb", &images.grasp_rgb)?,
         })
     }
 }
@@ -145,7 +145,7 @@ struct Pose {
 }
 
 impl InputWriter {
-    /// A writer; pictures are changed by `augmentation` where a seed is given.
+    /// A writer; images are changed by `augmentation` where a seed is given.
     pub(super) fn new(augmentation: Augmentation, normalisation: RgbNormalisation) -> Self {
         let mut noise = Vec::new();
         if augmentation.tactile_noise > 0.0 {
@@ -161,13 +161,13 @@ impl InputWriter {
         }
     }
 
-    /// Writes left and right tactile difference and the colour picture, HWC; slices that are empty
-    /// stay empty. Unchanged pictures give the floats of
+    /// Writes left and right tactile difference and the colour image, HWC; slices that are empty
+    /// stay empty. Unchanged images give the floats of
     /// [`ModelInput`](gripcast_nn::predict::ModelInput) but for the last bits: here levels are
     /// multiplied with gains, there divided by 255.
     pub(super) fn write(
         &self,
-        pictures: &SamplePictures,
+        images: &SampleImages,
         seed: Option<u64>,
         [left, right]: [&mut [f32]; 2],
         rgb: &mut [f32],
@@ -186,7 +186,7 @@ impl InputWriter {
             upside_down: turned,
             left_right: turned != mirrored,
         };
-        let [of_left, of_right] = &pictures.tactile;
+        let [of_left, of_right] = &images.tactile;
         let pairs = if pose.swap {
             [of_right, of_left]
         } else {
@@ -198,7 +198,7 @@ impl InputWriter {
             }
         }
         if !rgb.is_empty() {
-            self.write_rgb(&augmentation, &pictures.rgb, &pose, &mut draw, rgb);
+            self.write_rgb(&augmentation, &images.rgb, &pose, &mut draw, rgb);
         }
     }
 

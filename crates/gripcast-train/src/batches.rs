@@ -4,14 +4,14 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
-use super::augment::{FLOATS, InputWriter, SamplePictures};
+use super::augment::{FLOATS, InputWriter, SampleImages};
 use super::samples::{SampleFacts, SampleReader, Samples};
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::Decoder;
 use gripcast_nn::Batch;
 use gripcast_nn::predict::contract::{RgbNormalisation, Variant};
 
-/// Samples from which mean and deviation of the colour picture are taken.
+/// Samples from which mean and deviation of the colour image are taken.
 const NORMALISATION_SAMPLES: usize = 256;
 
 /// Makes batches of a part of a dataset.
@@ -26,7 +26,7 @@ pub(super) struct Batches<'a> {
 }
 
 impl<'a> Batches<'a> {
-    /// Batches for a network with these senses; `memory` bytes of encoded pictures are kept.
+    /// Batches for a network with these senses; `memory` bytes of encoded images are kept.
     pub(super) fn new(
         samples: &'a Samples,
         variant: Variant,
@@ -43,7 +43,7 @@ impl<'a> Batches<'a> {
     }
 
     /// Lets both labels count the same in sum, at each stopping force if all have both: weak grasps
-    /// are lost more often, and the force can be read from the tactile pictures.
+    /// are lost more often, and the force can be read from the tactile images.
     #[must_use]
     pub(super) fn balanced(mut self) -> Self {
         let facts = self.samples.facts();
@@ -76,7 +76,7 @@ impl<'a> Batches<'a> {
     pub(super) fn batch(&mut self, samples: &[usize], seeds: Option<&[u64]>) -> Result<Batch> {
         let rows = self.reader.rows(samples)?;
         let count = samples.len();
-        let floats = |is_seen, pictures: usize| vec![0.0; usize::from(is_seen) * pictures * FLOATS];
+        let floats = |is_seen, images: usize| vec![0.0; usize::from(is_seen) * images * FLOATS];
         let senses = [self.variant.has_touch(), self.variant.has_vision()];
         let mut touch = floats(senses[0], 2 * count);
         let mut vision = floats(senses[1], count);
@@ -107,10 +107,10 @@ impl<'a> Batches<'a> {
                         none => none.insert(Decoder::new()?),
                     };
                     let row = &rows[row];
-                    let pictures = SamplePictures::decode(decoder, &row.images, senses)
+                    let images = SampleImages::decode(decoder, &row.images, senses)
                         .map_err(|e| e.at(&row.facts.id))?;
                     let seed = seeds.and_then(|seeds| seeds.get(at)).copied();
-                    self.writer.write(&pictures, seed, [left, right], rgb);
+                    self.writer.write(&images, seed, [left, right], rgb);
                     Ok::<(), Error>(())
                 },
             )?;
@@ -126,7 +126,7 @@ impl<'a> Batches<'a> {
     }
 }
 
-/// Mean and deviation of the colour pictures, from evenly spread samples.
+/// Mean and deviation of the colour images, from evenly spread samples.
 ///
 /// # Errors
 /// Those of reading and decoding.
@@ -139,9 +139,9 @@ pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
     for at in some {
         for (rows, row) in reader.rows(&[at])? {
             let row = &rows[row];
-            let pictures = SamplePictures::decode(&mut decoder, &row.images, [false, true])
+            let images = SampleImages::decode(&mut decoder, &row.images, [false, true])
                 .map_err(|e| e.at(&row.facts.id))?;
-            for pixel in pictures.rgb.pixels() {
+            for pixel in images.rgb.pixels() {
                 for c in 0..3 {
                     let level = u64::from(pixel.0[c]);
                     sums[c] += level;
@@ -155,7 +155,7 @@ pub fn colour_normalisation(samples: &Samples) -> Result<RgbNormalisation> {
     let mean = sums.map(|sum| sum as f64 / count / 255.0);
     let std: [f64; 3] = std::array::from_fn(|c| {
         let square = squares[c] as f64 / count / (255.0 * 255.0);
-        // Pictures of one colour have no deviation.
+        // Images of one colour have no deviation.
         (square - mean[c] * mean[c]).max(1e-4).sqrt()
     });
     Ok(RgbNormalisation {

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::augment::SamplePictures;
+use super::augment::SampleImages;
 use super::finish::OBJECTS;
 use super::metrics::{
     BaseRateCalibration, Bootstrap, ChanceCalibration, GroupSummary, Interval, Ranking,
@@ -19,12 +19,12 @@ use gripcast_nn::predict::{Model, ModelInput};
 
 /// Samples that are read together.
 const CHUNK: usize = 64;
-/// Bytes of encoded pictures that are kept.
+/// Bytes of encoded images that are kept.
 const MEMORY: usize = 1 << 25;
 /// Change of a pixel's strongest colour that counts as touched, grey levels.
 const TOUCHED_LEVELS: i16 = 25;
-/// Share of touched pixels from which a picture shows a contact.
-const TOUCHED_SHARE: f64 = 0.004;
+/// Fraction of touched pixels from which an image shows a contact.
+const TOUCHED_FRACTION: f64 = 0.004;
 /// Mistakes of each kind that a report shows.
 const MISTAKES: usize = 12;
 /// Of the bootstrap.
@@ -74,13 +74,13 @@ pub struct ModelEvaluation {
     pub auroc: Option<Interval>,
     /// Balanced accuracy with its 95 % interval over objects.
     pub balanced_accuracy: Option<Interval>,
-    /// Only samples in which both sensors' pictures show a contact.
+    /// Only samples in which both sensors' images show a contact.
     pub in_contact: Summary,
     /// Calibration, 15 bins.
     pub reliability: ReliabilityTable,
     /// The calibration error that so few lifts show by chance alone.
     pub ece_by_chance: Option<ChanceCalibration>,
-    /// Calibration for the share of these grasps that held.
+    /// Calibration for the fraction of these grasps that held.
     #[serde(default)]
     pub at_base_rate: Option<BaseRateCalibration>,
     /// By category.
@@ -106,7 +106,7 @@ pub struct ScoredSample {
     pub p_stable: f64,
     /// What happened.
     pub stable: bool,
-    /// Whether both sensors' pictures show a contact.
+    /// Whether both sensors' images show a contact.
     pub in_contact: bool,
 }
 
@@ -142,14 +142,14 @@ pub struct Difference {
 /// dataset were trained on, if there is one.
 ///
 /// # Errors
-/// `Input`: a model for pictures that are cropped in another way, or damaged pictures. Those of
+/// `Input`: a model for images that are cropped in another way, or damaged images. Those of
 /// reading the dataset.
 pub fn evaluate(
     models: &[(String, Model)],
     samples: &Samples,
     training: Option<&Samples>,
     dataset_sha256: &str,
-    told: &(dyn Fn(usize, usize) + Sync),
+    on_progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<EvalReport> {
     for (file, model) in models {
         model
@@ -161,7 +161,7 @@ pub fn evaluate(
     let mut evaluated = Vec::new();
     for (at, (file, model)) in models.iter().enumerate() {
         let before = at * samples.facts().len();
-        let found = predictions(model, samples, &|done| told(before + done, all))?;
+        let found = predictions(model, samples, &|done| on_progress(before + done, all))?;
         evaluated.push(ModelEvaluation::new(file, model, samples, found));
     }
     let summaries: Vec<Summary> = evaluated.iter().map(|e| e.summary.clone()).collect();
@@ -246,7 +246,7 @@ struct Found {
 fn predictions(
     model: &Model,
     samples: &Samples,
-    told: &(dyn Fn(usize) + Sync),
+    on_progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<Found>> {
     let mut reader = SampleReader::new(samples, MEMORY);
     let all: Vec<usize> = (0..samples.facts().len()).collect();
@@ -265,9 +265,9 @@ fn predictions(
                         }
                     };
                     let row = &rows[*row];
-                    let pictures = SamplePictures::decode(decoder, &row.images, [true, true])
+                    let images = SampleImages::decode(decoder, &row.images, [true, true])
                         .map_err(|e| e.at(&row.facts.id))?;
-                    let in_contact = show(&pictures, input)?;
+                    let in_contact = show(&images, input)?;
                     let p_stable = model.predict(input)?.p_stable;
                     Ok(Found {
                         p_stable,
@@ -277,24 +277,24 @@ fn predictions(
             )
             .collect::<Result<_>>()?;
         found.extend(of_chunk);
-        told(found.len());
+        on_progress(found.len());
     }
     Ok(found)
 }
 
-/// Shows the pictures to a model; whether both tactile ones show a contact.
-fn show(pictures: &SamplePictures, input: &mut ModelInput) -> Result<bool> {
+/// Shows the images to a model; whether both tactile ones show a contact.
+fn show(images: &SampleImages, input: &mut ModelInput) -> Result<bool> {
     let mut in_contact = true;
     let names = [InputName::TactileLeft, InputName::TactileRight];
-    for (name, [initial, grasp]) in names.into_iter().zip(&pictures.tactile) {
+    for (name, [initial, grasp]) in names.into_iter().zip(&images.tactile) {
         let difference = TactileDifference::between(initial, grasp)?;
         let pixels = difference.levels().as_chunks::<3>().0;
         let is_touched = |pixel: &&[i16; 3]| pixel.iter().any(|x| x.abs() > TOUCHED_LEVELS);
         let touched = pixels.iter().filter(is_touched).count();
-        in_contact &= touched as f64 >= TOUCHED_SHARE * pixels.len() as f64;
+        in_contact &= touched as f64 >= TOUCHED_FRACTION * pixels.len() as f64;
         input.set_tactile(name, &difference)?;
     }
-    input.set_rgb(&pictures.rgb)?;
+    input.set_rgb(&images.rgb)?;
     Ok(in_contact)
 }
 
@@ -517,23 +517,23 @@ fn mistakes(scored: &[Scored], samples: &Samples, threshold: f64) -> Vec<Mistake
     found
 }
 
-/// The pictures of a sample for a report: left and right tactile change, brightened around grey,
-/// and the colour picture.
+/// The images of a sample for a report: left and right tactile change, brightened around grey,
+/// and the colour image.
 ///
 /// # Errors
 /// Those of reading and decoding.
-pub fn sample_pictures(samples: &Samples, sample: usize) -> Result<[image::RgbImage; 3]> {
+pub fn sample_images(samples: &Samples, sample: usize) -> Result<[image::RgbImage; 3]> {
     let rows = SampleReader::new(samples, 0).rows(&[sample])?;
     let Some((rows, row)) = rows.first() else {
         return Err(Error::internal("there is no such sample"));
     };
     let mut decoder = Decoder::new()?;
-    let pictures = SamplePictures::decode(&mut decoder, &rows[*row].images, [true, true])?;
-    let [left, right] = &pictures.tactile;
+    let images = SampleImages::decode(&mut decoder, &rows[*row].images, [true, true])?;
+    let [left, right] = &images.tactile;
     let change = |[initial, grasp]: &[image::RgbImage; 2]| {
-        TactileDifference::between(initial, grasp).map(|change| change.to_picture(2.0))
+        TactileDifference::between(initial, grasp).map(|change| change.to_image(2.0))
     };
-    Ok([change(left)?, change(right)?, pictures.rgb])
+    Ok([change(left)?, change(right)?, images.rgb])
 }
 
 #[cfg(test)]

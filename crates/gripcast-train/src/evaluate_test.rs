@@ -88,7 +88,7 @@ fn hostile(mut report: EvalReport) -> EvalReport {
 }
 
 #[test]
-fn confident_mistakes_are_shown_with_their_pictures() {
+fn confident_mistakes_are_shown_with_their_images() {
     let folder = tempfile::tempdir().unwrap();
     let wrong = (0..6).map(|number| {
         let mut row = row("test", number);
@@ -117,7 +117,7 @@ fn confident_mistakes_are_shown_with_their_pictures() {
 }
 
 #[test]
-fn one_label_and_pictures_of_another_crop_are_told() {
+fn one_label_and_images_of_another_crop_are_told() {
     let folder = tempfile::tempdir().unwrap();
     write_part(folder.path(), "test", (0..4).map(|n| row("test", 2 * n)));
     let (report, _) = evaluated(folder.path(), 1);

@@ -25,7 +25,7 @@ use gripcast_nn::predict::contract::Variant;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Condition {
-    /// The colour picture alone, finite elements.
+    /// The colour image alone, finite elements.
     Vision,
     /// Touch alone, finite elements.
     Touch,
@@ -169,7 +169,7 @@ pub fn experiment(
     settings: &ExperimentSettings,
     out: &Path,
     jobs: usize,
-    told: &(dyn Fn(ExperimentEvent) + Sync),
+    on_progress: &(dyn Fn(ExperimentEvent) + Sync),
 ) -> Result<ExperimentReport> {
     // Before hours of training, not after them.
     for (data, split) in settings.parts() {
@@ -187,9 +187,9 @@ pub fn experiment(
         jobs,
         &runs,
         &|&(seed, condition)| {
-            told(ExperimentEvent::Run(condition, seed));
+            on_progress(ExperimentEvent::Run(condition, seed));
             let folder = out.join(condition.folder()).join(format!("seed-{seed}"));
-            let model = trained(settings, condition, seed, &folder, told)?;
+            let model = trained(settings, condition, seed, &folder, on_progress)?;
             let tests = settings.tests.iter();
             tests.map(|test| tested(&model, &folder, test)).collect()
         },
@@ -219,7 +219,7 @@ fn trained(
     condition: Condition,
     seed: u64,
     folder: &Path,
-    told: &(dyn Fn(ExperimentEvent) + Sync),
+    on_progress: &(dyn Fn(ExperimentEvent) + Sync),
 ) -> Result<PathBuf> {
     let data = settings.data(condition)?;
     let training = TrainSettings {
@@ -228,7 +228,7 @@ fn trained(
         ..settings.training.clone()
     };
     train(data, folder, &training, &|event| {
-        told(ExperimentEvent::Train(condition, seed, event));
+        on_progress(ExperimentEvent::Train(condition, seed, event));
     })?;
     let run = RunFolder::at(folder);
     if run.model().is_file() {

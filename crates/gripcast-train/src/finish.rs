@@ -34,7 +34,7 @@ pub struct Finished {
     pub onnx: Vec<u8>,
 }
 
-/// Fits temperature and threshold on the validation part, describes the tactile pictures of the
+/// Fits temperature and threshold on the validation part, describes the tactile images of the
 /// training part of the dataset `data`, and writes the run's `model.onnx`.
 ///
 /// # Errors
@@ -44,7 +44,7 @@ pub fn finish(
     file: &RunFile,
     data: &Path,
     name: &str,
-    told: &dyn Fn(usize),
+    on_progress: &dyn Fn(usize),
 ) -> Result<Finished> {
     let validation = Samples::open(data, "validation")?;
     let (network, best) = folder.best_network(&file.settings)?;
@@ -53,7 +53,7 @@ pub fn finish(
         &validation,
         &file.settings,
         file.normalisation(),
-        told,
+        on_progress,
     )?;
     let (temperature, threshold) = calibrate(&found);
     let scored: Vec<_> = found.iter().map(|x| x.scored(temperature)).collect();
@@ -142,13 +142,13 @@ fn card(file: &RunFile, best: &EpochFigures, validation: &Summary) -> String {
     let figure = |value: Option<f64>| value.map_or("–".to_owned(), |x| format!("{x:.3}"));
     format!(
         "# Grasp stability, {variant}\n\n\
-         Probability that a grasp holds when it is lifted, from pictures taken before the lift. \
+         Probability that a grasp holds when it is lifted, from images taken before the lift. \
          Trained on simulated grasps with known outcomes.\n\n\
          - Data: dataset {dataset}, seed {seed}, {arch} network, epoch {epoch}.\n\
          - Validation part (other objects, also simulated; checkpoint, temperature and threshold \
          were chosen on it): n = {n}, accuracy {accuracy}, AUROC {auroc}, ECE {ece}.\n\
          - Limits: it has never been measured on the outcomes of real lifts. It knows neither mass \
-         nor friction but from what pictures show of them.\n\
+         nor friction but from what images show of them.\n\
          - Licence: MIT OR Apache-2.0.\n",
         variant = file.settings.variant,
         dataset = file.dataset_sha256,

@@ -1,4 +1,4 @@
-//! What the tactile pictures of a training part look like.
+//! What the tactile images of a training part look like.
 
 use rayon::prelude::*;
 
@@ -13,10 +13,10 @@ use gripcast_nn::predict::contract::Variant;
 use gripcast_nn::predict::novelty::{Features, features};
 
 /// Most samples that are looked at, evenly spread: two sensors each, enough for one in a thousand.
-const MOST_SAMPLES: usize = 2000;
+const MAX_SAMPLES: usize = 2000;
 /// Samples that are decoded together.
 const BATCH: usize = 32;
-/// Bytes of pictures that are kept; samples are looked at in their order.
+/// Bytes of images that are kept; samples are looked at in their order.
 const MEMORY: usize = 1 << 25;
 
 /// Describes the tactile differences of a run's training part, changed at random as in training:
@@ -31,7 +31,7 @@ pub(super) fn known_touch(samples: &Samples, file: &RunFile) -> Result<Option<No
     }
     let writer = InputWriter::new(settings.augmentation, file.normalisation());
     let mut batches = Batches::new(samples, Variant::T, writer, MEMORY);
-    let step = samples.facts().len().div_ceil(MOST_SAMPLES).max(1);
+    let step = samples.facts().len().div_ceil(MAX_SAMPLES).max(1);
     let some: Vec<usize> = (0..samples.facts().len()).step_by(step).collect();
     let mut draw = SeedStream::named(settings.seed, "known touch");
     let mut known: Vec<Features> = Vec::with_capacity(2 * some.len());

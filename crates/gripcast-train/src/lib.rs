@@ -24,7 +24,7 @@ mod state;
 pub use augment::Augmentation;
 pub use batches::colour_normalisation;
 pub use evaluate::{
-    Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, evaluate, sample_pictures,
+    Difference, EvalReport, Mistake, ModelEvaluation, ScoredSample, evaluate, sample_images,
 };
 pub use experiment::{
     Condition, ConditionDifference, ConditionResult, ExperimentEvent, ExperimentReport,

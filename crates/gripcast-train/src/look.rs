@@ -9,7 +9,7 @@ use gripcast_base::error::Result;
 use gripcast_nn::Network;
 use gripcast_nn::predict::contract::RgbNormalisation;
 
-/// Bytes of pictures that are kept; samples are looked at in their order.
+/// Bytes of images that are kept; samples are looked at in their order.
 const MEMORY: usize = 1 << 25;
 /// Samples of a batch.
 const BATCH: usize = 32;
@@ -42,7 +42,7 @@ pub fn logits(
     samples: &Samples,
     settings: &TrainSettings,
     normalisation: RgbNormalisation,
-    told: &dyn Fn(usize),
+    on_progress: &dyn Fn(usize),
 ) -> Result<Vec<Logit>> {
     let writer = InputWriter::new(Augmentation::NONE, normalisation);
     let mut batches = Batches::new(samples, settings.variant, writer, MEMORY);
@@ -55,7 +55,7 @@ pub fn logits(
             logit: f64::from(logit),
             is_stable: samples.facts()[*at].is_stable,
         }));
-        told(found.len());
+        on_progress(found.len());
     }
     Ok(found)
 }

@@ -97,13 +97,13 @@ pub struct Trained {
 ///
 /// # Errors
 /// `Usage`: settings that cannot be, or that are not those of the run in the folder. `Input`: a
-/// dataset without both labels, with objects in two parts, or with pictures of another size; a loss
+/// dataset without both labels, with objects in two parts, or with images of another size; a loss
 /// that is no number (the best checkpoint stays). Those of reading and writing.
 pub fn train(
     data: &Path,
     out: &Path,
     settings: &TrainSettings,
-    told: &(dyn Fn(TrainEvent) + Sync),
+    on_progress: &(dyn Fn(TrainEvent) + Sync),
 ) -> Result<Trained> {
     settings.check()?;
     let train = Samples::open(data, TRAIN)?;
@@ -124,7 +124,7 @@ pub fn train(
     }
     let folder = RunFolder::at(out);
     let file = begun(&folder, out, data, settings, &train)?;
-    Training::new(&folder, &file, &train, &validation)?.go_on(told)
+    Training::new(&folder, &file, &train, &validation)?.go_on(on_progress)
 }
 
 fn check_labels(samples: &Samples) -> Result<()> {
@@ -330,10 +330,10 @@ impl<'a> Training<'a> {
         (self.train.facts().len() / self.settings.batch) as u64
     }
 
-    fn go_on(mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
-        told(TrainEvent::Begun(self.start()));
+    fn go_on(mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Trained> {
+        on_progress(TrainEvent::Begun(self.start()));
         while self.position.epoch < self.settings.epochs && !self.is_out_of_patience() {
-            let figures = self.epoch(told)?;
+            let figures = self.epoch(on_progress)?;
             let accuracy = [figures.validation_accuracy, figures.validation_loss];
             if self.position.best.is_none_or(|best| figures.beats(best)) {
                 let arrays: [&[f32]; 2] = [&self.network.parameters, &self.network.moments];
@@ -347,7 +347,7 @@ impl<'a> Training<'a> {
             // The line first: after a kill between the two it is cut again.
             self.note(&figures)?;
             self.save()?;
-            told(TrainEvent::Epoch(figures));
+            on_progress(TrainEvent::Epoch(figures));
         }
         let (_, best) = self.folder.best_network(self.settings)?;
         Ok(Trained {
@@ -362,7 +362,7 @@ impl<'a> Training<'a> {
         self.settings.patience > 0 && since >= self.settings.patience
     }
 
-    fn epoch(&mut self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochFigures> {
+    fn epoch(&mut self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<EpochFigures> {
         let settings = self.settings;
         let epoch = self.position.epoch;
         let (train, variant) = (self.train, settings.variant);
@@ -398,8 +398,8 @@ impl<'a> Training<'a> {
             );
             next = read?;
             self.check_loss(loss, &gradient, epoch, step)?;
-            let share = linear_schedule(self.adam.steps, settings.warm_up, all);
-            let learning_rate = share * settings.learning_rate as f32;
+            let fraction = linear_schedule(self.adam.steps, settings.warm_up, all);
+            let learning_rate = fraction * settings.learning_rate as f32;
             let layout = self.network.layout().clone();
             self.adam.step(
                 &layout,
@@ -410,7 +410,7 @@ impl<'a> Training<'a> {
             );
             self.position.loss += loss;
             self.position.step += 1;
-            told(TrainEvent::Step {
+            on_progress(TrainEvent::Step {
                 at: [u64::from(epoch) * steps + step + 1, all],
                 loss,
                 learning_rate: f64::from(learning_rate),
@@ -421,7 +421,7 @@ impl<'a> Training<'a> {
         }
         let seconds = begun.elapsed().as_secs_f64();
         let done = (steps - first) * settings.batch as u64;
-        let scores = self.look(told)?;
+        let scores = self.look(on_progress)?;
         Ok(EpochFigures {
             epoch: epoch + 1,
             train_loss: self.position.loss / steps.max(1) as f64,
@@ -434,12 +434,12 @@ impl<'a> Training<'a> {
 
     /// Which hidden floats are left out in a step.
     fn dropped(&self, of_epoch: u64, step: u64) -> Step {
-        let share = self.settings.dropout;
+        let fraction = self.settings.dropout;
         let mut draw = SeedStream::named(of_epoch, &format!("dropout {step}"));
-        let kept = (1.0 / (1.0 - share)) as f32;
+        let kept = (1.0 / (1.0 - fraction)) as f32;
         let count = self.settings.batch * self.settings.architecture.hidden;
-        let count = if share > 0.0 { count } else { 0 };
-        let hidden = (0..count).map(|_| if draw.uniform() < share { 0.0 } else { kept });
+        let count = if fraction > 0.0 { count } else { 0 };
+        let hidden = (0..count).map(|_| if draw.uniform() < fraction { 0.0 } else { kept });
         Step {
             number: self.adam.steps,
             dropout: hidden.collect(),
@@ -463,14 +463,14 @@ impl<'a> Training<'a> {
     }
 
     /// How the network does on the validation part.
-    fn look(&self, told: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
+    fn look(&self, on_progress: &(dyn Fn(TrainEvent) + Sync)) -> Result<Scores> {
         let all = self.validation.facts().len();
         let scored = logits(
             &self.network,
             self.validation,
             self.settings,
             self.normalisation,
-            &|done| told(TrainEvent::Look([done, all])),
+            &|done| on_progress(TrainEvent::Look([done, all])),
         )?;
         Ok(Scores::of(&scored))
     }

@@ -27,18 +27,18 @@ pub struct RunFile {
     pub settings: TrainSettings,
     /// [`dataset_sha256`] of the dataset.
     pub dataset_sha256: String,
-    /// Mean and deviation of the colour pictures.
+    /// Mean and deviation of the colour images.
     pub rgb_mean: [f32; 3],
     /// Deviation.
     pub rgb_std: [f32; 3],
-    /// Crop profile of the tactile pictures.
+    /// Crop profile of the tactile images.
     pub crop_profile: String,
     /// Objects that are trained on.
     pub objects: Vec<String>,
 }
 
 impl RunFile {
-    /// Mean and deviation of the colour pictures.
+    /// Mean and deviation of the colour images.
     pub fn normalisation(&self) -> RgbNormalisation {
         RgbNormalisation {
             mean: self.rgb_mean,

@@ -2,7 +2,7 @@ use gripcast_base::error::ErrorKind;
 use std::panic::AssertUnwindSafe;
 
 use super::*;
-use crate::augment::{Augmentation, SamplePictures};
+use crate::augment::{Augmentation, SampleImages};
 use crate::run_folder::RETIRED;
 use crate::sample_dataset::{row, write_dataset, write_part};
 use crate::samples::SampleReader;
@@ -84,19 +84,19 @@ fn a_run_learns_and_its_file_predicts_what_the_network_does() {
         let mut decoder = gripcast_imaging::Decoder::new().unwrap();
         for (at, logit) in found.iter().enumerate() {
             let (rows, row) = reader.rows(&[at]).unwrap().remove(0);
-            let pictures =
-                SamplePictures::decode(&mut decoder, &rows[row].images, [true, true]).unwrap();
+            let images =
+                SampleImages::decode(&mut decoder, &rows[row].images, [true, true]).unwrap();
             let mut input = ModelInput::zeros(model.contract()).unwrap();
             let names = [
                 gripcast_nn::predict::contract::InputName::TactileLeft,
                 gripcast_nn::predict::contract::InputName::TactileRight,
             ];
-            for (name, [initial, grasp]) in names.into_iter().zip(&pictures.tactile) {
+            for (name, [initial, grasp]) in names.into_iter().zip(&images.tactile) {
                 let difference =
                     gripcast_imaging::TactileDifference::between(initial, grasp).unwrap();
                 input.set_tactile(name, &difference).unwrap();
             }
-            input.set_rgb(&pictures.rgb).unwrap();
+            input.set_rgb(&images.rgb).unwrap();
             let predicted = model.predict(&input).unwrap().p_stable;
             let expected = logit.scored(finished.temperature).p_stable;
             assert!(
@@ -255,7 +255,7 @@ fn datasets_that_teach_nothing_are_refused() {
 }
 
 #[test]
-fn a_picture_of_another_size_is_named() {
+fn an_image_of_another_size_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let mut rows: Vec<_> = (0..8).map(|n| row("train", n)).collect();
     let small = image::RgbImage::new(160, 120);

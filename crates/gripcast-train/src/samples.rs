@@ -12,7 +12,7 @@ use gripcast_base::files::{BeneathPath, FileKind, hex};
 use gripcast_base::random::SeedStream;
 use gripcast_dataset::shard::{ShardFacts, ShardReader, ShardRow, ShardSet};
 
-/// What is known of a sample besides its pictures.
+/// What is known of a sample besides its images.
 #[derive(Clone, Debug)]
 pub struct SampleFacts {
     /// Its id.
@@ -49,11 +49,11 @@ struct Group {
     group: usize,
     /// Number of its first sample.
     first: usize,
-    /// Bytes of its pictures.
+    /// Bytes of its images.
     bytes: usize,
 }
 
-/// The samples of one part of a dataset. The pictures stay in their files.
+/// The samples of one part of a dataset. The images stay in their files.
 #[derive(Clone, Debug)]
 pub struct Samples {
     root: PathBuf,
@@ -65,10 +65,10 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Opens a part of a dataset and reads everything but the pictures.
+    /// Opens a part of a dataset and reads everything but the images.
     ///
     /// # Errors
-    /// `Input`: there are no samples, or tactile pictures cropped in several ways. Those of
+    /// `Input`: there are no samples, or tactile images cropped in several ways. Those of
     /// [`ShardSet::open`] and [`ShardReader::open`].
     pub fn open(root: &Path, split: &str) -> Result<Self> {
         let set = ShardSet::open(root)?;
@@ -117,11 +117,11 @@ impl Samples {
         if crops.len() > 1 {
             let names: Vec<&str> = crops.iter().map(String::as_str).collect();
             return Err(input(format!(
-                "the tactile pictures of `{}` are cropped in several ways: {}",
+                "the tactile images of `{}` are cropped in several ways: {}",
                 self.split,
                 names.join(", ")
             ))
-            .remedy("make the dataset of pictures that are cropped in one way"));
+            .remedy("make the dataset of images that are cropped in one way"));
         }
         Ok(())
     }
@@ -141,7 +141,7 @@ impl Samples {
         &self.facts
     }
 
-    /// Crop profile of the tactile pictures.
+    /// Crop profile of the tactile images.
     pub fn crop_profile(&self) -> &str {
         &self.crop_profile
     }
@@ -185,7 +185,7 @@ impl Samples {
         .remedy("split the dataset by object, as `synth merge` does"))
     }
 
-    /// All pictures of a sample's group.
+    /// All images of a sample's group.
     fn read(&self, group: usize) -> Result<Vec<ShardRow>> {
         let group = &self.groups[group];
         self.shards[group.shard].row_group(group.group)
@@ -244,7 +244,7 @@ pub(super) struct SampleReader<'a> {
 }
 
 impl<'a> SampleReader<'a> {
-    /// A reader that keeps about `memory` bytes of pictures.
+    /// A reader that keeps about `memory` bytes of images.
     pub(super) fn new(samples: &'a Samples, memory: usize) -> Self {
         Self {
             samples,

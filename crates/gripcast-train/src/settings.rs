@@ -25,15 +25,15 @@ pub struct TrainSettings {
     pub learning_rate: f64,
     /// Steps over which the rate rises.
     pub warm_up: u64,
-    /// Share of themselves that weights lose in a step at a rate of 1.
+    /// Fraction of themselves that weights lose in a step at a rate of 1.
     pub weight_decay: f64,
-    /// Share of the hidden floats that are left out at random.
+    /// Fraction of the hidden floats that are left out at random.
     pub dropout: f64,
     /// Epochs without a better validation accuracy after which training ends; 0 for never.
     pub patience: u32,
-    /// How pictures are changed.
+    /// How images are changed.
     pub augmentation: Augmentation,
-    /// Bytes of pictures that are mixed at a time.
+    /// Bytes of images that are mixed at a time.
     pub memory: usize,
 }
 

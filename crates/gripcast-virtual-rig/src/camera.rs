@@ -20,11 +20,11 @@ use gripcast_capture::camera::{
 };
 use gripcast_imaging::{Frame, PixelFormat, RgbScaler, Role, encode_jpeg};
 
-/// Pictures are painted at most this wide and enlarged.
+/// Images are painted at most this wide and enlarged.
 const PAINTED_WIDTH: u32 = 640;
-/// Tactile pictures keep finer detail.
+/// Tactile images keep finer detail.
 const PAINTED_GEL_WIDTH: u32 = 820;
-/// Markers are measured in the pictures from beside the table.
+/// Markers are measured in the images from beside the table.
 const PAINTED_OUTSIDE_WIDTH: u32 = 1280;
 /// Frames that wait for a late reader, like the buffers of a driver.
 const BUFFERS: u64 = 4;

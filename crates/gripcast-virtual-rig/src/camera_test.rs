@@ -109,15 +109,15 @@ fn a_slow_camera_times_out_without_losing_its_frame() {
 }
 
 #[test]
-fn the_same_moment_is_the_same_picture() {
-    let picture = || {
+fn the_same_moment_is_the_same_image() {
+    let image = || {
         let (rig, _) = rig();
         rig.hand().go(HandGoal::Closed);
         let config = config(PixelFormat::Mjpg, 320, 240, 1.0);
         let mut camera = rig.camera(Role::Left, &config).unwrap().open().unwrap();
         camera.next_frame(Duration::from_secs(2)).unwrap().data
     };
-    assert_eq!(picture(), picture());
+    assert_eq!(image(), image());
 }
 
 #[test]

@@ -11,8 +11,8 @@
 //! | `NAME.sheet.toml` | the board file of the sheet that the object stands on |
 //!
 //! The trace's header says in `film` which steps are keys, and the intrinsics of the camera
-//! beside the table: `{"keys": [0, 3, …], "outside_keys": [0, …], "outside_camera": {…}}`. Between keys the picture of the last one is
-//! shown. Tactile pictures are not stored: they are rendered from the trace, step by step.
+//! beside the table: `{"keys": [0, 3, …], "outside_keys": [0, …], "outside_camera": {…}}`. Between keys the image of the last one is
+//! shown. Tactile images are not stored: they are rendered from the trace, step by step.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -38,8 +38,8 @@ const COLOUR: &str = ".colour.jpg";
 const DEPTH: &str = ".depth.png";
 const OUTSIDE: &str = ".outside.jpg";
 const SHEET: &str = ".sheet.toml";
-/// Most pixels of a strip: 100 pictures of the colour camera.
-const MOST_PIXELS: usize = 100 * 1280 * 720;
+/// Most pixels of a strip: 100 images of the colour camera.
+const MAX_PIXELS: usize = 100 * 1280 * 720;
 
 /// The contents of a film's files.
 #[derive(Clone, Debug)]
@@ -88,13 +88,13 @@ impl FilmFiles {
     }
 }
 
-/// Which shown steps have a picture; what a film's header says.
+/// Which shown steps have an image; what a film's header says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilmKeys {
-    /// Steps with a picture of the colour and the depth camera, ascending from 0.
+    /// Steps with an image of the colour and the depth camera, ascending from 0.
     pub keys: Vec<usize>,
-    /// Steps with a picture of the camera beside the table.
+    /// Steps with an image of the camera beside the table.
     pub outside_keys: Vec<usize>,
     /// That camera.
     pub outside_camera: Intrinsics,
@@ -154,7 +154,7 @@ pub struct Film {
 }
 
 impl Film {
-    /// Reads a film; its pictures and the object's mesh are read when they are asked for.
+    /// Reads a film; its images and the object's mesh are read when they are asked for.
     /// `folder` is where a relative path of the mesh is looked for.
     ///
     /// # Errors
@@ -289,28 +289,28 @@ impl Film {
         }
     }
 
-    /// Number of the colour (and depth) picture at a step.
+    /// Number of the colour (and depth) image at a step.
     pub(super) fn key_at(&self, step: usize) -> usize {
         key_at(&self.keys.keys, step)
     }
 
-    /// Number of the outside picture at a step.
+    /// Number of the outside image at a step.
     pub(super) fn outside_key_at(&self, step: usize) -> usize {
         key_at(&self.keys.outside_keys, step)
     }
 
-    /// Pictures of the colour camera, one a key.
+    /// Images of the colour camera, one a key.
     pub(super) fn colour(&self) -> Result<Vec<RgbImage>> {
         self.strip(&self.files.colour, COLOUR, self.keys.keys.len())
     }
 
-    /// Pictures of the camera beside the table.
+    /// Images of the camera beside the table.
     pub(super) fn outside(&self) -> Result<Vec<RgbImage>> {
         self.strip(&self.files.outside, OUTSIDE, self.keys.outside_keys.len())
     }
 
     /// Intrinsics of the camera beside the table where its frames have `width` × `height` pixels;
-    /// none for another shape than that of the film's pictures, as those are cut.
+    /// none for another shape than that of the film's images, as those are cut.
     pub fn outside_intrinsics(&self, width: u32, height: u32) -> Option<Intrinsics> {
         let own = self.keys.outside_camera;
         if u64::from(width) * u64::from(own.height) != u64::from(height) * u64::from(own.width) {
@@ -342,7 +342,7 @@ impl Film {
         read().map_err(|e| e.at(format!("{}{SHEET}", self.name)))
     }
 
-    /// Depth pictures without noise, mm, 0 where stereo is blind.
+    /// Depth images without noise, mm, 0 where stereo is blind.
     pub(super) fn depth_mm(&self) -> Result<Vec<DepthImage>> {
         let at = |e: Error| e.at(format!("{}{DEPTH}", self.name));
         let strip = decode_png_grey16(&self.files.depth).map_err(at)?;
@@ -350,18 +350,18 @@ impl Film {
         let count = self.keys.keys.len();
         let rows = rows_of_one(height, count).map_err(at)?;
         let length = width as usize * rows as usize;
-        let pictures = strip.as_raw().chunks_exact(length).map(|rows_mm| {
+        let images = strip.as_raw().chunks_exact(length).map(|rows_mm| {
             DepthImage::from_vec(width, rows, rows_mm.to_vec())
                 .ok_or_else(|| damaged("its depth strip has the wrong size".to_owned()))
         });
-        pictures.collect()
+        images.collect()
     }
 
     fn strip(&self, jpeg: &[u8], end: &str, count: usize) -> Result<Vec<RgbImage>> {
         let at = |e: Error| e.at(format!("{}{end}", self.name));
         let broken = |e: turbojpeg::Error| at(damaged("its JPEG is damaged".to_owned()).because(e));
         let header = turbojpeg::read_header(jpeg).map_err(broken)?;
-        if header.width * header.height > MOST_PIXELS {
+        if header.width * header.height > MAX_PIXELS {
             let (width, height) = (header.width, header.height);
             return Err(at(damaged(format!("{width}×{height} pixels is no strip"))));
         }
@@ -375,13 +375,13 @@ impl Film {
             .copied()
             .collect();
         let width = strip.width as u32;
-        let pictures = tight
+        let images = tight
             .chunks_exact(3 * strip.width * rows as usize)
-            .map(|picture| {
-                RgbImage::from_raw(width, rows, picture.to_vec())
+            .map(|image| {
+                RgbImage::from_raw(width, rows, image.to_vec())
                     .ok_or_else(|| at(damaged("its strip has the wrong size".to_owned())))
             });
-        pictures.collect()
+        images.collect()
     }
 }
 
@@ -404,14 +404,14 @@ fn key_at(keys: &[usize], step: usize) -> usize {
     keys.partition_point(|key| *key <= step).saturating_sub(1)
 }
 
-/// Rows of one of `count` pictures of a strip.
+/// Rows of one of `count` images of a strip.
 fn rows_of_one(rows: u32, count: usize) -> Result<u32> {
     let count = count as u32;
     if count > 0 && rows > 0 && rows.is_multiple_of(count) {
         return Ok(rows / count);
     }
     Err(damaged(format!(
-        "a strip of {count} pictures cannot have {rows} rows"
+        "a strip of {count} images cannot have {rows} rows"
     )))
 }
 

@@ -1,4 +1,4 @@
-//! What a GelSight Mini on the virtual gripper sees: the tactile renderer's picture of the step
+//! What a GelSight Mini on the virtual gripper sees: the tactile renderer's image of the step
 //! that is shown, in the frame of the whole sensor.
 
 use image::RgbImage;
@@ -17,7 +17,7 @@ use gripcast_tactile::{
 /// Largest difference of two sensors of a kind, grey levels.
 const OWN_COLOUR: f64 = 4.0;
 
-/// Paints one sensor's pictures at a fixed size.
+/// Paints one sensor's images at a fixed size.
 pub(super) struct GelPainter {
     finger: Finger,
     seed: u64,
@@ -27,13 +27,13 @@ pub(super) struct GelPainter {
     frame: WholeFrame,
     untouched: RgbImage,
     noise: NoiseTable,
-    /// The picture without noise, and of which grasp and step it is.
+    /// The image without noise, and of which grasp and step it is.
     still: RgbImage,
     shown: Option<(u64, usize)>,
 }
 
 impl GelPainter {
-    /// A painter of `painted` pictures of the gel on `side` for a camera with frames of `full`
+    /// A painter of `painted` images of the gel on `side` for a camera with frames of `full`
     /// pixels.
     pub(super) fn new(
         side: Role,
@@ -55,7 +55,7 @@ impl GelPainter {
             offset: [0, 1, 2].map(|n| (OWN_COLOUR * signed_unit(seed, 1, n)) as f32),
             ..FrameLook::default()
         };
-        // The crop is shrunk to the sensor's picture, which averages noise.
+        // The crop is shrunk to the sensor's image, which averages noise.
         let shrunk = f64::from(painted.0) / f64::from(full.0) * f64::from(window.width)
             / profile.geometry.width as f64;
         let noise_std = profile.noise_std.iter().sum::<f64>() / 3.0 * shrunk.max(1.0);
@@ -79,25 +79,25 @@ impl GelPainter {
         })
     }
 
-    /// The picture at `moment` as RGB rows; `frame` picks the noise.
+    /// The image at `moment` as RGB rows; `frame` picks the noise.
     ///
     /// # Errors
     /// Where the object's mesh cannot be read.
     pub(super) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
         let wanted = (moment.grasp, moment.step);
         if self.shown != Some(wanted) {
-            let picture = self.render(&moment.film, moment.step)?;
-            let picture = picture.as_ref().unwrap_or(&self.untouched);
-            self.still = self.frame.place(picture, &self.untouched)?;
+            let image = self.render(&moment.film, moment.step)?;
+            let image = image.as_ref().unwrap_or(&self.untouched);
+            self.still = self.frame.place(image, &self.untouched)?;
             self.shown = Some(wanted);
         }
-        let mut picture = self.still.as_raw().clone();
+        let mut image = self.still.as_raw().clone();
         let row_bytes = 3 * self.still.width() as usize;
-        self.noise.add_to(&mut picture, row_bytes, self.seed, frame);
-        Ok(picture)
+        self.noise.add_to(&mut image, row_bytes, self.seed, frame);
+        Ok(image)
     }
 
-    /// The sensor's own picture, none where nothing touches.
+    /// The sensor's own image, none where nothing touches.
     fn render(&mut self, film: &Film, step: usize) -> Result<Option<RgbImage>> {
         let step = &film.steps()[step];
         if step.min_gap_m[self.finger as usize].is_none() {
@@ -139,7 +139,7 @@ mod tests {
         }
     }
 
-    /// The sensor's picture as a program crops it out of the frame.
+    /// The sensor's image as a program crops it out of the frame.
     fn cropped(frame: Vec<u8>) -> RgbImage {
         let frame = RgbImage::from_raw(SIZE.0, SIZE.1, frame).unwrap();
         crop_and_resize(&frame, &CropProfile::GSMINI_SEVENTH, 320, 240).unwrap()
@@ -211,8 +211,8 @@ mod tests {
         let film = film("ball");
         for size in [(16, 16), (18, 400), (820, 616)] {
             let mut painter = GelPainter::new(Role::Left, 1, size, size).unwrap();
-            let picture = painter.paint(&moment(&film, 1.0), 0).unwrap();
-            assert_eq!(picture.len(), 3 * (size.0 * size.1) as usize);
+            let image = painter.paint(&moment(&film, 1.0), 0).unwrap();
+            assert_eq!(image.len(), 3 * (size.0 * size.1) as usize);
         }
     }
 }

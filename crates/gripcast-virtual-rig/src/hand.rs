@@ -33,7 +33,7 @@ impl HandGoal {
     }
 }
 
-/// A hand that everything virtual shares; commands take effect at the clock's present time.
+/// A hand that everything virtual fractions; commands take effect at the clock's present time.
 pub struct VirtualHand {
     clock: Arc<dyn Clock>,
     films: FilmLibrary,

@@ -36,8 +36,8 @@ impl NoiseTable {
     }
 
     /// Adds the noise of a frame to its rows of RGB.
-    pub(super) fn add_to(&self, picture: &mut [u8], row_bytes: usize, seed: u64, frame: u64) {
-        for (row, line) in picture.chunks_exact_mut(row_bytes).enumerate() {
+    pub(super) fn add_to(&self, image: &mut [u8], row_bytes: usize, seed: u64, frame: u64) {
+        for (row, line) in image.chunks_exact_mut(row_bytes).enumerate() {
             for (level, noise) in line.iter_mut().zip(self.row(seed, frame, row, row_bytes)) {
                 *level = level.saturating_add_signed(*noise);
             }

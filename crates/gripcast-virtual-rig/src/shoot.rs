@@ -30,19 +30,19 @@ const LIFTING_STEPS: usize = 10;
 /// Key steps of the way to the object and of the lift.
 const FREE_KEYS: usize = 3;
 const LIFTING_KEYS: usize = 3;
-/// JPEG quality of the pictures in which markers are measured.
+/// JPEG quality of the images in which markers are measured.
 const OUTSIDE_QUALITY: u8 = 88;
 
 /// How a film is made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShootSettings {
-    /// Columns and rows of the colour pictures.
+    /// Columns and rows of the colour images.
     pub colour: [usize; 2],
-    /// Columns and rows of the depth pictures.
+    /// Columns and rows of the depth images.
     pub depth: [usize; 2],
-    /// Columns and rows of the pictures from beside the table, in which markers are found.
+    /// Columns and rows of the images from beside the table, in which markers are found.
     pub outside: [usize; 2],
-    /// Paths for each pixel of a colour picture, denoised afterwards.
+    /// Paths for each pixel of a colour image, denoised afterwards.
     pub samples: u32,
     /// JPEG quality, 1 to 100.
     pub quality: u8,
@@ -64,7 +64,7 @@ impl Default for ShootSettings {
 }
 
 /// A film of a simulated grasp of `model`, whose shape is `mesh` (m, its own frame). `progress` is
-/// told how many pictures are done, of how many.
+/// told how many images are done, of how many.
 ///
 /// Seen from beside the table, the object stands on its printed sheet and the gripper has the tags
 /// of [`BoardFile::gripper_umi`].
@@ -107,19 +107,19 @@ pub fn shoot(
         progress(colour.len(), all);
         let scene = grasp_scene(model, &set.state(step)?, &set.conditions, view)?;
         let renderer = Renderer::new(&scene)?;
-        colour.push(set.picture(
+        colour.push(set.image(
             &renderer,
             &set.riding(&hand, step),
             ColourSettings::default().blur_px,
         )?);
-        depth.push(depth_picture(&renderer, &set.riding(&stereo, step))?);
+        depth.push(depth_image(&renderer, &set.riding(&stereo, step))?);
     }
     let mut outside = Vec::new();
     for step in steps(&keys.outside_keys) {
         progress(colour.len() + outside.len(), all);
         let state = set.state(step)?;
         let scene = annotation_scene(model, &state, &set.conditions, beside, &prints)?;
-        outside.push(set.picture(&Renderer::new(&scene)?, &beside, 0.0)?);
+        outside.push(set.image(&Renderer::new(&scene)?, &beside, 0.0)?);
     }
     Ok(FilmFiles {
         trace: Cow::Owned(thinned(&file.header, trace, &shown, &keys)?),
@@ -142,7 +142,7 @@ fn sheet_of(mesh: &TriangleMesh, source: &str, t_world_object: Pose) -> Result<O
     usual_object_sheet(&name.to_string_lossy(), &object)
 }
 
-/// Everything that the pictures of a film share.
+/// Everything that the images of a film fraction.
 struct Set<'a> {
     trace: &'a Trace,
     grid: GelGrid,
@@ -177,7 +177,7 @@ impl Set<'_> {
         })
     }
 
-    fn picture(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
+    fn image(&self, renderer: &Renderer, camera: &Camera, blur_px: f32) -> Result<RgbImage> {
         let settings = RenderSettings {
             samples: self.settings.samples,
             seed: self.settings.seed,
@@ -196,7 +196,7 @@ impl Set<'_> {
     }
 }
 
-fn depth_picture(renderer: &Renderer, camera: &Camera) -> Result<DepthImage> {
+fn depth_image(renderer: &Renderer, camera: &Camera) -> Result<DepthImage> {
     let noiseless = DepthSettings {
         subpixel: 0.0,
         ..DepthSettings::default()
@@ -275,11 +275,11 @@ fn thinned(header: &Value, trace: &Trace, shown: &[usize], keys: &FilmKeys) -> R
     thin.to_bytes()
 }
 
-fn jpeg_strip(pictures: &[RgbImage], quality: u8) -> Result<Vec<u8>> {
-    let (width, height) = pictures.first().map_or((0, 0), RgbImage::dimensions);
-    let mut strip = RgbImage::new(width, height * pictures.len() as u32);
-    for (number, picture) in pictures.iter().enumerate() {
-        imageops::replace(&mut strip, picture, 0, i64::from(height) * number as i64);
+fn jpeg_strip(images: &[RgbImage], quality: u8) -> Result<Vec<u8>> {
+    let (width, height) = images.first().map_or((0, 0), RgbImage::dimensions);
+    let mut strip = RgbImage::new(width, height * images.len() as u32);
+    for (number, image) in images.iter().enumerate() {
+        imageops::replace(&mut strip, image, 0, i64::from(height) * number as i64);
     }
     let image = turbojpeg::Image {
         pixels: strip.as_raw().as_slice(),
@@ -293,10 +293,10 @@ fn jpeg_strip(pictures: &[RgbImage], quality: u8) -> Result<Vec<u8>> {
         .map_err(|e| Error::internal("cannot encode the film").because(e))
 }
 
-fn png_strip(pictures: &[DepthImage]) -> Result<Vec<u8>> {
-    let (width, height) = pictures.first().map_or((0, 0), DepthImage::dimensions);
-    let raw: Vec<u16> = pictures.iter().flat_map(|p| p.as_raw()).copied().collect();
-    let strip = DepthImage::from_vec(width, height * pictures.len() as u32, raw)
+fn png_strip(images: &[DepthImage]) -> Result<Vec<u8>> {
+    let (width, height) = images.first().map_or((0, 0), DepthImage::dimensions);
+    let raw: Vec<u16> = images.iter().flat_map(|p| p.as_raw()).copied().collect();
+    let strip = DepthImage::from_vec(width, height * images.len() as u32, raw)
         .ok_or_else(|| Error::internal("the depth strip has the wrong size"))?;
     encode_png_grey16(&strip)
 }

@@ -1,5 +1,5 @@
 //! What the D435 on the virtual gripper and a camera beside the table see: the path-traced
-//! picture of the last key step, with the noise of a frame.
+//! image of the last key step, with the noise of a frame.
 
 use super::film::Film;
 use super::hand::SceneMoment;
@@ -22,19 +22,19 @@ pub(super) enum Place {
     Outside,
 }
 
-/// Paints colour pictures at a fixed size.
+/// Paints colour images at a fixed size.
 pub(super) struct ColourPainter {
     place: Place,
     seed: u64,
     size: (u32, u32),
     scaler: RgbScaler,
     noise: NoiseTable,
-    /// Pictures of the keys, and of which grasp they are.
+    /// Images of the keys, and of which grasp they are.
     shown: Option<(u64, Vec<Vec<u8>>)>,
 }
 
 impl ColourPainter {
-    /// A painter of pictures of `size`.
+    /// A painter of images of `size`.
     pub(super) fn new(place: Place, seed: u64, size: (u32, u32)) -> Self {
         let seed = mixed(seed, 0x7669_6577, place as u64);
         Self {
@@ -47,27 +47,27 @@ impl ColourPainter {
         }
     }
 
-    /// The picture at `moment` as RGB rows; `frame` picks the noise.
+    /// The image at `moment` as RGB rows; `frame` picks the noise.
     ///
     /// # Errors
     /// `Input` where the film's strip is damaged.
     pub(super) fn paint(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<u8>> {
-        let pictures = match self.shown.take() {
-            Some((grasp, pictures)) if grasp == moment.grasp => pictures,
-            _ => self.pictures(&moment.film)?,
+        let images = match self.shown.take() {
+            Some((grasp, images)) if grasp == moment.grasp => images,
+            _ => self.images(&moment.film)?,
         };
         let key = match self.place {
             Place::Hand => moment.film.key_at(moment.step),
             Place::Outside => moment.film.outside_key_at(moment.step),
         };
-        let mut picture = pictures[key].clone();
-        self.shown = Some((moment.grasp, pictures));
+        let mut image = images[key].clone();
+        self.shown = Some((moment.grasp, images));
         let row_bytes = 3 * self.size.0 as usize;
-        self.noise.add_to(&mut picture, row_bytes, self.seed, frame);
-        Ok(picture)
+        self.noise.add_to(&mut image, row_bytes, self.seed, frame);
+        Ok(image)
     }
 
-    fn pictures(&mut self, film: &Film) -> Result<Vec<Vec<u8>>> {
+    fn images(&mut self, film: &Film) -> Result<Vec<Vec<u8>>> {
         let strip = match self.place {
             Place::Hand => film.colour(),
             Place::Outside => film.outside(),
@@ -79,7 +79,7 @@ impl ColourPainter {
     }
 }
 
-/// Paints depth pictures at a fixed size.
+/// Paints depth images at a fixed size.
 pub(super) struct DepthPainter {
     seed: u64,
     size: (u32, u32),
@@ -89,7 +89,7 @@ pub(super) struct DepthPainter {
 }
 
 impl DepthPainter {
-    /// A painter of pictures of `size`.
+    /// A painter of images of `size`.
     pub(super) fn new(seed: u64, size: (u32, u32)) -> Self {
         let seed = mixed(seed, 0x6465_7074, 0);
         Self {
@@ -101,18 +101,18 @@ impl DepthPainter {
         }
     }
 
-    /// The picture at `moment`, m; 0 where stereo is blind. `frame` picks the noise.
+    /// The image at `moment`, m; 0 where stereo is blind. `frame` picks the noise.
     ///
     /// # Errors
     /// `Input` where the film's strip is damaged.
     pub(super) fn paint_m(&mut self, moment: &SceneMoment, frame: u64) -> Result<Vec<f32>> {
-        let pictures = match self.shown.take() {
-            Some((grasp, pictures)) if grasp == moment.grasp => pictures,
+        let images = match self.shown.take() {
+            Some((grasp, images)) if grasp == moment.grasp => images,
             _ => moment.film.depth_mm()?,
         };
-        let picture = &pictures[moment.film.key_at(moment.step)];
+        let image = &images[moment.film.key_at(moment.step)];
         let (width, height) = self.size;
-        let [across, down] = centred(picture.dimensions(), self.size);
+        let [across, down] = centred(image.dimensions(), self.size);
         let mut depth_m = Vec::with_capacity(width as usize * height as usize);
         for row in 0..height {
             let noise = self
@@ -120,18 +120,17 @@ impl DepthPainter {
                 .row(self.seed, frame, row as usize, width as usize);
             let from_row = down.source(row);
             for (column, noise) in (0..width).zip(noise) {
-                let true_m =
-                    f64::from(picture.get_pixel(across.source(column), from_row)[0]) * 1e-3;
+                let true_m = f64::from(image.get_pixel(across.source(column), from_row)[0]) * 1e-3;
                 let deviation = self.settings.deviation_m(true_m) / DEPTH_NOISE_STEPS;
                 depth_m.push((true_m + deviation * f64::from(*noise)) as f32);
             }
         }
-        self.shown = Some((moment.grasp, pictures));
+        self.shown = Some((moment.grasp, images));
         Ok(depth_m)
     }
 }
 
-/// One axis of a picture of which the middle is shown.
+/// One axis of an image of which the middle is shown.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
     first: f64,
@@ -146,7 +145,7 @@ impl Axis {
     }
 }
 
-/// Columns and rows that fill `to` with the middle of a picture of size `from`.
+/// Columns and rows that fill `to` with the middle of an image of size `from`.
 fn centred(from: (u32, u32), to: (u32, u32)) -> [Axis; 2] {
     let scale = |from: u32, to: u32| f64::from(from) / f64::from(to);
     let step = scale(from.0, to.0).min(scale(from.1, to.1));
@@ -173,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_follow_the_keys_and_noise_the_frame() {
+    fn images_follow_the_keys_and_noise_the_frame() {
         let mut painter = ColourPainter::new(Place::Hand, 1, (160, 120));
         let open = painter.paint(&moment(0, 0.0), 1).unwrap();
         assert!(open == painter.paint(&moment(0, 0.0), 1).unwrap());

@@ -22,14 +22,14 @@ pub struct Camera {
     pub height: usize,
     /// Focal length along x and y, px.
     pub focal_px: [f64; 2],
-    /// Where the optical axis meets the picture: column, row.
+    /// Where the optical axis meets the image: column, row.
     pub principal_px: [f64; 2],
     /// Maps the optical frame into the world.
     pub t_world_camera: Pose,
 }
 
 impl Camera {
-    /// Camera with square pixels, its axis through the middle of the picture and the field of view
+    /// Camera with square pixels, its axis through the middle of the image and the field of view
     /// `fov_x_rad` across the width.
     pub fn centred(width: usize, height: usize, fov_x_rad: f64, t_world_camera: Pose) -> Self {
         let focal = 0.5 * width as f64 / (0.5 * fov_x_rad).tan();
@@ -51,7 +51,7 @@ impl Camera {
         Some(Pose::new(glam::DQuat::from_mat3(&axes), eye))
     }
 
-    /// World position of the pinhole, m, and unit direction of what a place in the picture sees;
+    /// World position of the pinhole, m, and unit direction of what a place in the image sees;
     /// whole numbers are the centres of pixels.
     pub fn ray(&self, column: f64, row: f64) -> [DVec3; 2] {
         let direction = DVec3::new(
@@ -83,7 +83,7 @@ impl Camera {
         // More rows or columns would not fit the seeds of the pixels.
         if !(1..=1 << 15).contains(&width) || !(1..=1 << 15).contains(&height) {
             return bad(format!(
-                "the picture must have 1 to 32768 columns and rows, found {width}×{height}"
+                "the image must have 1 to 32768 columns and rows, found {width}×{height}"
             ));
         }
         if !self.focal_px.iter().all(|f| f.is_finite() && *f > 0.0) {

@@ -1,4 +1,4 @@
-//! Shapes with the appearance of a [`Look`] or with a picture of the user's.
+//! Shapes with the appearance of a [`Look`] or with an image of the user's.
 
 use super::look::{FinishClass, Look};
 use super::material::{Colour, Material};
@@ -15,8 +15,8 @@ const TEXTURE_PX: u32 = 256;
 const IOR: f32 = 1.5;
 /// Roughness of glass under scratches.
 const WORN_GLASS: f32 = 0.12;
-/// Roughness under a picture: silk-matt paint.
-const PICTURE_ROUGHNESS: f32 = 0.5;
+/// Roughness under an image: silk-matt paint.
+const IMAGE_ROUGHNESS: f32 = 0.5;
 
 impl Model {
     /// A shape (m) with an appearance; `seed` decides where grain, dots and wear lie. Painted
@@ -71,29 +71,29 @@ impl Model {
                 roughness: coat.roughness,
                 ior: IOR,
             }],
-            textures: vec![Bitmap::from_srgb8(&coat.picture)?],
+            textures: vec![Bitmap::from_srgb8(&coat.image)?],
         })
     }
 
-    /// A shape (m) with a picture as its base colour, `width_m` wide on the surface, repeated and
+    /// A shape (m) with an image as its base colour, `width_m` wide on the surface, repeated and
     /// projected from the six sides; upright on the vertical ones. See
     /// [`load_bitmap`](super::load_bitmap) for files.
     ///
     /// # Errors
     /// `Input` for a width that is not positive.
-    pub fn textured(mesh: &TriangleMesh, picture: &Bitmap, width_m: f64) -> Result<Self> {
+    pub fn textured(mesh: &TriangleMesh, image: &Bitmap, width_m: f64) -> Result<Self> {
         if !width_m.is_finite() || width_m <= 0.0 {
             return Err(Error::input(format!(
                 "the width of a texture must be positive, found {width_m} m"
             ))
-            .remedy("give the width that the picture has on the object, in metres"));
+            .remedy("give the width that the image has on the object, in metres"));
         }
         let projection = Projection::Box {
             width_m,
             origin_m: mesh.bounds().min,
         };
         let mut shaded = shaded_mesh(mesh, CREASE_RAD, projection, 0);
-        let [width, height] = picture.size();
+        let [width, height] = image.size();
         let aspect = width as f32 / height as f32;
         for uv in &mut shaded.uvs {
             uv[1] *= aspect;
@@ -103,10 +103,10 @@ impl Model {
             materials: vec![Material::Principled {
                 base_colour: Colour::Texture(0),
                 metallic: 0.0,
-                roughness: PICTURE_ROUGHNESS,
+                roughness: IMAGE_ROUGHNESS,
                 ior: IOR,
             }],
-            textures: vec![picture.clone()],
+            textures: vec![image.clone()],
         })
     }
 }
@@ -212,20 +212,20 @@ mod tests {
         bad = look(FinishClass::Plastic, PatternWord::Plain);
         bad.roughness = 1.5;
         assert!(Model::coated(&mesh, &bad, 1).is_err());
-        let picture = Bitmap::from_srgb8(&image::RgbImage::new(4, 2)).unwrap();
+        let image = Bitmap::from_srgb8(&image::RgbImage::new(4, 2)).unwrap();
         for width in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            let text = Model::textured(&mesh, &picture, width).unwrap_err();
+            let text = Model::textured(&mesh, &image, width).unwrap_err();
             assert!(text.to_string().contains("width"), "{text}");
         }
     }
 
     #[test]
-    fn pictures_keep_their_proportions() {
+    fn images_keep_their_proportions() {
         let mesh = builtin("box").unwrap();
-        let picture = Bitmap::from_srgb8(&image::RgbImage::new(40, 20)).unwrap();
-        let model = Model::textured(&mesh, &picture, 0.06).unwrap();
+        let image = Bitmap::from_srgb8(&image::RgbImage::new(40, 20)).unwrap();
+        let model = Model::textured(&mesh, &image, 0.06).unwrap();
         validate(&model);
-        // The box is 60 mm high: two pictures of 30 mm on its upright sides.
+        // The box is 60 mm high: two images of 30 mm on its upright sides.
         let shaded = &model.meshes[0];
         let sides = shaded.uvs.iter().zip(&shaded.normals);
         let rows = sides.filter(|(_, n)| n.z.abs() < 0.1).map(|(uv, _)| uv[1]);

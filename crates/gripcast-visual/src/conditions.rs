@@ -1,4 +1,4 @@
-//! What differs from picture to picture: light, ground, camera, colour of the gripper.
+//! What differs from image to image: light, ground, camera, colour of the gripper.
 
 use std::f64::consts::TAU;
 use std::sync::Arc;
@@ -6,8 +6,8 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3};
 
 use super::environment::Environment;
+use super::linear_image::Image;
 use super::pattern::Pattern;
-use super::picture::Picture;
 use super::sky::Sky;
 use super::texture::Bitmap;
 use gripcast_base::random::SeedStream;
@@ -16,11 +16,11 @@ use gripcast_geometry::Pose;
 /// Rows of painted domes.
 const DOME_ROWS: usize = 256;
 
-/// Ranges from which the conditions of a picture are drawn.
+/// Ranges from which the conditions of an image are drawn.
 #[derive(Clone, Debug)]
 pub struct VisualRandomisation {
     /// Domes to choose from, as [`Environment`] lays them out; none for painted skies.
-    pub domes: Vec<Arc<Picture>>,
+    pub domes: Vec<Arc<Image>>,
     /// Kinds of painted skies to choose from; none for all.
     pub skies: Vec<Sky>,
     /// Textures of the ground to choose from, with their width on the ground, m; none for painted
@@ -54,25 +54,25 @@ impl Default for VisualRandomisation {
     }
 }
 
-/// Light of a picture.
+/// Light of an image.
 #[derive(Clone, Debug)]
 pub enum DomeChoice {
     /// Painted from a seed.
     Painted(Sky, u64),
-    /// A picture, such as a Radiance HDR file.
-    Picture(Arc<Picture>),
+    /// An image, such as a Radiance HDR file.
+    Image(Arc<Image>),
 }
 
-/// Ground of a picture.
+/// Ground of an image.
 #[derive(Clone, Debug)]
 pub enum GroundChoice {
     /// Painted from a seed.
     Painted(Pattern, u64),
-    /// A picture and its width on the ground, m.
-    Picture(Arc<Bitmap>, f64),
+    /// An image and its width on the ground, m.
+    Image(Arc<Bitmap>, f64),
 }
 
-/// The conditions of one picture.
+/// The conditions of one image.
 #[derive(Clone, Debug)]
 pub struct VisualConditions {
     /// Light.
@@ -87,7 +87,7 @@ pub struct VisualConditions {
     pub ground_turn_rad: f64,
     /// Shift of the ground's texture, m.
     pub ground_shift_m: [f64; 2],
-    /// Roughness of a ground from a picture.
+    /// Roughness of a ground from an image.
     pub ground_roughness: f64,
     /// Moves the camera in its own optical frame (maps the moved frame into the nominal one).
     pub camera_move: Pose,
@@ -136,7 +136,7 @@ impl VisualRandomisation {
         VisualConditions {
             dome: match self.domes.len() {
                 0 => DomeChoice::Painted(one_of(&self.skies, &Sky::ALL, &mut light), light.bits()),
-                count => DomeChoice::Picture(self.domes[light.index(count)].clone()),
+                count => DomeChoice::Image(self.domes[light.index(count)].clone()),
             },
             dome_turn_rad: light.between(0.0, TAU),
             intensity: light.between_log(dim, bright),
@@ -147,7 +147,7 @@ impl VisualRandomisation {
                 ),
                 count => {
                     let (bitmap, width) = &self.grounds[ground.index(count)];
-                    GroundChoice::Picture(bitmap.clone(), *width)
+                    GroundChoice::Image(bitmap.clone(), *width)
                 }
             },
             ground_turn_rad: ground.between(0.0, TAU),
@@ -175,7 +175,7 @@ impl VisualConditions {
     pub fn environment(&self) -> Environment {
         let mut map = match &self.dome {
             DomeChoice::Painted(sky, seed) => sky.paint(DOME_ROWS, *seed),
-            DomeChoice::Picture(picture) => picture.as_ref().clone(),
+            DomeChoice::Image(image) => image.as_ref().clone(),
         };
         super::sky::normalise(&mut map);
         Environment {
@@ -239,7 +239,7 @@ mod tests {
             let drawn = named.sample(seed);
             assert!(matches!(drawn.dome, DomeChoice::Painted(Sky::Overcast, _)));
             let GroundChoice::Painted(pattern, _) = drawn.ground else {
-                panic!("a picture was drawn");
+                panic!("an image was drawn");
             };
             grounds.push(pattern.name());
         }
@@ -249,8 +249,8 @@ mod tests {
     }
 
     #[test]
-    fn named_pictures_are_used() {
-        let dome = Arc::new(Picture::filled(8, 4, [3.0; 3]));
+    fn named_images_are_used() {
+        let dome = Arc::new(Image::filled(8, 4, [3.0; 3]));
         let bitmap = Bitmap::from_srgb8(&image::RgbImage::new(2, 2)).unwrap();
         let ranges = VisualRandomisation {
             domes: vec![dome],
@@ -258,7 +258,7 @@ mod tests {
             ..VisualRandomisation::default()
         };
         let drawn = ranges.sample(3);
-        assert!(matches!(drawn.ground, GroundChoice::Picture(_, width) if width == 0.5));
+        assert!(matches!(drawn.ground, GroundChoice::Image(_, width) if width == 0.5));
         let light = drawn.environment();
         assert!((light.map.pixels[0][0] - 1.0).abs() < 1e-5);
         assert!((f64::from(light.intensity) - drawn.intensity).abs() < 1e-6);

@@ -1,4 +1,4 @@
-//! Built-in objects with materials, so that pictures look good without any file.
+//! Built-in objects with materials, so that images look good without any file.
 
 use super::finish::Finish;
 use super::model::Model;

@@ -11,11 +11,11 @@ use std::f32::consts::PI;
 use glam::{Vec3, Vec4};
 
 use super::environment::Environment;
-use super::picture::luminance;
+use super::linear_image::luminance;
 use super::trigonometry::{sin_cos_turns, turns_of};
 
 /// Smallest sine of the polar angle in densities; nearer to the pole nothing is to be gained.
-const LEAST_SINE: f32 = 1e-6;
+const MIN_SINE: f32 = 1e-6;
 
 /// Light that comes from a direction.
 #[derive(Clone, Copy, Debug)]
@@ -50,11 +50,11 @@ impl Texel {
     const BITS: u32 = 18;
     const MASK: u64 = (1 << Self::BITS) - 1;
     /// Radiance below this is darkness.
-    const LEAST: f32 = 1e-30;
+    const MIN: f32 = 1e-30;
 
     fn new(rgb: [f32; 3]) -> Self {
         let largest = rgb.into_iter().fold(0.0, f32::max);
-        if largest < Self::LEAST {
+        if largest < Self::MIN {
             return Self(0);
         }
         // Exponent field of the power of two that one step stands for.
@@ -296,7 +296,7 @@ impl Dome {
             place.fy,
         );
         let flat = direction.x * direction.x + direction.y * direction.y;
-        let sine = flat.sqrt().max(LEAST_SINE);
+        let sine = flat.sqrt().max(MIN_SINE);
         Incident {
             direction,
             radiance: radiance.truncate(),

@@ -1,13 +1,13 @@
 use std::f32::consts::PI;
 
-use super::super::picture::Picture;
+use super::super::linear_image::Image;
 use super::super::sampler::Net;
 use super::*;
 
 /// Dome with a gradient, a dark band and a small sun.
 fn varied() -> Environment {
     let (width, height) = (64, 32);
-    let mut map = Picture::filled(width, height, [0.2, 0.3, 0.4]);
+    let mut map = Image::filled(width, height, [0.2, 0.3, 0.4]);
     for row in 0..height {
         for column in 0..width {
             let at = row * width + column;
@@ -95,7 +95,7 @@ fn irradiance_of_known_skies() {
     let uniform = horizontal(&Environment::uniform([2.0; 3]));
     assert!((uniform - 2.0 * PI).abs() < 0.02, "{uniform}");
     let (width, height) = (8, 256);
-    let mut map = Picture::filled(width, height, [0.0; 3]);
+    let mut map = Image::filled(width, height, [0.0; 3]);
     for row in 0..height {
         let z = (PI * (row as f32 + 0.5) / height as f32).cos();
         map.pixels[row * width..(row + 1) * width].fill([1.0 + z; 3]);
@@ -106,7 +106,7 @@ fn irradiance_of_known_skies() {
 
 #[test]
 fn directions_follow_the_documented_layout() {
-    let mut map = Picture::filled(8, 4, [0.0; 3]);
+    let mut map = Image::filled(8, 4, [0.0; 3]);
     // Left of the middle, upper half: around azimuth +π/8, polar 3π/8.
     map.pixels[8 + 3] = [1.0; 3];
     let polar = 3.0 * PI / 8.0;

@@ -1,18 +1,18 @@
 //! Dome of light around the scene.
 
-use super::picture::Picture;
+use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
 
-/// Light from infinitely far away: radiance over directions, as a latitude-longitude picture.
+/// Light from infinitely far away: radiance over directions, as a latitude-longitude image.
 ///
-/// The top row of the picture lies around the world's +z, the bottom row around −z. Without
+/// The top row of the image lies around the world's +z, the bottom row around −z. Without
 /// rotation the middle column looks along +x, columns further right lie clockwise seen from above
-/// (towards −y), so that the picture appears as it was taken. Pixel centres are at (i + ½)/n;
+/// (towards −y), so that the image appears as it was taken. Pixel centres are at (i + ½)/n;
 /// between them radiance is interpolated bilinearly.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Environment {
     /// Radiance, linear RGB; usually twice as wide as high.
-    pub map: Picture,
+    pub map: Image,
     /// Turns the dome about the world's z, counter-clockwise seen from above, rad.
     pub rotation_rad: f32,
     /// Factor on all radiance.
@@ -20,8 +20,8 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// Dome from a latitude-longitude picture, not turned, intensity 1.
-    pub fn new(map: Picture) -> Self {
+    /// Dome from a latitude-longitude image, not turned, intensity 1.
+    pub fn new(map: Image) -> Self {
         Self {
             map,
             rotation_rad: 0.0,
@@ -31,7 +31,7 @@ impl Environment {
 
     /// The same radiance from all directions.
     pub fn uniform(radiance: [f32; 3]) -> Self {
-        Self::new(Picture::filled(4, 2, radiance))
+        Self::new(Image::filled(4, 2, radiance))
     }
 
     pub(super) fn validate(&self) -> Result<()> {

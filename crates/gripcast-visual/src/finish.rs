@@ -79,7 +79,7 @@ impl Finish {
                     roughness: painted.roughness,
                     ior: 1.5,
                 };
-                let bitmap = Bitmap::from_srgb8(&painted.picture)?;
+                let bitmap = Bitmap::from_srgb8(&painted.image)?;
                 return Ok((material, Some((bitmap, painted.tile_m))));
             }
             Self::Glass => {

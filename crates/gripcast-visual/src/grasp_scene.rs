@@ -22,23 +22,23 @@ use gripcast_geometry::{Aabb, CREASE_RAD, Pose};
 
 /// Half width of the table, m; beyond it the lower half of the dome is seen.
 const TABLE_HALF_M: f32 = 0.9;
-/// Pixels of a painted ground, and in a picture that shows no more of it.
+/// Pixels of a painted ground, and in an image that shows no more of it.
 const GROUND_PX: u32 = 1024;
 const SMALL_GROUND_PX: u32 = 512;
-/// Columns of a small picture.
+/// Columns of a small image.
 const SMALL_WIDTH: usize = 320;
 /// Half extent of a gel's face along the gripper's y and z, m.
 const GEL_HALF_M: [f64; 2] = [0.010, 0.0125];
-/// Space between the gels and the border of the picture, as a share of its size.
-const BORDER_SHARE: f64 = 0.02;
+/// Space between the gels and the border of the image, as a fraction of its size.
+const BORDER_FRACTION: f64 = 0.02;
 /// Attempts at a camera that sees both gels, each closer to the nominal place.
 const CAMERA_ATTEMPTS: u32 = 8;
 
-/// Where the picture is taken from.
+/// Where the image is taken from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum View {
     /// The D435 on the gripper, moved as the conditions say; the sizes are columns and rows of
-    /// the picture that is cropped in the middle of the colour stream and scaled.
+    /// the image that is cropped in the middle of the colour stream and scaled.
     EyeInHand([usize; 2]),
     /// From outside, three quarters from the front: the whole gripper, the object and the table.
     External([usize; 2]),
@@ -58,7 +58,7 @@ impl View {
 ///
 /// # Errors
 /// `Input` where the camera is inside the object or below the ground, the opening is impossible or
-/// the picture has no pixels.
+/// the image has no pixels.
 pub fn grasp_scene(
     object: &Model,
     state: &GraspState,
@@ -135,12 +135,12 @@ pub fn eye_in_hand(
     conditions: &VisualConditions,
     [width, height]: [usize; 2],
 ) -> Camera {
-    let moved = |share: f64| {
-        let shift = conditions.camera_move.translation_m * share;
-        let turn = DQuat::IDENTITY.slerp(conditions.camera_move.rotation, share);
+    let moved = |fraction: f64| {
+        let shift = conditions.camera_move.translation_m * fraction;
+        let turn = DQuat::IDENTITY.slerp(conditions.camera_move.rotation, fraction);
         let t_gripper_moved = t_gripper_camera() * Pose::new(turn, shift);
         let mut camera = colour_camera(width, height, state.t_world_gripper * t_gripper_moved);
-        let factor = 1.0 + share * (conditions.focal_factor - 1.0);
+        let factor = 1.0 + fraction * (conditions.focal_factor - 1.0);
         camera.focal_px = camera.focal_px.map(|f| f * factor);
         camera
     };
@@ -150,7 +150,7 @@ pub fn eye_in_hand(
         .unwrap_or_else(|| moved(0.0))
 }
 
-/// Whether the corners of both gel faces lie within the picture, with a small border.
+/// Whether the corners of both gel faces lie within the image, with a small border.
 pub fn sees_gels(camera: &Camera, state: &GraspState) -> bool {
     let size = [camera.width as f64, camera.height as f64];
     let [y, z] = GEL_HALF_M;
@@ -162,7 +162,7 @@ pub fn sees_gels(camera: &Camera, state: &GraspState) -> bool {
                 let corner = state.t_world_gripper.transform_point(DVec3::new(x, y, z));
                 camera.project(corner).is_some_and(|place| {
                     (0..2).all(|a| {
-                        let border = BORDER_SHARE * size[a];
+                        let border = BORDER_FRACTION * size[a];
                         (border..=size[a] - 1.0 - border).contains(&place[a])
                     })
                 })
@@ -179,8 +179,8 @@ fn external(state: &GraspState, [width, height]: [usize; 2]) -> Camera {
     let along = DVec3::Z.cross(side);
     // The middle between the table under the object and the end of the handle.
     let target = gripper.translation_m - 0.105 * approach;
-    let (turn, height_share) = (0.75 * side + 0.66 * along, 0.3);
-    let direction = (turn + DVec3::Z * height_share).normalize();
+    let (turn, height_fraction) = (0.75 * side + 0.66 * along, 0.3);
+    let direction = (turn + DVec3::Z * height_fraction).normalize();
     let mut eye = target + 0.62 * direction;
     eye.z = eye.z.max(0.12);
     let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
@@ -218,10 +218,10 @@ fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     let (bitmap, tile_m, roughness, metallic) = match &conditions.ground {
         GroundChoice::Painted(pattern, seed) => {
             let painted = pattern.paint(size_px, *seed);
-            let bitmap = Arc::new(Bitmap::from_srgb8(&painted.picture)?);
+            let bitmap = Arc::new(Bitmap::from_srgb8(&painted.image)?);
             (bitmap, painted.tile_m, painted.roughness, painted.metallic)
         }
-        GroundChoice::Picture(bitmap, width) => {
+        GroundChoice::Image(bitmap, width) => {
             if !(width.is_finite() && *width > 0.0) {
                 return Err(Error::input(format!(
                     "the width of the ground's texture must be positive, found {width} m"
@@ -255,7 +255,7 @@ fn ground(conditions: &VisualConditions, size_px: u32) -> Result<Model> {
     })
 }
 
-/// The gripper in its own frame. The D435 is drawn only where it does not take the picture, gels
+/// The gripper in its own frame. The D435 is drawn only where it does not take the image, gels
 /// only where no deformed ones are given.
 fn gripper(state: &GraspState, print: [f32; 3], with_camera: bool) -> Result<Model> {
     let mut model = Model::default();

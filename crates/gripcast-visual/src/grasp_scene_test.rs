@@ -53,8 +53,8 @@ fn both_gels_and_the_object_are_in_view_for_every_seed() {
                 (0.0..319.0).contains(&column) && (0.0..239.0).contains(&row)
             })
         });
-        let share = seen.count() as f64 / model.positions().count() as f64;
-        assert!(share > 0.7, "{seed}: {share}");
+        let fraction = seen.count() as f64 / model.positions().count() as f64;
+        assert!(fraction > 0.7, "{seed}: {fraction}");
     }
 }
 

@@ -1,4 +1,4 @@
-//! Where object, gripper and gels are when a picture is taken.
+//! Where object, gripper and gels are when an image is taken.
 
 use glam::DVec3;
 

@@ -1,4 +1,4 @@
-//! Radiance HDR pictures (RGBE), as light domes come in.
+//! Radiance HDR images (RGBE), as light domes come in.
 //!
 //! Not read by `image` (0.25): it knows only `-Y +X`, allocates the whole image from the header,
 //! takes rows of fewer than 8 pixels that begin with (2, 2, …) for run lengths, and its factor of
@@ -8,23 +8,23 @@
 
 use std::path::Path;
 
-use super::picture::Picture;
+use super::linear_image::Image;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 
 /// Most pixels of a side; a dome of 16384 × 8192 is the largest that is offered anywhere.
-const LARGEST_SIDE: usize = 16_384;
+const MAX_SIDE: usize = 16_384;
 /// Header lines that are read before it is no header.
-const MOST_HEADER_LINES: usize = 200;
+const MAX_HEADER_LINES: usize = 200;
 
 /// Reads a Radiance HDR file as linear RGB radiance, top row first.
 ///
 /// # Errors
 /// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if it is no Radiance HDR
-/// picture, is cut off or too large.
-pub fn load_hdr(path: &Path) -> Result<Picture> {
+/// image, is cut off or too large.
+pub fn load_hdr(path: &Path) -> Result<Image> {
     let bytes = read_regular(path, FileKind::Mesh).map_err(|e| {
-        Error::io("cannot read the HDR picture", e)
+        Error::io("cannot read the HDR image", e)
             .at(path.display())
             .remedy("check the path and its permissions")
     })?;
@@ -35,7 +35,7 @@ pub fn load_hdr(path: &Path) -> Result<Picture> {
 ///
 /// # Errors
 /// `Input` as [`load_hdr`].
-pub fn read_hdr(bytes: &[u8]) -> Result<Picture> {
+pub fn read_hdr(bytes: &[u8]) -> Result<Image> {
     if !bytes.starts_with(b"#?") {
         return Err(no_hdr(bytes));
     }
@@ -62,7 +62,7 @@ pub fn read_hdr(bytes: &[u8]) -> Result<Picture> {
     if size.bottom_up {
         pixels = pixels.chunks(width).rev().flatten().copied().collect();
     }
-    Picture::from_pixels(width, height, pixels)
+    Image::from_pixels(width, height, pixels)
 }
 
 fn bad(what: impl Into<String>) -> Error {
@@ -73,15 +73,15 @@ fn bad(what: impl Into<String>) -> Error {
 fn no_hdr(bytes: &[u8]) -> Error {
     let is = match bytes {
         [] => "the file is empty",
-        [0x76, 0x2f, 0x31, 0x01, ..] => "it is an OpenEXR picture",
-        [0xff, 0xd8, ..] => "it is a JPEG picture",
-        [0x89, b'P', b'N', b'G', ..] => "it is a PNG picture",
+        [0x76, 0x2f, 0x31, 0x01, ..] => "it is an OpenEXR image",
+        [0xff, 0xd8, ..] => "it is a JPEG image",
+        [0x89, b'P', b'N', b'G', ..] => "it is a PNG image",
         _ if bytes.starts_with(b"version https://git-lfs") => {
             "it is a Git LFS pointer (fetch the file with `git lfs pull`)"
         }
         _ => "it does not start with `#?RADIANCE`",
     };
-    bad(format!("this is no Radiance HDR picture: {is}"))
+    bad(format!("this is no Radiance HDR image: {is}"))
         .remedy("use a .hdr file (RGBE), for instance from Poly Haven, or a painted sky")
 }
 
@@ -120,14 +120,14 @@ impl Reader<'_> {
     /// Layout and product of the exposures that were applied to the values.
     fn header(&mut self) -> Result<(Layout, f32)> {
         let mut exposure = 1.0_f32;
-        for _ in 0..MOST_HEADER_LINES {
+        for _ in 0..MAX_HEADER_LINES {
             let Some(line) = self.line() else { break };
             if let Some(format) = line.strip_prefix("FORMAT=") {
                 if format.trim() != "32-bit_rle_rgbe" {
                     return Err(bad(format!(
                         "HDR values must be 32-bit_rle_rgbe, found {format:?}"
                     ))
-                    .remedy("convert the picture to RGBE"));
+                    .remedy("convert the image to RGBE"));
                 }
             } else if let Some(value) = line.strip_prefix("EXPOSURE=") {
                 let value = value.trim().parse().unwrap_or(1.0_f32);
@@ -217,10 +217,10 @@ fn layout(line: &str) -> Result<Layout> {
         _ => None,
     };
     let size = parsed.ok_or_else(|| bad(format!("the HDR size {line:?} cannot be read")))?;
-    let is_usable = |n: usize| (1..=LARGEST_SIDE).contains(&n);
+    let is_usable = |n: usize| (1..=MAX_SIDE).contains(&n);
     if !is_usable(size.width) || !is_usable(size.height) {
         return Err(bad(format!(
-            "an HDR picture must have 1 to {LARGEST_SIDE} pixels a side, found {}×{}",
+            "an HDR image must have 1 to {MAX_SIDE} pixels a side, found {}×{}",
             size.width, size.height
         ))
         .remedy("scale it down; 2048×1024 is enough for lighting"));
@@ -250,20 +250,20 @@ mod tests {
     #[test]
     fn all_three_encodings_are_read() {
         let flat = [128, 64, 32, 129, 0, 0, 0, 0];
-        let picture = read_hdr(&file("-Y 1 +X 2", &flat)).unwrap();
-        assert_eq!(picture.pixels, [[1.0, 0.5, 0.25], [0.0; 3]]);
+        let image = read_hdr(&file("-Y 1 +X 2", &flat)).unwrap();
+        assert_eq!(image.pixels, [[1.0, 0.5, 0.25], [0.0; 3]]);
 
         let old = [128, 64, 32, 129, 1, 1, 1, 3];
-        let picture = read_hdr(&file("-Y 1 +X 4", &old)).unwrap();
-        assert_eq!(picture.pixels, [[1.0, 0.5, 0.25]; 4]);
+        let image = read_hdr(&file("-Y 1 +X 4", &old)).unwrap();
+        assert_eq!(image.pixels, [[1.0, 0.5, 0.25]; 4]);
 
         let mut new = vec![2, 2, 0, 9];
         new.extend([128 + 9, 128]); // a run of red
         new.extend([9, 64, 64, 64, 64, 64, 64, 64, 64, 64]); // green one by one
         new.extend([128 + 4, 32, 128 + 5, 32]);
         new.extend([128 + 9, 129]);
-        let picture = read_hdr(&file("-Y 1 +X 9", &new)).unwrap();
-        assert_eq!(picture.pixels, [[1.0, 0.5, 0.25]; 9]);
+        let image = read_hdr(&file("-Y 1 +X 9", &new)).unwrap();
+        assert_eq!(image.pixels, [[1.0, 0.5, 0.25]; 9]);
     }
 
     #[test]
@@ -283,7 +283,7 @@ mod tests {
         let mut overlong = vec![2, 2, 0, 8];
         overlong.extend([128 + 9, 1]);
         let xyze = b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n\n-Y 1 +X 1\nabcd".to_vec();
-        for (bytes, told) in [
+        for (bytes, on_progress) in [
             (Vec::new(), "empty"),
             (b"\x89PNG\r\n".to_vec(), "PNG"),
             (b"\xff\xd8\xff\xe0".to_vec(), "JPEG"),
@@ -303,7 +303,10 @@ mod tests {
         ] {
             let error = read_hdr(&bytes).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::Input);
-            assert!(error.to_string().contains(told), "{told}: {error}");
+            assert!(
+                error.to_string().contains(on_progress),
+                "{on_progress}: {error}"
+            );
         }
         let missing = load_hdr(Path::new("/nowhere/sky.hdr")).unwrap_err();
         assert_eq!(missing.kind(), ErrorKind::NotFound);

@@ -19,7 +19,7 @@ use super::surface::{Face, Frame, Place};
 use super::texture::Bitmap;
 
 /// Least chance to survive the roulette.
-const LEAST_SURVIVAL: f32 = 0.05;
+const MIN_SURVIVAL: f32 = 0.05;
 /// Pairs of numbers: one for the place in the pixel, then these for each bounce.
 const PAIRS_PER_BOUNCE: usize = 3;
 const LIGHT_PAIR: usize = 1;
@@ -128,7 +128,7 @@ impl Vertex<'_> {
     }
 }
 
-/// Share of the first of two densities by the power heuristic.
+/// Fraction of the first of two densities by the power heuristic.
 #[inline(always)]
 fn power_heuristic(first: f32, second: f32) -> f32 {
     if first.is_infinite() {
@@ -180,13 +180,13 @@ impl<'a> Integrator<'a> {
     fn gather_escaped(&self, batch: &mut Batch<'_>, bounce: u32) {
         for path in &batch.escaped {
             let light = self.dome.light_from(path.ray.direction);
-            let share = match self.strategy {
+            let fraction = match self.strategy {
                 Strategy::Both => power_heuristic(path.density, light.pdf),
                 Strategy::Material => 1.0,
                 Strategy::Light => f32::from(u8::from(path.density.is_infinite())),
             };
             let sample = &mut batch.samples[path.index];
-            sample.radiance += path.throughput * light.radiance * share;
+            sample.radiance += path.throughput * light.radiance * fraction;
             if bounce == 0 {
                 sample.albedo = light.radiance.min(Vec3::ONE);
             }
@@ -254,7 +254,7 @@ impl<'a> Integrator<'a> {
             return None;
         }
         if bounce + 1 >= self.roulette_from && largest < 1.0 {
-            let chance = largest.max(LEAST_SURVIVAL);
+            let chance = largest.max(MIN_SURVIVAL);
             if survival >= chance {
                 return None;
             }
@@ -315,11 +315,11 @@ impl<'a> Integrator<'a> {
             return Vec3::ZERO;
         }
         let scattered = vertex.bsdf.value(vertex.outgoing, incoming);
-        let share = match self.strategy {
+        let fraction = match self.strategy {
             Strategy::Both => power_heuristic(light.pdf, scattered.pdf),
             _ => 1.0,
         };
-        let contribution = scattered.value * light.radiance * (share / light.pdf);
+        let contribution = scattered.value * light.radiance * (fraction / light.pdf);
         if contribution.max_element() <= 0.0 {
             return Vec3::ZERO;
         }

@@ -1,8 +1,8 @@
-//! Path-traced pictures of the scene of a grasp.
+//! Path-traced images of the scene of a grasp.
 //!
 //! A [`Scene`] (meshes, materials, textures, dome of light) is prepared once as a [`Renderer`],
-//! which then makes pictures of it from any [`Camera`]. Light is linear RGB with the primaries of
-//! sRGB; [`Picture::to_srgb8`] makes the 8-bit picture.
+//! which then makes images of it from any [`Camera`]. Light is linear RGB with the primaries of
+//! sRGB; [`Image::to_srgb8`] makes the 8-bit image.
 //!
 //! World: z up, metres. Camera: OpenCV optical frame. Pixel (0, 0) is the centre of the top-left
 //! pixel.
@@ -25,11 +25,11 @@ mod grasp_state;
 mod gripper;
 mod hdr;
 mod integrator;
+mod linear_image;
 mod look;
 mod material;
 mod model;
 mod pattern;
-mod picture;
 mod print;
 mod renderer;
 mod room;
@@ -58,11 +58,11 @@ pub use grasp_scene::{View, annotation_scene, eye_in_hand, grasp_scene, sees_gel
 pub use grasp_state::GraspState;
 pub use gripper::{GripperPart, GripperSurface, gripper_parts};
 pub use hdr::{load_hdr, read_hdr};
+pub use linear_image::Image;
 pub use look::{FinishClass, Look, PatternWord};
 pub use material::{Colour, Material};
 pub use model::{LoadedModel, Model};
 pub use pattern::{PaintedSurface, Pattern};
-pub use picture::Picture;
 pub use print::{GraspPrints, annotation_camera};
 pub use renderer::{Renderer, Rendering};
 pub use scene::{Mesh, Scene};

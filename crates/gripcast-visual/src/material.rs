@@ -21,7 +21,7 @@ pub enum Colour {
 pub enum Material {
     /// Ideal diffuse reflection.
     Diffuse {
-        /// Share of the light that is reflected.
+        /// Fraction of the light that is reflected.
         reflectance: Colour,
     },
     /// Metallic-roughness model as in glTF: a dielectric layer over a diffuse base, blended with a

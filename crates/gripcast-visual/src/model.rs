@@ -14,7 +14,7 @@ use super::texture::Bitmap;
 use gripcast_base::error::Result;
 use gripcast_base::files::companions;
 use gripcast_geometry::{
-    Aabb, CREASE_RAD, LengthUnit, MeshMaterial, MeshPart, PictureSource, Pose, TexturedMesh,
+    Aabb, CREASE_RAD, ImageSource, LengthUnit, MeshMaterial, MeshPart, Pose, TexturedMesh,
     TriangleMesh, load_textured_mesh,
 };
 
@@ -41,7 +41,7 @@ pub struct LoadedModel {
     pub warnings: Vec<String>,
 }
 
-/// How to read a picture that a mesh names by a path beside it.
+/// How to read an image that a mesh names by a path beside it.
 type ReadBeside<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
 
 impl Model {
@@ -73,7 +73,7 @@ impl Model {
         Self::from_textured(&mesh, &companions(path), finish, seed)
     }
 
-    /// A mesh with looks as a model; `beside` reads the pictures that it names by a relative
+    /// A mesh with looks as a model; `beside` reads the images that it names by a relative
     /// path. Parts without a material get `finish`.
     ///
     /// # Errors
@@ -195,7 +195,7 @@ struct Build<'a> {
 }
 
 impl Build<'_> {
-    /// Adds a material; whether it has a picture.
+    /// Adds a material; whether it has an image.
     fn material(&mut self, from: &MeshMaterial) -> bool {
         let label = format!("material {:?}", from.name);
         let mut tell = |text: String| self.warnings.push(format!("{label}: {text}"));
@@ -214,23 +214,23 @@ impl Build<'_> {
             tell("it is partly transparent and is drawn opaque".to_string());
         }
         let (mut roughness, mut metallic) = (from.roughness, from.metallic);
-        if let Some(source) = &from.metallic_roughness_picture
-            && let Some(picture) = self.picture(source, &label)
+        if let Some(source) = &from.metallic_roughness_image
+            && let Some(image) = self.image(source, &label)
         {
-            // One value for the whole material: the mean of the picture.
+            // One value for the whole material: the mean of the image.
             let mean = |channel: usize| {
-                let values = picture.pixels().map(|p| f64::from(p[channel]));
-                values.sum::<f64>() / f64::from(picture.width() * picture.height()) / 255.0
+                let values = image.pixels().map(|p| f64::from(p[channel]));
+                values.sum::<f64>() / f64::from(image.width() * image.height()) / 255.0
             };
             (roughness, metallic) = (roughness * mean(1), metallic * mean(2));
         }
-        let picture = from
-            .base_color_picture
+        let image = from
+            .base_color_image
             .as_ref()
-            .map(|source| self.picture(source, &label));
-        let base_colour = match picture {
-            Some(Some(picture)) => self.texture(tinted(picture, from.base_color)),
-            // The colour beside a picture is white as a rule.
+            .map(|source| self.image(source, &label));
+        let base_colour = match image {
+            Some(Some(image)) => self.texture(tinted(image, from.base_color)),
+            // The colour beside an image is white as a rule.
             Some(None) => None,
             None => Some(Colour::Constant(from.base_color.map(|c| c as f32))),
         };
@@ -244,25 +244,25 @@ impl Build<'_> {
         is_textured
     }
 
-    fn texture(&mut self, picture: image::RgbImage) -> Option<Colour> {
-        let bitmap = Bitmap::from_srgb8(&picture).ok()?;
+    fn texture(&mut self, image: image::RgbImage) -> Option<Colour> {
+        let bitmap = Bitmap::from_srgb8(&image).ok()?;
         self.model.textures.push(bitmap);
         Some(Colour::Texture(self.model.textures.len() - 1))
     }
 
-    /// A decoded picture; none, with a warning, where it cannot be had.
-    fn picture(&mut self, source: &PictureSource, label: &str) -> Option<image::RgbImage> {
+    /// A decoded image; none, with a warning, where it cannot be had.
+    fn image(&mut self, source: &ImageSource, label: &str) -> Option<image::RgbImage> {
         let name = source.name();
         let read = match source {
-            PictureSource::Embedded(_, bytes) => Ok(bytes.clone()),
-            PictureSource::Beside(path) => (self.beside)(path),
+            ImageSource::Embedded(_, bytes) => Ok(bytes.clone()),
+            ImageSource::Beside(path) => (self.beside)(path),
         };
         let loaded = match read {
             Ok(bytes) => bitmap_file::decode(&bytes).map_err(|e| e.to_string()),
             Err(error) => Err(format!("it cannot be read: {error}")),
         };
-        let (picture, warning) = match loaded {
-            Ok(loaded) => (Some(loaded.picture), loaded.warning),
+        let (image, warning) = match loaded {
+            Ok(loaded) => (Some(loaded.image), loaded.warning),
             Err(text) => (
                 None,
                 Some(format!("{text}; plain grey is used in its place")),
@@ -270,7 +270,7 @@ impl Build<'_> {
         };
         let told = warning.map(|text| format!("{label}: texture {name:?}: {text}"));
         self.warnings.extend(told);
-        picture
+        image
     }
 
     /// A part with a material of the file.
@@ -287,7 +287,7 @@ impl Build<'_> {
         let needs_projection = textured && part.uvs.is_none();
         if needs_projection {
             self.warnings.push(format!(
-                "part {number} has a texture, but no texture coordinates: the picture is \
+                "part {number} has a texture, but no texture coordinates: the image is \
                  projected from its six sides"
             ));
         }
@@ -338,24 +338,24 @@ impl Build<'_> {
     }
 }
 
-/// A picture times a linear colour.
-fn tinted(mut picture: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
+/// An image times a linear colour.
+fn tinted(mut image: image::RgbImage, color: [f64; 3]) -> image::RgbImage {
     if color == [1.0; 3] {
-        return picture;
+        return image;
     }
     let tables: [[u8; 256]; 3] = color.map(|factor| {
         std::array::from_fn(|v| {
             let linear = gripcast_imaging::srgb_decode(v as u8) * factor as f32;
-            let one = super::picture::Picture::filled(1, 1, [linear; 3]);
+            let one = super::linear_image::Image::filled(1, 1, [linear; 3]);
             one.to_srgb8(1.0).get_pixel(0, 0)[0]
         })
     });
-    for pixel in picture.pixels_mut() {
+    for pixel in image.pixels_mut() {
         for (value, table) in pixel.0.iter_mut().zip(&tables) {
             *value = table[usize::from(*value)];
         }
     }
-    picture
+    image
 }
 
 fn positions(part: &MeshPart) -> Vec<Vec3> {

@@ -24,14 +24,14 @@ fn read(obj: &str, files: &[(&str, Vec<u8>)]) -> LoadedModel {
 }
 
 fn red_top() -> Vec<u8> {
-    let picture = RgbImage::from_fn(2, 2, |_, y| {
+    let image = RgbImage::from_fn(2, 2, |_, y| {
         image::Rgb([if y == 0 { 255 } else { 0 }, 0, 0])
     });
-    encode_png_rgb(&picture).unwrap()
+    encode_png_rgb(&image).unwrap()
 }
 
 #[test]
-fn a_textured_square_shows_its_picture_upright() {
+fn a_textured_square_shows_its_image_upright() {
     let mtl = b"newmtl paint\nmap_Kd top.png\n".to_vec();
     let loaded = read(SQUARE, &[("a.mtl", mtl), ("top.png", red_top())]);
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
@@ -47,11 +47,11 @@ fn a_textured_square_shows_its_picture_upright() {
 #[test]
 fn what_is_missing_becomes_a_warning_and_grey() {
     let mtl = b"newmtl paint\nmap_Kd gone.png\n".to_vec();
-    for (files, told) in [
+    for (files, on_progress) in [
         (vec![], "a.mtl"),
         (vec![("a.mtl", mtl.clone())], "gone.png"),
         (
-            vec![("a.mtl", mtl), ("gone.png", b"no picture".to_vec())],
+            vec![("a.mtl", mtl), ("gone.png", b"no image".to_vec())],
             "PNG or JPEG",
         ),
         (vec![("a.mtl", b"newmtl other\n".to_vec())], "paint"),
@@ -59,7 +59,7 @@ fn what_is_missing_becomes_a_warning_and_grey() {
     ] {
         let loaded = read(SQUARE, &files);
         let text = loaded.warnings.join("\n");
-        assert!(text.contains(told), "{told}: {text}");
+        assert!(text.contains(on_progress), "{on_progress}: {text}");
         assert_eq!(loaded.model.meshes.len(), 1);
     }
 }
@@ -160,7 +160,10 @@ fn textures_outside_of_the_folder_are_not_read() {
     assert_eq!(textures("own.png").0, 1);
     let absolute = dir.path().join("secret.png").display().to_string();
     for name in [&*absolute, "../secret.png", "link.png"] {
-        let (count, told) = textures(name);
-        assert!(count == 0 && told.contains(name), "{name}: {told}");
+        let (count, on_progress) = textures(name);
+        assert!(
+            count == 0 && on_progress.contains(name),
+            "{name}: {on_progress}"
+        );
     }
 }

@@ -20,18 +20,18 @@ const INK: f32 = 0.02;
 /// The table lies this much below a sheet, m, so that the sheet is seen and not the table.
 pub(super) const PRINT_LIFT_M: f64 = 1e-4;
 /// The camera's place, seen from the gripper's front: turn, angle above the table, distance.
-const MOST_TURN_RAD: f64 = 0.3;
+const MAX_TURN_RAD: f64 = 0.3;
 const ABOVE_RAD: [f64; 2] = [0.42, 0.56];
 const DISTANCE_M: [f64; 2] = [0.62, 0.70];
-/// Height of the middle of the picture, as a share of that of the gripper's top.
-const TARGET_SHARE: f64 = 0.42;
+/// Height of the middle of the image, as a fraction of that of the gripper's top.
+const TARGET_FRACTION: f64 = 0.42;
 /// Thickness of a tag's card, m.
 const CARD_M: f64 = 5e-4;
 
 /// A flat printed image, with the colours of paper and ink.
 #[derive(Clone, Debug)]
 struct Print {
-    picture: Bitmap,
+    image: Bitmap,
     /// Top left, top right, bottom right, bottom left as seen from the front.
     corners_m: [DVec3; 4],
 }
@@ -69,7 +69,7 @@ impl GraspPrints {
     }
 }
 
-/// sRGB level of a place of which the share `white` is bare paper.
+/// sRGB level of a place of which the fraction `white` is bare paper.
 fn printed(white: f32) -> u8 {
     srgb_encode(INK + white * (PAPER - INK))
 }
@@ -77,11 +77,11 @@ fn printed(white: f32) -> u8 {
 impl Print {
     fn new(print: &FlatPrint) -> Result<Self> {
         let paper = &print.paper;
-        let picture = RgbImage::from_fn(paper.width(), paper.height(), |x, y| {
+        let image = RgbImage::from_fn(paper.width(), paper.height(), |x, y| {
             Rgb([printed(f32::from(paper.get_pixel(x, y)[0]) / 255.0); 3])
         });
         Ok(Self {
-            picture: Bitmap::from_srgb8(&picture)?,
+            image: Bitmap::from_srgb8(&image)?,
             corners_m: print.corners_m.map(DVec3::from_array),
         })
     }
@@ -104,7 +104,7 @@ impl Print {
         Model {
             meshes: vec![mesh],
             materials: vec![paper],
-            textures: vec![self.picture.clone()],
+            textures: vec![self.image.clone()],
         }
     }
 
@@ -139,14 +139,14 @@ pub fn annotation_camera(state: &GraspState, [width, height]: [usize; 2], seed: 
     let approach = gripper.transform_vector(DVec3::Z);
     let flat = |v: DVec3| (v * DVec3::new(1.0, 1.0, 0.0)).normalize_or_zero();
     let front = flat(gripper.transform_vector(DVec3::NEG_Y)).normalize_or(DVec3::NEG_Y);
-    let turn = draw.between(-MOST_TURN_RAD, MOST_TURN_RAD);
+    let turn = draw.between(-MAX_TURN_RAD, MAX_TURN_RAD);
     let above = draw.between(ABOVE_RAD[0], ABOVE_RAD[1]);
     let distance = draw.between(DISTANCE_M[0], DISTANCE_M[1]);
     let side = DQuat::from_rotation_z(turn) * front;
     let direction = above.cos() * side + above.sin() * DVec3::Z;
     // Between the sheet and the tags on top of the gripper.
     let mut target = gripper.translation_m - 0.09 * approach + 0.02 * front;
-    target.z = TARGET_SHARE * (gripper.translation_m.z + 0.22);
+    target.z = TARGET_FRACTION * (gripper.translation_m.z + 0.22);
     let eye = target + distance * direction;
     let pose = Camera::looking_at(eye, target).unwrap_or(state.t_world_gripper);
     let scale = width as f64 / 1280.0;

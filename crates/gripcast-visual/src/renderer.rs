@@ -1,4 +1,4 @@
-//! From a scene to pictures.
+//! From a scene to images.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -12,7 +12,7 @@ use super::camera::{Camera, Ray};
 use super::dome::Dome;
 use super::film::{FilterTable, PathSample, PixelMeans, PixelSums};
 use super::integrator::{Batch, Integrator, Strategy};
-use super::picture::Picture;
+use super::linear_image::Image;
 use super::sampler::Net;
 use super::scene::Scene;
 use super::settings::{RenderSettings, Watch};
@@ -25,25 +25,25 @@ const TILE: usize = 16;
 /// Most paths that advance together.
 const BATCH: u32 = 64;
 
-/// A picture and what a denoiser and a depth camera want beside it. Row by row.
+/// An image and what a denoiser and a depth camera want beside it. Row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendering {
     /// Radiance, linear RGB.
-    pub picture: Picture,
-    /// Variance of each value of the picture, as if its paths were independent.
-    pub variance: Picture,
-    /// Pictures of the first and of the second half of the paths; both the whole for one path.
-    pub halves: [Picture; 2],
+    pub image: Image,
+    /// Variance of each value of the image, as if its paths were independent.
+    pub variance: Image,
+    /// Images of the first and of the second half of the paths; both the whole for one path.
+    pub halves: [Image; 2],
     /// Colour of the first surface; of the sky its radiance, at most 1.
-    pub albedo: Picture,
+    pub albedo: Image,
     /// Mean unit normal of the first surface, world; 0 for the sky.
-    pub normal: Picture,
+    pub normal: Image,
     /// Distance of the first surface along the optical axis in the middle of each pixel, m; 0
     /// where there is none.
     pub depth_m: Vec<f32>,
 }
 
-/// A scene prepared for pictures from any camera.
+/// A scene prepared for images from any camera.
 #[derive(Debug)]
 pub struct Renderer {
     bvh: Bvh,
@@ -82,7 +82,7 @@ impl Renderer {
         })
     }
 
-    /// Picture from a camera. The same scene, camera and settings give the same bits, whatever
+    /// Image from a camera. The same scene, camera and settings give the same bits, whatever
     /// the number of threads.
     ///
     /// # Errors
@@ -105,7 +105,7 @@ impl Renderer {
     /// };
     /// let settings = RenderSettings { samples: 4, ..RenderSettings::default() };
     /// let rendering = Renderer::new(&scene)?.render(&scene.camera, &settings, &Watch::default())?;
-    /// rendering.picture.to_srgb8(1.0);
+    /// rendering.image.to_srgb8(1.0);
     /// # Ok::<(), gripcast_base::error::Error>(())
     /// ```
     pub fn render(
@@ -223,7 +223,7 @@ impl CameraRays {
     }
 }
 
-/// What all tiles share.
+/// What all tiles fraction.
 struct Job<'a> {
     integrator: Integrator<'a>,
     camera: CameraRays,
@@ -336,9 +336,9 @@ impl WithLanes for DepthRow<'_> {
 
 fn assemble(camera: &Camera, pixels: impl Iterator<Item = TilePixel>) -> Rendering {
     let (width, height) = (camera.width, camera.height);
-    let black = Picture::filled(width, height, [0.0; 3]);
+    let black = Image::filled(width, height, [0.0; 3]);
     let mut rendering = Rendering {
-        picture: black.clone(),
+        image: black.clone(),
         variance: black.clone(),
         halves: [black.clone(), black.clone()],
         albedo: black.clone(),
@@ -347,7 +347,7 @@ fn assemble(camera: &Camera, pixels: impl Iterator<Item = TilePixel>) -> Renderi
     };
     for pixel in pixels {
         let at = pixel.place[1] * width + pixel.place[0];
-        rendering.picture.pixels[at] = pixel.means.radiance;
+        rendering.image.pixels[at] = pixel.means.radiance;
         rendering.variance.pixels[at] = pixel.means.variance;
         for half in 0..2 {
             rendering.halves[half].pixels[at] = pixel.means.halves[half];

@@ -18,7 +18,7 @@ fn camera() -> Camera {
 
 /// Dome with a gradient and a bright spot.
 fn dome() -> Environment {
-    let mut map = Picture::filled(32, 16, [0.4, 0.5, 0.6]);
+    let mut map = Image::filled(32, 16, [0.4, 0.5, 0.6]);
     for (at, pixel) in map.pixels.iter_mut().enumerate() {
         *pixel = pixel.map(|v| v * (1.5 - at as f32 / 512.0));
     }
@@ -76,7 +76,7 @@ fn the_same_bits_at_any_number_of_threads() {
             ..settings
         },
     );
-    assert_ne!(one.picture, other.picture);
+    assert_ne!(one.image, other.image);
 }
 
 #[test]
@@ -109,7 +109,7 @@ fn white_things_vanish_in_a_white_furnace() {
         };
         let rendering = render(&scene, &settings);
         // Of the ball alone: what surrounds it is exact.
-        let pixels = rendering.picture.pixels.iter().zip(&rendering.depth_m);
+        let pixels = rendering.image.pixels.iter().zip(&rendering.depth_m);
         let ball: Vec<f64> = pixels
             .filter(|(_, depth)| **depth > 0.0)
             .map(|(pixel, _)| f64::from(pixel[0]))
@@ -138,7 +138,7 @@ fn every_way_of_looking_for_light_has_the_same_mean() {
             let mut renderer = Renderer::new(&scene).unwrap();
             renderer.strategy = strategy;
             let rendering = renderer.render(&scene.camera, &settings(256), &Watch::default());
-            rendering.unwrap().picture.mean()
+            rendering.unwrap().image.mean()
         };
         let both = mean(Strategy::Both);
         for strategy in [Strategy::Light, Strategy::Material] {
@@ -156,7 +156,7 @@ fn every_way_of_looking_for_light_has_the_same_mean() {
 #[test]
 fn roulette_and_lengths_of_nets_do_not_change_the_mean() {
     let scene = scene(Material::grey(0.9), dome());
-    let mean = |settings: &RenderSettings| render(&scene, settings).picture.mean();
+    let mean = |settings: &RenderSettings| render(&scene, settings).image.mean();
     let plain = mean(&RenderSettings {
         roulette_from: 100,
         ..settings(256)
@@ -183,7 +183,7 @@ fn a_clamp_removes_fireflies_alone() {
             ..settings(16)
         },
     );
-    assert_eq!(free.picture, loose.picture);
+    assert_eq!(free.image, loose.image);
     let tight = render(
         &scene,
         &RenderSettings {
@@ -191,7 +191,7 @@ fn a_clamp_removes_fireflies_alone() {
             ..settings(16)
         },
     );
-    assert!(tight.picture.pixels.iter().flatten().all(|v| *v <= 0.5001));
+    assert!(tight.image.pixels.iter().flatten().all(|v| *v <= 0.5001));
 }
 
 #[test]
@@ -236,25 +236,25 @@ fn guides_are_those_of_the_first_surface() {
         .as_vec3()
         .normalize();
     assert!(normal.dot(towards) > 0.9, "{normal}");
-    assert!(rendering.picture.pixels.iter().flatten().all(|v| *v == 0.0));
+    assert!(rendering.image.pixels.iter().flatten().all(|v| *v == 0.0));
 }
 
 #[test]
 fn textures_are_seen_where_they_are() {
     // Four colours on the ground, seen from straight above.
-    let picture =
+    let image =
         image::RgbImage::from_raw(2, 2, vec![255, 0, 0, 0, 255, 0, 0, 0, 255, 255, 255, 255]);
     let mut scene = scene(Material::grey(0.5), Environment::uniform([1.0; 3]));
     scene.meshes = vec![Mesh::ground(Vec3::ZERO, 0.5, 1.0, 0)];
     scene.materials[0] = Material::Diffuse {
         reflectance: Colour::Texture(0),
     };
-    scene.textures = vec![Bitmap::from_srgb8(&picture.unwrap()).unwrap()];
+    scene.textures = vec![Bitmap::from_srgb8(&image.unwrap()).unwrap()];
     let down = glam::DQuat::from_rotation_x(std::f64::consts::PI);
     scene.camera = Camera::centred(4, 4, 0.9, Pose::new(down, DVec3::Z));
     let rendering = render(&scene, &settings(16));
     let colour = |column: usize, row: usize| {
-        let p = rendering.picture.at(column, row);
+        let p = rendering.image.at(column, row);
         [p[0] > 0.5, p[1] > 0.5, p[2] > 0.5]
     };
     // Turned about x, the camera sees +x to the right and +y up. The top-left texel lies at
@@ -340,8 +340,8 @@ fn bad_scenes_are_explained() {
     );
     explain(
         &|s| {
-            let picture = image::RgbImage::new(1, 1);
-            s.textures = vec![Bitmap::from_srgb8(&picture).unwrap()];
+            let image = image::RgbImage::new(1, 1);
+            s.textures = vec![Bitmap::from_srgb8(&image).unwrap()];
             s.materials[0] = Material::Diffuse {
                 reflectance: Colour::Texture(0),
             };

@@ -147,7 +147,7 @@ impl Room {
         }
     }
 
-    /// Cupboards, shelves, doors and pictures: dark and coloured rectangles on the walls.
+    /// Cupboards, shelves, doors and images: dark and coloured rectangles on the walls.
     fn furnish(&mut self, stream: &mut SeedStream) {
         for wall in 0..4_u8 {
             let half_width = self.half[usize::from(wall % 2 == 0)];
@@ -174,7 +174,7 @@ impl Room {
 
     /// Radiance of a white wall: the emitted power spread over all faces, times what further
     /// reflections add.
-    fn settle(&mut self, light: [f32; 3], share: f32) {
+    fn settle(&mut self, light: [f32; 3], fraction: f32) {
         let [a, b] = self.half;
         let height = self.heights[1];
         let area = 8.0 * a * b + 4.0 * (a + b) * height;
@@ -185,7 +185,7 @@ impl Room {
             .map(|panel| 4.0 * panel.half[0] * panel.half[1] * panel.color[1])
             .sum();
         // Of light that falls on a wall about half is reflected: twice the first reflection.
-        let level = 2.0 * emitted / area + 0.02 * share;
+        let level = 2.0 * emitted / area + 0.02 * fraction;
         self.ambient = light.map(|l| level * (0.85 + 0.15 * l));
     }
 

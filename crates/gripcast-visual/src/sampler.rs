@@ -11,7 +11,7 @@ use gripcast_base::random::mix;
 /// Pairs that are spread evenly; later ones are plainly random.
 const PAIRS: usize = 24;
 /// Longest net, samples; more samples start another with other shifts.
-const LONGEST_NET: u32 = 4096;
+const MAX_NET: u32 = 4096;
 const TURN: u64 = 0x9e37_79b9_7f4a_7c15;
 /// 2^-24.
 const UNIT: f32 = 1.0 / 16_777_216.0;
@@ -36,7 +36,7 @@ pub(super) struct PixelSample<'a> {
 impl Net {
     /// Net for a number of samples.
     pub(super) fn new(samples: u32, seed: u64) -> Self {
-        let length = samples.next_power_of_two().min(LONGEST_NET);
+        let length = samples.next_power_of_two().min(MAX_NET);
         let point = |index: u32, pair: u64| {
             let shuffled = scrambled(index, mix(seed ^ mix(3 * pair)));
             let [x, y] = sobol(shuffled);
@@ -137,7 +137,7 @@ mod tests {
     fn pairs_and_pixels_are_uncorrelated() {
         let net = Net::new(64, 1);
         let centred = |pixel, pair: usize, index| net.sample(pixel, index).pair(pair)[0] - 0.5;
-        // Pixels share nets under different shifts, so only the mean over pixels vanishes.
+        // Pixels fraction nets under different shifts, so only the mean over pixels vanishes.
         for (step, pairs) in [(0, [0, 1]), (1, [0, 0]), (320, [2, 5]), (0, [30, 31])] {
             let mut sum = 0.0;
             for pixel in 0..1024 {
@@ -154,11 +154,8 @@ mod tests {
     #[test]
     fn longer_runs_start_other_nets_and_seeds_differ() {
         let net = Net::new(1 << 14, 0);
-        assert_eq!(net.points.len(), LONGEST_NET as usize);
-        assert_ne!(
-            net.sample(0, 1).pair(0),
-            net.sample(0, LONGEST_NET + 1).pair(0)
-        );
+        assert_eq!(net.points.len(), MAX_NET as usize);
+        assert_ne!(net.sample(0, 1).pair(0), net.sample(0, MAX_NET + 1).pair(0));
         assert_ne!(
             net.sample(0, 1).pair(0),
             Net::new(1 << 14, 1).sample(0, 1).pair(0)

@@ -112,7 +112,7 @@ impl Mesh {
         };
         if matches!(material.colour(), Some(Colour::Texture(_))) && self.uvs.is_empty() {
             return Err(Error::input(
-                "the mesh has a picture as texture, but no texture coordinates",
+                "the mesh has an image as texture, but no texture coordinates",
             )
             .remedy("use a mesh with texture coordinates"));
         }
@@ -131,7 +131,7 @@ pub struct Scene {
     pub textures: Vec<Bitmap>,
     /// Light from all directions, infinitely far away.
     pub environment: Environment,
-    /// Where the picture is taken from.
+    /// Where the image is taken from.
     pub camera: Camera,
 }
 
@@ -160,7 +160,7 @@ impl Scene {
     /// Whether the camera is outside of all solids.
     ///
     /// # Errors
-    /// `Input` if it is inside of a closed mesh, whose inner side would fill the picture. Found by
+    /// `Input` if it is inside of a closed mesh, whose inner side would fill the image. Found by
     /// the winding number of each mesh around the camera (sum of the solid angles of its
     /// triangles; van Oosterom and Strackee 1983), which open meshes do not bring near 1.
     pub fn check_camera_outside(&self, camera: &Camera) -> Result<()> {

@@ -1,4 +1,4 @@
-//! How a picture is made.
+//! How an image is made.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -16,7 +16,7 @@ pub enum PixelFilter {
     Gaussian,
 }
 
-/// How a picture is made.
+/// How an image is made.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RenderSettings {
     /// Paths for each pixel; powers of two are spread best.
@@ -26,7 +26,7 @@ pub struct RenderSettings {
     /// From this bounce on, paths that carry little end at random (Russian roulette).
     pub roulette_from: u32,
     /// Largest value that one path may add to a channel; what lies above is lost. `None` keeps the
-    /// picture unbiased.
+    /// image unbiased.
     pub clamp: Option<f32>,
     /// Reconstruction filter.
     pub filter: PixelFilter,

@@ -12,12 +12,12 @@ use gripcast_geometry::{TriangleMesh, corner_normals};
 pub enum Projection {
     /// None.
     None,
-    /// Along the axis nearest to each triangle's normal: the picture repeats on all six sides,
+    /// Along the axis nearest to each triangle's normal: the image repeats on all six sides,
     /// with seams between them.
     Box {
-        /// Width of the picture, m.
+        /// Width of the image, m.
         width_m: f64,
-        /// Where a corner of the picture lies, m.
+        /// Where a corner of the image lies, m.
         origin_m: DVec3,
     },
 }
@@ -80,7 +80,7 @@ fn side_of(normal: DVec3) -> u8 {
     2 * axis as u8 + u8::from(normal[axis] < 0.0)
 }
 
-/// Texture coordinates of a place in widths of the picture, on a side seen from outside; upright
+/// Texture coordinates of a place in widths of the image, on a side seen from outside; upright
 /// (v runs down along −z) on the four vertical sides.
 fn box_uv(p: DVec3, side: u8) -> [f32; 2] {
     let uv = match side {
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn projected_pictures_keep_their_size_and_are_not_mirrored() {
+    fn projected_images_keep_their_size_and_are_not_mirrored() {
         let projection = Projection::Box {
             width_m: 0.02,
             origin_m: DVec3::splat(0.3),
@@ -130,7 +130,7 @@ mod tests {
             let [p, q, r] = t.map(|v| shaded.uvs[v as usize]);
             let area = 0.5 * (b - a).cross(c - a).length() / (0.02 * 0.02);
             let signed = 0.5 * ((q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1]));
-            // v runs down, so that a picture seen from outside has negative area.
+            // v runs down, so that an image seen from outside has negative area.
             assert!(
                 (signed + area).abs() < 1e-3 * area.max(1.0),
                 "{signed} {area}"

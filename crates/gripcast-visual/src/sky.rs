@@ -12,7 +12,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::environment::light_of_kelvin;
-use super::picture::Picture;
+use super::linear_image::Image;
 use super::room::Room;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
@@ -46,7 +46,7 @@ impl Sky {
 
     /// Paints the dome, `2 * height` × `height` pixels, laid out as
     /// [`Environment`](super::Environment) wants it; the same arguments give the same values.
-    pub fn paint(self, height: usize, seed: u64) -> Picture {
+    pub fn paint(self, height: usize, seed: u64) -> Image {
         let mut stream = SeedStream::named(seed, self.name());
         let mut dome = match self {
             Self::Studio => {
@@ -87,7 +87,7 @@ impl FromStr for Sky {
 }
 
 /// Luminance that a white matt horizontal surface reflects under a dome (its irradiance over π).
-pub fn white_table_luminance(dome: &Picture) -> f64 {
+pub fn white_table_luminance(dome: &Image) -> f64 {
     let (width, height) = (dome.width, dome.height);
     let mut sum = 0.0;
     for (row, pixels) in dome.pixels.chunks(width.max(1)).enumerate() {
@@ -100,7 +100,7 @@ pub fn white_table_luminance(dome: &Picture) -> f64 {
         let weight = 0.5 * (b - a) * std::f64::consts::TAU / width as f64;
         let row_sum: f64 = pixels
             .iter()
-            .map(|p| f64::from(super::picture::luminance(*p)))
+            .map(|p| f64::from(super::linear_image::luminance(*p)))
             .sum();
         sum += weight * row_sum;
     }
@@ -109,7 +109,7 @@ pub fn white_table_luminance(dome: &Picture) -> f64 {
 
 /// Scales a dome until [`white_table_luminance`] is 1; a dome without light above the horizon
 /// stays as it is.
-pub fn normalise(dome: &mut Picture) {
+pub fn normalise(dome: &mut Image) {
     let found = white_table_luminance(dome);
     if found.is_normal() && found > 0.0 {
         let factor = (1.0 / found) as f32;
@@ -120,10 +120,10 @@ pub fn normalise(dome: &mut Picture) {
 }
 
 /// Radiance of each pixel from the mean of four directions within it.
-fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Picture {
+fn paint_by_direction(height: usize, radiance: impl Fn(Vec3) -> [f32; 3] + Sync) -> Image {
     let height = height.max(2);
     let width = 2 * height;
-    let mut dome = Picture::filled(width, height, [0.0; 3]);
+    let mut dome = Image::filled(width, height, [0.0; 3]);
     dome.pixels
         .par_chunks_mut(width)
         .enumerate()
@@ -247,7 +247,7 @@ impl ClearSky {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::luminance;
+    use crate::linear_image::luminance;
 
     #[test]
     fn domes_are_finite_repeatable_and_light_the_table_alike() {
@@ -271,11 +271,11 @@ mod tests {
 
     #[test]
     fn a_grey_dome_lights_the_table_with_its_own_radiance() {
-        let mut dome = Picture::filled(32, 16, [0.25; 3]);
+        let mut dome = Image::filled(32, 16, [0.25; 3]);
         assert!((white_table_luminance(&dome) - 0.25).abs() < 1e-6);
         normalise(&mut dome);
         assert!((dome.pixels[3][1] - 1.0).abs() < 1e-6);
-        let mut dark = Picture::filled(4, 2, [0.0; 3]);
+        let mut dark = Image::filled(4, 2, [0.0; 3]);
         normalise(&mut dark);
         assert_eq!(dark.pixels[0], [0.0; 3]);
     }

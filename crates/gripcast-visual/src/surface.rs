@@ -5,10 +5,10 @@ use glam::Vec3;
 use super::bvh::Hit;
 use super::scene::{Mesh, Scene};
 
-/// Offset of new rays from the surface as a share of the largest coordinate: 64 roundings.
+/// Offset of new rays from the surface as a fraction of the largest coordinate: 64 roundings.
 const OFFSET: f32 = 64.0 * f32::EPSILON;
 /// Coordinates below this size, m, do not make the offset smaller.
-const LEAST_SIZE: f32 = 0.03;
+const MIN_SIZE: f32 = 0.03;
 
 /// Triangle with everything that shading needs.
 #[derive(Clone, Copy, Debug)]
@@ -102,7 +102,7 @@ impl Place {
     /// not let the ray meet it again.
     #[inline(always)]
     pub(super) fn start(&self, direction: Vec3) -> Vec3 {
-        let size = self.position.abs().max_element().max(LEAST_SIZE);
+        let size = self.position.abs().max_element().max(MIN_SIZE);
         let offset = self.normal * (OFFSET * size);
         if direction.dot(self.normal) < 0.0 {
             self.position - offset

@@ -1,14 +1,14 @@
-//! Pictures over a surface: linear RGB reflectance in [0, 1].
+//! Images over a surface: linear RGB reflectance in [0, 1].
 
 use image::RgbImage;
 
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::srgb_decode;
 
-/// Picture that is repeated over the texture plane and interpolated bilinearly in linear light.
+/// Image that is repeated over the texture plane and interpolated bilinearly in linear light.
 ///
 /// Texture coordinates run from the outer corner of the top-left pixel: u to the right, v **down**
-/// (as in glTF; the v of OBJ files runs up and is turned by their reader). The picture spans
+/// (as in glTF; the v of OBJ files runs up and is turned by their reader). The image spans
 /// [0, 1]².
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bitmap {
@@ -19,21 +19,21 @@ pub struct Bitmap {
 }
 
 impl Bitmap {
-    /// From an 8-bit sRGB picture.
+    /// From an 8-bit sRGB image.
     ///
     /// # Errors
-    /// `Input` for a picture without pixels.
-    pub fn from_srgb8(picture: &RgbImage) -> Result<Self> {
-        let (width, height) = picture.dimensions();
+    /// `Input` for an image without pixels.
+    pub fn from_srgb8(image: &RgbImage) -> Result<Self> {
+        let (width, height) = image.dimensions();
         if width == 0 || height == 0 {
             return Err(Error::input(format!(
-                "a texture must have pixels, found a picture of {width}×{height}"
+                "a texture must have pixels, found an image of {width}×{height}"
             )));
         }
         Ok(Self {
             width: width as usize,
             height: height as usize,
-            texels: picture.pixels().map(|p| [p[0], p[1], p[2], 0]).collect(),
+            texels: image.pixels().map(|p| [p[0], p[1], p[2], 0]).collect(),
         })
     }
 
@@ -42,7 +42,7 @@ impl Bitmap {
         [self.width, self.height]
     }
 
-    /// The picture, 8-bit sRGB.
+    /// The image, 8-bit sRGB.
     pub fn to_srgb8(&self) -> RgbImage {
         let bytes = self
             .texels
@@ -71,7 +71,7 @@ impl Bitmap {
     }
 }
 
-/// The two texels around a coordinate, repeated, and the share of the second.
+/// The two texels around a coordinate, repeated, and the fraction of the second.
 #[inline(always)]
 fn neighbours(coordinate: f32, count: usize) -> [f32; 3] {
     let size = count as f32;

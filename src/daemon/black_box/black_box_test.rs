@@ -541,7 +541,7 @@ fn the_thread_writes_to_a_directory_and_reports() {
 }
 
 #[test]
-fn pictures_describe_themselves() {
+fn images_describe_themselves() {
     let form = camera_channel(Role::Depth, PixelFormat::Z16);
     assert_eq!(
         (&*form.topic, form.schema),

@@ -16,7 +16,7 @@ use super::shelf::Output;
 use gripcast_imaging::{PixelFormat, Role};
 
 /// Size from which a chunk is written, bytes. Smaller ones make a longer index, larger ones more
-/// to read for one picture.
+/// to read for one image.
 const CHUNK_BYTES: u64 = 4 << 20;
 
 /// Age from which a chunk is written, ns: what is in it is lost when the program is killed.

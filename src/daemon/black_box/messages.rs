@@ -1,4 +1,4 @@
-//! The messages of the channels: Foxglove's well-known pictures as protobuf, the rest as JSON.
+//! The messages of the channels: Foxglove's well-known images as protobuf, the rest as JSON.
 
 use bytes::Bytes;
 use prost::Message as _;
@@ -242,7 +242,7 @@ const PREDICTION_SCHEMA: &str = r#"{
   "properties": {
     "p_stable": {"type": "number", "description": "probability that the grasp is stable, steadied over the frames"},
     "p_stable_frame": {"type": "number", "description": "the same of the newest frame alone"},
-    "novelty": {"type": ["number", "null"], "description": "distance from the training pictures over what counts as known"},
+    "novelty": {"type": ["number", "null"], "description": "distance from the training images over what counts as known"},
     "frame_time_ns": {"type": "integer", "description": "CLOCK_MONOTONIC of the newest frame, ns"},
     "latency_ms": {"type": "number", "description": "that frame to the result"},
     "engine_ms": {"type": "number", "description": "the model alone"}

@@ -13,7 +13,7 @@ use gripcast_imaging::{Frame, Role};
 /// Notes still find room when frames have filled the queue, bytes.
 const NOTE_ROOM: usize = 1 << 20;
 
-/// Channels of what is no picture.
+/// Channels of what is no image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(in crate::daemon) enum Topic {
     /// Commands, faults, gaps of the log itself.

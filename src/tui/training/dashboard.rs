@@ -25,7 +25,7 @@ const MIN_NAMES: u16 = 8;
 /// Columns of the words before what they name.
 const NAMES: usize = 10;
 
-/// Draws the whole dashboard. Pure: the same status gives the same picture.
+/// Draws the whole dashboard. Pure: the same status gives the same image.
 pub fn draw(frame: &mut Frame<'_>, status: &TrainingStatus, palette: Palette) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
@@ -133,9 +133,9 @@ fn time(left: Duration) -> String {
 fn facts(status: &TrainingStatus, area: Rect, palette: Palette) -> Vec<Line<'static>> {
     let (epoch, steps) = status.epoch();
     let epochs = u64::from(status.settings.epochs);
-    let bar = |name, number: [u64; 2], share| {
+    let bar = |name, number: [u64; 2], fraction| {
         let number = format!("{} of {}", number[0], number[1]);
-        bar(name, &number, share, usize::from(area.width), palette)
+        bar(name, &number, fraction, usize::from(area.width), palette)
     };
     let mut lines = vec![
         dataset(status, palette),
@@ -235,11 +235,11 @@ fn bar(
     width: usize,
     palette: Palette,
 ) -> Line<'static> {
-    let share = done.min(all) as f64 / all.max(1) as f64;
-    let percent = format!(" {:>3.0} %", (100.0 * share).floor());
+    let fraction = done.min(all) as f64 / all.max(1) as f64;
+    let percent = format!(" {:>3.0} %", (100.0 * fraction).floor());
     let number = format!("{number:<16} ");
     let room = width.saturating_sub(NAMES + 2 + number.len() + percent.len());
-    let full = (share * room as f64).floor() as usize;
+    let full = (fraction * room as f64).floor() as usize;
     let mut line = named(name, number, palette);
     line.push_span(Span::styled("━".repeat(full), palette.first_curve()));
     line.push_span(Span::styled("·".repeat(room - full), palette.faint()));

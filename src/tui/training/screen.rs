@@ -1,4 +1,4 @@
-//! The dashboard on the terminal: news in, pictures out; a key asks for the end.
+//! The dashboard on the terminal: news in, images out; a key asks for the end.
 
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, TryRecvError};
 use std::thread;
@@ -17,7 +17,7 @@ use gripcast_base::error::{Error, Result};
 
 /// Longest wait for a key; bounds how late news are noticed.
 const POLL: Duration = Duration::from_millis(50);
-/// Shortest time between two pictures.
+/// Shortest time between two images.
 const MIN_INTERVAL: Duration = Duration::from_millis(100);
 /// Longest one: the clock goes on.
 const MAX_INTERVAL: Duration = Duration::from_secs(1);

@@ -14,7 +14,7 @@ import { startKeys } from "./keys.js";
 import { drawLabels, startNames } from "./labels.js";
 import { Link } from "./link.js";
 import { askToken, drawLogout, loginFromAddress, startLogin, startLogout } from "./login.js";
-import { Pictures } from "./pictures.js";
+import { Images } from "./images.js";
 import { play, startSound } from "./sound.js";
 
 /** After this long without news a prediction is no longer one, ms. */
@@ -27,7 +27,7 @@ let heard = 0;
 let cut = "connecting …";
 /** @type {string|null} */
 let known = null;
-const pictures = new Pictures();
+const images = new Images();
 const reader = new Reader();
 
 function draw() {
@@ -37,7 +37,7 @@ function draw() {
   reader.note(state.session, drawGauge(state, silence()));
   drawLabels(state, openDetail);
   drawCameras(state);
-  pictures.draw(state);
+  images.draw(state);
 }
 
 /** Why the newest state says nothing about this moment. */
@@ -80,11 +80,11 @@ const link = new Link({
         ? "gripcast was stopped. All saved grasps are safe. This page goes on when it is started again."
         : "Connection lost, saved grasps are safe. Trying again …",
     );
-    pictures.stop();
+    images.stop();
     draw();
   },
   locked() {
-    pictures.stop();
+    images.stop();
     cut = "log in first";
     linkBanner("");
     document.body.classList.add("locked");
@@ -104,7 +104,7 @@ async function reloadAfterUpdate() {
   }
 }
 
-/** Shows the view that the address names; pictures run only where they are seen. */
+/** Shows the view that the address names; images run only where they are seen. */
 function view() {
   const grasps = location.hash === "#grasps";
   byId("collect").hidden = grasps;
@@ -116,8 +116,8 @@ function view() {
   }
   showGallery(grasps);
   const seen = !grasps && !document.hidden && cut === null;
-  if (seen && !pictures.running) pictures.start();
-  else if (!seen) pictures.stop();
+  if (seen && !images.running) images.start();
+  else if (!seen) images.stop();
 }
 
 /** A screen that is propped on the table shall not go dark. Browsers allow it on secure pages. */

@@ -1,5 +1,5 @@
 /**
- * One grasp: all its pictures, what was said and predicted, relabel and trash.
+ * One grasp: all its images, what was said and predicted, relabel and trash.
  *
  * @import {Outcome, Role} from "./types.js"
  */
@@ -57,7 +57,7 @@ function draw(record) {
   say(byId("detail-title"), `grasp ${short(id)} · ${words.join(" · ")}`);
   refill(byId("detail"), [record, sides], () => [
     verdict(record),
-    pictures(record),
+    images(record),
     make(
       "div",
       "detail-buttons",
@@ -85,9 +85,9 @@ function verdict({ outcome, prediction }) {
 }
 
 /** A row a camera; initial, grasp, and for gels the difference. @param {any} record */
-function pictures({ id, initial, grasp }) {
+function images({ id, initial, grasp }) {
   const roles = ROLES.filter((role) => initial?.cameras?.[role] || grasp?.cameras?.[role]);
-  const box = make("div", "detail-pictures");
+  const box = make("div", "detail-images");
   for (const role of roles) {
     const gel = role === "left" || role === "right";
     const stages = [
@@ -96,7 +96,7 @@ function pictures({ id, initial, grasp }) {
       ["difference", gel && initial?.cameras?.[role] && grasp?.cameras?.[role]],
     ];
     const row = make("div", "row");
-    for (const [stage, camera] of stages) if (camera) row.append(picture(id, role, stage, camera.file, row.children.length === 0));
+    for (const [stage, camera] of stages) if (camera) row.append(image(id, role, stage, camera.file, row.children.length === 0));
     box.append(row);
   }
   return box;
@@ -104,7 +104,7 @@ function pictures({ id, initial, grasp }) {
 
 /** @param {string} id @param {string} role @param {string} stage @param {string|undefined} file
  * @param {boolean} first whether its caption names the camera, for the whole row */
-function picture(id, role, stage, file, first) {
+function image(id, role, stage, file, first) {
   const base = `api/grasps/${encodeURIComponent(id)}`;
   const image = make("img");
   image.src = address(`${base}/preview/${stage}/${role}.jpg`);

@@ -70,7 +70,7 @@ function draw() {
     refill(card, grasp, () => [cardButton(grasp)]);
     return card;
   });
-  // Only what differs moves: pictures stay loaded and the focus stays where it is.
+  // Only what differs moves: images stay loaded and the focus stays where it is.
   const kept = new Set(wantedCards);
   for (const card of [...list.children]) if (!kept.has(card)) card.remove();
   wantedCards.forEach((card, index) => {
@@ -85,11 +85,11 @@ function cardButton(grasp) {
   const p = grasp.prediction?.p_stable;
   const said = p === undefined ? "no prediction" : `predicted ${p.toFixed(2)}`;
   node.setAttribute("aria-label", `grasp ${short(grasp.id)}, ${grasp.object || "no object"}, ${OUTCOMES[grasp.outcome]}, ${said}${mark === "✗" ? ", disagree" : ""}`);
-  const pictures = make("span", "thumbs", ...thumbs(grasp));
+  const images = make("span", "thumbs", ...thumbs(grasp));
   const line = make("span", "line", outcomeNode(grasp.outcome), make("span", "faint", ` ${said} `));
   if (mark) line.append(markNode(mark));
   node.append(
-    pictures,
+    images,
     make("span", "line object", grasp.object || "no object"),
     line,
     make("span", "line faint", `${short(grasp.id)} · ${moment(grasp.captured_at)}`),
@@ -97,7 +97,7 @@ function cardButton(grasp) {
   return node;
 }
 
-/** Both gels as they changed, and the colour picture. @param {GraspSummary} grasp */
+/** Both gels as they changed, and the colour image. @param {GraspSummary} grasp */
 function thumbs({ id, roles }) {
   const wantedThumbs = [
     ["left", "difference"],

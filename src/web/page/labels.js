@@ -131,7 +131,7 @@ function drawRefusal({ refusal }) {
       "",
       refusal.can_override
         ? "“Take it anyway” (!) overrides this; the grasp records that you did"
-        : "this cannot be overridden: mend it, then trigger again",
+        : "this cannot be overridden: fix it, then trigger again",
     ),
   ]);
 }

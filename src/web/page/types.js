@@ -9,7 +9,7 @@
  * @typedef {object} Predicted what the model said of a grasp before the lift
  * @property {number} p_stable
  * @property {number} threshold
- * @property {number} [novelty] above 1: unlike the training pictures
+ * @property {number} [novelty] above 1: unlike the training images
  * @property {string} model
  * @property {number} latency_ms
  * @property {number} engine_ms

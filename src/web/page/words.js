@@ -8,8 +8,8 @@
 const STALE_MS = 500;
 /** Difference between the labels from which a hint is given: a tenth of all, at least this. */
 const HINT_AT_LEAST = 5;
-/** Share of the nominal rate below which the rate is a warning. */
-const SLOW_SHARE = 0.9;
+/** Fraction of the nominal rate below which the rate is a warning. */
+const SLOW_FRACTION = 0.9;
 /** Age of the newest frame from which it is a warning, in nominal intervals. */
 const OLD_INTERVALS = 3;
 
@@ -86,7 +86,7 @@ export function banner(session) {
   const step = STEPS[session.step];
   if (session.saving) return { ...step, kind: "saving", verb: "SAVING", instruction: "hold still" };
   if (session.refusal) {
-    return { ...step, kind: "refused", verb: "REFUSED", instruction: `${session.refusal.stage.toUpperCase()} NOT TAKEN — mend it and trigger again` };
+    return { ...step, kind: "refused", verb: "REFUSED", instruction: `${session.refusal.stage.toUpperCase()} NOT TAKEN — fix it and trigger again` };
   }
   return { ...step, kind: session.step };
 }
@@ -98,7 +98,7 @@ export function levelled({ level, text }) {
 
 /**
  * What may be claimed: the verdict, that it is too old to be one, or that the model knows nothing
- * of such pictures.
+ * of such images.
  * @param {Prediction} prediction
  */
 export function claim(prediction) {
@@ -107,7 +107,7 @@ export function claim(prediction) {
 }
 
 /** `✓` where label and prediction agree, `✗` where not, `?` where the model did not know such
- * pictures. @param {Predicted|null} said @param {Outcome} outcome */
+ * images. @param {Predicted|null} said @param {Outcome} outcome */
 export function agreement(said, outcome) {
   if (!said) return "";
   if ((said.novelty ?? 0) > 1) return "?";
@@ -117,7 +117,7 @@ export function agreement(said, outcome) {
 
 /** What a mark of agreement says. @param {string} mark */
 export function agreementWords(mark) {
-  return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "unlike the training pictures" }[mark] ?? "";
+  return { "✓": "prediction and label agree", "✗": "prediction and label disagree", "?": "unlike the training images" }[mark] ?? "";
 }
 
 /** Which label is short. @param {Counts} counts */
@@ -144,7 +144,7 @@ export function stateWords({ state, for_s }) {
 /** Which part has failed, and what helps. @param {Camera} camera */
 export function fault(camera) {
   const remedies = {
-    frozen: "REPLUG IT: the picture does not change",
+    frozen: "REPLUG IT: the image does not change",
     lost: "PLUG IT IN: it is opened again by itself",
     silent: "REPLUG IT: no frames arrive",
   };
@@ -171,7 +171,7 @@ export function alive(cameras) {
 export function rates({ measured_fps, nominal_fps, frame_age_ms }) {
   return {
     rate: `${measured_fps.toFixed(1)}/${nominal_fps.toFixed(0)} fps`,
-    slow: measured_fps < SLOW_SHARE * nominal_fps,
+    slow: measured_fps < SLOW_FRACTION * nominal_fps,
     age: frame_age_ms === null ? "–" : duration(frame_age_ms),
     old: frame_age_ms === null || frame_age_ms * nominal_fps > OLD_INTERVALS * 1e3,
   };

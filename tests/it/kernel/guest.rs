@@ -13,7 +13,7 @@ use gripcast_dataset::GraspRecord;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};
 
-use super::pictures::Pictures;
+use super::images::Images;
 use gripcast_testing::{Needs, skip};
 
 /// A guest that is not done by then hangs. Wall clock of the host.
@@ -182,12 +182,12 @@ fn boot_with(
 }
 
 /// Streams all emulated cameras without the program under test; the report of the emulator.
-pub(super) fn probe(kernel: &Path, pictures: &Pictures) -> Value {
+pub(super) fn probe(kernel: &Path, images: &Images) -> Value {
     let command = format!(
         "{} probe {} {} \"$OUT\"\n",
         quoted(emulator()),
-        quoted(&pictures.left),
-        quoted(&pictures.right)
+        quoted(&images.left),
+        quoted(&images.right)
     );
     let out = boot(kernel, "probe", "64m", &command);
     read_json(&out.join("probe.json"))
@@ -214,11 +214,11 @@ pub(super) struct Outcome {
     pub(super) exit_code: Option<i64>,
     /// Closing report of `gripcast collect --json`; null where it printed none.
     pub(super) report: Value,
-    /// Pictures sent intact and spoilt, by camera and kind.
+    /// Images sent intact and spoilt, by camera and kind.
     pub(super) sent: BTreeMap<String, BTreeMap<String, u64>>,
     /// Exit code and messages of a second start on the dataset, with the virtual rig.
     pub(super) second_start: Value,
-    /// From plugging a camera in again to its next picture, s.
+    /// From plugging a camera in again to its next image, s.
     pub(super) came_back_s: BTreeMap<String, Vec<f64>>,
     /// Grasps in the dataset, in the order of their keys.
     pub(super) grasps: Vec<SavedGrasp>,
@@ -283,7 +283,7 @@ fn saved_grasps(dataset: &Path) -> Vec<SavedGrasp> {
 }
 
 /// Runs `gripcast collect` through a scenario of the emulator.
-pub(super) fn run(kernel: &Path, name: &str, run: &str, pictures: &Pictures) -> Outcome {
+pub(super) fn run(kernel: &Path, name: &str, run: &str, images: &Images) -> Outcome {
     let emulator = emulator();
     let disk = Command::new(emulator)
         .args(["disk-size", name])
@@ -292,8 +292,8 @@ pub(super) fn run(kernel: &Path, name: &str, run: &str, pictures: &Pictures) -> 
     let command = format!(
         "{} run {name} {} {} \"$OUT\" \"$DISK\" {}\n",
         quoted(emulator),
-        quoted(&pictures.left),
-        quoted(&pictures.right),
+        quoted(&images.left),
+        quoted(&images.right),
         quoted(&program())
     );
     let disk = String::from_utf8(disk.stdout).unwrap();
@@ -301,7 +301,7 @@ pub(super) fn run(kernel: &Path, name: &str, run: &str, pictures: &Pictures) -> 
 }
 
 /// A collection of `seconds` on the guest's clock, during which things go wrong at random.
-pub(super) fn soak(kernel: &Path, seconds: u64, seed: u64, pictures: &Pictures) -> Outcome {
+pub(super) fn soak(kernel: &Path, seconds: u64, seed: u64, images: &Images) -> Outcome {
     let emulator = emulator();
     let disk = Command::new(emulator)
         .args(["soak-disk-size", &seconds.to_string()])
@@ -312,8 +312,8 @@ pub(super) fn soak(kernel: &Path, seconds: u64, seed: u64, pictures: &Pictures) 
     let command = format!(
         "{} soak {seconds} {seed} {} {} \"$OUT\" \"$DISK\" {}\n",
         quoted(emulator),
-        quoted(&pictures.left),
-        quoted(&pictures.right),
+        quoted(&images.left),
+        quoted(&images.right),
         quoted(&program())
     );
     let watchdog = WATCHDOG + Duration::from_secs(4 * seconds);

@@ -2,7 +2,7 @@
 //! emulated devices, in virtual time. `docs/kernel-tests.md` tells how it works.
 
 mod guest;
-mod pictures;
+mod images;
 
 use std::fs;
 use std::path::Path;
@@ -11,11 +11,11 @@ use gripcast_dataset::{Outcome as Label, StageRecord};
 use gripcast_imaging::Role;
 
 use self::guest::{Outcome, SavedGrasp, kernel, run};
-use self::pictures::Pictures;
+use self::images::Images;
 
-/// The picture that a sensor sent: the fed file of its number's turn, with the number in a comment
+/// The image that a sensor sent: the fed file of its number's turn, with the number in a comment
 /// segment after the first marker.
-fn sent_picture(number: u64, dir: &Path, kind: &str) -> Vec<u8> {
+fn sent_image(number: u64, dir: &Path, kind: &str) -> Vec<u8> {
     let mut files: Vec<_> = fs::read_dir(dir.join(kind))
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -31,11 +31,11 @@ fn camera_file(stage: &StageRecord, role: Role, dir: &Path) -> Vec<u8> {
     fs::read(dir.join(record.file.as_str())).unwrap()
 }
 
-/// The tactile pictures of a grasp are, byte for byte, what the sensor of that role sent.
-fn assert_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
+/// The tactile images of a grasp are, byte for byte, what the sensor of that role sent.
+fn assert_as_sent(grasp: &SavedGrasp, images: &Images) {
     for (role, serial, dir) in [
-        (Role::Left, "2BNN4ZE7", &pictures.left),
-        (Role::Right, "28F5K4RR", &pictures.right),
+        (Role::Left, "2BNN4ZE7", &images.left),
+        (Role::Right, "28F5K4RR", &images.right),
     ] {
         for (stage, kind) in [
             (&grasp.record.initial, "free"),
@@ -45,22 +45,22 @@ fn assert_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
             assert_eq!(stage.cameras[&role].serial, serial, "{place}");
             let saved = camera_file(stage, role, &grasp.dir);
             let number = u64::from_be_bytes(saved[6..14].try_into().unwrap());
-            let is_as_sent = saved == sent_picture(number, dir, kind);
-            assert!(is_as_sent, "{place}: picture {number} is not as sent");
+            let is_as_sent = saved == sent_image(number, dir, kind);
+            assert!(is_as_sent, "{place}: image {number} is not as sent");
         }
     }
 }
 
-/// The tactile pictures of a grasp are, byte for byte, pictures that the sensor of that role sent,
+/// The tactile images of a grasp are, byte for byte, images that the sensor of that role sent,
 /// whatever it felt.
-fn assert_complete_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
-    for (role, dir) in [(Role::Left, &pictures.left), (Role::Right, &pictures.right)] {
+fn assert_complete_as_sent(grasp: &SavedGrasp, images: &Images) {
+    for (role, dir) in [(Role::Left, &images.left), (Role::Right, &images.right)] {
         for stage in [&grasp.record.initial, &grasp.record.grasp] {
             let saved = camera_file(stage, role, &grasp.dir);
             let number = u64::from_be_bytes(saved[6..14].try_into().unwrap());
             let is_as_sent = ["free", "pressed"]
                 .iter()
-                .any(|kind| saved == sent_picture(number, dir, kind));
+                .any(|kind| saved == sent_image(number, dir, kind));
             let place = grasp.dir.display();
             assert!(is_as_sent, "{place}: {role} {number} is not as sent");
         }
@@ -68,7 +68,7 @@ fn assert_complete_as_sent(grasp: &SavedGrasp, pictures: &Pictures) {
     assert_depth_as_sent(grasp);
 }
 
-/// The depth picture is one whole picture of the emulator: pixel (x, y) of picture n holds
+/// The depth image is one whole image of the emulator: pixel (x, y) of image n holds
 /// 400 + (x + y + n) mod 256, the first four n in digits to the base of 256.
 fn assert_depth_as_sent(grasp: &SavedGrasp) {
     let record = &grasp.record.grasp.cameras[&Role::Depth];
@@ -102,13 +102,13 @@ fn assert_dataset_is_clean(outcome: &Outcome) {
 }
 
 /// One labelled grasp was saved, byte for byte as sent, and the program ended well.
-fn assert_one_good_grasp(outcome: &Outcome, pictures: &Pictures) {
+fn assert_one_good_grasp(outcome: &Outcome, images: &Images) {
     assert_eq!(outcome.exit_code, Some(0), "{outcome}");
     assert_eq!(outcome.grasps.len(), 1, "{outcome}");
     let grasp = &outcome.grasps[0];
     assert_eq!(grasp.record.object, "mug");
     assert_eq!(grasp.record.outcome, Label::Stable);
-    assert_as_sent(grasp, pictures);
+    assert_as_sent(grasp, images);
     assert_depth_as_sent(grasp);
     assert_dataset_is_clean(outcome);
 }
@@ -131,7 +131,7 @@ fn assert_others_undisturbed(outcome: &Outcome, but: &[&str]) {
 #[test]
 fn every_emulated_camera_delivers_what_it_was_fed() {
     let Some(kernel) = kernel() else { return };
-    let report = guest::probe(&kernel, pictures::drawn());
+    let report = guest::probe(&kernel, images::drawn());
     for (role, name, serial, interface, fps) in [
         (
             "left",
@@ -177,13 +177,13 @@ fn every_emulated_camera_delivers_what_it_was_fed() {
 #[test]
 fn a_clean_run_saves_two_grasps_as_sent() {
     let Some(kernel) = kernel() else { return };
-    let pictures = pictures::drawn();
-    let outcome = run(&kernel, "clean", "clean", pictures);
+    let images = images::drawn();
+    let outcome = run(&kernel, "clean", "clean", images);
     assert_eq!(outcome.exit_code, Some(0), "{outcome}");
     let labels: Vec<_> = outcome.grasps.iter().map(|g| g.record.outcome).collect();
     assert_eq!(labels, [Label::Stable, Label::Slip], "{outcome}");
     for grasp in &outcome.grasps {
-        assert_as_sent(grasp, pictures);
+        assert_as_sent(grasp, images);
         assert_depth_as_sent(grasp);
     }
     assert_dataset_is_clean(&outcome);
@@ -193,16 +193,16 @@ fn a_clean_run_saves_two_grasps_as_sent() {
 }
 
 #[test]
-fn pictures_of_a_real_sensor_arrive_as_sent() {
+fn images_of_a_real_sensor_arrive_as_sent() {
     let Some(kernel) = kernel() else { return };
-    let Some(pictures) = pictures::real() else {
+    let Some(images) = images::real() else {
         return;
     };
-    let outcome = run(&kernel, "clean", "real-pictures", &pictures);
+    let outcome = run(&kernel, "clean", "real-images", &images);
     assert_eq!(outcome.exit_code, Some(0), "{outcome}");
     assert_eq!(outcome.grasps.len(), 2, "{outcome}");
     for grasp in &outcome.grasps {
-        assert_as_sent(grasp, &pictures);
+        assert_as_sent(grasp, &images);
     }
     assert_dataset_is_clean(&outcome);
 }
@@ -210,8 +210,8 @@ fn pictures_of_a_real_sensor_arrive_as_sent() {
 #[test]
 fn lost_frames_are_counted_and_do_no_harm() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "frames-lost", "frames-lost", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "frames-lost", "frames-lost", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     assert_eq!(outcome.sent["left"]["error-bit"], 2);
     assert_eq!(outcome.counter("left", "sequence_gaps"), 2, "{outcome}");
     assert_eq!(outcome.counter("right", "sequence_gaps"), 3, "{outcome}");
@@ -220,10 +220,10 @@ fn lost_frames_are_counted_and_do_no_harm() {
 }
 
 #[test]
-fn truncated_pictures_are_counted_and_never_saved() {
+fn truncated_images_are_counted_and_never_saved() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "truncated", "truncated", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "truncated", "truncated", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     for role in ["left", "right"] {
         assert_eq!(outcome.counter(role, "damaged"), 6, "{role}: {outcome}");
     }
@@ -232,10 +232,10 @@ fn truncated_pictures_are_counted_and_never_saved() {
 }
 
 #[test]
-fn corrupted_pictures_are_never_saved() {
+fn corrupted_images_are_never_saved() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "corrupted", "corrupted", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "corrupted", "corrupted", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     for role in ["left", "right"] {
         assert_eq!(outcome.counter(role, "damaged"), 6, "{role}: {outcome}");
     }
@@ -244,10 +244,10 @@ fn corrupted_pictures_are_never_saved() {
 }
 
 #[test]
-fn a_frozen_picture_is_noticed_and_the_grasp_comes_after_it() {
+fn a_frozen_image_is_noticed_and_the_grasp_comes_after_it() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "frozen", "frozen", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "frozen", "frozen", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     assert_eq!(outcome.sent["left"]["freeze"], 75, "{outcome}");
     assert_eq!(outcome.counter("left", "duplicates"), 75, "{outcome}");
     assert_others_undisturbed(&outcome, &["left"]);
@@ -256,8 +256,8 @@ fn a_frozen_picture_is_noticed_and_the_grasp_comes_after_it() {
 #[test]
 fn a_silent_camera_comes_back() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "silent", "silent", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "silent", "silent", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     assert_eq!(outcome.sent["left"]["silent"], 75, "{outcome}");
     assert_eq!(outcome.counter("left", "reconnects"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["left"]);
@@ -266,8 +266,8 @@ fn a_silent_camera_comes_back() {
 #[test]
 fn a_sensor_pulled_out_while_idle_is_found_again() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "replug-idle", "replug-idle", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "replug-idle", "replug-idle", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     assert_eq!(outcome.counter("left", "reconnects"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["left"]);
 }
@@ -275,13 +275,8 @@ fn a_sensor_pulled_out_while_idle_is_found_again() {
 #[test]
 fn a_sensor_pulled_out_between_initial_and_grasp_keeps_the_initial() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(
-        &kernel,
-        "replug-between",
-        "replug-between",
-        pictures::drawn(),
-    );
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "replug-between", "replug-between", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     assert_eq!(outcome.counter("right", "reconnects"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["right"]);
 }
@@ -293,9 +288,9 @@ fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
         &kernel,
         "unplug-during-save",
         "unplug-during-save",
-        pictures::drawn(),
+        images::drawn(),
     );
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     assert_eq!(outcome.grasps[0].record.grasp.trigger, "pedal");
     assert_eq!(outcome.counter("right", "reconnects"), 1, "{outcome}");
     assert_others_undisturbed(&outcome, &["right"]);
@@ -304,18 +299,18 @@ fn a_sensor_pulled_out_during_a_save_leaves_a_whole_grasp() {
 #[test]
 fn roles_follow_serials_and_not_ports() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "swapped-ports", "swapped-ports", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "swapped-ports", "swapped-ports", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     assert_others_undisturbed(&outcome, &[]);
 }
 
 #[test]
 fn a_full_disk_keeps_what_was_saved_and_says_so() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "disk-full", "disk-full", pictures::drawn());
+    let outcome = run(&kernel, "disk-full", "disk-full", images::drawn());
     assert_eq!(outcome.exit_code, Some(3), "{outcome}");
     assert_eq!(outcome.grasps.len(), 1, "{outcome}");
-    assert_as_sent(&outcome.grasps[0], pictures::drawn());
+    assert_as_sent(&outcome.grasps[0], images::drawn());
     let overridden = &outcome.grasps[0].record.overridden_guards;
     assert!(
         overridden.iter().all(|g| g.guard == "disk_low"),
@@ -329,10 +324,10 @@ fn a_full_disk_keeps_what_was_saved_and_says_so() {
 #[test]
 fn a_disk_that_becomes_read_only_keeps_what_was_saved_and_says_so() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "read-only", "read-only", pictures::drawn());
+    let outcome = run(&kernel, "read-only", "read-only", images::drawn());
     assert_eq!(outcome.exit_code, Some(3), "{outcome}");
     assert_eq!(outcome.grasps.len(), 1, "{outcome}");
-    assert_as_sent(&outcome.grasps[0], pictures::drawn());
+    assert_as_sent(&outcome.grasps[0], images::drawn());
     assert_eq!(outcome.grasps[0].record.outcome, Label::Stable);
     assert_dataset_is_clean(&outcome);
     assert_eq!(outcome.session("failed"), 1, "{outcome}");
@@ -346,8 +341,8 @@ fn a_disk_that_becomes_read_only_keeps_what_was_saved_and_says_so() {
 #[test]
 fn a_bouncing_pedal_triggers_once_a_press() {
     let Some(kernel) = kernel() else { return };
-    let outcome = run(&kernel, "pedal-bounce", "pedal-bounce", pictures::drawn());
-    assert_one_good_grasp(&outcome, pictures::drawn());
+    let outcome = run(&kernel, "pedal-bounce", "pedal-bounce", images::drawn());
+    assert_one_good_grasp(&outcome, images::drawn());
     let grasp = &outcome.grasps[0].record;
     assert_eq!(
         [&grasp.initial.trigger, &grasp.grasp.trigger],
@@ -377,8 +372,8 @@ fn what_goes_wrong_at_random_costs_no_saved_grasp() {
     };
     let seconds = number("GRIPCAST_SOAK_S", SECONDS);
     let seed = number("GRIPCAST_SOAK_SEED", SEED);
-    let pictures = pictures::drawn();
-    let outcome = guest::soak(&kernel, seconds, seed, pictures);
+    let images = images::drawn();
+    let outcome = guest::soak(&kernel, seconds, seed, images);
     assert_eq!(outcome.exit_code, Some(0), "{outcome}");
     assert_dataset_is_clean(&outcome);
     assert_eq!(
@@ -387,7 +382,7 @@ fn what_goes_wrong_at_random_costs_no_saved_grasp() {
         "{outcome}"
     );
     for grasp in &outcome.grasps {
-        assert_complete_as_sent(grasp, pictures);
+        assert_complete_as_sent(grasp, images);
     }
     // The last one and, in spite of the faults, some before it.
     assert!(outcome.grasps.len() > 1, "{outcome}");

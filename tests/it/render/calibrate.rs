@@ -20,8 +20,8 @@ pub(super) fn rendered_presses(dir: &Path) -> PathBuf {
     let profile = SensorProfile::gelsight_mini().unwrap();
     let mut renderer = TactileRenderer::new(&profile).unwrap();
     let grid = profile.geometry;
-    let save = |name: &str, picture: &image::RgbImage| {
-        fs::write(folder.join(name), encode_png_rgb(picture).unwrap()).unwrap();
+    let save = |name: &str, image: &image::RgbImage| {
+        fs::write(folder.join(name), encode_png_rgb(image).unwrap()).unwrap();
     };
     let mut presses = Vec::new();
     let radius_px = 1.2e-3 / grid.pixel_m;
@@ -84,17 +84,17 @@ fn a_rendered_sensor_is_found_again() {
     );
     let profile = SensorProfile::load(&out).unwrap();
     assert_eq!(profile.serial, "AB12");
-    assert!(profile.background.picture.is_some());
+    assert!(profile.background.image.is_some());
     assert!(png(out.with_extension("fit.png")).width() > 320);
     // The profile works in `render tactile`.
-    let picture = dir.path().join("p.png");
+    let image = dir.path().join("p.png");
     let words = format!(
         "--object builtin:sphere --profile {} --out {}",
         out.display(),
-        picture.display()
+        image.display()
     );
     succeed(&mut render("tactile", &words));
-    assert_eq!(png(picture).dimensions(), (320, 240));
+    assert_eq!(png(image).dimensions(), (320, 240));
 }
 
 #[test]

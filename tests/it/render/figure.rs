@@ -5,7 +5,7 @@ use super::{png, refused, render, trace};
 use crate::program::succeed;
 
 #[test]
-fn the_figure_has_three_rows_of_five_pictures() {
+fn the_figure_has_three_rows_of_five_images() {
     let dir = tempfile::tempdir().unwrap();
     let presses = rendered_presses(dir.path());
     let out = dir.path().join("figure.png");
@@ -19,7 +19,7 @@ fn the_figure_has_three_rows_of_five_pictures() {
     let figure = png(out);
     let (width, height) = figure.dimensions();
     assert!(width > 5 * 320 && height > 3 * 240, "{width} x {height}");
-    // The middle of every tile is a picture, not the sheet.
+    // The middle of every tile is an image, not the sheet.
     for row in 0..3 {
         for column in 0..5 {
             let (x, y) = (

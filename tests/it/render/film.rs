@@ -13,7 +13,7 @@ fn a_rig_plays_a_film_and_writes_its_truth() {
     let words = format!("--samples 1 --size 32x24 --out {} --json", films.display());
     let report = json(&succeed(render("film", &words).arg("--trace").arg(trace())));
     assert_schema("render film", &[&report]);
-    assert_eq!(report["pictures"][0]["name"], "mug");
+    assert_eq!(report["images"][0]["name"], "mug");
     assert_eq!(fs::read_dir(&films).unwrap().count(), 5);
 
     let camera = |role: &str| {

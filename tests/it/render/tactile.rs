@@ -1,4 +1,4 @@
-//! Tactile pictures.
+//! Tactile images.
 
 use std::fs;
 
@@ -10,7 +10,7 @@ use crate::program::{json, succeed};
 #[test]
 fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
     let dir = tempfile::tempdir().unwrap();
-    let out = dir.path().join("pictures");
+    let out = dir.path().join("images");
     let words = format!(
         "--trace {} --moment initial,grasp --depth --difference --json --out {}",
         trace().display(),
@@ -18,16 +18,16 @@ fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
     );
     let report = json(&succeed(&mut render("tactile", &words)));
     assert_schema("render tactile", &[&report]);
-    let pictures = report["pictures"].as_array().unwrap();
-    assert_eq!(pictures.len(), 4);
-    for picture in pictures {
-        let touched = picture["contact"].as_f64().unwrap();
-        let deepest = picture["deepest_m"].as_f64().unwrap();
-        if picture["moment"] == "initial" {
+    let images = report["images"].as_array().unwrap();
+    assert_eq!(images.len(), 4);
+    for image in images {
+        let touched = image["contact"].as_f64().unwrap();
+        let deepest = image["deepest_m"].as_f64().unwrap();
+        if image["moment"] == "initial" {
             assert_eq!((touched, deepest), (0.0, 0.0));
         } else {
-            assert!((0.05..0.95).contains(&touched), "{picture}");
-            assert!((5e-5..2e-3).contains(&deepest), "{picture}");
+            assert!((0.05..0.95).contains(&touched), "{image}");
+            assert!((5e-5..2e-3).contains(&deepest), "{image}");
         }
     }
     let initial = png(out.join("mug.initial.left.png"));
@@ -36,7 +36,7 @@ fn both_sides_of_a_grasp_are_rendered_with_depth_and_difference() {
     assert!(initial != grasp, "the press shows");
     let depth = depth_png(out.join("mug.grasp.right.depth.png"));
     let deepest = depth.iter().max().copied().unwrap();
-    let said = pictures
+    let said = images
         .iter()
         .find(|p| p["side"] == "right" && p["moment"] == "grasp");
     let said = said.unwrap()["deepest_m"].as_f64().unwrap();
@@ -97,10 +97,10 @@ fn a_mesh_alone_is_pressed_as_deep_as_asked() {
         out.display()
     );
     let report = json(&succeed(&mut render("tactile", &words)));
-    let picture = &report["pictures"][0];
-    let deepest = picture["deepest_m"].as_f64().unwrap();
+    let image = &report["images"][0];
+    let deepest = image["deepest_m"].as_f64().unwrap();
     assert!((deepest - 7e-4).abs() < 2e-6, "{deepest}");
-    let touched = picture["contact"].as_f64().unwrap();
+    let touched = image["contact"].as_f64().unwrap();
     assert!((0.02..0.6).contains(&touched), "{touched}");
     assert_eq!(png(out).dimensions(), (320, 240));
 }

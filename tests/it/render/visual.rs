@@ -1,4 +1,4 @@
-//! Path-traced pictures.
+//! Path-traced images.
 
 use std::fs;
 
@@ -26,10 +26,10 @@ fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {
     };
     assert!(
         take("one.png", 1) == take("two.png", 2),
-        "threads change the picture"
+        "threads change the image"
     );
-    let picture = png(dir.path().join("one.png"));
-    let mean = picture.iter().map(|&v| f64::from(v)).sum::<f64>() / (48.0 * 36.0 * 3.0);
+    let image = png(dir.path().join("one.png"));
+    let mean = image.iter().map(|&v| f64::from(v)).sum::<f64>() / (48.0 * 36.0 * 3.0);
     assert!((70.0..150.0).contains(&mean), "{mean}");
     let depth = depth_png(dir.path().join("one.depth.png"));
     let known = depth.iter().filter(|&&d| (80..1000).contains(&d)).count();
@@ -37,7 +37,7 @@ fn a_grasp_is_seen_with_its_depth_at_any_number_of_threads() {
 }
 
 #[test]
-fn several_pictures_differ_in_light_and_ground() {
+fn several_images_differ_in_light_and_ground() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("many");
     let words = format!(
@@ -46,7 +46,7 @@ fn several_pictures_differ_in_light_and_ground() {
     );
     let report = json(&succeed(&mut render("visual", &words)));
     assert_schema("render visual", &[&report]);
-    assert_eq!(report["pictures"].as_array().unwrap().len(), 2);
+    assert_eq!(report["images"].as_array().unwrap().len(), 2);
     let [a, b] = [0, 1].map(|n| png(out.join(format!("builtin-mug.initial.{n}.png"))));
     assert!(a != b);
     let named = words.replace("--count 2", "--count 2 --sky overcast --pattern wood,stone");

@@ -215,7 +215,7 @@ fn a_pose_file_says_where_the_gripper_stands() {
 }
 
 #[test]
-fn mesh_files_are_checked_mended_or_refused() {
+fn mesh_files_are_checked_fixed_or_refused() {
     let dir = tempfile::tempdir().unwrap();
     let text = box_obj();
     let good = write(dir.path(), "box.obj", &text);

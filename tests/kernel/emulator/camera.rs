@@ -1,4 +1,4 @@
-//! The sending side of a camera stream: pictures cut into isochronous UVC payloads, paced by
+//! The sending side of a camera stream: images cut into isochronous UVC payloads, paced by
 //! the clock.
 
 use std::sync::Arc;
@@ -35,7 +35,7 @@ fn payload_header(bits: u8, since_start: Duration) -> [u8; PAYLOAD_HEADER] {
     header
 }
 
-/// A picture that is being cut into payloads.
+/// An image that is being cut into payloads.
 struct Payloads<'a> {
     transmission: &'a Transmission,
     frame_id: u8,
@@ -68,7 +68,7 @@ impl Payloads<'_> {
         (data, packets)
     }
 
-    /// Appends a payload of at most `room` bytes; nothing once the picture is done.
+    /// Appends a payload of at most `room` bytes; nothing once the image is done.
     fn push_payload(&mut self, room: usize, data: &mut Vec<u8>) -> Status {
         if self.is_done() {
             return Status::Ok;
@@ -93,7 +93,7 @@ impl Payloads<'_> {
     }
 }
 
-/// Sends pictures whenever the host streams, until the camera is unplugged.
+/// Sends images whenever the host streams, until the camera is unplugged.
 pub(crate) fn pump(link: &Arc<Link>, place: StreamPlace, feed: &Arc<Feed>) {
     while let Some(streaming) = link.wait_for_stream(place.interface) {
         if let Err(Interrupted::Unplugged) = run(link, place, feed, streaming) {
@@ -102,7 +102,7 @@ pub(crate) fn pump(link: &Arc<Link>, place: StreamPlace, feed: &Arc<Feed>) {
     }
 }
 
-/// Sends picture after picture; ends only by an interruption. Picture n is due n intervals
+/// Sends image after image; ends only by an interruption. Image n is due n intervals
 /// after the start; what a slow machine misses is skipped.
 fn run(
     link: &Link,
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn payloads_join_to_the_picture_and_the_last_one_ends_it() {
+    fn payloads_join_to_the_image_and_the_last_one_ends_it() {
         let transmission = transmission(false);
         let mut payloads = payloads(&transmission);
         let (mut data, mut done) = payloads.fill(&submit(2));

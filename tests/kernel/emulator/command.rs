@@ -4,7 +4,7 @@
 //! attach DEVICE [PORT]        plug in; DEVICE is left, right, d435 or pedal
 //! detach DEVICE               pull out
 //! fault CAMERA none           CAMERA is left, right, depth, infrared or rgb
-//! fault CAMERA KIND [COUNT]   hit the next COUNT pictures, or all from now on; KIND is freeze,
+//! fault CAMERA KIND [COUNT]   hit the next COUNT images, or all from now on; KIND is freeze,
 //!                             silent, truncate, corrupt, error-bit, lose-packet or drop
 //! touch free|pressed          what both gels feel
 //! pedal press [bounce]
@@ -29,7 +29,7 @@ pub(crate) enum Command {
     Fault {
         camera: String,
         fault: Option<Fault>,
-        pictures: Option<u32>,
+        images: Option<u32>,
     },
     Touch(Touch),
     Pedal {
@@ -72,17 +72,17 @@ impl FromStr for Command {
             ["fault", camera, "none"] => Ok(Self::Fault {
                 camera: camera.to_owned(),
                 fault: None,
-                pictures: None,
+                images: None,
             }),
             ["fault", camera, kind] => Ok(Self::Fault {
                 camera: camera.to_owned(),
                 fault: Some(kind.parse()?),
-                pictures: None,
+                images: None,
             }),
-            ["fault", camera, kind, pictures] => Ok(Self::Fault {
+            ["fault", camera, kind, images] => Ok(Self::Fault {
                 camera: camera.to_owned(),
                 fault: Some(kind.parse()?),
-                pictures: Some(number(pictures)?),
+                images: Some(number(images)?),
             }),
             ["touch", "free"] => Ok(Self::Touch(Touch::Free)),
             ["touch", "pressed"] => Ok(Self::Touch(Touch::Pressed)),
@@ -109,7 +109,7 @@ mod tests {
             Ok(Command::Fault {
                 camera: "rgb".into(),
                 fault: Some(Fault::Truncate),
-                pictures: Some(3)
+                images: Some(3)
             })
         );
         assert_eq!(

@@ -124,7 +124,7 @@ fn exposure_time(max: i32, default: i32) -> Control {
     )
 }
 
-fn picture(selector: u8, bit: u8, range: (i32, i32), default: i32) -> Control {
+fn image(selector: u8, bit: u8, range: (i32, i32), default: i32) -> Control {
     Control::new((PROCESSING_UNIT, selector, bit), 2, range, default)
 }
 
@@ -139,15 +139,15 @@ pub(crate) fn gelsight_mini() -> Vec<Control> {
         exposure_mode(),
         Control::new((CAMERA_TERMINAL, camera::AE_PRIORITY, 2), 1, (0, 1), 0),
         exposure_time(5000, 157),
-        picture(processing::BRIGHTNESS, 0, (-64, 64), 0),
-        picture(processing::CONTRAST, 1, (0, 64), 32),
-        picture(processing::HUE, 2, (-40, 40), 0),
-        picture(processing::SATURATION, 3, (0, 128), 64),
-        picture(processing::SHARPNESS, 4, (0, 6), 3),
-        picture(processing::GAMMA, 5, (72, 500), 100),
-        picture(processing::WHITE_BALANCE, 6, (2800, 6500), 4600),
-        picture(processing::BACKLIGHT, 8, (0, 2), 1),
-        picture(processing::GAIN, 9, (0, 100), 0),
+        image(processing::BRIGHTNESS, 0, (-64, 64), 0),
+        image(processing::CONTRAST, 1, (0, 64), 32),
+        image(processing::HUE, 2, (-40, 40), 0),
+        image(processing::SATURATION, 3, (0, 128), 64),
+        image(processing::SHARPNESS, 4, (0, 6), 3),
+        image(processing::GAMMA, 5, (72, 500), 100),
+        image(processing::WHITE_BALANCE, 6, (2800, 6500), 4600),
+        image(processing::BACKLIGHT, 8, (0, 2), 1),
+        image(processing::GAIN, 9, (0, 100), 0),
         switch(processing::POWER_LINE, 10, 2, 1),
         switch(processing::WHITE_BALANCE_AUTO, 12, 1, 1),
     ]
@@ -158,7 +158,7 @@ pub(crate) fn realsense_depth() -> Vec<Control> {
     vec![
         exposure_mode(),
         exposure_time(1660, 85),
-        picture(processing::GAIN, 9, (16, 248), 16),
+        image(processing::GAIN, 9, (16, 248), 16),
     ]
 }
 
@@ -168,15 +168,15 @@ pub(crate) fn realsense_colour() -> Vec<Control> {
         exposure_mode(),
         Control::new((CAMERA_TERMINAL, camera::AE_PRIORITY, 2), 1, (0, 1), 0),
         exposure_time(10_000, 166),
-        picture(processing::BRIGHTNESS, 0, (-64, 64), 0),
-        picture(processing::CONTRAST, 1, (0, 100), 50),
-        picture(processing::HUE, 2, (-180, 180), 0),
-        picture(processing::SATURATION, 3, (0, 100), 64),
-        picture(processing::SHARPNESS, 4, (0, 100), 50),
-        picture(processing::GAMMA, 5, (100, 500), 300),
-        picture(processing::WHITE_BALANCE, 6, (2800, 6500), 4600),
-        picture(processing::BACKLIGHT, 8, (0, 1), 0),
-        picture(processing::GAIN, 9, (0, 128), 64),
+        image(processing::BRIGHTNESS, 0, (-64, 64), 0),
+        image(processing::CONTRAST, 1, (0, 100), 50),
+        image(processing::HUE, 2, (-180, 180), 0),
+        image(processing::SATURATION, 3, (0, 100), 64),
+        image(processing::SHARPNESS, 4, (0, 100), 50),
+        image(processing::GAMMA, 5, (100, 500), 300),
+        image(processing::WHITE_BALANCE, 6, (2800, 6500), 4600),
+        image(processing::BACKLIGHT, 8, (0, 1), 0),
+        image(processing::GAIN, 9, (0, 128), 64),
         switch(processing::POWER_LINE, 10, 2, 2),
         switch(processing::WHITE_BALANCE_AUTO, 12, 1, 1),
     ]

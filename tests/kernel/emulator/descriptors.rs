@@ -290,7 +290,7 @@ fn format(stream: &Stream) -> Vec<u8> {
 
 fn frame(pixels: Pixels, index: u8, mode: Mode) -> Vec<u8> {
     let subtype = if pixels == Pixels::Mjpg { 7 } else { 5 };
-    let bytes = mode.picture_bytes(pixels);
+    let bytes = mode.image_bytes(pixels);
     let bits_per_second = bytes.saturating_mul(8).saturating_mul(mode.fps);
     Bytes::default()
         .raw(&[30, CS_INTERFACE, subtype, index, 0])

@@ -102,7 +102,7 @@ impl StreamControl {
                     .raw(&[1, 0, 1, self.probed as u8 + 1])
                     .u32(mode.interval_100ns())
                     .raw(&[0; 10])
-                    .u32(mode.picture_bytes(self.pixels))
+                    .u32(mode.image_bytes(self.pixels))
                     .u32(PAYLOAD_BYTES)
                     .finish();
                 Some(bytes)

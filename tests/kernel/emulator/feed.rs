@@ -13,22 +13,22 @@ use std::time::{Duration, Instant};
 use crate::pattern;
 use crate::profile::{Mode, Pixels};
 
-/// What is wrong with a picture.
+/// What is wrong with an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Fault {
-    /// The same picture again and again.
+    /// The same image again and again.
     Freeze,
-    /// No picture, but the camera is still there.
+    /// No image, but the camera is still there.
     Silent,
     /// Only the first half is sent.
     Truncate,
     /// Some bytes in the middle are altered.
     Corrupt,
-    /// The camera itself marks the picture as broken.
+    /// The camera itself marks the image as broken.
     ErrorBit,
-    /// A packet of the picture is lost on the bus.
+    /// A packet of the image is lost on the bus.
     LosePacket,
-    /// The picture is skipped, without a trace in the stream.
+    /// The image is skipped, without a trace in the stream.
     Drop,
 }
 
@@ -76,8 +76,8 @@ pub(crate) enum Touch {
     Pressed,
 }
 
-/// Where pictures come from.
-pub(crate) enum Pictures {
+/// Where images come from.
+pub(crate) enum Images {
     /// JPEG files in a circle, each [`numbered`].
     Files {
         free: Vec<Arc<Vec<u8>>>,
@@ -87,7 +87,7 @@ pub(crate) enum Pictures {
     Drawn(Pixels),
 }
 
-impl Pictures {
+impl Images {
     /// Reads `dir/free/*.jpg` and `dir/pressed/*.jpg`, or `dir/*.jpg` for both.
     pub(crate) fn from_dir(dir: &Path) -> io::Result<Self> {
         let pressed = dir.join("pressed");
@@ -105,7 +105,7 @@ impl Pictures {
         }
     }
 
-    fn picture(&self, number: u64, touch: Touch, mode: Mode) -> Arc<Vec<u8>> {
+    fn image(&self, number: u64, touch: Touch, mode: Mode) -> Arc<Vec<u8>> {
         let (width, height) = (u32::from(mode.width), u32::from(mode.height));
         match self {
             Self::Files { free, pressed } => {
@@ -125,8 +125,8 @@ impl Pictures {
     }
 }
 
-/// The JPEG with a comment segment that holds the picture's number, big-endian, after its first
-/// marker: as with a real camera, no two pictures have the same bytes.
+/// The JPEG with a comment segment that holds the image's number, big-endian, after its first
+/// marker: as with a real camera, no two images have the same bytes.
 pub(crate) fn numbered(jpeg: &[u8], number: u64) -> Vec<u8> {
     const COMMENT: [u8; 4] = [0xff, 0xfe, 0, 10];
     let (start, rest) = jpeg.split_at(jpeg.len().min(2));
@@ -153,7 +153,7 @@ fn jpeg_files(dir: &Path) -> io::Result<Vec<Arc<Vec<u8>>>> {
         .collect()
 }
 
-/// One picture on its way.
+/// One image on its way.
 pub(crate) struct Transmission {
     pub(crate) bytes: Arc<Vec<u8>>,
     /// Error bit of the payload headers.
@@ -167,28 +167,28 @@ struct State {
     number: u64,
     touch: Touch,
     fault: Option<Fault>,
-    /// Pictures that the fault still hits; `None` = until it is taken away.
+    /// Images that the fault still hits; `None` = until it is taken away.
     hits_left: Option<u32>,
     sent: u64,
     faults: BTreeMap<&'static str, u64>,
     first_sent: Option<Instant>,
     /// Plugged in again, and nothing sent since.
     back_at: Option<Instant>,
-    /// From each plugging in again to the next picture, s.
+    /// From each plugging in again to the next image, s.
     came_back_s: Vec<f64>,
 }
 
 /// See the module.
 pub(crate) struct Feed {
-    pictures: Pictures,
+    images: Images,
     state: Mutex<State>,
     changed: Condvar,
 }
 
 impl Feed {
-    pub(crate) fn new(pictures: Pictures) -> Self {
+    pub(crate) fn new(images: Images) -> Self {
         Self {
-            pictures,
+            images,
             state: Mutex::default(),
             changed: Condvar::new(),
         }
@@ -198,18 +198,18 @@ impl Feed {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Sets or takes away a fault; it hits the next `pictures` pictures, or all.
-    pub(crate) fn set_fault(&self, fault: Option<Fault>, pictures: Option<u32>) {
+    /// Sets or takes away a fault; it hits the next `images` images, or all.
+    pub(crate) fn set_fault(&self, fault: Option<Fault>, images: Option<u32>) {
         let mut state = self.lock();
         state.fault = fault;
-        state.hits_left = pictures;
+        state.hits_left = images;
     }
 
     pub(crate) fn set_touch(&self, touch: Touch) {
         self.lock().touch = touch;
     }
 
-    /// The next picture; `None` where a fault keeps it back.
+    /// The next image; `None` where a fault keeps it back.
     pub(crate) fn next(&self, mode: Mode) -> Option<Transmission> {
         let mut state = self.lock();
         let fault = state.fault;
@@ -230,7 +230,7 @@ impl Feed {
         if matches!(fault, Some(Fault::Silent | Fault::Drop)) {
             return None;
         }
-        let mut bytes = self.pictures.picture(state.number, state.touch, mode);
+        let mut bytes = self.images.image(state.number, state.touch, mode);
         match fault {
             Some(Fault::Truncate) => bytes = Arc::new(bytes[..bytes.len() / 2].to_vec()),
             Some(Fault::Corrupt) => bytes = Arc::new(corrupted(&bytes, state.number)),
@@ -249,7 +249,7 @@ impl Feed {
         })
     }
 
-    /// When the first picture was sent; waits at most `timeout` for it.
+    /// When the first image was sent; waits at most `timeout` for it.
     pub(crate) fn first_sent(&self, timeout: Duration) -> Option<Instant> {
         let (state, _) = self
             .changed
@@ -258,7 +258,7 @@ impl Feed {
         state.first_sent
     }
 
-    /// The camera was plugged in; from now to its next picture is the time of its coming back.
+    /// The camera was plugged in; from now to its next image is the time of its coming back.
     pub(crate) fn plugged(&self) {
         let mut state = self.lock();
         if state.first_sent.is_some() {
@@ -266,12 +266,12 @@ impl Feed {
         }
     }
 
-    /// From each plugging in again to the next picture, s.
+    /// From each plugging in again to the next image, s.
     pub(crate) fn came_back_s(&self) -> Vec<f64> {
         self.lock().came_back_s.clone()
     }
 
-    /// Pictures sent intact, and hits by each fault.
+    /// Images sent intact, and hits by each fault.
     pub(crate) fn counters(&self) -> BTreeMap<&'static str, u64> {
         let state = self.lock();
         let mut counters = state.faults.clone();
@@ -280,7 +280,7 @@ impl Feed {
     }
 }
 
-/// The picture with 200 bytes of its middle altered, each to a value that follows from `seed`.
+/// The image with 200 bytes of its middle altered, each to a value that follows from `seed`.
 fn corrupted(bytes: &[u8], seed: u64) -> Vec<u8> {
     const LENGTH: usize = 200;
     let mut bytes = bytes.to_vec();
@@ -307,10 +307,10 @@ mod tests {
     };
 
     fn files() -> Feed {
-        let picture = |byte: u8| Arc::new(vec![byte; 986]);
-        Feed::new(Pictures::Files {
-            free: vec![picture(1), picture(2)],
-            pressed: vec![picture(3)],
+        let image = |byte: u8| Arc::new(vec![byte; 986]);
+        Feed::new(Images::Files {
+            free: vec![image(1), image(2)],
+            pressed: vec![image(3)],
         })
     }
 
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_go_round_and_follow_the_touch() {
+    fn images_go_round_and_follow_the_touch() {
         let feed = files();
         let seen: Vec<_> = (0..3).map(|_| first_byte(&feed)).collect();
         assert_eq!(seen, [Some(2), Some(1), Some(2)]);
@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_makes_equal_pictures_differ() {
+    fn a_number_makes_equal_images_differ() {
         let jpeg = [0xff, 0xd8, 0xff, 0xd9];
         let sent = numbered(&jpeg, 0x0102);
         assert_eq!(sent[2..14], [0xff, 0xfe, 0, 10, 0, 0, 0, 0, 0, 0, 1, 2]);
@@ -338,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_hits_as_many_pictures_as_asked() {
+    fn a_fault_hits_as_many_images_as_asked() {
         let feed = files();
         feed.set_fault(Some(Fault::Truncate), Some(2));
         let lengths: Vec<_> = (0..3)

@@ -182,8 +182,8 @@ fn start(run: &Run<'_>, dataset: &Path) -> io::Result<Child> {
         .spawn()
 }
 
-/// Waits until all cameras have sent their first picture; `None` where the program ends before.
-fn first_pictures(rig: &Rig, child: &mut Child) -> io::Result<Option<Instant>> {
+/// Waits until all cameras have sent their first image; `None` where the program ends before.
+fn first_images(rig: &Rig, child: &mut Child) -> io::Result<Option<Instant>> {
     let start = Instant::now();
     let mut latest = start;
     for role in ROLES {
@@ -311,7 +311,7 @@ pub(crate) fn run(run: &Run<'_>) -> io::Result<()> {
     let dataset: PathBuf = run.disk.join("dataset");
     let started = Instant::now();
     let mut child = start(run, &dataset)?;
-    let first = first_pictures(&rig, &mut child)?;
+    let first = first_images(&rig, &mut child)?;
     let mut memory = Memory::of(&child, &run.out.join("memory.csv"))?;
     if let Some(first) = first {
         for (at_s, line) in run.steps {

@@ -1,4 +1,4 @@
-//! Moving test pictures of the raw cameras. A picture follows from its number alone, so that a
+//! Moving test images of the raw cameras. An image follows from its number alone, so that a
 //! test can draw again what was sent, and holds that number: no two have the same bytes.
 
 /// Ramps repeat after this many.
@@ -9,7 +9,7 @@ const LUMA_PERIOD: usize = 160;
 const DEPTH_OFFSET: u16 = 400;
 /// Luma where a ramp begins.
 const LUMA_OFFSET: u8 = 40;
-/// The picture's number stands in this many pixels, lowest first, as digits to the base of the
+/// The image's number stands in this many pixels, lowest first, as digits to the base of the
 /// ramp's period. Above the last it repeats: years at 30 fps.
 const DIGITS: usize = 4;
 
@@ -23,44 +23,44 @@ fn sloping(
     height: u32,
     number: u64,
 ) -> Vec<u8> {
-    let mut picture = Vec::with_capacity(row_bytes * height as usize);
+    let mut image = Vec::with_capacity(row_bytes * height as usize);
     for y in 0..u64::from(height) {
         let start = ((y + number) % period as u64) as usize * step_bytes;
-        picture.extend_from_slice(&ramp[start..start + row_bytes]);
+        image.extend_from_slice(&ramp[start..start + row_bytes]);
     }
     let mut rest = number;
-    for pixel in picture.chunks_exact_mut(step_bytes).take(DIGITS) {
+    for pixel in image.chunks_exact_mut(step_bytes).take(DIGITS) {
         let start = (rest % period as u64) as usize * step_bytes;
         pixel.copy_from_slice(&ramp[start..start + step_bytes]);
         rest /= period as u64;
     }
-    picture
+    image
 }
 
-/// The number that the first pixels of a picture hold; any number for other pixels.
+/// The number that the first pixels of an image hold; any number for other pixels.
 fn number_in(levels_above_offset: impl Iterator<Item = u16>, period: usize) -> u64 {
     let digits: Vec<u64> = levels_above_offset.take(DIGITS).map(u64::from).collect();
     let with_lower = |number: u64, digit: &u64| number * period as u64 + digit;
     digits.iter().rev().fold(0, with_lower)
 }
 
-/// The number of a picture of [`depth`].
-pub(crate) fn depth_number(picture: &[u8]) -> u64 {
-    let pixels = picture.as_chunks().0.iter();
+/// The number of an image of [`depth`].
+pub(crate) fn depth_number(image: &[u8]) -> u64 {
+    let pixels = image.as_chunks().0.iter();
     let levels = pixels.map(|pixel| u16::from_le_bytes(*pixel).wrapping_sub(DEPTH_OFFSET));
     number_in(levels, DEPTH_PERIOD)
 }
 
-/// The number of a picture of [`colour`].
-pub(crate) fn colour_number(picture: &[u8]) -> u64 {
-    let lumas = picture.iter().step_by(4);
+/// The number of an image of [`colour`].
+pub(crate) fn colour_number(image: &[u8]) -> u64 {
+    let lumas = image.iter().step_by(4);
     number_in(
         lumas.map(|luma| u16::from(luma.wrapping_sub(LUMA_OFFSET))),
         LUMA_PERIOD,
     )
 }
 
-/// Picture `number` in Z16, tightly packed little-endian: pixel (x, y) holds
+/// Image `number` in Z16, tightly packed little-endian: pixel (x, y) holds
 /// `DEPTH_OFFSET + (x + y + number) % DEPTH_PERIOD`, the first ones the number's digits.
 pub(crate) fn depth(number: u64, width: u32, height: u32) -> Vec<u8> {
     let ramp: Vec<u8> = (0..width as usize + DEPTH_PERIOD)
@@ -69,7 +69,7 @@ pub(crate) fn depth(number: u64, width: u32, height: u32) -> Vec<u8> {
     sloping(&ramp, 2, DEPTH_PERIOD, width as usize * 2, height, number)
 }
 
-/// Picture `number` in YUYV: pixel pair (i, y) has luma `40 + (i + y + number) % 160` and one
+/// Image `number` in YUYV: pixel pair (i, y) has luma `40 + (i + y + number) % 160` and one
 /// colour; the first pairs hold the number's digits.
 pub(crate) fn colour(number: u64, width: u32, height: u32) -> Vec<u8> {
     let ramp: Vec<u8> = (0..width as usize / 2 + LUMA_PERIOD)
@@ -81,7 +81,7 @@ pub(crate) fn colour(number: u64, width: u32, height: u32) -> Vec<u8> {
     sloping(&ramp, 4, LUMA_PERIOD, width as usize * 2, height, number)
 }
 
-/// Picture `number` in 8-bit grey: pixel (x, y) holds `40 + (x + y + number) % 160`, the first
+/// Image `number` in 8-bit grey: pixel (x, y) holds `40 + (x + y + number) % 160`, the first
 /// ones the number's digits.
 pub(crate) fn grey(number: u64, width: u32, height: u32) -> Vec<u8> {
     let ramp: Vec<u8> = (0..width as usize + LUMA_PERIOD)
@@ -96,23 +96,23 @@ mod tests {
 
     #[test]
     fn pixels_follow_the_stated_formulas() {
-        let picture = depth(300, 64, 8);
-        assert_eq!(picture.len(), 64 * 8 * 2);
+        let image = depth(300, 64, 8);
+        assert_eq!(image.len(), 64 * 8 * 2);
         let at = |x: usize, y: usize| {
             let k = (y * 64 + x) * 2;
-            u16::from_le_bytes([picture[k], picture[k + 1]])
+            u16::from_le_bytes([image[k], image[k + 1]])
         };
         assert_eq!(at(0, 0), 400 + 300 % 256);
         assert_eq!(at(10, 7), 400 + 317 % 256);
 
-        let picture = colour(159, 64, 8);
-        assert_eq!(picture[..8], [199, 118, 199, 140, 40, 118, 40, 140]);
-        assert_eq!(picture[16..20], [43, 118, 43, 140]);
+        let image = colour(159, 64, 8);
+        assert_eq!(image[..8], [199, 118, 199, 140, 40, 118, 40, 140]);
+        assert_eq!(image[16..20], [43, 118, 43, 140]);
         assert_eq!(grey(2, 16, 2)[16], 43);
     }
 
     #[test]
-    fn pictures_hold_their_numbers() {
+    fn images_hold_their_numbers() {
         for number in [0, 1, 159, 160, 256, 25_600, 65_536, 108_123] {
             assert_eq!(depth_number(&depth(number, 32, 4)), number);
             assert_eq!(colour_number(&colour(number, 32, 4)), number);
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbouring_pictures_differ() {
+    fn neighbouring_images_differ() {
         assert_ne!(depth(1, 32, 4), depth(2, 32, 4));
         assert_ne!(colour(1, 32, 4), colour(2, 32, 4));
         assert_ne!(grey(1, 32, 4), grey(2, 32, 4));

@@ -1,5 +1,5 @@
 //! Proof of the emulator itself, without the program under test: streams all four cameras
-//! through V4L2 at once and compares every picture with what was fed.
+//! through V4L2 at once and compares every image with what was fed.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -97,20 +97,19 @@ fn open(wanted: &Wanted, nodes: &[VideoNode]) -> io::Result<(VideoNode, Device)>
     Err(io::Error::new(io::ErrorKind::NotFound, what))
 }
 
-/// Whether a picture is one of those fed.
-fn is_as_sent(wanted: &Wanted, picture: &[u8], fed: &[Vec<u8>]) -> bool {
+/// Whether an image is one of those fed.
+fn is_as_sent(wanted: &Wanted, image: &[u8], fed: &[Vec<u8>]) -> bool {
     let (width, height) = (wanted.width, wanted.height);
     match wanted.fourcc {
         b"MJPG" => {
-            let number = picture.get(6..14).and_then(|bytes| bytes.try_into().ok());
+            let number = image.get(6..14).and_then(|bytes| bytes.try_into().ok());
             number.is_some_and(|bytes| {
                 let number = u64::from_be_bytes(bytes);
-                fed.iter()
-                    .any(|file| feed::numbered(file, number) == picture)
+                fed.iter().any(|file| feed::numbered(file, number) == image)
             })
         }
-        b"Z16 " => picture == pattern::depth(pattern::depth_number(picture), width, height),
-        _ => picture == pattern::colour(pattern::colour_number(picture), width, height),
+        b"Z16 " => image == pattern::depth(pattern::depth_number(image), width, height),
+        _ => image == pattern::colour(pattern::colour_number(image), width, height),
     }
 }
 
@@ -128,8 +127,8 @@ fn stream(wanted: &Wanted, nodes: &[VideoNode], fed: &[Vec<u8>]) -> io::Result<D
     let mut last_s = 0.0;
     for _ in 0..FRAMES {
         let (buffer, meta) = stream.next()?;
-        let picture = &buffer[..meta.bytesused as usize];
-        identical += u32::from(is_as_sent(wanted, picture, fed));
+        let image = &buffer[..meta.bytesused as usize];
+        identical += u32::from(is_as_sent(wanted, image, fed));
         last_s = meta.timestamp.sec as f64 + meta.timestamp.usec as f64 * 1e-6;
         match previous {
             None => first_s = last_s,
@@ -150,7 +149,7 @@ fn stream(wanted: &Wanted, nodes: &[VideoNode], fed: &[Vec<u8>]) -> io::Result<D
     })
 }
 
-/// Reads all JPEG files below a directory of pictures.
+/// Reads all JPEG files below a directory of images.
 fn fed(dir: &Path) -> io::Result<Vec<Vec<u8>>> {
     let mut files = Vec::new();
     for entry in fs::read_dir(dir)? {

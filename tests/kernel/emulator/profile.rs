@@ -2,7 +2,7 @@
 
 use crate::control::{self, Control};
 
-/// Layout of a stream's pictures.
+/// Layout of a stream's images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Pixels {
     Mjpg,
@@ -11,7 +11,7 @@ pub(crate) enum Pixels {
     Grey,
 }
 
-/// One picture size at one rate.
+/// One image size at one rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Mode {
     pub(crate) width: u16,
@@ -25,8 +25,8 @@ impl Mode {
         10_000_000 / self.fps
     }
 
-    /// Upper limit of the bytes of one picture.
-    pub(crate) fn picture_bytes(self, pixels: Pixels) -> u32 {
+    /// Upper limit of the bytes of one image.
+    pub(crate) fn image_bytes(self, pixels: Pixels) -> u32 {
         let area = u32::from(self.width) * u32::from(self.height);
         match pixels {
             Pixels::Mjpg | Pixels::Grey => area,

@@ -8,11 +8,11 @@ use std::time::Instant;
 
 use crate::command::Command;
 use crate::device::Plugged;
-use crate::feed::{Feed, Pictures};
+use crate::feed::{Feed, Images};
 use crate::hid_pedal;
 use crate::profile::{self, Class, DEVICES, PEDAL, Pixels, Profile};
 
-/// Pictures sent and spoilt, by camera and kind.
+/// Images sent and spoilt, by camera and kind.
 pub(crate) type Counters = BTreeMap<&'static str, BTreeMap<&'static str, u64>>;
 
 /// See the module.
@@ -24,7 +24,7 @@ pub(crate) struct Rig {
 }
 
 impl Rig {
-    /// A rig with nothing plugged in; the gels see the pictures of the two directories.
+    /// A rig with nothing plugged in; the gels see the images of the two directories.
     pub(crate) fn new(left: &Path, right: &Path) -> io::Result<Self> {
         let profiles = profile::rig();
         let mut feeds = [const { Vec::new() }; DEVICES];
@@ -33,12 +33,12 @@ impl Rig {
                 continue;
             };
             for stream in functions.iter().flat_map(|f| &f.streams) {
-                let pictures = match (stream.pixels, stream.role) {
-                    (Pixels::Mjpg, "left") => Pictures::from_dir(left)?,
-                    (Pixels::Mjpg, _) => Pictures::from_dir(right)?,
-                    (pixels, _) => Pictures::Drawn(pixels),
+                let images = match (stream.pixels, stream.role) {
+                    (Pixels::Mjpg, "left") => Images::from_dir(left)?,
+                    (Pixels::Mjpg, _) => Images::from_dir(right)?,
+                    (pixels, _) => Images::Drawn(pixels),
                 };
-                feeds.push((stream.role, Arc::new(Feed::new(pictures))));
+                feeds.push((stream.role, Arc::new(Feed::new(images))));
             }
         }
         Ok(Self {
@@ -76,8 +76,8 @@ impl Rig {
             Command::Fault {
                 camera,
                 fault,
-                pictures,
-            } => self.feed(camera)?.set_fault(*fault, *pictures),
+                images,
+            } => self.feed(camera)?.set_fault(*fault, *images),
             Command::Touch(touch) => {
                 for (_, feed) in self.all_feeds() {
                     feed.set_touch(*touch);
@@ -93,7 +93,7 @@ impl Rig {
         Ok(())
     }
 
-    /// How long each camera that was plugged in again took to its next picture, s.
+    /// How long each camera that was plugged in again took to its next image, s.
     pub(crate) fn came_back_s(&self) -> BTreeMap<&'static str, Vec<f64>> {
         self.all_feeds()
             .map(|(role, feed)| (*role, feed.came_back_s()))

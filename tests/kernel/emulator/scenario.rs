@@ -104,7 +104,7 @@ quit
     },
     Scenario {
         name: "frames-lost",
-        about: "broken and lost packets on the bus, skipped pictures",
+        about: "broken and lost packets on the bus, skipped images",
         setup: PLUG_ALL,
         steps: &[
             (0.713, "fault left error-bit 2"),
@@ -141,7 +141,7 @@ quit
     },
     Scenario {
         name: "frozen",
-        about: "the left picture stands still before the grasp and recovers",
+        about: "the left image stands still before the grasp and recovers",
         setup: PLUG_ALL,
         steps: &[
             (1.013, "fault left freeze"),

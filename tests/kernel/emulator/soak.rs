@@ -101,7 +101,7 @@ impl Soak {
 
 /// What begins a fault, and what ends it where it does not end by itself.
 fn fault(random: &mut Random) -> (String, Option<String>) {
-    let pictures = 1 + random.next() % 12;
+    let images = 1 + random.next() % 12;
     match random.next() % 4 {
         0 => {
             let device = random.of(&["left", "right", "d435", "pedal"]);
@@ -116,12 +116,12 @@ fn fault(random: &mut Random) -> (String, Option<String>) {
         2 => {
             let camera = random.of(&["left", "right"]);
             let kind = random.of(&["truncate", "corrupt"]);
-            (format!("fault {camera} {kind} {pictures}"), None)
+            (format!("fault {camera} {kind} {images}"), None)
         }
         _ => {
             let camera = random.of(&["left", "right", "rgb", "depth"]);
             let kind = random.of(&["error-bit", "lose-packet", "drop"]);
-            (format!("fault {camera} {kind} {pictures}"), None)
+            (format!("fault {camera} {kind} {images}"), None)
         }
     }
 }

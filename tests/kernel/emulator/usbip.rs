@@ -8,8 +8,8 @@ use std::io::{self, Read};
 const HEADER_BYTES: usize = 48;
 const PACKET_BYTES: usize = 16;
 /// More than any URB of uvcvideo or usbhid; a larger length means that the stream is out of step.
-const LONGEST_TRANSFER: usize = 4 << 20;
-const MOST_PACKETS: usize = 1024;
+const MAX_TRANSFER: usize = 4 << 20;
+const MAX_PACKETS: usize = 1024;
 
 const CMD_SUBMIT: u32 = 1;
 const CMD_UNLINK: u32 = 2;
@@ -104,13 +104,13 @@ pub(crate) fn read_request(from: &mut impl Read) -> io::Result<Request> {
         CMD_SUBMIT => {
             let is_in = word(&header, 3) == 1;
             let length = word(&header, 6);
-            if length as usize > LONGEST_TRANSFER {
+            if length as usize > MAX_TRANSFER {
                 return Err(out_of_step(format!("transfer of {length} bytes")));
             }
             // Documented as -1 where a transfer is not isochronous; the kernel sends 0.
             let packet_count = match word(&header, 8) {
                 u32::MAX => 0,
-                count if count as usize <= MOST_PACKETS => count as usize,
+                count if count as usize <= MAX_PACKETS => count as usize,
                 count => return Err(out_of_step(format!("{count} isochronous packets"))),
             };
             let mut setup = [0; 8];

@@ -10,7 +10,7 @@ use super::opening::open_lock;
 use crate::error::Refused;
 
 /// Longest owner line that is read, bytes.
-const LONGEST_OWNER: u64 = 4096;
+const MAX_OWNER: u64 = 4096;
 
 /// A locked file; released when dropped or when the process ends, however it ends.
 #[derive(Debug)]
@@ -89,7 +89,7 @@ fn lock(file: &mut File) -> Result<(), NotLocked> {
 
 fn owner(file: &mut File) -> String {
     let mut text = String::new();
-    let read = file.take(LONGEST_OWNER).read_to_string(&mut text);
+    let read = file.take(MAX_OWNER).read_to_string(&mut text);
     match text.trim().split_once(' ') {
         Some((pid, command)) if read.is_ok() => format!("process {pid} (`{command}`)"),
         _ => "another process".to_owned(),

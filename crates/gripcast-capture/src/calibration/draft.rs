@@ -110,7 +110,7 @@ pub fn draft(id: &str, devices: &[VideoDevice]) -> Result<Draft> {
     };
     let mut notes = vec![format!(
         "left is in port {}, right in port {}: touch the left gel while looking at the screen, \
-         and swap the two `serial` lines if the other picture moves",
+         and swap the two `serial` lines if the other image moves",
         left.port, right.port
     )];
     let mut text = format!("schema = 1\nid = {}\n", quoted(id));
@@ -160,7 +160,7 @@ fn realsense(text: &mut String, cameras: &[&VideoDevice], notes: &mut Vec<String
             text.push_str("# 1: mains of 50 Hz, 2: 60 Hz\n");
             line(text, "controls", "{ power_line_frequency = 1 }");
         }
-        None => notes.push(format!("{first} offers no colour pictures (YUYV)")),
+        None => notes.push(format!("{first} offers no colour images (YUYV)")),
     }
     match part(PixelFormat::Z16, 0) {
         Some(device) => {

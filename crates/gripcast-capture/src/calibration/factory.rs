@@ -5,7 +5,7 @@
 //! bytes (20), u16 magic, u32 opcode, four u32 parameters. Reply: u32 opcode again (anything else
 //! is an error code), payload; the u32 at 1020 is the length of the payload. Payload of the
 //! colour table: 16 bytes of header with a CRC-32, then the calibration, normalised to the
-//! picture's width and height.
+//! image's width and height.
 
 use std::io;
 
@@ -53,14 +53,14 @@ pub fn colour_intrinsics(
         .map_err(|error| error.at(stereo))
 }
 
-/// Calibration of the colour camera, independent of the picture size.
+/// Calibration of the colour camera, independent of the image size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColourTable {
     /// The nine floats of the intrinsic matrix, in the order of the wire.
     matrix: [f64; 9],
     /// Coefficients k1, k2, p1, p2, k3.
     coefficients: [f64; 5],
-    /// Picture size of the calibration, pixels; zero where the table does not tell.
+    /// Image size of the calibration, pixels; zero where the table does not tell.
     width: u16,
     height: u16,
 }
@@ -118,7 +118,7 @@ impl ColourTable {
         })
     }
 
-    /// Intrinsics of a picture size. A size of another shape than the calibration's is a part of
+    /// Intrinsics of an image size. A size of another shape than the calibration's is a part of
     /// the sensor: the longer side is cut, the focal length in pixels of the other side stays.
     ///
     /// # Errors
@@ -282,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn table_scales_to_full_smaller_and_cropped_pictures() {
+    fn table_scales_to_full_smaller_and_cropped_images() {
         let table = ColourTable::parse(&payload()).unwrap();
         let close = |a: f64, b: f64| (a - b).abs() < 1e-3;
         let full = table.intrinsics(1920, 1080).unwrap();

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::camera::{CONTROLS, FORMER_NAMES};
 use gripcast_base::error::{Error, Result, nearest_name};
-use gripcast_imaging::{LARGEST_SIDE, PixelFormat, Role};
+use gripcast_imaging::{MAX_SIDE, PixelFormat, Role};
 
 /// Version of the rig file format that this program reads.
 const SCHEMA: u32 = 1;
@@ -341,7 +341,7 @@ impl RigFile {
         if self.boards.is_some() && !self.cameras.contains_key(&Role::External) {
             return Err(
                 wrong("[boards] is there, but no external camera".to_owned())
-                    .remedy("add [cameras.external], whose pictures show the boards"),
+                    .remedy("add [cameras.external], whose images show the boards"),
             );
         }
         self.validate_distinct()
@@ -393,10 +393,10 @@ impl CameraConfig {
             }
             _ => {}
         }
-        let side = 1..=LARGEST_SIDE;
+        let side = 1..=MAX_SIDE;
         if !side.contains(&self.width) || !side.contains(&self.height) {
             return Err(wrong(format!(
-                "{}×{} pixels is no picture; 1 to {LARGEST_SIDE} each",
+                "{}×{} pixels is no image; 1 to {MAX_SIDE} each",
                 self.width, self.height
             )));
         }

@@ -1,7 +1,7 @@
 //! Plays a recorded directory as if it were a camera.
 //!
 //! The directory of a rig file is either one that the recorder wrote (itself or its `<role>`
-//! folder holds `stream.json`), or a plain folder of pictures of one size. Plain pictures are
+//! folder holds `stream.json`), or a plain folder of images of one size. Plain images are
 //! played in the order of their names at the configured rate: `.jpg` and `.jpeg` as they are,
 //! `.png` encoded once, when the folder is opened, as JPEG of quality 98.
 
@@ -74,7 +74,7 @@ impl ReplayOpener {
             } else {
                 &self.dir
             };
-            load_pictures(dir, &self.config)
+            load_images(dir, &self.config)
         };
         let recording = load()
             .and_then(|recording| self.checked(recording))
@@ -197,21 +197,21 @@ fn load_recording(dir: &Path) -> Result<Recording> {
     })
 }
 
-fn load_pictures(dir: &Path, config: &CameraConfig) -> Result<Recording> {
+fn load_images(dir: &Path, config: &CameraConfig) -> Result<Recording> {
     let entries =
         fs::read_dir(dir).map_err(|error| Error::io("cannot read the directory", error))?;
-    let mut pictures = BTreeSet::new();
+    let mut images = BTreeSet::new();
     for entry in entries {
         let path = entry
             .map_err(|error| Error::io("cannot read the directory", error))?
             .path();
-        if picture_kind(&path).is_some() {
-            pictures.insert(path);
+        if image_kind(&path).is_some() {
+            images.insert(path);
         }
     }
-    if pictures.is_empty() {
+    if images.is_empty() {
         return Err(Error::input(format!(
-            "there is neither {STREAM_FILE} nor a .jpg, .jpeg or .png picture"
+            "there is neither {STREAM_FILE} nor a .jpg, .jpeg or .png image"
         ))
         .remedy("record one with `gripcast rig check --record DIRECTORY`"));
     }
@@ -220,17 +220,17 @@ fn load_pictures(dir: &Path, config: &CameraConfig) -> Result<Recording> {
         return Err(Error::config(format!("frame rate {fps}, expected above 0")));
     }
     let mut size = None;
-    let mut frames = Vec::with_capacity(pictures.len());
-    for (number, path) in pictures.into_iter().enumerate() {
+    let mut frames = Vec::with_capacity(images.len());
+    for (number, path) in images.into_iter().enumerate() {
         let name = path.file_name().map_or_else(
             || path.display().to_string(),
             |name| name.to_string_lossy().into(),
         );
-        let (payload, found) = open_picture(&path).map_err(|error| error.at(&name))?;
+        let (payload, found) = open_image(&path).map_err(|error| error.at(&name))?;
         let expected = *size.get_or_insert(found);
         if found != expected {
             return Err(Error::input(format!(
-                "the picture is {}×{}, those before are {}×{}",
+                "the image is {}×{}, those before are {}×{}",
                 found.0, found.1, expected.0, expected.1
             ))
             .at(name));
@@ -245,7 +245,7 @@ fn load_pictures(dir: &Path, config: &CameraConfig) -> Result<Recording> {
     Ok(Recording {
         info: StreamInfo {
             identity: CameraIdentity {
-                product: "pictures".to_owned(),
+                product: "images".to_owned(),
                 port: dir.display().to_string(),
                 ..CameraIdentity::default()
             },
@@ -261,41 +261,41 @@ fn load_pictures(dir: &Path, config: &CameraConfig) -> Result<Recording> {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum PictureKind {
+enum ImageKind {
     Jpeg,
     Png,
 }
 
-fn picture_kind(path: &Path) -> Option<PictureKind> {
+fn image_kind(path: &Path) -> Option<ImageKind> {
     match path.extension()?.to_str()?.to_ascii_lowercase().as_str() {
-        "jpg" | "jpeg" => Some(PictureKind::Jpeg),
-        "png" => Some(PictureKind::Png),
+        "jpg" | "jpeg" => Some(ImageKind::Jpeg),
+        "png" => Some(ImageKind::Png),
         _ => None,
     }
 }
 
-fn open_picture(path: &Path) -> Result<(Payload, (u32, u32))> {
+fn open_image(path: &Path) -> Result<(Payload, (u32, u32))> {
     let place = BeneathPath::given(path);
     let bytes = place
         .read(FileKind::Image)
-        .map_err(|error| Error::io("cannot read the picture", error))?;
-    if picture_kind(path) == Some(PictureKind::Jpeg) {
+        .map_err(|error| Error::io("cannot read the image", error))?;
+    if image_kind(path) == Some(ImageKind::Jpeg) {
         let header = turbojpeg::read_header(&bytes)
             .map_err(|error| Error::input("this is no JPEG").because(error))?;
         let size = (header.width as u32, header.height as u32);
         return Ok((Payload::File(place), size));
     }
-    let picture = decode_png_rgb(&bytes)?;
-    let (width, height) = picture.dimensions();
+    let image = decode_png_rgb(&bytes)?;
+    let (width, height) = image.dimensions();
     let rgb = Image {
-        pixels: picture.as_raw().as_slice(),
+        pixels: image.as_raw().as_slice(),
         width: width as usize,
         pitch: 3 * width as usize,
         height: height as usize,
         format: JpegPixels::RGB,
     };
     let jpeg = turbojpeg::compress(rgb, PNG_JPEG_QUALITY, Subsamp::None)
-        .map_err(|error| Error::input("cannot encode the picture as JPEG").because(error))?;
+        .map_err(|error| Error::input("cannot encode the image as JPEG").because(error))?;
     Ok((Payload::Bytes(jpeg.to_vec().into()), (width, height)))
 }
 

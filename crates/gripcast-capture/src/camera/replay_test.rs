@@ -160,14 +160,14 @@ fn wrong_directories_are_explained() {
 }
 
 #[test]
-fn plain_pictures_play_in_the_order_of_their_names() {
+fn plain_images_play_in_the_order_of_their_names() {
     let dir = tempfile::tempdir().unwrap();
     for (name, level) in [("b.png", 200), ("a.png", 40)] {
         image::RgbImage::from_pixel(16, 8, image::Rgb([level; 3]))
             .save(dir.path().join(name))
             .unwrap();
     }
-    fs::write(dir.path().join("notes.txt"), "not a picture").unwrap();
+    fs::write(dir.path().join("notes.txt"), "not an image").unwrap();
     let clock = Arc::new(ManualClock::default());
     let config = config(dir.path(), PixelFormat::Mjpg, 16, 8);
     let opener = ReplayOpener::new(Role::Left, &config, clock.clone()).unwrap();
@@ -175,8 +175,8 @@ fn plain_pictures_play_in_the_order_of_their_names() {
     let levels: Vec<_> = (0..2)
         .map(|_| source.next_frame(TIMEOUT).unwrap())
         .map(|frame| {
-            let picture = turbojpeg::decompress(&frame.data, turbojpeg::PixelFormat::RGB).unwrap();
-            (frame.driver_time_ns / MS, picture.pixels[0])
+            let image = turbojpeg::decompress(&frame.data, turbojpeg::PixelFormat::RGB).unwrap();
+            (frame.driver_time_ns / MS, image.pixels[0])
         })
         .collect();
     assert_eq!(levels, [(0, 40), (40, 200)]);
@@ -186,7 +186,7 @@ fn plain_pictures_play_in_the_order_of_their_names() {
         .unwrap();
     let error = opener.load().err().unwrap();
     assert!(
-        error.to_string().contains("c.png: the picture is 16×9"),
+        error.to_string().contains("c.png: the image is 16×9"),
         "{error}"
     );
     fs::write(dir.path().join("0.jpg"), "no").unwrap();

@@ -16,8 +16,8 @@ pub struct SupervisionPolicy {
     pub silent_after_ns: u64,
     /// Silent or frozen for this long: the camera is opened anew, ns.
     pub reopen_after_ns: u64,
-    /// The same bytes again and again for this long: the picture is frozen, ns. `None` for
-    /// sources that may repeat a picture.
+    /// The same bytes again and again for this long: the image is frozen, ns. `None` for
+    /// sources that may repeat an image.
     pub freeze_after_ns: Option<u64>,
     /// Pause before the second attempt to open, ns; doubles with each failure.
     pub first_backoff_ns: u64,
@@ -228,7 +228,7 @@ impl StreamMonitor {
             let frozen_ns = now_ns.saturating_sub(since_ns);
             if frozen_ns > self.policy.reopen_after_ns {
                 let frozen_s = frozen_ns as f64 * 1e-9;
-                return Some(format!("the same picture for {frozen_s:.1} s"));
+                return Some(format!("the same image for {frozen_s:.1} s"));
             }
         }
         None

@@ -428,7 +428,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frozen_picture_is_told_and_reopened() {
+    fn a_frozen_image_is_told_and_reopened() {
         let acts = (0..120)
             .map(|sequence| Act::Frame {
                 after_ms: 40,

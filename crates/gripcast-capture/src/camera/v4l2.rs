@@ -28,7 +28,7 @@ const BUFFERS: u32 = 6;
 const BUFFERS_NEEDED: u32 = 2;
 /// A driver's time further than this from now comes from a broken clock, ns.
 const CLOCK_TOLERANCE_NS: u64 = 5_000_000_000;
-/// Share by which the driver's frame rate may differ from the wanted one unremarked.
+/// Fraction by which the driver's frame rate may differ from the wanted one unremarked.
 const FPS_TOLERANCE: f64 = 0.01;
 
 /// Why a stream did not start.

@@ -84,7 +84,7 @@ impl Default for Camera {
 }
 
 impl Camera {
-    /// A node that carries metadata instead of pictures.
+    /// A node that carries metadata instead of images.
     pub(crate) fn metadata() -> Self {
         Self {
             video_capture: false,

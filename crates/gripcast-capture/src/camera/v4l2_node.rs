@@ -13,7 +13,7 @@ pub struct Capabilities {
     pub driver: String,
     /// Name of the card, at most 31 characters.
     pub card: String,
-    /// The node delivers pictures (metadata nodes do not).
+    /// The node delivers images (metadata nodes do not).
     pub video_capture: bool,
     /// The node supports streaming with mapped buffers.
     pub streaming: bool,

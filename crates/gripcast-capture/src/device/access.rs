@@ -20,7 +20,7 @@ pub fn udev_rule(vendor_id: u16, product_id: u16) -> String {
     )
 }
 
-/// Explains that the operating system keeps `device` from us, with the udev rule that mends it.
+/// Explains that the operating system keeps `device` from us, with the udev rule that fixes it.
 #[must_use]
 pub fn permission_error(device: &VideoDevice, step: &str) -> Error {
     let group = "add yourself to its group: `sudo usermod -aG video $USER`, then log in again";

@@ -19,7 +19,7 @@ use gripcast_imaging::PixelFormat;
 pub struct VideoDevice {
     /// Device node of this moment (`/dev/video2`).
     pub node: PathBuf,
-    /// Position among the nodes of the same USB function; the first one carries pictures.
+    /// Position among the nodes of the same USB function; the first one carries images.
     pub index: u32,
     /// Card name of the kernel, at most 31 characters.
     pub name: String,
@@ -43,14 +43,14 @@ pub struct VideoDevice {
     pub speed_mbps: Option<u32>,
     /// What is known about opening it.
     pub access: Access,
-    /// Whether the node carries pictures; `None` until it was probed successfully.
+    /// Whether the node carries images; `None` until it was probed successfully.
     pub captures: Option<bool>,
     /// Modes on offer; `None` until it was probed successfully.
     pub modes: Option<Vec<Mode>>,
 }
 
 impl VideoDevice {
-    /// Whether the node carries pictures, by its own word or, unprobed, by its position.
+    /// Whether the node carries images, by its own word or, unprobed, by its position.
     #[must_use]
     pub fn is_camera(&self) -> bool {
         self.captures.unwrap_or(self.index == 0)
@@ -242,7 +242,7 @@ fn join_usb(devices: &mut [VideoDevice]) {
     }
 }
 
-/// Opens the node, asks whether it carries pictures and which modes it offers, and closes it.
+/// Opens the node, asks whether it carries images and which modes it offers, and closes it.
 /// The outcome is in `access`, `captures` and `modes`.
 pub fn probe(device: &mut VideoDevice, nodes: &dyn VideoNodes, root: &SystemRoot) {
     let mut node = match nodes.open(&device.node) {

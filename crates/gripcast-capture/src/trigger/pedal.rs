@@ -20,7 +20,7 @@ use crate::device::LOCAL_UDEV_RULES;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
 const FIRST_BACKOFF_NS: u64 = 500_000_000;
-const LONGEST_BACKOFF_NS: u64 = 5_000_000_000;
+const MAX_BACKOFF_NS: u64 = 5_000_000_000;
 const READ_TIMEOUT_MS: i32 = 100;
 
 /// Named keys outside letters, digits and function keys: HID usages of page 7.
@@ -250,7 +250,7 @@ pub fn run_pedal(
         while !stop.load(Ordering::Relaxed) && clock.now_ns() < until_ns {
             clock.sleep_until(until_ns.min(clock.now_ns() + 50_000_000));
         }
-        backoff_ns = (backoff_ns * 2).min(LONGEST_BACKOFF_NS);
+        backoff_ns = (backoff_ns * 2).min(MAX_BACKOFF_NS);
     }
     Ok(())
 }

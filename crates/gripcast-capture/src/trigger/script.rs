@@ -20,7 +20,7 @@ use std::fmt;
 use gripcast_base::error::{Error, Result};
 
 const DEFAULT_TIMEOUT_S: f64 = 30.0;
-const LONGEST_S: f64 = 86_400.0;
+const MAX_S: f64 = 86_400.0;
 const FORMS: &str = "[+SECONDS] COMMAND, wait live|contact|no-contact|fresh|saved [SECONDS], sleep \
                      SECONDS, expect saved|refused, stop-on-refusal";
 
@@ -213,7 +213,7 @@ fn parse_step(code: &str, check: &dyn Fn(&str) -> Result<(), String>) -> Result<
 
 fn seconds(text: &str) -> Result<u64, String> {
     match text.parse::<f64>() {
-        Ok(value) if (0.0..=LONGEST_S).contains(&value) => Ok(seconds_to_ns(value)),
+        Ok(value) if (0.0..=MAX_S).contains(&value) => Ok(seconds_to_ns(value)),
         _ => Err(format!("`{text}` is no time; expected 0 to 86400 seconds")),
     }
 }

@@ -17,8 +17,8 @@ pub enum Cell<'a> {
     Number(f64),
     /// A list of 64-bit floats.
     Numbers(Vec<f64>),
-    /// An encoded picture.
-    Picture(Cow<'a, [u8]>),
+    /// An encoded image.
+    Image(Cow<'a, [u8]>),
 }
 
 impl<'a> Cell<'a> {
@@ -35,12 +35,12 @@ impl<'a> Cell<'a> {
         number.map_or(Self::Null, Self::Number)
     }
 
-    pub(super) fn picture(bytes: &'a [u8]) -> Self {
-        Self::Picture(Cow::Borrowed(bytes))
+    pub(super) fn image(bytes: &'a [u8]) -> Self {
+        Self::Image(Cow::Borrowed(bytes))
     }
 
-    pub(super) fn optional_picture(bytes: Option<&'a [u8]>) -> Self {
-        bytes.map_or(Self::Null, Self::picture)
+    pub(super) fn optional_image(bytes: Option<&'a [u8]>) -> Self {
+        bytes.map_or(Self::Null, Self::image)
     }
 
     /// Bytes that the value takes, about.
@@ -50,7 +50,7 @@ impl<'a> Cell<'a> {
             Self::Text(text) => text.len() + 4,
             Self::Integer(_) | Self::Number(_) => 8,
             Self::Numbers(numbers) => 8 * numbers.len(),
-            Self::Picture(bytes) => bytes.len() + 4,
+            Self::Image(bytes) => bytes.len() + 4,
         }
     }
 }
@@ -127,13 +127,12 @@ impl<'a> Cells<'a> {
             .map(|(_, numbers)| numbers)
     }
 
-    pub(super) fn picture(&mut self) -> Result<Vec<u8>> {
-        self.next(picture).map(|(_, picture)| picture)
+    pub(super) fn image(&mut self) -> Result<Vec<u8>> {
+        self.next(image).map(|(_, image)| image)
     }
 
-    pub(super) fn optional_picture(&mut self) -> Result<Option<Vec<u8>>> {
-        self.next(|cell| Some(picture(cell)))
-            .map(|(_, picture)| picture)
+    pub(super) fn optional_image(&mut self) -> Result<Option<Vec<u8>>> {
+        self.next(|cell| Some(image(cell))).map(|(_, image)| image)
     }
 }
 
@@ -158,9 +157,9 @@ fn number(cell: Cell<'static>) -> Option<f64> {
     }
 }
 
-fn picture(cell: Cell<'static>) -> Option<Vec<u8>> {
+fn image(cell: Cell<'static>) -> Option<Vec<u8>> {
     match cell {
-        Cell::Picture(bytes) => Some(Cow::into_owned(bytes)),
+        Cell::Image(bytes) => Some(Cow::into_owned(bytes)),
         _ => None,
     }
 }

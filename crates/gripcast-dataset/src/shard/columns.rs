@@ -16,8 +16,8 @@ pub(super) enum Kind {
     Number,
     /// A list of so many doubles.
     Numbers(usize),
-    /// An encoded picture: its bytes and its file name.
-    Picture,
+    /// An encoded image: its bytes and its file name.
+    Image,
 }
 
 /// One column.
@@ -73,13 +73,13 @@ pub(super) const FACTS: [Column; 22] = [
 
 /// Columns of `ShardImages`, after the facts: `<stage>_<role>`.
 pub(super) const IMAGES: [Column; 7] = [
-    always("initial_left", Kind::Picture),
-    always("initial_right", Kind::Picture),
-    always("grasp_left", Kind::Picture),
-    always("grasp_right", Kind::Picture),
-    always("grasp_rgb", Kind::Picture),
-    nullable("initial_rgb", Kind::Picture),
-    nullable("grasp_depth", Kind::Picture),
+    always("initial_left", Kind::Image),
+    always("initial_right", Kind::Image),
+    always("grasp_left", Kind::Image),
+    always("grasp_right", Kind::Image),
+    always("grasp_rgb", Kind::Image),
+    nullable("initial_rgb", Kind::Image),
+    nullable("grasp_depth", Kind::Image),
 ];
 
 /// All columns in the order of the file.
@@ -110,7 +110,7 @@ impl From<Kind> for TableKind {
             Kind::Integer => Self::Integer,
             Kind::Number => Self::Number,
             Kind::Numbers(_) => Self::Numbers,
-            Kind::Picture => Self::Picture,
+            Kind::Image => Self::Image,
         }
     }
 }

@@ -41,7 +41,7 @@ enum ColumnCursor {
     ShortInteger(Leaf<Int32Type>),
     Number(Leaf<DoubleType>),
     Numbers(Leaf<DoubleType>, usize),
-    Picture(Leaf<ByteArrayType>),
+    Image(Leaf<ByteArrayType>),
 }
 
 struct Leaf<D: DataType> {
@@ -117,7 +117,7 @@ impl ColumnCursor {
             Kind::Integer => Self::Integer(Leaf::open(source, chunk)?),
             Kind::Number => Self::Number(Leaf::open(source, chunk)?),
             Kind::Numbers(length) => Self::Numbers(Leaf::open(source, chunk)?, length),
-            Kind::Picture => Self::Picture(Leaf::open(source, chunk)?),
+            Kind::Image => Self::Image(Leaf::open(source, chunk)?),
         })
     }
 
@@ -132,11 +132,11 @@ impl ColumnCursor {
                 let cells = values.into_iter().map(|v| text(v).map(cell_or_null));
                 cells.collect::<Result<_>>()?
             }
-            Self::Picture(leaf) => {
+            Self::Image(leaf) => {
                 let values = leaf.read(rows, column)?;
                 check_budget(&values, column, budget)?;
-                let picture = |v: ByteArray| Cell::Picture(Cow::Owned(v.data().to_vec()));
-                let cells = values.into_iter().map(|v| cell_or_null(v.map(picture)));
+                let image = |v: ByteArray| Cell::Image(Cow::Owned(v.data().to_vec()));
+                let cells = values.into_iter().map(|v| cell_or_null(v.map(image)));
                 cells.collect()
             }
             Self::Integer(leaf) => {

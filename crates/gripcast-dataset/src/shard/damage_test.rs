@@ -68,7 +68,7 @@ fn flipped_bits_are_found() {
             }
         }
     }
-    // The rest are names of pictures, statistics and the features, which nothing here reads.
+    // The rest are names of images, statistics and the features, which nothing here reads.
     assert!(found > 150, "{found}");
 }
 

@@ -20,7 +20,7 @@ impl ContentHash {
             }
             Cell::Number(number) => self.numbers(b"n", &[*number]),
             Cell::Numbers(numbers) => self.numbers(b"l", numbers),
-            Cell::Picture(bytes) => self.bytes(b"p", bytes),
+            Cell::Image(bytes) => self.bytes(b"p", bytes),
         }
     }
 

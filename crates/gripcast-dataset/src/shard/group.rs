@@ -12,7 +12,7 @@ use super::cell::Cell;
 use super::columns::{FACTS, table_columns};
 use super::digest::ContentHash;
 use super::metadata::GroupHash;
-use super::row::picture_extension;
+use super::row::image_extension;
 use super::table_column::TableKind;
 
 /// Values of one leaf with their levels, as Parquet has them.
@@ -105,12 +105,12 @@ fn write_column<'a, W: Write + Send>(
             };
             write_lists::<FloatType, W>(group, cells.map(singles))
         }
-        TableKind::Picture => {
+        TableKind::Image => {
             let mut bytes = Leaf::new();
             let mut paths = Leaf::new();
             for cell in cells {
-                bytes.push(picture(cell), 2);
-                paths.push(picture_name(name, cell), 2);
+                bytes.push(image(cell), 2);
+                paths.push(image_name(name, cell), 2);
             }
             bytes.write::<ByteArrayType, W>(group)?;
             paths.write::<ByteArrayType, W>(group)
@@ -179,19 +179,19 @@ fn numbers(cell: &Cell<'_>) -> Option<Vec<f64>> {
     }
 }
 
-fn picture(cell: &Cell<'_>) -> Option<ByteArray> {
+fn image(cell: &Cell<'_>) -> Option<ByteArray> {
     match cell {
-        Cell::Picture(bytes) => Some(ByteArray::from(bytes.to_vec())),
+        Cell::Image(bytes) => Some(ByteArray::from(bytes.to_vec())),
         _ => None,
     }
 }
 
-/// The name of the picture's file in a dataset of single files: `<stage>.<role>.<ending>`.
-fn picture_name(column: &str, cell: &Cell<'_>) -> Option<ByteArray> {
-    let Cell::Picture(bytes) = cell else {
+/// The name of the image's file in a dataset of single files: `<stage>.<role>.<ending>`.
+fn image_name(column: &str, cell: &Cell<'_>) -> Option<ByteArray> {
+    let Cell::Image(bytes) = cell else {
         return None;
     };
-    let ending = picture_extension(bytes).unwrap_or("bin");
+    let ending = image_extension(bytes).unwrap_or("bin");
     let name = format!("{}.{ending}", column.replace('_', "."));
     Some(ByteArray::from(name.into_bytes()))
 }
@@ -200,9 +200,9 @@ fn hash(rows: &[Vec<Cell<'_>>]) -> GroupHash {
     let mut facts = ContentHash::default();
     let mut images = ContentHash::default();
     for row in rows {
-        let (known, pictures) = row.split_at(FACTS.len());
+        let (known, rest) = row.split_at(FACTS.len());
         known.iter().for_each(|cell| facts.add(cell));
-        pictures.iter().for_each(|cell| images.add(cell));
+        rest.iter().for_each(|cell| images.add(cell));
     }
     GroupHash {
         rows: rows.len(),

@@ -70,8 +70,8 @@ fn leaf(schema: &SchemaDescriptor, column: &Column) -> Result<Option<usize>> {
     let mut found = schema.columns().iter().enumerate().filter(|(_, leaf)| {
         let parts = leaf.path().parts();
         let named = parts.first().is_some_and(|first| first == column.name);
-        // Of a picture the bytes count: its name is in the column's name.
-        let part = column.kind != Kind::Picture || parts.len() == 1 || parts[1] == "bytes";
+        // Of an image the bytes count: its name is in the column's name.
+        let part = column.kind != Kind::Image || parts.len() == 1 || parts[1] == "bytes";
         named && part
     });
     let (first, second) = (found.next(), found.next());
@@ -108,7 +108,7 @@ fn fits(leaf: &ColumnDescriptor, column: &Column) -> bool {
         Kind::Integer => matches!(kind, Type::INT64 | Type::INT32) && parts == 1 && repeated == 0,
         Kind::Number => kind == Type::DOUBLE && parts == 1 && repeated == 0,
         Kind::Numbers(_) => kind == Type::DOUBLE && repeated == 1,
-        Kind::Picture => kind == Type::BYTE_ARRAY && parts <= 2 && repeated == 0,
+        Kind::Image => kind == Type::BYTE_ARRAY && parts <= 2 && repeated == 0,
     }
 }
 
@@ -127,7 +127,7 @@ fn expected(column: &Column) -> &'static str {
         Kind::Integer => "INT64 or INT32",
         Kind::Number => "DOUBLE",
         Kind::Numbers(_) => "a list of DOUBLE",
-        Kind::Picture => "a group of bytes (BYTE_ARRAY) and path",
+        Kind::Image => "a group of bytes (BYTE_ARRAY) and path",
     }
 }
 

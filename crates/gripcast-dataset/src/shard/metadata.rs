@@ -36,7 +36,7 @@ pub(super) struct GroupHash {
     pub rows: usize,
     /// Of the facts, row by row.
     pub(super) facts_sha256: String,
-    /// Of the pictures, row by row.
+    /// Of the images, row by row.
     pub(super) images_sha256: String,
 }
 

@@ -1,4 +1,4 @@
-//! Parquet shards: samples with their pictures in a file that pandas and Hugging Face `datasets`
+//! Parquet shards: samples with their images in a file that pandas and Hugging Face `datasets`
 //! read in one line.
 //!
 //! A [`ShardRow`] is one grasp, real or a rendering of a simulated one. [`ShardWriter`] writes rows into one
@@ -6,7 +6,7 @@
 //! files by split. The columns that a real dataset has as well have the same names. A [`TableWriter`]
 //! writes rows of other columns in the same way.
 //!
-//! Row groups are small, pages are not compressed (pictures are already), and nothing in a file
+//! Row groups are small, pages are not compressed (images are already), and nothing in a file
 //! depends on the time, the machine or the number of threads. Each row group has a hash of its
 //! contents in the file's metadata, which the reader checks.
 

@@ -144,7 +144,7 @@ impl ShardReader {
         Walk::new(Arc::clone(&self.0), 0..self.num_row_groups()).samples()
     }
 
-    /// All rows without their pictures, of which no byte is read.
+    /// All rows without their images, of which no byte is read.
     ///
     /// # Errors
     /// As [`row_group`](Self::row_group).
@@ -402,19 +402,19 @@ impl OpenGroup {
 /// Whether the samples of a whole row group say what was written.
 fn check_hash<T: Sample>(samples: &[T], expected: &GroupHash) -> Result<()> {
     let (mut facts, mut images) = (ContentHash::default(), ContentHash::default());
-    let mut pictured = true;
+    let mut imaged = true;
     for sample in samples {
         sample.facts().cells().iter().for_each(|c| facts.add(c));
         match sample.images() {
             Some(found) => found.cells().iter().for_each(|c| images.add(c)),
-            None => pictured = false,
+            None => imaged = false,
         }
     }
     if facts.finish() != expected.facts_sha256 {
-        return Err(altered("the columns besides the pictures"));
+        return Err(altered("the columns besides the images"));
     }
-    if pictured && images.finish() != expected.images_sha256 {
-        return Err(altered("the pictures"));
+    if imaged && images.finish() != expected.images_sha256 {
+        return Err(altered("the images"));
     }
     Ok(())
 }

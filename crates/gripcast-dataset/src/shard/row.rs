@@ -17,16 +17,16 @@ const PNG: &[u8] = b"\x89PNG\r\n\x1a\n";
 /// Begin of every JPEG file.
 const JPEG: &[u8] = b"\xff\xd8\xff";
 
-/// One grasp, real or a rendering of a simulated one: what is known of it, and its pictures.
+/// One grasp, real or a rendering of a simulated one: what is known of it, and its images.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShardRow {
     /// The scalars.
     pub facts: ShardFacts,
-    /// The pictures.
+    /// The images.
     pub images: ShardImages,
 }
 
-/// A sample without its pictures. Columns have the names of the fields, except where said. What a
+/// A sample without its images. Columns have the names of the fields, except where said. What a
 /// real grasp leaves unknown is none.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShardFacts {
@@ -70,11 +70,11 @@ pub struct ShardFacts {
     pub rendering: u32,
     /// Seed of the rendering, below 2⁶³: readers have signed integers.
     pub seed: u64,
-    /// Crop profile of the tactile pictures.
+    /// Crop profile of the tactile images.
     pub crop_profile: String,
 }
 
-/// Encoded pictures of a sample, PNG or JPEG, of the two stages of the cycle.
+/// Encoded images of a sample, PNG or JPEG, of the two stages of the cycle.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShardImages {
     /// Left tactile sensor (−x of the gripper frame) before the fingers close.
@@ -284,26 +284,26 @@ impl ShardImages {
     /// In the order of the columns.
     pub(super) fn cells(&self) -> Vec<Cell<'_>> {
         vec![
-            Cell::picture(&self.initial_left),
-            Cell::picture(&self.initial_right),
-            Cell::picture(&self.grasp_left),
-            Cell::picture(&self.grasp_right),
-            Cell::picture(&self.grasp_rgb),
-            Cell::optional_picture(self.initial_rgb.as_deref()),
-            Cell::optional_picture(self.grasp_depth.as_deref()),
+            Cell::image(&self.initial_left),
+            Cell::image(&self.initial_right),
+            Cell::image(&self.grasp_left),
+            Cell::image(&self.grasp_right),
+            Cell::image(&self.grasp_rgb),
+            Cell::optional_image(self.initial_rgb.as_deref()),
+            Cell::optional_image(self.grasp_depth.as_deref()),
         ]
     }
 
     /// From cells in the order of the columns, which have the kinds of the columns.
     pub(super) fn from_cells(cells: &mut Cells<'_>) -> Result<Self> {
         Ok(Self {
-            initial_left: cells.picture()?,
-            initial_right: cells.picture()?,
-            grasp_left: cells.picture()?,
-            grasp_right: cells.picture()?,
-            grasp_rgb: cells.picture()?,
-            initial_rgb: cells.optional_picture()?,
-            grasp_depth: cells.optional_picture()?,
+            initial_left: cells.image()?,
+            initial_right: cells.image()?,
+            grasp_left: cells.image()?,
+            grasp_right: cells.image()?,
+            grasp_rgb: cells.image()?,
+            initial_rgb: cells.optional_image()?,
+            grasp_depth: cells.optional_image()?,
         })
     }
 }
@@ -323,8 +323,8 @@ impl ShardRow {
     }
 }
 
-/// Ending of the file name of an encoded picture; none when it is neither PNG nor JPEG.
-pub(super) fn picture_extension(bytes: &[u8]) -> Option<&'static str> {
+/// Ending of the file name of an encoded image; none when it is neither PNG nor JPEG.
+pub(super) fn image_extension(bytes: &[u8]) -> Option<&'static str> {
     match bytes {
         _ if bytes.starts_with(PNG) => Some("png"),
         _ if bytes.starts_with(JPEG) => Some("jpg"),

@@ -5,8 +5,8 @@ use glam::{DQuat, DVec3};
 use super::row::{ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow};
 use gripcast_geometry::Pose;
 
-/// Bytes that begin as a picture does; nothing here decodes it.
-pub(super) fn picture(png: bool, seed: u64, length: usize) -> Vec<u8> {
+/// Bytes that begin as an image does; nothing here decodes it.
+pub(super) fn image(png: bool, seed: u64, length: usize) -> Vec<u8> {
     let begin: &[u8] = if png {
         b"\x89PNG\r\n\x1a\n"
     } else {
@@ -61,13 +61,13 @@ pub(super) fn sample_row(number: u64) -> ShardRow {
         crop_profile: "paper".to_owned(),
     };
     let images = ShardImages {
-        initial_left: picture(false, number, 40),
-        initial_right: picture(false, number + 1, 41),
-        grasp_left: picture(true, number + 2, 300),
-        grasp_right: picture(false, number + 3, 0),
-        grasp_rgb: picture(true, number + 4, 170),
-        initial_rgb: every(2).then(|| picture(false, number + 5, 50)),
-        grasp_depth: every(3).then(|| picture(true, number + 6, 60)),
+        initial_left: image(false, number, 40),
+        initial_right: image(false, number + 1, 41),
+        grasp_left: image(true, number + 2, 300),
+        grasp_right: image(false, number + 3, 0),
+        grasp_rgb: image(true, number + 4, 170),
+        initial_rgb: every(2).then(|| image(false, number + 5, 50)),
+        grasp_depth: every(3).then(|| image(true, number + 6, 60)),
     };
     ShardRow { facts, images }
 }

@@ -116,7 +116,7 @@ impl ShardSet {
         Ok(chain(shards, |shard| shard.rows()))
     }
 
-    /// Rows of a split without their pictures.
+    /// Rows of a split without their images.
     ///
     /// # Errors
     /// As [`rows`](Self::rows).

@@ -10,12 +10,12 @@ use sha2::{Digest as _, Sha256};
 use super::shard_name;
 use gripcast_base::error::{Error, Result};
 
-/// Largest deviation of the shares' sum from 1 that is taken as rounding.
+/// Largest deviation of the fractions' sum from 1 that is taken as rounding.
 const SUM_TOLERANCE: f64 = 1e-6;
 
-/// Parts of a dataset and the share of each: `train=0.8,validation=0.1,test=0.1`, or `test`.
+/// Parts of a dataset and the fraction of each: `train=0.8,validation=0.1,test=0.1`, or `test`.
 ///
-/// Shares are above 0 and sum to 1; in JSON it is an object of shares by name.
+/// Fractions are above 0 and sum to 1; in JSON it is an object of fractions by name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(into = "BTreeMap<String, f64>", try_from = "BTreeMap<String, f64>")]
 pub struct Split(BTreeMap<String, f64>);
@@ -23,7 +23,7 @@ pub struct Split(BTreeMap<String, f64>);
 /// What stays together in one part.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplitGroup {
-    /// Groups of a stratum are divided by the shares as nearly as whole groups allow.
+    /// Groups of a stratum are divided by the fractions as nearly as whole groups allow.
     pub stratum: String,
     /// How much of the dataset it is, in grasps.
     pub size: usize,
@@ -33,7 +33,11 @@ impl Split {
     /// 80 % to train, 10 % each to validate and test.
     pub fn usual() -> Self {
         let parts = [("train", 0.8), ("validation", 0.1), ("test", 0.1)];
-        Self(parts.map(|(name, share)| (name.to_owned(), share)).into())
+        Self(
+            parts
+                .map(|(name, fraction)| (name.to_owned(), fraction))
+                .into(),
+        )
     }
 
     /// Everything in one part.
@@ -49,7 +53,7 @@ impl Split {
         self.0.keys()
     }
 
-    /// The part of each group: the parts get their shares of each stratum, and of all of them, as
+    /// The part of each group: the parts get their fractions of each stratum, and of all of them, as
     /// nearly as whole groups allow. Each group, the largest first and equals by chance, goes to the
     /// part that lacks most.
     pub fn deal(
@@ -71,10 +75,10 @@ impl Split {
             let mut here: BTreeMap<&String, f64> = nothing();
             let whole = total.values().sum::<f64>() + all as f64;
             for (name, size) in members {
-                let lacks = |part: &String, share: f64| {
+                let lacks = |part: &String, fraction: f64| {
                     // In grasps, so that what small strata cannot give adds up until it counts.
-                    let in_stratum = share * all as f64 - here[part];
-                    let overall = share * whole - total[part];
+                    let in_stratum = fraction * all as f64 - here[part];
+                    let overall = fraction * whole - total[part];
                     in_stratum + overall
                 };
                 let most = self
@@ -95,12 +99,12 @@ impl Split {
             shard_name(name, 0, 1)?;
         }
         let sum: f64 = parts.values().sum();
-        let is_share = |share: &f64| *share > 0.0 && *share <= 1.0;
-        if parts.values().all(is_share) && (sum - 1.0).abs() <= SUM_TOLERANCE {
+        let is_fraction = |fraction: &f64| *fraction > 0.0 && *fraction <= 1.0;
+        if parts.values().all(is_fraction) && (sum - 1.0).abs() <= SUM_TOLERANCE {
             return Ok(Self(parts));
         }
         Err(wrong(format!(
-            "the shares of the parts must be above 0 and sum to 1, found {parts:?}"
+            "the fractions of the parts must be above 0 and sum to 1, found {parts:?}"
         )))
     }
 }
@@ -111,10 +115,10 @@ impl FromStr for Split {
     fn from_str(text: &str) -> Result<Self> {
         let mut parts = BTreeMap::new();
         for part in text.split(',') {
-            let (name, share) = part.split_once('=').unwrap_or((part, "1"));
-            let number = share
+            let (name, fraction) = part.split_once('=').unwrap_or((part, "1"));
+            let number = fraction
                 .parse()
-                .map_err(|_| wrong(format!("the share of the part `{name}` is {share:?}")))?;
+                .map_err(|_| wrong(format!("the fraction of the part `{name}` is {fraction:?}")))?;
             if parts.insert(name.to_owned(), number).is_some() {
                 return Err(wrong(format!("the part `{name}` is given twice")));
             }
@@ -125,7 +129,10 @@ impl FromStr for Split {
 
 impl std::fmt::Display for Split {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let parts = self.0.iter().map(|(name, share)| format!("{name}={share}"));
+        let parts = self
+            .0
+            .iter()
+            .map(|(name, fraction)| format!("{name}={fraction}"));
         f.write_str(&parts.collect::<Vec<_>>().join(","))
     }
 }
@@ -166,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_are_read_and_checked() {
+    fn fractions_are_read_and_checked() {
         let read = |text: &str| text.parse::<Split>();
         assert_eq!(read("test").unwrap(), Split::one("test").unwrap());
         let usual = read("train=0.8,validation=0.1,test=0.1").unwrap();
@@ -192,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn strata_of_two_give_all_parts_their_share() {
+    fn strata_of_two_give_all_parts_their_fraction() {
         let groups = (0..60)
             .map(|k| {
                 (
@@ -214,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_of_any_size_come_to_their_shares() {
+    fn groups_of_any_size_come_to_their_fractions() {
         let groups: BTreeMap<String, SplitGroup> = (0..100)
             .map(|n| (format!("object {n}"), group(String::new(), 1 + n % 7)))
             .collect();
@@ -224,8 +231,8 @@ mod tests {
             let groups = groups.iter().filter(|(name, _)| dealt[*name] == part);
             groups.map(|(_, group)| group.size).sum()
         };
-        let share = of("train") as f64 / (of("train") + of("test")) as f64;
-        assert!((share - 0.6).abs() < 0.03, "{share}");
+        let fraction = of("train") as f64 / (of("train") + of("test")) as f64;
+        assert!((fraction - 0.6).abs() < 0.03, "{fraction}");
         assert_ne!(split.deal(&groups, 2), dealt);
     }
 }

@@ -1,4 +1,4 @@
-//! Writes tables with pictures whose columns are chosen while the program runs.
+//! Writes tables with images whose columns are chosen while the program runs.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use parquet::file::writer::SerializedFileWriter;
 
 use super::cell::{Cell, wrong};
 use super::group::write_columns;
-use super::row::picture_extension;
+use super::row::image_extension;
 use super::staged::StagedShard;
 use super::table_column::{TableKind, features, schema};
 use super::writer::{GROUP_BYTES, MAX_ROW_BYTES, table_properties, write_error};
@@ -46,9 +46,9 @@ impl TableWriter {
             let staged =
                 StagedShard::create(&place).map_err(|e| Error::io("cannot write the table", e))?;
             let all = || columns.iter().map(|(name, kind)| (name.as_str(), *kind));
-            let pictures = all().filter(|(_, kind)| *kind == TableKind::Picture);
+            let images = all().filter(|(_, kind)| *kind == TableKind::Image);
             let properties =
-                table_properties(CREATED_BY, features(all()), pictures.map(|(name, _)| name));
+                table_properties(CREATED_BY, features(all()), images.map(|(name, _)| name));
             let schema = schema(all()).map_err(write_error)?;
             let mut writer = SerializedFileWriter::new(staged, schema, Arc::new(properties))
                 .map_err(write_error)?;
@@ -73,7 +73,7 @@ impl TableWriter {
     /// Adds a row: a cell a column, of the column's kind or null.
     ///
     /// # Errors
-    /// `Input`: a picture that is neither PNG nor JPEG, a row that is too large. `Internal`: not as
+    /// `Input`: an image that is neither PNG nor JPEG, a row that is too large. `Internal`: not as
     /// many cells as columns. `DiskFull`, `Io`, …: the file; nothing more can be written.
     pub fn push(&mut self, cells: Vec<Cell<'static>>) -> Result<()> {
         let size = self.check(&cells).map_err(|e| e.at(self.place.display()))?;
@@ -93,8 +93,8 @@ impl TableWriter {
             return Err(Error::internal(what));
         }
         for ((name, _), cell) in self.columns.iter().zip(cells) {
-            if let Cell::Picture(bytes) = cell
-                && picture_extension(bytes).is_none()
+            if let Cell::Image(bytes) = cell
+                && image_extension(bytes).is_none()
             {
                 return Err(wrong(name, "is neither PNG nor JPEG".to_owned()));
             }
@@ -156,7 +156,7 @@ mod tests {
     use parquet::file::reader::{FileReader as _, SerializedFileReader};
     use parquet::record::RowAccessor as _;
 
-    use super::super::sample_rows::picture;
+    use super::super::sample_rows::image;
     use super::*;
     use gripcast_base::files::Root;
 
@@ -174,12 +174,12 @@ mod tests {
             ("single", TableKind::Single),
             ("list", TableKind::Numbers),
             ("pose", TableKind::Singles(2)),
-            ("seen", TableKind::Picture),
+            ("seen", TableKind::Image),
         ];
         let columns = columns.map(|(name, kind)| (name.to_owned(), kind)).to_vec();
         let metadata = [("pandas", "{}".to_owned())];
         let mut writer = TableWriter::create(place, columns, &metadata).unwrap();
-        let seen = picture(true, 3, 100);
+        let seen = image(true, 3, 100);
         writer
             .push(vec![
                 Cell::Text("é".into()),
@@ -190,7 +190,7 @@ mod tests {
                 Cell::Number(0.1),
                 Cell::Numbers(vec![1.0, f64::NAN]),
                 Cell::Numbers(vec![0.5, 2.0]),
-                Cell::Picture(seen.clone().into()),
+                Cell::Image(seen.clone().into()),
             ])
             .unwrap();
         writer.push(vec![Cell::Null; 9]).unwrap();
@@ -231,13 +231,13 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_must_be_one() {
+    fn an_image_must_be_one() {
         let folder = tempfile::tempdir().unwrap();
         let place = Root::new(folder.path()).top().join("a.parquet");
-        let columns = vec![("seen".to_owned(), TableKind::Picture)];
+        let columns = vec![("seen".to_owned(), TableKind::Image)];
         let mut writer = TableWriter::create(place, columns, &[]).unwrap();
         let text = writer
-            .push(vec![Cell::Picture(b"GIF89a".as_slice().into())])
+            .push(vec![Cell::Image(b"GIF89a".as_slice().into())])
             .unwrap_err()
             .to_string();
         assert!(

@@ -1,4 +1,4 @@
-//! Columns of any table with pictures: their Parquet schema and the features of Hugging Face.
+//! Columns of any table with images: their Parquet schema and the features of Hugging Face.
 
 use parquet::errors::ParquetError;
 use parquet::schema::parser::parse_message_type;
@@ -26,8 +26,8 @@ pub enum TableKind {
     Numbers,
     /// A list of so many singles; `Numbers`.
     Singles(usize),
-    /// An encoded picture, its bytes and its file name; `Picture`.
-    Picture,
+    /// An encoded image, its bytes and its file name; `Image`.
+    Image,
 }
 
 /// The schema of a file. Every column is optional, as Arrow writes them.
@@ -48,7 +48,7 @@ pub(super) fn schema<'a>(
             TableKind::Single => format!("optional float {name};"),
             TableKind::Numbers => list(name, "double element"),
             TableKind::Singles(_) => list(name, "float element"),
-            TableKind::Picture => format!(
+            TableKind::Image => format!(
                 "optional group {name} {{ optional binary bytes; optional binary path (STRING); }}"
             ),
         };
@@ -87,6 +87,6 @@ fn feature(name: &str, kind: TableKind) -> String {
             r#"{{"feature":{},"length":{length},"_type":"Sequence"}}"#,
             value("float32")
         ),
-        TableKind::Picture => r#"{"_type":"Image"}"#.to_owned(),
+        TableKind::Image => r#"{"_type":"Image"}"#.to_owned(),
     }
 }

@@ -15,7 +15,7 @@ use super::cell::{Cell, wrong};
 use super::columns::{IMAGES, columns, features, schema};
 use super::group::write_group;
 use super::metadata::{CREATED_BY, GroupHash, HUGGINGFACE_KEY, KEY, ShardMetadata};
-use super::row::{ShardRow, picture_extension};
+use super::row::{ShardRow, image_extension};
 use super::staged::StagedShard;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::BeneathPath;
@@ -24,7 +24,7 @@ use gripcast_base::files::BeneathPath;
 pub(super) const GROUP_BYTES: usize = 12 << 20;
 /// Largest row, bytes: a limit of the page size of Parquet is not far above.
 pub(super) const MAX_ROW_BYTES: usize = 256 << 20;
-/// Values between two looks at the size of a page, so that pages of pictures stay small.
+/// Values between two looks at the size of a page, so that pages of images stay small.
 const BATCH: usize = 16;
 
 /// Writes one shard, row by row, in bounded memory.
@@ -58,7 +58,7 @@ impl ShardWriter {
     /// Adds a row.
     ///
     /// # Errors
-    /// `Input`: a value that no sample can have, a picture that is neither PNG nor JPEG, an id
+    /// `Input`: a value that no sample can have, an image that is neither PNG nor JPEG, an id
     /// that is there already; the row is then left out. `DiskFull`, `Io`, …: the file; nothing
     /// more can be written.
     pub fn push(&mut self, row: ShardRow) -> Result<()> {
@@ -179,8 +179,8 @@ fn check(row: &ShardRow) -> Result<usize> {
     let mut size = 0;
     for (column, cell) in columns().zip(row.cells()) {
         size += cell.size();
-        if let Cell::Picture(bytes) = &cell
-            && picture_extension(bytes).is_none()
+        if let Cell::Image(bytes) = &cell
+            && image_extension(bytes).is_none()
         {
             let what = format!("is neither PNG nor JPEG ({} bytes)", bytes.len());
             return Err(wrong(column.name, what));
@@ -201,11 +201,11 @@ pub(super) fn properties(created_by: &str) -> WriterProperties {
     )
 }
 
-/// How any table is written. `pictures`: the columns that hold them.
+/// How any table is written. `images`: the columns that hold them.
 pub(super) fn table_properties<'a>(
     created_by: &str,
     features: String,
-    pictures: impl Iterator<Item = &'a str>,
+    images: impl Iterator<Item = &'a str>,
 ) -> WriterProperties {
     let features = KeyValue::new(HUGGINGFACE_KEY.to_owned(), features);
     let mut properties = WriterProperties::builder()
@@ -216,8 +216,8 @@ pub(super) fn table_properties<'a>(
         .set_write_batch_size(BATCH)
         .set_max_row_group_row_count(None)
         .set_key_value_metadata(Some(vec![features]));
-    for picture in pictures {
-        let bytes = ColumnPath::new(vec![picture.to_owned(), "bytes".to_owned()]);
+    for image in images {
+        let bytes = ColumnPath::new(vec![image.to_owned(), "bytes".to_owned()]);
         properties = properties
             .set_column_dictionary_enabled(bytes.clone(), false)
             .set_column_statistics_enabled(bytes, EnabledStatistics::None);
@@ -243,7 +243,7 @@ mod tests {
 
     use super::super::reader::ShardReader;
     use super::super::row::{ShardEngine, ShardFacts};
-    use super::super::sample_rows::{picture, sample_row, sample_rows};
+    use super::super::sample_rows::{image, sample_row, sample_rows};
     use super::*;
     use gripcast_base::files::Root;
 
@@ -310,14 +310,14 @@ mod tests {
     }
 
     #[test]
-    fn row_groups_are_bounded_and_pictures_are_not_lost_between_them() {
+    fn row_groups_are_bounded_and_images_are_not_lost_between_them() {
         let large = |number| {
             let mut row = sample_row(number);
-            row.images.grasp_rgb = picture(true, number, 3 << 20);
+            row.images.grasp_rgb = image(true, number, 3 << 20);
             row
         };
         let mut rows: Vec<ShardRow> = (0..9).map(large).collect();
-        rows[4].images.grasp_left = picture(false, 4, GROUP_BYTES + 1);
+        rows[4].images.grasp_left = image(false, 4, GROUP_BYTES + 1);
         let bytes = to_bytes(rows.clone(), "{}").unwrap();
         let shard = ShardReader::from_bytes("memory", bytes).unwrap();
         let sizes: Vec<usize> = (0..shard.num_row_groups())

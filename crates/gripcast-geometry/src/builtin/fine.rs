@@ -1,4 +1,4 @@
-//! Shapes with faces of about a millimetre, for tactile pictures without facets.
+//! Shapes with faces of about a millimetre, for tactile images without facets.
 
 use std::f64::consts::TAU;
 
@@ -47,8 +47,8 @@ pub(super) fn bottle() -> TriangleMesh {
     for (number, (height, radius, rows)) in OUTLINE.into_iter().enumerate() {
         let before = OUTLINE[number.saturating_sub(1)];
         for row in (1..=rows).chain((rows == 0).then_some(1)) {
-            let share = f64::from(row) / f64::from(rows.max(1));
-            let at = |a: f64, b: f64| a + share * (b - a);
+            let fraction = f64::from(row) / f64::from(rows.max(1));
+            let at = |a: f64, b: f64| a + fraction * (b - a);
             let (z, radius) = (at(before.0, height), at(before.1, radius));
             rings.push((z, square_ring(&mut mesh, QUARTER, radius, z - half)));
         }
@@ -59,8 +59,8 @@ pub(super) fn bottle() -> TriangleMesh {
                 let place = &mut mesh.vertices[*vertex as usize];
                 let turn = RIBS * place.y.atan2(place.x);
                 let radius = place.truncate().length();
-                let share = 1.0 - GROOVE_M / radius * (0.5 - 0.5 * turn.cos());
-                (place.x, place.y) = (place.x * share, place.y * share);
+                let fraction = 1.0 - GROOVE_M / radius * (0.5 - 0.5 * turn.cos());
+                (place.x, place.y) = (place.x * fraction, place.y * fraction);
             }
         }
     }

@@ -25,8 +25,8 @@ fn common(a: f64, b: f64, width: f64) -> f64 {
 /// Signed distance from a capsule between two points, m.
 fn capsule(p: DVec3, [a, b]: [DVec3; 2], radius: f64) -> f64 {
     let along = b - a;
-    let share = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-    p.distance(a + share * along) - radius
+    let fraction = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+    p.distance(a + fraction * along) - radius
 }
 
 /// Three crossed bars with a knob at each end: six arms of different length.

@@ -246,8 +246,8 @@ impl Net {
             let [from, to] = edge_ends(cell, edge);
             let (here, there) = (self.value(from), self.value(to));
             if (here < 0.0) != (there < 0.0) {
-                let share = here / (here - there);
-                sum += self.place(from).lerp(self.place(to), share);
+                let fraction = here / (here - there);
+                sum += self.place(from).lerp(self.place(to), fraction);
                 count += 1.0;
             }
         }

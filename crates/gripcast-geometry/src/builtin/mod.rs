@@ -182,8 +182,8 @@ mod tests {
         ] {
             let mesh = builtin(name).unwrap();
             let volume = |mesh: &TriangleMesh| MassProperties::of(mesh).unwrap().volume_m3;
-            let share = volume(&mesh) / volume(&convex_hull(&mesh.vertices).unwrap());
-            assert!((0.1..most).contains(&share), "{name}: {share}");
+            let fraction = volume(&mesh) / volume(&convex_hull(&mesh.vertices).unwrap());
+            assert!((0.1..most).contains(&fraction), "{name}: {fraction}");
         }
     }
 

@@ -234,7 +234,7 @@ fn inner_walls_are_refused() {
 }
 
 #[test]
-fn winding_is_mended() {
+fn winding_is_repaired() {
     let mesh = builtin("wedge").unwrap();
     let mut mixed = mesh.clone();
     for triangle in mixed.triangles.iter_mut().step_by(5) {

@@ -1,7 +1,7 @@
 //! Makes a mesh fit for simulation, or says why it is not.
 //!
 //! A simulated object must be closed, face outwards and not pass through itself. What can be
-//! mended without changing the shape is mended with a warning; the rest is refused with its place.
+//! repaired without changing the shape is repaired with a warning; the rest is refused with its place.
 
 mod duplicates;
 mod manifold;
@@ -50,11 +50,11 @@ pub struct Prepared {
     /// Closed, each edge with two triangles, counter-clockwise seen from outside; cavities face
     /// inwards. Several vertices may lie in one place where the surface touches itself.
     pub mesh: TriangleMesh,
-    /// What was mended, one sentence each, for the user to read.
+    /// What was repaired, one sentence each, for the user to read.
     pub warnings: Vec<String>,
 }
 
-/// Checks a mesh (m) and mends what can be mended without changing its shape:
+/// Checks a mesh (m) and repairs what can be repaired without changing its shape:
 /// vertices in one place are welded; degenerate and duplicate triangles are dropped; flat ones
 /// are flipped away; edges with four or more triangles and vertices where the surface touches
 /// itself are split; the winding is made to face outwards.

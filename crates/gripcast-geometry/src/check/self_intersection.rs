@@ -64,7 +64,7 @@ struct Placed {
 }
 
 impl Placed {
-    fn shares(&self, other: &Self) -> [bool; 3] {
+    fn fractions(&self, other: &Self) -> [bool; 3] {
         self.places.map(|p| other.places.contains(&p))
     }
 }
@@ -78,7 +78,7 @@ struct Crossing {
 
 /// The deepest crossing of two triangles.
 fn crossing(a: &Placed, b: &Placed) -> Option<Crossing> {
-    let (in_a, in_b) = (a.shares(b), b.shares(a));
+    let (in_a, in_b) = (a.fractions(b), b.fractions(a));
     match in_a.iter().filter(|s| **s).count() {
         0 | 1 => sides_through(a, in_a, b)
             .chain(sides_through(b, in_b, a))

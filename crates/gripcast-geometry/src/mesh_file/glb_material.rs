@@ -1,4 +1,4 @@
-//! Materials and pictures of glTF 2.0, with the extensions for transmission and index of
+//! Materials and images of glTF 2.0, with the extensions for transmission and index of
 //! refraction.
 //!
 //! Read apart from the shape: a document whose materials are damaged still has a shape.
@@ -7,7 +7,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
-use super::appearance::{MeshMaterial, PictureSource};
+use super::appearance::{ImageSource, MeshMaterial};
 use super::glb::Gltf;
 
 #[derive(Default, Deserialize)]
@@ -15,7 +15,7 @@ use super::glb::Gltf;
 struct Document {
     materials: Vec<Material>,
     textures: Vec<Texture>,
-    images: Vec<Picture>,
+    images: Vec<Image>,
 }
 
 #[derive(Deserialize)]
@@ -108,7 +108,7 @@ struct Texture {
 
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
-struct Picture {
+struct Image {
     uri: Option<String>,
     buffer_view: Option<usize>,
 }
@@ -143,27 +143,28 @@ fn convert(
     entry: &Material,
     document: &Document,
     gltf: &Gltf,
-    told: &mut Vec<String>,
+    on_progress: &mut Vec<String>,
 ) -> MeshMaterial {
     let pbr = &entry.pbr_metallic_roughness;
     let [red, green, blue, alpha] = pbr.base_color_factor;
     let see_through = match entry.alpha_mode.as_str() {
         "BLEND" => 1.0 - alpha,
         "MASK" => {
-            told.push("cut-outs (alphaMode MASK) are not supported: it is opaque".to_string());
+            on_progress
+                .push("cut-outs (alphaMode MASK) are not supported: it is opaque".to_string());
             0.0
         }
         _ => 0.0,
     };
     if entry.normal_texture.is_some() {
-        told.push("its normal map is not supported and is ignored".to_string());
+        on_progress.push("its normal map is not supported and is ignored".to_string());
     }
     let transmission = entry.extensions.transmission.transmission_factor;
     let ior = entry.extensions.ior.as_ref().map_or(usual_ior(), |e| e.ior);
-    let mut picture = |of: &Option<TextureUse>| {
+    let mut image = |of: &Option<TextureUse>| {
         let of = of.as_ref()?;
         source(of, document, gltf)
-            .map_err(|text| told.push(text))
+            .map_err(|text| on_progress.push(text))
             .ok()
     };
     let plain = MeshMaterial::default();
@@ -171,10 +172,10 @@ fn convert(
     MeshMaterial {
         name: entry.name.clone(),
         base_color: [red, green, blue].map(|c| finite(c, 1.0).clamp(0.0, 1.0)),
-        base_color_picture: picture(&pbr.base_color_texture),
+        base_color_image: image(&pbr.base_color_texture),
         metallic: finite(pbr.metallic_factor, 1.0).clamp(0.0, 1.0),
         roughness: finite(pbr.roughness_factor, 1.0).clamp(0.0, 1.0),
-        metallic_roughness_picture: picture(&pbr.metallic_roughness_texture),
+        metallic_roughness_image: image(&pbr.metallic_roughness_texture),
         transmission: finite(transmission.max(see_through), 0.0).clamp(0.0, 1.0),
         ior: if (1.0..=4.0).contains(&ior) {
             ior
@@ -185,8 +186,8 @@ fn convert(
     }
 }
 
-/// The picture behind a texture; the warning where there is none.
-fn source(of: &TextureUse, document: &Document, gltf: &Gltf) -> Result<PictureSource, String> {
+/// The image behind a texture; the warning where there is none.
+fn source(of: &TextureUse, document: &Document, gltf: &Gltf) -> Result<ImageSource, String> {
     if of.tex_coord != 0 {
         return Err("only the first set of texture coordinates is read".to_string());
     }
@@ -197,27 +198,27 @@ fn source(of: &TextureUse, document: &Document, gltf: &Gltf) -> Result<PictureSo
     let texture = texture.ok_or_else(|| format!("there is no texture {}", of.index))?;
     let index = texture.source.ok_or_else(|| {
         format!(
-            "texture {} has no PNG or JPEG picture and is left out",
+            "texture {} has no PNG or JPEG image and is left out",
             of.index
         )
     })?;
-    let picture = document.images.get(index);
-    let picture = picture.ok_or_else(|| format!("there is no image {index}"))?;
+    let image = document.images.get(index);
+    let image = image.ok_or_else(|| format!("there is no image {index}"))?;
     let place = format!("image {index}");
-    match (&picture.uri, picture.buffer_view) {
+    match (&image.uri, image.buffer_view) {
         (Some(uri), _) => match uri.strip_prefix("data:") {
             Some(data) => {
                 let encoded = data.split_once("base64,").map_or("", |(_, text)| text);
                 let bytes = STANDARD.decode(encoded);
                 bytes
-                    .map(|bytes| PictureSource::Embedded(place, bytes))
+                    .map(|bytes| ImageSource::Embedded(place, bytes))
                     .map_err(|error| format!("image {index} is not base64: {error}"))
             }
-            None => Ok(PictureSource::Beside(uri.replace("%20", " "))),
+            None => Ok(ImageSource::Beside(uri.replace("%20", " "))),
         },
         (None, Some(view)) => gltf
             .view(view)
-            .map(|bytes| PictureSource::Embedded(place, bytes.to_vec()))
+            .map(|bytes| ImageSource::Embedded(place, bytes.to_vec()))
             .ok_or_else(|| format!("image {index} lies outside the file")),
         (None, None) => Err(format!("image {index} has no content")),
     }

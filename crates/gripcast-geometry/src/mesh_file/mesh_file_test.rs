@@ -209,7 +209,7 @@ fn gltf_references_into_nowhere_are_explained() {
         })
     };
     read(&good).unwrap();
-    for (from, to, told) in [
+    for (from, to, on_progress) in [
         (r#""POSITION":0"#, r#""POSITION":7"#, "accessor 7"),
         (r#""scene":0"#, r#""scene":2"#, "scene 2"),
         (r#""mesh":0"#, r#""mesh":1"#, "mesh 1"),
@@ -228,7 +228,7 @@ fn gltf_references_into_nowhere_are_explained() {
         let text = good.replace(from, to);
         assert_ne!(text, good);
         let error = read(&text).unwrap_err();
-        assert!(error.to_string().contains(told), "{to}: {error}");
+        assert!(error.to_string().contains(on_progress), "{to}: {error}");
         assert!(error.remedy_text().is_some(), "{error}");
     }
 }

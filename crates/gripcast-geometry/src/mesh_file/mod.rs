@@ -18,7 +18,7 @@ use std::str::FromStr;
 
 use glam::DVec3;
 
-pub use appearance::{MeshMaterial, PictureSource};
+pub use appearance::{ImageSource, MeshMaterial};
 pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mesh};
 
 use super::mesh::TriangleMesh;

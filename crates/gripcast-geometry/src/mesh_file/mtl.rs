@@ -7,14 +7,14 @@
 //! A body with `d` below 1, or with one of the `illum` models 4, 6, 7, 9, is transparent; one
 //! without colour of its own but a bright `Ks` is metal.
 
-use super::appearance::{MeshMaterial, PictureSource};
+use super::appearance::{ImageSource, MeshMaterial};
 
 /// `illum` models that let light through.
 const GLASS_MODELS: [u32; 4] = [4, 6, 7, 9];
 /// Brightest `Ks` from which a body with hardly any `Kd` is taken for metal.
 const METAL_SPECULAR: f64 = 0.4;
 /// `Kd` against `Ks` below which a body has no colour of its own.
-const METAL_DIFFUSE_SHARE: f64 = 0.2;
+const METAL_DIFFUSE_FRACTION: f64 = 0.2;
 
 /// Options of `map_…` statements and the most values each takes.
 const MAP_OPTIONS: [(&str, usize); 12] = [
@@ -85,7 +85,7 @@ impl Entry {
             "Ks" => return store(&mut self.specular, color(rest), bad),
             "Ke" => return store(&mut self.emission, color(rest), bad),
             "Tf" => return store(&mut self.filter, color(rest), bad),
-            "map_Kd" => return store(&mut self.diffuse_map, picture_name(rest), bad),
+            "map_Kd" => return store(&mut self.diffuse_map, image_name(rest), bad),
             "illum" => return store(&mut self.model, rest.parse().ok(), bad),
             "Tr" => return store(&mut self.opacity, number().map(|n| 1.0 - n), bad),
             "d" => {
@@ -124,7 +124,7 @@ impl Entry {
             && self.model.is_none_or(|m| m >= 2)
             && peak(specular) >= METAL_SPECULAR
             && self.diffuse_map.is_none()
-            && peak(diffuse) < METAL_DIFFUSE_SHARE * peak(specular);
+            && peak(diffuse) < METAL_DIFFUSE_FRACTION * peak(specular);
         let metallic = self.metallic.unwrap_or(f64::from(u8::from(seems_metal)));
         let base_color = if self.metallic.is_none() && seems_metal {
             specular
@@ -142,7 +142,7 @@ impl Entry {
         MeshMaterial {
             name: self.name,
             base_color: base_color.map(|c| c.clamp(0.0, 1.0)),
-            base_color_picture: self.diffuse_map.map(PictureSource::Beside),
+            base_color_image: self.diffuse_map.map(ImageSource::Beside),
             metallic: metallic.clamp(0.0, 1.0),
             roughness: self
                 .roughness
@@ -188,7 +188,7 @@ fn color(words: &str) -> Option<[f64; 3]> {
 }
 
 /// The file name after the options; names may hold spaces and backslashes.
-fn picture_name(words: &str) -> Option<String> {
+fn image_name(words: &str) -> Option<String> {
     let mut rest = words.trim();
     while let Some((option, most)) = MAP_OPTIONS
         .iter()

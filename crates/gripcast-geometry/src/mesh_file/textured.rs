@@ -33,7 +33,7 @@ pub struct MeshPart {
     /// Unit normals, one for each vertex.
     pub normals: Option<Vec<DVec3>>,
     /// Texture coordinates, one for each vertex: u to the right, v downwards, (0, 0) the outer
-    /// corner of the top-left pixel, the picture repeats every 1.
+    /// corner of the top-left pixel, the image repeats every 1.
     pub uvs: Option<Vec<[f64; 2]>>,
     /// Index into the materials; none where the file names none.
     pub material: Option<usize>,
@@ -58,7 +58,7 @@ impl From<TriangleMesh> for TexturedMesh {
 /// the frame of [`load_mesh`](super::load_mesh).
 ///
 /// What is missing or damaged beside the shape (material library, texture coordinates that do not
-/// exist) becomes a warning. Pictures are named, not read.
+/// exist) becomes a warning. Images are named, not read.
 ///
 /// # Errors
 /// Those of [`load_mesh`](super::load_mesh).

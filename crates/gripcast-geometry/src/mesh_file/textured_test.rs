@@ -1,5 +1,5 @@
 use super::*;
-use crate::mesh_file::PictureSource;
+use crate::mesh_file::ImageSource;
 use base64::Engine as _;
 use proptest::prelude::*;
 use std::io;
@@ -123,24 +123,24 @@ fn mtl_statements_become_metallic_roughness() {
 }
 
 #[test]
-fn picture_names_may_have_options_and_spaces() {
+fn image_names_may_have_options_and_spaces() {
     for (words, name) in [
         ("wood.png", "wood.png"),
         ("-s 1 1 1 -o 0.5 0 0 my wood.png", "my wood.png"),
         ("-blendu on -mm 0 1 tex\\wood.jpg", "tex/wood.jpg"),
         ("-clamp on \"wood 2.png\"", "wood 2.png"),
     ] {
-        let found = material(&format!("map_Kd {words}")).base_color_picture;
+        let found = material(&format!("map_Kd {words}")).base_color_image;
         assert_eq!(
             found,
-            Some(PictureSource::Beside(name.to_string())),
+            Some(ImageSource::Beside(name.to_string())),
             "{words}"
         );
     }
     assert_eq!(material("map_Kd a.png").base_color, [1.0; 3]);
 }
 
-/// One triangle with normals, texture coordinates and an embedded picture.
+/// One triangle with normals, texture coordinates and an embedded image.
 fn gltf(materials: &str, extra: &str) -> String {
     let mut buffer: Vec<u8> = Vec::new();
     let positions = [[0.0_f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
@@ -151,7 +151,7 @@ fn gltf(materials: &str, extra: &str) -> String {
     for value in [0.0_f32, 0.0, 1.0, 0.0, 0.0, 1.0] {
         buffer.extend(value.to_le_bytes());
     }
-    buffer.extend(b"PICTURE!");
+    buffer.extend(b"IMAGE!");
     let data = base64::engine::general_purpose::STANDARD.encode(&buffer);
     format!(
         r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],
@@ -174,7 +174,7 @@ fn read_gltf_text(text: &str) -> TexturedMesh {
 }
 
 #[test]
-fn gltf_parts_are_placed_with_normals_coordinates_and_pictures() {
+fn gltf_parts_are_placed_with_normals_coordinates_and_images() {
     let mesh = read_gltf_text(&gltf(
         r#"{"name":"m","pbrMetallicRoughness":{"baseColorFactor":[1,0.5,0.25,1],
             "baseColorTexture":{"index":0},"metallicFactor":0,"roughnessFactor":0.4}}"#,
@@ -188,10 +188,10 @@ fn gltf_parts_are_placed_with_normals_coordinates_and_pictures() {
     let material = &mesh.materials[part.material.unwrap()];
     assert_eq!(material.base_color, [1.0, 0.5, 0.25]);
     assert_eq!((material.metallic, material.roughness), (0.0, 0.4));
-    let picture = material.base_color_picture.clone().unwrap();
+    let image = material.base_color_image.clone().unwrap();
     assert_eq!(
-        picture,
-        PictureSource::Embedded("image 0".into(), b"PICTURE!".to_vec())
+        image,
+        ImageSource::Embedded("image 0".into(), b"IMAGE!".to_vec())
     );
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// Why a JPEG gives no picture. The message says what was expected and what was found.
+/// Why a JPEG gives no image. The message says what was expected and what was found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum JpegDamage {
@@ -11,7 +11,7 @@ pub enum JpegDamage {
         /// The first bytes, at most four.
         found: Vec<u8>,
     },
-    /// The bytes end before the picture does.
+    /// The bytes end before the image does.
     Truncated {
         /// Length of the whole input in bytes.
         length: usize,
@@ -21,7 +21,7 @@ pub enum JpegDamage {
     /// The marker structure contradicts itself.
     Malformed(String),
     /// The marker structure is sound, but the compressed data does not decode to exactly one
-    /// picture of the stated size.
+    /// image of the stated size.
     CorruptEntropy(String),
     /// A sound JPEG of a kind that gripcast does not read.
     Unsupported(String),

@@ -6,12 +6,12 @@ use super::damage::JpegDamage;
 use super::markers::{JpegHeader, inspect};
 use super::standard_tables::with_standard_tables;
 
-/// Scans of a progressive picture that are still decoded; more is an attack on the decoder.
-const MOST_SCANS: u32 = 100;
+/// Scans of a progressive image that are still decoded; more is an attack on the decoder.
+const MAX_SCANS: u32 = 100;
 
-/// Size of the decoded picture against the coded one; sizes are rounded up.
+/// Size of the decoded image against the coded one; sizes are rounded up.
 ///
-/// Only the factors for which libjpeg-turbo has SIMD inverse transforms. A tactile picture that
+/// Only the factors for which libjpeg-turbo has SIMD inverse transforms. A tactile image that
 /// goes through `Quarter` to 320×240 differs from one decoded whole and then resized by 0.15 grey
 /// levels in the mean and at most 2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -80,7 +80,7 @@ pub struct JpegPixels<'a> {
 /// code, a scan that ends too early, more than a few bytes left over after the last block. All
 /// scales find the same damage, because all of them read all the entropy-coded data.
 ///
-/// JPEG has no checksum, so damage that decodes as another legal picture stays unseen: bytes
+/// JPEG has no checksum, so damage that decodes as another legal image stays unseen: bytes
 /// altered only where they hold values, not code lengths. Of seeded random alterations of a
 /// 640×480 frame (13 kB) these were found: 1 byte 80 %, 2 bytes 89 %, 8 bytes 98 %, 50 bytes and
 /// more 100 %; of a 3280×2464 frame (221 kB): 1 byte 94 %, 8 bytes and more 100 %. A lost stretch
@@ -106,7 +106,7 @@ impl JpegDecoder {
     pub fn new() -> Result<Self, JpegDamage> {
         let set_up = || -> turbojpeg::Result<Decompressor> {
             let mut turbo = Decompressor::new()?;
-            turbo.set_scan_limit(MOST_SCANS)?;
+            turbo.set_scan_limit(MAX_SCANS)?;
             Ok(turbo)
         };
         Ok(Self {
@@ -116,10 +116,10 @@ impl JpegDecoder {
         })
     }
 
-    /// Decodes a picture to RGB.
+    /// Decodes an image to RGB.
     ///
     /// # Errors
-    /// [`JpegDamage`] for a damaged picture; there are no pixels then.
+    /// [`JpegDamage`] for a damaged image; there are no pixels then.
     pub fn decode(&mut self, bytes: &[u8], scale: JpegScale) -> Result<JpegPixels<'_>, JpegDamage> {
         let header = inspect(bytes)?;
         self.decode_inspected(bytes, &header, scale)
@@ -167,12 +167,12 @@ impl JpegDecoder {
         scale: JpegScale,
         format: PixelFormat,
     ) -> Result<(u32, u32), JpegDamage> {
-        let picture = &bytes[..header.length.min(bytes.len())];
+        let image = &bytes[..header.length.min(bytes.len())];
         // libjpeg-turbo has the standard tables too, but prefers those of an earlier frame.
-        let picture = if header.has_huffman_tables {
-            picture
+        let image = if header.has_huffman_tables {
+            image
         } else {
-            with_standard_tables(picture, &mut self.completed);
+            with_standard_tables(image, &mut self.completed);
             self.completed.as_slice()
         };
         let width = header.width.div_ceil(scale.denominator());
@@ -186,7 +186,7 @@ impl JpegDecoder {
             .set_scaling_factor(scale.factor())
             .and_then(|()| {
                 self.turbo.decompress(
-                    picture,
+                    image,
                     Image {
                         pixels: &mut self.pixels[..needed],
                         width: width as usize,

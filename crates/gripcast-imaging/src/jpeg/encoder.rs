@@ -1,26 +1,26 @@
-//! Pictures to JPEG, for virtual cameras and tests.
+//! Images to JPEG, for virtual cameras and tests.
 
 use image::RgbImage;
 use turbojpeg::{Compressor, Image, PixelFormat, Subsamp};
 
 use gripcast_base::error::{Error, Result};
 
-/// Encodes a picture as a baseline 4:2:2 JPEG with the standard Huffman tables, the form in
+/// Encodes an image as a baseline 4:2:2 JPEG with the standard Huffman tables, the form in
 /// which UVC cameras send theirs. `quality` is 1 (worst) to 100.
 ///
 /// # Errors
-/// [`ErrorKind::Input`] for an empty or too large picture or a quality outside 1–100.
-pub fn encode_jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
-    let (width, height) = picture.dimensions();
+/// [`ErrorKind::Input`] for an empty or too large image or a quality outside 1–100.
+pub fn encode_jpeg(image: &RgbImage, quality: u8) -> Result<Vec<u8>> {
+    let (width, height) = image.dimensions();
     let refused = |cause| {
         Error::input(format!(
-            "cannot encode a {width}×{height} picture as JPEG of quality {quality}"
+            "cannot encode a {width}×{height} image as JPEG of quality {quality}"
         ))
         .because(cause)
     };
     if width == 0 || height == 0 || !(1..=100).contains(&quality) {
         return Err(Error::input(format!(
-            "cannot encode a {width}×{height} picture as JPEG of quality {quality}: \
+            "cannot encode a {width}×{height} image as JPEG of quality {quality}: \
                  expected at least one pixel and a quality of 1 to 100"
         )));
     }
@@ -31,7 +31,7 @@ pub fn encode_jpeg(picture: &RgbImage, quality: u8) -> Result<Vec<u8>> {
     compressor.set_subsamp(Subsamp::Sub2x1).map_err(refused)?;
     compressor
         .compress_to_vec(Image {
-            pixels: picture.as_raw().as_slice(),
+            pixels: image.as_raw().as_slice(),
             width: width as usize,
             pitch: width as usize * 3,
             height: height as usize,

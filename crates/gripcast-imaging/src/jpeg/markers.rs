@@ -3,8 +3,8 @@
 use super::code;
 use super::damage::JpegDamage;
 
-/// Pictures beyond this many pixels are refused before memory is taken for them.
-const MOST_PIXELS: u64 = 1 << 26;
+/// Images beyond this many pixels are refused before memory is taken for them.
+const MAX_PIXELS: u64 = 1 << 26;
 
 /// How colour is sampled against luminance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,7 +38,7 @@ pub struct JpegHeader {
     pub components: u8,
     /// Colour sampling.
     pub subsampling: Subsampling,
-    /// Whether the picture is coded in successive scans.
+    /// Whether the image is coded in successive scans.
     pub progressive: bool,
     /// Whether every Huffman table that the scans use is in the file. UVC cameras may leave the
     /// standard tables out; the decoder then supplies them.
@@ -169,7 +169,7 @@ impl<'a> Walk<'a> {
                 }
                 _ => {
                     return Err(malformed(format!(
-                        "marker FF {marker:02X} at byte {} has no place in a picture",
+                        "marker FF {marker:02X} at byte {} has no place in an image",
                         self.at - 2
                     )));
                 }
@@ -239,11 +239,11 @@ impl<'a> Walk<'a> {
         let width = u32::from(u16::from_be_bytes([*w1, *w0]));
         let height = u32::from(u16::from_be_bytes([*h1, *h0]));
         if width == 0 || height == 0 {
-            return Err(malformed(format!("picture size {width}×{height}")));
+            return Err(malformed(format!("image size {width}×{height}")));
         }
-        if u64::from(width) * u64::from(height) > MOST_PIXELS {
+        if u64::from(width) * u64::from(height) > MAX_PIXELS {
             return Err(JpegDamage::Unsupported(format!(
-                "{width}×{height} pixels, expected at most {MOST_PIXELS} in all"
+                "{width}×{height} pixels, expected at most {MAX_PIXELS} in all"
             )));
         }
         if !matches!(count, 1 | 3) {
@@ -366,7 +366,7 @@ impl<'a> Walk<'a> {
                 .find(|c| c.id == id)
                 .ok_or_else(|| malformed(format!("the scan names component {id}, unknown")))?;
             component.scanned = true;
-            // libjpeg keeps tables from one picture to the next, so a missing one would not
+            // libjpeg keeps tables from one image to the next, so a missing one would not
             // fail there but decode with the table of an earlier frame.
             if self.tables.quantisation & (1 << component.quantisation) == 0 {
                 return Err(malformed(format!(
@@ -428,17 +428,17 @@ impl<'a> Walk<'a> {
     fn finish(self) -> Result<JpegHeader, JpegDamage> {
         let frame = self
             .frame
-            .ok_or_else(|| malformed("the picture ends before its frame header"))?;
+            .ok_or_else(|| malformed("the image ends before its frame header"))?;
         if let Some(missing) = frame.components.iter().find(|c| !c.scanned) {
             return Err(malformed(format!(
-                "the picture ends before a scan of component {}",
+                "the image ends before a scan of component {}",
                 missing.id
             )));
         }
         let padding = &self.bytes[self.at..];
         if let Some(stray) = padding.iter().position(|byte| *byte != 0) {
             return Err(malformed(format!(
-                "the picture ends at byte {}, but {} bytes follow, not all zero (first at byte {})",
+                "the image ends at byte {}, but {} bytes follow, not all zero (first at byte {})",
                 self.at,
                 padding.len(),
                 self.at + stray

@@ -1,7 +1,7 @@
 //! JPEG frames: what they hold, what is wrong with them, and their pixels.
 //!
 //! [`inspect`] walks the markers and never touches the entropy-coded data; [`JpegDecoder`] walks
-//! them too, then decodes through libjpeg-turbo, and gives no pixels for a damaged picture.
+//! them too, then decodes through libjpeg-turbo, and gives no pixels for a damaged image.
 
 mod damage;
 mod decoder;

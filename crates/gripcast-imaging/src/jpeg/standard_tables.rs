@@ -85,12 +85,12 @@ pub(super) fn with_standard_tables(jpeg: &[u8], out: &mut Vec<u8>) {
 /// standard Huffman tables where it lacks tables. The pixels are the same.
 #[must_use]
 pub fn complete<'a>(bytes: &'a [u8], header: &JpegHeader) -> Cow<'a, [u8]> {
-    let picture = &bytes[..header.length.min(bytes.len())];
+    let image = &bytes[..header.length.min(bytes.len())];
     if header.has_huffman_tables {
-        return Cow::Borrowed(picture);
+        return Cow::Borrowed(image);
     }
     let mut completed = Vec::new();
-    with_standard_tables(picture, &mut completed);
+    with_standard_tables(image, &mut completed);
     Cow::Owned(completed)
 }
 

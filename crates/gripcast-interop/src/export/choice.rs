@@ -19,12 +19,12 @@ pub(super) struct Choice {
     pub(super) left_out: Vec<LeftOut>,
 }
 
-/// What the records of the chosen grasps say, before their pictures are read.
+/// What the records of the chosen grasps say, before their images are read.
 #[derive(Debug, Default)]
 pub(super) struct Survey {
     pub(super) grasps: usize,
     pub(super) cameras: BTreeMap<(Stage, Role), Seen>,
-    /// Tactile pictures of the grasp by their crop profile.
+    /// Tactile images of the grasp by their crop profile.
     pub(super) crops: BTreeMap<String, usize>,
     pub(super) has_pose: bool,
     pub(super) has_prediction: bool,
@@ -63,7 +63,7 @@ impl Survey {
         }
     }
 
-    /// Name of the crop profile that most tactile pictures have.
+    /// Name of the crop profile that most tactile images have.
     pub(super) fn usual_crop(&self) -> Option<&str> {
         let most = self.crops.iter().max_by_key(|(_, count)| **count);
         most.map(|(name, _)| name.as_str())

@@ -28,7 +28,7 @@ const FORMATS: [ExportFormat; 5] = [
     ExportFormat::Training,
 ];
 
-/// A mug that held, with a pose and padded pictures without Huffman tables; a bottle that slipped;
+/// A mug that held, with a pose and padded images without Huffman tables; a bottle that slipped;
 /// a sponge without label, depth and prediction.
 fn dataset() -> (tempfile::TempDir, Vec<GraspId>) {
     let dir = tempfile::tempdir().unwrap();
@@ -284,11 +284,11 @@ fn an_episode_of_lerobot_is_two_frames_of_a_labelled_grasp() {
     let poses: Vec<_> = poses.map(|x| format!("{x}")).collect();
     assert_eq!(poses, ["0.5", "0.5", "NaN", "NaN"]);
     // Three channels, though the sensors of the sample are grey.
-    let picture = frames[0]
+    let image = frames[0]
         .get_group(at(&frames[0], "observation.images.left"))
         .unwrap();
-    let picture = image::load_from_memory(picture.get_bytes(0).unwrap().data()).unwrap();
-    assert_eq!(picture.color(), image::ColorType::Rgb8);
+    let image = image::load_from_memory(image.get_bytes(0).unwrap().data()).unwrap();
+    assert_eq!(image.color(), image::ColorType::Rgb8);
     let episodes = rows(&out.join("meta/episodes/chunk-000/file-000.parquet"));
     let last = &episodes[1];
     assert_eq!(
@@ -309,13 +309,13 @@ fn an_episode_of_lerobot_is_two_frames_of_a_labelled_grasp() {
 }
 
 #[test]
-fn a_chunk_of_zarr_is_the_cropped_and_resized_picture() {
+fn a_chunk_of_zarr_is_the_cropped_and_resized_image() {
     let (dir, ids) = dataset();
     let out = dir.path().join("out.zarr");
     let mut plan = ExportPlan::new(ExportFormat::Zarr);
     plan.size = (6, 4);
     let report = run(dir.path(), &out, &plan).unwrap();
-    assert_eq!(report.notes, ["depth left out: pictures of 2 grasps"]);
+    assert_eq!(report.notes, ["depth left out: images of 2 grasps"]);
     let array = json(&out.join("data/left/.zarray"));
     assert_eq!(array["shape"], serde_json::json!([6, 4, 6, 3]));
     let inflate = |name: &str| {
@@ -327,7 +327,7 @@ fn a_chunk_of_zarr_is_the_cropped_and_resized_picture() {
     let stored = dir
         .path()
         .join(format!("d/grasps/{}/grasp.left.jpg", ids[1]));
-    let picture = Decoder::new()
+    let image = Decoder::new()
         .unwrap()
         .decode_file(
             &fs::read(stored).unwrap(),
@@ -336,7 +336,7 @@ fn a_chunk_of_zarr_is_the_cropped_and_resized_picture() {
             4,
         )
         .unwrap();
-    assert_eq!(inflate("data/left/3.0.0.0"), picture.into_raw());
+    assert_eq!(inflate("data/left/3.0.0.0"), image.into_raw());
     let ends: Vec<i64> = inflate("meta/episode_ends/0")[..24]
         .chunks(8)
         .map(|b| i64::from_le_bytes(b.try_into().unwrap()))
@@ -392,10 +392,10 @@ fn a_sample_for_training_has_the_pixels_of_the_live_path() {
     ] {
         let frame = dataset.load_frame(&record, Stage::Grasp, role).unwrap();
         let live = decoder.decode(&frame, Some(&CropProfile::GSMINI_SEVENTH), 320, 240);
-        assert_eq!(decoder.stored_picture(stored).unwrap(), live.unwrap());
+        assert_eq!(decoder.stored_image(stored).unwrap(), live.unwrap());
     }
     assert_ne!(bottle.images.initial_left, bottle.images.grasp_left);
-    let colour = decoder.stored_picture(&bottle.images.grasp_rgb).unwrap();
+    let colour = decoder.stored_image(&bottle.images.grasp_rgb).unwrap();
     assert_eq!(colour.dimensions(), (320, 240));
 }
 
@@ -455,14 +455,14 @@ fn grasps_that_no_sample_can_be_made_of_are_named() {
 #[test]
 fn damaged_grasps_are_left_out_and_named() {
     let (dir, ids) = dataset();
-    let picture = dir
+    let image = dir
         .path()
         .join(format!("d/grasps/{}/grasp.left.jpg", ids[0]));
-    // As large as before, and a whole picture: only the hash tells.
-    let mut bytes = fs::read(&picture).unwrap();
+    // As large as before, and a whole image: only the hash tells.
+    let mut bytes = fs::read(&image).unwrap();
     let at = bytes.len() - 20;
     bytes[at] ^= 1;
-    fs::write(&picture, bytes).unwrap();
+    fs::write(&image, bytes).unwrap();
     let record = dir.path().join(format!("d/grasps/{}/grasp.json", ids[1]));
     let text = fs::read(&record).unwrap();
     fs::write(&record, &text[..text.len() / 2]).unwrap();

@@ -3,7 +3,7 @@
 //!
 //! An export is derived: the same dataset makes the same bytes, and no dataset is made of it. It is
 //! written under a hidden name and gets its own when it is whole. Of a damaged grasp nothing is
-//! exported; the report names it. Memory holds the ids, one grasp's pictures and one row group.
+//! exported; the report names it. Memory holds the ids, one grasp's images and one row group.
 //! `docs/exports.md` says what each format holds.
 
 mod choice;

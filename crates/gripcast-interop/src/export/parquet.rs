@@ -1,4 +1,4 @@
-//! Parquet shards, a grasp a row: the columns of `metadata.jsonl`, and the pictures themselves.
+//! Parquet shards, a grasp a row: the columns of `metadata.jsonl`, and the images themselves.
 
 use std::borrow::Cow;
 
@@ -14,7 +14,7 @@ use gripcast_imaging::Role;
 
 /// Version of the columns.
 const VERSION: u32 = 1;
-/// Columns beside the pictures.
+/// Columns beside the images.
 const FACTS: [(&str, TableKind); 20] = [
     ("id", TableKind::Text),
     ("object", TableKind::Text),
@@ -41,7 +41,7 @@ const FACTS: [(&str, TableKind); 20] = [
 /// Writes the shards.
 pub(super) struct ParquetShards<'a> {
     setting: Setting<'a>,
-    pictures: Vec<(Stage, Role)>,
+    images: Vec<(Stage, Role)>,
     metadata: String,
     files: ShardFiles<'a>,
     open: Option<TableWriter>,
@@ -59,7 +59,7 @@ impl<'a> ParquetShards<'a> {
         });
         Self {
             setting,
-            pictures: setting.survey.cameras.keys().copied().collect(),
+            images: setting.survey.cameras.keys().copied().collect(),
             metadata: metadata.to_string(),
             files: ShardFiles::new(setting.folder),
             open: None,
@@ -83,12 +83,12 @@ impl<'a> ParquetShards<'a> {
     fn create(&mut self) -> Result<TableWriter> {
         let path = self.files.next()?;
         let facts = FACTS.iter().map(|(name, kind)| ((*name).to_owned(), *kind));
-        let pictures = self.pictures.iter().map(|(stage, role)| {
+        let images = self.images.iter().map(|(stage, role)| {
             let name = format!("{}_{role}", stage.name());
-            (name, TableKind::Picture)
+            (name, TableKind::Image)
         });
         let metadata = [("gripcast", self.metadata.clone())];
-        TableWriter::create(path, facts.chain(pictures).collect(), &metadata)
+        TableWriter::create(path, facts.chain(images).collect(), &metadata)
     }
 
     fn end_part(&mut self) -> Result<()> {
@@ -109,9 +109,9 @@ impl Writer for ParquetShards<'_> {
     fn push(&mut self, mut grasp: Grasp) -> Result<Option<Error>> {
         let size = grasp.bytes();
         let mut cells = facts(&grasp);
-        for kind in &self.pictures {
-            cells.push(match grasp.pictures.remove(kind) {
-                Some(picture) => TableCell::Picture(Cow::Owned(picture.bytes)),
+        for kind in &self.images {
+            cells.push(match grasp.images.remove(kind) {
+                Some(image) => TableCell::Image(Cow::Owned(image.bytes)),
                 None => TableCell::Null,
             });
         }

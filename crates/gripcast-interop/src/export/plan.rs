@@ -5,14 +5,14 @@ use std::fmt;
 /// Size of a shard unless another is asked for, bytes: what Hugging Face and WebDataset users
 /// stream at a time.
 const SHARD_BYTES: usize = 256 << 20;
-/// What the models of this program see, width and height in pixels: the size of pictures in shards
+/// What the models of this program see, width and height in pixels: the size of images in shards
 /// for them, and in Zarr unless another is asked for.
 pub(super) const SIZE: (u32, u32) = (320, 240);
 
 /// Formats that others read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportFormat {
-    /// Parquet shards with embedded pictures, for Hugging Face `datasets` and pandas.
+    /// Parquet shards with embedded images, for Hugging Face `datasets` and pandas.
     Parquet,
     /// Tar shards, for `webdataset`.
     WebDataset,
@@ -64,7 +64,7 @@ pub struct ExportPlan {
     pub part: Option<String>,
     /// Leave out what is not labelled; LeRobot and Training always do.
     pub only_labelled: bool,
-    /// Width and height of pictures in Zarr, pixels.
+    /// Width and height of images in Zarr, pixels.
     pub size: (u32, u32),
     /// Most bytes of a shard (Parquet, WebDataset, Training); only a single grasp may be larger.
     pub shard_bytes: usize,

@@ -31,12 +31,12 @@ pub fn export(
     dataset: &Dataset,
     out: &Path,
     plan: &ExportPlan,
-    told: &dyn Fn(usize, usize),
+    on_progress: &dyn Fn(usize, usize),
 ) -> Result<ExportReport> {
     check_apart(dataset.path(), out)?;
     let choice = choose(dataset, plan).map_err(|e| e.at(dataset.path().display()))?;
     let folder = StagedFolder::create(out)?;
-    write(dataset, &folder, plan, choice, told)
+    write(dataset, &folder, plan, choice, on_progress)
         .and_then(|mut report| {
             (report.files, report.bytes) = folder.size()?;
             report.out = out.to_owned();
@@ -55,7 +55,7 @@ fn write(
     folder: &StagedFolder,
     plan: &ExportPlan,
     choice: Choice,
-    told: &dyn Fn(usize, usize),
+    on_progress: &dyn Fn(usize, usize),
 ) -> Result<ExportReport> {
     let setting = Setting {
         folder,
@@ -100,7 +100,7 @@ fn write(
                 }),
             }
             done += 1;
-            told(done, all);
+            on_progress(done, all);
         }
     }
     if let (0, Some(first)) = (report.grasps, report.left_out.first()) {

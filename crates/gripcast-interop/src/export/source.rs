@@ -1,4 +1,4 @@
-//! A grasp with its pictures, checked and ready for other programs.
+//! A grasp with its images, checked and ready for other programs.
 
 use std::collections::BTreeMap;
 
@@ -13,11 +13,11 @@ pub(super) struct Grasp {
     /// Its `grasp.json` as it is.
     pub(super) json: Vec<u8>,
     /// Frames of the approach are not among them.
-    pub(super) pictures: BTreeMap<(Stage, Role), Picture>,
+    pub(super) images: BTreeMap<(Stage, Role), Image>,
 }
 
-/// An encoded picture that any viewer opens.
-pub(super) struct Picture {
+/// An encoded image that any viewer opens.
+pub(super) struct Image {
     /// JPEG as the camera sent it but without padding and with Huffman tables; or PNG.
     pub bytes: Vec<u8>,
     /// Whether it has one channel.
@@ -26,7 +26,7 @@ pub(super) struct Picture {
     pub(super) crop_profile: Option<String>,
 }
 
-impl Picture {
+impl Image {
     /// Ending of its file name.
     pub(super) fn extension(&self) -> &'static str {
         if self.bytes.starts_with(b"\x89PNG") {
@@ -38,10 +38,10 @@ impl Picture {
 }
 
 impl Grasp {
-    /// Bytes of record and pictures.
+    /// Bytes of record and images.
     pub(super) fn bytes(&self) -> usize {
-        let pictures = self.pictures.values().map(|picture| picture.bytes.len());
-        self.json.len() + pictures.sum::<usize>()
+        let images = self.images.values().map(|image| image.bytes.len());
+        self.json.len() + images.sum::<usize>()
     }
 }
 
@@ -57,30 +57,30 @@ impl<'a> Source<'a> {
         Ok(Self { dataset, jpeg })
     }
 
-    /// One grasp, all of whose pictures decode.
+    /// One grasp, all of whose images decode.
     ///
     /// # Errors
     /// What is wrong with it.
     pub(super) fn read(&mut self, id: &GraspId) -> Result<Grasp> {
         let (record, json) = self.dataset.grasp_with_json(id)?;
-        let mut pictures = BTreeMap::new();
+        let mut images = BTreeMap::new();
         for (stage, frames) in record.stages() {
             for (role, camera) in &frames.cameras {
-                let picture = self
-                    .picture(&record, camera)
+                let image = self
+                    .image(&record, camera)
                     .map_err(|e| e.at(format!("{} {role}", stage.name())))?;
-                pictures.insert((stage, *role), picture);
+                images.insert((stage, *role), image);
             }
         }
         Ok(Grasp {
             record,
             json,
-            pictures,
+            images,
         })
     }
 
-    fn picture(&mut self, record: &GraspRecord, camera: &CameraRecord) -> Result<Picture> {
-        let stored = self.dataset.stored_picture(record, camera)?;
+    fn image(&mut self, record: &GraspRecord, camera: &CameraRecord) -> Result<Image> {
+        let stored = self.dataset.stored_image(record, camera)?;
         let (bytes, is_grey) = match camera.format {
             PixelFormat::Mjpg => {
                 let header = self.jpeg.verify(&stored)?;
@@ -90,7 +90,7 @@ impl<'a> Source<'a> {
             PixelFormat::Yuyv | PixelFormat::Rgb => (stored, false),
             PixelFormat::Grey | PixelFormat::Z16 => (stored, true),
         };
-        Ok(Picture {
+        Ok(Image {
             bytes,
             is_grey,
             crop_profile: camera.crop_profile.clone(),

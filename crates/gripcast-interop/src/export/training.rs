@@ -1,7 +1,7 @@
 //! Shards of labelled samples as `train` and `eval` read them: what synthetic and imported datasets
 //! are made of.
 //!
-//! The tactile pictures are cropped by the profile of their camera and have the models' size, made
+//! The tactile images are cropped by the profile of their camera and have the models' size, made
 //! by the decoder of the live path and stored without loss: a model says of a sample what it says
 //! live of the same frames.
 
@@ -10,7 +10,7 @@ use serde_json::json;
 use super::format::{Setting, Writer};
 use super::plan::SIZE;
 use super::shard_files::ShardFiles;
-use super::source::{Grasp, Picture};
+use super::source::{Grasp, Image};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_dataset::shard::{
     ShardEngine, ShardFacts, ShardImages, ShardOutcome, ShardRow, ShardWriter,
@@ -26,16 +26,16 @@ pub(super) struct TrainingShards<'a> {
     files: ShardFiles<'a>,
     /// The open shard and the bytes of its rows.
     open: Option<(ShardWriter, usize)>,
-    /// How the tactile pictures are cropped.
+    /// How the tactile images are cropped.
     crop: &'a str,
 }
 
 impl<'a> TrainingShards<'a> {
     /// # Errors
-    /// `Input`: no grasp has tactile pictures. `Internal`: no decoder can be had.
+    /// `Input`: no grasp has tactile images. `Internal`: no decoder can be had.
     pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
         let Some(crop) = setting.survey.usual_crop() else {
-            let what = "no grasp has tactile pictures that say how they are cropped";
+            let what = "no grasp has tactile images that say how they are cropped";
             return Err(cannot(what.to_owned())
                 .remedy("give `crop_profile` to the tactile cameras in the rig file"));
         };
@@ -86,15 +86,15 @@ impl<'a> TrainingShards<'a> {
             Outcome::Slip => ShardOutcome::Slip,
             Outcome::Unlabelled => return Err(cannot("it has no label".to_owned())),
         };
-        let mut picture = |stage, role| self.picture(grasp, stage, role);
+        let mut image = |stage, role| self.image(grasp, stage, role);
         let images = ShardImages {
-            initial_left: picture(Stage::Initial, Role::Left)?,
-            initial_right: picture(Stage::Initial, Role::Right)?,
-            grasp_left: picture(Stage::Grasp, Role::Left)?,
-            grasp_right: picture(Stage::Grasp, Role::Right)?,
-            grasp_rgb: picture(Stage::Grasp, Role::Rgb)?,
-            initial_rgb: match grasp.pictures.contains_key(&(Stage::Initial, Role::Rgb)) {
-                true => Some(picture(Stage::Initial, Role::Rgb)?),
+            initial_left: image(Stage::Initial, Role::Left)?,
+            initial_right: image(Stage::Initial, Role::Right)?,
+            grasp_left: image(Stage::Grasp, Role::Left)?,
+            grasp_right: image(Stage::Grasp, Role::Right)?,
+            grasp_rgb: image(Stage::Grasp, Role::Rgb)?,
+            initial_rgb: match grasp.images.contains_key(&(Stage::Initial, Role::Rgb)) {
+                true => Some(image(Stage::Initial, Role::Rgb)?),
                 false => None,
             },
             grasp_depth: None,
@@ -105,26 +105,26 @@ impl<'a> TrainingShards<'a> {
         })
     }
 
-    fn picture(&mut self, grasp: &Grasp, stage: Stage, role: Role) -> Result<Vec<u8>> {
+    fn image(&mut self, grasp: &Grasp, stage: Stage, role: Role) -> Result<Vec<u8>> {
         let what = || format!("{} {role}", stage.name());
-        let Some(picture) = grasp.pictures.get(&(stage, role)) else {
-            return Err(cannot(format!("it has no picture {}", what())));
+        let Some(image) = grasp.images.get(&(stage, role)) else {
+            return Err(cannot(format!("it has no image {}", what())));
         };
         let crop = match role.is_tactile() {
-            true => self.crop(picture).map_err(|e| e.at(what()))?,
+            true => self.crop(image).map_err(|e| e.at(what()))?,
             false => CropProfile::FULL,
         };
         let (width, height) = SIZE;
         let small = self
             .decoder
-            .decode_file(&picture.bytes, Some(&crop), width, height)
+            .decode_file(&image.bytes, Some(&crop), width, height)
             .and_then(|small| encode_png_rgb(&small));
         small.map_err(|e| e.at(what()))
     }
 
-    /// The crop of a tactile picture, that of all.
-    fn crop(&self, picture: &Picture) -> Result<CropProfile> {
-        match picture.crop_profile.as_deref() {
+    /// The crop of a tactile image, that of all.
+    fn crop(&self, image: &Image) -> Result<CropProfile> {
+        match image.crop_profile.as_deref() {
             None => Err(cannot("the camera has no crop profile".to_owned())),
             Some(name) if name == self.crop => CropProfile::by_name(name),
             Some(name) => Err(cannot(format!(

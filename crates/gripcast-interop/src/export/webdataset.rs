@@ -79,12 +79,12 @@ impl Writer for TarShards<'_> {
             let what = "the id has a dot, by which WebDataset would cut it";
             return Ok(Some(Error::input(what)));
         }
-        let size = grasp.bytes() + OVERHEAD * (1 + grasp.pictures.len());
+        let size = grasp.bytes() + OVERHEAD * (1 + grasp.images.len());
         let builder = self.shard(size)?;
         append(builder, &format!("{id}.json"), &grasp.json)?;
-        for ((stage, role), picture) in &grasp.pictures {
-            let name = format!("{id}.{}_{role}.{}", stage.name(), picture.extension());
-            append(builder, &name, &picture.bytes)?;
+        for ((stage, role), image) in &grasp.images {
+            let name = format!("{id}.{}_{role}.{}", stage.name(), image.extension());
+            append(builder, &name, &image.bytes)?;
         }
         Ok(None)
     }

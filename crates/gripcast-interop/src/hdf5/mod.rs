@@ -17,13 +17,13 @@ use gripcast_base::files::{FileKind, open_regular};
 use watched::{Watch, WatchedFile};
 
 /// Most numbers of one dataset.
-const MOST_NUMBERS: u64 = 16 << 20;
+const MAX_NUMBERS: u64 = 16 << 20;
 /// Longest text, bytes.
-const LONGEST_TEXT: usize = 4096;
+const MAX_TEXT: usize = 4096;
 /// Filters of chunks that are undone: deflate, shuffle, Fletcher's checksum, scale-offset, LZF.
 const KNOWN_FILTERS: [u16; 5] = [1, 2, 3, 6, 32000];
 /// Most keys that an error lists.
-const MOST_LISTED: usize = 24;
+const MAX_LISTED: usize = 24;
 
 /// A group of an open file; its keys are relative to it.
 pub struct Hdf5 {
@@ -109,10 +109,10 @@ impl Hdf5 {
     /// `Input`: a key that is needed is not there, with those that are.
     pub fn missing(&self, key: &str) -> Error {
         let keys = self.keys();
-        let mut listed = keys[..keys.len().min(MOST_LISTED)].join(", ");
+        let mut listed = keys[..keys.len().min(MAX_LISTED)].join(", ");
         match keys.len() {
             0 => listed.push_str("nothing"),
-            count if count > MOST_LISTED => listed.push_str(", …"),
+            count if count > MAX_LISTED => listed.push_str(", …"),
             _ => {}
         }
         wrong(format!("there is no `{key}`; there is {listed}")).remedy(give(self.of))
@@ -136,7 +136,7 @@ impl Hdf5 {
             return Ok(None);
         };
         let shape = dataset.shape().map_err(|e| unreadable(key, e))?;
-        check_count(key, &shape, MOST_NUMBERS)?;
+        check_count(key, &shape, MAX_NUMBERS)?;
         // PyTables' booleans.
         if let Ok(Datatype::BitField { size: 1, .. }) = dataset.datatype() {
             let bytes = dataset.read_raw().map_err(|e| unread(key, &dataset, e))?;
@@ -192,10 +192,10 @@ impl Hdf5 {
             DType::VariableLengthString => {
                 let limits = VlenStringReadOptions::new()
                     .with_max_elements(1)
-                    .with_max_payload_bytes(LONGEST_TEXT);
+                    .with_max_payload_bytes(MAX_TEXT);
                 dataset.read_vlen_strings(limits).map_err(failed)?
             }
-            DType::String if dataset.element_size().map_err(failed)? <= LONGEST_TEXT as u64 => {
+            DType::String if dataset.element_size().map_err(failed)? <= MAX_TEXT as u64 => {
                 let shape = dataset.shape().map_err(failed)?;
                 if shape.iter().any(|length| *length != 1) {
                     return Err(misshapen(key, "one text", &shape));

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use hdf5_pure::{FormatError, Source};
 
 /// Longest read that is remembered, bytes: a message of a header has less than 64 KiB.
-const LONGEST: usize = 1 << 20;
+const MAX: usize = 1 << 20;
 /// Class of a bit field in the low half of a datatype's first byte.
 const BIT_FIELD: u8 = 4;
 
@@ -60,7 +60,7 @@ impl Source for WatchedFile {
         }
         let mut seen = self.watch.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(seen) = seen.as_mut()
-            && buf.len() <= LONGEST
+            && buf.len() <= MAX
         {
             seen.push(buf.to_vec());
         }

@@ -23,7 +23,7 @@ use gripcast_base::files::ObjectName;
 use gripcast_dataset::shard::ShardImages;
 use gripcast_imaging::{CropProfile, Decoder, crop_and_resize, encode_jpeg};
 
-/// Crop profile of the tactile pictures.
+/// Crop profile of the tactile images.
 pub(super) const CROP: CropProfile = CropProfile::GELSIGHT_2017_FULL;
 /// Groups that hold the list, in the releases of deepdish.
 const LISTS: [&str; 2] = ["data", "_top"];
@@ -33,7 +33,7 @@ const INITIAL_RIGHT: &str = "gelsightB_before";
 const GRASP_LEFT: &str = "gelsightA_during";
 const GRASP_RIGHT: &str = "gelsightB_during";
 const GRASP_RGB: &str = "kinectA_rgb_during";
-const PICTURES: [&str; 5] = [
+const IMAGES: [&str; 5] = [
     INITIAL_LEFT,
     INITIAL_RIGHT,
     GRASP_LEFT,
@@ -42,15 +42,15 @@ const PICTURES: [&str; 5] = [
 ];
 const LABEL: &str = "is_gripping";
 const OBJECT: &str = "object_name";
-/// Most bytes of a picture; the Kinect's have 6 MB.
-const MOST_BYTES: u64 = 64 << 20;
-/// Size of the pictures of a shard.
+/// Most bytes of an image; the Kinect's have 6 MB.
+const MAX_BYTES: u64 = 64 << 20;
+/// Size of the images of a shard.
 const WIDTH: u32 = 320;
 const HEIGHT: u32 = 240;
-/// Quality of the JPEGs, as of rendered pictures.
+/// Quality of the JPEGs, as of rendered images.
 const QUALITY: u8 = 92;
-/// Part of the Kinect's picture that shows the table, as the authors crop it: left, top, right,
-/// bottom as shares of its sides.
+/// Part of the Kinect's image that shows the table, as the authors crop it: left, top, right,
+/// bottom as fractions of its sides.
 const TABLE: [f64; 4] = [0.064, 0.135, 0.606, 0.976];
 
 /// A file of grasps.
@@ -58,7 +58,7 @@ pub(super) struct GraspFile {
     grasps: Vec<Hdf5>,
 }
 
-/// What is known of a grasp besides its pictures.
+/// What is known of a grasp besides its images.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct GraspFacts {
     pub(super) object: ObjectName,
@@ -100,13 +100,13 @@ fn number(name: &str) -> (u64, String) {
 }
 
 impl GraspFacts {
-    /// Reads label and name, and looks whether the pictures are there.
+    /// Reads label and name, and looks whether the images are there.
     ///
     /// # Errors
     /// `Input`: a key is missing or of another kind, a label is neither 0 nor 1.
     pub(super) fn read(grasp: &Hdf5) -> Result<Self> {
-        for key in PICTURES {
-            shape(&picture(grasp, key)?, key)?;
+        for key in IMAGES {
+            shape(&image(grasp, key)?, key)?;
         }
         let label = match grasp.attribute_number(LABEL)? {
             Some(label) => Some(label),
@@ -128,14 +128,14 @@ impl GraspFacts {
     }
 }
 
-/// The pictures of a grasp as a shard has them.
+/// The images of a grasp as a shard has them.
 ///
 /// # Errors
-/// `Input`: a picture is damaged, missing or of another kind.
+/// `Input`: an image is damaged, missing or of another kind.
 pub(super) fn images(grasp: &Hdf5, decoder: &mut Decoder) -> Result<ShardImages> {
     let mut read = |key: &str| -> Result<Vec<u8>> {
         let read = |decoder: &mut Decoder| {
-            let whole = decoded(&picture(grasp, key)?, key, decoder)?;
+            let whole = decoded(&image(grasp, key)?, key, decoder)?;
             let whole = match key {
                 GRASP_RGB => table(&whole),
                 _ => whole,
@@ -155,12 +155,12 @@ pub(super) fn images(grasp: &Hdf5, decoder: &mut Decoder) -> Result<ShardImages>
     })
 }
 
-fn picture<'a>(grasp: &Hdf5, key: &'a str) -> Result<ByteArray<'a>> {
-    let found = grasp.bytes(key, MOST_BYTES)?;
+fn image<'a>(grasp: &Hdf5, key: &'a str) -> Result<ByteArray<'a>> {
+    let found = grasp.bytes(key, MAX_BYTES)?;
     found.ok_or_else(|| grasp.missing(key))
 }
 
-/// Width and height of an array of pixels; none for an encoded picture.
+/// Width and height of an array of pixels; none for an encoded image.
 fn shape(array: &ByteArray<'_>, key: &str) -> Result<Option<(u32, u32)>> {
     let side = |length: u64| u32::try_from(length).ok().filter(|side| *side > 0);
     match *array.shape {
@@ -180,7 +180,7 @@ fn decoded(array: &ByteArray<'_>, key: &str, decoder: &mut Decoder) -> Result<Rg
     let size = shape(array, key)?;
     let bytes = array.read()?;
     let Some((width, height)) = size else {
-        return decoder.stored_picture(&bytes);
+        return decoder.stored_image(&bytes);
     };
     let found = bytes.len();
     RgbImage::from_raw(width, height, bytes).ok_or_else(|| {
@@ -189,7 +189,7 @@ fn decoded(array: &ByteArray<'_>, key: &str, decoder: &mut Decoder) -> Result<Rg
     })
 }
 
-/// The table in the Kinect's picture, widened or heightened to 4:3 as far as the picture goes.
+/// The table in the Kinect's image, widened or heightened to 4:3 as far as the image goes.
 fn table(whole: &RgbImage) -> RgbImage {
     let (width, height) = (f64::from(whole.width()), f64::from(whole.height()));
     let [left, top, right, bottom] = TABLE;

@@ -39,11 +39,14 @@ impl Bench {
     }
 
     #[track_caller]
-    fn refused(&self, bytes: &[u8], told: &str) -> Error {
+    fn refused(&self, bytes: &[u8], on_progress: &str) -> Error {
         let path = self.file("refused.h5", bytes);
         let error = self.import(&[path], "test").unwrap_err();
         let text = error.to_string();
-        assert!(text.contains(told) && text.contains("refused.h5"), "{text}");
+        assert!(
+            text.contains(on_progress) && text.contains("refused.h5"),
+            "{text}"
+        );
         assert!(!self.out().exists(), "{text}");
         error
     }
@@ -55,9 +58,9 @@ fn rows(out: &Path, part: &str) -> Vec<ShardRow> {
 }
 
 fn colour(jpeg: &[u8]) -> [u8; 3] {
-    let picture = Decoder::new().unwrap().stored_picture(jpeg).unwrap();
-    assert_eq!(picture.dimensions(), (320, 240));
-    picture.get_pixel(160, 120).0
+    let image = Decoder::new().unwrap().stored_image(jpeg).unwrap();
+    assert_eq!(image.dimensions(), (320, 240));
+    image.get_pixel(160, 120).0
 }
 
 #[track_caller]
@@ -169,7 +172,7 @@ fn objects_are_kept_together() {
 }
 
 #[test]
-fn labels_names_and_pictures_have_several_forms() {
+fn labels_names_and_images_have_several_forms() {
     let bench = Bench::new();
     let jpeg = encode_jpeg(&RgbImage::from_pixel(64, 48, Rgb([10, 220, 30])), 95).unwrap();
     let length = jpeg.len() as u64;
@@ -333,8 +336,11 @@ fn damaged_files_end_in_errors_or_reports() {
             .wrapping_add(1_442_695_040_888_963_407);
         (stream >> 33) as usize
     };
-    for share in 1..8 {
-        assert!(notices(&DEEPDISH[..DEEPDISH.len() * share / 8]), "{share}");
+    for fraction in 1..8 {
+        assert!(
+            notices(&DEEPDISH[..DEEPDISH.len() * fraction / 8]),
+            "{fraction}"
+        );
     }
     let mut noticed = 0;
     for _ in 0..60 {

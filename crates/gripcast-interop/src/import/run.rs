@@ -1,4 +1,4 @@
-//! Reads files twice: first what is in them, then the pictures, a grasp at a time.
+//! Reads files twice: first what is in them, then the images, a grasp at a time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -28,7 +28,7 @@ type Index = BTreeMap<String, GraspFacts>;
 /// Writes files of the *Feeling of Success* as a dataset into `out`.
 ///
 /// Objects are dealt to the parts by [`Split::deal`]. A grasp that cannot be read is left out
-/// and told. Memory holds one grasp's pictures, and a row group of each part. The same files make
+/// and told. Memory holds one grasp's images, and a row group of each part. The same files make
 /// the same bytes; a stopped import is begun again by the same call.
 ///
 /// # Errors
@@ -39,7 +39,7 @@ pub fn import_feeling_of_success(
     files: &[PathBuf],
     out: &Path,
     split: &Split,
-    told: &dyn Fn(usize, usize),
+    on_progress: &dyn Fn(usize, usize),
 ) -> Result<ImportReport> {
     let stems = stems(files)?;
     let mut report = ImportReport::new(FROM, sources(files)?, split);
@@ -89,7 +89,7 @@ pub fn import_feeling_of_success(
                 Err(error) => return Err(error.at(grasp.name()).at(path.display())),
             }
             done += 1;
-            told(done, all);
+            on_progress(done, all);
         }
     }
     for part in writing.into_values() {
@@ -134,7 +134,7 @@ pub(super) fn sources(files: &[PathBuf]) -> Result<Vec<SourceFile>> {
     files.iter().map(source).collect()
 }
 
-/// What is in a file, without its pictures.
+/// What is in a file, without its images.
 fn index(path: &Path, stem: &str, left_out: &mut Vec<LeftOut>) -> Result<Index> {
     let file = GraspFile::open(path)?;
     let mut index = Index::new();

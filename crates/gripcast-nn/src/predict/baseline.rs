@@ -8,7 +8,7 @@
 //!
 //! `p_stable = sigmoid(BIAS + WEAKER·min(left, right) − IMBALANCE·|left − right|)`.
 //!
-//! The constants separate no contact from contact on real GelSight pictures; nothing was fitted to
+//! The constants separate no contact from contact on real GelSight images; nothing was fitted to
 //! the outcome of a lift.
 
 use super::contract::{
@@ -154,11 +154,11 @@ mod tests {
         synthetic_gel(IMAGE_WIDTH, IMAGE_HEIGHT, seed, contact)
     }
 
-    fn brighter(mut picture: RgbImage, levels: i16) -> RgbImage {
-        for level in picture.iter_mut() {
+    fn brighter(mut image: RgbImage, levels: i16) -> RgbImage {
+        for level in image.iter_mut() {
             *level = (i16::from(*level) + levels).clamp(0, 255) as u8;
         }
-        picture
+        image
     }
 
     fn p_stable(left: &RgbImage, right: &RgbImage) -> f64 {

@@ -1,6 +1,6 @@
 //! The contract between a model file and gripcast, kept in the file's `metadata_props`.
 //!
-//! A model says which tensors it wants, how they are made from pictures, what its output means and
+//! A model says which tensors it wants, how they are made from images, what its output means and
 //! where it comes from. Whatever does not agree with the graph or with this build is refused with
 //! the key, what was expected and what was found: a model that is fed something else than it was
 //! made for answers without complaint, and wrongly.
@@ -15,7 +15,7 @@
 //! | `gripcast.output` | `p_stable` |
 //! | `gripcast.threshold` | at or above it the grasp counts as stable; in (0, 1) |
 //! | `gripcast.temperature` | calibration temperature, already part of the graph |
-//! | `gripcast.crop_profile` | crop of the tactile pictures; `any` where the model does not depend on it |
+//! | `gripcast.crop_profile` | crop of the tactile images; `any` where the model does not depend on it |
 //! | `gripcast.seed`, `gripcast.train.manifest_sha256` | origin of a trained model; `none` for a heuristic |
 //! | `gripcast.card` | Markdown: intended use, data, limits, licence |
 //! | other `gripcast.*` | validation figures, split digests, simulator, date; kept as they are |
@@ -83,7 +83,7 @@ pub struct ModelContract {
     pub threshold: f64,
     /// Calibration temperature, already part of the graph.
     pub temperature: f64,
-    /// Crop of the tactile pictures; `None` where the model does not depend on it.
+    /// Crop of the tactile images; `None` where the model does not depend on it.
     pub crop_profile: Option<CropProfile>,
     /// Markdown: intended use, data, limits, licence.
     pub card: String,
@@ -150,7 +150,7 @@ impl ModelContract {
         self.origin == Origin::Heuristic
     }
 
-    /// Refuses a rig whose tactile pictures are cropped in another way than the model's were.
+    /// Refuses a rig whose tactile images are cropped in another way than the model's were.
     ///
     /// # Errors
     /// When the profiles differ.
@@ -160,7 +160,7 @@ impl ModelContract {
             _ => return Ok(()),
         };
         Err(refusal(format!(
-            "the model `{}` was made for the crop profile `{wanted}`, the tactile pictures are \
+            "the model `{}` was made for the crop profile `{wanted}`, the tactile images are \
              cropped with `{rig_profile}`",
             self.name
         ))

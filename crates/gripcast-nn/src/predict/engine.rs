@@ -144,7 +144,7 @@ impl Model {
         self.load_ms
     }
 
-    /// What its training pictures looked like, if it says so.
+    /// What its training images looked like, if it says so.
     #[must_use]
     pub fn novelty(&self) -> Option<&Novelty> {
         self.novelty.as_ref()
@@ -188,7 +188,7 @@ fn run_tract(
     let mut tensors = TVec::new();
     for &name in order {
         let tensor = input.tensor(name).ok_or_else(missing_input)?;
-        tensors.push(tensor.share());
+        tensors.push(tensor.fraction());
     }
     guarded("run the model", || {
         let output = TypedSimpleState::new(model)?.run(tensors)?;

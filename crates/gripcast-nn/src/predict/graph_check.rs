@@ -13,8 +13,8 @@ use gripcast_base::error::{Error, Result};
 
 /// Operator sets that the engine implements.
 const OPSETS: std::ops::RangeInclusive<i64> = 9..=18;
-/// Largest kernel, stride, dilation or padding, pixels; beyond any picture that is an input.
-const LARGEST_WINDOW: i64 = 4096;
+/// Largest kernel, stride, dilation or padding, pixels; beyond any image that is an input.
+const MAX_WINDOW: i64 = 4096;
 
 /// Refuses a graph that does not keep what a contract promises, or that the engine cannot run.
 ///
@@ -116,10 +116,10 @@ fn check_windows(graph: &GraphProto) -> Result<()> {
                 "pads" => 0,
                 _ => continue,
             };
-            let allowed = least..=LARGEST_WINDOW;
+            let allowed = least..=MAX_WINDOW;
             if let Some(found) = attribute.ints.iter().find(|x| !allowed.contains(x)) {
                 return Err(refusal(format!(
-                    "operator `{}` ({}): expected `{}` between {least} and {LARGEST_WINDOW}, \
+                    "operator `{}` ({}): expected `{}` between {least} and {MAX_WINDOW}, \
                      found {found}",
                     node.name, node.op_type, attribute.name
                 ))
@@ -146,7 +146,7 @@ fn batch_name(value: Option<&ValueInfoProto>) -> Option<&str> {
     }
 }
 
-/// Closes a batch of any size to one picture, which the general engine is much quicker with.
+/// Closes a batch of any size to one image, which the general engine is much quicker with.
 pub(super) fn close_batch(graph: &mut GraphProto) {
     for value in graph.input.iter_mut().chain(&mut graph.output) {
         if batch_name(Some(value)).is_none() {
@@ -161,7 +161,7 @@ pub(super) fn close_batch(graph: &mut GraphProto) {
     }
 }
 
-/// `batch` is the name of the first side where the graph takes any number of pictures at once.
+/// `batch` is the name of the first side where the graph takes any number of images at once.
 fn check_tensor(
     role: &str,
     value: &ValueInfoProto,

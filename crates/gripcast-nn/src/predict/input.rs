@@ -1,4 +1,4 @@
-//! From pictures to the model's input tensors.
+//! From images to the model's input tensors.
 
 use std::sync::Arc;
 
@@ -44,7 +44,7 @@ impl ModelInput {
     /// Writes a tactile difference, (grasp − initial) / 255. A model without touch ignores it.
     ///
     /// # Errors
-    /// When the pictures were not 320×240.
+    /// When the images were not 320×240.
     pub fn set_tactile(&mut self, name: InputName, difference: &TactileDifference) -> Result<()> {
         check_size(name, difference.width(), difference.height())?;
         match self.tensor_mut(name) {
@@ -53,15 +53,15 @@ impl ModelInput {
         }
     }
 
-    /// Writes the colour picture, (x / 255 − mean) / std. A model without vision ignores it.
+    /// Writes the colour image, (x / 255 − mean) / std. A model without vision ignores it.
     ///
     /// # Errors
-    /// When the picture is not 320×240.
-    pub fn set_rgb(&mut self, picture: &RgbImage) -> Result<()> {
-        check_size(InputName::Rgb, picture.width(), picture.height())?;
+    /// When the image is not 320×240.
+    pub fn set_rgb(&mut self, image: &RgbImage) -> Result<()> {
+        check_size(InputName::Rgb, image.width(), image.height())?;
         match (self.normalisation, self.tensor_mut(InputName::Rgb)) {
             (Some(normalisation), Some(tensor)) => tensor.write(|planes| {
-                write_normalised(picture.as_raw(), normalisation, planes);
+                write_normalised(image.as_raw(), normalisation, planes);
                 Ok(())
             }),
             _ => Ok(()),
@@ -97,7 +97,7 @@ impl InputTensor {
         Ok(Self(Arc::new(tensor)))
     }
 
-    pub(super) fn share(&self) -> TValue {
+    pub(super) fn fraction(&self) -> TValue {
         TValue::from_const(self.0.clone())
     }
 
@@ -122,10 +122,10 @@ fn check_size(name: InputName, width: u32, height: u32) -> Result<()> {
         return Ok(());
     }
     Err(Error::input(format!(
-        "picture for `{name}`: expected {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
+        "image for `{name}`: expected {IMAGE_WIDTH}×{IMAGE_HEIGHT} pixels, found \
              {width}×{height}"
     ))
-    .remedy("crop and resize the picture with the model's crop profile first"))
+    .remedy("crop and resize the image with the model's crop profile first"))
 }
 
 /// Interleaved 8-bit RGB → standardised planes.
@@ -147,7 +147,7 @@ mod tests {
     use crate::predict::baseline;
     use crate::predict::contract::Variant;
 
-    fn picture(colour: [u8; 3]) -> RgbImage {
+    fn image(colour: [u8; 3]) -> RgbImage {
         RgbImage::from_pixel(IMAGE_WIDTH, IMAGE_HEIGHT, Rgb(colour))
     }
 
@@ -164,7 +164,7 @@ mod tests {
 
     #[test]
     fn a_known_pixel_lands_where_the_contract_says() {
-        let mut initial = picture([100, 100, 100]);
+        let mut initial = image([100, 100, 100]);
         let mut grasp = initial.clone();
         initial.put_pixel(7, 3, Rgb([0, 255, 10]));
         grasp.put_pixel(7, 3, Rgb([255, 0, 61]));
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn swapped_channels_do_not_pass() {
         let mut input = ModelInput::zeros(&touch_and_vision()).unwrap();
-        input.set_rgb(&picture([255, 0, 51])).unwrap();
+        input.set_rgb(&image([255, 0, 51])).unwrap();
         let values = input.values(InputName::Rgb).unwrap();
         let expected = [
             (1.0 - 0.5) / 0.5,
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_another_size_are_refused() {
+    fn images_of_another_size_are_refused() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
         let turned = RgbImage::new(240, 320);
         let difference = TactileDifference::between(&turned, &turned).unwrap();
@@ -216,17 +216,17 @@ mod tests {
     }
 
     #[test]
-    fn a_model_without_vision_ignores_the_colour_picture() {
+    fn a_model_without_vision_ignores_the_colour_image() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
-        input.set_rgb(&picture([9; 3])).unwrap();
+        input.set_rgb(&image([9; 3])).unwrap();
         assert_eq!(input.values(InputName::Rgb), None);
     }
 
     #[test]
     fn memory_held_by_the_engine_is_not_written() {
         let mut input = ModelInput::zeros(&baseline::contract()).unwrap();
-        let held = input.tensor(InputName::TactileLeft).unwrap().share();
-        let difference = TactileDifference::between(&picture([0; 3]), &picture([255; 3]));
+        let held = input.tensor(InputName::TactileLeft).unwrap().fraction();
+        let difference = TactileDifference::between(&image([0; 3]), &image([255; 3]));
         input
             .set_tactile(InputName::TactileLeft, &difference.unwrap())
             .unwrap();

@@ -1,4 +1,4 @@
-//! Prediction from live pictures.
+//! Prediction from live images.
 
 use std::time::Instant;
 
@@ -10,9 +10,9 @@ use super::input::ModelInput;
 use gripcast_base::error::Result;
 use gripcast_imaging::{Role, TactileDifference};
 
-/// Holds the model, the initial pictures and the newest picture of each role.
+/// Holds the model, the initial images and the newest image of each role.
 ///
-/// All pictures are 320×240, already cropped with the model's crop profile. The probability is the
+/// All images are 320×240, already cropped with the model's crop profile. The probability is the
 /// model's raw answer, not smoothed.
 #[derive(Debug)]
 pub struct LivePredictor {
@@ -20,17 +20,17 @@ pub struct LivePredictor {
     input: ModelInput,
     left: Tactile,
     right: Tactile,
-    rgb: Option<Picture>,
+    rgb: Option<Image>,
 }
 
 #[derive(Debug, Default)]
 struct Tactile {
     initial: Option<RgbImage>,
-    newest: Option<Picture>,
+    newest: Option<Image>,
 }
 
 #[derive(Debug)]
-struct Picture {
+struct Image {
     image: RgbImage,
     driver_time_ns: u64,
 }
@@ -40,12 +40,12 @@ struct Picture {
 pub struct LivePrediction {
     /// Probability that the grasp is stable.
     pub p_stable: f64,
-    /// How far the tactile pictures are from those of the training, over what counts as known (see
+    /// How far the tactile images are from those of the training, over what counts as known (see
     /// [`Verdict`](super::Verdict)). None where the model does not say, or has no touch.
     pub novelty: Option<f64>,
     /// Time of the model alone, ms.
     pub engine_ms: f64,
-    /// Time from pictures to tensors, ms.
+    /// Time from images to tensors, ms.
     pub preprocess_ms: f64,
     /// Driver time of the newest frame that was used, `CLOCK_MONOTONIC`, ns.
     pub newest_frame_ns: u64,
@@ -54,7 +54,7 @@ pub struct LivePrediction {
 }
 
 impl LivePredictor {
-    /// A predictor without pictures.
+    /// A predictor without images.
     ///
     /// # Errors
     /// When the input tensors cannot be had.
@@ -74,33 +74,33 @@ impl LivePredictor {
         &self.model
     }
 
-    /// Sets the pictures of the open gripper that differences refer to.
+    /// Sets the images of the open gripper that differences refer to.
     pub fn set_initial(&mut self, left: RgbImage, right: RgbImage) {
         self.left.initial = Some(left);
         self.right.initial = Some(right);
     }
 
-    /// Forgets the initial pictures; a model with touch predicts nothing until the next.
+    /// Forgets the initial images; a model with touch predicts nothing until the next.
     pub fn clear_initial(&mut self) {
         self.left.initial = None;
         self.right.initial = None;
     }
 
-    /// Sets the newest picture of a camera. Roles that no model uses are ignored.
+    /// Sets the newest image of a camera. Roles that no model uses are ignored.
     pub fn update(&mut self, role: Role, image: RgbImage, driver_time_ns: u64) {
-        let picture = Some(Picture {
+        let image = Some(Image {
             image,
             driver_time_ns,
         });
         match role {
-            Role::Left => self.left.newest = picture,
-            Role::Right => self.right.newest = picture,
-            Role::Rgb => self.rgb = picture,
+            Role::Left => self.left.newest = image,
+            Role::Right => self.right.newest = image,
+            Role::Rgb => self.rgb = image,
             Role::Depth | Role::External => {}
         }
     }
 
-    /// Forgets the newest picture of a camera that is lost, so that no stale one is used.
+    /// Forgets the newest image of a camera that is lost, so that no stale one is used.
     pub fn forget(&mut self, role: Role) {
         match role {
             Role::Left => self.left.newest = None,
@@ -131,7 +131,7 @@ impl LivePredictor {
         None
     }
 
-    /// Predicts from the newest pictures; `None` while [`LivePredictor::waiting_for`] says what is
+    /// Predicts from the newest images; `None` while [`LivePredictor::waiting_for`] says what is
     /// missing.
     pub fn predict(&mut self) -> Option<Result<LivePrediction>> {
         self.waiting_for().is_none().then(|| self.predict_newest())
@@ -140,9 +140,9 @@ impl LivePredictor {
     fn predict_newest(&mut self) -> Result<LivePrediction> {
         let started = Instant::now();
         let (mut newest_frame_ns, mut oldest_frame_ns) = (0, u64::MAX);
-        let mut used = |picture: &Picture| {
-            newest_frame_ns = picture.driver_time_ns.max(newest_frame_ns);
-            oldest_frame_ns = picture.driver_time_ns.min(oldest_frame_ns);
+        let mut used = |image: &Image| {
+            newest_frame_ns = image.driver_time_ns.max(newest_frame_ns);
+            oldest_frame_ns = image.driver_time_ns.min(oldest_frame_ns);
         };
         let mut differences = Vec::with_capacity(2);
         let uses = self.model.contract().variant.inputs();
@@ -150,20 +150,20 @@ impl LivePredictor {
             (InputName::TactileLeft, &self.left),
             (InputName::TactileRight, &self.right),
         ] {
-            if let (true, Some(initial), Some(picture)) =
+            if let (true, Some(initial), Some(image)) =
                 (uses.contains(&name), &tactile.initial, &tactile.newest)
             {
-                let difference = TactileDifference::between(initial, &picture.image)?;
+                let difference = TactileDifference::between(initial, &image.image)?;
                 self.input.set_tactile(name, &difference)?;
                 differences.push(difference);
-                used(picture);
+                used(image);
             }
         }
         let known = self.model.novelty();
         let novelty = known.and_then(|known| known.of_touch(&differences));
-        if let (true, Some(picture)) = (uses.contains(&InputName::Rgb), &self.rgb) {
-            self.input.set_rgb(&picture.image)?;
-            used(picture);
+        if let (true, Some(image)) = (uses.contains(&InputName::Rgb), &self.rgb) {
+            self.input.set_rgb(&image.image)?;
+            used(image);
         }
         let preprocess_ms = started.elapsed().as_secs_f64() * 1e3;
         let prediction = self.model.predict(&self.input)?;
@@ -186,7 +186,7 @@ mod tests {
     use crate::predict::contract::{IMAGE_HEIGHT, IMAGE_WIDTH};
 
     /// Stripes that are `contrast` grey levels from the gel's grey.
-    fn picture(contrast: u8) -> RgbImage {
+    fn image(contrast: u8) -> RgbImage {
         RgbImage::from_fn(IMAGE_WIDTH, IMAGE_HEIGHT, |x, _| {
             Rgb([100 + if x / 32 % 2 == 0 { contrast } else { 0 }; 3])
         })
@@ -201,31 +201,31 @@ mod tests {
         let mut live = predictor();
         assert!(live.predict().is_none());
         assert_eq!(live.waiting_for(), Some("no initial frame"));
-        live.set_initial(picture(0), picture(0));
+        live.set_initial(image(0), image(0));
         assert_eq!(live.waiting_for(), Some("no left frame"));
-        live.update(Role::Left, picture(0), 10);
-        live.update(Role::External, picture(0), 11);
+        live.update(Role::Left, image(0), 10);
+        live.update(Role::External, image(0), 11);
         assert_eq!(live.waiting_for(), Some("no right frame"));
-        live.update(Role::Right, picture(0), 12);
+        live.update(Role::Right, image(0), 12);
         assert_eq!(live.waiting_for(), None, "touch alone needs no colour");
         live.clear_initial();
         assert_eq!(live.waiting_for(), Some("no initial frame"));
     }
 
     #[test]
-    fn follows_the_newest_pictures_and_names_their_times() {
+    fn follows_the_newest_images_and_names_their_times() {
         let mut live = predictor();
-        live.set_initial(picture(0), picture(0));
-        live.update(Role::Left, picture(0), 40);
-        live.update(Role::Right, picture(0), 50);
+        live.set_initial(image(0), image(0));
+        live.update(Role::Left, image(0), 40);
+        live.update(Role::Right, image(0), 50);
         let open = live.predict().unwrap().unwrap();
-        live.update(Role::Left, picture(60), 80);
-        live.update(Role::Right, picture(60), 70);
-        live.update(Role::Rgb, picture(60), 900);
+        live.update(Role::Left, image(60), 80);
+        live.update(Role::Right, image(60), 70);
+        live.update(Role::Rgb, image(60), 900);
         let closed = live.predict().unwrap().unwrap();
         assert!(open.p_stable < 0.2 && closed.p_stable > 0.6);
         assert_eq!((closed.newest_frame_ns, closed.oldest_frame_ns), (80, 70));
-        live.set_initial(picture(60), picture(60));
+        live.set_initial(image(60), image(60));
         let again = live.predict().unwrap().unwrap();
         assert_eq!(
             again.p_stable, open.p_stable,
@@ -236,10 +236,10 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_another_size_is_an_error() {
+    fn an_image_of_another_size_is_an_error() {
         let mut live = predictor();
-        live.set_initial(picture(0), picture(0));
-        live.update(Role::Left, picture(0), 1);
+        live.set_initial(image(0), image(0));
+        live.update(Role::Left, image(0), 1);
         live.update(Role::Right, RgbImage::new(640, 480), 2);
         let error = live.predict().unwrap().unwrap_err();
         assert!(error.to_string().contains("640×480"), "{error}");

@@ -1,9 +1,9 @@
 //! Stability prediction: model contract, preprocessing, ONNX engine.
 //!
 //! A model is one ONNX file whose metadata is a [`contract::ModelContract`]. [`Model`] loads and
-//! checks it, [`ModelInput`] turns 320×240 pictures into its tensors, [`LivePredictor`] keeps the
-//! pictures of a running session; [`Smoothing`] calms its answers for a screen, [`Novelty`] tells
-//! pictures that are unlike those of the training, [`Verdict`] what may be claimed. [`SHIPPED`] is a trained model, [`baseline`] a heuristic to hold it against;
+//! checks it, [`ModelInput`] turns 320×240 images into its tensors, [`LivePredictor`] keeps the
+//! images of a running session; [`Smoothing`] calms its answers for a screen, [`Novelty`] tells
+//! images that are unlike those of the training, [`Verdict`] what may be claimed. [`SHIPPED`] is a trained model, [`baseline`] a heuristic to hold it against;
 //! [`onnx`] writes such files.
 
 pub mod baseline;

@@ -16,7 +16,7 @@ use gripcast_imaging::TactileDifference;
 pub const METADATA: &str = "gripcast.novelty";
 /// Features of a difference.
 pub const FEATURES: usize = 16;
-/// Share of the training differences that lie nearer than the limit.
+/// Fraction of the training differences that lie nearer than the limit.
 pub const QUANTILE: f64 = 0.999;
 
 const WIDTH: usize = IMAGE_WIDTH as usize;
@@ -29,12 +29,12 @@ const ROWS: usize = HEIGHT / BLOCK;
 const LEVEL: f64 = 1.0 / 255.0;
 /// Change from which a block counts as touched, grey levels.
 const TOUCHED_LEVELS: f64 = 10.0;
-/// Share of a feature's variance that is added to it, so that the covariance has an inverse.
+/// Fraction of a feature's variance that is added to it, so that the covariance has an inverse.
 const SHRINKAGE: f64 = 1e-3;
-/// Least limit, deviations: pictures that are all alike say nothing about how far is far.
-const LEAST_LIMIT: f64 = 1.0;
+/// Least limit, deviations: images that are all alike say nothing about how far is far.
+const MIN_LIMIT: f64 = 1.0;
 /// Least variance of a feature.
-const LEAST_VARIANCE: f64 = 1e-6;
+const MIN_VARIANCE: f64 = 1e-6;
 
 /// What a difference looks like, in numbers.
 pub type Features = [f64; FEATURES];
@@ -44,7 +44,7 @@ pub type Features = [f64; FEATURES];
 ///
 /// Mean of each colour; logarithms of the deviations of the colours between blocks, of the
 /// difference between neighbouring pixels, between neighbouring blocks, and of the largest change;
-/// the correlations of the colours; the share of touched blocks; mean over mean magnitude of each
+/// the correlations of the colours; the fraction of touched blocks; mean over mean magnitude of each
 /// colour.
 pub fn features(values: &[f32]) -> Option<Features> {
     if values.len() != WIDTH * HEIGHT * 3 {
@@ -92,7 +92,7 @@ pub fn features(values: &[f32]) -> Option<Features> {
     ])
 }
 
-/// Features of a picture's change; none where it is not 320×240.
+/// Features of an image's change; none where it is not 320×240.
 pub fn features_of(difference: &TactileDifference) -> Option<Features> {
     let values: Vec<f32> = difference
         .levels()
@@ -156,7 +156,7 @@ pub struct Novelty {
 
 impl Novelty {
     /// Fits to the features of training differences; none for fewer than twice the number of
-    /// features, and for pictures that are all alike.
+    /// features, and for images that are all alike.
     pub fn fit(known: &[Features]) -> Option<Self> {
         if known.len() < 2 * FEATURES {
             return None;
@@ -177,7 +177,7 @@ impl Novelty {
             }
         }
         for (i, row) in covariance.iter_mut().enumerate() {
-            row[i] += SHRINKAGE * row[i] + LEAST_VARIANCE;
+            row[i] += SHRINKAGE * row[i] + MIN_VARIANCE;
         }
         let mut fitted = Self {
             mean,
@@ -188,7 +188,7 @@ impl Novelty {
         distances.sort_unstable_by(f64::total_cmp);
         let at = (QUANTILE * (count - 1.0)).ceil() as usize;
         fitted.limit = *distances.get(at)?;
-        (fitted.is_usable() && fitted.limit >= LEAST_LIMIT).then_some(fitted)
+        (fitted.is_usable() && fitted.limit >= MIN_LIMIT).then_some(fitted)
     }
 
     /// Reads the metadata of a model.
@@ -201,7 +201,7 @@ impl Novelty {
             Error::input(what).remedy("train or export the model again")
         };
         let found: Self = serde_json::from_str(text)
-            .map_err(|e| refused("is no description of training pictures").because(e))?;
+            .map_err(|e| refused("is no description of training images").because(e))?;
         match found.is_usable() {
             true => Ok(found),
             false => Err(refused(
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_and_equal_pictures_are_no_fit_of_zeros() {
+    fn too_few_and_equal_images_are_no_fit_of_zeros() {
         assert_eq!(Novelty::fit(&[[0.0; FEATURES]; 5]), None);
         assert_eq!(features(&[0.0; 7]), None);
         // All alike: nothing says how far is far.

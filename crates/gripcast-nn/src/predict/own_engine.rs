@@ -7,7 +7,7 @@ use tract_onnx::pb::ModelProto;
 
 use super::contract::{InputName, Variant};
 use super::input::ModelInput;
-use crate::architecture::PICTURE;
+use crate::architecture::IMAGE;
 use crate::export::Recognised;
 use crate::inference::{Convolution, Dense, Padded};
 use crate::network::Sense;
@@ -26,7 +26,7 @@ pub(super) struct OwnEngine {
 
 #[derive(Debug)]
 struct Encoder {
-    /// Its pictures; sensors share one.
+    /// Its images; sensors share one.
     inputs: &'static [InputName],
     convolutions: Vec<Convolution>,
     projection: Dense,
@@ -36,7 +36,7 @@ struct Encoder {
 #[derive(Clone, Debug, Default)]
 struct Memory {
     /// The input, where it is read as pixels, and what each convolution gives.
-    pictures: Vec<Padded>,
+    images: Vec<Padded>,
     /// Means over windows, one row for each input of an encoder.
     pooled: Vec<f32>,
     /// What a layer gives.
@@ -81,17 +81,15 @@ impl OwnEngine {
         let [hidden, hidden_bias] = graph.dense("head.hidden", joined, architecture.hidden)?;
         let [logit, logit_bias] = graph.dense("head.logit", architecture.hidden, 1)?;
         let pads = shapes.iter().map(|shape| shape.pad).chain([0]);
-        let sizes = [PICTURE]
-            .into_iter()
-            .chain(shapes.iter().map(|s| s.output()));
-        let pictures = sizes.zip(pads).map(|(size, pad)| Padded::new(size, pad));
+        let sizes = [IMAGE].into_iter().chain(shapes.iter().map(|s| s.output()));
+        let images = sizes.zip(pads).map(|(size, pad)| Padded::new(size, pad));
         Some(Self {
             encoders,
             pool: architecture.pool,
             hidden: Dense::new(joined, &hidden, hidden_bias, true),
             logit: Dense::new(architecture.hidden, &logit, logit_bias, false),
             empty: Memory {
-                pictures: pictures.collect(),
+                images: images.collect(),
                 ..Memory::default()
             },
             free: Mutex::default(),
@@ -109,7 +107,7 @@ impl OwnEngine {
 
     fn logit(&self, input: &ModelInput, memory: &mut Memory) -> Option<f32> {
         let Memory {
-            pictures,
+            images,
             pooled,
             numbers,
             joined,
@@ -118,8 +116,8 @@ impl OwnEngine {
         for encoder in &self.encoders {
             pooled.clear();
             for name in encoder.inputs {
-                encoder.convolve(input.values(*name)?, pictures);
-                pictures.last()?.pool(self.pool, pooled);
+                encoder.convolve(input.values(*name)?, images);
+                images.last()?.pool(self.pool, pooled);
             }
             encoder.projection.of(pooled, numbers);
             joined.extend_from_slice(numbers);
@@ -132,9 +130,9 @@ impl OwnEngine {
 
 impl Encoder {
     /// Planes of an input through all convolutions.
-    fn convolve(&self, planes: &[f32], pictures: &mut [Padded]) {
+    fn convolve(&self, planes: &[f32], images: &mut [Padded]) {
         for (at, layer) in self.convolutions.iter().enumerate() {
-            let (before, after) = pictures.split_at_mut(at + 1);
+            let (before, after) = images.split_at_mut(at + 1);
             let (x, y) = (&mut before[at], &mut after[0]);
             if at == 0 && layer.reads_planes() {
                 layer.of_planes(planes, y);

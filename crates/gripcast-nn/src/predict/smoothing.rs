@@ -12,7 +12,7 @@ const TREMBLING_TAU_S: f64 = 2.0;
 /// A median further away than this many mean deviations is a change.
 const CHANGE: f64 = 4.0;
 /// Least trembling, log-odds: below it a change would not be seen on the screen.
-const LEAST_TREMBLING: f64 = 0.05;
+const MIN_TREMBLING: f64 = 0.05;
 /// After a pause as long as this what was before does not count, s.
 const PAUSE_S: f64 = 0.5;
 /// Probabilities nearer to 0 and 1 than this are as sure as can be shown.
@@ -54,7 +54,7 @@ impl Smoothing {
                 time_ns,
                 recent: vec![logit],
                 smooth: logit,
-                trembling: LEAST_TREMBLING,
+                trembling: MIN_TREMBLING,
             },
         };
         let smooth = state.smooth;
@@ -75,18 +75,18 @@ impl State {
         if off > CHANGE * self.trembling {
             self.smooth = median;
         } else {
-            self.smooth += share(passed_s, TAU_S) * (median - self.smooth);
+            self.smooth += fraction(passed_s, TAU_S) * (median - self.smooth);
         }
         // A change is no trembling: it counts as the most that is none.
         let trembling = off.min(CHANGE * self.trembling);
-        self.trembling += share(passed_s, TREMBLING_TAU_S) * (trembling - self.trembling);
-        self.trembling = self.trembling.max(LEAST_TREMBLING);
+        self.trembling += fraction(passed_s, TREMBLING_TAU_S) * (trembling - self.trembling);
+        self.trembling = self.trembling.max(MIN_TREMBLING);
         self
     }
 }
 
 /// What a low-pass filter takes over after a time.
-fn share(passed_s: f64, tau_s: f64) -> f64 {
+fn fraction(passed_s: f64, tau_s: f64) -> f64 {
     1.0 - (-passed_s / tau_s).exp()
 }
 

@@ -1,4 +1,4 @@
-//! The tensors of a model, and how those that go in are made from pictures.
+//! The tensors of a model, and how those that go in are made from images.
 
 use std::fmt::{self, Debug, Display};
 
@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use gripcast_imaging::{CropProfile, Role};
 
-/// Width of every picture that becomes a tensor, pixels.
+/// Width of every image that becomes a tensor, pixels.
 pub const IMAGE_WIDTH: u32 = 320;
-/// Height of every picture that becomes a tensor, pixels.
+/// Height of every image that becomes a tensor, pixels.
 pub const IMAGE_HEIGHT: u32 = 240;
-/// Shape of every input: one picture, NCHW.
+/// Shape of every input: one image, NCHW.
 pub const INPUT_SHAPE: [i64; 4] = [1, 3, IMAGE_HEIGHT as i64, IMAGE_WIDTH as i64];
 /// Name of the output, the probability that the grasp is stable; shape `[1, 1]`.
 pub const OUTPUT: &str = "p_stable";
@@ -25,7 +25,7 @@ pub enum InputName {
     TactileLeft,
     /// Difference of the right tactile sensor.
     TactileRight,
-    /// Picture of the colour camera.
+    /// Image of the colour camera.
     Rgb,
 }
 
@@ -40,7 +40,7 @@ impl InputName {
         }
     }
 
-    /// Camera whose pictures it is made from.
+    /// Camera whose images it is made from.
     #[must_use]
     pub fn role(self) -> Role {
         match self {
@@ -87,7 +87,7 @@ impl Variant {
         self != Self::V
     }
 
-    /// Whether it sees the colour picture.
+    /// Whether it sees the colour image.
     #[must_use]
     pub fn has_vision(self) -> bool {
         self != Self::T
@@ -110,7 +110,7 @@ impl Display for Variant {
     }
 }
 
-/// One input tensor and how it is made from pictures.
+/// One input tensor and how it is made from images.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct InputSpec {
@@ -124,23 +124,23 @@ pub struct InputSpec {
     pub layout: String,
     /// `RGB`: order of the channels.
     pub colour: String,
-    /// `diff` (tactile difference) or `normalised` (colour picture).
+    /// `diff` (tactile difference) or `normalised` (colour image).
     pub encoding: String,
     /// How a value follows from 8-bit pixels.
     pub formula: String,
     /// Smallest and largest value, tactile differences.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<[f32; 2]>,
-    /// Mean of each channel of [0, 1] pixels, colour picture.
+    /// Mean of each channel of [0, 1] pixels, colour image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean: Option<[f32; 3]>,
-    /// Standard deviation of each channel of [0, 1] pixels, colour picture.
+    /// Standard deviation of each channel of [0, 1] pixels, colour image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub std: Option<[f32; 3]>,
-    /// How a picture of another size becomes 320×240, colour picture.
+    /// How an image of another size becomes 320×240, colour image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub resize: Option<String>,
-    /// Crop before the resize, colour picture.
+    /// Crop before the resize, colour image.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub crop: Option<String>,
 }
@@ -164,7 +164,7 @@ impl InputSpec {
         }
     }
 
-    /// The colour picture, standardised with the statistics of the training data.
+    /// The colour image, standardised with the statistics of the training data.
     pub fn rgb(normalisation: RgbNormalisation) -> Self {
         Self {
             encoding: "normalised".to_owned(),
@@ -178,7 +178,7 @@ impl InputSpec {
         }
     }
 
-    /// Mean and deviation of a colour picture.
+    /// Mean and deviation of a colour image.
     pub fn normalisation(&self) -> Option<RgbNormalisation> {
         Some(RgbNormalisation {
             mean: self.mean?,

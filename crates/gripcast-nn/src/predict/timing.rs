@@ -30,9 +30,9 @@ pub struct PredictFigures {
     pub load_ms_median: f64,
     /// From the file's bytes to the first answer, minimum.
     pub load_ms_min: f64,
-    /// From 320×240 pictures to tensors, all inputs of the model, median.
+    /// From 320×240 images to tensors, all inputs of the model, median.
     pub preprocess_ms_median: f64,
-    /// From 320×240 pictures to tensors, all inputs of the model, minimum.
+    /// From 320×240 images to tensors, all inputs of the model, minimum.
     pub preprocess_ms_min: f64,
 }
 

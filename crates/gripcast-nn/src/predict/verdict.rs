@@ -11,14 +11,14 @@ pub enum Verdict {
     Stable,
     /// It will not.
     Slip,
-    /// The tactile pictures are unlike all that the model was trained on, so that its probability
+    /// The tactile images are unlike all that the model was trained on, so that its probability
     /// says nothing.
     Unsure,
 }
 
 impl Verdict {
     /// Of a probability against the model's decision threshold, and of the
-    /// [`novelty`](super::Novelty::of_touch) of the pictures where the model tells it.
+    /// [`novelty`](super::Novelty::of_touch) of the images where the model tells it.
     #[must_use]
     pub fn of(p_stable: f64, threshold: f64, novelty: Option<f64>) -> Self {
         if novelty.is_some_and(|novelty| novelty > 1.0) {
@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_threshold_decides_where_the_pictures_are_known() {
+    fn the_threshold_decides_where_the_images_are_known() {
         for (p_stable, novelty, verdict) in [
             (0.6, None, Verdict::Stable),
             (0.59, None, Verdict::Slip),

@@ -1,4 +1,4 @@
-//! The points of a board that a picture shows.
+//! The points of a board that an image shows.
 
 use std::collections::BTreeMap;
 
@@ -17,10 +17,10 @@ const HELPING_SQUARES: f64 = 1.8;
 /// The middle of a marker whose square touches a corner is at most this far, squares.
 const TOUCHING_SQUARES: f64 = 0.6;
 
-/// A point of a board in a picture.
+/// A point of a board in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoardPoint {
-    /// Which point of the board: the same in all pictures.
+    /// Which point of the board: the same in all images.
     pub number: u32,
     /// Where it is in the frame of the board's plane, m.
     pub place_m: DVec3,
@@ -28,7 +28,7 @@ pub struct BoardPoint {
     pub pixel: DVec2,
 }
 
-/// What a picture shows of a board.
+/// What an image shows of a board.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BoardPoints {
     /// Its points, each once, by number.
@@ -99,11 +99,11 @@ impl PointFinder {
         self.extent_m
     }
 
-    /// The points in a picture with these detections, which need no refinement yet.
-    pub fn find(&self, picture: &GrayImage, detections: &[Detection]) -> BoardPoints {
-        let seen = self.seen(picture, detections);
+    /// The points in an image with these detections, which need no refinement yet.
+    pub fn find(&self, image: &GrayImage, detections: &[Detection]) -> BoardPoints {
+        let seen = self.seen(image, detections);
         let mut points = match &self.file.chessboard {
-            Some(chessboard) => self.saddles(picture, chessboard, &seen),
+            Some(chessboard) => self.saddles(image, chessboard, &seen),
             None => self.marker_corners(&seen),
         };
         points.sort_by_key(|p| p.number);
@@ -115,7 +115,7 @@ impl PointFinder {
 
     /// Refined markers of the board by index. One that was seen twice is no evidence, and one whose
     /// border shows no four lines is hidden in part.
-    fn seen(&self, picture: &GrayImage, detections: &[Detection]) -> BTreeMap<usize, Detection> {
+    fn seen(&self, image: &GrayImage, detections: &[Detection]) -> BTreeMap<usize, Detection> {
         let markers = &self.file.board.markers;
         let mut seen = BTreeMap::new();
         for detection in detections {
@@ -126,7 +126,7 @@ impl PointFinder {
             let (Some(place), false) = (place, is_twice) else {
                 continue;
             };
-            let refined = refine_corners(picture, detection);
+            let refined = refine_corners(image, detection);
             if refined.corners_px != detection.corners_px {
                 seen.insert(place, refined);
             }
@@ -150,7 +150,7 @@ impl PointFinder {
 
     fn saddles(
         &self,
-        picture: &GrayImage,
+        image: &GrayImage,
         chessboard: &Chessboard,
         seen: &BTreeMap<usize, Detection>,
     ) -> Vec<BoardPoint> {
@@ -162,7 +162,7 @@ impl PointFinder {
             Some(BoardPoint {
                 number: number as u32,
                 place_m: self.t_plane_board.transform_point(place.extend(0.0)),
-                pixel: refine_saddle(picture, &expected)?,
+                pixel: refine_saddle(image, &expected)?,
             })
         });
         found.collect()
@@ -229,7 +229,7 @@ fn nearest_corner(beside: &[&BoardMarker], place: DVec2) -> Option<DVec2> {
         .min_by(|a, b| a.length().total_cmp(&b.length()))
 }
 
-/// Distance in the picture from `at` to the outlines of the markers beside it.
+/// Distance in the image from `at` to the outlines of the markers beside it.
 fn free_distance(
     homography: &DMat3,
     beside: &[&BoardMarker],

@@ -1,4 +1,4 @@
-//! Chooses the pictures that a calibration needs, one after the other.
+//! Chooses the images that a calibration needs, one after the other.
 
 use std::fmt;
 
@@ -19,25 +19,25 @@ use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
 /// Fewest points of a view.
-const FEWEST_POINTS: usize = 8;
+const MIN_POINTS: usize = 8;
 /// Least extent of the points across, relative to the board.
-const LEAST_WIDTH: f64 = 0.04;
-/// Views are the same if the board's normal, its middle (relative to the picture's diagonal) and
+const MIN_WIDTH: f64 = 0.04;
+/// Views are the same if the board's normal, its middle (relative to the image's diagonal) and
 /// its distance differ by less than these.
 const SAME_VIEW: (f64, f64, f64) = (0.14, 0.05, 0.1);
-/// With more motion between two pictures the board is not held still, px.
+/// With more motion between two images the board is not held still, px.
 const STILL_PX: f64 = 1.5;
 /// Most views; more cost time and add nothing.
-const MOST_VIEWS: usize = 60;
+const MAX_VIEWS: usize = 60;
 /// The focal length is estimated again up to this many views.
 const ESTIMATED_VIEWS: usize = 12;
 
-/// What a collector asks of pictures.
+/// What a collector asks of images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CollectorSettings {
     /// Largest blur of the markers' edges, standard deviation, px.
     pub blur_px: f64,
-    /// Whether the board has to be where it was in the picture before: for a live camera, whose
+    /// Whether the board has to be where it was in the image before: for a live camera, whose
     /// lines are exposed one after the other.
     pub still: bool,
     /// Views that are enough if they cover everything.
@@ -54,7 +54,7 @@ impl Default for CollectorSettings {
     }
 }
 
-/// Why a picture is not used.
+/// Why an image is not used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Refusal {
     /// It has another size than those before: its width and height, then theirs.
@@ -68,7 +68,7 @@ pub enum Refusal {
     Narrow,
     /// It is blurred by so many px.
     Blurred(f64),
-    /// The board moves by so many px from picture to picture.
+    /// The board moves by so many px from image to image.
     Moving(f64),
     /// The markers are not where the board's description has them.
     OtherBoard,
@@ -83,7 +83,7 @@ impl fmt::Display for Refusal {
         match self {
             Self::Size([width, height], [w, h]) => write!(
                 f,
-                "the picture has {width}×{height} pixels, those before {w}×{h}"
+                "the image has {width}×{height} pixels, those before {w}×{h}"
             ),
             Self::NoBoard => f.write_str("no marker of the board"),
             Self::TooFew(0, markers) => write!(
@@ -93,7 +93,7 @@ impl fmt::Display for Refusal {
             ),
             Self::TooFew(points, markers) => write!(
                 f,
-                "only {points} points of the board ({markers} markers), needed are {FEWEST_POINTS}"
+                "only {points} points of the board ({markers} markers), needed are {MIN_POINTS}"
             ),
             Self::Narrow => f.write_str("only a narrow strip of the board"),
             Self::Blurred(blur) => write!(f, "blurred by {blur:.1} px"),
@@ -103,12 +103,12 @@ impl fmt::Display for Refusal {
                 f.write_str("the markers are not where the board's description has them")
             }
             Self::Duplicate(view) => write!(f, "the same view as {}", view + 1),
-            Self::Full => write!(f, "there are {MOST_VIEWS} views already"),
+            Self::Full => write!(f, "there are {MAX_VIEWS} views already"),
         }
     }
 }
 
-/// What a collector says to a picture.
+/// What a collector says to an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Offer {
     /// Why it is not used; none if it is.
@@ -121,7 +121,7 @@ pub struct Offer {
     pub markers: usize,
 }
 
-/// Takes pictures of a board as they come and calibrates with those that are of use. Does no IO.
+/// Takes images of a board as they come and calibrates with those that are of use. Does no IO.
 pub struct Collector {
     finder: PointFinder,
     detector: ApriltagDetector,
@@ -171,22 +171,22 @@ impl Collector {
         &self.views
     }
 
-    /// Size of the pictures; none before the first view.
+    /// Size of the images; none before the first view.
     pub fn size(&self) -> Option<[u32; 2]> {
         self.size
     }
 
-    /// Takes a picture if it is of use.
+    /// Takes an image if it is of use.
     ///
     /// # Errors
-    /// `Input` for a picture that is too small or too large to be searched.
-    pub fn offer(&mut self, picture: &GrayImage) -> Result<Offer> {
-        let detections = self.detector.detect(picture)?;
-        let found = self.finder.find(picture, &detections);
-        let refused = self.judge(picture, &detections, &found);
+    /// `Input` for an image that is too small or too large to be searched.
+    pub fn offer(&mut self, image: &GrayImage) -> Result<Offer> {
+        let detections = self.detector.detect(image)?;
+        let found = self.finder.find(image, &detections);
+        let refused = self.judge(image, &detections, &found);
         self.before.clone_from(&found.points);
         if refused.is_none() {
-            self.take(picture, &found.points);
+            self.take(image, &found.points);
         }
         Ok(Offer {
             refused,
@@ -213,11 +213,11 @@ impl Collector {
 
     fn judge(
         &self,
-        picture: &GrayImage,
+        image: &GrayImage,
         detections: &[Detection],
         found: &BoardPoints,
     ) -> Option<Refusal> {
-        let size = [picture.width(), picture.height()];
+        let size = [image.width(), image.height()];
         if let Some(known) = self.size
             && known != size
         {
@@ -227,14 +227,14 @@ impl Collector {
             return Some(Refusal::NoBoard);
         }
         let points = &found.points;
-        let blur = sharpness(picture, detections).map_or(0.0, |s| s.blur_px);
+        let blur = sharpness(image, detections).map_or(0.0, |s| s.blur_px);
         if blur > self.settings.blur_px {
             return Some(Refusal::Blurred(blur));
         }
-        if points.len() < FEWEST_POINTS {
+        if points.len() < MIN_POINTS {
             return Some(Refusal::TooFew(points.len(), found.markers));
         }
-        if width(points) < LEAST_WIDTH * self.finder.extent_m() {
+        if width(points) < MIN_WIDTH * self.finder.extent_m() {
             return Some(Refusal::Narrow);
         }
         if self.settings.still {
@@ -243,7 +243,7 @@ impl Collector {
                 motion => return Some(Refusal::Moving(motion.unwrap_or(f64::INFINITY))),
             }
         }
-        if self.views.len() >= MOST_VIEWS {
+        if self.views.len() >= MAX_VIEWS {
             return Some(Refusal::Full);
         }
         let Some(h) = homography(points) else {
@@ -271,8 +271,8 @@ impl Collector {
         })
     }
 
-    fn take(&mut self, picture: &GrayImage, points: &[BoardPoint]) {
-        let size = [picture.width(), picture.height()];
+    fn take(&mut self, image: &GrayImage, points: &[BoardPoint]) {
+        let size = [image.width(), image.height()];
         let Some(h) = homography(points) else { return };
         self.size = Some(size);
         self.views.push(points.to_vec());
@@ -289,7 +289,7 @@ impl Collector {
     }
 }
 
-/// Focal length as long as the picture is wide: an angle of view of 53°.
+/// Focal length as long as the image is wide: an angle of view of 53°.
 fn guess(size: [u32; 2]) -> Intrinsics {
     let side = f64::from(size[0].max(size[1]));
     plain_lens(size, side, side)
@@ -336,7 +336,7 @@ fn width(points: &[BoardPoint]) -> f64 {
     (smaller.max(0.0) / count).sqrt()
 }
 
-/// Median way of the points that two pictures share, px.
+/// Median way of the points that two images fraction, px.
 fn motion(before: &[BoardPoint], now: &[BoardPoint]) -> Option<f64> {
     median(now.iter().filter_map(|point| {
         let same = before.iter().find(|b| b.number == point.number)?;

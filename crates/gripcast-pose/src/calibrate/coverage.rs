@@ -7,11 +7,11 @@ use glam::{DVec2, DVec3};
 use super::board_points::BoardPoint;
 use gripcast_geometry::Pose;
 
-/// Cells of the picture: columns and rows.
+/// Cells of the image: columns and rows.
 pub(super) const CELLS: [usize; 2] = [4, 3];
 /// Points that a cell needs.
 const POINTS_IN_CELL: usize = 6;
-/// Least angle of the board against the picture that counts as tilted, rad: 15°.
+/// Least angle of the board against the image that counts as tilted, rad: 15°.
 const TILTED_RAD: f64 = 0.26;
 
 /// Which edge of the board is farther from the camera.
@@ -65,7 +65,7 @@ impl Tilt {
 /// What to do next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hint {
-    /// Move the board to a cell of the picture: column and row.
+    /// Move the board to a cell of the image: column and row.
     MoveTo([usize; 2]),
     /// Tilt it so that this edge is farther away.
     Tilt(Tilt),
@@ -87,7 +87,7 @@ impl fmt::Display for Hint {
                 let height = ["upper", "middle", "lower"];
                 write!(
                     f,
-                    "hold the board to the {} {} of the picture",
+                    "hold the board to the {} {} of the image",
                     height[(*row).min(2)],
                     side[(*column).min(3)]
                 )
@@ -97,7 +97,7 @@ impl fmt::Display for Hint {
                 "tilt the board by 20° to 40°: its {} edge away from the camera",
                 tilt.edge()
             ),
-            Self::Nearer => f.write_str("bring the board nearer, until it fills the picture"),
+            Self::Nearer => f.write_str("bring the board nearer, until it fills the image"),
             Self::Farther => f.write_str("take the board farther away, to half its size"),
             Self::More => f.write_str("take a view from another direction"),
             Self::Enough => f.write_str("enough views"),
@@ -108,7 +108,7 @@ impl fmt::Display for Hint {
 /// What the views so far cover.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Coverage {
-    /// Points of all views in each cell of the picture: by row, then column.
+    /// Points of all views in each cell of the image: by row, then column.
     pub cells: [[usize; CELLS[0]]; CELLS[1]],
     /// Views by [`Tilt::ALL`].
     pub tilts: [usize; 4],
@@ -118,7 +118,7 @@ pub struct Coverage {
     pub views: usize,
     /// Views that are enough if all else is covered.
     pub wanted: usize,
-    /// Size of the picture in which the views are nearest: part of the picture's height.
+    /// Size of the image in which the views are nearest: part of the image's height.
     largest: f64,
 }
 
@@ -128,7 +128,7 @@ impl Coverage {
     /// Ratio of the farthest to the nearest view that is needed.
     pub const DISTANCES: f64 = 1.25;
 
-    /// Of the points of views and the board's pose in each, `t_camera_plane`, in pictures of
+    /// Of the points of views and the board's pose in each, `t_camera_plane`, in images of
     /// `size`; `wanted` views are enough.
     pub(super) fn of<'a>(
         size: [u32; 2],
@@ -268,7 +268,7 @@ mod tests {
         ] {
             let pose = pose(turn, 0.5);
             assert_eq!(Tilt::of(pose.transform_vector(DVec3::Z)), Some(expected));
-            // The edge is really farther away; the board's y axis points upwards in the picture.
+            // The edge is really farther away; the board's y axis points upwards in the image.
             let edge = match expected {
                 Tilt::Left => DVec3::NEG_X,
                 Tilt::Right => DVec3::X,
@@ -322,6 +322,6 @@ mod tests {
         assert_eq!(said.last(), Some(&Hint::Enough), "{said:?}");
         assert!(said.contains(&Hint::Nearer) && said.contains(&Hint::MoveTo([0, 0])));
         let all: Vec<String> = said.iter().map(ToString::to_string).collect();
-        assert!(all.contains(&"hold the board to the upper left of the picture".to_owned()));
+        assert!(all.contains(&"hold the board to the upper left of the image".to_owned()));
     }
 }

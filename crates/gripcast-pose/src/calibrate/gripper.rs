@@ -1,21 +1,21 @@
 //! Where the gripper's markers really are.
 //!
-//! Tags that are glued by hand are off by millimetres and degrees. Pictures of the gripper from
+//! Tags that are glued by hand are off by millimetres and degrees. Images of the gripper from
 //! many sides give the places of the markers to each other to hundredths of a millimetre, by
 //! joint least squares over camera poses, marker poses and openings (Huber's loss).
 //!
 //! # What comes from where
-//! Pictures show markers, not the gripper. Seven freedoms are left, and tied to what the gripper's
+//! Images show markers, not the gripper. Seven freedoms are left, and tied to what the gripper's
 //! frame means (origin midway between the gel faces, x along which it closes, z its approach):
 //!
 //! | freedom | comes from |
 //! | --- | --- |
 //! | two turns: the direction of x | the fingers: x is the line along which their markers slide, if the opening changed enough for the line to be known to 0.25°; else as the next row |
 //! | three shifts and the turn about x | the description: the rigid fit of the body's markers to where they are described; a marker that is far off weighs less. Without markers on the body, those of the fingers |
-//! | the opening's zero | pictures with closed fingers: there the opening is 0; without any, the described distance of the fingers' markers |
+//! | the opening's zero | images with closed fingers: there the opening is 0; without any, the described distance of the fingers' markers |
 //!
 //! The second row cannot be better than the gluing: its error is one constant shift and turn of
-//! the frame, the same in every picture. [`GripperCalibration::frame_sigma_m`] estimates it by how
+//! the frame, the same in every image. [`GripperCalibration::frame_sigma_m`] estimates it by how
 //! the markers scatter about their description; for better, measure the tags on the gripper and
 //! correct the description. The covariances of the markers have the corners' errors alone.
 
@@ -25,30 +25,30 @@ use super::gripper_bundle::{Bundle, Free, OF_SLIDE, Solved, View, slides_differ}
 use super::gripper_check::{leave_one_out, rms_of_views, suspects};
 use super::gripper_frame::{Ties, conditions, tie};
 use super::gripper_report::{Loosened, Outcome, report};
-use super::gripper_result::{GripperCalibration, GripperPicture};
-use super::gripper_start::{LEAST_SIGHTS, Selection, select, start};
+use super::gripper_result::{GripperCalibration, GripperImage};
+use super::gripper_start::{MIN_SIGHTS, Selection, select, start};
 use crate::{BoardFile, Part};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::statistics::median;
 use gripcast_imaging::Intrinsics;
 
-/// Fewest pictures with two markers or more.
-const LEAST_VIEWS: usize = 8;
+/// Fewest images with two markers or more.
+const MIN_VIEWS: usize = 8;
 /// Losses of the first searches, px: tags may be 10 px from where they are described.
 const ROUGH_LOSSES_PX: [f64; 2] = [10.0, 2.0];
 /// The last loss: times the median error, and never narrower, px.
 const LOSS_OF_MEDIAN: f64 = 2.0;
-const LEAST_LOSS_PX: f64 = 0.1;
+const MIN_LOSS_PX: f64 = 0.1;
 /// A sighting is an outlier if it fits worse than this, px, and than so many medians.
 const OUTLIER_PX: f64 = 1.0;
 const OUTLIER_OF_MEDIAN: f64 = 6.0;
 /// With a larger error this is not the gripper of the description, px.
 const CONTRADICTION_PX: f64 = 3.0;
-/// Standard deviation of a corner's coordinate that no detector betters on real pictures, px.
-const LEAST_SIGMA_PX: f64 = 0.03;
+/// Standard deviation of a corner's coordinate that no detector betters on real images, px.
+const MIN_SIGMA_PX: f64 = 0.03;
 /// The fingers' line has to be known to this to be the x axis: 0.25°.
 const LINE_SIGMA_RAD: f64 = 0.0044;
-/// Every so many pictures one is held out.
+/// Every so many images one is held out.
 const HELD_OUT: usize = 5;
 /// A marker is loose if the others have less than this part of the error without it.
 const MUCH_BETTER: f64 = 0.75;
@@ -57,12 +57,12 @@ const MUCH_BETTER: f64 = 0.75;
 /// centimetre and 15°; the sizes of the markers are taken from it.
 ///
 /// # Errors
-/// `Input` if the board has no tags of a gripper, if fewer than eight pictures show two markers, if no picture joins the two fingers, or
-/// if the pictures contradict the description.
+/// `Input` if the board has no tags of a gripper, if fewer than eight images show two markers, if no image joins the two fingers, or
+/// if the images contradict the description.
 pub fn calibrate_gripper(
     nominal: &BoardFile,
     intrinsics: &Intrinsics,
-    pictures: &[GripperPicture],
+    images: &[GripperImage],
 ) -> Result<GripperCalibration> {
     let board = &nominal.board;
     if board.markers.iter().all(|m| m.part == Part::Object) {
@@ -70,10 +70,10 @@ pub fn calibrate_gripper(
         return Err(Error::input(what)
             .remedy("give the gripper's board file, with parts body, finger_left, finger_right"));
     }
-    let mut selection = select(board, intrinsics, pictures);
-    check_enough(&selection, pictures)?;
+    let mut selection = select(board, intrinsics, images);
+    check_enough(&selection, images)?;
     let mut bundle = selection.bundle.clone();
-    start(&mut bundle, board, pictures);
+    start(&mut bundle, board, images);
     let described = bundle.clone();
     let ties = Ties {
         x_from_fingers: false,
@@ -89,7 +89,7 @@ pub fn calibrate_gripper(
         let moved = checks[worst].as_ref().and_then(|c| c.moved);
         loosened.push(Loosened::new(&solved.bundle, worst, moved));
         selection.bundle = better.bundle.clone();
-        check_enough(&selection, pictures)?;
+        check_enough(&selection, images)?;
         solved = better;
     };
     let holdout_rms_px = holdout(&solved, ties);
@@ -106,7 +106,7 @@ pub fn calibrate_gripper(
         .ok_or_else(undetermined)?;
     report(Outcome {
         nominal,
-        pictures,
+        images,
         selection,
         solved,
         loosened,
@@ -122,22 +122,22 @@ pub fn calibrate_gripper(
     })
 }
 
-/// Whether a picture with closed fingers shows them together with something else.
+/// Whether an image with closed fingers shows them together with something else.
 fn has_closed(bundle: &Bundle) -> bool {
     let differ = |v: &View| slides_differ(&bundle.markers, &v.sights);
     bundle.views.iter().any(|v| differ(v) && !v.frees_opening)
 }
 
-fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()> {
+fn check_enough(selection: &Selection, images: &[GripperImage]) -> Result<()> {
     let (bundle, views) = (&selection.bundle, selection.bundle.views.len());
-    if views < LEAST_VIEWS || bundle.markers.len() < 2 {
+    if views < MIN_VIEWS || bundle.markers.len() < 2 {
         return Err(Error::input(format!(
-            "of {} pictures, {views} show two or more markers that are in {LEAST_SIGHTS} \
-                 pictures at least; {LEAST_VIEWS} are needed",
-            pictures.len()
+            "of {} images, {views} show two or more markers that are in {MIN_SIGHTS} \
+                 images at least; {MIN_VIEWS} are needed",
+            images.len()
         ))
         .remedy(
-            "take 15 to 40 sharp pictures of the gripper from all sides that will be seen, each \
+            "take 15 to 40 sharp images of the gripper from all sides that will be seen, each \
              with as many tags as possible, at several openings",
         ));
     }
@@ -157,7 +157,7 @@ fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()
         .iter()
         .any(|v| has(&slides(v), -0.5) && has(&slides(v), 0.5));
     let closed = |slide: f64| {
-        let is_closed = |v: &&View| pictures[v.picture].closed;
+        let is_closed = |v: &&View| images[v.image].closed;
         let mut closed = bundle.views.iter().filter(is_closed);
         closed.any(|v| has(&slides(v), slide) && has(&slides(v), 0.0))
     };
@@ -165,14 +165,14 @@ fn check_enough(selection: &Selection, pictures: &[GripperPicture]) -> Result<()
         return Ok(());
     }
     Err(
-        Error::input("no picture shows markers of both fingers, so that they cannot be joined")
-            .remedy("add pictures that show both fingers' markers"),
+        Error::input("no image shows markers of both fingers, so that they cannot be joined")
+            .remedy("add images that show both fingers' markers"),
     )
 }
 
 fn undetermined() -> Error {
-    Error::input("the pictures do not determine where the markers are to each other")
-        .remedy("add pictures from other sides, each with as many tags as possible")
+    Error::input("the images do not determine where the markers are to each other")
+        .remedy("add images from other sides, each with as many tags as possible")
 }
 
 /// Searches with narrowing losses, leaving outliers out.
@@ -219,7 +219,7 @@ fn solve(mut bundle: Bundle, ties: Ties) -> Result<Solved> {
             .sum::<usize>();
     let free = (2.0 * count - unknowns as f64).max(1.0);
     Ok(Solved {
-        sigma_px: (weighted / free).sqrt().max(LEAST_SIGMA_PX),
+        sigma_px: (weighted / free).sqrt().max(MIN_SIGMA_PX),
         bundle,
         loss_px,
         rms_px,
@@ -231,7 +231,7 @@ fn median_error_px(bundle: &Bundle) -> f64 {
 }
 
 fn final_loss(bundle: &Bundle) -> f64 {
-    LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median_error_px(bundle))
+    MIN_LOSS_PX.max(LOSS_OF_MEDIAN * median_error_px(bundle))
 }
 
 /// Leaves out sightings that fit nowhere; whether there were any.
@@ -282,7 +282,7 @@ fn loose(solved: &Solved, suspects: &[usize], ties: Ties) -> Option<(usize, Solv
         .filter(|(_, fit)| fit.rms_px < MUCH_BETTER * solved.rms_px)
 }
 
-/// Error of pictures that took no part; none if too few would be left.
+/// Error of images that took no part; none if too few would be left.
 fn holdout(solved: &Solved, ties: Ties) -> Option<f64> {
     let held = |i: usize| i % HELD_OUT == HELD_OUT / 2;
     let mut rest = solved.bundle.clone();
@@ -295,7 +295,7 @@ fn holdout(solved: &Solved, ties: Ties) -> Option<f64> {
             rest.views.push(view);
         }
     }
-    if rest.views.len() < LEAST_VIEWS {
+    if rest.views.len() < MIN_VIEWS {
         return None;
     }
     let conditions = conditions(&rest, ties);

@@ -28,7 +28,7 @@ pub(super) const OF_MARKER: usize = 6;
 /// Unknowns of the sliding direction.
 pub(super) const OF_SLIDE: usize = 2;
 /// The sliding direction is x within about 5°, against corners of 0.1 px: decides only where the
-/// pictures say nothing, px²/rad².
+/// images say nothing, px²/rad².
 const SLIDE_PRIOR: f64 = 1.3;
 /// Weight of the frame's conditions, times the largest entry of the matrix: they are exact.
 const FRAME_WEIGHT: f64 = 1e3;
@@ -48,7 +48,7 @@ pub(super) struct Marker {
     pub(super) slide: f64,
 }
 
-/// A marker in a picture.
+/// A marker in an image.
 #[derive(Clone, Debug)]
 pub(super) struct Sight {
     /// Its place in the list of markers.
@@ -58,15 +58,15 @@ pub(super) struct Sight {
     pub(super) used: bool,
 }
 
-/// A picture.
+/// An image.
 #[derive(Clone, Debug)]
 pub(super) struct View {
-    /// Its place in the list of pictures.
-    pub(super) picture: usize,
+    /// Its place in the list of images.
+    pub(super) image: usize,
     /// `t_camera_gripper`.
     pub(super) pose: Pose,
     pub(super) opening_m: f64,
-    /// The opening is not known, and the picture shows it.
+    /// The opening is not known, and the image shows it.
     pub(super) frees_opening: bool,
     pub(super) sights: Vec<Sight>,
 }
@@ -104,7 +104,7 @@ pub(super) enum Free {
     Markers,
 }
 
-/// A condition on a step of the markers that the pictures leave open; its entries are not zero.
+/// A condition on a step of the markers that the images leave open; its entries are not zero.
 pub(super) type Condition = Vec<(usize, f64)>;
 
 impl Marker {
@@ -157,7 +157,7 @@ impl Bundle {
     }
 
     /// Searches the nearest minimum of the Huber loss; the conditions keep the frame where it is.
-    /// The cost (px²); none where the pictures do not determine the unknowns.
+    /// The cost (px²); none where the images do not determine the unknowns.
     pub(super) fn minimise(
         &mut self,
         free: Free,
@@ -214,7 +214,7 @@ impl Bundle {
                 cost += self.add_sight(i, sight, loss_px, &mut system)?;
             }
             let block = &mut system.views[i];
-            // What a picture does not show stays as it is.
+            // What an image does not show stays as it is.
             let shows = view.frees_opening && block.matrix.at(6, 6) > 0.0;
             if !shows {
                 block.pin_opening();

@@ -1,11 +1,11 @@
-//! Checks of a calibration: pictures that took no part, markers that took no part, markers that
+//! Checks of a calibration: images that took no part, markers that took no part, markers that
 //! moved meanwhile.
 
 use super::gripper_bundle::{Bundle, Free, OF_MARKER, View};
 use gripcast_geometry::Pose;
 
 /// Fewest sightings on each side of a move.
-const LEAST_ON_A_SIDE: usize = 3;
+const MIN_ON_A_SIDE: usize = 3;
 /// The loss of checks, px.
 const CHECK_LOSS_PX: f64 = 3.0;
 /// A marker has moved if two places explain this part of what one place does not …
@@ -29,8 +29,8 @@ pub(super) struct LeftOut {
 /// A marker that is in two places.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Moved {
-    /// The last picture of the first place and the first one of the second.
-    pub(super) pictures: [usize; 2],
+    /// The last image of the first place and the first one of the second.
+    pub(super) images: [usize; 2],
     pub(super) shift_m: f64,
     pub(super) turn_rad: f64,
 }
@@ -72,7 +72,7 @@ fn view_without(bundle: &Bundle, view: &View, without: usize) -> Option<View> {
     alone.views.pop()
 }
 
-/// Residual of each marker where the pictures are solved without it. None where too few pictures
+/// Residual of each marker where the images are solved without it. None where too few images
 /// show enough other markers.
 pub(super) fn leave_one_out(bundle: &Bundle, sigma_px: f64) -> Vec<Option<LeftOut>> {
     (0..bundle.markers.len())
@@ -96,7 +96,7 @@ fn left_out(bundle: &Bundle, marker: usize, sigma_px: f64) -> Option<LeftOut> {
         solved.sights = vec![own];
         views.push(solved);
     }
-    if views.len() < LEAST_ON_A_SIDE {
+    if views.len() < MIN_ON_A_SIDE {
         return None;
     }
     let alone = Bundle {
@@ -129,7 +129,7 @@ fn placed(alone: &Bundle) -> Option<(Bundle, f64)> {
 fn split(alone: &Bundle, whole: f64, sigma_px: f64) -> Option<Moved> {
     let count = alone.views.len();
     let mut best: Option<(f64, Moved)> = None;
-    for at in LEAST_ON_A_SIDE..=count.saturating_sub(LEAST_ON_A_SIDE) {
+    for at in MIN_ON_A_SIDE..=count.saturating_sub(MIN_ON_A_SIDE) {
         let (first, second) = alone.views.split_at(at);
         let before = placed(&part_of(alone, first.to_vec()));
         let after = placed(&part_of(alone, second.to_vec()));
@@ -140,7 +140,7 @@ fn split(alone: &Bundle, whole: f64, sigma_px: f64) -> Option<Moved> {
         if best.as_ref().is_none_or(|(least, _)| cost < *least) {
             let (a, b) = (before.0.markers[0].pose, after.0.markers[0].pose);
             let moved = Moved {
-                pictures: [first[at - 1].picture, second[0].picture],
+                images: [first[at - 1].image, second[0].image],
                 shift_m: a.translation_m.distance(b.translation_m),
                 turn_rad: angle(&a, &b),
             };

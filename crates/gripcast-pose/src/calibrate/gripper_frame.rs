@@ -1,4 +1,4 @@
-//! Ties the markers to the gripper's frame, which pictures alone do not show.
+//! Ties the markers to the gripper's frame, which images alone do not show.
 
 use glam::{DQuat, DVec3};
 
@@ -16,7 +16,7 @@ const PASSES: usize = 200;
 pub(super) struct Ties {
     /// The x axis is the direction in which the fingers slide.
     pub(super) x_from_fingers: bool,
-    /// Pictures with closed fingers fix the opening's zero.
+    /// Images with closed fingers fix the opening's zero.
     pub(super) zero_from_closed: bool,
 }
 

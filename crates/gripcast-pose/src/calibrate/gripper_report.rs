@@ -6,7 +6,7 @@ use super::gripper_bundle::{Bundle, Free, Marker, OF_MARKER, Sight, Solved, View
 use super::gripper_check::{Moved, angle};
 use super::gripper_frame::{Ties, scatter};
 use super::gripper_result::{
-    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
+    CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState,
 };
 use super::gripper_start::{Selection, framed};
 use crate::{Board, BoardFile, BoardMarker, Part};
@@ -23,7 +23,7 @@ const LOOSE_LOSS_PX: f64 = 2.0;
 pub(super) struct Loosened {
     marker: Marker,
     moved: Option<Moved>,
-    /// By picture.
+    /// By image.
     sights: Vec<(usize, Sight)>,
 }
 
@@ -31,7 +31,7 @@ impl Loosened {
     pub(super) fn new(bundle: &Bundle, place: usize, moved: Option<Moved>) -> Self {
         let own = |v: &View| {
             let sight = v.sights.iter().find(|s| s.marker == place)?.clone();
-            Some((v.picture, sight))
+            Some((v.image, sight))
         };
         Self {
             marker: bundle.markers[place].clone(),
@@ -40,9 +40,9 @@ impl Loosened {
         }
     }
 
-    fn state(&self, pictures: &[GripperPicture]) -> MarkerState {
+    fn state(&self, images: &[GripperImage]) -> MarkerState {
         let named = |m: Moved| {
-            let names = m.pictures.map(|i| pictures[i].name.clone());
+            let names = m.images.map(|i| images[i].name.clone());
             (names, m.shift_m, m.turn_rad)
         };
         MarkerState::Loose {
@@ -52,17 +52,14 @@ impl Loosened {
 
     /// `t_part_marker` after it moved, in the bundle's frame; none if it moved more than once.
     fn last_place(&self, bundle: &Bundle) -> Option<Pose> {
-        let since = self.moved?.pictures[1];
+        let since = self.moved?.images[1];
         let mut alone = Bundle {
             markers: vec![self.marker.clone()],
             ..bundle.clone()
         };
-        alone.views.retain(|v| v.picture >= since);
+        alone.views.retain(|v| v.image >= since);
         for view in &mut alone.views {
-            let own = self
-                .sights
-                .iter()
-                .find(|(picture, _)| *picture == view.picture);
+            let own = self.sights.iter().find(|(image, _)| *image == view.image);
             let own = own.map(|(_, s)| Sight {
                 marker: 0,
                 used: true,
@@ -78,7 +75,7 @@ impl Loosened {
 /// What a report is made of.
 pub(super) struct Outcome<'a> {
     pub(super) nominal: &'a BoardFile,
-    pub(super) pictures: &'a [GripperPicture],
+    pub(super) images: &'a [GripperImage],
     pub(super) selection: Selection,
     pub(super) solved: Solved,
     pub(super) loosened: Vec<Loosened>,
@@ -98,18 +95,18 @@ impl Outcome<'_> {
 
     fn state(&self, id: u32) -> MarkerState {
         if let Some(loose) = self.loosened.iter().find(|l| l.marker.id == id) {
-            return loose.state(self.pictures);
+            return loose.state(self.images);
         }
         let selection = &self.selection;
         for (ids, reason) in [
-            (&selection.unseen, "no picture shows it"),
+            (&selection.unseen, "no image shows it"),
             (
                 &selection.rare,
-                "fewer than 4 pictures show it together with others",
+                "fewer than 4 images show it together with others",
             ),
             (
                 &selection.apart,
-                "no picture shows it together with the others",
+                "no image shows it together with the others",
             ),
         ] {
             if ids.contains(&id) {
@@ -143,7 +140,7 @@ impl Outcome<'_> {
             id: marker.id,
             part: marker.part,
             state: self.state(marker.id),
-            pictures: count,
+            images: count,
             outliers: sights.len() - count,
             shift_m: framed.pose.translation_m - framed.nominal.translation_m,
             turn_rad: angle(&framed.pose, &framed.nominal),
@@ -173,20 +170,20 @@ impl Outcome<'_> {
                     moved: Some(([a, b], shift, turn)),
                 } => notes.push(format!(
                     "marker {} moved between {a} and {b}, by {:.2} mm and {:.1}°: glue it again \
-                     and repeat the pictures; the file has its last place",
+                     and repeat the images; the file has its last place",
                     m.id,
                     1e3 * shift,
                     turn.to_degrees()
                 )),
                 MarkerState::Loose { moved: None } => notes.push(format!(
-                    "marker {} does not stay in its place: glue it again and repeat the pictures; \
+                    "marker {} does not stay in its place: glue it again and repeat the images; \
                      the file has it where it is described",
                     m.id
                 )),
             }
             if m.sigma().is_some_and(|(t, r)| t > WEAK.0 || r > WEAK.1) {
                 notes.push(format!(
-                    "marker {} is known badly: add pictures that show it large, from several \
+                    "marker {} is known badly: add images that show it large, from several \
                      sides, together with others",
                     m.id
                 ));
@@ -195,7 +192,7 @@ impl Outcome<'_> {
         let has_fingers = self.solved.bundle.markers.iter().any(|m| m.slide != 0.0);
         if has_fingers && !self.ties.zero_from_closed {
             notes.push(
-                "no picture with closed fingers was named (--closed): the opening's zero is that \
+                "no image with closed fingers was named (--closed): the opening's zero is that \
                  of the description"
                     .into(),
             );
@@ -203,7 +200,7 @@ impl Outcome<'_> {
         if has_fingers && !self.ties.x_from_fingers {
             notes.push(
                 "the fingers moved too little to show the x axis: it is that of the description; \
-                 add pictures at openings 30 mm apart or more"
+                 add images at openings 30 mm apart or more"
                     .into(),
             );
         }
@@ -250,12 +247,12 @@ pub(super) fn report(outcome: Outcome<'_>) -> Result<GripperCalibration> {
         (false, false) => FrameSource::Nothing,
     };
     let frame = scatter(bundle, outcome.ties);
-    let name = |i: usize| outcome.pictures[i].name.clone();
+    let name = |i: usize| outcome.images[i].name.clone();
     let left_out = outcome.selection.left_out.iter();
     Ok(GripperCalibration {
         board: BoardFile::new(board, outcome.nominal.dictionary.clone(), None)?,
         markers,
-        pictures: bundle.views.len(),
+        images: bundle.views.len(),
         rms_px: outcome.solved.rms_px,
         described_rms_px: outcome.described_rms_px,
         holdout_rms_px: outcome.holdout_rms_px,

@@ -4,9 +4,9 @@ use glam::DVec3;
 
 use crate::{BoardFile, Detection, Part};
 
-/// A picture of the gripper.
+/// An image of the gripper.
 #[derive(Clone, Debug)]
-pub struct GripperPicture {
+pub struct GripperImage {
     /// What people call it.
     pub name: String,
     /// The markers in it, refined.
@@ -18,7 +18,7 @@ pub struct GripperPicture {
 /// What a freedom of the frame comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrameSource {
-    /// The fingers: their motion, or pictures with closed fingers.
+    /// The fingers: their motion, or images with closed fingers.
     Fingers,
     /// The description of the tags.
     Description,
@@ -33,9 +33,9 @@ pub enum MarkerState {
     Calibrated,
     /// It stays where it is described; the reason.
     AsDescribed(&'static str),
-    /// It did not stay in its place during the pictures.
+    /// It did not stay in its place during the images.
     Loose {
-        /// The pictures between which it moved, by how much (m, rad); none if it moved more than
+        /// The images between which it moved, by how much (m, rad); none if it moved more than
         /// once.
         moved: Option<([String; 2], f64, f64)>,
     },
@@ -50,9 +50,9 @@ pub struct CalibratedMarker {
     pub part: Part,
     /// How it was found.
     pub state: MarkerState,
-    /// Pictures that it was calibrated with.
-    pub pictures: usize,
-    /// Pictures in which it was an outlier.
+    /// Images that it was calibrated with.
+    pub images: usize,
+    /// Images in which it was an outlier.
     pub outliers: usize,
     /// From where it is described to where it is, along the gripper's axes, m.
     pub shift_m: DVec3,
@@ -63,7 +63,7 @@ pub struct CalibratedMarker {
     pub covariance: Option<[[f64; 6]; 6]>,
     /// Root mean square reprojection error, px.
     pub rms_px: Option<f64>,
-    /// The same where the pictures are solved without it.
+    /// The same where the images are solved without it.
     pub left_out_rms_px: Option<f64>,
 }
 
@@ -84,13 +84,13 @@ pub struct GripperCalibration {
     pub board: BoardFile,
     /// The markers in the order of the description.
     pub markers: Vec<CalibratedMarker>,
-    /// Pictures that took part.
-    pub pictures: usize,
+    /// Images that took part.
+    pub images: usize,
     /// Root mean square reprojection error, px.
     pub rms_px: f64,
-    /// That of the same pictures with the markers where they are described.
+    /// That of the same images with the markers where they are described.
     pub described_rms_px: Option<f64>,
-    /// That of every fifth picture where the others calibrate.
+    /// That of every fifth image where the others calibrate.
     pub holdout_rms_px: Option<f64>,
     /// Standard deviation of one coordinate of a corner that the covariances assume, px.
     pub corner_sigma_px: f64,
@@ -106,7 +106,7 @@ pub struct GripperCalibration {
     pub frame_sigma_m: Option<f64>,
     /// Estimated standard deviation of the frame's direction about its worst axis, rad.
     pub frame_sigma_rad: Option<f64>,
-    /// Pictures that took no part, with the reason.
+    /// Images that took no part, with the reason.
     pub left_out: Vec<(String, String)>,
     /// What a person should know.
     pub notes: Vec<String>,

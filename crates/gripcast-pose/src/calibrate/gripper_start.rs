@@ -3,14 +3,14 @@
 use glam::{DMat3, DQuat, DVec3};
 
 use super::gripper_bundle::{Bundle, Marker, Sight, View, slides_differ};
-use super::gripper_result::GripperPicture;
+use super::gripper_result::GripperImage;
 use crate::solve::{solve_gripper, solve_part};
 use crate::{Board, BoardMarker, Detection, Part};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-/// Fewest pictures in which a marker is seen together with others.
-pub(super) const LEAST_SIGHTS: usize = 4;
+/// Fewest images in which a marker is seen together with others.
+pub(super) const MIN_SIGHTS: usize = 4;
 /// Error beyond which a corner tells nothing but that it is wrong, px.
 const WRONG_PX: f64 = 30.0;
 /// Openings that searches start from, m.
@@ -18,15 +18,15 @@ const OPENINGS_M: [f64; 4] = [0.0, 0.03, 0.06, 0.09];
 
 /// What becomes of the board's markers.
 pub(super) struct Selection {
-    /// The markers that take part, and the pictures with at least two of them.
+    /// The markers that take part, and the images with at least two of them.
     pub(super) bundle: Bundle,
-    /// Ids that no picture shows.
+    /// Ids that no image shows.
     pub(super) unseen: Vec<u32>,
-    /// Ids with too few pictures.
+    /// Ids with too few images.
     pub(super) rare: Vec<u32>,
-    /// Ids that no picture shows together with those that take part.
+    /// Ids that no image shows together with those that take part.
     pub(super) apart: Vec<u32>,
-    /// Pictures that take no part, with the reason.
+    /// Images that take no part, with the reason.
     pub(super) left_out: Vec<(usize, &'static str)>,
 }
 
@@ -48,15 +48,15 @@ pub(super) fn framed(marker: &BoardMarker) -> Marker {
     }
 }
 
-/// Chooses markers and pictures, without poses of the views.
-pub(super) fn select(board: &Board, camera: &Intrinsics, pictures: &[GripperPicture]) -> Selection {
+/// Chooses markers and images, without poses of the views.
+pub(super) fn select(board: &Board, camera: &Intrinsics, images: &[GripperImage]) -> Selection {
     let all: Vec<Marker> = board
         .markers
         .iter()
         .filter(|m| m.part != Part::Object)
         .map(framed)
         .collect();
-    let seen: Vec<Vec<(usize, &Detection)>> = pictures.iter().map(|p| sightings(&all, p)).collect();
+    let seen: Vec<Vec<(usize, &Detection)>> = images.iter().map(|p| sightings(&all, p)).collect();
     let mut selection = Selection {
         bundle: Bundle {
             camera: *camera,
@@ -71,7 +71,7 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, pictures: &[GripperPict
     };
     let taken = selection.take_markers(&all, &seen);
     let place = |m: usize| (0..m).filter(|k| taken[*k]).count();
-    for (picture, sights) in seen.iter().enumerate() {
+    for (image, sights) in seen.iter().enumerate() {
         let here = sights.iter().filter(|(m, _)| taken[*m]);
         let here: Vec<Sight> = here
             .map(|(m, d)| Sight {
@@ -80,17 +80,17 @@ pub(super) fn select(board: &Board, camera: &Intrinsics, pictures: &[GripperPict
                 used: true,
             })
             .collect();
-        let mut leave_out = |reason| selection.left_out.push((picture, reason));
+        let mut leave_out = |reason| selection.left_out.push((image, reason));
         match (sights.len(), here.len()) {
             (0, _) => leave_out("no marker of the gripper was found"),
             (_, 0 | 1) => leave_out("only one marker that takes part was found"),
             _ => {
                 let differ = slides_differ(&selection.bundle.markers, &here);
                 selection.bundle.views.push(View {
-                    picture,
+                    image,
                     pose: Pose::IDENTITY,
                     opening_m: 0.0,
-                    frees_opening: differ && !pictures[picture].closed,
+                    frees_opening: differ && !images[image].closed,
                     sights: here,
                 });
             }
@@ -120,7 +120,7 @@ impl Selection {
                     here.into_iter().for_each(|m| counts[m] += 1);
                 }
             }
-            let few = (0..all.len()).find(|m| taken[*m] && counts[*m] < LEAST_SIGHTS);
+            let few = (0..all.len()).find(|m| taken[*m] && counts[*m] < MIN_SIGHTS);
             let Some(few) = few else { break };
             taken[few] = false;
             self.rare.push(all[few].id);
@@ -145,18 +145,18 @@ impl Selection {
     }
 }
 
-/// A picture's detections of the gripper's markers; one that is found twice is neither.
-fn sightings<'a>(all: &[Marker], picture: &'a GripperPicture) -> Vec<(usize, &'a Detection)> {
+/// An image's detections of the gripper's markers; one that is found twice is neither.
+fn sightings<'a>(all: &[Marker], image: &'a GripperImage) -> Vec<(usize, &'a Detection)> {
     let is_sound = |d: &Detection| {
-        let twice = picture.detections.iter().filter(|o| o.id == d.id).count() > 1;
+        let twice = image.detections.iter().filter(|o| o.id == d.id).count() > 1;
         !twice && d.corners_px.iter().all(|c| c.is_finite())
     };
     let place = |d: &Detection| all.iter().position(|m| m.id == d.id);
-    let sound = picture.detections.iter().filter(|d| is_sound(d));
+    let sound = image.detections.iter().filter(|d| is_sound(d));
     sound.filter_map(|d| place(d).map(|m| (m, d))).collect()
 }
 
-/// Number of the group that each marker belongs to: those that some picture shows together.
+/// Number of the group that each marker belongs to: those that some image shows together.
 fn groups(count: usize, shown: impl Iterator<Item = Vec<usize>>) -> Vec<usize> {
     let mut group: Vec<usize> = (0..count).collect();
     for here in shown {
@@ -176,10 +176,10 @@ fn groups(count: usize, shown: impl Iterator<Item = Vec<usize>>) -> Vec<usize> {
 
 /// Gives each view the pose that fits best with markers where they are described: of all markers
 /// together, or of one of them alone where they are too far off for that.
-pub(super) fn start(bundle: &mut Bundle, board: &Board, pictures: &[GripperPicture]) {
+pub(super) fn start(bundle: &mut Bundle, board: &Board, images: &[GripperImage]) {
     for i in 0..bundle.views.len() {
-        let picture = &pictures[bundle.views[i].picture];
-        let candidates = candidates(bundle, &bundle.views[i], board, picture);
+        let image = &images[bundle.views[i].image];
+        let candidates = candidates(bundle, &bundle.views[i], board, image);
         let scored = candidates.into_iter().map(|(pose, opening_m)| {
             let view = View {
                 pose,
@@ -199,12 +199,12 @@ fn candidates(
     bundle: &Bundle,
     view: &View,
     board: &Board,
-    picture: &GripperPicture,
+    image: &GripperImage,
 ) -> Vec<(Pose, f64)> {
     let camera = &bundle.camera;
     let mut result = Vec::new();
     let known = (!view.frees_opening).then_some(0.0);
-    if let Ok(found) = solve_gripper(board, &picture.detections, camera, known) {
+    if let Ok(found) = solve_gripper(board, &image.detections, camera, known) {
         let opening_m = found.opening.map_or(0.0, |o| o.opening_m);
         result.push((found.body.t_camera_part, opening_m));
     }
@@ -224,7 +224,7 @@ fn candidates(
                 .collect(),
             ..board.clone()
         };
-        let Ok(found) = solve_part(&alone, marker.part, &picture.detections, camera) else {
+        let Ok(found) = solve_part(&alone, marker.part, &image.detections, camera) else {
             continue;
         };
         for pose in [Some(found.t_camera_part), found.runner_up]

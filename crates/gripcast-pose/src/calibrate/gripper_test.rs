@@ -1,4 +1,4 @@
-//! Grippers with tags that are off: corners with noise, and one set of rendered pictures.
+//! Grippers with tags that are off: corners with noise, and one set of rendered images.
 
 use glam::{DMat3, DQuat, DVec2, DVec3};
 use rand::{RngExt as _, SeedableRng as _};
@@ -13,7 +13,7 @@ use crate::camera::project;
 use crate::detect::detectors;
 use crate::refine::refine_all;
 use crate::solve::solve_gripper;
-use crate::synthetic::{PictureConditions, Placed, render, test_camera};
+use crate::synthetic::{ImageConditions, Placed, render, test_camera};
 use crate::{Board, BoardFile, Detection, Part};
 use gripcast_base::linear::Symmetric;
 use gripcast_geometry::Pose;
@@ -116,14 +116,14 @@ fn seen(board: &Board, (pose, opening): &(Pose, f64), random: &mut Pcg64) -> Vec
     found
 }
 
-fn pictures(board: &Board, views: &[(Pose, f64)], seed: u64) -> Vec<GripperPicture> {
+fn images(board: &Board, views: &[(Pose, f64)], seed: u64) -> Vec<GripperImage> {
     let mut random = Pcg64::seed_from_u64(seed);
-    let picture = |(i, view): (usize, &(Pose, f64))| GripperPicture {
+    let image = |(i, view): (usize, &(Pose, f64))| GripperImage {
         name: format!("{i:03}.png"),
         detections: seen(board, view, &mut random),
         closed: view.1 == 0.0,
     };
-    views.iter().enumerate().map(picture).collect()
+    views.iter().enumerate().map(image).collect()
 }
 
 fn framed_all(board: &Board) -> Vec<Marker> {
@@ -217,8 +217,8 @@ fn tags_that_are_off_are_found_and_their_covariance_is_honest() {
         let truth = glued(&file.board, 100 + run);
         let views = poses(20, 200 + run);
         let found =
-            calibrate_gripper(&file, &camera(), &pictures(&truth, &views, 300 + run)).unwrap();
-        assert_eq!(found.pictures, 20);
+            calibrate_gripper(&file, &camera(), &images(&truth, &views, 300 + run)).unwrap();
+        assert_eq!(found.images, 20);
         assert_eq!(
             (found.x_from, found.zero_from),
             (FrameSource::Fingers, FrameSource::Fingers)
@@ -260,7 +260,7 @@ fn quantiles(mut values: Vec<f64>) -> (f64, f64) {
 }
 
 /// Errors (mm, degrees) of the gripper's pose with a board, median and 95 %, and how many of the
-/// pictures gave one. `t_frame` is where the board has the true frame.
+/// images gave one. `t_frame` is where the board has the true frame.
 fn pose_errors(board: &Board, truth: &Board, t_frame: &Pose) -> ((f64, f64), (f64, f64), usize) {
     let mut random = Pcg64::seed_from_u64(77);
     let (mut mm, mut deg) = (Vec::new(), Vec::new());
@@ -281,14 +281,14 @@ fn pose_errors(board: &Board, truth: &Board, t_frame: &Pose) -> ((f64, f64), (f6
 fn poses_with_the_calibrated_tags_are_those_of_a_perfect_board() {
     let file = nominal();
     let truth = glued(&file.board, 9);
-    let found = calibrate_gripper(&file, &camera(), &pictures(&truth, &poses(30, 10), 11)).unwrap();
+    let found = calibrate_gripper(&file, &camera(), &images(&truth, &poses(30, 10), 11)).unwrap();
     let perfect = pose_errors(&truth, &truth, &Pose::IDENTITY);
     let before = pose_errors(&file.board, &truth, &Pose::IDENTITY);
     // The frame is tied to the description, which is off by a constant.
     let offset = aligned(&found.board.board, &truth).1.inverse();
     let after = pose_errors(&found.board.board, &truth, &offset);
     assert_eq!(after.2, perfect.2);
-    // What is left of the calibration's own error is far below that of one picture at its worst:
+    // What is left of the calibration's own error is far below that of one image at its worst:
     // measured 0.052 mm (median) and 0.122 mm (95 %) against 0.023 and 0.089 of the perfect board.
     assert!(
         after.0.0 < 0.08 && after.0.1 < 1.5 * perfect.0.1,
@@ -310,15 +310,15 @@ fn poses_with_the_calibrated_tags_are_those_of_a_perfect_board() {
 }
 
 #[test]
-fn rendered_pictures_give_the_tags() {
+fn rendered_images_give_the_tags() {
     let file = nominal();
     let truth = glued(&file.board, 21);
-    let conditions = PictureConditions::default();
+    let conditions = ImageConditions::default();
     let mut detector = detectors(&file.dictionary, &file.board.ids())
         .unwrap()
         .remove(0);
     let views = poses(14, 22);
-    let picture = |(i, view): (usize, &(Pose, f64))| {
+    let image = |(i, view): (usize, &(Pose, f64))| {
         let parts = [Part::Body, Part::FingerLeft, Part::FingerRight];
         let placed = parts.map(|part| Placed {
             board: &truth,
@@ -326,19 +326,19 @@ fn rendered_pictures_give_the_tags() {
             dictionary: &file.dictionary,
             t_camera_part: view.0 * shift(part, view.1),
         });
-        let rendered = render(&camera(), &placed, &conditions, i as u64).picture;
+        let rendered = render(&camera(), &placed, &conditions, i as u64).image;
         let detections = detector.detect(&rendered).unwrap();
-        GripperPicture {
+        GripperImage {
             name: format!("{i}.png"),
             detections: refine_all(&rendered, &detections),
             closed: i < 2,
         }
     };
-    let pictures: Vec<GripperPicture> = views.iter().enumerate().map(picture).collect();
-    let found = calibrate_gripper(&file, &camera(), &pictures).unwrap();
+    let images: Vec<GripperImage> = views.iter().enumerate().map(image).collect();
+    let found = calibrate_gripper(&file, &camera(), &images).unwrap();
     let (shift, turn) = between_markers(&found.board.board, &truth);
     assert!(shift < 1e-4, "{shift}");
-    // Measured 0.066°, of a finger's tag, which are small in these pictures.
+    // Measured 0.066°, of a finger's tag, which are small in these images.
     assert!(turn < 0.1f64.to_radians(), "{turn}");
     assert!(found.rms_px < 0.12, "{}", found.rms_px);
 }
@@ -352,8 +352,8 @@ fn a_tag_that_moves_meanwhile_is_named() {
         *corner += DVec3::new(0.0006, 0.0, 0.0005);
     }
     let views = poses(24, 32);
-    let mut all = pictures(&truth, &views, 33);
-    all[15..].clone_from_slice(&pictures(&later, &views, 34)[15..]);
+    let mut all = images(&truth, &views, 33);
+    all[15..].clone_from_slice(&images(&later, &views, 34)[15..]);
     let found = calibrate_gripper(&file, &camera(), &all).unwrap();
     let MarkerState::Loose {
         moved: Some((names, shift, _)),
@@ -388,19 +388,19 @@ fn a_tag_that_moves_meanwhile_is_named() {
 fn a_wrong_sighting_is_left_out_and_an_unseen_tag_stays() {
     let file = nominal();
     let truth = glued(&file.board, 41);
-    let mut all = pictures(&truth, &poses(20, 42), 43);
+    let mut all = images(&truth, &poses(20, 42), 43);
     let wrong = all[7].detections.iter_mut().find(|d| d.id == 241).unwrap();
     for corner in &mut wrong.corners_px {
         *corner += DVec2::new(9.0, -6.0);
     }
-    for picture in &mut all {
-        picture.detections.retain(|d| d.id != 243);
+    for image in &mut all {
+        image.detections.retain(|d| d.id != 243);
     }
     let found = calibrate_gripper(&file, &camera(), &all).unwrap();
     assert_eq!(found.markers[1].outliers, 1);
     assert_eq!(
         found.markers[3].state,
-        MarkerState::AsDescribed("no picture shows it")
+        MarkerState::AsDescribed("no image shows it")
     );
     let described = &file.board.markers[3];
     let kept = &found.board.board.markers[3];
@@ -416,7 +416,7 @@ fn without_closed_fingers_or_motion_the_description_decides() {
     for (i, view) in views.iter_mut().enumerate() {
         view.1 = 0.04 + 1e-4 * i as f64;
     }
-    let found = calibrate_gripper(&file, &camera(), &pictures(&file.board, &views, 53)).unwrap();
+    let found = calibrate_gripper(&file, &camera(), &images(&file.board, &views, 53)).unwrap();
     assert_eq!(found.x_from, FrameSource::Description);
     assert_eq!(found.zero_from, FrameSource::Description);
     for expected in ["--closed", "30 mm apart"] {
@@ -438,9 +438,9 @@ fn without_closed_fingers_or_motion_the_description_decides() {
 fn tags_on_the_body_alone_need_no_opening() {
     let file = nominal();
     let truth = glued(&file.board, 61);
-    let mut all = pictures(&truth, &poses(16, 62), 63);
-    for picture in &mut all {
-        picture.detections.retain(|d| d.id < 244);
+    let mut all = images(&truth, &poses(16, 62), 63);
+    for image in &mut all {
+        image.detections.retain(|d| d.id < 244);
     }
     let found = calibrate_gripper(&file, &camera(), &all).unwrap();
     assert_eq!(
@@ -458,8 +458,8 @@ fn tags_on_the_body_alone_need_no_opening() {
 #[test]
 fn what_cannot_be_calibrated_is_explained() {
     let file = nominal();
-    let all = pictures(&file.board, &poses(20, 72), 73);
-    let refused = |all: &[GripperPicture]| {
+    let all = images(&file.board, &poses(20, 72), 73);
+    let refused = |all: &[GripperImage]| {
         let error = calibrate_gripper(&file, &camera(), all).unwrap_err();
         error.to_string()
     };
@@ -467,19 +467,19 @@ fn what_cannot_be_calibrated_is_explained() {
     assert!(refused(&all[..7]).contains("8 are needed"));
     let change = |keep: &dyn Fn(usize, u32) -> bool| {
         let mut changed = all.clone();
-        for (i, picture) in changed.iter_mut().enumerate() {
-            picture.closed = false;
-            picture.detections.retain(|d| keep(i, d.id));
+        for (i, image) in changed.iter_mut().enumerate() {
+            image.closed = false;
+            image.detections.retain(|d| keep(i, d.id));
         }
         changed
     };
     assert!(refused(&change(&|i, id| id == 240 + (i as u32 % 6))).contains("8 are needed"));
     let one_finger_each = change(&|i, id| id != if i % 2 == 0 { 244 } else { 245 });
     assert!(refused(&one_finger_each).contains("both fingers"));
-    // Another gripper: the tags have changed places in half of the pictures.
+    // Another gripper: the tags have changed places in half of the images.
     let mut swapped = all.clone();
-    for (i, picture) in swapped.iter_mut().enumerate() {
-        for detection in picture.detections.iter_mut() {
+    for (i, image) in swapped.iter_mut().enumerate() {
+        for detection in image.detections.iter_mut() {
             detection.corners_px.rotate_left(i % 4);
         }
     }

@@ -15,10 +15,10 @@ use gripcast_imaging::Intrinsics;
 pub const PARAMETERS: [&str; LENS] = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"];
 
 /// Fewest views.
-const FEWEST_VIEWS: usize = 3;
+const MIN_VIEWS: usize = 3;
 /// Loss of the first searches, px, and the narrowest of the last.
 const ROUGH_LOSS_PX: f64 = 3.0;
-const LEAST_LOSS_PX: f64 = 0.1;
+const MIN_LOSS_PX: f64 = 0.1;
 /// Residuals of the least-squares part of the loss, times their median.
 const LOSS_OF_MEDIAN: f64 = 2.0;
 /// A point is an outlier beyond this many medians of all residuals, and this, px. The median of a
@@ -27,12 +27,12 @@ const POINT_OUTLIER: (f64, f64) = (5.0, 0.25);
 /// A view is an outlier beyond this many medians of the views' errors, and this, px.
 const VIEW_OUTLIER: (f64, f64) = (3.0, 0.3);
 /// Fewest points of a view after its outliers.
-const FEWEST_POINTS: usize = 6;
+const MIN_POINTS: usize = 6;
 /// Least angle between the board's normals in two views, rad: 8°.
-const LEAST_SPREAD_RAD: f64 = 0.14;
+const MIN_SPREAD_RAD: f64 = 0.14;
 /// A focal length that is known worse than this, relatively, is not determined.
 const WORST_FOCAL: f64 = 0.01;
-/// A coefficient is fitted while directions in the picture's corners stay known to this part of
+/// A coefficient is fitted while directions in the image's corners stay known to this part of
 /// the diagonal (one standard deviation): 2 px at 640×480.
 const WORST_CORNER: f64 = 0.0025;
 /// A coefficient is also fitted if it differs from 0 by this many standard deviations; k3 only
@@ -84,7 +84,7 @@ pub struct CalibrationReport {
     pub rms_px: f64,
     /// Standard deviation of one coordinate of a point, px.
     pub point_sigma_px: f64,
-    /// How well directions in the picture's corners are known: the largest standard deviation, px.
+    /// How well directions in the image's corners are known: the largest standard deviation, px.
     pub corner_sigma_px: f64,
     /// The views, in the order in which they were given.
     pub views: Vec<ViewFit>,
@@ -92,11 +92,11 @@ pub struct CalibrationReport {
     pub holdout: Option<Holdout>,
 }
 
-/// Calibrates a camera with pictures of `size` (width, height) from the points of each view.
+/// Calibrates a camera with images of `size` (width, height) from the points of each view.
 ///
 /// Coefficients that the views do not determine stay 0: k3, then p1 and p2, then k2, then k1 are
 /// given up until the last one differs from 0 by more than three standard deviations or, but for
-/// k3, directions in the picture's corners are known to 0.25 % of its diagonal.
+/// k3, directions in the image's corners are known to 0.25 % of its diagonal.
 ///
 /// # Errors
 /// `Input` if there are too few views, if they show the board from too few directions, or if the
@@ -140,10 +140,10 @@ impl<'a> Search<'a> {
     fn new(size: [u32; 2], all: &'a [Vec<BoardPoint>]) -> Result<Self> {
         let usable = all.iter().enumerate().filter_map(|(index, points)| {
             let homography = homography(points)?;
-            (points.len() >= FEWEST_POINTS).then_some((index, homography))
+            (points.len() >= MIN_POINTS).then_some((index, homography))
         });
         let usable: Vec<_> = usable.collect();
-        if usable.len() < FEWEST_VIEWS {
+        if usable.len() < MIN_VIEWS {
             return Err(too_few(usable.len()));
         }
         let homographies: Vec<_> = usable.iter().map(|(_, h)| *h).collect();
@@ -246,7 +246,7 @@ impl<'a> Search<'a> {
             .1
             .max(VIEW_OUTLIER.0 * median(errors.iter().copied())?);
         let worst = (0..errors.len()).max_by(|a, b| errors[*a].total_cmp(&errors[*b]))?;
-        (self.views.len() > FEWEST_VIEWS && errors[worst] > limit).then_some(worst)
+        (self.views.len() > MIN_VIEWS && errors[worst] > limit).then_some(worst)
     }
 
     /// The final fit, after outlying points have gone, with the parameters that are determined.
@@ -300,7 +300,7 @@ impl<'a> Search<'a> {
         last
     }
 
-    /// Largest deviation of where directions in the picture's corners are seen, px for points
+    /// Largest deviation of where directions in the image's corners are seen, px for points
     /// known to 1 px.
     fn corner_spread(&self, fit: &BundleFit) -> f64 {
         corner_spread(&fit.bundle.lens, &fit.inverse_information)
@@ -308,7 +308,7 @@ impl<'a> Search<'a> {
 
     fn loss_px(&self) -> f64 {
         let median = median(self.errors()).unwrap_or(0.0);
-        LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median)
+        MIN_LOSS_PX.max(LOSS_OF_MEDIAN * median)
     }
 
     /// Removes points that are outliers; whether there were some.
@@ -323,7 +323,7 @@ impl<'a> Search<'a> {
             points.retain(|p| error_px(&lens, pose, p) <= limit);
         }
         for i in (0..self.views.len()).rev() {
-            if self.views[i].len() < FEWEST_POINTS && self.views.len() > FEWEST_VIEWS {
+            if self.views[i].len() < MIN_POINTS && self.views.len() > MIN_VIEWS {
                 self.views.remove(i);
                 self.indices.remove(i);
                 self.bundle.poses.remove(i);
@@ -343,7 +343,7 @@ impl<'a> Search<'a> {
     /// Leaves out every n-th view in turn.
     fn holdout(&self, fit: &BundleFit, fitted: &Fitted) -> Option<Holdout> {
         let count = self.views.len();
-        if count < FEWEST_VIEWS + 2 {
+        if count < MIN_VIEWS + 2 {
             return None;
         }
         let folds = FOLDS.min(count);
@@ -451,7 +451,7 @@ fn jackknife(values: impl Iterator<Item = f64> + Clone) -> f64 {
     (squares * (count - 1.0) / count).sqrt()
 }
 
-/// Root of the largest eigenvalue's bound of the covariance of a picture's corners, px for points
+/// Root of the largest eigenvalue's bound of the covariance of an image's corners, px for points
 /// known to 1 px. The board's pose takes up a turn of the camera, so that a shift of all four
 /// corners together does not count.
 fn corner_spread(lens: &Intrinsics, inverse_information: &[[f64; LENS]; LENS]) -> f64 {
@@ -501,7 +501,7 @@ fn check_spread(poses: &[Pose]) -> Result<()> {
             widest = widest.max(a.angle_between(*b));
         }
     }
-    if widest >= LEAST_SPREAD_RAD {
+    if widest >= MIN_SPREAD_RAD {
         return Ok(());
     }
     Err(Error::input(format!(
@@ -512,8 +512,8 @@ fn check_spread(poses: &[Pose]) -> Result<()> {
     .remedy(TILT_REMEDY))
 }
 
-const TILT_REMEDY: &str = "take pictures with the board tilted by 20° to 40° to the left, to the right, upwards \
-                           and downwards, in all parts of the picture";
+const TILT_REMEDY: &str = "take images with the board tilted by 20° to 40° to the left, to the right, upwards \
+                           and downwards, in all parts of the image";
 
 fn not_determined() -> Error {
     let what =
@@ -523,9 +523,9 @@ fn not_determined() -> Error {
 
 fn too_few(count: usize) -> Error {
     Error::input(format!(
-        "a calibration needs at least {FEWEST_VIEWS} usable views of the board, found {count}"
+        "a calibration needs at least {MIN_VIEWS} usable views of the board, found {count}"
     ))
-    .remedy("take 12 to 20 pictures, with the board tilted and in all parts of the picture")
+    .remedy("take 12 to 20 images, with the board tilted and in all parts of the image")
 }
 
 fn contradiction(error_px: f64) -> Error {
@@ -533,7 +533,7 @@ fn contradiction(error_px: f64) -> Error {
             "the points are {error_px:.1} px away from where the board's description puts them"
         ))
     .remedy(
-        "check the description (markers, squares, legacy layout), that the board is flat, and that all pictures are \
+        "check the description (markers, squares, legacy layout), that the board is flat, and that all images are \
          from one camera with one zoom and focus",
     )
 }

@@ -29,7 +29,7 @@ fn normal(random: &mut Pcg64) -> f64 {
 }
 
 /// Poses of a board that faces the camera, tilted in turn to all sides, in all parts of the
-/// picture, 0.3 to 0.6 m away.
+/// image, 0.3 to 0.6 m away.
 pub(super) fn poses(count: usize, random: &mut Pcg64, tilt: f64) -> Vec<Pose> {
     (0..count)
         .map(|k| {
@@ -48,7 +48,7 @@ pub(super) fn poses(count: usize, random: &mut Pcg64, tilt: f64) -> Vec<Pose> {
         .collect()
 }
 
-/// A grid of 8 × 6 points, 25 mm apart, as far as the picture shows it.
+/// A grid of 8 × 6 points, 25 mm apart, as far as the image shows it.
 fn view(lens: &Intrinsics, pose: &Pose, noise: f64, random: &mut Pcg64) -> Vec<BoardPoint> {
     let place = |k: u32| {
         let (x, y) = (f64::from(k % 8) - 3.5, f64::from(k / 8) - 2.5);
@@ -225,7 +225,7 @@ fn a_bad_view_and_moved_corners_do_no_harm() {
 
 #[test]
 fn what_views_do_not_determine_is_not_fitted() {
-    // Small boards in the picture's middle say nothing of its corners.
+    // Small boards in the image's middle say nothing of its corners.
     let lens = Intrinsics {
         coefficients: [0.0; 5],
         ..truth()

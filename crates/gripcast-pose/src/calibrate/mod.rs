@@ -1,4 +1,4 @@
-//! Calibration from pictures: the intrinsics of a camera from views of a board, the places of the
+//! Calibration from images: the intrinsics of a camera from views of a board, the places of the
 //! gripper's tags.
 
 mod board_points;
@@ -14,11 +14,11 @@ mod gripper_result;
 mod gripper_start;
 #[cfg(test)]
 mod gripper_test;
+#[cfg(test)]
+mod images_test;
 mod intrinsics;
 #[cfg(test)]
 mod intrinsics_test;
-#[cfg(test)]
-mod pictures_test;
 mod saddle;
 mod start;
 
@@ -27,6 +27,6 @@ pub use collector::{Collector, CollectorSettings, Offer, Refusal};
 pub use coverage::{Coverage, Hint, Tilt};
 pub use gripper::calibrate_gripper;
 pub use gripper_result::{
-    CalibratedMarker, FrameSource, GripperCalibration, GripperPicture, MarkerState,
+    CalibratedMarker, FrameSource, GripperCalibration, GripperImage, MarkerState,
 };
 pub use intrinsics::{CalibrationReport, Holdout, PARAMETERS, ViewFit, calibrate_intrinsics};

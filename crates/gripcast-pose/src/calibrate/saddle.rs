@@ -1,4 +1,4 @@
-//! Inner corners of a chessboard: saddle points of the picture.
+//! Inner corners of a chessboard: saddle points of the image.
 
 use glam::{DMat2, DVec2};
 use image::GrayImage;
@@ -10,15 +10,15 @@ use gripcast_imaging::srgb_decode;
 const RADIUS_PX: [f64; 2] = [2.2, 8.0];
 /// Reach of blur and of the derivative, kept between the window and the next marker, px.
 const REACH_PX: f64 = 2.0;
-const MOST_STEPS: usize = 12;
+const MAX_STEPS: usize = 12;
 /// Steps below this have arrived, px.
 const ARRIVED_PX: f64 = 0.002;
 /// Farthest way from the prediction, in radii and px.
-const FARTHEST: (f64, f64) = (0.6, 3.0);
+const MAX: (f64, f64) = (0.6, 3.0);
 /// Ratio of the structure's eigenvalues below which there is one edge and no corner.
-const LEAST_RATIO: f64 = 0.05;
+const MIN_RATIO: f64 = 0.05;
 /// Least difference between the white and the black squares beside a corner, light from 0 to 1.
-const LEAST_CONTRAST: f64 = 0.02;
+const MIN_CONTRAST: f64 = 0.02;
 
 /// Where a corner should be, and what is around it.
 pub(super) struct ExpectedSaddle {
@@ -32,14 +32,14 @@ pub(super) struct ExpectedSaddle {
     pub(super) free_px: f64,
 }
 
-/// The saddle point near the expected place; none where the picture has none, or where markers are
+/// The saddle point near the expected place; none where the image has none, or where markers are
 /// so near that they would draw it to their side.
 ///
 /// At the corner, every gradient of the window is perpendicular to the line to the corner (W.
 /// Förstner and E. Gülch, *A fast operator for detection and precise location of distinct points*,
 /// 1987). The window is round, moves with the corner and ends before the markers: a corner looks
 /// the same turned by 180°, so that blur and window do not bias it.
-pub(super) fn refine_saddle(picture: &GrayImage, expected: &ExpectedSaddle) -> Option<DVec2> {
+pub(super) fn refine_saddle(image: &GrayImage, expected: &ExpectedSaddle) -> Option<DVec2> {
     let room = expected.free_px - REACH_PX;
     // Written so that NaN is refused as well.
     let has_room = room >= RADIUS_PX[0];
@@ -48,11 +48,11 @@ pub(super) fn refine_saddle(picture: &GrayImage, expected: &ExpectedSaddle) -> O
     }
     let radius = room.min(RADIUS_PX[1]);
     let mut at = expected.at;
-    for _ in 0..MOST_STEPS {
-        let next = step(picture, at, radius)?;
+    for _ in 0..MAX_STEPS {
+        let next = step(image, at, radius)?;
         let moved = next.distance(at);
         at = next;
-        let is_near = at.distance(expected.at) <= (FARTHEST.0 * radius).min(FARTHEST.1);
+        let is_near = at.distance(expected.at) <= (MAX.0 * radius).min(MAX.1);
         if !is_near {
             return None;
         }
@@ -60,27 +60,27 @@ pub(super) fn refine_saddle(picture: &GrayImage, expected: &ExpectedSaddle) -> O
             break;
         }
     }
-    is_saddle(picture, expected, at - expected.at).then_some(at)
+    is_saddle(image, expected, at - expected.at).then_some(at)
 }
 
 /// Whether the squares beside a corner that is `off` the prediction are black and white.
-fn is_saddle(picture: &GrayImage, expected: &ExpectedSaddle, off: DVec2) -> bool {
-    let levels = |places: [DVec2; 2]| places.map(|p| level(picture, p + off));
+fn is_saddle(image: &GrayImage, expected: &ExpectedSaddle, off: DVec2) -> bool {
+    let levels = |places: [DVec2; 2]| places.map(|p| level(image, p + off));
     let ([Some(a), Some(b)], [Some(c), Some(d)]) = (levels(expected.white), levels(expected.black))
     else {
         return false;
     };
-    a.min(b) - c.max(d) >= LEAST_CONTRAST
+    a.min(b) - c.max(d) >= MIN_CONTRAST
 }
 
 /// One solution of Σ w g gᵀ (p − corner) = 0 over the pixels around `centre`. Gradients are taken at
 /// pixels and only the weights move with the centre: values between pixels would bring a bias that
 /// depends on where between them the corner is.
-fn step(picture: &GrayImage, centre: DVec2, radius: f64) -> Option<DVec2> {
+fn step(image: &GrayImage, centre: DVec2, radius: f64) -> Option<DVec2> {
     let (low, high) = ((centre - radius).ceil(), (centre + radius).floor());
     let is_inside = low.cmpge(DVec2::ONE).all()
-        && high.x <= f64::from(picture.width()) - 2.0
-        && high.y <= f64::from(picture.height()) - 2.0;
+        && high.x <= f64::from(image.width()) - 2.0
+        && high.y <= f64::from(image.height()) - 2.0;
     if !is_inside {
         return None;
     }
@@ -90,7 +90,7 @@ fn step(picture: &GrayImage, centre: DVec2, radius: f64) -> Option<DVec2> {
         for x in low.x as usize..=high.x as usize {
             let off = DVec2::new(x as f64, y as f64) - centre;
             let near = (1.0 - off.length_squared() / (radius * radius)).max(0.0);
-            let slope = gradient(picture, x, y);
+            let slope = gradient(image, x, y);
             let part = DMat2::from_cols(slope * slope.x, slope * slope.y) * (near * near);
             structure += part;
             moment += part * off;
@@ -101,15 +101,15 @@ fn step(picture: &GrayImage, centre: DVec2, radius: f64) -> Option<DVec2> {
         structure.determinant(),
     );
     // Eigenvalues a ≥ b have b/a ≈ determinant/trace² where b is small.
-    let is_corner = determinant > LEAST_RATIO * trace * trace;
+    let is_corner = determinant > MIN_RATIO * trace * trace;
     is_corner.then(|| centre + structure.inverse() * moment)
 }
 
 /// Scharr's derivatives at a pixel that is not at the border (H. Scharr, *Optimal operators in
 /// digital image processing*, 2000), light/px: levels would put edges on their dark side.
-fn gradient(picture: &GrayImage, x: usize, y: usize) -> DVec2 {
+fn gradient(image: &GrayImage, x: usize, y: usize) -> DVec2 {
     const WEIGHTS: [f64; 3] = [3.0 / 32.0, 10.0 / 32.0, 3.0 / 32.0];
-    let (pixels, width) = (picture.as_raw(), picture.width() as usize);
+    let (pixels, width) = (image.as_raw(), image.width() as usize);
     let pixel = |x: usize, y: usize| f64::from(srgb_decode(pixels[y * width + x]));
     let mut slope = DVec2::ZERO;
     for (k, weight) in WEIGHTS.iter().enumerate() {
@@ -119,9 +119,9 @@ fn gradient(picture: &GrayImage, x: usize, y: usize) -> DVec2 {
     slope
 }
 
-/// Light between pixels; none at the picture's border.
-fn level(picture: &GrayImage, at: DVec2) -> Option<f64> {
-    let (width, height) = (picture.width() as usize, picture.height() as usize);
+/// Light between pixels; none at the image's border.
+fn level(image: &GrayImage, at: DVec2) -> Option<f64> {
+    let (width, height) = (image.width() as usize, image.height() as usize);
     let inside =
         at.x >= 0.0 && at.y >= 0.0 && at.x < width as f64 - 1.0 && at.y < height as f64 - 1.0;
     if !inside {
@@ -129,7 +129,7 @@ fn level(picture: &GrayImage, at: DVec2) -> Option<f64> {
     }
     let (x, y) = (at.x as usize, at.y as usize);
     let (fx, fy) = (at.x - x as f64, at.y - y as f64);
-    let pixels = picture.as_raw();
+    let pixels = image.as_raw();
     let pixel = |x: usize, y: usize| f64::from(srgb_decode(pixels[y * width + x]));
     let top = pixel(x, y) * (1.0 - fx) + pixel(x + 1, y) * fx;
     let bottom = pixel(x, y + 1) * (1.0 - fx) + pixel(x + 1, y + 1) * fx;
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     /// A corner at `at` between squares whose edges run at two angles, rad, blurred.
-    fn picture(at: DVec2, angles: [f64; 2]) -> GrayImage {
+    fn image(at: DVec2, angles: [f64; 2]) -> GrayImage {
         let side = |p: DVec2, angle: f64| {
             let distance = DVec2::from_angle(angle).perp_dot(p - at);
             // Close to the error function, for a blur of 0.8 px.
@@ -174,10 +174,10 @@ mod tests {
         {
             let truth = DVec2::new(*x, *y);
             let angles = [0.3 * k as f64, 1.3 + 0.2 * k as f64];
-            let picture = picture(truth, angles);
+            let image = image(truth, angles);
             for off in [DVec2::ZERO, DVec2::new(0.9, -0.7), DVec2::new(-1.1, 0.2)] {
                 let expected = expected(truth + off, angles, 8.0);
-                let found = refine_saddle(&picture, &expected).unwrap();
+                let found = refine_saddle(&image, &expected).unwrap();
                 assert!(found.distance(truth) < 0.03, "{k} {off} {}", found - truth);
             }
         }
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn what_is_no_saddle_is_refused() {
         let (at, angles) = (DVec2::splat(20.2), [0.2, 1.6]);
-        let saddle = picture(at, angles);
+        let saddle = image(at, angles);
         assert!(refine_saddle(&saddle, &expected(at, angles, 8.0)).is_some());
         // No room before the markers.
         assert!(refine_saddle(&saddle, &expected(at, angles, 3.0)).is_none());

@@ -8,7 +8,7 @@ use gripcast_base::linear::NormalEquations;
 use gripcast_geometry::Pose;
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
-/// Focal lengths that a lens has, relative to the picture's longer side.
+/// Focal lengths that a lens has, relative to the image's longer side.
 const FOCAL: [f64; 2] = [0.1, 30.0];
 
 /// Homography from the board's plane to pixels; none where the points do not span the plane.
@@ -18,7 +18,7 @@ pub(super) fn homography(points: &[BoardPoint]) -> Option<DMat3> {
     plane_to_image(&plane, &pixels)
 }
 
-/// A lens without distortion whose principal point is the picture's middle.
+/// A lens without distortion whose principal point is the image's middle.
 pub(super) fn plain_lens([width, height]: [u32; 2], fx: f64, fy: f64) -> Intrinsics {
     Intrinsics {
         width,
@@ -33,8 +33,8 @@ pub(super) fn plain_lens([width, height]: [u32; 2], fx: f64, fy: f64) -> Intrins
 }
 
 /// Lenses that fit the homographies: Z. Zhang, *A flexible new technique for camera calibration*,
-/// 2000, §3.1, with the principal point in the picture's middle, which leaves two unknowns (or one,
-/// for square pixels) and makes it hold for few and noisy pictures. The last one is a guess.
+/// 2000, §3.1, with the principal point in the image's middle, which leaves two unknowns (or one,
+/// for square pixels) and makes it hold for few and noisy images. The last one is a guess.
 pub(super) fn lenses(size: [u32; 2], homographies: &[DMat3]) -> Vec<Intrinsics> {
     let side = f64::from(size[0].max(size[1]));
     let middle = plain_lens(size, 1.0, 1.0);

@@ -181,7 +181,7 @@ fn a_file_without_a_size_needs_one() {
 }
 
 #[test]
-fn another_picture_size_is_refused() {
+fn another_image_size_is_refused() {
     assert!(require_size(&camera(), 1280, 720).is_ok());
     let error = require_size(&camera(), 1920, 1080).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input);
@@ -220,7 +220,7 @@ fn wrong_ros_files_are_explained() {
         ("  cols: 5", "  cols: 4", "1 × 4 numbers, found 5"),
         ("0.08]", ".nan]", "entry NaN"),
         ("image_width: 1280", "image_width: wide", "cannot be read"),
-        ("image_width: 1280\n", "", "picture size"),
+        ("image_width: 1280\n", "", "image size"),
         ("[915.25", "[0.91525", "implausible"),
         (
             "cols: 5\n  data: [0.12, -0.25, 0.0007, -4e-4, 0.08]",
@@ -289,7 +289,7 @@ fn wrong_opencv_and_kalibr_files_are_explained() {
     for (from, to, expected) in [
         ("pinhole", "omni", "\"omni\""),
         ("[915.25, 911, 642.8, 357.4]", "[915.25, 911]", "4 numbers"),
-        ("  resolution: [1280, 720]\n", "", "picture size"),
+        ("  resolution: [1280, 720]\n", "", "image size"),
     ] {
         let text = KALIBR.replacen(from, to, 1);
         let said = CameraFile::parse(&text, chosen("cam0"))

@@ -66,12 +66,12 @@ pub(super) struct ForeignCamera {
 }
 
 impl ForeignCamera {
-    /// Its intrinsics, for pictures of the size that the file says, or else of `size`.
+    /// Its intrinsics, for images of the size that the file says, or else of `size`.
     pub(super) fn intrinsics(&self, size: Option<[u32; 2]>) -> Result<Intrinsics> {
         let own = self.width.zip(self.height);
         let (width, height) = own.or(size.map(<(u32, u32)>::from)).ok_or_else(|| {
-            Error::input("the file does not say which picture size its intrinsics are for").remedy(
-                "convert it once with the size of the pictures it was calibrated with: `gripcast \
+            Error::input("the file does not say which image size its intrinsics are for").remedy(
+                "convert it once with the size of the images it was calibrated with: `gripcast \
                  calibrate convert FILE --size 1280x720 --to toml --out FILE.toml`",
             )
         })?;

@@ -2,7 +2,7 @@
 //!
 //! All of them have the same pinhole camera with k1, k2, p1, p2, k3 (Brown–Conrady) and the same
 //! pixel convention as [`Intrinsics`]. What has another lens model is refused by its name, and
-//! nothing is scaled to another picture size: intrinsics belong to one.
+//! nothing is scaled to another image size: intrinsics belong to one.
 //!
 //! OpenCV's XML and JSON are not read.
 
@@ -169,21 +169,21 @@ pub fn load_intrinsics(path: &Path) -> Result<Intrinsics> {
     Ok(CameraFile::load(path, CameraChoice::default())?.intrinsics)
 }
 
-/// Refuses intrinsics of another picture size than `width` × `height` px. They are not scaled:
+/// Refuses intrinsics of another image size than `width` × `height` px. They are not scaled:
 /// drivers crop as often as they scale, and a wrong guess moves every pose unnoticed.
 ///
 /// # Errors
-/// `Input` with both sizes; the caller adds the picture's name.
+/// `Input` with both sizes; the caller adds the image's name.
 pub fn require_size(intrinsics: &Intrinsics, width: u32, height: u32) -> Result<()> {
     if (intrinsics.width, intrinsics.height) == (width, height) {
         return Ok(());
     }
     Err(Error::input(format!(
-        "the intrinsics are for pictures of {}×{} pixels, and this is one of {width}×{height}",
+        "the intrinsics are for images of {}×{} pixels, and this is one of {width}×{height}",
         intrinsics.width, intrinsics.height
     ))
     .remedy(format!(
-        "calibrate at {width}×{height}, or take pictures of {}×{}; intrinsics are not scaled",
+        "calibrate at {width}×{height}, or take images of {}×{}; intrinsics are not scaled",
         intrinsics.width, intrinsics.height
     )))
 }

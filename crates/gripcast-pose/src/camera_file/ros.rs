@@ -73,16 +73,16 @@ fn check_rectification(matrix: &[f64; 9]) -> Result<()> {
         return Ok(());
     }
     Err(Error::input(
-        "the rectification_matrix turns the picture: the file is for one camera of a stereo pair",
+        "the rectification_matrix turns the image: the file is for one camera of a stereo pair",
     )
     .remedy(
-        "for raw pictures, put the identity there (camera_matrix and distortion_coefficients \
+        "for raw images, put the identity there (camera_matrix and distortion_coefficients \
          describe those); for rectified ones, write a file with the projection_matrix as \
          camera_matrix and no distortion",
     ))
 }
 
-/// The projection matrix is that of rectified pictures, which are another camera's.
+/// The projection matrix is that of rectified images, which are another camera's.
 fn note_of_projection(projection: &Matrix, matrix: &[f64; 9]) -> Result<Option<String>> {
     let p = projection.numbers("projection_matrix")?;
     if (projection.rows, projection.cols) != (3, 4) {
@@ -95,7 +95,7 @@ fn note_of_projection(projection: &Matrix, matrix: &[f64; 9]) -> Result<Option<S
         .iter()
         .all(|row| p[4 * row..4 * row + 3] == matrix[3 * row..3 * row + 3]);
     Ok((!same).then(|| {
-        "the projection matrix differs from the camera matrix: it is for rectified pictures; \
+        "the projection matrix differs from the camera matrix: it is for rectified images; \
          camera matrix and distortion are for raw ones (image_raw), and only those may be used"
             .to_owned()
     }))

@@ -4,7 +4,7 @@ use super::CameraFormat;
 use gripcast_base::error::{Error, Result};
 use gripcast_imaging::{DistortionModel, Intrinsics};
 
-/// The text of a `camera_info` YAML of ROS for raw pictures: no rectification.
+/// The text of a `camera_info` YAML of ROS for raw images: no rectification.
 ///
 /// # Errors
 /// `Input` for a lens that ROS has no name for; `Usage` for a camera name that ROS does not take.

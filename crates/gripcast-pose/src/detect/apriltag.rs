@@ -20,26 +20,26 @@ use gripcast_imaging::srgb_decode;
 /// The library puts (0, 0) at the top-left pixel's corner.
 const HALF_PIXEL: DVec2 = DVec2::splat(0.5);
 /// Most cells along a side: the library has 64 bits for a code and needs one of them.
-const MOST_CELLS: usize = 7;
+const MAX_CELLS: usize = 7;
 /// Least distance of a dictionary's markers at which a bit is corrected.
-const LEAST_DISTANCE_TO_CORRECT: u32 = 6;
+const MIN_DISTANCE_TO_CORRECT: u32 = 6;
 /// Fraction of the pixels that may be brighter than white once light is stretched: lamps, glints.
 const BRIGHTEST: f64 = 0.002;
 /// Most that light is amplified; beyond, noise would be.
-const MOST_GAIN: f32 = 8.0;
+const MAX_GAIN: f32 = 8.0;
 /// Range of noise in a window that is thresholded (144 pixels), in standard deviations, with some
 /// reserve.
 const NOISE_RANGE: f64 = 7.0;
 /// Limits of the contrast that a window needs, grey levels; the first is the library's own.
-const LEAST_CONTRAST: (i32, i32) = (5, 60);
+const MIN_CONTRAST: (i32, i32) = (5, 60);
 
 /// What can be set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ApriltagSettings {
-    /// Quads are searched for in a picture of which every n-th pixel is taken; 1 to 4. Larger is
-    /// faster and misses small markers; corners and codes come from the full picture.
+    /// Quads are searched for in an image of which every n-th pixel is taken; 1 to 4. Larger is
+    /// faster and misses small markers; corners and codes come from the full image.
     pub decimate: u32,
-    /// Edges are fitted in the full picture.
+    /// Edges are fitted in the full image.
     pub refine_edges: bool,
 }
 
@@ -86,9 +86,9 @@ impl ApriltagDetector {
         settings: ApriltagSettings,
     ) -> Result<Self> {
         let side = dictionary.bits_per_side();
-        if side > MOST_CELLS {
+        if side > MAX_CELLS {
             return Err(Error::input(format!(
-                "the detector takes markers of up to {MOST_CELLS}×{MOST_CELLS} cells; {} has \
+                "the detector takes markers of up to {MAX_CELLS}×{MAX_CELLS} cells; {} has \
                      {side}×{side}",
                 dictionary.name()
             )));
@@ -163,28 +163,28 @@ impl ApriltagDetector {
     }
 
     /// Places without contrast beyond the noise are not searched: most of the time would go there.
-    fn set_least_contrast(&mut self, picture: &GrayImage) {
-        let range = NOISE_RANGE * noise(picture);
-        let least = (range.round() as i32).clamp(LEAST_CONTRAST.0, LEAST_CONTRAST.1);
+    fn set_least_contrast(&mut self, image: &GrayImage) {
+        let range = NOISE_RANGE * noise(image);
+        let least = (range.round() as i32).clamp(MIN_CONTRAST.0, MIN_CONTRAST.1);
         // SAFETY: the detector is valid, which `configure` has checked, and borrowed exclusively.
         unsafe {
             (*self.detector).qtp.min_white_black_diff = least;
         }
     }
 
-    /// One pass over a picture.
-    fn search(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
-        self.set_least_contrast(picture);
-        let (width, height) = (picture.width() as i32, picture.height() as i32);
+    /// One pass over an image.
+    fn search(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
+        self.set_least_contrast(image);
+        let (width, height) = (image.width() as i32, image.height() as i32);
         let mut image = sys::image_u8 {
             width,
             height,
             stride: width,
             // Only read: the library writes into its input for a blur alone, which is off.
-            buf: picture.as_raw().as_ptr().cast_mut(),
+            buf: image.as_raw().as_ptr().cast_mut(),
         };
         // SAFETY: the detector is valid and borrowed exclusively; the image describes the
-        // picture's pixels, width × height bytes that outlive the call.
+        // image's pixels, width × height bytes that outlive the call.
         let found = unsafe { sys::apriltag_detector_detect(self.detector, &raw mut image) };
         // SAFETY: null or an array of the library with pointers to detections.
         let Some(array) = (unsafe { found.as_ref() }) else {
@@ -224,11 +224,11 @@ impl MarkerDetector for ApriltagDetector {
         "apriltag"
     }
 
-    fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
-        check_size(picture)?;
-        let mut detections = self.search(&light(picture))?;
+    fn detect(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
+        check_size(image)?;
+        let mut detections = self.search(&light(image))?;
         // Light of 8 bits lacks contrast where it is dim beside bright lamps or windows.
-        for dim in self.search(picture)? {
+        for dim in self.search(image)? {
             if detections.iter().all(|known| known.id != dim.id) {
                 detections.push(dim);
             }
@@ -252,22 +252,22 @@ impl Drop for ApriltagDetector {
 
 /// Light instead of sRGB levels, stretched to the whole range. In levels white spreads over black
 /// where an edge is blurred, so that small dark cells vanish and corners move inwards.
-fn light(picture: &GrayImage) -> GrayImage {
+fn light(image: &GrayImage) -> GrayImage {
     let mut counts = [0usize; 256];
-    for level in picture.as_raw() {
+    for level in image.as_raw() {
         counts[usize::from(*level)] += 1;
     }
-    let mut above = (picture.as_raw().len() as f64 * BRIGHTEST) as usize;
+    let mut above = (image.as_raw().len() as f64 * BRIGHTEST) as usize;
     let white = (1..=255u8).rev().find(|level| {
         let count = counts[usize::from(*level)];
         above = above.saturating_sub(count);
         above == 0 && count > 0
     });
-    let gain = (1.0 / srgb_decode(white.unwrap_or(255))).min(MOST_GAIN);
+    let gain = (1.0 / srgb_decode(white.unwrap_or(255))).min(MAX_GAIN);
     let table: [u8; 256] = std::array::from_fn(|level| {
         (255.0 * gain * srgb_decode(level as u8)).round().min(255.0) as u8
     });
-    let mut light = picture.clone();
+    let mut light = image.clone();
     for pixel in light.iter_mut() {
         *pixel = table[usize::from(*pixel)];
     }
@@ -275,15 +275,15 @@ fn light(picture: &GrayImage) -> GrayImage {
 }
 
 /// Standard deviation of the noise, grey levels: the median second difference along rows, which
-/// the few edges of a picture hardly change.
-fn noise(picture: &GrayImage) -> f64 {
+/// the few edges of an image hardly change.
+fn noise(image: &GrayImage) -> f64 {
     const EVERY: (usize, usize) = (7, 5);
     // Median of |x| and deviation of a second difference, for a deviation of 1.
     const OF_DEVIATION: f64 = 0.6745 * 2.449;
     let mut counts = [0u32; 1021];
-    for row in picture
+    for row in image
         .as_raw()
-        .chunks_exact(picture.width() as usize)
+        .chunks_exact(image.width() as usize)
         .step_by(EVERY.1)
     {
         for three in row.windows(3).step_by(EVERY.0) {
@@ -303,7 +303,7 @@ fn noise(picture: &GrayImage) -> f64 {
 /// Bits that may be corrected without taking one marker for another: in a small dictionary, one
 /// wrong bit already makes markers of anything.
 fn corrected_bits(dictionary: &Dictionary) -> u32 {
-    u32::from(dictionary.min_distance() >= LEAST_DISTANCE_TO_CORRECT)
+    u32::from(dictionary.min_distance() >= MIN_DISTANCE_TO_CORRECT)
 }
 
 /// The whitelist in ascending order, every id once.

@@ -1,4 +1,4 @@
-//! The detector against pictures with known corners.
+//! The detector against images with known corners.
 
 use glam::DVec2;
 use image::{GrayImage, Luma};
@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 
 use super::*;
 use crate::synthetic::{
-    GraspScene, PictureConditions, SyntheticPicture, gripper_markers, ring_board, test_camera,
+    GraspScene, ImageConditions, SyntheticImage, gripper_markers, ring_board, test_camera,
 };
 use crate::{Detection, Dictionary, MarkerDetector as _, Part};
 
@@ -19,15 +19,11 @@ fn every_id(dictionary: &Dictionary) -> Vec<u32> {
     (0..dictionary.len() as u32).collect()
 }
 
-fn picture(dictionary: &Dictionary, index: u64) -> SyntheticPicture {
+fn image(dictionary: &Dictionary, index: u64) -> SyntheticImage {
     let board = ring_board(dictionary);
     let gripper = gripper_markers(dictionary, [Part::Body; 2]);
     let scene = GraspScene::random(&board, &gripper, dictionary, 3, index);
-    scene.render(
-        &test_camera(1280, 720),
-        &PictureConditions::default(),
-        index,
-    )
+    scene.render(&test_camera(1280, 720), &ImageConditions::default(), index)
 }
 
 fn detector(dictionary: &Dictionary, ids: &[u32]) -> ApriltagDetector {
@@ -56,10 +52,10 @@ fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
         "DICT_5X5_100",
     ] {
         let searched = dictionary(name);
-        let seen = picture(&searched, 1);
+        let seen = image(&searched, 1);
         assert!(seen.truth.len() >= 12, "{}", seen.truth.len());
         let found = detector(&searched, &every_id(&searched))
-            .detect(&seen.picture)
+            .detect(&seen.image)
             .unwrap();
         for truth in &seen.truth {
             assert!(
@@ -81,9 +77,9 @@ fn all_dictionaries_are_found_with_their_corners_in_our_pixels() {
 #[test]
 fn only_the_whitelist_is_reported() {
     let searched = dictionary("36h11");
-    let seen = picture(&searched, 1);
+    let seen = image(&searched, 1);
     let allowed = [3, 5, 41, 5, 500];
-    let found = detector(&searched, &allowed).detect(&seen.picture).unwrap();
+    let found = detector(&searched, &allowed).detect(&seen.image).unwrap();
     let ids: Vec<u32> = found.iter().map(|d| d.id).collect();
     let expected: Vec<u32> = seen
         .truth
@@ -106,14 +102,14 @@ fn only_the_whitelist_is_reported() {
 fn a_wrong_bit_is_corrected_where_markers_differ_enough() {
     for (name, expected) in [("DICT_6X6_250", Some(1)), ("DICT_4X4_50", None)] {
         let dictionary = dictionary(name);
-        let seen = picture(&dictionary, 2);
+        let seen = image(&dictionary, 2);
         let id = seen.truth[0].id;
         let mut codes: Vec<u64> = (0..50).map(|id| dictionary.code(id).unwrap()).collect();
         codes[id as usize] ^= 1 << 6;
         let side = dictionary.bits_per_side();
         let wrong = Dictionary::from_codes(name, side, 1, codes).unwrap();
         let hamming = |dictionary: &Dictionary| {
-            let found = detector(dictionary, &[id]).detect(&seen.picture).unwrap();
+            let found = detector(dictionary, &[id]).detect(&seen.image).unwrap();
             found.first().map(|d| d.hamming)
         };
         assert_eq!(hamming(&dictionary), Some(0), "{name}");
@@ -122,7 +118,7 @@ fn a_wrong_bit_is_corrected_where_markers_differ_enough() {
 }
 
 #[test]
-fn pictures_without_sense_do_no_harm() {
+fn images_without_sense_do_no_harm() {
     let searched = dictionary("36h11");
     let mut random = Pcg64::seed_from_u64(9);
     for decimate in [1, 2, 4] {
@@ -154,20 +150,20 @@ fn pictures_without_sense_do_no_harm() {
 }
 
 #[test]
-fn markers_of_little_contrast_are_found_in_clean_and_in_noisy_pictures() {
+fn markers_of_little_contrast_are_found_in_clean_and_in_noisy_images() {
     let searched = dictionary("36h11");
     let board = ring_board(&searched);
     let gripper = gripper_markers(&searched, [Part::Body; 2]);
     let scene = GraspScene::random(&board, &gripper, &searched, 3, 1);
     for (levels, noise) in [([40.0, 22.0, 30.0], 0.5), ([120.0, 60.0, 90.0], 5.0)] {
-        let conditions = PictureConditions {
+        let conditions = ImageConditions {
             levels,
             noise,
-            ..PictureConditions::default()
+            ..ImageConditions::default()
         };
         let seen = scene.render(&test_camera(1280, 720), &conditions, 5);
         let found = detector(&searched, &every_id(&searched))
-            .detect(&seen.picture)
+            .detect(&seen.image)
             .unwrap();
         let missed = seen
             .truth

@@ -1,4 +1,4 @@
-//! Why a board's markers are not found in a picture.
+//! Why a board's markers are not found in an image.
 
 use std::fmt;
 
@@ -10,14 +10,14 @@ use crate::{DICTIONARY_NAMES, Dictionary, MarkerDetector as _};
 use gripcast_base::error::{Error, Result};
 
 /// Markers of another dictionary that tell more than chance.
-const LEAST_MARKERS: usize = 2;
+const MIN_MARKERS: usize = 2;
 
-/// What is in a picture in place of a board.
+/// What is in an image in place of a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Diagnosis {
     /// Markers of the board are there; these ids.
     Present(Vec<u32>),
-    /// Markers of the board are there in the mirrored picture; these ids.
+    /// Markers of the board are there in the mirrored image; these ids.
     Mirrored(Vec<u32>),
     /// Markers of the board's dictionary that the board does not have; these ids.
     OtherMarkers(Vec<u32>),
@@ -32,29 +32,29 @@ pub enum Diagnosis {
     Nothing,
 }
 
-/// Searches `picture` for the markers of `dictionary` with ids in `board_ids`, for what else it
+/// Searches `image` for the markers of `dictionary` with ids in `board_ids`, for what else it
 /// could be if there are none, and for markers of `others`. Takes as long as one detection for
 /// each dictionary.
 ///
 /// # Errors
-/// `Input` for a picture or ids that no detector takes.
+/// `Input` for an image or ids that no detector takes.
 pub fn diagnose(
-    picture: &GrayImage,
+    image: &GrayImage,
     dictionary: &Dictionary,
     board_ids: &[u32],
     others: &[Dictionary],
 ) -> Result<Diagnosis> {
-    let seen = ids(picture, dictionary, board_ids)?;
+    let seen = ids(image, dictionary, board_ids)?;
     if !seen.is_empty() {
         return Ok(Diagnosis::Present(seen));
     }
-    let mirrored = ids(&flip_horizontal(picture), dictionary, board_ids)?;
-    if mirrored.len() >= LEAST_MARKERS.min(board_ids.len()) {
+    let mirrored = ids(&flip_horizontal(image), dictionary, board_ids)?;
+    if mirrored.len() >= MIN_MARKERS.min(board_ids.len()) {
         return Ok(Diagnosis::Mirrored(mirrored));
     }
     let everything: Vec<u32> = (0..dictionary.len() as u32).collect();
-    let foreign = ids(picture, dictionary, &everything)?;
-    let (names, markers) = best_dictionaries(picture, others)?;
+    let foreign = ids(image, dictionary, &everything)?;
+    let (names, markers) = best_dictionaries(image, others)?;
     if markers > foreign.len() && !names.contains(&dictionary.name().to_owned()) {
         return Ok(Diagnosis::OtherDictionaries { names, markers });
     }
@@ -86,7 +86,7 @@ impl Diagnosis {
                 "set the dictionary in the board's description to that of the printed board"
             }
             Self::Nothing => {
-                "check that the board is in the picture, sharp, evenly lit, and its markers at \
+                "check that the board is in the image, sharp, evenly lit, and its markers at \
                  least 20 pixels large with white around them"
             }
         };
@@ -97,53 +97,53 @@ impl Diagnosis {
 impl fmt::Display for Diagnosis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Present(ids) => write!(f, "its markers {} are in the picture", listed(ids)),
+            Self::Present(ids) => write!(f, "its markers {} are in the image", listed(ids)),
             Self::Mirrored(ids) => write!(
                 f,
-                "the picture is mirrored: read backwards it has its markers {}",
+                "the image is mirrored: read backwards it has its markers {}",
                 listed(ids)
             ),
             Self::OtherMarkers(ids) => write!(
                 f,
-                "none of its markers is in the picture, but {} of its dictionary",
+                "none of its markers is in the image, but {} of its dictionary",
                 listed(ids)
             ),
             Self::OtherDictionaries { names, markers } => write!(
                 f,
-                "none of its markers is in the picture, but {markers} of {}",
+                "none of its markers is in the image, but {markers} of {}",
                 names.join(" or ")
             ),
-            Self::Nothing => write!(f, "no marker of any known dictionary is in the picture"),
+            Self::Nothing => write!(f, "no marker of any known dictionary is in the image"),
         }
     }
 }
 
 fn listed(ids: &[u32]) -> String {
-    const MOST: usize = 12;
-    let shown: Vec<String> = ids.iter().take(MOST).map(u32::to_string).collect();
-    let more = if ids.len() > MOST { " …" } else { "" };
+    const MAX: usize = 12;
+    let shown: Vec<String> = ids.iter().take(MAX).map(u32::to_string).collect();
+    let more = if ids.len() > MAX { " …" } else { "" };
     format!("{}{more}", shown.join(", "))
 }
 
 /// Ids that are read without a wrong bit, each once.
-fn ids(picture: &GrayImage, dictionary: &Dictionary, whitelist: &[u32]) -> Result<Vec<u32>> {
+fn ids(image: &GrayImage, dictionary: &Dictionary, whitelist: &[u32]) -> Result<Vec<u32>> {
     let settings = ApriltagSettings::default();
-    let found = ApriltagDetector::new(dictionary, whitelist, settings)?.detect(picture)?;
+    let found = ApriltagDetector::new(dictionary, whitelist, settings)?.detect(image)?;
     let exact = found.iter().filter(|d| d.hamming == 0);
     let mut ids: Vec<u32> = exact.map(|d| d.id).collect();
     ids.dedup();
     Ok(ids)
 }
 
-/// The smallest dictionaries with most markers in the picture; none with fewer than two markers.
-fn best_dictionaries(picture: &GrayImage, others: &[Dictionary]) -> Result<(Vec<String>, usize)> {
+/// The smallest dictionaries with most markers in the image; none with fewer than two markers.
+fn best_dictionaries(image: &GrayImage, others: &[Dictionary]) -> Result<(Vec<String>, usize)> {
     let mut scores: Vec<(usize, &Dictionary)> = Vec::new();
     for other in others {
         let everything: Vec<u32> = (0..other.len() as u32).collect();
-        scores.push((ids(picture, other, &everything)?.len(), other));
+        scores.push((ids(image, other, &everything)?.len(), other));
     }
     let most = scores.iter().map(|(count, _)| *count).max().unwrap_or(0);
-    if most < LEAST_MARKERS {
+    if most < MIN_MARKERS {
         return Ok((Vec::new(), 0));
     }
     let best = || scores.iter().filter(|(count, _)| *count == most);
@@ -158,29 +158,25 @@ fn best_dictionaries(picture: &GrayImage, others: &[Dictionary]) -> Result<(Vec<
 mod tests {
     use super::*;
     use crate::Part;
-    use crate::synthetic::{
-        GraspScene, PictureConditions, gripper_markers, ring_board, test_camera,
-    };
+    use crate::synthetic::{GraspScene, ImageConditions, gripper_markers, ring_board, test_camera};
 
-    fn picture(name: &str) -> GrayImage {
+    fn image(name: &str) -> GrayImage {
         let dictionary = Dictionary::by_name(name).unwrap();
         let board = ring_board(&dictionary);
         let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
         let scene = GraspScene::random(&board, &gripper, &dictionary, 8, 0);
         let camera = test_camera(1280, 720);
-        scene
-            .render(&camera, &PictureConditions::default(), 0)
-            .picture
+        scene.render(&camera, &ImageConditions::default(), 0).image
     }
 
     #[test]
     fn each_mistake_is_told_from_the_others() {
         let others = known_dictionaries();
         let board = Dictionary::by_name("DICT_6X6_250").unwrap();
-        let right = picture("DICT_6X6_250");
+        let right = image("DICT_6X6_250");
         let on_board: Vec<u32> = (0..14).collect();
         let diagnosed =
-            |picture: &GrayImage, ids: &[u32]| diagnose(picture, &board, ids, &others).unwrap();
+            |image: &GrayImage, ids: &[u32]| diagnose(image, &board, ids, &others).unwrap();
         let Diagnosis::Present(found) = diagnosed(&right, &on_board) else {
             panic!("the board is there");
         };
@@ -209,7 +205,7 @@ mod tests {
         let others = known_dictionaries();
         let board = Dictionary::by_name("DICT_6X6_250").unwrap();
         for (name, expected) in [("DICT_5X5_100", "DICT_5X5_50"), ("36h11", "36h11")] {
-            let found = diagnose(&picture(name), &board, &[0, 1, 2, 3], &others).unwrap();
+            let found = diagnose(&image(name), &board, &[0, 1, 2, 3], &others).unwrap();
             let Diagnosis::OtherDictionaries { names, markers } = &found else {
                 panic!("{found}");
             };

@@ -17,10 +17,10 @@ use image::GrayImage;
 use super::{Dictionary, MarkerDetector};
 use gripcast_base::error::{Error, Result};
 
-/// Shortest side of a picture that is searched, px.
-const LEAST_SIDE: u32 = 32;
-/// Longest side of a picture that is searched, px.
-const LARGEST_SIDE: u32 = 16_384;
+/// Shortest side of an image that is searched, px.
+const MIN_SIDE: u32 = 32;
+/// Longest side of an image that is searched, px.
+const MAX_SIDE: u32 = 16_384;
 
 /// All detectors that are compiled in, the default one first, for the markers of `dictionary`
 /// whose ids are in `whitelist`.
@@ -40,15 +40,15 @@ pub fn detectors(
     ])
 }
 
-/// `Input` for a picture that no detector takes.
-fn check_size(picture: &GrayImage) -> Result<()> {
-    let (width, height) = picture.dimensions();
-    let taken = LEAST_SIDE..=LARGEST_SIDE;
+/// `Input` for an image that no detector takes.
+fn check_size(image: &GrayImage) -> Result<()> {
+    let (width, height) = image.dimensions();
+    let taken = MIN_SIDE..=MAX_SIDE;
     if taken.contains(&width) && taken.contains(&height) {
         return Ok(());
     }
     Err(Error::input(format!(
-        "cannot search a picture of {width}×{height} pixels for markers: each side has to \
-             have {LEAST_SIDE} to {LARGEST_SIDE}"
+        "cannot search an image of {width}×{height} pixels for markers: each side has to \
+             have {MIN_SIDE} to {MAX_SIDE}"
     )))
 }

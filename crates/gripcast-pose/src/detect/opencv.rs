@@ -102,9 +102,9 @@ impl MarkerDetector for OpencvDetector {
         "opencv"
     }
 
-    fn detect(&mut self, picture: &GrayImage) -> Result<Vec<Detection>> {
-        check_size(picture)?;
-        let (corners, ids) = search(picture, self.dictionary.number)
+    fn detect(&mut self, image: &GrayImage) -> Result<Vec<Detection>> {
+        check_size(image)?;
+        let (corners, ids) = search(image, self.dictionary.number)
             .map_err(|e| Error::internal("OpenCV's marker detection failed").because(e))?;
         let mut found = Vec::new();
         for (id, corners) in ids.iter().zip(corners.iter()) {
@@ -128,7 +128,7 @@ impl MarkerDetector for OpencvDetector {
             });
         }
         found.sort_by_key(|d| d.id);
-        Ok(refine_all(picture, &found))
+        Ok(refine_all(image, &found))
     }
 }
 
@@ -136,7 +136,7 @@ impl MarkerDetector for OpencvDetector {
 type Found = (Vector<Mat>, Vector<i32>);
 
 #[cfg(aruco_contrib)]
-fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
+fn search(image: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
     use opencv::aruco;
     let mut parameters = aruco::DetectorParameters::create()?;
     parameters.set_corner_refinement_method(aruco::CornerRefineMethod::CORNER_REFINE_NONE as i32);
@@ -144,7 +144,7 @@ fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
     let (mut corners, mut ids) = (Vector::new(), Vector::new());
     let mut rejected = Vector::<Mat>::new();
     aruco::detect_markers(
-        &mat(picture)?,
+        &mat(image)?,
         &dictionary,
         &mut corners,
         &mut ids,
@@ -155,7 +155,7 @@ fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
 }
 
 #[cfg(not(aruco_contrib))]
-fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
+fn search(image: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
     use opencv::objdetect;
     let mut parameters = objdetect::DetectorParameters::default()?;
     parameters
@@ -165,15 +165,15 @@ fn search(picture: &GrayImage, dictionary: i32) -> opencv::Result<Found> {
     let detector = objdetect::ArucoDetector::new(&dictionary, &parameters, refine)?;
     let (mut corners, mut ids) = (Vector::new(), Vector::new());
     let mut rejected = Vector::<Mat>::new();
-    detector.detect_markers(&mat(picture)?, &mut corners, &mut ids, &mut rejected)?;
+    detector.detect_markers(&mat(image)?, &mut corners, &mut ids, &mut rejected)?;
     Ok((corners, ids))
 }
 
-/// A copy of the picture's pixels.
-fn mat(picture: &GrayImage) -> opencv::Result<Mat> {
-    let (width, height) = (picture.width() as i32, picture.height() as i32);
+/// A copy of the image's pixels.
+fn mat(image: &GrayImage) -> opencv::Result<Mat> {
+    let (width, height) = (image.width() as i32, image.height() as i32);
     let mut mat = Mat::new_rows_cols_with_default(height, width, CV_8UC1, 0.into())?;
-    mat.data_bytes_mut()?.copy_from_slice(picture.as_raw());
+    mat.data_bytes_mut()?.copy_from_slice(image.as_raw());
     Ok(mat)
 }
 
@@ -181,9 +181,7 @@ fn mat(picture: &GrayImage) -> opencv::Result<Mat> {
 mod tests {
     use super::*;
     use crate::Part;
-    use crate::synthetic::{
-        GraspScene, PictureConditions, gripper_markers, ring_board, test_camera,
-    };
+    use crate::synthetic::{GraspScene, ImageConditions, gripper_markers, ring_board, test_camera};
 
     #[test]
     fn opencv_finds_the_same_corners_in_our_convention() {
@@ -193,11 +191,11 @@ mod tests {
             let gripper = gripper_markers(&dictionary, [Part::Body; 2]);
             let scene = GraspScene::random(&board, &gripper, &dictionary, 3, 1);
             let camera = test_camera(1280, 720);
-            let seen = scene.render(&camera, &PictureConditions::default(), 1);
+            let seen = scene.render(&camera, &ImageConditions::default(), 1);
             let ids: Vec<u32> = (0..50).collect();
             let found = OpencvDetector::new(&dictionary, &ids)
                 .unwrap()
-                .detect(&seen.picture)
+                .detect(&seen.image)
                 .unwrap();
             assert!(found.len() >= 12, "{name}: {}", found.len());
             for detection in &found {

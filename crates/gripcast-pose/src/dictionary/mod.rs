@@ -66,7 +66,7 @@ pub struct Dictionary {
 impl Dictionary {
     /// A dictionary by its name, in upper or lower case, with or without the prefix `DICT_`.
     ///
-    /// `36h11` stands upright as AprilTag's own pictures do, `DICT_APRILTAG_36h11` as OpenCV draws
+    /// `36h11` stands upright as AprilTag's own images do, `DICT_APRILTAG_36h11` as OpenCV draws
     /// it: the same codes turned by half a turn. `36h11_border2` has the border of two cells that
     /// Kalibr prints. `DICT_ARUCO_ORIGINAL` has markers that look alike when turned
     /// ([`Self::min_distance`] is 0): take it for boards that exist, not for new ones.

@@ -265,22 +265,22 @@ mod tests {
     }
 
     #[test]
-    fn the_picture_of_a_sheet_shows_its_board() {
+    fn the_image_of_a_sheet_shows_its_board() {
         for (squares, square_mm) in [([8, 6], 30.0), ([5, 7], 30.0), ([4, 4], 30.0)] {
             let sheet = charuco_sheet(&settings(squares, square_mm, Paper::A4)).unwrap();
             let dpi = 100.0;
             // A camera is never as sharp as the raster, and stores levels instead of light.
-            let mut picture = image::imageops::blur(&raster(&sheet.drawing, dpi).unwrap(), 0.7);
-            for level in picture.iter_mut() {
+            let mut image = image::imageops::blur(&raster(&sheet.drawing, dpi).unwrap(), 0.7);
+            for level in image.iter_mut() {
                 *level = gripcast_imaging::srgb_encode(f32::from(*level) / 255.0);
             }
             let ids = sheet.file.board.ids();
             let mut detector =
                 ApriltagDetector::new(&sheet.file.dictionary, &ids, ApriltagSettings::default())
                     .unwrap();
-            let detections = detector.detect(&picture).unwrap();
+            let detections = detector.detect(&image).unwrap();
             let finder = PointFinder::new(&sheet.file).unwrap();
-            let found = finder.find(&picture, &detections);
+            let found = finder.find(&image, &detections);
             assert_eq!(
                 (found.markers, found.points.len()),
                 (ids.len(), finder.total())
@@ -288,11 +288,11 @@ mod tests {
             let middle = layout(&settings(squares, square_mm, Paper::A4))
                 .unwrap()
                 .middle;
-            let on_picture = |point: &BoardPoint| {
+            let on_image = |point: &BoardPoint| {
                 let mm = 1e3 * point.place_m.truncate();
                 (middle + DVec2::new(mm.x, -mm.y)) * dpi / 25.4 - 0.5
             };
-            let off = |point: &BoardPoint| point.pixel.distance(on_picture(point));
+            let off = |point: &BoardPoint| point.pixel.distance(on_image(point));
             let worst = found.points.iter().map(off).fold(0.0, f64::max);
             // Measured 0.053 to 0.065 px: corners of 45 px squares in 256 levels.
             assert!(worst < 0.075, "{worst}");

@@ -28,7 +28,7 @@ const FLAG_X_MM: f64 = 32.0;
 /// Height and depth of a flag's middle, mm.
 const FLAG_YZ_MM: [f64; 2] = [-13.0, -45.0];
 /// Largest markers that the places leave room for, m.
-const LARGEST_M: [f64; 2] = [0.032, 0.022];
+const MAX_M: [f64; 2] = [0.032, 0.022];
 
 /// What the gripper's markers are.
 #[derive(Clone, Debug)]
@@ -66,8 +66,8 @@ impl GripperTags {
             .check_ids(self.first_id, Self::COUNT as usize)
             .map_err(|e| e.remedy("choose a smaller first id"))?;
         for (side, most, what) in [
-            (self.body_m, LARGEST_M[0], "body"),
-            (self.finger_m, LARGEST_M[1], "finger"),
+            (self.body_m, MAX_M[0], "body"),
+            (self.finger_m, MAX_M[1], "finger"),
         ] {
             check_side(side)?;
             if side > most {

@@ -15,7 +15,7 @@ const RULER_STRIP_MM: f64 = 8.0;
 /// seeing the marker past the object.
 const CLEARANCE_MM: f64 = 4.0;
 /// Fewest markers on two opposite sides.
-const FEWEST: usize = 3;
+const MIN: usize = 3;
 
 /// Sizes that a layout keeps to, mm.
 #[derive(Clone, Copy, Debug)]
@@ -85,7 +85,7 @@ fn on_sheet(size_mm: [f64; 2], size: MarkerSize, silhouette: &Silhouette) -> Opt
             .filter(|p| p.sides.contains(&Some(side)))
             .count()
     };
-    let both = |a: Side, b: Side| count(a) >= FEWEST && count(b) >= FEWEST;
+    let both = |a: Side, b: Side| count(a) >= MIN && count(b) >= MIN;
     if !both(Side::Top, Side::Bottom) && !both(Side::Left, Side::Right) {
         return None;
     }

@@ -1,6 +1,6 @@
 //! A drawing as a grey PNG of known resolution.
 //!
-//! Cells are drawn by the share of each pixel that they cover, so that their edges keep their
+//! Cells are drawn by the fraction of each pixel that they cover, so that their edges keep their
 //! place to a hundredth of a pixel. A point at x mm lies at x · dpi / 25.4 − ½ px, pixel (0, 0)
 //! being the centre of the top-left pixel.
 
@@ -27,11 +27,11 @@ const RASTER_EM: f64 = 27.0;
 /// # Errors
 /// `Input` for a resolution that is not from 72 to 1200 dots per inch.
 pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
-    let picture = raster(drawing, dpi)?;
+    let image = raster(drawing, dpi)?;
     let failed =
         |e: png::EncodingError| Error::internal("cannot write the sheet as PNG").because(e);
     let mut out = Vec::new();
-    let mut encoder = png::Encoder::new(&mut out, picture.width(), picture.height());
+    let mut encoder = png::Encoder::new(&mut out, image.width(), image.height());
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
     let per_metre = (dpi / 0.0254).round() as u32;
@@ -41,12 +41,12 @@ pub fn png(drawing: &Drawing, dpi: f64) -> Result<Vec<u8>> {
         unit: png::Unit::Meter,
     }));
     let mut writer = encoder.write_header().map_err(failed)?;
-    writer.write_image_data(picture.as_raw()).map_err(failed)?;
+    writer.write_image_data(image.as_raw()).map_err(failed)?;
     writer.finish().map_err(failed)?;
     Ok(out)
 }
 
-/// The pixels of a drawing: the share of each that is bare paper, 255 all of it.
+/// The pixels of a drawing: the fraction of each that is bare paper, 255 all of it.
 ///
 /// # Errors
 /// As [`png()`].
@@ -61,17 +61,17 @@ pub fn raster(drawing: &Drawing, dpi: f64) -> Result<GrayImage> {
     let scale = dpi / 25.4;
     let [width, height] = drawing.size_mm.map(|mm| (mm * scale).round() as u32);
     let mut film = Film {
-        picture: GrayImage::from_pixel(width, height, image::Luma([255])),
+        image: GrayImage::from_pixel(width, height, image::Luma([255])),
         scale,
     };
     for shape in &drawing.shapes {
         film.draw(shape);
     }
-    Ok(film.picture)
+    Ok(film.image)
 }
 
 struct Film {
-    picture: GrayImage,
+    image: GrayImage,
     /// Pixels in a millimetre.
     scale: f64,
 }
@@ -110,7 +110,7 @@ impl Film {
         }
     }
 
-    /// Columns or rows that an interval in px touches, cut off at the picture.
+    /// Columns or rows that an interval in px touches, cut off at the image.
     fn touched(from: f64, to: f64, count: u32) -> std::ops::Range<u32> {
         let clamp = |v: f64| v.clamp(0.0, f64::from(count)) as u32;
         clamp(from.floor())..clamp(to.ceil())
@@ -120,8 +120,8 @@ impl Film {
         let scaled = |r: &[f64; 4]| r.map(|v| v * self.scale);
         let outer = scaled(outer);
         let holes: Vec<[f64; 4]> = holes.iter().map(scaled).collect();
-        let columns = Self::touched(outer[0], outer[0] + outer[2], self.picture.width());
-        let rows = Self::touched(outer[1], outer[1] + outer[3], self.picture.height());
+        let columns = Self::touched(outer[0], outer[0] + outer[2], self.image.width());
+        let rows = Self::touched(outer[1], outer[1] + outer[3], self.image.height());
         for y in rows {
             for x in columns.clone() {
                 let white: f64 = holes.iter().map(|hole| covered(hole, x, y)).sum();
@@ -138,8 +138,8 @@ impl Film {
         let along = (b - a).normalize_or_zero();
         let (low, high) = (a.min(b) - half - 1.0, a.max(b) + half + 1.0);
         let ramp = |inside: f64| (inside + 0.5).clamp(0.0, 1.0);
-        for y in Self::touched(low.y, high.y, self.picture.height()) {
-            for x in Self::touched(low.x, high.x, self.picture.width()) {
+        for y in Self::touched(low.y, high.y, self.image.height()) {
+            for x in Self::touched(low.x, high.x, self.image.width()) {
                 let p = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5) - a;
                 let (u, v) = (p.dot(along), p.perp_dot(along).abs());
                 let ends = ramp(u).min(ramp(length - u));
@@ -168,7 +168,7 @@ impl Film {
         };
         let columns = get_raster_width(FontWeight::Regular, RasterHeight::Size32);
         let at = at * self.scale;
-        // Pixels of the picture in one of the glyph, along x and y.
+        // Pixels of the image in one of the glyph, along x and y.
         let step = DVec2::new(
             LETTER * size_mm * self.scale / columns as f64,
             size_mm * self.scale / RASTER_EM,
@@ -178,8 +178,8 @@ impl Film {
         let bottom = top + RASTER as f64 * step.y;
         let ink =
             |column: usize, row: usize| f64::from(glyph.pixel(column, row).unwrap_or(0)) / 255.0;
-        for y in Self::touched(top, bottom, self.picture.height()) {
-            for x in Self::touched(at.x, right, self.picture.width()) {
+        for y in Self::touched(top, bottom, self.image.height()) {
+            for x in Self::touched(at.x, right, self.image.width()) {
                 let column = (f64::from(x) + 0.5 - at.x) / step.x;
                 let row = (f64::from(y) + 0.5 - top) / step.y;
                 if column < 0.0 || row < 0.0 {
@@ -190,14 +190,14 @@ impl Film {
         }
     }
 
-    fn darken(&mut self, x: u32, y: u32, share: f64, grey: f64) {
-        let value = 255.0 - share.clamp(0.0, 1.0) * (255.0 - grey);
-        let pixel = &mut self.picture.get_pixel_mut(x, y).0[0];
+    fn darken(&mut self, x: u32, y: u32, fraction: f64, grey: f64) {
+        let value = 255.0 - fraction.clamp(0.0, 1.0) * (255.0 - grey);
+        let pixel = &mut self.image.get_pixel_mut(x, y).0[0];
         *pixel = (*pixel).min(value.round() as u8);
     }
 }
 
-/// Share of a pixel that a rectangle in px covers; pixel 0 reaches from 0 to 1.
+/// Fraction of a pixel that a rectangle in px covers; pixel 0 reaches from 0 to 1.
 fn covered([left, top, width, height]: &[f64; 4], x: u32, y: u32) -> f64 {
     let overlap = |from: f64, length: f64, pixel: u32| {
         let pixel = f64::from(pixel);
@@ -261,13 +261,13 @@ mod tests {
         for x in [10.0, 110.0] {
             drawing.thin(DVec2::new(x, y - 3.0), DVec2::new(x, y + 3.0));
         }
-        let picture = raster(&drawing, 300.0).unwrap();
+        let image = raster(&drawing, 300.0).unwrap();
         let row = (y * 300.0 / 25.4) as u32;
-        let dark: Vec<(f64, f64)> = (0..picture.width())
+        let dark: Vec<(f64, f64)> = (0..image.width())
             .map(|x| {
                 (
                     f64::from(x),
-                    255.0 - f64::from(picture.get_pixel(x, row).0[0]),
+                    255.0 - f64::from(image.get_pixel(x, row).0[0]),
                 )
             })
             .collect();
@@ -290,14 +290,14 @@ mod tests {
             holes: vec![[4.01, 5.0, 2.0, 2.0]],
         });
         let scale = 100.0 / 25.4;
-        let picture = raster(&drawing, 100.0).unwrap();
-        let ink: f64 = picture.iter().map(|v| 1.0 - f64::from(*v) / 255.0).sum();
+        let image = raster(&drawing, 100.0).unwrap();
+        let ink: f64 = image.iter().map(|v| 1.0 - f64::from(*v) / 255.0).sum();
         assert!((ink / (scale * scale) - 96.0).abs() < 0.05, "{ink}");
-        let middle: f64 = picture.iter().copied().map(f64::from).sum();
+        let middle: f64 = image.iter().copied().map(f64::from).sum();
         assert!(middle > 0.0);
         let column = |x: f64| (x * scale) as u32;
-        assert_eq!(picture.get_pixel(column(3.0), column(4.0)).0, [0]);
-        assert_eq!(picture.get_pixel(column(5.0), column(6.0)).0, [255]);
+        assert_eq!(image.get_pixel(column(3.0), column(4.0)).0, [0]);
+        assert_eq!(image.get_pixel(column(5.0), column(6.0)).0, [255]);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use gripcast_geometry::TriangleMesh;
 /// Width of a sample, mm, for objects that are not very large.
 const PITCH_MM: f64 = 0.1;
 /// Most samples along a side.
-const MOST_SAMPLES: f64 = 3000.0;
+const MAX_SAMPLES: f64 = 3000.0;
 
 /// Samples on a grid, each covered or not. Good to half a sample.
 pub(super) struct Silhouette {
@@ -29,7 +29,7 @@ impl Silhouette {
         let bounds = mesh.bounds();
         let (low, high) = (1e3 * bounds.min.truncate(), 1e3 * bounds.max.truncate());
         let size = high - low;
-        let pitch = PITCH_MM.max(size.max_element() / MOST_SAMPLES);
+        let pitch = PITCH_MM.max(size.max_element() / MAX_SAMPLES);
         // A free sample all around lets outlines close.
         let count = |length: f64| (length / pitch).ceil() as usize + 3;
         let (columns, rows) = (count(size.x), count(size.y));

@@ -8,10 +8,10 @@ use super::sighting::Sighting;
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
 
-/// Markers that give starting poses, the largest in the picture first.
-const MOST_MARKERS: usize = 8;
+/// Markers that give starting poses, the largest in the image first.
+const MAX_MARKERS: usize = 8;
 /// Starting poses that are worth a search.
-const MOST_KEPT: usize = 4;
+const MAX_KEPT: usize = 4;
 /// Error beyond which a corner tells nothing but that it is wrong, px.
 const WRONG_PX: f64 = 10.0;
 /// Rotations closer than this lead to one minimum, rad.
@@ -34,7 +34,7 @@ pub(super) fn hypotheses(
 ) -> Vec<State> {
     let mut by_area: Vec<&Sighting> = sightings.to_vec();
     by_area.sort_by(|a, b| b.area_px().total_cmp(&a.area_px()));
-    by_area.truncate(MOST_MARKERS);
+    by_area.truncate(MAX_MARKERS);
     let mut scored: Vec<(f64, State)> = Vec::new();
     let mut consider = |state: State| scored.push((score(intrinsics, sightings, &state), state));
     for sighting in &by_area {
@@ -58,7 +58,7 @@ pub(super) fn hypotheses(
         let is_new = kept
             .iter()
             .all(|k| angle_between(&k.pose, &state.pose) > SAME_RAD);
-        if is_new && kept.len() < MOST_KEPT {
+        if is_new && kept.len() < MAX_KEPT {
             kept.push(state);
         }
     }

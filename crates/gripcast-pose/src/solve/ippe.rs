@@ -1,4 +1,4 @@
-//! Both poses that a plane's picture allows.
+//! Both poses that a plane's image allows.
 //!
 //! T. Collins and A. Bartoli, *Infinitesimal plane-based pose estimation*, International Journal
 //! of Computer Vision 109 (2014): the first-order behaviour of the homography at one point of the
@@ -14,7 +14,7 @@ use gripcast_geometry::Pose;
 const FLAT: f64 = 0.02;
 
 /// The two poses `t_camera_part` of points in one plane seen at ideal coordinates, in no order.
-/// None for points that are not in one plane, or that their picture does not determine.
+/// None for points that are not in one plane, or that their image does not determine.
 pub(super) fn both_poses(points_m: &[DVec3], ideal: &[DVec2]) -> Option<[Pose; 2]> {
     let t_part_plane = plane_of(points_m)?;
     let t_plane_part = t_part_plane.inverse();

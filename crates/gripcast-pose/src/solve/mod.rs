@@ -21,16 +21,16 @@ use hypotheses::{angle_between, hypotheses, together};
 use reprojection::{Fit, Observation, State, minimise};
 use sighting::{Sighting, normals_apart, sightings};
 
-/// Standard deviation of a corner's coordinate that no detector betters on real pictures, px.
-const LEAST_SIGMA_PX: f64 = 0.03;
-/// As many residuals of [`LEAST_SIGMA_PX`] are added before a deviation is taken of few.
+/// Standard deviation of a corner's coordinate that no detector betters on real images, px.
+const MIN_SIGMA_PX: f64 = 0.03;
+/// As many residuals of [`MIN_SIGMA_PX`] are added before a deviation is taken of few.
 const PRIOR_RESIDUALS: f64 = 4.0;
 /// Residuals of the least-squares part of the loss, times their median.
 const LOSS_OF_MEDIAN: f64 = 2.0;
 /// Loss of the first search, px.
 const ROUGH_LOSS_PX: f64 = 2.0;
 /// The loss is never narrower, px.
-const LEAST_LOSS_PX: f64 = 0.1;
+const MIN_LOSS_PX: f64 = 0.1;
 /// A marker is an outlier if it fits worse than this and than [`OUTLIER_OF_MEDIAN`], px.
 const OUTLIER_PX: f64 = 1.0;
 /// See [`OUTLIER_PX`]; times the median residual.
@@ -279,7 +279,7 @@ fn best_fit<const N: usize>(
         .iter()
         .map(|state| median_error(intrinsics, used, state))
         .min_by(f64::total_cmp)?;
-    let loss_px = LEAST_LOSS_PX.max(LOSS_OF_MEDIAN * median);
+    let loss_px = MIN_LOSS_PX.max(LOSS_OF_MEDIAN * median);
     let fits = rough.iter().filter_map(|state| search(state, loss_px));
     let best = fits.min_by(|a, b| a.cost.total_cmp(&b.cost))?;
     Some((best, loss_px))
@@ -338,8 +338,8 @@ fn corner_sigma<const N: usize>(
         .map(|error| error * error.min(loss_px))
         .sum();
     let free = (8 * used.len()) as f64 - N as f64;
-    let variance = (PRIOR_RESIDUALS * LEAST_SIGMA_PX.powi(2) + weighted) / (PRIOR_RESIDUALS + free);
-    variance.sqrt().max(LEAST_SIGMA_PX)
+    let variance = (PRIOR_RESIDUALS * MIN_SIGMA_PX.powi(2) + weighted) / (PRIOR_RESIDUALS + free);
+    variance.sqrt().max(MIN_SIGMA_PX)
 }
 
 fn part_pose<const N: usize>(

@@ -37,7 +37,7 @@ pub struct PartPose {
     pub ambiguity: Option<f64>,
     /// The second best minimum, `t_camera_part`.
     pub runner_up: Option<Pose>,
-    /// The runner-up may be the truth: the picture does not decide, and no two markers face in
+    /// The runner-up may be the truth: the image does not decide, and no two markers face in
     /// directions 30° apart.
     pub ambiguous: bool,
     /// Largest angle between the normals of two used markers, rad.
@@ -96,7 +96,7 @@ impl RelativePose {
     }
 }
 
-/// The gripper's pose in the object's frame from both poses in one picture. Covariances are
+/// The gripper's pose in the object's frame from both poses in one image. Covariances are
 /// propagated to first order as independent of each other. The gripper's corners are taken to be
 /// no better than the board's, whose deviation is known from more of them.
 #[must_use]

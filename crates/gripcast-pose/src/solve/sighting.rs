@@ -23,7 +23,7 @@ impl Sighting {
         (d - b).cross(c - a).normalize_or_zero()
     }
 
-    /// Area in the picture, px².
+    /// Area in the image, px².
     pub(super) fn area_px(&self) -> f64 {
         let [a, b, c, d] = self.corners.map(|o| o.pixel);
         0.5 * (c - a).perp_dot(d - b).abs()

@@ -1,4 +1,4 @@
-//! What light, lens, motion and sensor do to an ideal picture.
+//! What light, lens, motion and sensor do to an ideal image.
 
 use glam::DVec2;
 use image::GrayImage;
@@ -12,22 +12,22 @@ use gripcast_imaging::{linear_to_srgb, srgb_to_linear};
 /// Direction in which the light gets brighter, from x towards y.
 const SHADING_RAD: f64 = 1.0;
 
-/// Conditions of a synthetic picture.
+/// Conditions of a synthetic image.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PictureConditions {
+pub struct ImageConditions {
     /// Grey level (sRGB) of paper, of ink and of everything else.
     pub levels: [f32; 3],
     /// Standard deviation of the lens's Gaussian blur, px.
     pub psf_px: f64,
-    /// Path of the picture during the exposure, px.
+    /// Path of the image during the exposure, px.
     pub motion_px: DVec2,
     /// Standard deviation of the sensor's noise, grey levels.
     pub noise: f64,
-    /// Relative change of brightness from one side of the picture to the other.
+    /// Relative change of brightness from one side of the image to the other.
     pub shading: f64,
 }
 
-impl Default for PictureConditions {
+impl Default for ImageConditions {
     /// A good camera in a room: blur 0.7 px, noise 3 levels, shading by a quarter.
     fn default() -> Self {
         Self {
@@ -40,7 +40,7 @@ impl Default for PictureConditions {
     }
 }
 
-impl PictureConditions {
+impl ImageConditions {
     /// Linear light in [0, 1].
     pub(super) fn light(&self, shade: Shade) -> f32 {
         srgb_to_linear(match shade {
@@ -57,7 +57,7 @@ pub(super) fn degrade(
     mut levels: Vec<f32>,
     width: u32,
     height: u32,
-    conditions: &PictureConditions,
+    conditions: &ImageConditions,
     seed: u64,
 ) -> GrayImage {
     let (columns, rows) = (width as usize, height as usize);
@@ -99,7 +99,7 @@ fn gaussian(sigma_px: f64) -> Vec<f32> {
     (-reach..=reach).map(|i| (weight(i) / sum) as f32).collect()
 }
 
-/// Convolution with a symmetric kernel along both axes; the picture's border is repeated.
+/// Convolution with a symmetric kernel along both axes; the image's border is repeated.
 fn blurred(levels: &[f32], columns: usize, rows: usize, kernel: &[f32]) -> Vec<f32> {
     let reach = kernel.len() / 2;
     let mut across = vec![0.0; levels.len()];
@@ -128,7 +128,7 @@ fn blurred(levels: &[f32], columns: usize, rows: usize, kernel: &[f32]) -> Vec<f
     result
 }
 
-/// Mean along a straight path whose middle is the picture itself.
+/// Mean along a straight path whose middle is the image itself.
 fn moved(levels: &[f32], columns: usize, rows: usize, path_px: DVec2) -> Vec<f32> {
     let steps = (4.0 * path_px.length()).ceil().max(2.0) as usize;
     let mut result = vec![0.0; levels.len()];

@@ -1,10 +1,10 @@
-//! Pictures of printed markers with known poses: the test bed of the whole area.
+//! Images of printed markers with known poses: the test bed of the whole area.
 
 mod degrade;
-mod picture;
+mod marker_image;
 mod scene;
 mod surface;
 
-pub use degrade::PictureConditions;
-pub use picture::{Placed, SyntheticPicture, render, render_board};
+pub use degrade::ImageConditions;
+pub use marker_image::{Placed, SyntheticImage, render, render_board};
 pub use scene::{GraspScene, gripper_markers, ring_board, test_camera};

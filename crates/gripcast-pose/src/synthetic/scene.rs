@@ -4,7 +4,7 @@ use glam::{DQuat, DVec3};
 use rand::RngExt as _;
 use rand_pcg::Pcg64;
 
-use super::{PictureConditions, Placed, SyntheticPicture, render};
+use super::{ImageConditions, Placed, SyntheticImage, render};
 use crate::{Board, BoardMarker, Dictionary, Part};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{DistortionModel, Intrinsics};
@@ -171,14 +171,14 @@ impl GraspScene {
         self.t_camera_object.inverse() * self.t_camera_gripper
     }
 
-    /// The scene's picture.
+    /// The scene's image.
     #[must_use]
     pub fn render(
         &self,
         intrinsics: &Intrinsics,
-        conditions: &PictureConditions,
+        conditions: &ImageConditions,
         seed: u64,
-    ) -> SyntheticPicture {
+    ) -> SyntheticImage {
         let half = DVec3::X * (0.5 * self.opening_m);
         let gripper = |part, shift| Placed {
             board: &self.gripper,

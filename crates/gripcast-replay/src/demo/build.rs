@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use super::images::Stand;
 use super::object::{DemoObject, objects};
-use super::pictures::Stand;
 use super::plan::{DemoSettings, DemoStage, DemoWatch};
 use super::recording::{Recorder, film};
 use super::selection::{Chosen, choose};
@@ -22,7 +22,7 @@ fn how(is_quick: bool) -> String {
     format!(
         "gels of 0.435 MPa and Poisson's ratio 0.45 on a mesh of {meshes}, friction within 10 % of \
          0.4 and a squeeze between 25 and 50 N that the replay is not told, a shorter hold and a \
-         faster lift, other tactile sensors, and poses that were measured in rendered pictures"
+         faster lift, other tactile sensors, and poses that were measured in rendered images"
     )
 }
 

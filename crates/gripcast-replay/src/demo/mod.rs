@@ -3,12 +3,12 @@
 //!
 //! [`build_demo`] goes through the whole chain: grasps are drawn ([`sampler`]), simulated with the
 //! fine mesh and softer gels ([`reality`]), chosen so that half of them fail ([`selection`]),
-//! photographed by rendered cameras ([`pictures`], [`tactile`]), annotated by the project's own
+//! photographed by rendered cameras ([`images`], [`tactile`]), annotated by the project's own
 //! pose code and recorded ([`recording`]).
 
 mod build;
+mod images;
 mod object;
-mod pictures;
 mod plan;
 mod reality;
 mod recording;

@@ -23,15 +23,15 @@ const EGAD_SCALE: f64 = 0.6;
 /// Shape beside those of EGAD.
 const BESIDE_EGAD: &str = "ring";
 /// Friction coefficient that a laboratory would take from a table, and how far the real one is
-/// from it at most, as a share.
+/// from it at most, as a fraction.
 const NOMINAL_FRICTION: f64 = 0.4;
 const FRICTION_SPREAD: f64 = 0.1;
 /// Masses, kg.
 const MASS_KG: [f64; 2] = [0.040, 0.080];
 /// An object is put into a pose that it stays in when nudged by this, rad, and that it falls into
 /// with this probability.
-const LEAST_TIP_RAD: f64 = 0.05;
-const LEAST_PROBABILITY: f64 = 0.04;
+const MIN_TIP_RAD: f64 = 0.05;
+const MIN_PROBABILITY: f64 = 0.04;
 
 /// An object as it really is.
 #[derive(Clone, Debug)]
@@ -113,7 +113,7 @@ impl DemoObject {
         let mut draw = SeedStream::named(seed, &format!("object {name}"));
         let spread = draw.between(-FRICTION_SPREAD, FRICTION_SPREAD);
         let mass_g = 1e3 * draw.between(MASS_KG[0], MASS_KG[1]);
-        let poses = likely_poses(&mesh, LEAST_TIP_RAD, LEAST_PROBABILITY)?;
+        let poses = likely_poses(&mesh, MIN_TIP_RAD, MIN_PROBABILITY)?;
         let t_world_object = poses[draw.index(poses.len())].t_world_object;
         Ok(Self {
             name: name.to_owned(),

@@ -39,7 +39,7 @@ pub enum DemoStage {
     Screening,
     /// Grasps are simulated as reality.
     Simulating,
-    /// Pictures are rendered and stored.
+    /// Images are rendered and stored.
     Recording,
 }
 

@@ -8,8 +8,8 @@ use image::imageops::grayscale;
 use jiff::{SignedDuration, Timestamp};
 use serde::Serialize;
 
+use super::images::{BESIDE, Images, Stand};
 use super::object::DemoObject;
-use super::pictures::{BESIDE, Pictures, Stand};
 use super::plan::DemoWatch;
 use super::reality::{Class, reality};
 use super::selection::Chosen;
@@ -32,14 +32,13 @@ const NAME: &str = "gripcast-demo-simulated";
 const RIG: &str = "simulated-demo";
 const OPERATOR: &str = "simulation";
 /// What each grasp's note says.
-const NOTE: &str =
-    "Simulated, not real: pictures are rendered, the outcome is that of a simulation.";
+const NOTE: &str = "Simulated, not real: images are rendered, the outcome is that of a simulation.";
 /// Clock of the first candidate of the first object; candidates are a minute apart. A date on
 /// which nobody had such a sensor.
 const BEGIN: &str = "2000-01-01T00:00:00Z";
 const BETWEEN_S: i64 = 60;
 /// Candidates of an object have their own span of time.
-const MOST_CANDIDATES: i64 = 1000;
+const MAX_CANDIDATES: i64 = 1000;
 /// From the initial frame to the grasp frame and from there to the label, s.
 const CLOSING_S: i64 = 5;
 const LIFTING_S: i64 = 4;
@@ -85,7 +84,7 @@ impl Recorder {
             licence: "CC0-1.0".to_owned(),
             label_definition: "SIMULATED, nothing here was measured: stable = in a finite-element \
                 simulation every point of the object is 20 mm above the ground after a lift of \
-                50 mm; slip = it was touched and is not. Pictures are rendered."
+                50 mm; slip = it was touched and is not. Images are rendered."
                 .to_owned(),
         };
         let (mut writer, report) = DatasetWriter::open_or_create(folder, &new)?;
@@ -135,7 +134,7 @@ impl Recorder {
             return Ok(());
         }
         let shot = self.shoot(object, stand, chosen, watch)?;
-        let pose = annotate(stand, &shot.pictures).ok();
+        let pose = annotate(stand, &shot.images).ok();
         let [initial, grasp] = self.captures(object, chosen, shot, pose)?;
         self.store(object, stand, chosen, &initial, &grasp)
     }
@@ -156,7 +155,7 @@ impl Recorder {
             .grasped
             .as_ref()
             .ok_or_else(|| Error::internal("a grasp without its state was chosen"))?;
-        let mut draw = SeedStream::named(self.seed, &format!("pictures {}", film(object, chosen)));
+        let mut draw = SeedStream::named(self.seed, &format!("images {}", film(object, chosen)));
         let placed = &chosen.candidate.placed;
         let contact = Contact {
             mesh: &object.mesh,
@@ -171,8 +170,8 @@ impl Recorder {
         };
         let tactile = [frames(Finger::Left)?, frames(Finger::Right)?];
         let grid: &GelGrid = &self.gel.grid;
-        let pictures = stand.photograph(placed, grasped, grid, draw.bits(), watch)?;
-        Ok(Shot { tactile, pictures })
+        let images = stand.photograph(placed, grasped, grid, draw.bits(), watch)?;
+        Ok(Shot { tactile, images })
     }
 
     fn captures(
@@ -185,9 +184,9 @@ impl Recorder {
         let begin = captured_at(chosen)?;
         let Shot {
             tactile: [[left_before, left_after], [right_before, right_after]],
-            pictures,
+            images,
         } = shot;
-        let [hand_before, hand_after] = pictures.hand;
+        let [hand_before, hand_after] = images.hand;
         let stage = |at: Timestamp, trigger_time_ns: u64, cameras: Vec<(Role, Vec<u8>)>| {
             let camera = |(role, jpeg)| (role, self.camera(role, jpeg, trigger_time_ns));
             StageCapture {
@@ -208,7 +207,7 @@ impl Recorder {
                 (Role::Left, left_before),
                 (Role::Right, right_before),
                 (Role::Rgb, hand_before),
-                (Role::External, pictures.beside),
+                (Role::External, images.beside),
             ],
         );
         let mut grasp = stage(
@@ -230,7 +229,7 @@ impl Recorder {
         let [width, height] = match role {
             Role::Left | Role::Right => FRAME,
             Role::External => BESIDE.map(|n| n as u32),
-            Role::Rgb | Role::Depth => super::pictures::HAND.map(|n| n as u32),
+            Role::Rgb | Role::Depth => super::images::HAND.map(|n| n as u32),
         };
         let mut draw = SeedStream::named(self.seed ^ trigger_ns, role.name());
         let age_ms = draw.between(1.0, SKEW_MS);
@@ -349,7 +348,7 @@ impl Recorder {
 struct Shot {
     /// Left and right sensor, before closing and before the lift.
     tactile: [[Vec<u8>; 2]; 2],
-    pictures: Pictures,
+    images: Images,
 }
 
 /// Name of a simulated grasp.
@@ -357,13 +356,13 @@ pub(super) fn film(object: &DemoObject, chosen: &Chosen) -> String {
     format!("{}-{:03}", object.name, chosen.candidate.number)
 }
 
-/// The gripper in the object's frame, as the pictures tell it.
-fn annotate(stand: &Stand, pictures: &Pictures) -> Result<PoseRecord> {
-    let picture = grayscale(&Decoder::new()?.stored_picture(&pictures.beside)?);
+/// The gripper in the object's frame, as the images tell it.
+fn annotate(stand: &Stand, images: &Images) -> Result<PoseRecord> {
+    let image = grayscale(&Decoder::new()?.stored_image(&images.beside)?);
     let (sheet, tags) = (stand.sheet.file.clone(), stand.tags.clone());
-    let mut annotator = Annotator::new(sheet, tags, pictures.intrinsics)?;
+    let mut annotator = Annotator::new(sheet, tags, images.intrinsics)?;
     let name = image_name(Stage::Initial, Role::External, PixelFormat::Mjpg);
-    Ok(annotator.annotate([(name.into(), &picture)])?.record)
+    Ok(annotator.annotate([(name.into(), &image)])?.record)
 }
 
 fn truth(object: &DemoObject, chosen: &Chosen) -> Option<SimulatedTruth> {
@@ -400,7 +399,7 @@ fn first() -> Result<Timestamp> {
 }
 
 fn captured_at(chosen: &Chosen) -> Result<Timestamp> {
-    let number = MOST_CANDIDATES * chosen.object as i64 + chosen.candidate.number as i64;
+    let number = MAX_CANDIDATES * chosen.object as i64 + chosen.candidate.number as i64;
     Ok(first()? + SignedDuration::from_secs(BETWEEN_S * number))
 }
 

@@ -56,16 +56,16 @@ fn chosen(number: usize, outcome: GraspOutcome) -> Chosen {
 /// Frames that differ from each other and from those of another grasp.
 fn shot(number: usize) -> Shot {
     let jpeg = |[width, height]: [u32; 2], shade: usize| {
-        let picture = RgbImage::from_fn(width, height, |x, y| {
+        let image = RgbImage::from_fn(width, height, |x, y| {
             image::Rgb([x as u8, y as u8, (shade + 16 * number) as u8])
         });
-        encode_jpeg(&picture, 50).unwrap()
+        encode_jpeg(&image, 50).unwrap()
     };
     let gel = |shade| jpeg(FRAME, shade);
-    let hand = super::super::pictures::HAND.map(|n| n as u32);
+    let hand = super::super::images::HAND.map(|n| n as u32);
     Shot {
         tactile: [[gel(0), gel(1)], [gel(2), gel(3)]],
-        pictures: Pictures {
+        images: Images {
             hand: [jpeg(hand, 4), jpeg(hand, 5)],
             beside: jpeg(BESIDE.map(|n| n as u32), 6),
             intrinsics: test_camera(1280, 720),

@@ -110,8 +110,8 @@ impl Sensors {
         let whole = WholeFrame::new(profile, window, full, full);
         let untouched = renderer.render(&before.untouched(), None)?;
         let mut frame = |scene: &TactileScene<'_>, seed| -> Result<Vec<u8>> {
-            let picture = renderer.render(scene, Some(seed))?;
-            encode_jpeg(&whole.place(&picture, &untouched)?, QUALITY)
+            let image = renderer.render(scene, Some(seed))?;
+            encode_jpeg(&whole.place(&image, &untouched)?, QUALITY)
         };
         Ok([frame(&before, seeds[0])?, frame(&after, seeds[1])?])
     }
@@ -126,9 +126,9 @@ mod tests {
     fn sensors_differ_from_the_shipped_one_and_from_each_other() {
         let shipped = SensorProfile::gelsight_mini().unwrap();
         let [left, right] = Finger::BOTH.map(|finger| sensor(finger).unwrap());
-        let picture = |p: &SensorProfile| p.background.picture.clone().unwrap();
-        assert!(mean_difference(&picture(&left), &picture(&shipped)) > 5.0);
-        assert!(mean_difference(&picture(&left), &picture(&right)) > 5.0);
+        let image = |p: &SensorProfile| p.background.image.clone().unwrap();
+        assert!(mean_difference(&image(&left), &image(&shipped)) > 5.0);
+        assert!(mean_difference(&image(&left), &image(&right)) > 5.0);
         assert_ne!(left.shading, shipped.shading);
         assert!(left.noise_std[0] > 1.4 * shipped.noise_std[0]);
         assert!(left.provenance.starts_with("Not a real sensor"));

@@ -101,14 +101,14 @@ pub(super) fn notes(page: &Page<'_>) -> Markup {
             ("Choice of the setting", &choice),
             (
                 "Intervals",
-                &"Wilson’s score interval at 95\u{a0}% for a share of independent grasps. The duel \
+                &"Wilson’s score interval at 95\u{a0}% for a fraction of independent grasps. The duel \
                   is McNemar’s test with exact binomial probabilities, two-sided, on the grasps \
                   where just one engine is right.",
             ),
             ("Force", &forces),
             (
                 "Disagreement",
-                &"Of all settings with an outcome, the share whose outcome is not that of the \
+                &"Of all settings with an outcome, the fraction whose outcome is not that of the \
                   dataset. One that disagrees everywhere points at geometry, pose or model rather \
                   than at friction or force.",
             ),

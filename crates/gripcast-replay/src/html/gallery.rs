@@ -4,7 +4,7 @@ use super::Page;
 use super::grasp_index::disagreeing;
 use super::text::Agreement;
 use crate::report::{GraspFacts, GraspReplay};
-use gripcast_report::picture::again;
+use gripcast_report::image::again;
 use gripcast_report::{engine_name, fixed, label_name};
 use maud::{Markup, html};
 
@@ -16,8 +16,8 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
         } @else {
             p {
                 (failures.len()) " of " (page.report.grasps.len()) " grasps where an engine \
-                 disagrees with " (page.reality()) " at the paper’s choice; ordered by the share \
-                 of settings that disagree. Where all do, no choice of friction and force mends it."
+                 disagrees with " (page.reality()) " at the paper’s choice; ordered by the fraction \
+                 of settings that disagree. Where all do, no choice of friction and force fixes it."
             }
             ol.cards {
                 @for &i in &failures { (card(page, i, &page.report.grasps[i])) }
@@ -59,7 +59,7 @@ fn card(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
                 }
                 @for (k, pair) in grasp.tactile.iter().take(2).enumerate() {
                     @let alt = alt(&format!("{} sensor", pair.sensor));
-                    (again(&pair.pictures.real, &format!("g{i}r{k}"), &alt))
+                    (again(&pair.images.real, &format!("g{i}r{k}"), &alt))
                 }
             }
             dl {

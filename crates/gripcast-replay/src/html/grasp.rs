@@ -6,8 +6,8 @@ use super::settings::Grid;
 use super::text::{Agreement, setting};
 use crate::grasp_chart::inline;
 use crate::report::{GraspFacts, GraspReplay, PoseSamples, Setting, TactilePair};
+use gripcast_report::image::image;
 use gripcast_report::page::{definitions, nothing};
-use gripcast_report::picture::picture;
 use gripcast_report::{
     MISSING, duration, engine_name, fixed, label_name, optional, outcome_name, trimmed,
 };
@@ -17,10 +17,10 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     let real = page.real();
     let body = html! {
         p {
-            "Pictures: " (real) " beside simulated. Tactile pictures are grasp minus initial, \
+            "Images: " (real) " beside simulated. Tactile images are grasp minus initial, \
              mid-grey is no change; the third is " (real) " minus simulated. IoU: overlap of both \
-             contact masks by their union; FVE: share of the variance that the simulation explains; \
-             PSNR and L1: of the difference picture. Curves are those of the paper’s choice; the \
+             contact masks by their union; FVE: fraction of the variance that the simulation explains; \
+             PSNR and L1: of the difference image. Curves are those of the paper’s choice; the \
              bands behind them are closure, adjustment and lift."
         }
         @for (i, grasp) in page.report.grasps.iter().enumerate() {
@@ -47,7 +47,7 @@ fn article(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
                 }
             }
             @if grasp.view.is_some() || !grasp.tactile.is_empty() {
-                (pictures(page, i, grasp))
+                (images(page, i, grasp))
             }
             div.engines {
                 @for replay in &grasp.replays { (engine(grasp, replay)) }
@@ -57,7 +57,7 @@ fn article(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
     }
 }
 
-fn pictures(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
+fn images(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
     let real = page.real();
     let alt = |what: &str| format!("grasp {}, camera, {what}", grasp.id);
     html! {
@@ -65,8 +65,8 @@ fn pictures(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
             @if let Some(view) = &grasp.view {
                 figure.view {
                     div {
-                        (picture(&view.real, &format!("g{i}v"), &alt(real)))
-                        (picture(&view.sim, &format!("g{i}w"), &alt("simulated")))
+                        (image(&view.real, &format!("g{i}v"), &alt(real)))
+                        (image(&view.sim, &format!("g{i}w"), &alt("simulated")))
                     }
                     figcaption { "camera: " (real) " | simulated" }
                 }
@@ -82,8 +82,8 @@ fn pictures(page: &Page<'_>, i: usize, grasp: &GraspFacts) -> Markup {
 
 fn tactile(real: &str, [i, k]: [usize; 2], grasp: &str, pair: &TactilePair) -> Markup {
     let views = [
-        (&pair.pictures.real, "r", real),
-        (&pair.pictures.sim, "s", "simulated"),
+        (&pair.images.real, "r", real),
+        (&pair.images.sim, "s", "simulated"),
         (&pair.difference, "d", "difference"),
     ];
     html! {
@@ -91,7 +91,7 @@ fn tactile(real: &str, [i, k]: [usize; 2], grasp: &str, pair: &TactilePair) -> M
             div {
                 @for (uri, letter, name) in views {
                     @let alt = format!("grasp {grasp}, {} sensor, {name}", pair.sensor);
-                    (picture(uri, &format!("g{i}{letter}{k}"), &alt))
+                    (image(uri, &format!("g{i}{letter}{k}"), &alt))
                 }
             }
             figcaption {

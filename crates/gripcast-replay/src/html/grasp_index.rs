@@ -13,7 +13,7 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     };
     let body = html! {
         p {
-            "Outcome at the paper’s choice, whether it agrees with " (page.reality()) ", the share \
+            "Outcome at the paper’s choice, whether it agrees with " (page.reality()) ", the fraction \
              of settings that disagree, and the height of the object’s lowest point at the end."
         }
         (filters(page))

@@ -1,7 +1,7 @@
 //! The verdict: one sentence with numbers, the intervals as a chart, and what was replayed.
 
 use super::Page;
-use super::text::{interval, p_value, share};
+use super::text::{fraction, interval, p_value};
 use crate::report::{EngineFacts, Proportion, Scores};
 use gripcast_report::chart::{Anchor, Axis, Chart, Panel, colour, text};
 use gripcast_report::page::definitions;
@@ -70,7 +70,7 @@ fn sentence(page: &Page<'_>) -> Markup {
                 @if i > 0 { "; " }
                 b { (engine_name(&engine.name)) }
                 " agree with " (page.reality()) " on " b { (all.agree) " of " (all.n) }
-                " grasps (" (share(all)) ", 95\u{a0}% interval " (interval(all)) ")"
+                " grasps (" (fraction(all)) ", 95\u{a0}% interval " (interval(all)) ")"
             }
             @if let Some(duel) = &page.report.duel {
                 "; of the grasps where only one is right, " (duel.only_fem)
@@ -91,7 +91,7 @@ fn without_bias(page: &Page<'_>) -> Markup {
                 @let all = &engine.scores.leave_one_out.all;
                 @if i > 0 { ", " }
                 (engine_name(&engine.name).to_lowercase()) " " (all.agree) " of " (all.n)
-                " (" (share(all)) ", " (interval(all)) ")"
+                " (" (fraction(all)) ", " (interval(all)) ")"
             }
             @if let Some(duel) = &page.report.duel { "; " (p_value(duel.leave_one_out_p)) }
             "."
@@ -117,7 +117,7 @@ fn forest(engines: &[EngineFacts]) -> Chart {
         right: 620.0,
         top: TOP,
         bottom: TOP + height,
-        x: Axis::new("share of grasps that agree", [0.0, 1.0], 5.0),
+        x: Axis::new("fraction of grasps that agree", [0.0, 1.0], 5.0),
         // Downwards, in px.
         y: Axis::of_px(height),
     };
@@ -137,8 +137,8 @@ fn forest(engines: &[EngineFacts]) -> Chart {
                 @if is_known(p) {
                     @let class = format!("interval {}", colour(i));
                     (panel.whisker(&class, [[p.low, y], [p.high, y]]))
-                    (panel.marker(i, [p.share, y]))
-                    @let words = format!("{}  [{}]", share(p), interval(p));
+                    (panel.marker(i, [p.fraction, y]))
+                    @let words = format!("{}  [{}]", fraction(p), interval(p));
                     (label(panel.right + 10.0, y, Anchor::Start, &words))
                 } @else {
                     (label(panel.right + 10.0, y, Anchor::Start, MISSING))
@@ -149,14 +149,14 @@ fn forest(engines: &[EngineFacts]) -> Chart {
     };
     Chart {
         size: [750.0, panel.bottom + Panel::ABSCISSA],
-        title: "Share of grasps that agree, with 95 % intervals".to_owned(),
+        title: "Fraction of grasps that agree, with 95 % intervals".to_owned(),
         description: "The numbers are in the last column of Table 1.".to_owned(),
         body,
     }
 }
 
 fn is_known(p: &Proportion) -> bool {
-    p.n > 0 && [p.low, p.high, p.share].iter().all(|v| v.is_finite())
+    p.n > 0 && [p.low, p.high, p.fraction].iter().all(|v| v.is_finite())
 }
 
 fn facts(page: &Page<'_>) -> Markup {

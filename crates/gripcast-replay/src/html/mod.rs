@@ -98,7 +98,7 @@ impl Page<'_> {
         }
     }
 
-    /// What the pictures of the dataset are called.
+    /// What the images of the dataset are called.
     fn real(&self) -> &'static str {
         match self.simulated() {
             Some(_) => "as if real",

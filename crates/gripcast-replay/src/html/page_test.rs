@@ -2,7 +2,7 @@ use std::collections::BTreeSet;
 
 use super::page;
 use crate::report::{Curves, Reality, Report, Setting};
-use crate::sample_report::{HOSTILE, PICTURE, sample_report};
+use crate::sample_report::{HOSTILE, IMAGE, sample_report};
 
 const STATEMENT: &str = "Reality is simulated here";
 
@@ -111,7 +111,7 @@ fn curves_without_points_or_numbers_draw_no_nonsense() {
 #[test]
 fn nothing_is_fetched() {
     let mut report = sample_report();
-    report.objects[0].picture = Some("https://example.org/a.jpg".to_owned());
+    report.objects[0].image = Some("https://example.org/a.jpg".to_owned());
     let page = drawn(&report);
     for word in [
         "http://", "https://", "@import", "url(\"", "<link", "<iframe", "src=",
@@ -126,7 +126,7 @@ fn nothing_is_fetched() {
 }
 
 #[test]
-fn every_link_and_picture_that_is_named_exists() {
+fn every_link_and_image_that_is_named_exists() {
     let page = drawn(&sample_report());
     let after = |mark: &str| -> Vec<String> {
         page.match_indices(mark)
@@ -143,10 +143,10 @@ fn every_link_and_picture_that_is_named_exists() {
 }
 
 #[test]
-fn pictures_are_there_once() {
+fn images_are_there_once() {
     let page = drawn(&sample_report());
     // Two objects; of five grasps two views and two sensors of three.
-    assert_eq!(count(&page, PICTURE), 2 + 5 * 8);
+    assert_eq!(count(&page, IMAGE), 2 + 5 * 8);
 }
 
 #[test]
@@ -198,7 +198,7 @@ fn same_report_same_bytes_other_version_refused() {
 }
 
 #[test]
-fn a_hundred_grasps_take_less_than_four_megabytes_besides_pictures() {
+fn a_hundred_grasps_take_less_than_four_megabytes_besides_images() {
     let mut report = sample_report();
     let wavy = |k: usize| 40.0 + 3.0 * (0.7 * k as f64).sin() * (0.11 * k as f64).cos();
     let mut grasp = report.grasps[2].clone();
@@ -216,7 +216,7 @@ fn a_hundred_grasps_take_less_than_four_megabytes_besides_pictures() {
     }
     report.grasps = vec![grasp; 100];
     let page = drawn(&report);
-    let pictures = count(&page, PICTURE) * PICTURE.len();
-    let own = page.len() - pictures;
+    let images = count(&page, IMAGE) * IMAGE.len();
+    let own = page.len() - images;
     assert!(own < 4_000_000, "{own} bytes");
 }

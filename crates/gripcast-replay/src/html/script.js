@@ -42,8 +42,8 @@
 
   const key = (row, column) => {
     const text = row.cells[column].textContent.trim();
-    const share = /^(\d+) of (\d+)$/.exec(text);
-    if (share) return share[1] / share[2];
+    const fraction = /^(\d+) of (\d+)$/.exec(text);
+    if (fraction) return fraction[1] / fraction[2];
     const number = Number(text.replace("−", "-"));
     return text !== "" && Number.isFinite(number) ? number : text;
   };

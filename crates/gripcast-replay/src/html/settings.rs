@@ -56,7 +56,7 @@ pub(super) fn section(page: &Page<'_>) -> Markup {
     }
     let body = html! {
         p {
-            "Share of grasps that agree with " (page.reality()) ", and their number, at every \
+            "Fraction of grasps that agree with " (page.reality()) ", and their number, at every \
              setting. Solid frame: the paper’s choice for the object. Dashed frame: the one \
              setting for all objects. Crossed out: not tried, or no case with an outcome."
         }

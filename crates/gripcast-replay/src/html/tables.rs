@@ -2,10 +2,10 @@
 
 use super::Page;
 use super::head::WAYS;
-use super::text::{force_name, interval, setting, share};
+use super::text::{force_name, fraction, interval, setting};
 use crate::report::{ObjectFacts, Score};
+use gripcast_report::image::image;
 use gripcast_report::page::{Table, text};
-use gripcast_report::picture::picture;
 use gripcast_report::{MISSING, engine_name, fixed, trimmed};
 use maud::{Markup, Render, html};
 
@@ -29,7 +29,7 @@ pub(super) fn accuracy(page: &Page<'_>) -> Markup {
     }
     let body = html! {
         p {
-            "Share of grasps whose simulated outcome is that of " (page.reality()) ", below it the \
+            "Fraction of grasps whose simulated outcome is that of " (page.reality()) ", below it the \
              95\u{a0}% Wilson interval. Avg is the mean over objects. Bold is the best engine of a \
              column."
         }
@@ -44,19 +44,19 @@ fn row(page: &Page<'_>, all: &[&Score], score: &Score) -> Vec<Markup> {
         let Some(p) = of(score) else {
             return MISSING.render();
         };
-        let best = all.iter().filter_map(|s| of(s)).map(|p| p.share);
+        let best = all.iter().filter_map(|s| of(s)).map(|p| p.fraction);
         html! {
             span title={ (p.agree) " of " (p.n) } {
-                (strong(&share(&p), is_best(p.share, best)))
+                (strong(&fraction(&p), is_best(p.fraction, best)))
                 small { (interval(&p)) }
             }
         }
     });
     let mean = is_best(score.mean, all.iter().map(|s| s.mean));
     let p = &score.all;
-    let best = is_best(p.share, all.iter().map(|s| s.all.share));
+    let best = is_best(p.fraction, all.iter().map(|s| s.all.fraction));
     let all = html! {
-        (strong(&share(p), best))
+        (strong(&fraction(p), best))
         small { (interval(p)) }
         small { (p.agree) " of " (p.n) }
     };
@@ -81,8 +81,8 @@ pub(super) fn parameters(page: &Page<'_>) -> Markup {
     let objects = objects.map(|(i, object)| {
         text(html! {
             (object.name)
-            @if let Some(uri) = &object.picture {
-                (picture(uri, &format!("o{i}"), &format!("object {}", object.name)))
+            @if let Some(uri) = &object.image {
+                (image(uri, &format!("o{i}"), &format!("object {}", object.name)))
             }
         })
     });

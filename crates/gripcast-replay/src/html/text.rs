@@ -18,11 +18,11 @@ pub(super) fn p_value(p: f64) -> String {
 }
 
 /// The fraction of a proportion; [`MISSING`] where nothing was counted.
-pub(super) fn share(of: &Proportion) -> String {
+pub(super) fn fraction(of: &Proportion) -> String {
     if of.n == 0 {
         MISSING.to_owned()
     } else {
-        fixed(of.share, 2)
+        fixed(of.fraction, 2)
     }
 }
 
@@ -102,14 +102,14 @@ mod tests {
     }
 
     #[test]
-    fn a_share_of_nothing_is_missing() {
+    fn a_fraction_of_nothing_is_missing() {
         let none = Proportion {
             agree: 0,
             n: 0,
-            share: 0.0,
+            fraction: 0.0,
             low: 0.0,
             high: 1.0,
         };
-        assert_eq!((share(&none), interval(&none)), ("–".into(), "–".into()));
+        assert_eq!((fraction(&none), interval(&none)), ("–".into(), "–".into()));
     }
 }

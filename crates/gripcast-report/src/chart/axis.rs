@@ -4,12 +4,12 @@ use super::text::{SMALL, count, width};
 use crate::fixed;
 
 /// Nothing that is drawn comes near; numbers beyond it would overflow an axis.
-const LARGEST: f64 = 1e12;
+const MAX: f64 = 1e12;
 
 /// Lowest and highest finite number.
 pub fn extent(values: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
     values
-        .filter(|value| value.abs() <= LARGEST)
+        .filter(|value| value.abs() <= MAX)
         .fold(None, |range, value| match range {
             None => Some([value, value]),
             Some([low, high]) => Some([low.min(value), high.max(value)]),

@@ -71,7 +71,7 @@ pub fn width(text: &str, size: f64) -> f64 {
     size * text.chars().map(em).sum::<f64>()
 }
 
-/// Width of a character as a share of the font size.
+/// Width of a character as a fraction of the font size.
 fn em(c: char) -> f64 {
     match c {
         'i' | 'j' | 'l' | '|' | '\'' => 0.34,

@@ -131,20 +131,20 @@ mod tests {
 
     #[test]
     fn derivatives_are_finite_differences() {
-        for share in [1e-3, 1e-2, 0.1, 0.3, 0.5, 0.8, 0.95, 0.99] {
+        for fraction in [1e-3, 1e-2, 0.1, 0.3, 0.5, 0.8, 0.95, 0.99] {
             for (x, of, value) in [
                 (
-                    share * share * BARRIER.d_hat_squared(),
+                    fraction * fraction * BARRIER.d_hat_squared(),
                     Barrier::squared as fn(&Barrier, f64) -> Derivatives,
                     Barrier::value_squared as fn(&Barrier, f64) -> f64,
                 ),
                 (
-                    share * BARRIER.d_hat,
+                    fraction * BARRIER.d_hat,
                     Barrier::linear,
                     Barrier::value_linear,
                 ),
             ] {
-                let h = 1e-5 * x.min(2.0 * (1.0 - share) * x);
+                let h = 1e-5 * x.min(2.0 * (1.0 - fraction) * x);
                 let [low, mid, high] = [x - h, x, x + h].map(|x| of(&BARRIER, x));
                 assert_eq!(mid.value, value(&BARRIER, x));
                 assert_near(mid.first, (high.value - low.value) / (2.0 * h), 1e-6);
@@ -155,9 +155,9 @@ mod tests {
 
     #[test]
     fn linear_conversion_is_the_chain_rule() {
-        for share in [0.01, 0.3, 0.9] {
-            let d = share * BARRIER.d_hat;
-            let h = 1e-5 * d * (1.0 - share);
+        for fraction in [0.01, 0.3, 0.9] {
+            let d = fraction * BARRIER.d_hat;
+            let h = 1e-5 * d * (1.0 - fraction);
             let at = |d: f64| BARRIER.squared(d * d).to_linear(d * d);
             let (low, mid, high) = (at(d - h), at(d), at(d + h));
             assert_near(mid.first, (high.value - low.value) / (2.0 * h), 1e-6);

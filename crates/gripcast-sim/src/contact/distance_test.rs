@@ -168,20 +168,20 @@ fn degenerate_stencils_have_finite_answers() {
 #[test]
 fn thin_triangles_keep_their_inside() {
     for width in [1e-2, 1e-4, 1e-5, 1e-7, 1e-9, 1e-11, 0.0] {
-        for (share, height) in [
+        for (fraction, height) in [
             (0.4, 1e-6),
             (0.4, 0.1),
             (-2.0, 0.1),
             (3.0, 1e-6),
             (0.1, 0.0),
         ] {
-            let p = DVec3::new(0.7, share * width, height);
+            let p = DVec3::new(0.7, fraction * width, height);
             let x = [p, DVec3::ZERO, DVec3::X, DVec3::new(0.8, width, 0.0)];
             for (i, j, k) in [(1, 2, 3), (2, 3, 1), (3, 1, 2), (3, 2, 1)] {
                 let turned = [x[0], x[i], x[j], x[k]];
                 let closest = closest_pt(&turned);
                 check(&turned, &closest, 1.0, false);
-                if (0.0..1.0).contains(&share) && width > 1e-8 {
+                if (0.0..1.0).contains(&fraction) && width > 1e-8 {
                     let error = (closest.distance() - height).abs();
                     assert!(error <= 1e-12 + 1e-17 / width, "{error:e} at {turned:?}");
                 }

@@ -24,7 +24,7 @@ pub fn f0(y: f64, epsilon: f64) -> f64 {
     epsilon * (x * x * (1.0 - x / 3.0) + 1.0 / 3.0)
 }
 
-/// f1, the derivative of f0: the friction force as a share of μ λ, in [0, 1].
+/// f1, the derivative of f0: the friction force as a fraction of μ λ, in [0, 1].
 #[inline]
 pub fn f1(y: f64, epsilon: f64) -> f64 {
     if y >= epsilon {
@@ -124,8 +124,8 @@ mod tests {
 
     #[test]
     fn scalars_are_derivatives_of_each_other() {
-        for share in [1e-3, 0.01, 0.1, 0.5, 0.9, 0.999, 1.001, 2.0, 10.0] {
-            let y = share * EPSILON;
+        for fraction in [1e-3, 0.01, 0.1, 0.5, 0.9, 0.999, 1.001, 2.0, 10.0] {
+            let y = fraction * EPSILON;
             let h = 1e-4 * y.min(EPSILON);
             let slope = (f0(y + h, EPSILON) - f0(y - h, EPSILON)) / (2.0 * h);
             assert_close(&[f1(y, EPSILON)], &[slope], 1e-3, 1e-6, "f1");

@@ -2,7 +2,7 @@
 //!
 //! Local frame: x and y in the plane of the faces, z from the back face (z = 0, driven) to the
 //! front face (z = thickness, the one that touches). Every cell has five tetrahedra; the two
-//! possible cuts alternate with the parity of the cell, so that neighbours share diagonals.
+//! possible cuts alternate with the parity of the cell, so that neighbours fraction diagonals.
 //! Against the reference forces of a pressed gel five are nearer than six per cell (26 x 21 x 5
 //! nodes: flat plate +0.9 against +1.1 %, sphere of 10 mm at 0.4 mm +0.7 against +5.7 %), with a
 //! sixth fewer elements; not so where the patch is one element wide (13 x 11 x 3, 0.2 mm).
@@ -279,7 +279,7 @@ impl GelGrid {
         self.back.vertices()
     }
 
-    /// Share of the back face of each driven node in m², in the order of [`GelGrid::driven`].
+    /// Fraction of the back face of each driven node in m², in the order of [`GelGrid::driven`].
     #[must_use]
     pub fn driven_areas(&self) -> &[f64] {
         self.back.vertex_areas()

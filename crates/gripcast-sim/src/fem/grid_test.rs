@@ -106,9 +106,9 @@ fn contact_areas_add_up_without_the_back() {
     for grid in grids() {
         let (extent, surface) = (size(&grid), grid.contact_surface());
         let area = extent.x * extent.y + 2.0 * extent.z * (extent.x + extent.y);
-        for shares in [surface.vertex_areas(), surface.edge_areas()] {
-            assert!((shares.iter().sum::<f64>() / area - 1.0).abs() < 1e-12);
-            assert!(shares.iter().all(|a| *a > 0.0));
+        for fractions in [surface.vertex_areas(), surface.edge_areas()] {
+            assert!((fractions.iter().sum::<f64>() / area - 1.0).abs() < 1e-12);
+            assert!(fractions.iter().all(|a| *a > 0.0));
         }
         assert_eq!(surface.vertices().len(), surface.vertex_areas().len());
         assert_eq!(surface.edges().len(), surface.edge_areas().len());

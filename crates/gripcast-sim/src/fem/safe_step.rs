@@ -15,7 +15,7 @@ use pulp::{Simd, WithSimd};
 use super::batch::{Batch, Lanes, WIDTH};
 use super::kernel::{Vector, at, cross, dot};
 
-/// Share of its volume that a tetrahedron keeps in one step.
+/// Fraction of its volume that a tetrahedron keeps in one step.
 const KEPT_VOLUME: f64 = 0.1;
 
 /// Largest step in (0, 1] along `dx`.

@@ -1,4 +1,4 @@
-//! Boundary of a tetrahedral mesh: triangles, edges, vertices and their shares of the area.
+//! Boundary of a tetrahedral mesh: triangles, edges, vertices and their fractions of the area.
 
 use glam::DVec3;
 
@@ -19,16 +19,16 @@ impl Surface {
     /// (the rule of Li et al., *Incremental Potential Contact*, 2020).
     #[must_use]
     pub fn new(triangles: &[[u32; 3]], positions: &[DVec3]) -> Self {
-        let mut shares: Vec<([u32; 2], f64)> = Vec::with_capacity(3 * triangles.len());
+        let mut fractions: Vec<([u32; 2], f64)> = Vec::with_capacity(3 * triangles.len());
         let mut corners: Vec<(u32, f64)> = Vec::with_capacity(3 * triangles.len());
         for t in triangles {
             let third = triangle_area(t, positions) / 3.0;
             for (a, b) in [(t[0], t[1]), (t[1], t[2]), (t[2], t[0])] {
-                shares.push(([a.min(b), a.max(b)], third));
+                fractions.push(([a.min(b), a.max(b)], third));
                 corners.push((a, third));
             }
         }
-        let (edges, edge_areas) = sums(shares);
+        let (edges, edge_areas) = sums(fractions);
         let (vertices, vertex_areas) = sums(corners);
         Self {
             triangles: triangles.to_vec(),
@@ -75,7 +75,12 @@ fn sums<K: Ord + Copy>(mut items: Vec<(K, f64)>) -> (Vec<K>, Vec<f64>) {
     items.sort_by_key(|(key, _)| *key);
     items
         .chunk_by(|a, b| a.0 == b.0)
-        .map(|run| (run[0].0, run.iter().map(|(_, share)| share).sum::<f64>()))
+        .map(|run| {
+            (
+                run[0].0,
+                run.iter().map(|(_, fraction)| fraction).sum::<f64>(),
+            )
+        })
         .unzip()
 }
 

@@ -9,14 +9,14 @@ use gripcast_base::statistics::median;
 
 /// Adjustment steps at the end that the force is judged by.
 pub const STEADY_STEPS: usize = 20;
-/// The mean may be off the threshold by this share and still count as steady.
-const STEADY_SHARE: f64 = 0.02;
+/// The mean may be off the threshold by this fraction and still count as steady.
+const STEADY_FRACTION: f64 = 0.02;
 /// Steps may change the force by this much more than the fingers' stiffness explains.
 const STEP_ALLOWANCE: f64 = 1.1;
-/// Changes below this share of the threshold are no restlessness.
-const REST_SHARE: f64 = 1e-3;
-/// The gels' forces in the lift may differ by this share.
-const LOPSIDED_SHARE: f64 = 0.05;
+/// Changes below this fraction of the threshold are no restlessness.
+const REST_FRACTION: f64 = 1e-3;
+/// The gels' forces in the lift may differ by this fraction.
+const LOPSIDED_FRACTION: f64 = 0.05;
 
 /// A number for each gel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -134,7 +134,7 @@ fn lopsided(trace: &Trace) -> Option<String> {
         steps.map(|step| step.force[gel].normal_n).collect()
     };
     let (left, right) = (mean(&force(0))?, mean(&force(1))?);
-    ((left - right).abs() > LOPSIDED_SHARE * left.max(right).max(1.0)).then(|| {
+    ((left - right).abs() > LOPSIDED_FRACTION * left.max(right).max(1.0)).then(|| {
         format!(
             "in the lift the left gel feels {left:.1} N and the right {right:.1} N: the object \
              also touches driven nodes at the edge of a gel's back, which the force leaves out"
@@ -195,8 +195,8 @@ pub fn is_steady(trace: &Trace, protocol: &Protocol, dt_s: f64) -> Option<bool> 
     let forces = last_forces(trace);
     let mean = mean(&forces)?;
     let step_n = stiffness(trace) * protocol.adjust_speed_m_s * dt_s;
-    let band = (STEADY_SHARE * protocol.stop_force_n).max(0.5 * step_n);
-    let most = (STEP_ALLOWANCE * step_n).max(REST_SHARE * protocol.stop_force_n);
+    let band = (STEADY_FRACTION * protocol.stop_force_n).max(0.5 * step_n);
+    let most = (STEP_ALLOWANCE * step_n).max(REST_FRACTION * protocol.stop_force_n);
     let is_calm = forces.windows(2).all(|w| (w[1] - w[0]).abs() <= most);
     Some((mean - protocol.stop_force_n).abs() <= band && is_calm)
 }

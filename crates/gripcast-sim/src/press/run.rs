@@ -28,7 +28,7 @@ const PLANE: f64 = 1e7;
 const TOLERANCE_M: f64 = 2e-9;
 /// A goal is met when the depth is off by less, m.
 const CLOSE_M: f64 = 2e-8;
-/// Room between contact and the face at the start, as a share of `d_hat`.
+/// Room between contact and the face at the start, as a fraction of `d_hat`.
 const CLEARANCE: f64 = 1e-3;
 
 /// A gel and what it is pressed against.

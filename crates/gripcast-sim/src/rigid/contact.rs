@@ -387,7 +387,7 @@ mod tests {
     fn four_points_span_squares_and_rounds_however_they_lie() {
         for turn in 0..90 {
             let turn = f64::from(turn).to_radians();
-            for (corners, share) in [(4, 0.999), (32, 0.6)] {
+            for (corners, fraction) in [(4, 0.999), (32, 0.6)] {
                 let step = std::f64::consts::TAU / f64::from(corners);
                 let all: Vec<Candidate> = (0..corners)
                     .map(|i| (turn + f64::from(i) * step).sin_cos())
@@ -395,7 +395,7 @@ mod tests {
                     .collect();
                 let whole = f64::from(corners) * step.sin();
                 let found = area(&spanning(&all));
-                assert!(found > share * whole, "{corners}: {found} of {whole}");
+                assert!(found > fraction * whole, "{corners}: {found} of {whole}");
             }
         }
     }

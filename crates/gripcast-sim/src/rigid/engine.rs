@@ -17,7 +17,7 @@ use gripcast_base::files::BeneathPath;
 use gripcast_geometry::TriangleMesh;
 
 /// Largest opening that a gripper can have, m.
-const MOST_OPENING_M: f64 = 0.2;
+const MAX_OPENING_M: f64 = 0.2;
 
 /// Rigid fingers on a rigid object of convex pieces; the force is that of the fingers' motors.
 #[derive(Debug, Default)]
@@ -105,7 +105,7 @@ fn validate(setup: &GraspSetup, friction: f64, force_n: f64) -> Result<()> {
         ("mass", setup.mass_kg, "kg", 1e-6, 1e3),
         ("friction coefficient", friction, "", 0.0, 100.0),
         ("grasping force", force_n, "N", 1e-6, 1e5),
-        ("opening", setup.opening_m, "m", 1e-6, MOST_OPENING_M),
+        ("opening", setup.opening_m, "m", 1e-6, MAX_OPENING_M),
     ];
     for (name, found, unit, least, most) in numbers {
         // Written so that NaN is refused as well.

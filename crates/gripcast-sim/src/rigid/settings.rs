@@ -34,8 +34,8 @@ pub struct RigidSettings {
     /// Time steps in a control step of the lift: 4, which is 0.18 m/s. The arm that lags behind
     /// Taxim's commands is not simulated.
     pub lift_ticks: u32,
-    /// A grasp succeeds if the object rises by this share of the lift. Taxim: 0.8.
-    pub success_share: f64,
+    /// A grasp succeeds if the object rises by this fraction of the lift. Taxim: 0.8.
+    pub success_fraction: f64,
     /// Time step, s. 1/240: PyBullet's.
     pub dt_s: f64,
     /// Gravity, m/s².
@@ -68,7 +68,7 @@ impl Default for RigidSettings {
             lift_steps: 60,
             lift_step_m: 0.003,
             lift_ticks: 4,
-            success_share: 0.8,
+            success_fraction: 0.8,
             dt_s: 1.0 / 240.0,
             gravity_m_s2: 9.81,
             solver_substeps: 8,
@@ -88,7 +88,7 @@ pub struct DecompositionSettings {
     pub alpha: f64,
     /// Bias towards cuts along axes of revolution. 0.05: the usual one.
     pub beta: f64,
-    /// Pieces are cut until their hull exceeds their volume by less than this share of the whole
+    /// Pieces are cut until their hull exceeds their volume by less than this fraction of the whole
     /// hull, and joined again where that costs less. 0.01: finer cuts of voxels only follow their
     /// steps.
     pub concavity: f64,
@@ -125,7 +125,7 @@ impl RigidSettings {
 
     /// Rise of the object from which on a grasp succeeds, m.
     pub fn success_rise_m(&self) -> f64 {
-        self.success_share * self.lift_m()
+        self.success_fraction * self.lift_m()
     }
 
     /// Speed of the lift, m/s.
@@ -146,7 +146,7 @@ impl RigidSettings {
             ("centring_s", self.centring_s, 1e-6, 1e9),
             ("finger_mass_kg", self.finger_mass_kg, 1e-3, 100.0),
             ("lift_step_m", self.lift_step_m, 0.0, 0.1),
-            ("success_share", self.success_share, 0.0, 1.0),
+            ("success_fraction", self.success_fraction, 0.0, 1.0),
             ("dt_s", self.dt_s, 1e-5, 0.02),
             ("gravity_m_s2", self.gravity_m_s2, 0.0, 100.0),
             ("contact_frequency_hz", self.contact_frequency_hz, 1.0, 1e6),

@@ -14,9 +14,9 @@ use crate::contact::mollifier;
 use crate::fem::Surface;
 use gripcast_geometry::Aabb;
 
-/// Share of the area that a pair acts with (Taccel; half for vertex-triangle and half for
+/// Fraction of the area that a pair acts with (Taccel; half for vertex-triangle and half for
 /// edge-edge pairs, and half of each for either side).
-const PAIR_SHARE: f64 = 0.25;
+const PAIR_FRACTION: f64 = 0.25;
 
 /// The closest points if they are nearer than the root of `limit` (m²).
 #[inline]
@@ -163,7 +163,7 @@ impl Candidates {
                                 &collider.vertices,
                             )
                         }),
-                        weight: PAIR_SHARE * area,
+                        weight: PAIR_FRACTION * area,
                         gathered: closest.distance(),
                     });
                 }
@@ -188,7 +188,7 @@ impl Candidates {
                             &collider.vertices,
                         ),
                         nodes,
-                        weight: PAIR_SHARE * collider.vertex_areas[vertex as usize],
+                        weight: PAIR_FRACTION * collider.vertex_areas[vertex as usize],
                         gathered: closest.distance(),
                     });
                 }
@@ -217,7 +217,7 @@ impl Candidates {
                                 &collider.vertices,
                             )
                         }),
-                        weight: PAIR_SHARE * (area + collider.edge_areas[edge]),
+                        weight: PAIR_FRACTION * (area + collider.edge_areas[edge]),
                         mollifier_threshold: mollifier::threshold(rest_a, b1 - b0),
                         gathered: closest.distance(),
                     });

@@ -54,8 +54,8 @@ fn every_active_pair_is_a_candidate_within_the_covered_radius() {
             let (together, shift) = (turn(&mut rng, 1.0), random_point(&mut rng, 0.05));
             let moved = object.moved(together, shift);
             for x in &mut gel.x {
-                let share = rng.random_range(0.0..0.99);
-                let by = random_point(&mut rng, 1.0).normalize() * (share * radius);
+                let fraction = rng.random_range(0.0..0.99);
+                let by = random_point(&mut rng, 1.0).normalize() * (fraction * radius);
                 *x = together * (*x + by) + shift;
             }
             assert!(

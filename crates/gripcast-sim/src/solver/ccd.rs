@@ -35,30 +35,30 @@ pub(super) fn relative_motion(
     longest
 }
 
-/// Largest share, at most `share`, of the step without contact. `motion` bounds the nodes' motion
+/// Largest fraction, at most `fraction`, of the step without contact. `motion` bounds the nodes' motion
 /// over the whole step; `contact.moved` is of the present positions.
-pub(super) fn free_share(
+pub(super) fn free_fraction(
     contact: &GelContact,
     x: &[DVec3],
     direction: &[f64],
     object: &AffineState,
     object_direction: &AffineState,
     motion: &[f64],
-    (share, slack): (f64, f64),
+    (fraction, slack): (f64, f64),
 ) -> f64 {
     let candidates = &contact.candidates;
     let gel = |node: u32| {
         let node = node as usize;
-        (x[node], x[node] + vector(direction, node) * share)
+        (x[node], x[node] + vector(direction, node) * fraction)
     };
     let body = |vertex: u32| {
         let material = candidates.material[vertex as usize];
         let from = object.point(material);
-        (from, from + object_direction.point(material) * share)
+        (from, from + object_direction.point(material) * fraction)
     };
     // The distance is at least `gathered - moved` now and shrinks by at most `motion`.
     let can_touch = |gathered: f64, nodes: &[u32]| {
-        let bound = |node: &u32| contact.moved[*node as usize] + motion[*node as usize] * share;
+        let bound = |node: &u32| contact.moved[*node as usize] + motion[*node as usize] * fraction;
         gathered <= nodes.iter().map(bound).fold(0.0, f64::max)
     };
     let mut limit = 1.0_f64;
@@ -82,7 +82,7 @@ pub(super) fn free_share(
             limit = limit.min(time(edge_edge_toi, [a0, a1, b0, b1], slack));
         }
     }
-    share * limit
+    fraction * limit
 }
 
 fn time(

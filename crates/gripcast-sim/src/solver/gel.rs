@@ -15,7 +15,7 @@ use gripcast_base::error::{Error, Result};
 
 /// A step may move a node by at most this much relative to the object, m: it bounds the pairs
 /// that one iteration has to look at.
-const LONGEST_MOVE: f64 = 2e-3;
+const MAX_MOVE: f64 = 2e-3;
 
 /// What drives the back face of a gel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -542,9 +542,9 @@ impl Gel {
         self.factor.unpermute(&self.permuted, flat);
     }
 
-    /// Largest share of the step that neither touches the object nor leaves the candidates;
+    /// Largest fraction of the step that neither touches the object nor leaves the candidates;
     /// gathers anew where the step is longer than they reach. Also whether it gathered.
-    pub(super) fn free_share(
+    pub(super) fn free_fraction(
         &mut self,
         direction: &[f64],
         object: &AffineState,
@@ -561,27 +561,27 @@ impl Gel {
             object_direction,
             &mut self.motion,
         );
-        let share = (LONGEST_MOVE / longest).min(1.0);
-        let reach = longest * share;
+        let fraction = (MAX_MOVE / longest).min(1.0);
+        let reach = longest * fraction;
         let gathered = !self.contact.candidates.cover(already + reach);
         if gathered {
             let radius = parameters.candidate_margin_m.max(1.02 * reach);
             self.gather(object, collider, parameters, radius);
         }
-        let limit = ccd::free_share(
+        let limit = ccd::free_fraction(
             &self.contact,
             &self.x,
             direction,
             object,
             object_direction,
             &self.motion,
-            (share, parameters.ccd_slack),
+            (fraction, parameters.ccd_slack),
         );
         (limit, gathered)
     }
 
-    /// Largest share of the step before an element inverts.
-    pub(super) fn inversion_free_share(&mut self, direction: &[f64]) -> f64 {
+    /// Largest fraction of the step before an element inverts.
+    pub(super) fn inversion_free_fraction(&mut self, direction: &[f64]) -> f64 {
         self.step.clear();
         self.step
             .extend(direction.chunks_exact(3).map(DVec3::from_slice));

@@ -162,6 +162,6 @@ impl GelPhases {
         let motion = &mut self.motion;
         ccd::relative_motion(&self.surface, x, direction, object, &still, motion);
         let limits = (1.0, self.parameters.ccd_slack);
-        ccd::free_share(&self.contact, x, direction, object, &still, motion, limits)
+        ccd::free_fraction(&self.contact, x, direction, object, &still, motion, limits)
     }
 }

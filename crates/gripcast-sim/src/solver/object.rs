@@ -278,8 +278,8 @@ impl Object {
         stiffness
     }
 
-    /// Largest share of a step before a vertex touches the ground.
-    pub(super) fn free_share(
+    /// Largest fraction of a step before a vertex touches the ground.
+    pub(super) fn free_fraction(
         &self,
         direction: &AffineState,
         collider: &Collider,

@@ -37,7 +37,7 @@ pub struct SolverParameters {
     pub memory: usize,
     /// The stiffness is assembled and factorised anew after this many iterations; 1 is Newton.
     pub max_factor_age: u32,
-    /// Share of a distance that continuous collision detection leaves.
+    /// Fraction of a distance that continuous collision detection leaves.
     pub ccd_slack: f64,
 }
 

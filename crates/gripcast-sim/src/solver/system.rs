@@ -24,7 +24,7 @@ use gripcast_base::error::Result;
 
 /// Sufficient decrease of the line search (Armijo).
 const SUFFICIENT: f64 = 1e-4;
-/// A step that shrinks by less than this share from one iteration to the next is slow.
+/// A step that shrinks by less than this fraction from one iteration to the next is slow.
 const SLOW: f64 = 0.5;
 /// Slow iterations in a row that are taken before the stiffness is assembled anew.
 const PATIENCE: u32 = 3;
@@ -250,13 +250,13 @@ impl System {
                 *value -= together;
             }
         }
-        let (share, gathers) = self.free_share();
+        let (fraction, gathers) = self.free_fraction();
         report.gathers += gathers;
         for gel in &mut self.gels {
             gel.save();
         }
         self.object.save();
-        let mut length = share;
+        let mut length = fraction;
         for _ in 0..REPEAT_HALVINGS {
             self.place_on_line(length);
             let energy = self.energy();
@@ -391,11 +391,11 @@ impl System {
             }
             let whole = self.direction_length();
             let began = Instant::now();
-            let (share, gathers) = self.free_share();
+            let (fraction, gathers) = self.free_fraction();
             self.times.collision_s += began.elapsed().as_secs_f64();
             report.gathers += gathers;
             let began = Instant::now();
-            let found = self.line_search(energy, slope, share, report);
+            let found = self.line_search(energy, slope, fraction, report);
             self.times.line_search_s += began.elapsed().as_secs_f64();
             let Some((length, new_energy)) = found else {
                 if self.factor_age == 1 {
@@ -472,28 +472,28 @@ impl System {
             .sqrt()
     }
 
-    /// Largest share of the step without contact or inversion, and how many gels gathered.
-    fn free_share(&mut self) -> (f64, u32) {
+    /// Largest fraction of the step without contact or inversion, and how many gels gathered.
+    fn free_fraction(&mut self) -> (f64, u32) {
         let object_direction = AffineState::from_array(&self.object_direction());
         let (state, collider) = (self.object.state, &self.collider);
         let parameters = &self.parameters;
         let parts = split(&self.gels, &mut self.direction);
-        let shares = on_each_with(&mut self.gels, parts, |gel, direction| {
-            let inversion_free = gel.inversion_free_share(direction);
-            let (share, gathered) =
-                gel.free_share(direction, &state, &object_direction, collider, parameters);
-            (share.min(inversion_free), gathered)
+        let fractions = on_each_with(&mut self.gels, parts, |gel, direction| {
+            let inversion_free = gel.inversion_free_fraction(direction);
+            let (fraction, gathered) =
+                gel.free_fraction(direction, &state, &object_direction, collider, parameters);
+            (fraction.min(inversion_free), gathered)
         });
         let slack = parameters.ccd_slack;
-        let mut share = self
+        let mut fraction = self
             .object
-            .free_share(&object_direction, &self.collider, slack);
+            .free_fraction(&object_direction, &self.collider, slack);
         let mut gathers = 0;
-        for (gel, gathered) in shares {
-            share = share.min(gel);
+        for (gel, gathered) in fractions {
+            fraction = fraction.min(gel);
             gathers += u32::from(gathered);
         }
-        (share, gathers)
+        (fraction, gathers)
     }
 
     fn place_on_line(&mut self, length: f64) {
@@ -510,14 +510,14 @@ impl System {
         &mut self,
         energy: f64,
         slope: f64,
-        share: f64,
+        fraction: f64,
         report: &mut StepReport,
     ) -> Option<(f64, f64)> {
         for gel in &mut self.gels {
             gel.save();
         }
         self.object.save();
-        let mut length = share;
+        let mut length = fraction;
         // Sums of some thousand terms are uncertain by about this much.
         let noise = 1e-14 * energy.abs();
         for _ in 0..MAX_HALVINGS {

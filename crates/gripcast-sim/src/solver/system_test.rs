@@ -182,8 +182,8 @@ fn a_fresh_factor_solves_the_assembled_system() {
         .zip(&system.gradient)
         .map(|(h, g)| h + g)
         .collect();
-    let share = length(&residual) / length(&system.gradient);
-    assert!(share < 1e-4, "{share:e}");
+    let fraction = length(&residual) / length(&system.gradient);
+    assert!(fraction < 1e-4, "{fraction:e}");
     assert!(dot(&system.gradient, &system.direction) < 0.0);
 }
 

@@ -52,16 +52,16 @@ pub(super) fn creep(recorder: &mut Recorder) -> Result<()> {
         }
         // Nodes slide over the box's faces, so the normal force varies a little.
         let steps = 50_u32;
-        let (mut expected, mut found, mut share) = (0.0, 0.0, 0.0);
+        let (mut expected, mut found, mut fraction) = (0.0, 0.0, 0.0);
         for _ in 0..steps {
             pinch.step(0.0, DVec3::ZERO);
             let [left, right] = pinch.normal_forces();
-            share = mass * GRAVITY / (0.4 * (left + right));
-            expected += parameters.eps_v_m_s * (1.0 - (1.0 - share).sqrt());
+            fraction = mass * GRAVITY / (0.4 * (left + right));
+            expected += parameters.eps_v_m_s * (1.0 - (1.0 - fraction).sqrt());
             found -= pinch.system.object().rate().p.z;
         }
         let (expected, found) = (expected / f64::from(steps), found / f64::from(steps));
-        let name = format!("{mass} kg at T/muN {share:.2}");
+        let name = format!("{mass} kg at T/muN {fraction:.2}");
         recorder.relative(name, (expected, found), "m/s", 0.01);
     }
     Ok(())
@@ -79,13 +79,13 @@ pub(super) fn lift(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     let some = if is_quick { &all[..1] } else { &all[..] };
     for &(mass, mu) in some {
         let critical = mass * GRAVITY / (2.0 * mu);
-        for share in [0.8, 1.2] {
-            let outcome = lift_box(mass, mu, share * critical)?;
+        for fraction in [0.8, 1.2] {
+            let outcome = lift_box(mass, mu, fraction * critical)?;
             let lifts = outcome == GraspOutcome::Success;
-            let name = format!("{mass} kg, mu {mu}, {share} of {critical:.3} N");
+            let name = format!("{mass} kg, mu {mu}, {fraction} of {critical:.3} N");
             recorder.hold(
                 name,
-                lifts == (share > 1.0) && outcome != GraspOutcome::NotConverged,
+                lifts == (fraction > 1.0) && outcome != GraspOutcome::NotConverged,
             );
         }
     }

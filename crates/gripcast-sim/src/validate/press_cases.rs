@@ -67,7 +67,7 @@ pub(super) struct Curve {
     pub(super) fine: Vec<Meshing>,
     /// Mesh of the quick one.
     pub(super) quick: Vec<Meshing>,
-    /// Tolerances: depth up to, share with the fine mesh, share with the quick one.
+    /// Tolerances: depth up to, fraction with the fine mesh, fraction with the quick one.
     pub(super) tolerances: Vec<(f64, f64, f64)>,
 }
 
@@ -117,7 +117,7 @@ impl Curve {
             press.grid = quarter_pad(mesh.cells, mesh.growth)?;
             press.symmetric = [true, true];
             for (point, row) in press.run(&goals)?.iter().zip(part) {
-                let share = self.tolerance(row.depth_m, is_quick);
+                let fraction = self.tolerance(row.depth_m, is_quick);
                 let name = format!("{} mm", rounded(1e3 * row.depth_m));
                 let found = if point.converged {
                     point.normal_n
@@ -125,7 +125,7 @@ impl Curve {
                     f64::NAN
                 };
                 let pair = (row.force_n, found);
-                recorder.relative(name, pair, "N", share);
+                recorder.relative(name, pair, "N", fraction);
             }
         }
         Ok(())
@@ -237,7 +237,7 @@ pub(super) fn edge() -> Curve {
 
 /// Sphere of radius 10 mm, friction 0.4: pressed to 0.6 mm, then shifted by 1 mm.
 pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
-    let (mesh, shares) = if is_quick {
+    let (mesh, fractions) = if is_quick {
         let mesh = meshing(0.6, [9, 8, 6], [1.2, 1.2, 1.25], 0.3, 20.0, 0.1);
         // The contact's radius, 2.4 mm, spans four of its cells.
         (mesh, [0.12, 0.12])
@@ -266,13 +266,13 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
             rounded(1e3 * row.shift_m)
         );
         let pair = (row.force_n, point.normal_n);
-        recorder.relative(format!("{name}: N"), pair, "N", shares[0]);
+        recorder.relative(format!("{name}: N"), pair, "N", fractions[0]);
         if row.shift_m > 4.5e-4 {
             let ratio = point.shear_n / point.normal_n;
             recorder.absolute(format!("{name}: T/N"), (0.405, ratio), "", 0.005);
         } else if row.shift_m > 0.0 {
             let pair = (row.shear_n, point.shear_n);
-            recorder.relative(format!("{name}: T"), pair, "N", shares[1]);
+            recorder.relative(format!("{name}: T"), pair, "N", fractions[1]);
         }
     }
     Ok(())

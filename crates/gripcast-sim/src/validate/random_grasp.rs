@@ -21,7 +21,7 @@ pub(super) struct RandomGrasp {
 /// The shapes that are grasped in turn.
 pub(super) const SHAPES: [&str; 7] = ["box", "sphere", "cylinder", "mug", "wedge", "bar", "spike"];
 /// Lowest height of the gels' centres, m: half a pad and room for tilt.
-const LOWEST_M: f64 = 0.0165;
+const MIN_M: f64 = 0.0165;
 /// Room between gels and object at the start, m for both sides.
 const ROOM_M: f64 = 0.002;
 
@@ -50,7 +50,7 @@ pub(super) fn random_grasp(seed: u64, number: u64, gel: GelResolution) -> Result
     let offset = DVec3::new(
         reach * rng.random_range(-0.004..0.004),
         reach * rng.random_range(-0.012..0.012),
-        (0.5 * height + reach * rng.random_range(-0.4..0.4) * height).max(LOWEST_M),
+        (0.5 * height + reach * rng.random_range(-0.4..0.4) * height).max(MIN_M),
     );
     let down = DQuat::from_mat3(&DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z));
     let tilt = DQuat::from_rotation_y(reach * rng.random_range(-0.15..0.15));

@@ -10,7 +10,7 @@ use serde::Serialize;
 pub enum Tolerance {
     /// By this much, in the unit of the number.
     Absolute(f64),
-    /// By this share of the expected number.
+    /// By this fraction of the expected number.
     Relative(f64),
     /// The found number must be at least the expected one.
     AtLeast,
@@ -85,7 +85,7 @@ impl Recorder {
         let off = (found - expected).abs();
         let passed = match tolerance {
             Tolerance::Absolute(limit) => off <= limit,
-            Tolerance::Relative(share) => off <= share * expected.abs(),
+            Tolerance::Relative(fraction) => off <= fraction * expected.abs(),
             Tolerance::AtLeast => found >= expected,
             Tolerance::AtMost => found <= expected,
             Tolerance::Stated => found.is_finite(),

@@ -117,12 +117,12 @@ fn read_bytes(bytes: &[u8]) -> gripcast_base::error::Result<AcronymSet> {
 }
 
 #[track_caller]
-fn refused(sketch: &Sketch, told: &str) -> Error {
+fn refused(sketch: &Sketch, on_progress: &str) -> Error {
     let error = sketch.read().unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input, "{error}");
     let text = error.to_string();
     assert!(
-        text.contains(told) && text.contains("Mug_10f6_0.5.h5"),
+        text.contains(on_progress) && text.contains("Mug_10f6_0.5.h5"),
         "{text}"
     );
     error
@@ -184,10 +184,10 @@ fn single_bad_grasps_are_skipped_and_told() {
 
 #[test]
 fn missing_keys_are_named() {
-    let without = |change: fn(&mut Sketch), told: &str| {
+    let without = |change: fn(&mut Sketch), on_progress: &str| {
         let mut sketch = Sketch::new();
         change(&mut sketch);
-        let error = refused(&sketch, told);
+        let error = refused(&sketch, on_progress);
         assert!(error.remedy_text().is_some());
     };
     without(|s| s.transforms = None, "there is no `grasps/transforms`");
@@ -201,10 +201,10 @@ fn missing_keys_are_named() {
 
 #[test]
 fn wrong_shapes_and_numbers_are_told() {
-    let with = |change: fn(&mut Sketch), told: &str| {
+    let with = |change: fn(&mut Sketch), on_progress: &str| {
         let mut sketch = Sketch::new();
         change(&mut sketch);
-        refused(&sketch, told);
+        refused(&sketch, on_progress);
     };
     with(
         |s| s.transforms = Some((vec![0.0; 36], vec![3, 3, 4])),
@@ -251,9 +251,9 @@ fn what_is_no_hdf5_is_told() {
 #[test]
 fn damaged_files_end_in_errors() {
     let whole = Sketch::new().write();
-    for share in 1..16 {
-        let cut = &whole[..whole.len() * share / 16];
-        assert!(read_bytes(cut).is_err(), "{share}/16");
+    for fraction in 1..16 {
+        let cut = &whole[..whole.len() * fraction / 16];
+        assert!(read_bytes(cut).is_err(), "{fraction}/16");
     }
     let mut stream = gripcast_base::random::SeedStream::named(1, "damage");
     for _ in 0..200 {

@@ -14,7 +14,7 @@ use gripcast_interop::hdf5::{Hdf5, misshapen, wrong};
 /// centimetres to decimetres large. Those of ACRONYM are around 1e-4 to 1e-1.
 const SCALES: [f64; 2] = [1e-7, 1e2];
 /// Most grasps of a file; ACRONYM has 2000.
-const MOST_GRASPS: u64 = 1_000_000;
+const MAX_GRASPS: u64 = 1_000_000;
 
 const TRANSFORMS: &str = "grasps/transforms";
 const HELD: &str = "grasps/qualities/flex/object_in_gripper";
@@ -161,7 +161,7 @@ fn read_grasps(file: &Hdf5) -> Result<(Vec<AcronymGrasp>, Vec<SkippedGrasp>)> {
         .numbers(TRANSFORMS)?
         .ok_or_else(|| file.missing(TRANSFORMS))?;
     match shape.as_slice() {
-        &[count, 4, 4] if (1..=MOST_GRASPS).contains(&count) => {}
+        &[count, 4, 4] if (1..=MAX_GRASPS).contains(&count) => {}
         _ => return Err(misshapen(TRANSFORMS, "[N, 4, 4] with N above 0", &shape)),
     }
     let (held_shape, held) = file.numbers(HELD)?.ok_or_else(|| file.missing(HELD))?;

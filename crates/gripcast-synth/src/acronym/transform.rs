@@ -12,7 +12,7 @@ pub const PANDA_GEL_MIDDLE_M: f64 = 0.1034;
 /// Largest deviation of RᵀR from the identity, and of the last row, that is rounding.
 const RIGID_TOLERANCE: f64 = 1e-3;
 /// No grasp is farther from the origin of its object, m.
-const FARTHEST_M: f64 = 10.0;
+const MAX_M: f64 = 10.0;
 
 /// A grasp of an object.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,7 +92,7 @@ pub(super) fn gripper_pose(matrix: &[f64]) -> Result<Pose, String> {
         return Err("its axes are left-handed".to_owned());
     }
     let translation = DVec3::new(x, y, z);
-    if translation.length() > FARTHEST_M {
+    if translation.length() > MAX_M {
         return Err(format!(
             "it is {:.1} m away from the object",
             translation.length()

@@ -56,7 +56,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
             profile: &profile,
             closed: false,
             section: &section,
-            share: &|at| (at.x / radius - 0.3).clamp(0.0, 0.5) * 2.0,
+            fraction: &|at| (at.x / radius - 0.3).clamp(0.0, 0.5) * 2.0,
             edge,
         };
         let mut mesh = lathe.mesh();

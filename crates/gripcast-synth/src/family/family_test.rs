@@ -82,8 +82,8 @@ fn sizes_and_faces_are_within_their_limits() {
 #[test]
 fn most_shapes_fit_between_the_fingers() {
     let fit = |shape: &&Shape| shape.mesh.bounds().extent().min_element() < 0.08;
-    let share = SHAPES.iter().filter(fit).count() as f64 / SHAPES.len() as f64;
-    assert!(share > 0.95, "{share}");
+    let fraction = SHAPES.iter().filter(fit).count() as f64 / SHAPES.len() as f64;
+    assert!(fraction > 0.95, "{fraction}");
 }
 
 #[test]
@@ -91,8 +91,8 @@ fn masses_are_sane() {
     for shape in SHAPES.iter() {
         let solid = MassProperties::of(&shape.mesh).unwrap();
         let bounds = shape.mesh.bounds();
-        let share = solid.volume_m3 / bounds.extent().element_product();
-        assert!((0.02..=1.0).contains(&share), "{}: {share}", name(shape));
+        let fraction = solid.volume_m3 / bounds.extent().element_product();
+        assert!((0.02..=1.0).contains(&fraction), "{}: {fraction}", name(shape));
         let inside = (solid.center_of_mass_m.abs() - 0.5 * bounds.extent()).max_element();
         assert!(inside < 0.0, "{}", name(shape));
         let inertia = solid.inertia_m5();

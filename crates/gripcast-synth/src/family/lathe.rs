@@ -78,9 +78,9 @@ impl Section {
         self.along[self.along.len() - 1]
     }
 
-    /// The point at a share (0 to 1) of the length.
-    fn point(&self, share: f64) -> DVec2 {
-        let at = share * self.length();
+    /// The point at a fraction (0 to 1) of the length.
+    fn point(&self, fraction: f64) -> DVec2 {
+        let at = fraction * self.length();
         let last = self.points.len() - 1;
         let k = self.along.partition_point(|a| *a <= at).clamp(1, last);
         let step = self.along[k] - self.along[k - 1];
@@ -112,8 +112,8 @@ pub(super) struct Lathe<'a> {
     pub(super) closed: bool,
     /// Cross section.
     pub(super) section: &'a Section,
-    /// Share of the cross section (0: round) at a radius and height.
-    pub(super) share: &'a dyn Fn(DVec2) -> f64,
+    /// Fraction of the cross section (0: round) at a radius and height.
+    pub(super) fraction: &'a dyn Fn(DVec2) -> f64,
     /// Width of the faces, m.
     pub(super) edge: f64,
 }
@@ -161,11 +161,11 @@ impl Lathe<'_> {
         let count = self.section.count(at.x, self.edge);
         // Turned by half a step in every other row, triangles are nearly equilateral.
         let turn = if self.section.fold == 1 { row % 2 } else { 0 };
-        let share = (self.share)(at);
+        let fraction = (self.fraction)(at);
         for k in 0..count {
             let part = (k as f64 + 0.5 * turn as f64) / count as f64;
             let round = DVec2::from_angle(TAU * part);
-            let place = at.x * round.lerp(self.section.point(part), share);
+            let place = at.x * round.lerp(self.section.point(part), fraction);
             mesh.vertices.push(place.extend(at.y));
         }
         Ring {
@@ -208,7 +208,7 @@ mod tests {
             profile,
             closed,
             section: &Section::circle(),
-            share: &|_| 0.0,
+            fraction: &|_| 0.0,
             edge,
         }
         .mesh()

@@ -71,7 +71,7 @@ pub(super) fn draw(draw: &mut Draw) -> Result<TriangleMesh> {
             profile: &profile,
             closed: false,
             section: &Section::columns(columns),
-            share: &|_| 0.0,
+            fraction: &|_| 0.0,
             edge,
         };
         let (mut mesh, rings) = lathe.mesh_and_rings();

@@ -197,8 +197,8 @@ fn inside(p: DVec2, points: &[DVec2], sides: &[[usize; 2]]) -> bool {
 fn to_rim(p: DVec2, points: &[DVec2], sides: &[[usize; 2]]) -> f64 {
     let squared = sides.iter().fold(f64::INFINITY, |least, &[a, b]| {
         let (a, along) = (points[a], points[b] - points[a]);
-        let share = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-        least.min(p.distance_squared(a + share * along))
+        let fraction = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+        least.min(p.distance_squared(a + fraction * along))
     });
     squared.sqrt()
 }

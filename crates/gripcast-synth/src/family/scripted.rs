@@ -4,7 +4,7 @@
 //!
 //! | block | body | commands in it |
 //! | --- | --- | --- |
-//! | `lathe`, `ring` | a profile, from axis to axis or closed, turned about z | `knot`, `circle`, `smooth`, `share` of the section |
+//! | `lathe`, `ring` | a profile, from axis to axis or closed, turned about z | `knot`, `circle`, `smooth`, `fraction` of the section |
 //! | `plate` | an outline with holes and a thickness | `knot`, `circle`, `curve`, `curve_back`, `corners`, `mirror`, `hole`, `slot`, `thickness`, `heights` |
 //! | `box` | a box with rounded edges | |
 //! | `solid` | blended parts | `ball`, `block`, `drum`, `limb`, `limbs`; before them `cut`, `turn_x` …; `units` |
@@ -66,8 +66,8 @@ struct Lines<'s> {
     points: Vec<DVec2>,
     holes: Vec<Vec<DVec2>>,
     thickness: f64,
-    /// Share of the section at a radius `x` and a height `y`.
-    share: Option<&'s Formula>,
+    /// Fraction of the section at a radius `x` and a height `y`.
+    fraction: Option<&'s Formula>,
     /// Sets the height of the `middle` and `half` the thickness at `x` and `y`, `depth` away from
     /// the rim.
     heights: &'s [Step],
@@ -107,7 +107,7 @@ impl<'s> Lines<'s> {
         let edge = values.get("edge");
         match (step.command, &step.arguments[..]) {
             ("vertex", _) => self.vertex = &step.block,
-            ("share", [share]) => self.share = Some(share),
+            ("fraction", [fraction]) => self.fraction = Some(fraction),
             ("heights", _) => self.heights = &step.block,
             ("curve" | "curve_back" | "corners", [Formula::Name(name), pieces]) => {
                 let pieces = values.value(pieces) as usize;
@@ -208,9 +208,9 @@ impl<'s> Lines<'s> {
             profile: &self.line(closed, edge),
             closed,
             section,
-            share: &|at| {
-                let share = |share| values.with([("x", at.x), ("y", at.y)]).value(share);
-                self.share.map_or(1.0, share)
+            fraction: &|at| {
+                let fraction = |fraction| values.with([("x", at.x), ("y", at.y)]).value(fraction);
+                self.fraction.map_or(1.0, fraction)
             },
             edge,
         }

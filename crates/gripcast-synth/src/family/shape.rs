@@ -39,10 +39,10 @@ pub(super) fn sized_within(
     make(edge.max(EDGE_M.0))
 }
 
-/// From 0 to 1 without a kink while `share` goes from 0 to 1.
-pub(super) fn eased(share: f64) -> f64 {
-    let share = share.clamp(0.0, 1.0);
-    share * share * (3.0 - 2.0 * share)
+/// From 0 to 1 without a kink while `fraction` goes from 0 to 1.
+pub(super) fn eased(fraction: f64) -> f64 {
+    let fraction = fraction.clamp(0.0, 1.0);
+    fraction * fraction * (3.0 - 2.0 * fraction)
 }
 
 /// The point rounded to the grid of all coordinates.
@@ -124,7 +124,7 @@ fn check(mesh: &TriangleMesh) -> Result<()> {
     MassProperties::of(mesh)?;
     let prepared = prepare(mesh, &PrepareOptions::default())?;
     if prepared.mesh != *mesh || !prepared.warnings.is_empty() {
-        return fail(format!("it had to be mended: {:?}", prepared.warnings));
+        return fail(format!("it had to be fixed: {:?}", prepared.warnings));
     }
     Ok(())
 }

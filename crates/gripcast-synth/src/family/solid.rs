@@ -140,9 +140,9 @@ impl Form {
                 off.max(DVec3::ZERO).length() + off.max_element().min(0.0) - round
             }
             Self::Drum([bottom, top], half, round) => {
-                let share = (0.5 + 0.5 * p.z / half).clamp(0.0, 1.0);
+                let fraction = (0.5 + 0.5 * p.z / half).clamp(0.0, 1.0);
                 let slope = (0.5 * (top - bottom) / half).hypot(1.0);
-                let radius = bottom + (top - bottom) * share;
+                let radius = bottom + (top - bottom) * fraction;
                 let side = (p.truncate().length() - radius) / slope;
                 let off = DVec2::new(side, p.z.abs() - half) + round;
                 off.max(DVec2::ZERO).length() + off.max_element().min(0.0) - round
@@ -151,8 +151,8 @@ impl Form {
                 DVec2::new(p.truncate().length() - radius, p.z).length() - tube
             }
             Self::Limb(length, [from, to]) => {
-                let share = (p.z / length.max(1e-9)).clamp(0.0, 1.0);
-                p.distance(DVec3::Z * (length * share)) - (from + (to - from) * share)
+                let fraction = (p.z / length.max(1e-9)).clamp(0.0, 1.0);
+                p.distance(DVec3::Z * (length * fraction)) - (from + (to - from) * fraction)
             }
         }
     }

@@ -9,9 +9,9 @@ use gripcast_geometry::{Pose, StablePose, TriangleMesh, likely_poses};
 use gripcast_sim::grasp::{GraspPose, Placed};
 
 /// An object does not tip over when it is turned by this, rad.
-const LEAST_TIP_RAD: f64 = 0.05;
+const MIN_TIP_RAD: f64 = 0.05;
 /// Poses that an object falls into less often are left out.
-const LEAST_PROBABILITY: f64 = 0.03;
+const MIN_PROBABILITY: f64 = 0.03;
 /// Candidates for each grasp that is wanted.
 const CANDIDATES: usize = 12;
 
@@ -51,7 +51,7 @@ pub fn choose_grasps(
     wanted: usize,
     seed: u64,
 ) -> Result<GraspChoice> {
-    let poses = likely_poses(object, LEAST_TIP_RAD, LEAST_PROBABILITY)?;
+    let poses = likely_poses(object, MIN_TIP_RAD, MIN_PROBABILITY)?;
     let mut draw = SeedStream::named(seed, &format!("poses {name}"));
     let mut stages = BTreeMap::new();
     let mut choice = GraspChoice::default();
@@ -96,7 +96,7 @@ pub fn choose_given_grasps(
     wanted: usize,
     seed: u64,
 ) -> Result<GraspChoice> {
-    let poses = likely_poses(object, LEAST_TIP_RAD, LEAST_PROBABILITY)?;
+    let poses = likely_poses(object, MIN_TIP_RAD, MIN_PROBABILITY)?;
     let obstacles = poses
         .iter()
         .map(|pose| Obstacle::new(object, pose.t_world_object))
@@ -135,10 +135,10 @@ pub fn choose_given_grasps(
     Ok(choice)
 }
 
-/// Index of a pose by where `share` of 0..1 falls among the probabilities.
-fn pick(poses: &[StablePose], share: f64) -> usize {
+/// Index of a pose by where `fraction` of 0..1 falls among the probabilities.
+fn pick(poses: &[StablePose], fraction: f64) -> usize {
     let total: f64 = poses.iter().map(|pose| pose.probability).sum();
-    let mut left = share * total;
+    let mut left = fraction * total;
     poses
         .iter()
         .position(|pose| {

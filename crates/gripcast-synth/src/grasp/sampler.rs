@@ -17,7 +17,7 @@ const WIDEST_M: f64 = 0.085;
 /// Free space between the gels and the ground, m.
 const CLEARANCE_M: f64 = 1e-3;
 /// Largest angle between the closing direction and the surface's normals, as a cosine: 35°.
-const LEAST_FACING: f64 = 0.82;
+const MIN_FACING: f64 = 0.82;
 /// Attempts at a pair of places.
 const ATTEMPTS: usize = 400;
 /// Longer than any way from outside of an object to its surface, m.
@@ -226,7 +226,7 @@ impl<'a> GraspSampler<'a> {
                 .mesh
                 .corners(self.mesh.triangles[hit.triangle as usize]);
             let normal = (b - a).cross(c - a).normalize_or_zero();
-            let faces = -normal.dot(direction) > LEAST_FACING;
+            let faces = -normal.dot(direction) > MIN_FACING;
             faces.then_some(start + hit.t * direction)
         };
         let (left, right) = (seen_from(closing)?, seen_from(-closing)?);
@@ -241,7 +241,7 @@ impl<'a> GraspSampler<'a> {
     /// Height that both gels can touch over their width, m.
     fn top(&self, pair: &Pair) -> Option<f64> {
         let across = pair.closing.cross(DVec3::Z);
-        let sides = [-0.4, 0.0, 0.4].map(|share| share * PAD_SIZE_M[1] * across);
+        let sides = [-0.4, 0.0, 0.4].map(|fraction| fraction * PAD_SIZE_M[1] * across);
         let height = |place: DVec3| {
             let start = place.with_z(FAR_M);
             let hit = self.query.ray_cast(start, -DVec3::Z, FAR_M)?;
@@ -254,7 +254,7 @@ impl<'a> GraspSampler<'a> {
     /// the right of the gripper as `side` is −1 or 1.
     fn reach(&self, pair: &Pair, side: f64) -> Option<f64> {
         let outwards = side * DVec3::Z.cross(-pair.closing);
-        let heights = [-0.2, 0.0, 0.2].map(|share| share * PAD_SIZE_M[0] * DVec3::Z);
+        let heights = [-0.2, 0.0, 0.2].map(|fraction| fraction * PAD_SIZE_M[0] * DVec3::Z);
         let reach = |place: DVec3| {
             let start = place + FAR_M * outwards;
             let hit = self.query.ray_cast(start, -outwards, 2.0 * FAR_M)?;

@@ -19,7 +19,7 @@ pub struct ObjectDraft {
     pub mesh: TriangleMesh,
     /// What it is made of.
     pub material: &'static Material,
-    /// Share of the mesh's volume that is material; none for what is usual in the category.
+    /// Fraction of the mesh's volume that is material; none for what is usual in the category.
     pub fill: Option<f64>,
     /// Mass, kg, where it is known.
     pub mass_kg: Option<f64>,
@@ -27,7 +27,7 @@ pub struct ObjectDraft {
     pub friction: Option<f64>,
     /// What it may look like, where that is known.
     pub looks: Vec<Modifier>,
-    /// Pictures of its own.
+    /// Images of its own.
     pub textures: Vec<TextureDraft>,
     /// Its grasps as `t_object_gripper`; none to draw them.
     pub grasps: Option<Vec<Pose>>,

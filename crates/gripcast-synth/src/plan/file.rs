@@ -30,7 +30,7 @@ enum Line {
 /// What is to be simulated. A plan never changes: what is made of it is known by its hash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// What all simulations share.
+    /// What all simulations fraction.
     pub header: PlanHeader,
     /// Objects by name.
     pub objects: BTreeMap<SimulationId, PlannedObject>,

@@ -31,15 +31,15 @@ const SIZE_M: [f64; 2] = [0.005, 0.5];
 /// grasps of the built-in families cost with coarse gels.
 const FEM_BASE_S: f64 = 0.2;
 const FEM_S_PER_NODE: f64 = 1.7e-3;
-/// The same of a colour picture without a path and for each path of a pixel, of a pair of tactile
-/// pictures and of a rigid grasp.
+/// The same of a colour image without a path and for each path of a pixel, of a pair of tactile
+/// images and of a rigid grasp.
 const VISUAL_S: f64 = 0.25;
 const VISUAL_S_PER_SAMPLE: f64 = 0.06;
 const TACTILE_S: f64 = 0.06;
 const RIGID_S: f64 = 0.1;
 
-/// Usual [`PlanSettings::least_friction_share`]: dusty, greasy and worn surfaces.
-pub const LEAST_FRICTION_SHARE: f64 = 0.25;
+/// Usual [`PlanSettings::least_friction_fraction`]: dusty, greasy and worn surfaces.
+pub const MIN_FRICTION_FRACTION: f64 = 0.25;
 
 /// What a plan is made by.
 #[derive(Clone, Debug)]
@@ -52,15 +52,15 @@ pub struct PlanSettings {
     pub grasps: usize,
     /// Forces at which each grasp is simulated, N.
     pub stop_forces_n: Vec<f64>,
-    /// How simulations become pictures.
+    /// How simulations become images.
     pub rendering: RenderingPlan,
-    /// Pictures of the user's: objects without appearances of their own may wear them.
+    /// Images of the user's: objects without appearances of their own may wear them.
     pub textures: Vec<TextureDraft>,
     /// How masses that were not given are mapped to those of the paper's objects (A.1).
     pub mass_map: MassMap,
-    /// Share of a clean surface's friction that the dirtiest keeps: friction of the table is that
+    /// Fraction of a clean surface's friction that the dirtiest keeps: friction of the table is that
     /// of clean and dry things.
-    pub least_friction_share: f64,
+    pub least_friction_fraction: f64,
     /// Objects that are worked on at a time.
     pub jobs: usize,
 }
@@ -74,7 +74,7 @@ pub struct MadePlan {
     pub left_out: Vec<LeftOutObject>,
     /// Meshes that the plan names.
     meshes: BTreeMap<FileName, TriangleMesh>,
-    /// Pictures that the plan names.
+    /// Images that the plan names.
     textures: BTreeMap<FileName, TextureDraft>,
 }
 
@@ -83,7 +83,7 @@ impl MadePlan {
     /// plan may be there already.
     ///
     /// # Errors
-    /// `Input` where another plan is there, or a picture changed meanwhile; those of the operating
+    /// `Input` where another plan is there, or an image changed meanwhile; those of the operating
     /// system.
     pub fn write(&self, folder: &Path) -> Result<()> {
         fs::create_dir_all(folder)
@@ -123,7 +123,7 @@ pub fn make_plan(
     drafts: Drafts,
     engine: &dyn Engine,
     asker: Option<&mut PropertyAsker>,
-    told: &(dyn Fn(usize) + Sync),
+    on_progress: &(dyn Fn(usize) + Sync),
 ) -> Result<MadePlan> {
     let Drafts {
         drafts,
@@ -131,7 +131,7 @@ pub fn make_plan(
     } = drafts;
     check_names(&drafts)?;
     let look = |draft: &ObjectDraft| Ok(looked_at(draft, settings));
-    let seen = one_per_core(settings.jobs, &drafts, &look, told)?;
+    let seen = one_per_core(settings.jobs, &drafts, &look, on_progress)?;
     let mut kept = Vec::new();
     for (draft, seen) in drafts.into_iter().zip(seen) {
         match seen {
@@ -170,7 +170,7 @@ pub fn make_plan(
     })
 }
 
-/// The meshes and pictures that a plan names.
+/// The meshes and images that a plan names.
 fn files(
     kept: Vec<(ObjectDraft, Seen)>,
     settings: &PlanSettings,
@@ -275,7 +275,7 @@ fn described(
             mass_kg: physical.mass_kg,
             friction: draft
                 .friction
-                .unwrap_or_else(|| soiled(&physical, settings.least_friction_share, seed)),
+                .unwrap_or_else(|| soiled(&physical, settings.least_friction_fraction, seed)),
             properties: physical.source,
             textures: textures(draft, seed, settings)
                 .into_iter()
@@ -304,13 +304,13 @@ fn described(
 }
 
 /// Friction after dust, grease and wear, where it is not known for the object itself.
-fn soiled(physical: &PhysicalProperties, least_share: f64, seed: u64) -> f64 {
+fn soiled(physical: &PhysicalProperties, least_fraction: f64, seed: u64) -> f64 {
     if matches!(physical.source, PropertySource::Llm { .. }) {
         return physical.friction;
     }
-    let share = SeedStream::named(seed, "surface").between(least_share, 1.0);
+    let fraction = SeedStream::named(seed, "surface").between(least_fraction, 1.0);
     let [low, high] = FRICTION_RANGE;
-    (share * physical.friction).clamp(low, high)
+    (fraction * physical.friction).clamp(low, high)
 }
 
 fn rounded(value: f64, per_unit: f64) -> f64 {
@@ -333,7 +333,7 @@ fn looks(
     Ok(modifiers)
 }
 
-/// Pictures on an object: its own, else as many as it has other appearances.
+/// Images on an object: its own, else as many as it has other appearances.
 fn textures<'a>(
     draft: &'a ObjectDraft,
     seed: u64,
@@ -409,8 +409,8 @@ fn simulations(
         for (number, grasp) in seen.choice.grasps.iter().enumerate() {
             for force_n in &settings.stop_forces_n {
                 let id = simulation_id(&draft.name, number, *force_n)?;
-                // The engine is no part of it: both make pictures under the same conditions.
-                let seed = SeedStream::named(settings.seed, &format!("pictures {id}")).bits();
+                // The engine is no part of it: both make images under the same conditions.
+                let seed = SeedStream::named(settings.seed, &format!("images {id}")).bits();
                 all.push(PlannedSimulation {
                     id,
                     object: draft.name.clone(),
@@ -436,7 +436,7 @@ fn simulation_id(object: &SimulationId, grasp: usize, force_n: f64) -> Result<Si
         .map_err(|e| e.remedy("give the object a shorter name"))
 }
 
-/// Estimated CPU time of a simulation with its pictures, s.
+/// Estimated CPU time of a simulation with its images, s.
 fn cost_s(settings: &PlanSettings, engine: &dyn Engine) -> Result<f64> {
     let simulate = match engine.kind() {
         EngineKind::Rigid => RIGID_S,
@@ -450,8 +450,8 @@ fn cost_s(settings: &PlanSettings, engine: &dyn Engine) -> Result<f64> {
         samples,
         ..
     } = settings.rendering;
-    let picture = TACTILE_S + VISUAL_S + VISUAL_S_PER_SAMPLE * f64::from(samples);
-    Ok(simulate + f64::from(renderings) * picture)
+    let image = TACTILE_S + VISUAL_S + VISUAL_S_PER_SAMPLE * f64::from(samples);
+    Ok(simulate + f64::from(renderings) * image)
 }
 
 /// Whether an engine has the parameters that a plan was made with.

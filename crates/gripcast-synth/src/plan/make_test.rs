@@ -18,7 +18,7 @@ fn settings(jobs: usize) -> PlanSettings {
         },
         textures: Vec::new(),
         mass_map: MassMap::None,
-        least_friction_share: LEAST_FRICTION_SHARE,
+        least_friction_fraction: MIN_FRICTION_FRACTION,
         jobs,
     }
 }
@@ -71,18 +71,18 @@ fn a_plan_has_what_its_objects_need_beside_it() {
     use crate::planned_mesh;
     use gripcast_base::files::Root;
     let dir = tempfile::tempdir().unwrap();
-    let picture = dir.path().join("red label.png");
+    let image = dir.path().join("red label.png");
     image::RgbImage::from_pixel(8, 4, image::Rgb([200, 30, 30]))
-        .save(&picture)
+        .save(&image)
         .unwrap();
-    let texture = TextureDraft::of_file(BeneathPath::given(&picture), 0.05).unwrap();
+    let texture = TextureDraft::of_file(BeneathPath::given(&image), 0.05).unwrap();
     let mut labelled = draft("a", 1.0);
     labelled.textures = vec![texture];
     let made = made(vec![labelled, draft("b", 0.8)], &settings(1)).unwrap();
     let [first, second] = ["first", "second"].map(|name| dir.path().join(name));
     made.write(&first).unwrap();
     made.write(&first).unwrap();
-    std::fs::remove_file(&picture).unwrap();
+    std::fs::remove_file(&image).unwrap();
     // Another folder, as on a cluster.
     std::fs::rename(&first, &second).unwrap();
     let root = Root::new(&second);
@@ -122,7 +122,7 @@ fn given_properties_stay_and_estimated_friction_is_that_of_a_soiled_surface() {
         .values()
         .filter(|object| object.name != "given");
     let friction: Vec<f64> = others.map(|object| object.friction).collect();
-    let possible = LEAST_FRICTION_SHARE * wood[0] - 1e-4..wood[1] + 1e-4;
+    let possible = MIN_FRICTION_FRACTION * wood[0] - 1e-4..wood[1] + 1e-4;
     assert!(
         friction.iter().all(|f| possible.contains(f)),
         "{friction:?}"

@@ -21,11 +21,11 @@ pub(super) use file::replace;
 pub use acronym::acronym_drafts;
 pub use draft::{Drafts, LeftOutObject, ObjectDraft};
 pub use file::{HASH_FILE, PLAN_FILE, PLAN_FORMAT, PLAN_VERSION, Plan};
-pub use make::{LEAST_FRICTION_SHARE, MadePlan, PlanSettings, check_parameters, make_plan};
+pub use make::{MIN_FRICTION_FRACTION, MadePlan, PlanSettings, check_parameters, make_plan};
 pub use preset::{PlanPreset, family_drafts};
 pub use shard::{INDEX_VARIABLES, Shard};
 pub use table::table_drafts;
-pub use texture::{PictureTexture, TextureDraft, texture_folder};
+pub use texture::{ImageTexture, TextureDraft, texture_folder};
 
 use super::grasp::GraspFault;
 use super::properties::{Modifier, PropertySource};
@@ -36,10 +36,10 @@ use gripcast_sim::EngineKind;
 
 /// Folder of the meshes in that of the plan.
 pub(super) const MESHES: &str = "meshes";
-/// Folder of the pictures in that of the plan.
+/// Folder of the images in that of the plan.
 pub(super) const TEXTURES: &str = "textures";
 
-/// What all simulations of a plan share.
+/// What all simulations of a plan fraction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanHeader {
@@ -57,17 +57,17 @@ pub struct PlanHeader {
     pub engine: EngineKind,
     /// All its parameters besides friction and force.
     pub parameters: Value,
-    /// How a simulation becomes pictures.
+    /// How a simulation becomes images.
     pub rendering: RenderingPlan,
 }
 
-/// How a simulation becomes pictures.
+/// How a simulation becomes images.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RenderingPlan {
     /// Renderings of each simulation with other light, ground, camera, texture and sensors.
     pub renderings: u32,
-    /// Paths for each pixel of a colour picture.
+    /// Paths for each pixel of a colour image.
     pub samples: u32,
     /// Spread of the sensors: 0 for the shipped profile, 1 for what is found between real ones.
     pub sensor_spread: f64,
@@ -136,9 +136,9 @@ pub struct PlannedObject {
     pub properties: PropertySource,
     /// What it may look like.
     pub looks: Vec<Modifier>,
-    /// Pictures that may be on it.
+    /// Images that may be on it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub textures: Vec<PictureTexture>,
+    pub textures: Vec<ImageTexture>,
 }
 
 /// A simulation of a plan.
@@ -163,7 +163,7 @@ pub struct PlannedSimulation {
     pub t_world_gripper: Pose,
     /// Distance between the gels' faces at the start, m.
     pub opening_m: f64,
-    /// Seed of its pictures; below 2⁵³, so that every JSON reader keeps it.
+    /// Seed of its images; below 2⁵³, so that every JSON reader keeps it.
     pub seed: u64,
     /// Estimated CPU time, s.
     pub cost_s: f64,
@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn the_usual_spread_of_the_colour_pictures_is_not_in_the_file() {
+    fn the_usual_spread_of_the_colour_images_is_not_in_the_file() {
         let mut rendering = plan(0).header.rendering;
         let text = serde_json::to_string(&rendering).unwrap();
         assert!(!text.contains("visual_spread"), "{text}");
@@ -287,7 +287,7 @@ mod tests {
         assert!(Plan::read(&folder.path().join("nothing")).is_err());
     }
 
-    /// The text of a small plan with a stored mesh and a picture.
+    /// The text of a small plan with a stored mesh and an image.
     fn stored_plan() -> String {
         let Plan {
             header,
@@ -297,7 +297,7 @@ mod tests {
         } = plan(2);
         for object in objects.values_mut() {
             object.mesh = MeshSource::stored(&object.name).unwrap();
-            object.textures = vec![PictureTexture {
+            object.textures = vec![ImageTexture {
                 file: FileName::parse("0123456789ab.png").unwrap(),
                 words: Label::nearest("label"),
                 sha256: String::new(),

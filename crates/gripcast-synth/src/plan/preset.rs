@@ -68,7 +68,7 @@ impl PlanPreset {
         }
     }
 
-    /// How its simulations become pictures.
+    /// How its simulations become images.
     pub fn rendering(self) -> RenderingPlan {
         RenderingPlan {
             renderings: if self == Self::Tiny { 1 } else { 3 },
@@ -87,10 +87,10 @@ pub fn family_drafts(
     count: usize,
     seed: u64,
     jobs: usize,
-    told: &(dyn Fn(usize) + Sync),
+    on_progress: &(dyn Fn(usize) + Sync),
 ) -> Result<Vec<ObjectDraft>> {
     let numbers: Vec<usize> = (0..count).collect();
-    one_per_core(jobs, &numbers, &|number| draft(*number, seed), told)
+    one_per_core(jobs, &numbers, &|number| draft(*number, seed), on_progress)
 }
 
 fn draft(number: usize, seed: u64) -> Result<ObjectDraft> {

@@ -56,10 +56,10 @@ impl Shard {
         if !index.is_empty() {
             return Self::new(usize::from_str(index).map_err(|_| wrong())?, count);
         }
-        let told = INDEX_VARIABLES
+        let from_environment = INDEX_VARIABLES
             .iter()
             .find_map(|name| Some((name, variable(name)?)));
-        let Some((name, told)) = told else {
+        let Some((name, value)) = from_environment else {
             return Err(
                 Error::usage(format!("shard {text} lacks its index")).remedy(format!(
                     "write INDEX{text}, or run it where one of {} is set",
@@ -67,8 +67,8 @@ impl Shard {
                 )),
             );
         };
-        let index = usize::from_str(told.trim()).map_err(|_| {
-            Error::usage(format!("{name} is `{told}`, no index"))
+        let index = usize::from_str(value.trim()).map_err(|_| {
+            Error::usage(format!("invalid array index `{value}` in {name}"))
                 .remedy("array tasks are numbered from 0")
         })?;
         Self::new(index, count)
@@ -118,9 +118,10 @@ mod tests {
         assert_eq!(Shard::parse("2/8", nothing).unwrap().to_string(), "2/8");
         let slurm = |name: &str| (name == "SLURM_ARRAY_TASK_ID").then(|| "3".to_owned());
         assert_eq!(Shard::parse("/8", slurm).unwrap().to_string(), "3/8");
-        let text = |shard: &str, told: &str| {
-            let told = told.to_owned();
-            let variable = |name: &str| (name == "JOB_COMPLETION_INDEX").then(|| told.clone());
+        let text = |shard: &str, on_progress: &str| {
+            let on_progress = on_progress.to_owned();
+            let variable =
+                |name: &str| (name == "JOB_COMPLETION_INDEX").then(|| on_progress.clone());
             Shard::parse(shard, variable).unwrap_err().to_string()
         };
         assert!(text("/8", "eight").contains("JOB_COMPLETION_INDEX is `eight`"));

@@ -60,12 +60,12 @@ struct Row {
 /// material = "ceramic"           # density, friction and appearances where they are not given
 /// # optional:
 /// scale = 1.0
-/// fill = 1.0                     # share of the mesh's volume that is material
+/// fill = 1.0                     # fraction of the mesh's volume that is material
 /// mass_kg = 0.21
 /// friction = 0.6                 # against the gel, 0.1 to 1.5
 /// appearances = ["glossy blue enamel", "chipped white enamel"]
 /// textures = ["label.png"]       # PNG or JPEG, below the table's folder
-/// texture_width_m = 0.08         # of the picture on the object
+/// texture_width_m = 0.08         # of the image on the object
 /// ```
 ///
 /// # Errors
@@ -131,7 +131,7 @@ fn draft(row: Row, folder: &Root, seed: u64) -> Result<ObjectDraft> {
         let place = folder.resolve_allowed(file).map_err(|_| {
             let what = format!("the texture {file:?} is not below the folder of the table");
             Error::input(what).remedy(
-                "copy the picture beside the table, or allow its folder with \
+                "copy the image beside the table, or allow its folder with \
                  GRIPCAST__FILES__LINKED_FOLDERS",
             )
         })?;
@@ -176,8 +176,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let table = folder.path().join("objects.toml");
         fs::write(&table, format!("schema = 1\n{rows}")).unwrap();
-        let picture = image::RgbImage::new(4, 2);
-        picture.save(folder.path().join("label.png")).unwrap();
+        let image = image::RgbImage::new(4, 2);
+        image.save(folder.path().join("label.png")).unwrap();
         let mesh = "v 0 0 0\nv 40 0 0\nv 0 40 0\nv 0 0 40\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
         fs::write(folder.path().join("corner.obj"), mesh).unwrap();
         let outside = tempfile::tempdir().unwrap();

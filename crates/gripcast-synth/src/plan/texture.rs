@@ -1,4 +1,4 @@
-//! Pictures of the user's as textures.
+//! Images of the user's as textures.
 
 use std::path::Path;
 
@@ -9,33 +9,33 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, ContentKey, FileKind, FileName, Label, Root, sha256_hex};
 use gripcast_visual::{Bitmap, read_bitmap};
 
-/// Endings of files that are taken for pictures.
+/// Endings of files that are taken for images.
 const ENDINGS: [&str; 3] = [".png", ".jpg", ".jpeg"];
 
-/// A picture that may be on an object.
+/// An image that may be on an object.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct PictureTexture {
+pub struct ImageTexture {
     /// A PNG or JPEG file in the plan's folder `textures`.
     pub file: FileName,
     /// What it is called: the name of the original file without its ending.
     pub words: Label,
     /// SHA-256 of the file, 64 hex digits.
     pub sha256: String,
-    /// Width of the picture on the object, m.
+    /// Width of the image on the object, m.
     pub width_m: f64,
 }
 
-/// A picture before it is in a plan's folder.
+/// An image before it is in a plan's folder.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextureDraft {
     /// As the plan names it.
-    pub planned: PictureTexture,
+    pub planned: ImageTexture,
     source: BeneathPath,
 }
 
-impl PictureTexture {
-    /// The picture; `root` is the folder of the plan.
+impl ImageTexture {
+    /// The image; `root` is the folder of the plan.
     ///
     /// # Errors
     /// Those of reading it; `Input` where it is not the planned one.
@@ -56,21 +56,21 @@ impl PictureTexture {
             "the texture changed: expected {}, found {found}",
             self.sha256
         ))
-        .remedy("restore the picture, or make the plan again in another folder"))
+        .remedy("restore the image, or make the plan again in another folder"))
     }
 }
 
 impl TextureDraft {
-    /// A picture by its file, `width_m` wide on the object.
+    /// An image by its file, `width_m` wide on the object.
     ///
     /// # Errors
-    /// Those of reading the picture; `Input` for a width that is not above 0.
+    /// Those of reading the image; `Input` for a width that is not above 0.
     pub fn of_file(source: BeneathPath, width_m: f64) -> Result<Self> {
         if !(width_m > 0.0 && width_m.is_finite()) {
             return Err(Error::input(format!(
                 "the width of a texture must be above 0, found {width_m} m"
             ))
-            .remedy("give the width that the picture has on the object, in metres"));
+            .remedy("give the width that the image has on the object, in metres"));
         }
         let bytes = read(&source)?;
         read_bitmap(&bytes).map_err(|e| e.at(source.display()))?;
@@ -81,7 +81,7 @@ impl TextureDraft {
         let name = source.name();
         let stem = Path::new(&name).file_stem().unwrap_or_default();
         Ok(Self {
-            planned: PictureTexture {
+            planned: ImageTexture {
                 file: ContentKey::of(&bytes).with_suffix(ending),
                 words: Label::nearest(&stem.to_string_lossy()),
                 sha256: sha256_hex(&bytes),
@@ -91,7 +91,7 @@ impl TextureDraft {
         })
     }
 
-    /// The bytes of the picture.
+    /// The bytes of the image.
     ///
     /// # Errors
     /// Those of reading it; `Input` where it changed since it was first read.
@@ -104,10 +104,10 @@ impl TextureDraft {
     }
 }
 
-/// The pictures of a folder, by name; each `width_m` wide on objects.
+/// The images of a folder, by name; each `width_m` wide on objects.
 ///
 /// # Errors
-/// `Input` for a folder without pictures; those of reading them.
+/// `Input` for a folder without images; those of reading them.
 pub fn texture_folder(folder: &Path, width_m: f64) -> Result<Vec<TextureDraft>> {
     let mut files = Root::new(folder)
         .top()
@@ -118,7 +118,7 @@ pub fn texture_folder(folder: &Path, width_m: f64) -> Result<Vec<TextureDraft>> 
         ENDINGS.iter().any(|ending| name.ends_with(ending))
     });
     if files.is_empty() {
-        return Err(Error::input("the folder has no pictures")
+        return Err(Error::input("the folder has no images")
             .at(folder.display())
             .remedy("put PNG or JPEG files into it"));
     }
@@ -142,12 +142,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_of_pictures_is_read_and_a_changed_picture_noticed() {
+    fn a_folder_of_images_is_read_and_a_changed_image_noticed() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str| folder.path().join(name);
         for (name, level) in [("b.png", 9), ("a.PNG", 200)] {
-            let picture = image::RgbImage::from_pixel(4, 2, image::Rgb([level; 3]));
-            picture
+            let image = image::RgbImage::from_pixel(4, 2, image::Rgb([level; 3]));
+            image
                 .save_with_format(file(name), image::ImageFormat::Png)
                 .unwrap();
         }
@@ -167,17 +167,17 @@ mod tests {
         assert!(error.contains("changed"), "{error}");
         fs::copy(file("b.png"), file("a.PNG")).unwrap();
         assert!(textures[0].read().is_err());
-        fs::write(file("b.png"), "no picture").unwrap();
+        fs::write(file("b.png"), "no image").unwrap();
         assert!(texture_folder(folder.path(), 0.05).is_err());
         let place = Root::new(folder.path()).top().join("a.PNG");
         assert!(TextureDraft::of_file(place, f64::NAN).is_err());
         let empty = tempfile::tempdir().unwrap();
         let error = texture_folder(empty.path(), 0.05).unwrap_err();
-        assert!(error.to_string().contains("no pictures"));
+        assert!(error.to_string().contains("no images"));
     }
 
     #[test]
-    fn a_picture_outside_of_the_folder_is_not_read() {
+    fn an_image_outside_of_the_folder_is_not_read() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         fs::create_dir_all(at("plan/textures")).unwrap();
@@ -185,7 +185,7 @@ mod tests {
         std::os::unix::fs::symlink("../../secret.png", at("plan/textures/a.png")).unwrap();
         let error = texture_folder(&at("plan/textures"), 0.05).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input, "{error}");
-        let planned = PictureTexture {
+        let planned = ImageTexture {
             file: FileName::parse("a.png").unwrap(),
             words: Label::default(),
             sha256: sha256_hex(fs::read(at("secret.png")).unwrap()),

@@ -6,7 +6,7 @@ use gripcast_base::error::Result;
 use gripcast_geometry::{TriangleMesh, convex_hull};
 
 /// Most faces of the hull that a box is laid on; round objects have thousands alike.
-const MOST_FACES: usize = 256;
+const MAX_FACES: usize = 256;
 
 /// Sides of the oriented bounding box, m, longest first: the box of least volume among those that
 /// lie on one of the 256 largest faces of the convex hull and along one side of its shadow there.
@@ -18,7 +18,7 @@ pub fn oriented_size_m(mesh: &TriangleMesh) -> Result<[f64; 3]> {
     let areas = hull.triangle_areas();
     let mut faces: Vec<usize> = (0..areas.len()).collect();
     faces.sort_by(|&a, &b| areas[b].total_cmp(&areas[a]).then(a.cmp(&b)));
-    let boxes = faces.iter().take(MOST_FACES).filter_map(|&face| {
+    let boxes = faces.iter().take(MAX_FACES).filter_map(|&face| {
         let [a, b, c] = hull.corners(hull.triangles[face]);
         let normal = (b - a).cross(c - a).try_normalize()?;
         Some(box_on_face(&hull.vertices, normal))

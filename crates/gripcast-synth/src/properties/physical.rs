@@ -55,7 +55,7 @@ const OTHER_FILL: f64 = 1.0;
 /// Mass and friction without a language model: density × volume × fill, friction uniform in the
 /// material's range.
 ///
-/// `fill` in (0, 1] is the share of `volume_m3` that is material; without it that of the category,
+/// `fill` in (0, 1] is the fraction of `volume_m3` that is material; without it that of the category,
 /// changed by up to 15 % with the seed. Meshes with walls of their own (a mug with its cavity)
 /// have fill 1. The result depends on the arguments alone.
 ///
@@ -80,7 +80,7 @@ pub fn estimate(
         return Err(Error::input(format!(
             "the fill must be above 0 and at most 1, found {fill}"
         ))
-        .remedy("give the share of the volume that is material: 1 for a massive object"));
+        .remedy("give the fraction of the volume that is material: 1 for a massive object"));
     }
     let name = format!("physical/{category}/{}", material.name);
     let mut stream = SeedStream::named(seed, &name);
@@ -152,11 +152,11 @@ pub fn map_masses(masses_kg: &[f64], map: MassMap) -> Result<Vec<f64>> {
         if high <= low {
             return mass.clamp(to_low, to_high);
         }
-        let share = (at - low) / (high - low);
+        let fraction = (at - low) / (high - low);
         match map {
-            MassMap::Logarithmic => to_low.powf(1.0 - share) * to_high.powf(share),
+            MassMap::Logarithmic => to_low.powf(1.0 - fraction) * to_high.powf(fraction),
             // The ends exactly, whatever rounding does.
-            _ => to_low * (1.0 - share) + to_high * share,
+            _ => to_low * (1.0 - fraction) + to_high * fraction,
         }
     };
     Ok(scale.iter().zip(masses_kg).map(mapped).collect())
@@ -193,10 +193,10 @@ mod tests {
             |category: &str, seed| estimate(category, pet, 5e-4, None, seed).unwrap().mass_kg;
         let solid = 1380.0 * 5e-4;
         for category in ["bottle", "Water Bottles", "spray_bottle"] {
-            let share = mass(category, 1) / solid;
+            let fraction = mass(category, 1) / solid;
             assert!(
-                (0.12 * 0.85..=0.12 * 1.15).contains(&share),
-                "{category} {share}"
+                (0.12 * 0.85..=0.12 * 1.15).contains(&fraction),
+                "{category} {fraction}"
             );
         }
         assert!(mass("hammer", 1) / solid > 0.84);

@@ -1,10 +1,10 @@
-//! What the tactile pictures show, by force and label.
+//! What the tactile images show, by force and label.
 //!
 //! A dataset whose lost grasps show no contact would give its labels away.
 
 use super::facts::{ContactFacts, ContactGroup, Quantiles, Separation};
 use super::gather::{Done, different};
-use super::look::{CHANGED_LEVELS, LEAST_CHANGED, Look};
+use super::look::{CHANGED_LEVELS, Look, MIN_CHANGED};
 use super::numbers::auroc;
 
 /// A simulation with a label that was looked at.
@@ -17,7 +17,7 @@ pub(super) struct Seen<'a> {
 impl Seen<'_> {
     fn without(&self) -> usize {
         let changed = self.look.changed.iter();
-        changed.filter(|share| **share < LEAST_CHANGED).count()
+        changed.filter(|fraction| **fraction < MIN_CHANGED).count()
     }
 
     fn strength(&self) -> f64 {
@@ -30,7 +30,7 @@ pub(super) fn contact(seen: &[Seen<'_>]) -> ContactFacts {
     let forces = different(seen.iter().map(|one| one.done.simulation.stop_force_n));
     let mut facts = ContactFacts {
         changed_levels: CHANGED_LEVELS,
-        least_changed: LEAST_CHANGED,
+        least_changed: MIN_CHANGED,
         ..ContactFacts::default()
     };
     for stop_force_n in forces {
@@ -89,7 +89,7 @@ mod tests {
                         if is_weak { 0.0 } else { 0.2 },
                         if k == 4 { 0.0 } else { 0.1 },
                     ],
-                    pictures: None,
+                    images: None,
                 },
             }
         });

@@ -34,7 +34,7 @@ pub struct SynthReport {
     pub dataset: Option<DatasetFacts>,
     /// Labels by what may decide them.
     pub balance: Vec<BalanceTable>,
-    /// What the tactile pictures show.
+    /// What the tactile images show.
     pub contact: ContactFacts,
     /// What it cost.
     pub costs: CostFacts,
@@ -70,7 +70,7 @@ pub struct PlanFacts {
     pub stop_forces_n: Vec<f64>,
     /// Renderings of each simulation.
     pub renderings: u32,
-    /// Paths for each pixel of a colour picture.
+    /// Paths for each pixel of a colour image.
     pub samples: u32,
     /// Spread of the tactile sensors.
     pub sensor_spread: f64,
@@ -120,8 +120,8 @@ impl Labels {
         self.held + self.lost
     }
 
-    /// Share of those that held; none of none.
-    pub fn share(self) -> Option<f64> {
+    /// Fraction of those that held; none of none.
+    pub fn fraction(self) -> Option<f64> {
         (self.all() > 0).then(|| self.held as f64 / self.all() as f64)
     }
 }
@@ -170,13 +170,13 @@ pub struct BalanceGroup {
     pub dataset: Option<Labels>,
 }
 
-/// What the tactile pictures show, of one rendering of each simulation with a label.
+/// What the tactile images show, of one rendering of each simulation with a label.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactFacts {
     /// A pixel counts as changed above this, grey levels.
     pub changed_levels: u16,
-    /// A pair with a smaller share of changed pixels shows no contact.
+    /// A pair with a smaller fraction of changed pixels shows no contact.
     pub least_changed: f64,
     /// By force and label.
     pub groups: Vec<ContactGroup>,
@@ -184,7 +184,7 @@ pub struct ContactFacts {
     pub separation: Vec<Separation>,
 }
 
-/// Tactile pictures of a force and a label.
+/// Tactile images of a force and a label.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContactGroup {
@@ -192,13 +192,13 @@ pub struct ContactGroup {
     pub stop_force_n: f64,
     /// Label.
     pub held: bool,
-    /// Pairs of pictures: two sensors of each simulation.
+    /// Pairs of images: two sensors of each simulation.
     pub pairs: usize,
     /// Of those, without visible contact.
     pub without: usize,
     /// Simulations whose both sensors show none.
     pub both_without: usize,
-    /// Mean absolute difference of grasp and initial picture, grey levels.
+    /// Mean absolute difference of grasp and initial image, grey levels.
     pub mean_change: Quantiles,
 }
 
@@ -208,7 +208,7 @@ pub struct ContactGroup {
 pub struct Separation {
     /// Force, N.
     pub stop_force_n: f64,
-    /// Probability that a held grasp changed the pictures more than a lost one: 0.5 tells nothing.
+    /// Probability that a held grasp changed the images more than a lost one: 0.5 tells nothing.
     /// None where there is only one label.
     pub auroc: Option<f64>,
 }
@@ -333,14 +333,14 @@ pub struct Example {
     pub rendering: u32,
     /// What the object looks like, in words.
     pub appearance: String,
-    /// The pictures.
-    pub pictures: ExamplePictures,
+    /// The images.
+    pub images: ExampleImages,
 }
 
-/// Small pictures of a rendering, each a data URI.
+/// Small images of a rendering, each a data URI.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct ExamplePictures {
+pub struct ExampleImages {
     /// The colour camera before the lift.
     pub colour: String,
     /// The left and the right sensor before the lift.

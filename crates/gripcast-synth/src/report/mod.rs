@@ -51,13 +51,13 @@ pub struct SynthReportSettings {
 /// were looked at, and of how many.
 ///
 /// # Errors
-/// `Input` for results or a dataset of another plan, damaged pictures or a damaged dataset;
+/// `Input` for results or a dataset of another plan, damaged images or a damaged dataset;
 /// `NotFound` where a file is missing; those of the operating system.
 pub fn report(
     plan: &Plan,
     folder: &Path,
     settings: &SynthReportSettings,
-    told: &(dyn Fn(usize, usize) + Sync),
+    on_progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<SynthReport> {
     let store = ResultStore::beside(folder);
     let gathered = Gathered::read(plan, &store)?;
@@ -67,7 +67,7 @@ pub fn report(
         .map(|path| FoundDataset::read(path, plan))
         .transpose()?;
     let chosen = found.as_ref().map(|found| &found.chosen);
-    let seen = seen(&gathered, &store, chosen, settings, told)?;
+    let seen = seen(&gathered, &store, chosen, settings, on_progress)?;
     Ok(SynthReport {
         format: SYNTH_REPORT_FORMAT.to_owned(),
         version: SYNTH_REPORT_VERSION,
@@ -85,16 +85,16 @@ pub fn report(
     })
 }
 
-/// Looks at every result with a label and pictures; those on the contact sheet keep their pictures.
+/// Looks at every result with a label and images; those on the contact sheet keep their images.
 fn seen<'a>(
     gathered: &'a Gathered<'_>,
     store: &ResultStore,
     chosen: Option<&BTreeSet<String>>,
     settings: &SynthReportSettings,
-    told: &(dyn Fn(usize, usize) + Sync),
+    on_progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Vec<Seen<'a>>> {
-    let has_pictures = |(done, _): &(&Done<'_>, bool)| !done.result.lacks_pictures();
-    let labelled: Vec<(&Done<'_>, bool)> = gathered.labelled().filter(has_pictures).collect();
+    let has_images = |(done, _): &(&Done<'_>, bool)| !done.result.lacks_images();
+    let labelled: Vec<(&Done<'_>, bool)> = gathered.labelled().filter(has_images).collect();
     let mut shown = BTreeSet::new();
     for label in [true, false] {
         let results = labelled.iter().filter(|(done, held)| {
@@ -108,7 +108,9 @@ fn seen<'a>(
         look::look(store, done, settings.seed, is_shown)
     };
     let all = labelled.len();
-    let looks = one_per_core(settings.jobs, &labelled, &look, &|done| told(done, all))?;
+    let looks = one_per_core(settings.jobs, &labelled, &look, &|done| {
+        on_progress(done, all)
+    })?;
     let seen = labelled.iter().zip(looks);
     let seen = seen.map(|((done, held), look)| Seen {
         done,

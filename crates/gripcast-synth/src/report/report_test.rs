@@ -78,7 +78,7 @@ fn a_plan_is_reported_as_far_as_it_is() {
 }
 
 #[test]
-fn pictures_are_looked_at_and_some_are_shown() {
+fn images_are_looked_at_and_some_are_shown() {
     let folder = tempfile::tempdir().unwrap();
     let sample = finished(folder.path());
     let found = reported(&sample.plan, folder.path(), None).unwrap();
@@ -100,9 +100,9 @@ fn pictures_are_looked_at_and_some_are_shown() {
     let held: Vec<bool> = found.examples.iter().map(|one| one.held).collect();
     assert_eq!(held, [true, true, true, false, false, false]);
     for example in &found.examples {
-        let pictures = &example.pictures;
-        let all = [&pictures.colour].into_iter();
-        let all = all.chain(&pictures.grasp).chain(&pictures.change);
+        let images = &example.images;
+        let all = [&images.colour].into_iter();
+        let all = all.chain(&images.grasp).chain(&images.change);
         assert!(all.clone().all(|uri| uri.starts_with("data:image/jpeg;")));
         assert!(all.map(String::len).sum::<usize>() < 20_000);
     }
@@ -242,7 +242,7 @@ fn damage_is_named() {
     let found = reported(&sample.plan, folder.path(), None).unwrap();
     assert_eq!(found.progress.open, 2);
     assert_eq!(found.progress.damaged, [id(3).as_str()]);
-    // Altered: nothing can be said of the pictures.
+    // Altered: nothing can be said of the images.
     let path = store.samples(id(4)).shown();
     let mut bytes = fs::read(&path).unwrap();
     bytes[200] ^= 1;

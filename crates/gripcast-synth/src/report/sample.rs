@@ -94,12 +94,12 @@ impl Sample {
     }
 }
 
-/// A grey picture with a brighter square.
+/// A grey image with a brighter square.
 fn jpeg(width: u32, height: u32, side: u32) -> Vec<u8> {
-    let picture = RgbImage::from_fn(width, height, |x, y| {
+    let image = RgbImage::from_fn(width, height, |x, y| {
         Rgb([if x < side && y < side { 200 } else { 100 }; 3])
     });
-    encode_jpeg(&picture, 92).unwrap()
+    encode_jpeg(&image, 92).unwrap()
 }
 
 /// Results of the first simulations that held or not.

@@ -69,7 +69,7 @@ fn example(seen: &Seen<'_>) -> Option<Example> {
         held: seen.held,
         rendering: seen.look.rendering,
         appearance: seen.look.appearance.clone(),
-        pictures: seen.look.pictures.clone()?,
+        images: seen.look.images.clone()?,
     })
 }
 

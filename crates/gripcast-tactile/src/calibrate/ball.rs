@@ -5,7 +5,7 @@ use crate::{PressDepth, SensorGeometry};
 
 /// Largest contact radius that is taken, of the ball's radius: beyond it the slope at the border
 /// grows without bound.
-const LARGEST_CONTACT: f64 = 0.95;
+const MAX_CONTACT: f64 = 0.95;
 
 /// A ball pressed into the gel, in contact over a disc.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +49,7 @@ impl BallContact {
 
     /// Radius of the contact, m, at most 0.95 of the ball's.
     pub fn contact_m(&self) -> f64 {
-        (self.radius_px * self.geometry.pixel_m).min(LARGEST_CONTACT * self.ball_m)
+        (self.radius_px * self.geometry.pixel_m).min(MAX_CONTACT * self.ball_m)
     }
 }
 
@@ -67,7 +67,7 @@ pub fn ball_press(
 ) -> PressDepth {
     let mut press = PressDepth::untouched(geometry);
     let square = |x: f64| x * x;
-    let contact_m = (radius_px * geometry.pixel_m).min(LARGEST_CONTACT * ball_m);
+    let contact_m = (radius_px * geometry.pixel_m).min(MAX_CONTACT * ball_m);
     let border = (square(ball_m) - square(contact_m)).max(0.0).sqrt();
     for (i, depth) in press.depth_m.iter_mut().enumerate() {
         let x = ((i % geometry.width) as f64 - centre_px[0]) * geometry.pixel_m;

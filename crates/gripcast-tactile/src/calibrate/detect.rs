@@ -1,4 +1,4 @@
-//! Finds the contact of a ball in a picture.
+//! Finds the contact of a ball in an image.
 //!
 //! The shape of a pressed ball is known but for its centre and the radius of its contact. For a
 //! trial of the three, quadratic shading is fitted to the change around the contact; the trial
@@ -19,23 +19,23 @@ use gripcast_base::statistics::median;
 const SINK_LENGTH_M: f64 = 1e-3;
 /// The window around the contact reaches this far, m.
 const WINDOW_M: f64 = 3.6e-3;
-/// Largest share of the change that the best trial may leave.
-const MOST_LEFT: f64 = 0.6;
+/// Largest fraction of the change that the best trial may leave.
+const MAX_LEFT: f64 = 0.6;
 /// Largest contact radius that is tried, of the ball's radius.
-const LARGEST_CONTACT: f64 = 0.95;
+const MAX_CONTACT: f64 = 0.95;
 /// Terms of the shading and a constant.
 const TERMS: usize = 9;
 /// Change that counts as a contact, grey levels.
-const LEAST_CHANGE: f32 = 8.0;
+const MIN_CHANGE: f32 = 8.0;
 
 /// Centre and radius of the contact, pixels, or why none is found.
-pub(super) fn find_contact(set: &PressSet, picture: &RgbImage) -> Result<([f64; 2], f64), String> {
-    let change = change_of(set, picture);
+pub(super) fn find_contact(set: &PressSet, image: &RgbImage) -> Result<([f64; 2], f64), String> {
+    let change = change_of(set, image);
     let energy = energy_of(&change, set.geometry.width);
     let (centre, spread) = centre_of_energy(&energy, set)?;
     let window = Window::around(set, &change, centre);
     let ball_px = set.ball_m / set.geometry.pixel_m;
-    let largest = LARGEST_CONTACT * ball_px;
+    let largest = MAX_CONTACT * ball_px;
     let start = [centre[0], centre[1], (0.8 * spread).min(0.8 * largest)];
     let (best, left) = minimise(
         &start,
@@ -44,8 +44,8 @@ pub(super) fn find_contact(set: &PressSet, picture: &RgbImage) -> Result<([f64; 
         1e-6,
         &mut |trial| window.left_by([trial[0], trial[1]], trial[2], ball_px),
     );
-    let radius = best[2].clamp(LEAST_RADIUS_PX, largest);
-    if !left.is_finite() || left > MOST_LEFT {
+    let radius = best[2].clamp(MIN_RADIUS_PX, largest);
+    if !left.is_finite() || left > MAX_LEFT {
         return Err(format!(
             "no contact of a ball is found in it (the best disc leaves {:.0} % of the change)",
             100.0 * left
@@ -55,15 +55,15 @@ pub(super) fn find_contact(set: &PressSet, picture: &RgbImage) -> Result<([f64; 
 }
 
 /// Smallest radius that is tried, pixels.
-const LEAST_RADIUS_PX: f64 = 2.0;
+const MIN_RADIUS_PX: f64 = 2.0;
 
 /// The change, with the background fitted on what looks untouched.
-fn change_of(set: &PressSet, picture: &RgbImage) -> ChangePlanes {
-    let mut seen = observe_where(set, picture, |_| true);
+fn change_of(set: &PressSet, image: &RgbImage) -> ChangePlanes {
+    let mut seen = observe_where(set, image, |_| true);
     for _ in 0..6 {
         let limits: [f32; 3] = std::array::from_fn(|c| 2.5 * spread_of(&seen.change[c]).max(1.0));
         let before = seen.change;
-        seen = observe_where(set, picture, |i| {
+        seen = observe_where(set, image, |i| {
             (0..3).all(|c| before[c][i].abs() < limits[c])
         });
     }
@@ -103,10 +103,10 @@ fn centre_of_energy(energy: &[f32], set: &PressSet) -> Result<([f64; 2], f64), S
         return Err("it has no pixels".to_owned());
     };
     let strongest = energy.iter().copied().fold(0.0, f32::max).sqrt();
-    if strongest < LEAST_CHANGE {
+    if strongest < MIN_CHANGE {
         return Err(format!(
             "nothing touches in it: the largest change is {strongest:.1} grey levels, at least \
-             {LEAST_CHANGE} are needed"
+             {MIN_CHANGE} are needed"
         ));
     }
     let mut centre = [(peak % width) as f64, (peak / width) as f64];
@@ -170,9 +170,9 @@ impl Window {
         window
     }
 
-    /// Share of the squared change that the best shading of a trial leaves.
+    /// Fraction of the squared change that the best shading of a trial leaves.
     fn left_by(&self, centre: [f64; 2], radius: f64, ball_px: f64) -> f64 {
-        let radius = radius.clamp(LEAST_RADIUS_PX, LARGEST_CONTACT * ball_px);
+        let radius = radius.clamp(MIN_RADIUS_PX, MAX_CONTACT * ball_px);
         let slope = Slope::new(radius, ball_px, self.sink_px);
         let mut gram = [[0.0; TERMS]; TERMS];
         let mut cross = [[0.0; 3]; TERMS];

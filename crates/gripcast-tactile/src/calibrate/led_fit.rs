@@ -65,7 +65,7 @@ fn samples(set: &PressSet, train: &[usize], smoothing: &Smoothing) -> Vec<Sample
         let near: Vec<usize> = (0..normals.x.len())
             .filter(|i| distance.at(*i) < press.radius_px + FIT_PX)
             .collect();
-        // A stride without a factor in common with the picture's sides.
+        // A stride without a factor in common with the image's sides.
         let stride = (near.len() / PIXELS_A_PRESS).max(1) | 1;
         for i in near.into_iter().step_by(stride) {
             let (x, y) = (i % set.geometry.width, i / set.geometry.width);

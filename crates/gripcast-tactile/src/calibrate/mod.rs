@@ -1,6 +1,6 @@
 //! Fits a sensor's profile to real presses of a ball.
 //!
-//! A folder holds a picture of the untouched gel and presses of a ball of known diameter
+//! A folder holds an image of the untouched gel and presses of a ball of known diameter
 //! ([`PressSet`]; contacts without a label are found). Part of the presses, drawn by seed, is
 //! fitted: shape of the gel, terms and ridge of the shading by cross-validation among them, then
 //! the coefficients on all of them. The others are scored ([`score`]).

@@ -1,11 +1,11 @@
-//! The folder of a calibration: `presses.json`, or pictures alone.
+//! The folder of a calibration: `presses.json`, or images alone.
 //!
 //! ```json
 //! {"no_contact": "no_contact.png", "ball_diameter_m": 0.0047, "m_per_px": 5.1e-5,
 //!  "presses": [{"file": "press_01.png", "center_px": [76.0, 182.0], "radius_px": 38.0}]}
 //! ```
 //! `ball_diameter_m` and `m_per_px` may be null, `center_px` and `radius_px` may be missing: the
-//! contact is then found in the picture. Other keys are not read.
+//! contact is then found in the image. Other keys are not read.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ use gripcast_imaging::{JpegDecoder, decode_png_rgb};
 
 /// Name of the list.
 const LIST: &str = "presses.json";
-/// Names under which the picture without contact is looked for where there is no list.
+/// Names under which the image without contact is looked for where there is no list.
 const NO_CONTACT: [&str; 6] = [
     "no_contact",
     "nocontact",
@@ -28,13 +28,13 @@ const NO_CONTACT: [&str; 6] = [
     "bg",
     "reference",
 ];
-/// Suffixes of pictures.
+/// Suffixes of images.
 const SUFFIXES: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// A folder's list of presses.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct PressList {
-    /// Picture of the untouched gel.
+    /// Image of the untouched gel.
     pub(super) no_contact: String,
     /// Diameter of the ball, m.
     #[serde(default)]
@@ -49,7 +49,7 @@ pub(super) struct PressList {
 /// One press of the list.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(super) struct PressEntry {
-    /// Picture.
+    /// Image.
     pub(super) file: String,
     /// Column and row of the contact's centre, pixels.
     #[serde(default)]
@@ -79,7 +79,7 @@ impl PressEntry {
 }
 
 impl PressList {
-    /// Reads the list of a folder, or makes one of the pictures in it.
+    /// Reads the list of a folder, or makes one of the images in it.
     pub(super) fn read(folder: &Path) -> Result<Self> {
         let path = Root::new(folder).top().join(LIST);
         match path.read(FileKind::List) {
@@ -92,13 +92,13 @@ impl PressList {
                          `radius_px`; delete the list to have the contacts found",
                     )
             }),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Self::of_pictures(folder),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Self::of_images(folder),
             Err(e) => Err(Error::io("cannot read the list of presses", e).at(path.display())),
         }
     }
 
-    fn of_pictures(folder: &Path) -> Result<Self> {
-        let mut names = picture_names(folder)?;
+    fn of_images(folder: &Path) -> Result<Self> {
+        let mut names = image_names(folder)?;
         let stem = |name: &str| {
             let stem = Path::new(name).file_stem().unwrap_or_default();
             stem.to_string_lossy().to_ascii_lowercase()
@@ -108,11 +108,11 @@ impl PressList {
             .position(|name| NO_CONTACT.contains(&stem(name).as_str()))
         else {
             return Err(Error::not_found(format!(
-                "neither {LIST} nor a picture without contact is there; {} other pictures",
+                "neither {LIST} nor an image without contact is there; {} other images",
                 names.len()
             ))
             .at(folder.display())
-            .remedy("name the picture of the untouched gel no_contact.png"));
+            .remedy("name the image of the untouched gel no_contact.png"));
         };
         let no_contact = names.remove(place);
         let presses = names
@@ -131,12 +131,12 @@ impl PressList {
     }
 }
 
-/// Names of the pictures in a folder, sorted.
-fn picture_names(folder: &Path) -> Result<Vec<String>> {
+/// Names of the images in a folder, sorted.
+fn image_names(folder: &Path) -> Result<Vec<String>> {
     let refused = |e| {
         Error::io("cannot read the folder of presses", e)
             .at(folder.display())
-            .remedy("name a folder with presses.json or with pictures of presses")
+            .remedy("name a folder with presses.json or with images of presses")
     };
     let mut names = Vec::new();
     for entry in Root::new(folder).top().entries().map_err(refused)? {
@@ -149,13 +149,13 @@ fn picture_names(folder: &Path) -> Result<Vec<String>> {
     Ok(names)
 }
 
-/// Reads a PNG or JPEG picture of a folder.
-pub(super) fn read_picture(folder: &Path, file: &str) -> Result<RgbImage> {
+/// Reads a PNG or JPEG image of a folder.
+pub(super) fn read_image(folder: &Path, file: &str) -> Result<RgbImage> {
     let path = folder.join(file);
     let bytes = Root::new(folder)
         .resolve(file)
         .and_then(|place| place.read(FileKind::Image))
-        .map_err(|e| Error::io("cannot read the picture", e).at(path.display()))?;
+        .map_err(|e| Error::io("cannot read the image", e).at(path.display()))?;
     decode(&bytes).map_err(|e| e.at(path.display()))
 }
 

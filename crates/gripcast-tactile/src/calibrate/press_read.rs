@@ -6,7 +6,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 
 use super::detect::find_contact;
-use super::press_file::{Label, PressEntry, PressList, read_picture};
+use super::press_file::{Label, PressEntry, PressList, read_image};
 use super::press_set::{LabelledPress, PressSet, ScaleSource, SkippedPress};
 use super::score::{Distance, observe};
 use crate::SensorGeometry;
@@ -25,35 +25,35 @@ const BALL_M: std::ops::RangeInclusive<f64> = 5e-4..=0.1;
 const PIXEL_M: std::ops::RangeInclusive<f64> = 1e-6..=1e-3;
 /// A press is saturated when this fraction of the values in its disc is newly at 0 or 255. One
 /// channel at its end is common under the bright side of a real ball.
-const MOST_SATURATED: f64 = 0.25;
-/// At least this fraction of the contact's disc has to lie in the picture.
-const LEAST_INSIDE: f64 = 0.8;
+const MAX_SATURATED: f64 = 0.25;
+/// At least this fraction of the contact's disc has to lie in the image.
+const MIN_INSIDE: f64 = 0.8;
 /// Change in the disc that counts as a contact, grey levels (root mean square of a channel).
-const LEAST_CHANGE: f64 = 5.0;
+const MIN_CHANGE: f64 = 5.0;
 /// Largest change where nothing touches, grey levels (root mean square of a channel), after gain
 /// and offset: a real gel far from a contact stays below 8.
-const MOST_OUTSIDE: f64 = 16.0;
+const MAX_OUTSIDE: f64 = 16.0;
 /// Gains of the exposure that are believed.
 const GAIN: std::ops::RangeInclusive<f64> = 0.5..=2.0;
 /// Fewest pixels of a side.
-const LEAST_SIDE: u32 = 64;
+const MIN_SIDE: u32 = 64;
 /// Most pixels of a side.
-const MOST_SIDE: u32 = 4096;
+const MAX_SIDE: u32 = 4096;
 
 /// What to read and how.
 #[derive(Clone, Debug)]
 pub struct ReadOptions {
-    /// Folder with `presses.json`, or with pictures alone.
+    /// Folder with `presses.json`, or with images alone.
     pub folder: PathBuf,
     /// Diameter of the ball, m; goes before that of the file.
     pub ball_diameter_m: Option<f64>,
-    /// Size of a pixel of the stored pictures, m; goes before that of the file.
+    /// Size of a pixel of the stored images, m; goes before that of the file.
     pub pixel_m: Option<f64>,
-    /// Crop of the stored pictures.
+    /// Crop of the stored images.
     pub crop: CropProfile,
     /// Width and height after the crop; none = as stored.
     pub size: Option<(u32, u32)>,
-    /// Finds every contact in the picture, labelled or not.
+    /// Finds every contact in the image, labelled or not.
     pub find_contacts: bool,
 }
 
@@ -75,13 +75,13 @@ impl PressSet {
     /// Reads a folder. Presses that cannot be used are listed with the reason.
     ///
     /// # Errors
-    /// `NotFound`, `Io`, `Input` if the folder, its list or the picture without contact cannot be
+    /// `NotFound`, `Io`, `Input` if the folder, its list or the image without contact cannot be
     /// used, the ball is unknown, or no press is left.
     pub fn read(options: &ReadOptions) -> Result<Self> {
         let list = PressList::read(&options.folder)?;
         let place = options.folder.display().to_string();
         let ball_m = 0.5 * ball_diameter(options, &list).map_err(|e| e.at(&place))?;
-        let stored = read_picture(&options.folder, &list.no_contact)?;
+        let stored = read_image(&options.folder, &list.no_contact)?;
         let frame = Reframe::new(&stored, options).map_err(|e| e.at(&place))?;
         let (stored_pixel_m, scale) =
             pixel_size(options, &list, &frame).map_err(|e| e.at(&place))?;
@@ -127,25 +127,25 @@ impl PressSet {
         entry: &PressEntry,
     ) -> Result<LabelledPress, String> {
         let given = entry.label()?;
-        let stored = read_picture(&options.folder, &entry.file).map_err(|e| e.to_string())?;
+        let stored = read_image(&options.folder, &entry.file).map_err(|e| e.to_string())?;
         if stored.dimensions() != frame.stored {
             return Err(format!(
-                "it has {}×{} pixels, the picture without contact {}×{}",
+                "it has {}×{} pixels, the image without contact {}×{}",
                 stored.width(),
                 stored.height(),
                 frame.stored.0,
                 frame.stored.1
             ));
         }
-        let picture = frame.apply(&stored).map_err(|e| e.to_string())?;
+        let image = frame.apply(&stored).map_err(|e| e.to_string())?;
         let given = given.filter(|_| !options.find_contacts);
         let (centre_px, radius_px) = match given {
             Some(label) => frame.label(label),
-            None => find_contact(self, &picture)?,
+            None => find_contact(self, &image)?,
         };
         let press = LabelledPress {
             file: entry.file.clone(),
-            picture,
+            image,
             centre_px,
             radius_px,
             found: given.is_none(),
@@ -164,16 +164,16 @@ impl PressSet {
             ));
         }
         let disc = Disc::of(press);
-        if disc.inside < LEAST_INSIDE {
+        if disc.inside < MIN_INSIDE {
             return Err(format!(
-                "its contact lies off the picture ({:.0} % of the disc is inside, at least {:.0} % \
+                "its contact lies off the image ({:.0} % of the disc is inside, at least {:.0} % \
                  is needed)",
                 100.0 * disc.inside,
-                100.0 * LEAST_INSIDE
+                100.0 * MIN_INSIDE
             ));
         }
         let saturated = disc.saturated(press, &self.no_contact);
-        if saturated > MOST_SATURATED {
+        if saturated > MAX_SATURATED {
             return Err(format!(
                 "it is saturated: {:.0} % of the values in the contact are at 0 or 255; lower the \
                  exposure or press less",
@@ -183,18 +183,18 @@ impl PressSet {
         let observed = observe(self, press);
         let outside = observed.outside_rms.into_iter().fold(0.0, f64::max);
         let believed = observed.gain.iter().all(|gain| GAIN.contains(gain));
-        if outside > MOST_OUTSIDE || !believed {
+        if outside > MAX_OUTSIDE || !believed {
             return Err(format!(
-                "its background is not that of the picture without contact (gain {:.2?}, {outside:.1} \
+                "its background is not that of the image without contact (gain {:.2?}, {outside:.1} \
                  grey levels left): another sensor or other light?",
                 observed.gain
             ));
         }
         let change = disc.rms(&observed.change);
-        if change < LEAST_CHANGE {
+        if change < MIN_CHANGE {
             return Err(format!(
                 "nothing changes inside its contact ({change:.1} grey levels, at least \
-                 {LEAST_CHANGE} are needed): label or picture is wrong"
+                 {MIN_CHANGE} are needed): label or image is wrong"
             ));
         }
         Ok(())
@@ -248,10 +248,10 @@ fn nothing_usable(skipped: &[SkippedPress]) -> Error {
         "none of {} presses can be used ({first})",
         skipped.len()
     ))
-    .remedy("mend the presses or take new ones")
+    .remedy("fix the presses or take new ones")
 }
 
-/// Crop and resize of pictures and labels.
+/// Crop and resize of images and labels.
 struct Reframe {
     crop: CropProfile,
     stored: (u32, u32),
@@ -263,7 +263,7 @@ impl Reframe {
     fn new(stored: &RgbImage, options: &ReadOptions) -> Result<Self> {
         let (width, height) = stored.dimensions();
         let refused = |what: String| {
-            Err(Error::input(what).remedy("calibrate with pictures of 64 to 4096 pixels a side"))
+            Err(Error::input(what).remedy("calibrate with images of 64 to 4096 pixels a side"))
         };
         let Some(window) = options.crop.window(width, height) else {
             return refused(format!(
@@ -272,9 +272,9 @@ impl Reframe {
             ));
         };
         let size = options.size.unwrap_or((window.width, window.height));
-        if size.0.min(size.1) < LEAST_SIDE || size.0.max(size.1) > MOST_SIDE {
+        if size.0.min(size.1) < MIN_SIDE || size.0.max(size.1) > MAX_SIDE {
             return refused(format!(
-                "pictures of {}×{} pixels cannot be calibrated",
+                "images of {}×{} pixels cannot be calibrated",
                 size.0, size.1
             ));
         }
@@ -315,14 +315,14 @@ impl Reframe {
 /// Pixels of a contact.
 struct Disc {
     pixels: Vec<usize>,
-    /// Fraction of the disc in the picture.
+    /// Fraction of the disc in the image.
     inside: f64,
 }
 
 impl Disc {
     fn of(press: &LabelledPress) -> Self {
         let distance = Distance::of(press);
-        let count = (press.picture.width() * press.picture.height()) as usize;
+        let count = (press.image.width() * press.image.height()) as usize;
         let pixels: Vec<usize> = (0..count)
             .filter(|i| distance.at(*i) < press.radius_px)
             .collect();
@@ -335,7 +335,7 @@ impl Disc {
 
     fn saturated(&self, press: &LabelledPress, no_contact: &RgbImage) -> f64 {
         let at_end = |level: u8| level == 0 || level == 255;
-        let (real, free) = (press.picture.as_raw(), no_contact.as_raw());
+        let (real, free) = (press.image.as_raw(), no_contact.as_raw());
         let values = self.pixels.iter().flat_map(|i| 3 * i..3 * i + 3);
         let count = values
             .filter(|v| at_end(real[*v]) && !at_end(free[*v]))

@@ -14,13 +14,13 @@ use crate::SensorGeometry;
 pub struct LabelledPress {
     /// File.
     pub file: String,
-    /// The sensor's picture.
-    pub picture: RgbImage,
+    /// The sensor's image.
+    pub image: RgbImage,
     /// Column and row of the contact's centre, pixels.
     pub centre_px: [f64; 2],
     /// Radius of the contact, pixels.
     pub radius_px: f64,
-    /// Whether the contact was found in the picture, not given.
+    /// Whether the contact was found in the image, not given.
     pub found: bool,
 }
 

@@ -22,7 +22,7 @@ pub struct CalibrationReport {
     pub held_out: usize,
     /// Presses that could not be used.
     pub skipped: Vec<SkippedPress>,
-    /// Presses whose contact was found in the picture.
+    /// Presses whose contact was found in the image.
     pub contacts_found: usize,
     /// Seed of the split.
     pub seed: u64,
@@ -38,7 +38,7 @@ pub struct CalibrationReport {
     pub scale: ScaleSource,
     /// Cross-validated FVE for each scale that was tried: pixel size (m), FVE.
     pub scale_scan: Vec<[f64; 2]>,
-    /// Mean gain of the presses against the picture without contact.
+    /// Mean gain of the presses against the image without contact.
     pub gain_mean: [f64; 3],
     /// Mean offset at the background's mean level, grey levels.
     pub offset_mean: [f64; 3],

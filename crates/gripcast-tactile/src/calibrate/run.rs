@@ -22,8 +22,8 @@ use gripcast_imaging::CropProfile;
 const SCALES: [f64; 7] = [0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15];
 /// Degree of the smooth fit of the background.
 const BACKGROUND_DEGREE: usize = 8;
-/// Presses in the picture of the calibration.
-const MOST_ROWS: usize = 6;
+/// Presses in the image of the calibration.
+const MAX_ROWS: usize = 6;
 /// Version of the profile.
 const SCHEMA: u32 = 1;
 
@@ -55,7 +55,7 @@ pub struct CalibrateOptions {
     pub name: String,
     /// Serial of the sensor; may be empty.
     pub serial: String,
-    /// Crop that makes such pictures of the sensor's frames.
+    /// Crop that makes such images of the sensor's frames.
     pub crop_profile: CropProfile,
     /// Added to the profile's provenance: where the presses come from.
     pub note: String,
@@ -87,7 +87,7 @@ pub struct Calibration {
     /// Scores and choices.
     pub report: CalibrationReport,
     /// Real, rendered and residual of presses that were scored.
-    pub picture: RgbImage,
+    pub image: RgbImage,
     /// Presses that could not be used; the caller tells of them.
     pub skipped: Vec<SkippedPress>,
 }
@@ -125,7 +125,7 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
     let scores = score(&set, scored, &mut |_| {
         Ok(next.next().cloned().unwrap_or_default())
     })?;
-    changes.truncate(MOST_ROWS);
+    changes.truncate(MAX_ROWS);
     let rows: Vec<Row<'_>> = changes
         .into_iter()
         .zip(scored.iter().zip(&scores.presses))
@@ -135,12 +135,12 @@ pub fn run(options: &CalibrateOptions) -> Result<Calibration> {
             score,
         })
         .collect();
-    let picture = sheet(&set, &rows);
+    let image = sheet(&set, &rows);
     let report = report(&set, counts, scores, &fitted, &profile, options);
     Ok(Calibration {
         profile,
         report,
-        picture,
+        image,
         skipped: set.skipped,
     })
 }
@@ -247,8 +247,8 @@ fn profile(
         shading: fitted.shading.clone(),
         background: Background {
             file: None,
-            fit: BackgroundFit::of_picture(&set.no_contact, BACKGROUND_DEGREE),
-            picture: Some(set.no_contact.clone()),
+            fit: BackgroundFit::of_image(&set.no_contact, BACKGROUND_DEGREE),
+            image: Some(set.no_contact.clone()),
         },
     }
 }
@@ -261,7 +261,7 @@ fn provenance(
     let found = set.presses.iter().filter(|press| press.found).count();
     let text = format!(
         "Fitted on {fitted} presses of a ball of {} mm ({held_out} held out, seed {}, contacts of \
-         {found} found in the pictures). {}",
+         {found} found in the images). {}",
         set.ball_m * 2e3,
         options.seed,
         options.note

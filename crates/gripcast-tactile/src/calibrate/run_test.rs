@@ -49,8 +49,8 @@ fn truth() -> SensorProfile {
         }),
         background: Background {
             file: None,
-            fit: BackgroundFit::of_picture(&no_contact, 2),
-            picture: Some(no_contact),
+            fit: BackgroundFit::of_image(&no_contact, 2),
+            image: Some(no_contact),
         },
     }
 }
@@ -64,7 +64,7 @@ fn contact(i: usize) -> BallContact {
     }
 }
 
-fn picture(i: usize) -> RgbImage {
+fn image(i: usize) -> RgbImage {
     let look = FrameLook {
         gain: [1.03, 0.98, 1.0],
         offset: [-2.0, 1.0, 0.5],
@@ -75,8 +75,8 @@ fn picture(i: usize) -> RgbImage {
     renderer.render(&press, &look).unwrap()
 }
 
-fn save(path: &Path, picture: &RgbImage) {
-    fs::write(path, encode_png_rgb(picture).unwrap()).unwrap();
+fn save(path: &Path, image: &RgbImage) {
+    fs::write(path, encode_png_rgb(image).unwrap()).unwrap();
 }
 
 /// A folder of `count` presses; `change` may alter the list before it is written.
@@ -84,12 +84,12 @@ fn folder(count: usize, change: impl FnOnce(&Path, &mut Value)) -> tempfile::Tem
     let folder = tempfile::tempdir().unwrap();
     save(
         &folder.path().join("no_contact.png"),
-        truth().background.picture.as_ref().unwrap(),
+        truth().background.image.as_ref().unwrap(),
     );
     let mut presses = Vec::new();
     for i in 0..count {
         let file = format!("press_{i}.png");
-        save(&folder.path().join(&file), &picture(i));
+        save(&folder.path().join(&file), &image(i));
         let contact = contact(i);
         presses.push(json!({
             "file": file, "center_px": contact.centre_px, "radius_px": contact.radius_px,
@@ -123,11 +123,11 @@ fn known_light_comes_back() {
     assert!(report.score.patch_psnr_db > 35.0, "{report:?}");
     assert!(report.score.no_contact_psnr_db < 30.0);
     assert!(result.skipped.is_empty());
-    // Gain and offset are those that were put in; the noise is that of a frame (the picture
+    // Gain and offset are those that were put in; the noise is that of a frame (the image
     // without contact has none, so the difference of both is divided by √2).
     assert!((report.gain_mean[0] - 1.03).abs() < 0.02, "{report:?}");
     assert!((report.noise_std[0] - 0.75).abs() < 0.2, "{report:?}");
-    assert_eq!(result.picture.width() % 4, 0);
+    assert_eq!(result.image.width() % 4, 0);
     result.profile.validate().unwrap();
     // The same again, and another split.
     assert_eq!(run(&options(&folder)).unwrap().profile, result.profile);
@@ -184,7 +184,7 @@ fn bad_presses_are_skipped_with_a_reason() {
         );
         save(
             &path.join("press_4.png"),
-            truth().background.picture.as_ref().unwrap(),
+            truth().background.image.as_ref().unwrap(),
         );
         fs::remove_file(path.join("press_5.png")).unwrap();
         let presses = list["presses"].as_array_mut().unwrap();
@@ -201,7 +201,7 @@ fn bad_presses_are_skipped_with_a_reason() {
         "another sensor",
         "nothing changes",
         "cannot read",
-        "off the picture",
+        "off the image",
         "label must be",
         "ball's radius",
     ];
@@ -241,11 +241,11 @@ fn folders_that_cannot_be_used_are_explained() {
 #[test]
 fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
     let mut renderer = TactileRenderer::new(&truth()).unwrap();
-    let free = truth().background.picture.unwrap();
+    let free = truth().background.image.unwrap();
     let presses = (0..3)
         .map(|i| LabelledPress {
             file: i.to_string(),
-            picture: {
+            image: {
                 let press = contact(i).press(1e-3);
                 renderer.render(&press, &FrameLook::default()).unwrap()
             },
@@ -263,8 +263,8 @@ fn a_perfect_and_an_empty_renderer_have_the_scores_of_the_definition() {
     assert_eq!(nothing.patch_l1, nothing.no_contact_l1);
     let perfect = score(&set, &[0, 1, 2], &mut |contact| {
         let press = contact.press(1e-3);
-        let picture = renderer.render(&press, &FrameLook::default())?;
-        Ok(change_between(&picture, &free))
+        let image = renderer.render(&press, &FrameLook::default())?;
+        Ok(change_between(&image, &free))
     })
     .unwrap();
     assert!(perfect.fve > 0.995, "{perfect:?}");

@@ -5,9 +5,9 @@
 //!   exposure and white balance drift between frames;
 //! - patch: d < r + 10;
 //! - FVE (fraction of variance explained) = 1 − SSE(rendered) / SSE(background alone) in the patch;
-//! - L1 and PSNR (peak 255) in the patch over all channels, of the rendered 8-bit picture.
+//! - L1 and PSNR (peak 255) in the patch over all channels, of the rendered 8-bit image.
 //!
-//! Measures of the whole picture are left out: most of it is background, so a picture without any
+//! Measures of the whole image are left out: most of it is background, so an image without any
 //! contact scores as high as a good one.
 
 use image::RgbImage;
@@ -23,17 +23,17 @@ const OUTSIDE_PX: f64 = 45.0;
 /// The patch reaches this far beyond the contact's border, pixels.
 const PATCH_PX: f64 = 10.0;
 
-/// Change of a picture: planes of red, green, blue, grey levels, each `width * height`.
+/// Change of an image: planes of red, green, blue, grey levels, each `width * height`.
 pub type ChangePlanes = [Vec<f32>; 3];
 
 /// What a real press changed.
 #[derive(Clone, Debug)]
 pub struct ObservedChange {
-    /// Factor on the no-contact picture, per channel.
+    /// Factor on the no-contact image, per channel.
     pub gain: [f64; 3],
     /// Added after the gain, grey levels.
     pub offset: [f64; 3],
-    /// The picture less gain · no-contact + offset.
+    /// The image less gain · no-contact + offset.
     pub change: ChangePlanes,
     /// Root mean square of the change where the background was fitted, grey levels.
     pub outside_rms: [f64; 3],
@@ -75,8 +75,8 @@ pub struct Score {
     pub presses: Vec<PressScore>,
 }
 
-/// Scores a renderer on presses of a set, by index. `render` gives the change of the picture
-/// that a contact makes; [`change_between`] takes it from two pictures.
+/// Scores a renderer on presses of a set, by index. `render` gives the change of the image
+/// that a contact makes; [`change_between`] takes it from two images.
 ///
 /// # Errors
 /// Those of `render`.
@@ -118,7 +118,7 @@ pub fn score(
     })
 }
 
-/// What differs between two pictures of the same size.
+/// What differs between two images of the same size.
 pub fn change_between(pressed: &RgbImage, untouched: &RgbImage) -> ChangePlanes {
     let mut change = planes_of(pressed);
     for (plane, other) in change.iter_mut().zip(planes_of(untouched)) {
@@ -133,19 +133,19 @@ pub fn change_between(pressed: &RgbImage, untouched: &RgbImage) -> ChangePlanes 
 pub fn observe(set: &PressSet, press: &LabelledPress) -> ObservedChange {
     let distance = Distance::of(press);
     let outside = |i: usize| distance.at(i) > press.radius_px + OUTSIDE_PX;
-    observe_where(set, &press.picture, outside)
+    observe_where(set, &press.image, outside)
 }
 
 /// [`observe`] with the background fitted on the pixels of a choice.
 pub(super) fn observe_where(
     set: &PressSet,
-    picture: &RgbImage,
+    image: &RgbImage,
     chosen: impl Fn(usize) -> bool,
 ) -> ObservedChange {
     let mut seen = ObservedChange {
         gain: [1.0; 3],
         offset: [0.0; 3],
-        change: planes_of(picture),
+        change: planes_of(image),
         outside_rms: [0.0; 3],
     };
     let chosen: Vec<usize> = (0..seen.change[0].len()).filter(|i| chosen(*i)).collect();
@@ -188,7 +188,7 @@ impl Distance {
     pub(super) fn of(press: &LabelledPress) -> Self {
         Self {
             centre_px: press.centre_px,
-            width: press.picture.width() as usize,
+            width: press.image.width() as usize,
         }
     }
 
@@ -224,7 +224,7 @@ impl PatchSums {
             absolute: 0.0,
             values: 0.0,
         };
-        for (i, real) in press.picture.pixels().enumerate() {
+        for (i, real) in press.image.pixels().enumerate() {
             if !in_patch(distance.at(i), press.radius_px) {
                 continue;
             }
@@ -232,7 +232,7 @@ impl PatchSums {
                 let background =
                     observed.gain[c] * f64::from(set.untouched[c][i]) + observed.offset[c];
                 let change = change.map_or(0.0, |planes| f64::from(planes[c][i]));
-                // The picture has 8 bits: + 0.5 rounds, the cast saturates.
+                // The image has 8 bits: + 0.5 rounds, the cast saturates.
                 let shown = (background + change + 0.5) as u8;
                 let error = f64::from(shown) - f64::from(real);
                 sums.square += error * error;

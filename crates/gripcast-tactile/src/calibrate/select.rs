@@ -20,7 +20,7 @@ const FIRST_SIGMA_M: f64 = 1e-4;
 /// Ridges that are tried, of the mean square of nx and ny.
 const RIDGES: [f64; 7] = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 1e-1];
 /// Most folds of the cross-validation.
-const MOST_FOLDS: usize = 7;
+const MAX_FOLDS: usize = 7;
 /// The model with fewest terms within this distance of the best is taken.
 const AS_GOOD: f64 = 0.002;
 /// Standard deviation of the contacts' places, of half the longer side, from which terms of the
@@ -179,7 +179,7 @@ impl Bench<'_> {
                 PressSums::take(self.set, &self.set.presses[*i], &seen.change, &smoothing)
             })
             .collect();
-        let folds = sums.len().min(MOST_FOLDS);
+        let folds = sums.len().min(MAX_FOLDS);
         let without: Vec<SquareSums> = (0..folds)
             .map(|fold| {
                 let others = sums.iter().enumerate().filter(|(i, _)| i % folds != fold);

@@ -1,4 +1,4 @@
-//! The picture of a calibration: real, rendered and residual, press by press.
+//! The image of a calibration: real, rendered and residual, press by press.
 
 use image::{Rgb, RgbImage};
 
@@ -14,7 +14,7 @@ const SIDE: std::ops::RangeInclusive<u32> = 96..=400;
 const GAP: u32 = 4;
 /// Rows of a caption.
 const CAPTION: u32 = caption::HEIGHT + 4;
-/// Grey levels of the residual picture to one of the residual.
+/// Grey levels of the residual image to one of the residual.
 const RESIDUAL_GAIN: f32 = 2.0;
 /// Columns.
 const COLUMNS: [&str; 4] = ["no contact", "real", "rendered", "residual x2"];
@@ -26,7 +26,7 @@ pub(super) struct Row<'a> {
     pub(super) score: &'a PressScore,
 }
 
-/// One row a press: the background with its drift, the real picture, the rendered one, and real −
+/// One row a press: the background with its drift, the real image, the rendered one, and real −
 /// rendered at twice its size around grey; above each row the file and its scores.
 pub(super) fn sheet(set: &PressSet, rows: &[Row<'_>]) -> RgbImage {
     let radius = rows
@@ -58,7 +58,7 @@ pub(super) fn sheet(set: &PressSet, rows: &[Row<'_>]) -> RgbImage {
 fn draw_row(sheet: &mut RgbImage, set: &PressSet, row: &Row<'_>, side: u32, top: u32) {
     let press = &set.presses[row.index];
     let observed = observe(set, press);
-    let (width, height) = press.picture.dimensions();
+    let (width, height) = press.image.dimensions();
     let corner = |centre: f64, full: u32| {
         let first = centre - 0.5 * f64::from(side);
         first.clamp(0.0, f64::from(full.saturating_sub(side))) as u32
@@ -71,7 +71,7 @@ fn draw_row(sheet: &mut RgbImage, set: &PressSet, row: &Row<'_>, side: u32, top:
         for dx in 0..side.min(width) {
             let (x, y) = (left + dx, upper + dy);
             let i = (y * width + x) as usize;
-            let real = press.picture.get_pixel(x, y).0;
+            let real = press.image.get_pixel(x, y).0;
             let background: [f32; 3] = std::array::from_fn(|c| {
                 (observed.gain[c] * f64::from(set.untouched[c][i]) + observed.offset[c]) as f32
             });

@@ -36,11 +36,11 @@ struct Sample {
 }
 
 impl TaximTable {
-    /// Fits a table of `bins` × `bins` to presses on pictures of `image_size` (columns, rows).
+    /// Fits a table of `bins` × `bins` to presses on images of `image_size` (columns, rows).
     ///
     /// # Errors
     /// `Input` where there is no press, fewer than 2 bins, a press of another size, or one
-    /// without a pixel of contact in the picture.
+    /// without a pixel of contact in the image.
     pub fn fit(presses: &[BallPress<'_>], image_size: [usize; 2], bins: usize) -> Result<Self> {
         let refused = |what: String| Error::input(what);
         if presses.is_empty() || bins < 2 {
@@ -60,7 +60,7 @@ impl TaximTable {
             }
             let sheet = press.binned(image_size[0], bins).ok_or_else(|| {
                 refused(format!(
-                    "press {index}: no pixel of its contact lies in the picture"
+                    "press {index}: no pixel of its contact lies in the image"
                 ))
             })?;
             sheets.push(sheet);

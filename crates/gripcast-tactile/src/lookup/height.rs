@@ -4,32 +4,32 @@
 use crate::gaussian::{Gaussian, Region};
 use crate::press_depth::PressDepth;
 
-/// Parameters of the height map, in pixels of Taxim's picture; and that picture.
+/// Parameters of the height map, in pixels of Taxim's image; and that image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TaximHeights {
-    /// Size of a pixel of Taxim's picture, m.
+    /// Size of a pixel of Taxim's image, m.
     pub pixel_m: f64,
-    /// Columns and rows of Taxim's picture.
+    /// Columns and rows of Taxim's image.
     pub image_size: [usize; 2],
     /// Standard deviations of the filters of the pyramid, in order, pixels.
     pub pyramid_px: Vec<f64>,
     /// Standard deviation of the filter that ends it, pixels.
     pub last_px: f64,
-    /// Where the press is deeper than this share of its deepest point, the object's shape is put
+    /// Where the press is deeper than this fraction of its deepest point, the object's shape is put
     /// back.
-    pub kept_share: f64,
+    pub kept_fraction: f64,
 }
 
 impl Default for TaximHeights {
     /// The published ones, of kernels of 201, 101, 51, 21, 11 and 5 pixels and a last one of 5, on
-    /// pictures of 640 × 480 at 0.0295 mm.
+    /// images of 640 × 480 at 0.0295 mm.
     fn default() -> Self {
         Self {
             pixel_m: 2.95e-5,
             image_size: [640, 480],
             pyramid_px: vec![30.5, 15.5, 8.0, 3.5, 2.0, 1.1],
             last_px: 1.1,
-            kept_share: 0.4,
+            kept_fraction: 0.4,
         }
     }
 }
@@ -39,7 +39,7 @@ impl TaximHeights {
     pub(super) fn heights(&self, press: &PressDepth) -> Vec<f32> {
         let grid = &press.geometry;
         let own_pixels = self.pixel_m / grid.pixel_m;
-        let kept = (self.kept_share * press.deepest_m()) as f32;
+        let kept = (self.kept_fraction * press.deepest_m()) as f32;
         let mut heights = press.depth_m.clone();
         let Some(mut region) = Region::of_nonzero(&heights, grid.width) else {
             return heights;

@@ -41,10 +41,10 @@ pub struct LookupRenderer {
 }
 
 impl LookupRenderer {
-    /// A renderer over a no-contact picture, without shadows.
+    /// A renderer over a no-contact image, without shadows.
     ///
     /// # Errors
-    /// `Input` where the picture has another size than the grid.
+    /// `Input` where the image has another size than the grid.
     pub fn new(
         grid: SensorGeometry,
         background: RgbImage,
@@ -54,7 +54,7 @@ impl LookupRenderer {
         let found = (background.width() as usize, background.height() as usize);
         if found != (grid.width, grid.height) {
             return Err(Error::input(format!(
-                "the no-contact picture must be of {} × {} pixels, found {} × {}",
+                "the no-contact image must be of {} × {} pixels, found {} × {}",
                 grid.width, grid.height, found.0, found.1
             )));
         }
@@ -75,7 +75,7 @@ impl LookupRenderer {
         self
     }
 
-    /// What a press changes in the no-contact picture, grey levels: red, green, blue, row by row,
+    /// What a press changes in the no-contact image, grey levels: red, green, blue, row by row,
     /// not rounded and not clipped.
     ///
     /// A flat face changes nothing, and up to a slope of 1.5 degrees the change grows in from
@@ -93,7 +93,7 @@ impl LookupRenderer {
         let heights = self.heights.heights(press);
         let light = self.shadows.as_ref().map(|s| s.light(&heights, &self.grid));
         let SensorGeometry { width, height, .. } = self.grid;
-        // The polynomials count in pixels of the table's own picture.
+        // The polynomials count in pixels of the table's own image.
         let [columns, rows] = self.table.image_size();
         let zoom = [columns as f64 / width as f64, rows as f64 / height as f64];
         let untouched = self.background.pixels();
@@ -101,11 +101,11 @@ impl LookupRenderer {
             let at = [pixel % width, pixel / width];
             let slope = slope(&heights, &self.grid, at);
             let place = [0, 1].map(|axis| (at[axis] as f64 + 0.5) * zoom[axis] - 0.5);
-            let share = share_of_change(slope);
-            let change = if share == 0.0 {
+            let fraction = fraction_of_change(slope);
+            let change = if fraction == 0.0 {
                 [0.0; 3]
             } else {
-                self.table.change(slope, place).map(|c| c * share)
+                self.table.change(slope, place).map(|c| c * fraction)
             };
             [0, 1, 2].map(|channel| {
                 let change = change[channel] as f32;
@@ -117,19 +117,19 @@ impl LookupRenderer {
         Ok(untouched.enumerate().map(change).collect())
     }
 
-    /// Picture of a press.
+    /// Image of a press.
     ///
     /// # Errors
     /// `Input` where the press was taken on another grid.
-    pub fn picture(&self, press: &PressDepth) -> Result<RgbImage> {
-        let mut picture = self.background.clone();
-        for (Rgb(pixel), change) in picture.pixels_mut().zip(self.change(press)?) {
+    pub fn image(&self, press: &PressDepth) -> Result<RgbImage> {
+        let mut image = self.background.clone();
+        for (Rgb(pixel), change) in image.pixels_mut().zip(self.change(press)?) {
             for (value, change) in pixel.iter_mut().zip(change) {
                 // The cast saturates at 0 and 255.
                 *value = (f32::from(*value) + change).round() as u8;
             }
         }
-        Ok(picture)
+        Ok(image)
     }
 }
 
@@ -144,14 +144,14 @@ impl SceneRenderer for LookupRenderer {
 
     fn render(&mut self, scene: &TactileScene<'_>, _seed: Option<u64>) -> Result<RgbImage> {
         let press = object_depth(scene, &self.grid, &mut self.rasteriser);
-        self.picture(&press)
+        self.image(&press)
     }
 }
 
-/// Share of the table's change that a slope shows. A table knows nothing of a face that is all
+/// Fraction of the table's change that a slope shows. A table knows nothing of a face that is all
 /// but flat: of that a press of a ball holds a few pixels in its middle, deep in the gel. What is
 /// left of the filters far from a contact must not take their colour.
-fn share_of_change(slope: [f32; 2]) -> f64 {
+fn fraction_of_change(slope: [f32; 2]) -> f64 {
     let angle = f64::from(slope[0].hypot(slope[1])).atan().to_degrees();
     ((angle - FLAT_DEGREES) / (SLOPED_DEGREES - FLAT_DEGREES)).clamp(0.0, 1.0)
 }
@@ -200,12 +200,12 @@ mod tests {
     #[test]
     fn slopes_take_the_tables_colours_and_saturate() {
         let table = TaximTable::constant(9, [640, 480], [200.0, -20.0, 0.4]);
-        let picture = renderer(table).picture(&block()).unwrap();
-        assert_eq!(picture.get_pixel(24, 24), &Rgb([255, 90, 120]));
+        let image = renderer(table).image(&block()).unwrap();
+        assert_eq!(image.get_pixel(24, 24), &Rgb([255, 90, 120]));
     }
 
     #[test]
-    fn places_are_scaled_to_the_tables_picture() {
+    fn places_are_scaled_to_the_tables_image() {
         // Ten times as large: pixel (24, 24) lies at (244.5, 244.5).
         let table = TaximTable::linear_in_column(9, [640, 480]);
         let change = renderer(table).change(&block()).unwrap();
@@ -240,24 +240,24 @@ mod tests {
 
     #[test]
     fn the_change_grows_in_from_a_flat_face() {
-        let share = |degrees: f64| share_of_change([0.0, -degrees.to_radians().tan() as f32]);
-        assert_eq!([0.0, 0.09].map(share), [0.0; 2]);
-        assert!((share(0.8) - 0.5).abs() < 1e-4);
-        assert_eq!([1.51, 80.0].map(share), [1.0; 2]);
+        let fraction = |degrees: f64| fraction_of_change([0.0, -degrees.to_radians().tan() as f32]);
+        assert_eq!([0.0, 0.09].map(fraction), [0.0; 2]);
+        assert!((fraction(0.8) - 0.5).abs() < 1e-4);
+        assert_eq!([1.51, 80.0].map(fraction), [1.0; 2]);
     }
 
     #[test]
     fn shadows_only_darken() {
         let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
-        let plain = renderer(table.clone()).picture(&block()).unwrap();
+        let plain = renderer(table.clone()).image(&block()).unwrap();
         let shaded = renderer(table).with_shadows(Shadows::default());
-        let shaded = shaded.picture(&block()).unwrap();
+        let shaded = shaded.image(&block()).unwrap();
         assert!(shaded.iter().zip(plain.iter()).all(|(a, b)| a <= b));
         assert!(shaded != plain);
     }
 
     #[test]
-    fn pictures_and_presses_of_another_size_are_explained() {
+    fn images_and_presses_of_another_size_are_explained() {
         let table = TaximTable::constant(9, [640, 480], [0.0; 3]);
         let small = RgbImage::new(32, 48);
         let text = LookupRenderer::new(GRID, small, table.clone(), TaximHeights::default());
@@ -268,6 +268,6 @@ mod tests {
         );
         let mut press = block();
         press.geometry.pixel_m = 2e-4;
-        assert!(renderer(table).picture(&press).is_err());
+        assert!(renderer(table).image(&press).is_err());
     }
 }

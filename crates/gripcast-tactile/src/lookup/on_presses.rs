@@ -7,10 +7,10 @@ use gripcast_base::error::Result;
 /// Bins of a table along each axis, as Taxim has them.
 const BINS: usize = 125;
 
-/// A renderer over the no-contact picture of a set, its table fitted to some of the presses.
+/// A renderer over the no-contact image of a set, its table fitted to some of the presses.
 ///
 /// # Errors
-/// `Input` where no index is given, or a contact lies outside the picture.
+/// `Input` where no index is given, or a contact lies outside the image.
 pub fn fit_to_presses(
     set: &PressSet,
     indices: &[usize],

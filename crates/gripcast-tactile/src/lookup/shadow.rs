@@ -8,12 +8,12 @@ use crate::press_depth::SensorGeometry;
 pub struct ShadowLamp {
     /// Channel that it lights: 0 red, 1 green, 2 blue.
     pub channel: usize,
-    /// Direction to it in the picture, from the columns' axis towards the rows', rad.
+    /// Direction to it in the image, from the columns' axis towards the rows', rad.
     pub azimuth_rad: f64,
     /// Rise of its light over the gel, m per m.
     pub rise: f64,
-    /// Share of the channel's light that it gives.
-    pub share: f64,
+    /// Fraction of the channel's light that it gives.
+    pub fraction: f64,
 }
 
 /// Lamps and the softness of their shadows.
@@ -28,14 +28,14 @@ pub struct Shadows {
 }
 
 impl Default for Shadows {
-    /// Red, green, blue a third of a turn apart, red from the top of the picture, flat enough for
+    /// Red, green, blue a third of a turn apart, red from the top of the image, flat enough for
     /// the edge of a press of 1 mm to throw a shadow of 2 mm. A guess, not a measurement.
     fn default() -> Self {
         let lamp = |channel, degrees: f64| ShadowLamp {
             channel,
             azimuth_rad: degrees.to_radians(),
             rise: 0.5,
-            share: 0.35,
+            fraction: 0.35,
         };
         Self {
             lamps: vec![lamp(0, -90.0), lamp(1, 30.0), lamp(2, 150.0)],
@@ -46,7 +46,7 @@ impl Default for Shadows {
 }
 
 impl Shadows {
-    /// Share of each channel's light that arrives, row by row.
+    /// Fraction of each channel's light that arrives, row by row.
     pub(super) fn light(&self, heights_m: &[f32], grid: &SensorGeometry) -> [Vec<f32>; 3] {
         let mut light = [0; 3].map(|_| vec![1.0; heights_m.len()]);
         for lamp in &self.lamps {
@@ -59,7 +59,7 @@ impl Shadows {
                 Gaussian::new(softness).apply(&mut shade, grid.width, region);
             }
             for (light, shade) in plane.iter_mut().zip(shade) {
-                *light *= 1.0 - lamp.share as f32 * shade;
+                *light *= 1.0 - lamp.fraction as f32 * shade;
             }
         }
         light
@@ -129,7 +129,7 @@ mod tests {
                 channel: 1,
                 azimuth_rad: std::f64::consts::PI,
                 rise: 0.5,
-                share: 0.4,
+                fraction: 0.4,
             }],
             reach_m: 5e-3,
             softness_m: 0.0,

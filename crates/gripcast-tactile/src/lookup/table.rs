@@ -87,13 +87,13 @@ impl TaximTable {
         self.bins
     }
 
-    /// Columns and rows of the pictures it is for.
+    /// Columns and rows of the images it is for.
     pub fn image_size(&self) -> [usize; 2] {
         self.image_size
     }
 
     /// Change of red, green and blue (grey levels) of a pixel at `place` (column, row of the
-    /// table's picture) where the height towards the camera rises by `slope` (pixels per pixel,
+    /// table's image) where the height towards the camera rises by `slope` (pixels per pixel,
     /// along columns and rows).
     ///
     /// A fitted table keeps to its presses: a place outside of those that a bin has seen counts as
@@ -119,7 +119,7 @@ impl TaximTable {
 /// Bin of a slope angle, 0 to π/2, and a direction, −π to π.
 pub(super) fn bin(bins: usize, angle: f64, direction: f64) -> usize {
     let last = bins - 1;
-    let along = |share: f64| ((share * last as f64) as usize).min(last);
+    let along = |fraction: f64| ((fraction * last as f64) as usize).min(last);
     along(angle / FRAC_PI_2) * bins + along((direction + PI) / TAU)
 }
 

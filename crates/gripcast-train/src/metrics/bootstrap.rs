@@ -81,7 +81,7 @@ impl Bootstrap {
             figures.extend(defined(&multiplicities));
         }
         figures.sort_by(f64::total_cmp);
-        let [low, high] = QUANTILES.map(|share| quantile(&figures, share));
+        let [low, high] = QUANTILES.map(|fraction| quantile(&figures, fraction));
         Some(Interval {
             estimate,
             low: low?,

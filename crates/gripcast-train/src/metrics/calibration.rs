@@ -40,7 +40,7 @@ pub fn log_loss(samples: &[Scored]) -> Option<f64> {
 }
 
 /// Expected calibration error over 15 bins of equal width (Naeini et al. 2015): the mean, over the
-/// samples, of the difference between a bin's mean probability of stable and its share of stable
+/// samples, of the difference between a bin's mean probability of stable and its fraction of stable
 /// grasps. 0..1; none without samples.
 pub fn expected_calibration_error(samples: &[Scored]) -> Option<f64> {
     ReliabilityTable::new(samples).expected_calibration_error()
@@ -61,7 +61,7 @@ pub struct ChanceCalibration {
 
 impl ChanceCalibration {
     /// Draws outcomes with the probabilities that were predicted. `lifts` names the lift of each
-    /// sample: several pictures of one lift share its outcome. None without samples.
+    /// sample: several images of one lift share its outcome. None without samples.
     pub fn new(samples: &[Scored], lifts: &[usize], seed: u64) -> Option<Self> {
         let count = lifts.iter().max().map_or(0, |last| last + 1) as u64;
         let mut drawn = samples.to_vec();
@@ -81,14 +81,14 @@ impl ChanceCalibration {
     }
 }
 
-/// Calibration for the share of grasps that held among the samples. A model that was fitted to as many
+/// Calibration for the fraction of grasps that held among the samples. A model that was fitted to as many
 /// stable as lost grasps cannot know how often grasps hold elsewhere; its odds are multiplied by the
 /// samples' own (Saerens, Latinne & Decaestecker 2002, *Adjusting the outputs of a classifier to new a
-/// priori probabilities*). The share is one number taken from the outcomes themselves, so this is what
+/// priori probabilities*). The fraction is one number taken from the outcomes themselves, so this is what
 /// a user who knows how often their grasps hold could reach, not what the model says by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BaseRateCalibration {
-    /// Share of the samples that is stable, in (0, 1).
+    /// Fraction of the samples that is stable, in (0, 1).
     pub base_rate: f64,
     /// Expected calibration error of the adjusted probabilities, 15 bins.
     pub ece: f64,
@@ -153,8 +153,8 @@ pub struct ReliabilityBin {
     pub n: usize,
     /// Their mean probability of stable.
     pub mean_p: Option<f64>,
-    /// Share of them that is stable.
-    pub stable_share: Option<f64>,
+    /// Fraction of them that is stable.
+    pub stable_fraction: Option<f64>,
 }
 
 #[derive(Clone, Copy, Default)]
@@ -181,7 +181,7 @@ impl ReliabilityTable {
             high: edge(i + 1),
             n: sums.n,
             mean_p: mean_of(sums.p, sums.n),
-            stable_share: mean_of(sums.stable as f64, sums.n),
+            stable_fraction: mean_of(sums.stable as f64, sums.n),
         });
         Self {
             bins: bins.collect(),
@@ -196,7 +196,7 @@ impl ReliabilityTable {
     /// See [`expected_calibration_error`].
     pub fn expected_calibration_error(&self) -> Option<f64> {
         let error = |bin: &ReliabilityBin| {
-            let gap = bin.mean_p? - bin.stable_share?;
+            let gap = bin.mean_p? - bin.stable_fraction?;
             Some(bin.n as f64 * gap.abs())
         };
         mean_of(self.bins.iter().filter_map(error).sum(), self.n())
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     fn the_calibration_error_weighs_bins_by_their_samples() {
-        // Bin of 0.9: three samples, mean 0.9, share 2/3. Bin of 0.1: one sample, share 0.
+        // Bin of 0.9: three samples, mean 0.9, fraction 2/3. Bin of 0.1: one sample, fraction 0.
         let samples = scored(&[(0.9, true), (0.9, true), (0.9, false), (0.1, false)]);
         let expected = 0.75 * (0.9 - 2.0 / 3.0) + 0.25 * 0.1;
         let ece = expected_calibration_error(&samples).unwrap();
@@ -291,7 +291,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_of_one_lift_are_one_chance() {
+    fn images_of_one_lift_are_one_chance() {
         let once = smooth_samples(200, 4);
         let thrice: Vec<Scored> = once.iter().flat_map(|s| [*s; 3]).collect();
         let lifts: Vec<usize> = (0..600).map(|i| i / 3).collect();

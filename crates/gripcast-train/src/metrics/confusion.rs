@@ -20,11 +20,11 @@ pub struct ConfusionMatrix {
 /// How well one class is found; none where nothing can be counted.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ClassFigures {
-    /// Share of the predictions of this class that are right.
+    /// Fraction of the predictions of this class that are right.
     pub precision: Option<f64>,
-    /// Share of the grasps of this class that are found.
+    /// Fraction of the grasps of this class that are found.
     pub recall: Option<f64>,
-    /// Share of the grasps of the other class that are told apart from this one.
+    /// Fraction of the grasps of the other class that are told apart from this one.
     pub specificity: Option<f64>,
 }
 
@@ -58,9 +58,9 @@ impl ConfusionMatrix {
         self.true_unstable + self.false_stable
     }
 
-    /// Share of right decisions. None without samples.
+    /// Fraction of right decisions. None without samples.
     pub fn accuracy(&self) -> Option<f64> {
-        share(self.true_stable + self.true_unstable, self.n())
+        fraction(self.true_stable + self.true_unstable, self.n())
     }
 
     /// Mean recall of the two classes. None with one class only.
@@ -68,32 +68,32 @@ impl ConfusionMatrix {
         Some(0.5 * (self.stable().recall? + self.unstable().recall?))
     }
 
-    /// Share of the unstable grasps that are predicted stable: the false positive rate. None
+    /// Fraction of the unstable grasps that are predicted stable: the false positive rate. None
     /// without an unstable sample.
     pub fn false_stable_rate(&self) -> Option<f64> {
-        share(self.false_stable, self.n_unstable())
+        fraction(self.false_stable, self.n_unstable())
     }
 
     /// How well stable grasps are found.
     pub fn stable(&self) -> ClassFigures {
         ClassFigures {
-            precision: share(self.true_stable, self.true_stable + self.false_stable),
-            recall: share(self.true_stable, self.n_stable()),
-            specificity: share(self.true_unstable, self.n_unstable()),
+            precision: fraction(self.true_stable, self.true_stable + self.false_stable),
+            recall: fraction(self.true_stable, self.n_stable()),
+            specificity: fraction(self.true_unstable, self.n_unstable()),
         }
     }
 
     /// How well unstable grasps are found.
     pub fn unstable(&self) -> ClassFigures {
         ClassFigures {
-            precision: share(self.true_unstable, self.true_unstable + self.false_unstable),
-            recall: share(self.true_unstable, self.n_unstable()),
-            specificity: share(self.true_stable, self.n_stable()),
+            precision: fraction(self.true_unstable, self.true_unstable + self.false_unstable),
+            recall: fraction(self.true_unstable, self.n_unstable()),
+            specificity: fraction(self.true_stable, self.n_stable()),
         }
     }
 }
 
-fn share(part: usize, whole: usize) -> Option<f64> {
+fn fraction(part: usize, whole: usize) -> Option<f64> {
     (whole > 0).then(|| part as f64 / whole as f64)
 }
 

@@ -24,9 +24,9 @@ pub(super) struct Tie {
 /// A point of a receiver operating characteristic (ROC) curve; stable is positive.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RocPoint {
-    /// Share of the unstable grasps that are predicted stable: the false positive rate.
+    /// Fraction of the unstable grasps that are predicted stable: the false positive rate.
     pub false_stable_rate: f64,
-    /// Share of the stable grasps that are predicted stable: the true positive rate.
+    /// Fraction of the stable grasps that are predicted stable: the true positive rate.
     pub true_stable_rate: f64,
     /// Lowest prediction that counts as stable; none where no grasp does.
     pub threshold: Option<f64>,
@@ -35,9 +35,9 @@ pub struct RocPoint {
 /// A point of a precision–recall curve of the stable class.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PrecisionRecallPoint {
-    /// Share of the stable grasps that are predicted stable.
+    /// Fraction of the stable grasps that are predicted stable.
     pub recall: f64,
-    /// Share of the grasps predicted stable that are stable.
+    /// Fraction of the grasps predicted stable that are stable.
     pub precision: f64,
     /// Lowest prediction that counts as stable at the end of the step on which the point lies.
     pub threshold: f64,

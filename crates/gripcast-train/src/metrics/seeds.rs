@@ -37,7 +37,7 @@ pub struct SeedSummary {
     pub seeds: usize,
     /// Thresholds, chosen for each seed.
     pub threshold: Option<Spread>,
-    /// Share of right decisions at the threshold.
+    /// Fraction of right decisions at the threshold.
     pub accuracy: Option<Spread>,
     /// Mean recall of the two classes at the threshold.
     pub balanced_accuracy: Option<Spread>,

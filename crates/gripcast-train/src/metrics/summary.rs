@@ -22,7 +22,7 @@ pub struct Summary {
     pub threshold: f64,
     /// Decisions at the threshold.
     pub confusion: ConfusionMatrix,
-    /// Share of right decisions at the threshold.
+    /// Fraction of right decisions at the threshold.
     pub accuracy: Option<f64>,
     /// Mean recall of the two classes at the threshold.
     pub balanced_accuracy: Option<f64>,
@@ -70,7 +70,7 @@ pub struct GroupSummary {
     pub n: usize,
     /// Stable ones among them.
     pub stable: usize,
-    /// Share of right decisions.
+    /// Fraction of right decisions.
     pub accuracy: Option<f64>,
     /// Area under the ROC curve.
     pub auroc: Option<f64>,

@@ -2,14 +2,14 @@
 
 mod tables;
 
-use super::evaluate::{EvalReport, ModelEvaluation, sample_pictures};
+use super::evaluate::{EvalReport, ModelEvaluation, sample_images};
 use super::metrics::Scored;
 use super::metrics::plot::{ModelCurve, precision_recall, reliability, roc};
 use super::samples::Samples;
 use gripcast_base::error::Result;
 use gripcast_report::fixed;
+use gripcast_report::image::{data_uri, image};
 use gripcast_report::page::{Page, definitions, grasp_card, nothing, section, warning};
-use gripcast_report::picture::{data_uri, picture};
 use maud::{Markup, Render, html};
 
 const STYLE: &str = include_str!("style.css");
@@ -24,7 +24,7 @@ const SECTIONS: [(&str, &str); 6] = [
     ("notes", "Notes"),
 ];
 
-/// The page of an evaluation; `samples` gives the pictures of the mistakes.
+/// The page of an evaluation; `samples` gives the images of the mistakes.
 ///
 /// # Errors
 /// Those of reading the samples.
@@ -132,12 +132,12 @@ fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
     ] {
         let mut cards = Vec::new();
         for mistake in model.mistakes.iter().filter(|m| m.stable == label) {
-            let [left, right, rgb] = sample_pictures(samples, mistake.sample)?;
-            let mut pictures = Vec::new();
-            for (image, name) in [(&rgb, "colour"), (&left, "left"), (&right, "right")] {
+            let [left, right, rgb] = sample_images(samples, mistake.sample)?;
+            let mut images = Vec::new();
+            for (pixels, name) in [(&rgb, "colour"), (&left, "left"), (&right, "right")] {
                 let id = format!("m{}-{name}", mistake.sample);
                 let alt = format!("{} {name}", mistake.id);
-                pictures.push(picture(&data_uri(image)?, &id, &alt));
+                images.push(image(&data_uri(pixels)?, &id, &alt));
             }
             let text = html! {
                 b { (mistake.object) }
@@ -146,7 +146,7 @@ fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
             };
             cards.push(grasp_card(
                 label,
-                html! { @for one in pictures { (one) } },
+                html! { @for one in images { (one) } },
                 text,
             ));
         }
@@ -154,7 +154,7 @@ fn mistakes(model: &ModelEvaluation, samples: &Samples) -> Result<Markup> {
     }
     Ok(html! {
         p {
-            "One of each object at most. The small pictures are the tactile changes, grasp minus \
+            "One of each object at most. The small images are the tactile changes, grasp minus \
              initial, around grey: left above right."
         }
         @for (title, cards) in halves {
@@ -182,7 +182,7 @@ fn notes(report: &EvalReport) -> Markup {
         ),
         (
             "In contact",
-            &"Samples in which at least 0.4 % of both tactile pictures changed by more than 25 \
+            &"Samples in which at least 0.4 % of both tactile images changed by more than 25 \
               grey levels. Grasps without visible contact are easy: they are lost.",
         ),
         (

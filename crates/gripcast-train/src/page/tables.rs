@@ -8,7 +8,7 @@ use gripcast_report::{MISSING, fixed, optional};
 use maud::{Markup, Render, html};
 
 /// Objects that a page names.
-const MOST_OBJECTS: usize = 60;
+const MAX_OBJECTS: usize = 60;
 
 pub(super) fn summary(report: &EvalReport) -> Markup {
     html! {
@@ -178,9 +178,9 @@ pub(super) fn groups(model: &ModelEvaluation) -> Markup {
         div.tables {
             (table("Category", &model.categories))
             (table("Stopping force", &model.forces))
-            (table("Object, the worst first", &objects[..objects.len().min(MOST_OBJECTS)]))
-            @if objects.len() > MOST_OBJECTS {
-                p { (objects.len() - MOST_OBJECTS) " more are in eval.json." }
+            (table("Object, the worst first", &objects[..objects.len().min(MAX_OBJECTS)]))
+            @if objects.len() > MAX_OBJECTS {
+                p { (objects.len() - MAX_OBJECTS) " more are in eval.json." }
             }
         }
     }

@@ -42,7 +42,7 @@ fn at(material: &Prepared, outgoing: Vec3) -> Bsdf<'_> {
     material.at(&[], [0.0; 2], outgoing)
 }
 
-/// Share of the light from all directions that is scattered, by sampling.
+/// Fraction of the light from all directions that is scattered, by sampling.
 fn sampled_albedo(material: &Prepared, outgoing: Vec3) -> Vec3 {
     let net = Net::new(4096, 3);
     let bsdf = at(material, outgoing);
@@ -140,7 +140,7 @@ fn no_material_returns_more_than_it_gets() {
 }
 
 #[test]
-fn densities_integrate_to_the_share_of_samples_that_scatter() {
+fn densities_integrate_to_the_fraction_of_samples_that_scatter() {
     for case in [
         Material::grey(0.5),
         white(0.4, 0.0),

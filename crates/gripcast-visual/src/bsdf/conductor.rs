@@ -51,12 +51,12 @@ impl Conductor {
         let facets = ggx.density(m) / (4.0 * outgoing.z);
         let fresnel = conductor(outgoing.dot(m), self.eta, self.k);
         let cosine = cosine_density(incoming);
-        let share = rough.all.at(outgoing.z);
-        let spread = (1.0 - share) * (1.0 - rough.all.at(incoming.z)) * cosine;
+        let fraction = rough.all.at(outgoing.z);
+        let spread = (1.0 - fraction) * (1.0 - rough.all.at(incoming.z)) * cosine;
         let seen = ggx.visible_from_both(outgoing, incoming);
         Value {
             value: fresnel * (facets * seen) + rough.repeated * spread,
-            pdf: share * facets * ggx.visible(outgoing) + (1.0 - share) * cosine,
+            pdf: fraction * facets * ggx.visible(outgoing) + (1.0 - fraction) * cosine,
         }
     }
 

@@ -25,7 +25,7 @@ pub(in super::super) struct Dielectric {
 #[derive(Clone, Debug)]
 struct Facets {
     ggx: Ggx,
-    /// Share of the light that single scattering keeps, seen from outside and from inside.
+    /// Fraction of the light that single scattering keeps, seen from outside and from inside.
     kept: [AlbedoTable; 2],
 }
 

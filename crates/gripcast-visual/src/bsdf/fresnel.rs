@@ -1,4 +1,4 @@
-//! Share of the light that a smooth boundary reflects.
+//! Fraction of the light that a smooth boundary reflects.
 
 use glam::Vec3;
 

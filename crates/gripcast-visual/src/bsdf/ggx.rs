@@ -44,13 +44,13 @@ impl Ggx {
         0.5 * ((1.0 + self.alpha * self.alpha * tan2).sqrt() - 1.0)
     }
 
-    /// Share of the facets that are visible from `v`.
+    /// Fraction of the facets that are visible from `v`.
     #[inline(always)]
     pub(super) fn visible(&self, v: Vec3) -> f32 {
         1.0 / (1.0 + self.lambda(v))
     }
 
-    /// Share of the facets that are visible from both directions (height-correlated).
+    /// Fraction of the facets that are visible from both directions (height-correlated).
     #[inline(always)]
     pub(super) fn visible_from_both(&self, a: Vec3, b: Vec3) -> f32 {
         1.0 / (1.0 + self.lambda(a) + self.lambda(b))

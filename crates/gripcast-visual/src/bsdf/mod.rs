@@ -23,7 +23,7 @@ use super::texture::Bitmap;
 /// What a pair of directions gives.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Value {
-    /// Scattered share times |cos| of the incoming direction, 1/sr.
+    /// Scattered fraction times |cos| of the incoming direction, 1/sr.
     pub(super) value: Vec3,
     /// Density with which the incoming direction is sampled, 1/sr.
     pub(super) pdf: f32,

@@ -13,10 +13,10 @@ use super::diffuse::{cosine_density, sample_cosine};
 use super::fresnel::{normal_reflectance, schlick_weight};
 use super::ggx::Ggx;
 use super::{Sample, Value};
-use crate::picture::luminance;
+use crate::linear_image::luminance;
 
-/// Least share of either lobe in the samples, so that none is starved.
-const LEAST_SHARE: f32 = 0.1;
+/// Least fraction of either lobe in the samples, so that none is starved.
+const MIN_FRACTION: f32 = 0.1;
 
 /// Parameters that hold for the whole surface.
 #[derive(Clone, Debug)]
@@ -42,8 +42,8 @@ pub(in super::super) struct PrincipledAt<'a> {
     /// Factors of the base and of the metal's repeated reflections.
     base: Vec3,
     repeated: Vec3,
-    /// Share of the samples that go to the facets.
-    share: f32,
+    /// Fraction of the samples that go to the facets.
+    fraction: f32,
 }
 
 impl Principled {
@@ -90,19 +90,19 @@ impl Principled {
         let grey = luminance(colour.to_array());
         let facets = (1.0 - metal) * (1.0 - passed) + metal * grey * (1.0 - hidden);
         let spread = (1.0 - metal) * passed * grey + metal * grey * hidden;
-        let share = facets / (facets + spread).max(1e-6);
-        let share = if metal == 1.0 {
+        let fraction = facets / (facets + spread).max(1e-6);
+        let fraction = if metal == 1.0 {
             // Dark metal has no base that could be starved.
-            (1.0 - hidden).max(LEAST_SHARE)
+            (1.0 - hidden).max(MIN_FRACTION)
         } else {
-            share.clamp(LEAST_SHARE, 1.0 - LEAST_SHARE)
+            fraction.clamp(MIN_FRACTION, 1.0 - MIN_FRACTION)
         };
         PrincipledAt {
             surface: self,
             normal,
             base,
             repeated,
-            share,
+            fraction,
         }
     }
 }
@@ -125,13 +125,13 @@ impl PrincipledAt<'_> {
         let seen = ggx.visible_from_both(outgoing, incoming);
         Value {
             value: fresnel * (facets * seen) + spread * cosine,
-            pdf: self.share * facets * ggx.visible(outgoing) + (1.0 - self.share) * cosine,
+            pdf: self.fraction * facets * ggx.visible(outgoing) + (1.0 - self.fraction) * cosine,
         }
     }
 
     #[inline(always)]
     pub(super) fn sample(&self, outgoing: Vec3, choice: f32, u: [f32; 2]) -> Option<Sample> {
-        let direction = if choice < self.share {
+        let direction = if choice < self.fraction {
             let m = self.surface.ggx.sample_visible(outgoing, u);
             2.0 * outgoing.dot(m) * m - outgoing
         } else {
@@ -144,7 +144,7 @@ impl PrincipledAt<'_> {
         Sample::of(direction, value, pdf)
     }
 
-    /// Share of the light that is sent back in all, for guiding a denoiser.
+    /// Fraction of the light that is sent back in all, for guiding a denoiser.
     #[inline(always)]
     pub(super) fn albedo(&self) -> Vec3 {
         (self.base + self.normal).min(Vec3::ONE)

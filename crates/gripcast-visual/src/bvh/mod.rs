@@ -2,7 +2,7 @@
 //! in single precision.
 //!
 //! The ray–triangle test is watertight: Woop, Benthin, Wald, *Watertight ray/triangle intersection*
-//! (2013). Boxes are hit conservatively, so no ray slips through an edge that two triangles share.
+//! (2013). Boxes are hit conservatively, so no ray slips through an edge that two triangles fraction.
 //!
 //! Not `obvhs` (0.3): where two triangles share an edge, equal distances are decided by the order of
 //! traversal, and the winner's normal and material by the bits of the image. Another tree changes
@@ -27,7 +27,7 @@ const NOTHING: u32 = u32::MAX;
 /// Farther ends of boxes are moved by the largest error of their distance (3 roundings).
 const SAFETY: f32 = 1.000_000_6;
 /// Smallest component of a direction, so that its inverse is finite.
-const LEAST_COMPONENT: f32 = 1e-18;
+const MIN_COMPONENT: f32 = 1e-18;
 
 /// Boxes of eight children and what is in them.
 #[derive(Clone, Debug)]
@@ -97,8 +97,8 @@ impl<L: Lanes> Prepared<L> {
 /// Inverse of a component of a direction, finite.
 #[inline(always)]
 fn inverse(component: f32) -> f32 {
-    if component.abs() < LEAST_COMPONENT {
-        1.0 / LEAST_COMPONENT.copysign(component)
+    if component.abs() < MIN_COMPONENT {
+        1.0 / MIN_COMPONENT.copysign(component)
     } else {
         1.0 / component
     }

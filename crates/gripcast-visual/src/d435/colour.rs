@@ -1,9 +1,9 @@
-//! Light on the colour sensor to 8-bit pictures.
+//! Light on the colour sensor to 8-bit images.
 
 use image::RgbImage;
 use rayon::prelude::*;
 
-use crate::picture::{Picture, luminance};
+use crate::linear_image::{Image, luminance};
 use gripcast_base::random::gaussians;
 
 /// What exposure, lens and sensor do to the light.
@@ -13,9 +13,9 @@ pub struct ColourSettings {
     pub target_mean: f64,
     /// How far the automatic white balance goes towards a grey mean, 0 to 1.
     pub white_balance: f32,
-    /// Light that is lost in the corners, as a share.
+    /// Light that is lost in the corners, as a fraction.
     pub vignette: f32,
-    /// Blur of the lens, standard deviation in pixels of the picture.
+    /// Blur of the lens, standard deviation in pixels of the image.
     pub blur_px: f32,
     /// Electrons of a pixel that is just not clipped: the fewer, the more shot noise. A pixel of
     /// the 1/6" sensor holds about 5000 at gain 1; indoor gains of 2 to 8 divide that, pixels
@@ -43,23 +43,23 @@ impl Default for ColourSettings {
 }
 
 /// Exposure gains that are tried, as powers of 2 around a mean of 18 %.
-const MOST_STOPS: f32 = 12.0;
+const MAX_STOPS: f32 = 12.0;
 /// Halvings of that range: to 1/700 of a stop.
 const EXPOSURE_STEPS: u32 = 14;
 
-/// The 8-bit sRGB picture that the camera gives for linear light; the same seed gives the same
+/// The 8-bit sRGB image that the camera gives for linear light; the same seed gives the same
 /// bytes.
-pub fn develop(light: &Picture, settings: &ColourSettings, seed: u64) -> RgbImage {
-    let mut picture = cleaned(light);
-    vignette(&mut picture, settings.vignette);
-    blur(&mut picture, settings.blur_px);
-    let balance = white_balance(&picture, settings.white_balance);
-    let gain = exposure(&picture, balance, settings);
+pub fn develop(light: &Image, settings: &ColourSettings, seed: u64) -> RgbImage {
+    let mut image = cleaned(light);
+    vignette(&mut image, settings.vignette);
+    blur(&mut image, settings.blur_px);
+    let balance = white_balance(&image, settings.white_balance);
+    let gain = exposure(&image, balance, settings);
     let (full_well, read) = (
         settings.full_well_e.max(1.0),
         settings.read_noise_e.max(0.0),
     );
-    let pixels: Vec<[u8; 3]> = picture
+    let pixels: Vec<[u8; 3]> = image
         .pixels
         .par_iter()
         .enumerate()
@@ -77,39 +77,39 @@ pub fn develop(light: &Picture, settings: &ColourSettings, seed: u64) -> RgbImag
             finish(measured, settings.saturation).map(encode)
         })
         .collect();
-    let (width, height) = (picture.width as u32, picture.height as u32);
+    let (width, height) = (image.width as u32, image.height as u32);
     RgbImage::from_raw(width, height, pixels.into_flattened()).unwrap_or_default()
 }
 
 /// Light without negative values and values that are no numbers.
-fn cleaned(light: &Picture) -> Picture {
-    let mut picture = light.clone();
-    for value in picture.pixels.iter_mut().flatten() {
+fn cleaned(light: &Image) -> Image {
+    let mut image = light.clone();
+    for value in image.pixels.iter_mut().flatten() {
         *value = if value.is_finite() {
             value.max(0.0)
         } else {
             0.0
         };
     }
-    picture
+    image
 }
 
 /// Darkens towards the corners with the square of the distance from the middle.
-fn vignette(picture: &mut Picture, share: f32) {
-    let (width, height) = (picture.width as f32, picture.height as f32);
+fn vignette(image: &mut Image, fraction: f32) {
+    let (width, height) = (image.width as f32, image.height as f32);
     let corner = width * width + height * height;
-    for (row, pixels) in picture.pixels.chunks_mut(picture.width.max(1)).enumerate() {
+    for (row, pixels) in image.pixels.chunks_mut(image.width.max(1)).enumerate() {
         for (column, pixel) in pixels.iter_mut().enumerate() {
             let x = 2.0 * column as f32 + 1.0 - width;
             let y = 2.0 * row as f32 + 1.0 - height;
-            let factor = 1.0 - share * (x * x + y * y) / corner;
+            let factor = 1.0 - fraction * (x * x + y * y) / corner;
             *pixel = pixel.map(|v| v * factor);
         }
     }
 }
 
 /// Gaussian blur, first along rows, then along columns; the border is repeated.
-fn blur(picture: &mut Picture, sigma: f32) {
+fn blur(image: &mut Image, sigma: f32) {
     if sigma.is_nan() || sigma < 0.05 {
         return;
     }
@@ -118,9 +118,9 @@ fn blur(picture: &mut Picture, sigma: f32) {
         .map(|k| (-0.5 * (k as f32 / sigma).powi(2)).exp())
         .collect();
     let total: f32 = weights.iter().sum();
-    let (width, height) = (picture.width as isize, picture.height as isize);
+    let (width, height) = (image.width as isize, image.height as isize);
     for (dx, dy) in [(1, 0), (0, 1)] {
-        let source = picture.pixels.clone();
+        let source = image.pixels.clone();
         let sum_at = |index: usize| {
             let (x, y) = (index as isize % width, index as isize / width);
             let mut sum = [0.0; 3];
@@ -134,7 +134,7 @@ fn blur(picture: &mut Picture, sigma: f32) {
             }
             sum.map(|v| v / total)
         };
-        picture
+        image
             .pixels
             .par_iter_mut()
             .enumerate()
@@ -143,21 +143,21 @@ fn blur(picture: &mut Picture, sigma: f32) {
 }
 
 /// Gains of the channels that make the mean of the pixels that are neither very dark nor very
-/// bright grey, taken to the given share; their mean is 1 in G.
-fn white_balance(picture: &Picture, share: f32) -> [f32; 3] {
-    let mut levels: Vec<f32> = picture.pixels.iter().map(|p| luminance(*p)).collect();
+/// bright grey, taken to the given fraction; their mean is 1 in G.
+fn white_balance(image: &Image, fraction: f32) -> [f32; 3] {
+    let mut levels: Vec<f32> = image.pixels.iter().map(|p| luminance(*p)).collect();
     levels.sort_unstable_by(f32::total_cmp);
     let quantile = |q: f64| levels.get((q * levels.len() as f64) as usize).copied();
     let (low, high) = (quantile(0.05).unwrap_or(0.0), quantile(0.95).unwrap_or(0.0));
     let mut sum = [0.0_f64; 3];
-    for pixel in &picture.pixels {
+    for pixel in &image.pixels {
         if (low..=high).contains(&luminance(*pixel)) {
             for (sum, value) in sum.iter_mut().zip(pixel) {
                 *sum += f64::from(*value);
             }
         }
     }
-    let gain = |k: usize| ((sum[1] / sum[k]) as f32).clamp(0.25, 4.0).powf(share);
+    let gain = |k: usize| ((sum[1] / sum[k]) as f32).clamp(0.25, 4.0).powf(fraction);
     if sum.iter().all(|s| *s > 0.0) {
         [gain(0), 1.0, gain(2)]
     } else {
@@ -165,20 +165,20 @@ fn white_balance(picture: &Picture, share: f32) -> [f32; 3] {
     }
 }
 
-/// Gain at which the mean of the developed picture, without noise, is the target.
-fn exposure(picture: &Picture, balance: [f32; 3], settings: &ColourSettings) -> f32 {
-    let mean = picture
+/// Gain at which the mean of the developed image, without noise, is the target.
+fn exposure(image: &Image, balance: [f32; 3], settings: &ColourSettings) -> f32 {
+    let mean = image
         .pixels
         .iter()
         .map(|p| f64::from(luminance(*p)))
         .sum::<f64>()
-        / picture.pixels.len().max(1) as f64;
+        / image.pixels.len().max(1) as f64;
     if mean.is_nan() || mean <= 0.0 {
         return 1.0;
     }
     let middle = (0.18 / mean) as f32;
     // Every fifth pixel is enough for a mean.
-    let sample: Vec<[f32; 3]> = picture.pixels.iter().step_by(5).copied().collect();
+    let sample: Vec<[f32; 3]> = image.pixels.iter().step_by(5).copied().collect();
     let developed_mean = |gain: f32| {
         let sum: f64 = sample
             .iter()
@@ -190,7 +190,7 @@ fn exposure(picture: &Picture, balance: [f32; 3], settings: &ColourSettings) -> 
             .sum();
         sum / sample.len().max(1) as f64
     };
-    let (mut low, mut high) = (-MOST_STOPS, MOST_STOPS);
+    let (mut low, mut high) = (-MAX_STOPS, MAX_STOPS);
     for _ in 0..EXPOSURE_STEPS {
         let stops = 0.5 * (low + high);
         if developed_mean(middle * stops.exp2()) < settings.target_mean {
@@ -231,9 +231,9 @@ fn encode(linear: f32) -> u8 {
 mod tests {
     use super::*;
 
-    fn statistics(picture: &RgbImage, channel: usize) -> (f64, f64) {
-        let n = f64::from(picture.width() * picture.height());
-        let values = picture.pixels().map(|p| f64::from(p[channel]));
+    fn statistics(image: &RgbImage, channel: usize) -> (f64, f64) {
+        let n = f64::from(image.width() * image.height());
+        let values = image.pixels().map(|p| f64::from(p[channel]));
         let mean = values.clone().sum::<f64>() / n;
         let variance = values.map(|v| (v - mean).powi(2)).sum::<f64>() / n;
         (mean, variance.sqrt())
@@ -249,19 +249,19 @@ mod tests {
     #[test]
     fn exposure_reaches_its_mean_whatever_the_light() {
         for level in [1e-3, 1.0, 500.0] {
-            let mut light = Picture::filled(80, 60, [level, 0.8 * level, 0.6 * level]);
+            let mut light = Image::filled(80, 60, [level, 0.8 * level, 0.6 * level]);
             for pixel in light.pixels.iter_mut().step_by(7) {
                 *pixel = pixel.map(|v| 0.2 * v);
             }
-            let picture = develop(&light, &ColourSettings::default(), 1);
-            let mean = (0..3).map(|c| statistics(&picture, c).0).sum::<f64>() / 3.0;
+            let image = develop(&light, &ColourSettings::default(), 1);
+            let mean = (0..3).map(|c| statistics(&image, c).0).sum::<f64>() / 3.0;
             assert!((mean - 110.0).abs() < 4.0, "{level}: {mean}");
         }
     }
 
     #[test]
     fn noise_is_that_of_the_electrons() {
-        let light = Picture::filled(200, 150, [0.5; 3]);
+        let light = Image::filled(200, 150, [0.5; 3]);
         let settings = ColourSettings {
             blur_px: 0.0,
             saturation: 1.0,
@@ -286,14 +286,14 @@ mod tests {
 
     #[test]
     fn warm_light_is_balanced_in_part() {
-        let light = Picture::filled(40, 30, [1.4, 1.0, 0.5]);
-        let ratio = |share: f32| {
+        let light = Image::filled(40, 30, [1.4, 1.0, 0.5]);
+        let ratio = |fraction: f32| {
             let settings = ColourSettings {
-                white_balance: share,
+                white_balance: fraction,
                 ..flat()
             };
-            let picture = develop(&light, &settings, 0);
-            statistics(&picture, 0).0 / statistics(&picture, 2).0
+            let image = develop(&light, &settings, 0);
+            statistics(&image, 0).0 / statistics(&image, 2).0
         };
         assert!(ratio(0.0) > ratio(0.5) && ratio(0.5) > ratio(1.0));
         assert!((ratio(1.0) - 1.0).abs() < 0.02, "{}", ratio(1.0));
@@ -301,14 +301,14 @@ mod tests {
 
     #[test]
     fn corners_are_darker_and_edges_soft() {
-        let light = Picture::filled(64, 48, [0.3; 3]);
-        let picture = develop(&light, &ColourSettings::default(), 5);
+        let light = Image::filled(64, 48, [0.3; 3]);
+        let image = develop(&light, &ColourSettings::default(), 5);
         let mean = |x: u32, y: u32| {
-            let block = (0..64).map(|k| f64::from(picture.get_pixel(x + k % 8, y + k / 8)[1]));
+            let block = (0..64).map(|k| f64::from(image.get_pixel(x + k % 8, y + k / 8)[1]));
             block.sum::<f64>() / 64.0
         };
         assert!(mean(0, 0) < mean(28, 20) - 3.0);
-        let mut edge = Picture::filled(9, 1, [0.0; 3]);
+        let mut edge = Image::filled(9, 1, [0.0; 3]);
         edge.pixels[5..].fill([1.0; 3]);
         blur(&mut edge, 0.6);
         assert!(edge.pixels[4][0] > 0.05 && edge.pixels[5][0] < 0.95);
@@ -317,12 +317,12 @@ mod tests {
 
     #[test]
     fn a_seed_fixes_the_bytes_and_bad_light_is_survived() {
-        let mut light = Picture::filled(16, 16, [0.2, 0.3, 0.4]);
+        let mut light = Image::filled(16, 16, [0.2, 0.3, 0.4]);
         light.pixels[3] = [f32::NAN, f32::INFINITY, -1.0];
         let once = develop(&light, &ColourSettings::default(), 9);
         assert_eq!(once, develop(&light, &ColourSettings::default(), 9));
         assert_ne!(once, develop(&light, &ColourSettings::default(), 10));
-        let dark = Picture::filled(4, 4, [0.0; 3]);
+        let dark = Image::filled(4, 4, [0.0; 3]);
         let (mean, _) = statistics(&develop(&dark, &ColourSettings::default(), 1), 1);
         assert!(mean < 20.0);
     }

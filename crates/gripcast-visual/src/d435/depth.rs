@@ -14,12 +14,12 @@ use gripcast_imaging::DepthImage;
 /// (Intel, *Best-known-methods for tuning D400 series depth cameras*).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthSettings {
-    /// Focal length of the stereo pictures, px: 640 × 360 with 87° has 337.
+    /// Focal length of the stereo images, px: 640 × 360 with 87° has 337.
     pub stereo_focal_px: f64,
     /// Error of the disparity, standard deviation, px.
     pub subpixel: f64,
-    /// Share of that error that neighbours within about 4 pixels have in common, 0 to 1.
-    pub common_share: f64,
+    /// Fraction of that error that neighbours within about 4 pixels have in common, 0 to 1.
+    pub common_fraction: f64,
     /// Steps of the disparity in a pixel.
     pub disparity_steps: f64,
     /// Largest disparity, px; what is nearer than `f · b / it` has no depth.
@@ -38,7 +38,7 @@ impl Default for DepthSettings {
         Self {
             stereo_focal_px: 337.0,
             subpixel: 0.08,
-            common_share: 0.7,
+            common_fraction: 0.7,
             disparity_steps: 32.0,
             most_disparity_px: 126.0,
             farthest_m: 10.0,
@@ -74,18 +74,18 @@ impl DepthSettings {
                 )));
             }
         }
-        if !(self.subpixel >= 0.0 && (0.0..=1.0).contains(&self.common_share)) {
+        if !(self.subpixel >= 0.0 && (0.0..=1.0).contains(&self.common_fraction)) {
             return Err(Error::input(format!(
-                "the disparity's error must not be negative and its common share from 0 to \
+                "the disparity's error must not be negative and its common fraction from 0 to \
                      1, found {} and {}",
-                self.subpixel, self.common_share
+                self.subpixel, self.common_fraction
             )));
         }
         Ok(())
     }
 }
 
-/// Depth codes in units of `unit_m`, aligned to the colour picture, from exact depths along the
+/// Depth codes in units of `unit_m`, aligned to the colour image, from exact depths along the
 /// optical axis (m, row by row; not finite or 0 where there is no surface).
 ///
 /// 0 stands for no depth: too near or far, seen by only one of the imagers (the shadow beside
@@ -105,7 +105,7 @@ pub fn measure_depth(
     if depth_m.len() != width * height || depth_m.is_empty() {
         let found = depth_m.len();
         return Err(Error::input(format!(
-            "a depth picture of {width}×{height} cannot hold {found} depths"
+            "a depth image of {width}×{height} cannot hold {found} depths"
         )));
     }
     let mut codes = vec![0_u16; depth_m.len()];
@@ -123,7 +123,7 @@ pub fn measure_depth(
             }
         });
     DepthImage::from_vec(width as u32, height as u32, codes)
-        .ok_or_else(|| Error::internal("the depth picture has the wrong size"))
+        .ok_or_else(|| Error::internal("the depth image has the wrong size"))
 }
 
 /// One depth with its noise and quantisation.
@@ -133,7 +133,7 @@ fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u
         return 0;
     }
     let scale = settings.stereo_focal_px * BASELINE_M;
-    let noise = settings.subpixel * disparity_noise(place, settings.common_share, seed);
+    let noise = settings.subpixel * disparity_noise(place, settings.common_fraction, seed);
     let steps = ((scale / depth + noise) * settings.disparity_steps).round();
     let disparity = steps / settings.disparity_steps;
     if disparity <= 0.0 || disparity > settings.most_disparity_px {
@@ -148,9 +148,9 @@ fn measured(depth: f32, place: (usize, usize), settings: &DepthSettings, seed: u
     }
 }
 
-/// Noise of unit variance: a part from a coarse lattice, which neighbours share, and one of the
+/// Noise of unit variance: a part from a coarse lattice, which neighbours fraction, and one of the
 /// pixel's own.
-fn disparity_noise((column, row): (usize, usize), common_share: f64, seed: u64) -> f64 {
+fn disparity_noise((column, row): (usize, usize), common_fraction: f64, seed: u64) -> f64 {
     const SPACING: usize = 4;
     let own = f64::from(gaussians(seed, (row as u64) << 32 | column as u64)[0]);
     let (cx, cy) = (column / SPACING, row / SPACING);
@@ -169,7 +169,7 @@ fn disparity_noise((column, row): (usize, usize), common_share: f64, seed: u64) 
     let lattice = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
     let sum: f64 = weights.iter().zip(lattice).map(|(w, g)| w * g).sum();
     let norm = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
-    common_share.sqrt() * sum / norm + (1.0 - common_share).sqrt() * own
+    common_fraction.sqrt() * sum / norm + (1.0 - common_fraction).sqrt() * own
 }
 
 /// Which pixels of a row both imagers see: a surface is hidden from an imager where a nearer one
@@ -218,7 +218,7 @@ fn is_grazing(
     let (Some(dx), Some(dy)) = (slope(left, right), slope(up, down)) else {
         return true;
     };
-    // Gradient of log depth per unit of the picture plane: the surface z(u, v) has the normal
+    // Gradient of log depth per unit of the image plane: the surface z(u, v) has the normal
     // (-gx, -gy, 1 + u gx + v gy) with g = f · dz / z.
     let [fx, fy] = camera.focal_px;
     let (gx, gy) = (fx * dx / here, fy * dy / here);

@@ -2,7 +2,7 @@
 //!
 //! Place: the colour camera sits in the middle of the gripper, 78 mm above the plane of the
 //! fingers (towards −y) and 165 mm behind the middle of the gels, and looks along the approach,
-//! 22° down onto the gels. Picture columns run along the gripper's +x (left finger at the left),
+//! 22° down onto the gels. Image columns run along the gripper's +x (left finger at the left),
 //! rows along +y.
 
 mod colour;
@@ -35,7 +35,7 @@ pub fn t_gripper_camera() -> Pose {
     Pose::new(turn, DVec3::from_array(PLACE_M))
 }
 
-/// The colour camera's picture, cropped in its middle to the shape of `width` × `height` and
+/// The colour camera's image, cropped in its middle to the shape of `width` × `height` and
 /// scaled to that size.
 pub fn colour_camera(width: usize, height: usize, t_world_camera: Pose) -> Camera {
     let focal = COLOUR_FOCAL_PX / crop_scale(width, height);
@@ -48,7 +48,7 @@ pub fn colour_camera(width: usize, height: usize, t_world_camera: Pose) -> Camer
     }
 }
 
-/// Colour pixels along one pixel of the cropped and scaled picture.
+/// Colour pixels along one pixel of the cropped and scaled image.
 pub fn crop_scale(width: usize, height: usize) -> f64 {
     let [full_width, full_height] = COLOUR_SIZE.map(|n| n as f64);
     (full_width / width.max(1) as f64).min(full_height / height.max(1) as f64)

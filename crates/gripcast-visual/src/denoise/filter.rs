@@ -10,7 +10,7 @@ use super::{DenoiseSettings, Light, add};
 use crate::renderer::Rendering;
 
 /// Least weight of a pixel for itself, so that one unlike all others keeps its light.
-const LEAST_OWN_TRUST: f32 = 1e-6;
+const MIN_OWN_TRUST: f32 = 1e-6;
 /// Difference between the sky and everything else; more than any weight bridges.
 const APART: f32 = 1e6;
 
@@ -35,7 +35,7 @@ pub(super) struct Guide<'a> {
     sky: Plane,
     /// Variance of the light of one half.
     variance: Plane,
-    /// Share of its weight that a pixel keeps.
+    /// Fraction of its weight that a pixel keeps.
     trust: Plane,
     /// The same for itself.
     own_trust: Plane,
@@ -81,7 +81,7 @@ impl<'a> Guide<'a> {
         halves: &[Light; 2],
         albedo: &[[f32; 3]],
     ) -> Self {
-        let size = [rendering.picture.width, rendering.picture.height];
+        let size = [rendering.image.width, rendering.image.height];
         let of_paths = variance_of_paths(rendering, albedo);
         let trust = trust(halves, &of_paths, size, settings.radius);
         let depth_m = rendering.depth_m.clone();
@@ -102,7 +102,7 @@ impl<'a> Guide<'a> {
                 .collect(),
             depth_m,
             variance: noise(halves, &of_paths, &trust, size),
-            own_trust: trust.iter().map(|t| t.max(LEAST_OWN_TRUST)).collect(),
+            own_trust: trust.iter().map(|t| t.max(MIN_OWN_TRUST)).collect(),
             trust,
         }
     }
@@ -178,14 +178,14 @@ impl<'a> Guide<'a> {
         }
     }
 
-    /// Columns that stay in the picture when moved.
+    /// Columns that stay in the image when moved.
     fn columns(&self, dx: isize) -> Range<usize> {
         let first = (-dx).max(0);
         let last = self.size[0] as isize - dx.max(0);
         first as usize..last.max(first) as usize
     }
 
-    /// Some pixels of a row and those so far away from them, if they lie in the picture.
+    /// Some pixels of a row and those so far away from them, if they lie in the image.
     #[inline(always)]
     fn pair(&self, row: usize, columns: &Range<usize>, [dx, dy]: [isize; 2]) -> Option<Pair> {
         let [width, height] = self.size;
@@ -236,7 +236,7 @@ impl<'a> Guide<'a> {
                     add(out, &scratch.padded[k..][..len]);
                 }
                 out.iter_mut().for_each(|value| *value *= whole);
-                // Less of a patch lies in the picture at its sides.
+                // Less of a patch lies in the image at its sides.
                 for i in (0..len.min(patch)).chain(len.saturating_sub(patch).max(patch)..len) {
                     let found = (i + patch + 1).min(len) - i.saturating_sub(patch);
                     out[i] *= side as f32 / found as f32;

@@ -8,7 +8,7 @@
 //!
 //! A firefly, a pixel with one or a few paths that are far brighter than all around, would be
 //! spread evenly over its neighbourhood: a bright square. Its weight is cut, see [`noise::trust`]; the
-//! light that it stands for is lost, as with a clamp, and the picture is so much too dark there.
+//! light that it stands for is lost, as with a clamp, and the image is so much too dark there.
 //! Pixels without such paths keep their weight. Sources: Buades, Coll, Morel, *A non-local algorithm for
 //! image denoising* (2005); Rousselle, Knaus, Zwicker, *Adaptive rendering with non-local means
 //! filtering* (2012); Rousselle, Manzi, Zwicker, *Robust denoising using feature and color
@@ -20,11 +20,11 @@ mod noise;
 use rayon::prelude::*;
 
 use self::filter::Guide;
-use super::picture::Picture;
+use super::linear_image::Image;
 use super::renderer::Rendering;
 
 /// Albedo below which light is not divided any further.
-const LEAST_ALBEDO: f32 = 0.02;
+const MIN_ALBEDO: f32 = 0.02;
 /// Rows that are filtered together.
 const BAND: usize = 16;
 
@@ -62,12 +62,12 @@ impl Default for DenoiseSettings {
 /// Light of one half of the paths.
 type Light = Vec<[f32; 3]>;
 
-/// Picture with less noise. The result depends on the rendering alone.
-pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Picture {
-    let (width, height) = (rendering.picture.width, rendering.picture.height);
+/// Image with less noise. The result depends on the rendering alone.
+pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Image {
+    let (width, height) = (rendering.image.width, rendering.image.height);
     let albedo: Vec<[f32; 3]> = (0..width * height)
         .map(|at| match rendering.depth_m[at] > 0.0 {
-            true => rendering.albedo.pixels[at].map(|a| a.max(LEAST_ALBEDO)),
+            true => rendering.albedo.pixels[at].map(|a| a.max(MIN_ALBEDO)),
             false => [1.0; 3],
         })
         .collect();
@@ -82,11 +82,11 @@ pub fn denoise(rendering: &Rendering, settings: &DenoiseSettings) -> Picture {
         .into_par_iter()
         .map(|band| guide.filter(band * BAND..height.min((band + 1) * BAND)))
         .collect();
-    let mut picture = rendering.picture.clone();
+    let mut image = rendering.image.clone();
     for (at, light) in bands.into_iter().flatten().enumerate() {
-        picture.pixels[at] = std::array::from_fn(|k| light[k] * albedo[at][k]);
+        image.pixels[at] = std::array::from_fn(|k| light[k] * albedo[at][k]);
     }
-    picture
+    image
 }
 
 #[inline(always)]
@@ -102,20 +102,20 @@ mod tests {
     use super::*;
 
     /// A wall of two colours, half lit and half in shade, with noise.
-    fn noisy() -> (Rendering, Picture) {
+    fn noisy() -> (Rendering, Image) {
         noisy_by(0.5)
     }
 
-    /// With noise of this share of the light.
-    fn noisy_by(noise: f32) -> (Rendering, Picture) {
+    /// With noise of this fraction of the light.
+    fn noisy_by(noise: f32) -> (Rendering, Image) {
         let (width, height) = (48, 32);
-        let mut truth = Picture::filled(width, height, [0.0; 3]);
+        let mut truth = Image::filled(width, height, [0.0; 3]);
         let mut rendering = Rendering {
-            picture: truth.clone(),
-            variance: Picture::filled(width, height, [0.0; 3]),
+            image: truth.clone(),
+            variance: Image::filled(width, height, [0.0; 3]),
             halves: [truth.clone(), truth.clone()],
             albedo: truth.clone(),
-            normal: Picture::filled(width, height, [0.0, 0.0, 1.0]),
+            normal: Image::filled(width, height, [0.0, 0.0, 1.0]),
             depth_m: vec![1.0; width * height],
         };
         let mut state = 1u64;
@@ -135,7 +135,7 @@ mod tests {
             let [a, b] = [(); 2].map(|()| albedo * (light + sigma * 12f32.sqrt() * number()));
             rendering.halves[0].pixels[at] = [a; 3];
             rendering.halves[1].pixels[at] = [b; 3];
-            rendering.picture.pixels[at] = [0.5 * (a + b); 3];
+            rendering.image.pixels[at] = [0.5 * (a + b); 3];
             rendering.variance.pixels[at] = [0.5 * (albedo * sigma).powi(2); 3];
         }
         (rendering, truth)
@@ -144,14 +144,14 @@ mod tests {
     #[test]
     fn noise_shrinks_and_edges_stay() {
         let (rendering, truth) = noisy();
-        let before = rendering.picture.rmse(&truth).unwrap();
-        let picture = denoise(&rendering, &DenoiseSettings::default());
-        let after = picture.rmse(&truth).unwrap();
+        let before = rendering.image.rmse(&truth).unwrap();
+        let image = denoise(&rendering, &DenoiseSettings::default());
+        let after = image.rmse(&truth).unwrap();
         assert!(after < 0.35 * before, "{before} to {after}");
         // The stripes of the texture keep their contrast.
         let row = |r: usize| (0..48).map(move |c| (c, r));
         for (column, row) in row(5).chain(row(26)) {
-            let [found, wanted] = [&picture, &truth].map(|p| p.at(column, row)[0]);
+            let [found, wanted] = [&image, &truth].map(|p| p.at(column, row)[0]);
             assert!(
                 (found / wanted - 1.0).abs() < 0.35,
                 "{column}, {row}: {found} {wanted}"
@@ -160,20 +160,20 @@ mod tests {
     }
 
     #[test]
-    fn a_clean_picture_stays_as_it_is() {
+    fn a_clean_image_stays_as_it_is() {
         let (mut rendering, truth) = noisy();
-        rendering.picture = truth.clone();
+        rendering.image = truth.clone();
         rendering.halves = [truth.clone(), truth.clone()];
         rendering.variance.pixels.fill([0.0; 3]);
-        let picture = denoise(&rendering, &DenoiseSettings::default());
-        assert!(picture.rmse(&truth).unwrap() < 1e-4);
+        let image = denoise(&rendering, &DenoiseSettings::default());
+        assert!(image.rmse(&truth).unwrap() < 1e-4);
     }
 
     /// One path of many that is `factor` times the mean of all pixels after all are averaged.
     fn add_firefly(rendering: &mut Rendering, at: usize, factor: f32) {
-        let mean = rendering.picture.mean()[0] as f32;
+        let mean = rendering.image.mean()[0] as f32;
         let extra = factor * mean;
-        for value in &mut rendering.picture.pixels[at] {
+        for value in &mut rendering.image.pixels[at] {
             *value += extra;
         }
         for value in &mut rendering.halves[0].pixels[at] {
@@ -218,11 +218,11 @@ mod tests {
         assert!(of(&rendering).iter().all(|t| *t == 1.0));
         // A glint that a quarter of 64 paths meet.
         let at = 10 * 48 + 20;
-        for picture in [&mut rendering.picture]
+        for image in [&mut rendering.image]
             .into_iter()
             .chain(&mut rendering.halves)
         {
-            picture.pixels[at] = [300.0; 3];
+            image.pixels[at] = [300.0; 3];
         }
         rendering.variance.pixels[at] = [300.0f32.powi(2) * 3.0 / 64.0; 3];
         assert!(of(&rendering).iter().all(|t| *t == 1.0));

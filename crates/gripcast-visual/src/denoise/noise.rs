@@ -23,7 +23,7 @@ pub(super) fn variance_of_paths(rendering: &Rendering, albedo: &[[f32; 3]]) -> V
         .collect()
 }
 
-/// Share of its weight that each pixel keeps: below 1 for fireflies.
+/// Fraction of its weight that each pixel keeps: below 1 for fireflies.
 ///
 /// With v the variance of a pixel, m its mean over the other pixels of the square around: a
 /// firefly keeps c · m / v. Cut like that, the brightest adds √c standard deviations of its
@@ -40,7 +40,7 @@ pub(super) fn trust(
         .zip(halves[0].iter().zip(&halves[1]))
         .map(|(v, (a, b))| {
             let square = (0..3).map(|k| (0.5 * (a[k] + b[k])).powi(2)).sum::<f32>() / 3.0;
-            // The picture has half of the variance of its halves.
+            // The image has half of the variance of its halves.
             let paths = square / (0.5 * v).max(f32::MIN_POSITIVE);
             (2.0 - 2.0 * paths / SOLID_PATHS).clamp(0.0, 1.0)
         })
@@ -101,7 +101,7 @@ fn near(side: usize, at: usize, radius: usize) -> Range<usize> {
 fn box_mean(values: &[f32], width: usize, height: usize, radius: usize) -> Vec<f32> {
     let mut rows = vec![0.0; values.len()];
     let mut padded = vec![0.0; width + 2 * radius];
-    let shares: Vec<f32> = (0..width)
+    let fractions: Vec<f32> = (0..width)
         .map(|column| 1.0 / near(width, column, radius).len() as f32)
         .collect();
     let lines = rows.chunks_mut(width.max(1));
@@ -110,19 +110,19 @@ fn box_mean(values: &[f32], width: usize, height: usize, radius: usize) -> Vec<f
         for k in 0..=2 * radius {
             add(sums, &padded[k..][..width]);
         }
-        for (sum, share) in sums.iter_mut().zip(&shares) {
-            *sum *= share;
+        for (sum, fraction) in sums.iter_mut().zip(&fractions) {
+            *sum *= fraction;
         }
     }
     let mut out = vec![0.0; values.len()];
     for (row, sums) in out.chunks_mut(width.max(1)).enumerate() {
         let range = near(height, row, radius);
-        let share = 1.0 / range.len() as f32;
+        let fraction = 1.0 / range.len() as f32;
         for other in range {
             add(sums, &rows[other * width..][..width]);
         }
         for sum in sums {
-            *sum *= share;
+            *sum *= fraction;
         }
     }
     out

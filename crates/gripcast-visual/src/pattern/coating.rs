@@ -53,14 +53,14 @@ pub(super) fn ceramic(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let is_speckled = stream.uniform() < 0.5;
     let seed = stream.bits();
     let (glaze, specks) = (Glaze::new(seed), Specks::new(seed ^ 0x51, 40));
-    let picture = paint_by_place(size_px, |x, y| {
+    let image = paint_by_place(size_px, |x, y| {
         let mottled = scaled(base, glaze.shade(x, y));
         if !is_speckled {
             return mottled;
         }
         mix_color(mottled, speck, 0.8 * specks.cover(x, y))
     });
-    PaintedSurface::new(picture, 0.12, stream.between(0.06, 0.22), 0.0)
+    PaintedSurface::new(image, 0.12, stream.between(0.06, 0.22), 0.0)
 }
 
 /// A layer whose thickness varies a little.

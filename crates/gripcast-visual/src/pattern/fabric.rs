@@ -17,13 +17,13 @@ pub(super) fn paint(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         random_color(stream, [0.05, 0.7], [0.25, 0.9])
     };
     let weave = Weave::random(THREADS, stream);
-    let picture = paint_by_place(size_px, |x, y| {
+    let image = paint_by_place(size_px, |x, y| {
         let thread = weave.thread(x, y);
         let base = if thread.is_warp { warp } else { weft };
         base.map(|c| (c * thread.shade).min(0.9))
     });
     PaintedSurface::new(
-        picture,
+        image,
         stream.between(0.06, 0.14),
         stream.between(0.8, 0.95),
         0.0,

@@ -21,13 +21,13 @@ const GRANITES: [[u32; 3]; 4] = [
 
 pub(super) fn stone(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let is_marble = stream.uniform() < 0.5;
-    let picture = if is_marble {
+    let image = if is_marble {
         marble(size_px, stream)
     } else {
         granite(size_px, stream)
     };
     PaintedSurface::new(
-        picture,
+        image,
         if is_marble { 0.6 } else { 0.3 },
         stream.between(0.08, 0.4),
         0.0,
@@ -38,8 +38,8 @@ fn marble(size_px: u32, stream: &mut SeedStream) -> image::RgbImage {
     let [ground, vein] = stream.pick(MARBLES).map(srgb);
     let veins = Veins::new(stream.bits());
     paint_by_place(size_px, |x, y| {
-        let (share, cloud) = veins.at(x, y);
-        scaled(mix_color(ground, vein, share), cloud)
+        let (fraction, cloud) = veins.at(x, y);
+        scaled(mix_color(ground, vein, fraction), cloud)
     })
 }
 
@@ -61,7 +61,7 @@ impl Veins {
         }
     }
 
-    /// Share of the vein's colour, and a factor on all.
+    /// Fraction of the vein's colour, and a factor on all.
     pub(super) fn at(&self, x: f32, y: f32) -> (f32, f32) {
         let bend = 0.18 * (self.bend.at(x, y) - 0.5);
         let field = self.field.at(x + bend, y - bend);
@@ -69,8 +69,8 @@ impl Veins {
         let ridge = 1.0 - (2.0 * field - 1.0).abs();
         let fine = self.fine.at(x - bend, y + bend);
         let fine = 1.0 - (2.0 * fine - 1.0).abs();
-        let share = 0.75 * smoothstep(0.86, 1.0, ridge) + 0.3 * smoothstep(0.93, 1.0, fine);
-        (share.min(1.0), mix(0.9, 1.04, self.cloud.at(x, y)))
+        let fraction = 0.75 * smoothstep(0.86, 1.0, ridge) + 0.3 * smoothstep(0.93, 1.0, fine);
+        (fraction.min(1.0), mix(0.9, 1.04, self.cloud.at(x, y)))
     }
 }
 
@@ -105,8 +105,8 @@ impl Granite {
         let (near, far, id) = self.large.at(x + bend, y - bend);
         let (_, _, small) = self.small.at(x - bend, y + bend);
         let chosen = match 0.7 * id + 0.3 * small {
-            share if share < 0.5 => self.minerals[0],
-            share if share < 0.74 => self.minerals[1],
+            fraction if fraction < 0.5 => self.minerals[0],
+            fraction if fraction < 0.74 => self.minerals[1],
             _ => self.minerals[2],
         };
         let edge = smoothstep(0.0, 0.25, far - near);
@@ -170,7 +170,7 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
     let half_joint = 0.0015 / tile_m as f32 * count as f32;
     let clouds = Fractal::new(seed, [6, 6], 4);
     let sands = Value::new(seed ^ 0x41, [200, 200]);
-    let picture = paint_by_place(size_px, |x, y| {
+    let image = paint_by_place(size_px, |x, y| {
         let (mut sx, sy) = (x * count as f32, y * count as f32);
         let row = sy as i64;
         if is_bond && row % 2 == 1 {
@@ -185,5 +185,5 @@ pub(super) fn tiles(size_px: u32, stream: &mut SeedStream) -> PaintedSurface {
         let sand = mix(0.8, 1.1, sands.at(x, y));
         mix_color(scaled(tile, own * cloud), scaled(grout, sand), in_joint)
     });
-    PaintedSurface::new(picture, tile_m, stream.between(0.1, 0.4), 0.0)
+    PaintedSurface::new(image, tile_m, stream.between(0.1, 0.4), 0.0)
 }

@@ -1,4 +1,4 @@
-//! Surfaces painted from a seed: wood, stone, fabric, glaze, print and others, as pictures that
+//! Surfaces painted from a seed: wood, stone, fabric, glaze, print and others, as images that
 //! tile.
 
 mod coat;
@@ -16,7 +16,7 @@ use std::str::FromStr;
 use image::RgbImage;
 use rayon::prelude::*;
 
-use super::picture::Picture;
+use super::linear_image::Image;
 use gripcast_base::error::{Error, Result, unknown_name};
 use gripcast_base::random::SeedStream;
 use gripcast_imaging::srgb_decode;
@@ -127,12 +127,12 @@ impl FromStr for Pattern {
     }
 }
 
-/// A painted surface: a picture that tiles, and how it reflects.
+/// A painted surface: an image that tiles, and how it reflects.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PaintedSurface {
     /// Base colour, sRGB, square.
-    pub picture: RgbImage,
-    /// Width of the picture on the surface, m.
+    pub image: RgbImage,
+    /// Width of the image on the surface, m.
     pub tile_m: f64,
     /// Perceptual roughness, 0 mirror to 1 matt.
     pub roughness: f32,
@@ -141,9 +141,9 @@ pub struct PaintedSurface {
 }
 
 impl PaintedSurface {
-    fn new(picture: RgbImage, tile_m: f64, roughness: f64, metallic: f32) -> Self {
+    fn new(image: RgbImage, tile_m: f64, roughness: f64, metallic: f32) -> Self {
         Self {
-            picture,
+            image,
             tile_m,
             roughness: roughness as f32,
             metallic,
@@ -151,17 +151,17 @@ impl PaintedSurface {
     }
 }
 
-/// Square picture of a linear colour of each place in the unit square.
+/// Square image of a linear colour of each place in the unit square.
 fn paint_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> RgbImage {
     light_by_place(size_px, color).to_srgb8(1.0)
 }
 
 /// The same in linear light.
-fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Picture {
+fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> Image {
     let size = size_px.max(1) as usize;
     let place = |index: usize| (index as f32 + 0.5) / size as f32;
-    let mut picture = Picture::filled(size, size, [0.0; 3]);
-    picture
+    let mut image = Image::filled(size, size, [0.0; 3]);
+    image
         .pixels
         .par_chunks_mut(size)
         .enumerate()
@@ -170,7 +170,7 @@ fn light_by_place(size_px: u32, color: impl Fn(f32, f32) -> [f32; 3] + Sync) -> 
                 *pixel = color(place(column), place(row));
             }
         });
-    picture
+    image
 }
 
 /// Linear RGB of an sRGB colour `0xRRGGBB`.
@@ -201,26 +201,26 @@ mod tests {
     use super::*;
 
     /// Mean absolute difference of neighbouring columns (or rows) `a` and `b`.
-    fn step(picture: &RgbImage, a: u32, b: u32, by_row: bool) -> f64 {
-        let n = picture.width();
+    fn step(image: &RgbImage, a: u32, b: u32, by_row: bool) -> f64 {
+        let n = image.width();
         let at = |i: u32, j: u32| if by_row { (j, i) } else { (i, j) };
         let sum: f64 = (0..n)
             .flat_map(|j| {
                 let (p, q) = (at(a, j), at(b, j));
-                let (p, q) = (picture.get_pixel(p.0, p.1).0, picture.get_pixel(q.0, q.1).0);
+                let (p, q) = (image.get_pixel(p.0, p.1).0, image.get_pixel(q.0, q.1).0);
                 [0, 1, 2].map(|c| (f64::from(p[c]) - f64::from(q[c])).abs())
             })
             .sum();
         sum / f64::from(3 * n)
     }
 
-    /// Asserts that a picture's opposite borders match.
-    pub(super) fn closes(picture: &RgbImage, name: &str) {
-        let n = picture.width();
+    /// Asserts that an image's opposite borders match.
+    pub(super) fn closes(image: &RgbImage, name: &str) {
+        let n = image.width();
         for by_row in [false, true] {
             // The step over the border is no larger than the largest one inside.
-            let border = step(picture, n - 1, 0, by_row);
-            let inside = (1..n).map(|i| step(picture, i - 1, i, by_row));
+            let border = step(image, n - 1, 0, by_row);
+            let inside = (1..n).map(|i| step(image, i - 1, i, by_row));
             let largest = inside.fold(0.0, f64::max);
             assert!(
                 border <= 1.3 * largest + 1.0,
@@ -230,27 +230,26 @@ mod tests {
     }
 
     #[test]
-    fn pictures_are_fixed_by_their_seed_and_tile() {
+    fn images_are_fixed_by_their_seed_and_tile() {
         for pattern in Pattern::ALL {
             let painted = pattern.paint(128, 5);
             assert_eq!(painted, pattern.paint(128, 5), "{pattern}");
             let other = pattern.paint(128, 6);
-            assert_ne!(painted.picture, other.picture, "{pattern}");
+            assert_ne!(painted.image, other.image, "{pattern}");
             assert!(painted.tile_m > 0.0 && (0.0..=1.0).contains(&painted.roughness));
-            closes(&painted.picture, pattern.name());
+            closes(&painted.image, pattern.name());
         }
     }
 
     #[test]
-    fn pictures_are_no_single_value_and_plausible_reflectances() {
+    fn images_are_no_single_value_and_plausible_reflectances() {
         for pattern in Pattern::ALL {
             for seed in 0..6 {
-                let picture = pattern.paint(64, seed).picture;
-                let mean =
-                    picture.iter().map(|v| f64::from(*v)).sum::<f64>() / picture.len() as f64;
+                let image = pattern.paint(64, seed).image;
+                let mean = image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64;
                 assert!((8.0..=246.0).contains(&mean), "{pattern} {seed}: {mean}");
-                let first = picture.get_pixel(0, 0);
-                assert!(picture.pixels().any(|p| p != first), "{pattern} {seed}");
+                let first = image.get_pixel(0, 0);
+                assert!(image.pixels().any(|p| p != first), "{pattern} {seed}");
             }
         }
     }

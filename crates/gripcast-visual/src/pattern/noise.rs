@@ -1,6 +1,6 @@
 //! Noise that repeats: every function has period 1 along x and y.
 //!
-//! The random numbers of a lattice are drawn once, since a picture asks for each of them often.
+//! The random numbers of a lattice are drawn once, since an image asks for each of them often.
 
 use gripcast_base::random::lattice;
 

@@ -8,7 +8,7 @@ use gripcast_dataset::Stage;
 use gripcast_dataset::shard::TableKind;
 use gripcast_imaging::Role;
 
-/// Roles whose frames are colour pictures.
+/// Roles whose frames are colour images.
 const COLOUR: [Role; 4] = [Role::Left, Role::Right, Role::Rgb, Role::External];
 /// Name of the depth feature.
 pub(super) const DEPTH: &str = "observation.depth";
@@ -73,7 +73,7 @@ impl Features {
             let mut sizes = seen.iter().flatten().flat_map(|s| &s.sizes);
             let first = *sizes.next()?;
             if sizes.any(|other| *other != first) {
-                notes.push(format!("{name} left out: its pictures have several sizes"));
+                notes.push(format!("{name} left out: its images have several sizes"));
                 return None;
             }
             Some(first)
@@ -103,7 +103,7 @@ impl Features {
         let depth = self.depth.map(|_| DEPTH.to_owned());
         let mut columns: Vec<_> = colour
             .chain(depth)
-            .map(|name| (name, TableKind::Picture))
+            .map(|name| (name, TableKind::Image))
             .collect();
         if self.has_pose {
             columns.push((POSE.to_owned(), TableKind::Singles(7)));
@@ -118,7 +118,7 @@ impl Features {
     /// As `info.json` has them.
     pub(super) fn to_json(&self) -> Value {
         let mut features = Map::new();
-        let picture = |(width, height): (u32, u32), channels: u32| {
+        let image = |(width, height): (u32, u32), channels: u32| {
             json!({
                 "dtype": "image",
                 "shape": [height, width, channels],
@@ -126,10 +126,10 @@ impl Features {
             })
         };
         for (role, size) in &self.colour {
-            features.insert(colour_name(*role), picture(*size, 3));
+            features.insert(colour_name(*role), image(*size, 3));
         }
         if let Some(size) = self.depth {
-            features.insert(DEPTH.to_owned(), picture(size, 1));
+            features.insert(DEPTH.to_owned(), image(size, 1));
         }
         if self.has_pose {
             let names = ["x_m", "y_m", "z_m", "q_w", "q_x", "q_y", "q_z"];
@@ -188,7 +188,7 @@ mod tests {
         assert_eq!(
             notes,
             [
-                "observation.images.right left out: its pictures have several sizes",
+                "observation.images.right left out: its images have several sizes",
                 "observation.images.rgb left out: 0 of 3 grasps have it",
                 "observation.depth left out: 2 of 3 grasps have it",
             ]

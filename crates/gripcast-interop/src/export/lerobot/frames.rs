@@ -4,7 +4,7 @@ use std::borrow::Cow;
 
 use image::RgbImage;
 
-use super::super::source::{Grasp, Picture};
+use super::super::source::{Grasp, Image};
 use super::FRAMES;
 use super::features::Features;
 use gripcast_base::error::{Error, Result};
@@ -22,7 +22,7 @@ pub(super) struct Frames {
     no_depth: Option<Depth>,
 }
 
-/// An encoded colour picture and its pixels.
+/// An encoded colour image and its pixels.
 struct Colour {
     bytes: Vec<u8>,
     pixels: RgbImage,
@@ -35,26 +35,26 @@ struct Depth {
     counts: DepthImage,
 }
 
-/// Pictures of both frames.
-pub(super) struct Pictures {
-    frames: [FramePictures; FRAMES],
+/// Images of both frames.
+pub(super) struct Images {
+    frames: [FrameImages; FRAMES],
     pose: Option<Vec<f64>>,
     p_stable: Option<f64>,
 }
 
-struct FramePictures {
+struct FrameImages {
     colour: Vec<Colour>,
     depth: Option<Depth>,
 }
 
-/// One frame: its pictures, then its numbers in the order of the columns.
+/// One frame: its images, then its numbers in the order of the columns.
 pub(super) struct FrameRow {
-    pictures: FramePictures,
+    images: FrameImages,
     pub numbers: Vec<Vec<f64>>,
     cells: Vec<TableCell<'static>>,
 }
 
-impl Pictures {
+impl Images {
     pub(super) fn bytes(&self) -> usize {
         let colour = self.frames.iter().flat_map(|frame| &frame.colour);
         let depth = self.frames.iter().flat_map(|frame| &frame.depth);
@@ -65,18 +65,18 @@ impl Pictures {
 impl FrameRow {
     /// Pixels of the colour cameras.
     pub(super) fn colour(&self) -> impl Iterator<Item = &RgbImage> {
-        self.pictures.colour.iter().map(|colour| &colour.pixels)
+        self.images.colour.iter().map(|colour| &colour.pixels)
     }
 
     /// Counts of the depth camera.
     pub(super) fn depth(&self) -> Option<&DepthImage> {
-        self.pictures.depth.as_ref().map(|depth| &depth.counts)
+        self.images.depth.as_ref().map(|depth| &depth.counts)
     }
 
     pub(super) fn into_cells(self) -> Vec<TableCell<'static>> {
-        let picture = |bytes| TableCell::Picture(Cow::Owned(bytes));
-        let colour = self.pictures.colour.into_iter().map(|c| picture(c.bytes));
-        let depth = self.pictures.depth.map(|d| picture(d.bytes));
+        let image = |bytes| TableCell::Image(Cow::Owned(bytes));
+        let colour = self.images.colour.into_iter().map(|c| image(c.bytes));
+        let depth = self.images.depth.map(|d| image(d.bytes));
         colour.chain(depth).chain(self.cells).collect()
     }
 }
@@ -98,20 +98,20 @@ impl Frames {
         &self.features
     }
 
-    /// Pictures of both frames, decoded.
+    /// Images of both frames, decoded.
     ///
     /// # Errors
     /// One is not there or does not decode.
-    pub(super) fn pictures(&mut self, grasp: &Grasp) -> Result<Pictures> {
+    pub(super) fn images(&mut self, grasp: &Grasp) -> Result<Images> {
         let [initial, closed] = Stage::ALL;
         let mut first = self.frame(grasp, initial)?;
         first.depth.clone_from(&self.no_depth);
         let mut second = self.frame(grasp, closed)?;
         if self.features.depth.is_some() {
-            let picture = found(grasp, Stage::Grasp, Role::Depth)?;
+            let image = found(grasp, Stage::Grasp, Role::Depth)?;
             second.depth = Some(Depth {
-                bytes: picture.bytes.clone(),
-                counts: decode_png_grey16(&picture.bytes)?,
+                bytes: image.bytes.clone(),
+                counts: decode_png_grey16(&image.bytes)?,
             });
         }
         let record = &grasp.record;
@@ -123,35 +123,35 @@ impl Frames {
             let prediction = record.prediction.as_ref();
             prediction.map_or(f64::NAN, |prediction| prediction.p_stable)
         });
-        Ok(Pictures {
+        Ok(Images {
             frames: [first, second],
             pose,
             p_stable,
         })
     }
 
-    fn frame(&mut self, grasp: &Grasp, stage: Stage) -> Result<FramePictures> {
+    fn frame(&mut self, grasp: &Grasp, stage: Stage) -> Result<FrameImages> {
         let mut colour = Vec::new();
         for (role, _) in &self.features.colour {
-            let picture = found(grasp, stage, *role)?;
-            let pixels = self.decoder.stored_picture(&picture.bytes)?;
+            let image = found(grasp, stage, *role)?;
+            let pixels = self.decoder.stored_image(&image.bytes)?;
             // LeRobot wants three channels.
-            let bytes = if picture.is_grey {
+            let bytes = if image.is_grey {
                 encode_png_rgb(&pixels)?
             } else {
-                picture.bytes.clone()
+                image.bytes.clone()
             };
             colour.push(Colour { bytes, pixels });
         }
-        Ok(FramePictures {
+        Ok(FrameImages {
             colour,
             depth: None,
         })
     }
 }
 
-fn found(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Picture> {
-    grasp.pictures.get(&(stage, role)).ok_or_else(|| {
+fn found(grasp: &Grasp, stage: Stage, role: Role) -> Result<&Image> {
+    grasp.images.get(&(stage, role)).ok_or_else(|| {
         let what = format!("the grasp has no {} frame of {role}", stage.name());
         Error::input(what)
     })
@@ -162,14 +162,14 @@ pub(super) fn rows(
     is_stable: bool,
     episode: usize,
     task: usize,
-    pictures: Pictures,
+    images: Images,
 ) -> [FrameRow; FRAMES] {
-    let Pictures {
+    let Images {
         frames: [first, second],
         pose,
         p_stable,
-    } = pictures;
-    let row = |frame: usize, pictures: FramePictures| {
+    } = images;
+    let row = |frame: usize, images: FrameImages| {
         let is_last = frame + 1 == FRAMES;
         let succeeds = is_last && is_stable;
         let flags = [is_last, succeeds].map(i64::from);
@@ -197,7 +197,7 @@ pub(super) fn rows(
             .chain(indices.map(|index| index as f64));
         numbers.extend(scalars.map(|number| vec![number]));
         FrameRow {
-            pictures,
+            images,
             numbers,
             cells,
         }

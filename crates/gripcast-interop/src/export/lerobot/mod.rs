@@ -2,7 +2,7 @@
 //!
 //! Written from the layout that the package `lerobot` 0.4 reads: `meta/info.json`,
 //! `meta/stats.json`, `meta/tasks.parquet`, `meta/episodes/` and `data/` in files of bounded size.
-//! Pictures are embedded, there are no videos.
+//! Images are embedded, there are no videos.
 
 mod features;
 mod frames;
@@ -153,14 +153,14 @@ impl Writer for LeRobot<'_> {
                 return Ok(Some(Error::input(what)));
             }
         };
-        let pictures = match self.frames.pictures(&grasp) {
-            Ok(pictures) => pictures,
+        let images = match self.frames.images(&grasp) {
+            Ok(images) => images,
             Err(error) => return Ok(Some(error)),
         };
-        self.make_room(pictures.bytes())?;
+        self.make_room(images.bytes())?;
         let task = self.task(&grasp.record.object);
         self.episodes.push(self.episode(&grasp))?;
-        for frame in frames::rows(is_stable, self.grasps, task, pictures) {
+        for frame in frames::rows(is_stable, self.grasps, task, images) {
             self.stats.add(&frame);
             self.data.push(frame.into_cells())?;
         }

@@ -51,7 +51,7 @@ impl Levels {
     };
 
     fn add(&mut self, levels: impl Iterator<Item = u16>) {
-        // A picture's sums fit: 2²⁶ pixels of 16 bits, squared, are below 2⁵⁸.
+        // An image's sums fit: 2²⁶ pixels of 16 bits, squared, are below 2⁵⁸.
         let (mut sum, mut squares) = (0_u64, 0_u64);
         for level in levels {
             self.least = self.least.min(level);
@@ -111,7 +111,7 @@ impl Stats {
         let colour = features.colour.iter();
         let numbers = features.columns().into_iter().filter_map(|(name, kind)| {
             let length = match kind {
-                TableKind::Picture => return None,
+                TableKind::Image => return None,
                 TableKind::Singles(length) => length,
                 _ => 1,
             };
@@ -150,11 +150,11 @@ impl Stats {
         let mut stats = Map::new();
         for (name, channels) in &self.colour {
             let figures = channels.map(|levels| levels.figures(WHITE));
-            stats.insert(name.clone(), self.picture(&figures));
+            stats.insert(name.clone(), self.image(&figures));
         }
         if let Some(levels) = &self.depth {
             let figures = [levels.figures(1.0)];
-            stats.insert(DEPTH.to_owned(), self.picture(&figures));
+            stats.insert(DEPTH.to_owned(), self.image(&figures));
         }
         for (name, spreads) in &self.numbers {
             // All are counted in the same frames.
@@ -172,7 +172,7 @@ impl Stats {
     }
 
     /// Channels × 1 × 1.
-    fn picture(&self, channels: &[[f64; 4]]) -> Value {
+    fn image(&self, channels: &[[f64; 4]]) -> Value {
         let of = |which: usize| channels.iter().map(|f| json!([[f[which]]])).collect();
         object(of, self.frames as u64)
     }

@@ -10,9 +10,9 @@ use super::super::staged::write_failed;
 use super::store::Store;
 use gripcast_base::error::Result;
 
-/// Rows of a chunk; pictures have a chunk each.
+/// Rows of a chunk; images have a chunk each.
 const ROWS_PER_CHUNK: usize = 1024;
-/// Of zlib: pictures of cameras hardly become smaller with more.
+/// Of zlib: images of cameras hardly become smaller with more.
 const LEVEL: u32 = 1;
 /// Bytes of a character in a text.
 const CHARACTER: usize = 4;
@@ -128,15 +128,15 @@ impl Rows {
     }
 }
 
-/// Pictures of one size, RGB, one a chunk.
-pub(super) struct Pictures {
+/// Images of one size, RGB, one a chunk.
+pub(super) struct Images {
     name: String,
     width: usize,
     height: usize,
     rows: usize,
 }
 
-impl Pictures {
+impl Images {
     pub(super) fn new(name: String, (width, height): (u32, u32)) -> Self {
         Self {
             name,
@@ -146,7 +146,7 @@ impl Pictures {
         }
     }
 
-    /// Adds a picture of `height × width × 3` bytes; none is read as black.
+    /// Adds an image of `height × width × 3` bytes; none is read as black.
     pub(super) fn push(&mut self, store: &mut Store<'_>, pixels: Option<&[u8]>) -> Result<()> {
         if let Some(pixels) = pixels {
             let name = chunk_name(&self.name, self.rows, 3);

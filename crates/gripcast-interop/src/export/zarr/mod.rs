@@ -16,7 +16,7 @@ use serde_json::json;
 
 use super::format::{Setting, Writer};
 use super::source::Grasp;
-use array::{Kind, Pictures, Rows};
+use array::{Images, Kind, Rows};
 use gripcast_base::error::{Error, Result};
 use gripcast_dataset::{Outcome, Stage};
 use gripcast_imaging::{CropProfile, Decoder, Role};
@@ -24,8 +24,8 @@ use store::Store;
 
 /// Cameras that are exported, in one size.
 const ROLES: [Role; 3] = [Role::Left, Role::Right, Role::Rgb];
-/// Largest side of a picture, pixels.
-const LARGEST_SIDE: u32 = 8192;
+/// Largest side of an image, pixels.
+const MAX_SIDE: u32 = 8192;
 /// Name of a zip file until it gets its own.
 pub(super) const ZIP_NAME: &str = "export.zip";
 
@@ -49,8 +49,8 @@ pub(super) struct ReplayBuffer<'a> {
 /// Frames of one role.
 struct Camera {
     role: Role,
-    pictures: Pictures,
-    /// Whether the grasp has the picture; black stands for one that it lacks.
+    images: Images,
+    /// Whether the grasp has the image; black stands for one that it lacks.
     is_there: Rows,
 }
 
@@ -125,12 +125,11 @@ impl<'a> ReplayBuffer<'a> {
     /// `Usage`: a size that cannot be. `Input`: no grasp has one of the cameras. The files.
     pub(super) fn new(setting: Setting<'a>) -> Result<Self> {
         let (width, height) = setting.plan.size;
-        let possible = 1..=LARGEST_SIDE;
+        let possible = 1..=MAX_SIDE;
         if !possible.contains(&width) || !possible.contains(&height) {
-            let what = format!("pictures of {width}×{height} pixels cannot be");
-            return Err(Error::usage(what).remedy(format!(
-                "give 1 to {LARGEST_SIDE} pixels a side, as 320x240"
-            )));
+            let what = format!("images of {width}×{height} pixels cannot be");
+            return Err(Error::usage(what)
+                .remedy(format!("give 1 to {MAX_SIDE} pixels a side, as 320x240")));
         }
         let has = |role: &Role| {
             let seen = &setting.survey.cameras;
@@ -143,12 +142,12 @@ impl<'a> ReplayBuffer<'a> {
             .filter(has)
             .map(|role| Camera {
                 role,
-                pictures: Pictures::new(format!("data/{role}"), setting.plan.size),
+                images: Images::new(format!("data/{role}"), setting.plan.size),
                 is_there: Rows::new(format!("data/{role}_is_there"), Kind::Bool, &[]),
             })
             .collect();
         if cameras.is_empty() {
-            let what = "no grasp has a picture of left, right or rgb";
+            let what = "no grasp has an image of left, right or rgb";
             return Err(Error::input(what));
         }
         let mut store = Store::create(setting.folder, is_zip(setting.folder.target()))?;
@@ -168,26 +167,26 @@ impl<'a> ReplayBuffer<'a> {
         })
     }
 
-    /// Pictures of both frames, by camera; all of them before one is written.
+    /// Images of both frames, by camera; all of them before one is written.
     fn decode(&mut self, grasp: &Grasp) -> Result<Vec<Vec<Option<RgbImage>>>> {
         let (width, height) = self.setting.plan.size;
         let mut frames = Vec::new();
         for stage in Stage::ALL {
-            let mut pictures = Vec::new();
+            let mut images = Vec::new();
             for camera in &self.cameras {
-                let Some(picture) = grasp.pictures.get(&(stage, camera.role)) else {
-                    pictures.push(None);
+                let Some(image) = grasp.images.get(&(stage, camera.role)) else {
+                    images.push(None);
                     continue;
                 };
-                let crop = picture.crop_profile.as_deref();
+                let crop = image.crop_profile.as_deref();
                 let crop = crop.map(CropProfile::by_name).transpose()?;
-                let bytes = &picture.bytes;
+                let bytes = &image.bytes;
                 let decoded = self
                     .decoder
                     .decode_file(bytes, crop.as_ref(), width, height)?;
-                pictures.push(Some(decoded));
+                images.push(Some(decoded));
             }
-            frames.push(pictures);
+            frames.push(images);
         }
         Ok(frames)
     }
@@ -205,12 +204,12 @@ impl Writer for ReplayBuffer<'_> {
             Err(error) => return Ok(Some(error)),
         };
         let store = &mut self.store;
-        for (stage, pictures) in (0_u8..).zip(frames) {
-            for (camera, picture) in self.cameras.iter_mut().zip(pictures) {
-                let is_there = [u8::from(picture.is_some())];
+        for (stage, images) in (0_u8..).zip(frames) {
+            for (camera, image) in self.cameras.iter_mut().zip(images) {
+                let is_there = [u8::from(image.is_some())];
                 camera.is_there.push(store, &is_there)?;
-                let pixels = picture.as_ref().map(|picture| picture.as_raw().as_slice());
-                camera.pictures.push(store, pixels)?;
+                let pixels = image.as_ref().map(|image| image.as_raw().as_slice());
+                camera.images.push(store, pixels)?;
             }
             self.stage.push(store, &[stage])?;
             self.frames += 1;
@@ -222,7 +221,7 @@ impl Writer for ReplayBuffer<'_> {
     fn finish(self: Box<Self>) -> Result<Vec<String>> {
         let mut store = self.store;
         for camera in self.cameras {
-            camera.pictures.finish(&mut store)?;
+            camera.images.finish(&mut store)?;
             camera.is_there.finish(&mut store)?;
         }
         self.stage.finish(&mut store)?;
@@ -247,7 +246,7 @@ fn attributes(setting: Setting<'_>) -> serde_json::Value {
     })
 }
 
-/// A note for every other kind of picture.
+/// A note for every other kind of image.
 fn not_exported(setting: Setting<'_>) -> Vec<String> {
     let mut others: BTreeMap<Role, usize> = BTreeMap::new();
     for ((_, role), seen) in &setting.survey.cameras {
@@ -256,7 +255,7 @@ fn not_exported(setting: Setting<'_>) -> Vec<String> {
             *most = seen.grasps.max(*most);
         }
     }
-    let note = |(role, grasps)| format!("{role} left out: pictures of {grasps} grasps");
+    let note = |(role, grasps)| format!("{role} left out: images of {grasps} grasps");
     others.into_iter().map(note).collect()
 }
 

@@ -66,9 +66,9 @@ fn recognise(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
             "run `git lfs pull` to fetch the file itself",
         ))
     } else if starts(&[0xff, 0xd8, 0xff]) {
-        Some(("a JPEG picture", NAME))
+        Some(("a JPEG image", NAME))
     } else if starts(b"\x89PNG") {
-        Some(("a PNG picture", NAME))
+        Some(("a PNG image", NAME))
     } else if starts(b"PK\x03\x04") {
         Some(("a ZIP archive (PyTorch saves `.pt` like this)", EXPORT))
     } else if starts(&[0x80, 0x02]) || starts(&[0x80, 0x04]) {
@@ -96,8 +96,8 @@ mod tests {
     fn says_what_the_file_is_instead() {
         for (bytes, expected) in [
             (&b""[..], "empty (0 bytes)"),
-            (b"\xff\xd8\xff\xe0\0\x10JFIF", "a JPEG picture"),
-            (b"\x89PNG\r\n\x1a\n", "a PNG picture"),
+            (b"\xff\xd8\xff\xe0\0\x10JFIF", "a JPEG image"),
+            (b"\x89PNG\r\n\x1a\n", "a PNG image"),
             (b"PK\x03\x04\0\0", "a ZIP archive"),
             (
                 b"version https://git-lfs.github.com/spec/v1\n",

@@ -12,7 +12,7 @@ use tract_onnx::pb::{
 use super::{Attribute, IR_VERSION, OPSET};
 use gripcast_base::error::{Error, Result};
 
-/// Side of an input's or output's shape that is left open: any number of pictures at once.
+/// Side of an input's or output's shape that is left open: any number of images at once.
 pub const OPEN_BATCH: i64 = -1;
 /// Name of that side in the file.
 const BATCH_NAME: &str = "batch";

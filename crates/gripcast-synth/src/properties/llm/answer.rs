@@ -7,11 +7,11 @@ use crate::properties::physical::{FRICTION_RANGE, is_mass};
 use gripcast_base::error::{Error, Result};
 
 /// Longest answer that is read, bytes; the answers asked for have a hundred.
-const LONGEST_BYTES: usize = 64 << 10;
+const MAX_BYTES: usize = 64 << 10;
 /// Longest text of an answer that an error repeats, characters.
-const LONGEST_QUOTE: usize = 160;
+const MAX_QUOTE: usize = 160;
 /// Longest appearance, characters.
-const LONGEST_MODIFIER: usize = 80;
+const MAX_MODIFIER: usize = 80;
 
 /// Mass in kg and friction: the last JSON object in the text that has both.
 ///
@@ -64,12 +64,12 @@ pub(super) fn appearances(text: &str) -> Result<Vec<String>> {
             found.push(entry);
         }
     }
-    let fits = |m: &String| m.chars().count() <= LONGEST_MODIFIER;
+    let fits = |m: &String| m.chars().count() <= MAX_MODIFIER;
     if found.len() == APPEARANCES && found.iter().all(fits) {
         return Ok(found);
     }
     Err(unusable(format!(
-        "expected {APPEARANCES} different appearances of at most {LONGEST_MODIFIER} characters, \
+        "expected {APPEARANCES} different appearances of at most {MAX_MODIFIER} characters, \
          found {} in {}",
         found.len(),
         quote(text)
@@ -78,9 +78,9 @@ pub(super) fn appearances(text: &str) -> Result<Vec<String>> {
 
 /// The text without what a model thought before it spoke.
 fn spoken(text: &str) -> Result<&str> {
-    if text.len() > LONGEST_BYTES {
+    if text.len() > MAX_BYTES {
         return Err(unusable(format!(
-            "the answer must have at most {LONGEST_BYTES} bytes, found {}",
+            "the answer must have at most {MAX_BYTES} bytes, found {}",
             text.len()
         )));
     }
@@ -135,7 +135,7 @@ fn bare(entry: &str) -> String {
 }
 
 fn quote(text: &str) -> String {
-    let start: String = text.chars().take(LONGEST_QUOTE).collect();
+    let start: String = text.chars().take(MAX_QUOTE).collect();
     let more = if start.len() < text.len() { " …" } else { "" };
     format!("{start:?}{more}")
 }
@@ -183,9 +183,9 @@ mod tests {
             assert_eq!(error.kind(), ErrorKind::Input);
             assert!(error.to_string().contains(found), "{text}: {error}");
         }
-        let long = mass_and_friction(&"x".repeat(LONGEST_BYTES + 1)).unwrap_err();
+        let long = mass_and_friction(&"x".repeat(MAX_BYTES + 1)).unwrap_err();
         assert!(long.to_string().contains("65537"), "{long}");
-        assert!(mass_and_friction(&"{".repeat(LONGEST_BYTES)).is_err());
+        assert!(mass_and_friction(&"{".repeat(MAX_BYTES)).is_err());
         assert!(mass_and_friction(&"{\"a\":[".repeat(9_000)).is_err());
     }
 

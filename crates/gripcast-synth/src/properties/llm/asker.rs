@@ -26,7 +26,7 @@ pub struct PropertyQuery<'a> {
     pub size_m: f64,
     /// Volume inside its mesh, m³.
     pub volume_m3: f64,
-    /// Share of that volume which is material; none for that of the category.
+    /// Fraction of that volume which is material; none for that of the category.
     pub fill: Option<f64>,
     /// Seed of what is drawn by chance.
     pub seed: u64,
@@ -47,7 +47,7 @@ pub struct Appearances {
 /// With `fallback` an object gets its properties from the table when the endpoint does not answer
 /// or its answer cannot be used, and its [`PropertySource`] says so; once the endpoint did not
 /// answer in all attempts, it is not asked again for the objects that follow. Questions that the
-/// endpoint refuses (a wrong key, no such model) are errors even then: they do not mend themselves.
+/// endpoint refuses (a wrong key, no such model) are errors even then: they do not fix themselves.
 #[derive(Debug)]
 pub struct PropertyAsker {
     client: LlmClient,

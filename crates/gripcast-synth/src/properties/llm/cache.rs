@@ -13,7 +13,7 @@ use gripcast_base::files::{BeneathPath, FileKind, FileName, Root, hex};
 /// Version of the files.
 const SCHEMA: u32 = 1;
 /// Largest file that is read, bytes.
-const LARGEST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 
 /// A folder of answers.
 #[derive(Clone, Debug)]
@@ -57,7 +57,7 @@ impl AnswerCache {
         let place = self.place(model, prompt)?;
         let failed = |e| Error::io("cannot read the stored answer", e).at(place.display());
         match place.metadata() {
-            Ok(found) if found.bytes > LARGEST_BYTES => return Ok(None),
+            Ok(found) if found.bytes > MAX_BYTES => return Ok(None),
             Ok(_) => {}
             Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(e) => return Err(failed(e)),

@@ -14,9 +14,9 @@ use gripcast_base::error::{Error, ErrorKind, Result};
 /// First wait of the back-off; each following one is twice as long.
 const FIRST_WAIT: Duration = Duration::from_secs(1);
 /// Longest wait of the back-off.
-const LONGEST_WAIT: Duration = Duration::from_secs(30);
+const MAX_WAIT: Duration = Duration::from_secs(30);
 /// Longest wait that a server may ask for.
-const LONGEST_RETRY_AFTER: Duration = Duration::from_secs(120);
+const MAX_RETRY_AFTER: Duration = Duration::from_secs(120);
 /// How often a model is asked in all when its answers cannot be used.
 const ANSWERS: u32 = 2;
 
@@ -175,7 +175,7 @@ impl LlmClient {
                 Err(Failure::Passing { what, retry_after }) => (what, retry_after),
             };
             let pause = retry_after.unwrap_or_else(|| back_off(attempt));
-            if attempt >= self.attempts || pause > LONGEST_RETRY_AFTER {
+            if attempt >= self.attempts || pause > MAX_RETRY_AFTER {
                 return Err(Unanswered::Down(self.down(&what, attempt, retry_after)));
             }
             (self.wait)(pause).map_err(Unanswered::Other)?;
@@ -185,7 +185,7 @@ impl LlmClient {
 
     fn down(&self, what: &str, attempts: u32, retry_after: Option<Duration>) -> Error {
         let asked = match retry_after {
-            Some(time) if time > LONGEST_RETRY_AFTER => {
+            Some(time) if time > MAX_RETRY_AFTER => {
                 format!("; it asks to wait {} s", time.as_secs())
             }
             _ => String::new(),
@@ -204,7 +204,7 @@ impl LlmClient {
 
 fn back_off(attempt: u32) -> Duration {
     let factor = 1_u32.checked_shl(attempt - 1).unwrap_or(u32::MAX);
-    FIRST_WAIT.saturating_mul(factor).min(LONGEST_WAIT)
+    FIRST_WAIT.saturating_mul(factor).min(MAX_WAIT)
 }
 
 impl fmt::Debug for LlmClient {

@@ -127,14 +127,14 @@ fn unusable_answers_are_asked_once_more_then_told() {
     let (found, waits, requests) = ask(vec![Reply::says("No idea."), Reply::says(GOOD)]);
     assert_eq!(found.unwrap(), (0.25, 0.8));
     assert_eq!((waits.len(), requests.len()), (0, 2));
-    for (text, told) in [
+    for (text, on_progress) in [
         ("I would say a quarter of a kilogram.", "a quarter of"),
         (r#"{"mass": 0.25, "friction": 7.5}"#, "found 7.5"),
         (r#"{"mass": -1, "friction": 0.5}"#, "found -1"),
     ] {
         let error = failure(vec![Reply::says(text), Reply::says(text)]);
         assert_eq!(error.kind(), ErrorKind::Input);
-        assert!(error.to_string().contains(told), "{error}");
+        assert!(error.to_string().contains(on_progress), "{error}");
         assert!(error.to_string().contains("test-model"), "{error}");
     }
 }

@@ -3,9 +3,9 @@
 use gripcast_base::error::{Error, Result};
 
 /// Longest category or texture, characters.
-const LONGEST_NAME: usize = 120;
+const MAX_NAME: usize = 120;
 /// Largest object that is asked about, m.
-const LARGEST_M: f64 = 100.0;
+const MAX_M: f64 = 100.0;
 
 /// The paper's prompt for mass and friction (A.1, Mass and Friction Coefficient).
 ///
@@ -21,9 +21,9 @@ pub fn physical_prompt(texture: &str, category: &str, size_m: f64) -> Result<Str
     } else {
         format!("{} {category}", name("texture", texture)?)
     };
-    if !(size_m > 0.0 && size_m <= LARGEST_M) {
+    if !(size_m > 0.0 && size_m <= MAX_M) {
         return Err(Error::input(format!(
-            "the size must be above 0 and at most {LARGEST_M} m, found {size_m}"
+            "the size must be above 0 and at most {MAX_M} m, found {size_m}"
         ))
         .remedy("check the unit of the mesh"));
     }
@@ -55,9 +55,9 @@ fn name(kind: &str, text: &str) -> Result<String> {
     let words: Vec<&str> = text.split_whitespace().collect();
     let joined = words.join(" ");
     let length = joined.chars().count();
-    if length == 0 || length > LONGEST_NAME {
+    if length == 0 || length > MAX_NAME {
         return Err(Error::input(format!(
-            "a {kind} must have 1 to {LONGEST_NAME} characters, found {length}"
+            "a {kind} must have 1 to {MAX_NAME} characters, found {length}"
         ))
         .remedy("name the object in one or two words, for instance `coffee mug`"));
     }

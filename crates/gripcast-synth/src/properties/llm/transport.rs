@@ -13,9 +13,9 @@ use super::key::EndpointKey;
 use gripcast_base::error::{Error, ErrorKind, Result};
 
 /// Longest reply that is read, bytes.
-const LARGEST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 /// Longest text of a reply that an error repeats, characters.
-const LONGEST_QUOTE: usize = 200;
+const MAX_QUOTE: usize = 200;
 
 /// Why there is no answer.
 #[derive(Debug)]
@@ -113,10 +113,10 @@ impl Transport {
 
     /// A reply as text without the key, which some servers repeat.
     fn text(&self, mut body: Body) -> Result<String, Failure> {
-        let read = body.with_config().limit(LARGEST_BYTES).read_to_vec();
+        let read = body.with_config().limit(MAX_BYTES).read_to_vec();
         let bytes = read.map_err(|error| match error {
             ureq::Error::BodyExceedsLimit(_) => Failure::Unusable(
-                Error::input(format!("the reply is longer than {LARGEST_BYTES} bytes"))
+                Error::input(format!("the reply is longer than {MAX_BYTES} bytes"))
                     .remedy("check that the address is that of an OpenAI-compatible endpoint"),
             ),
             other => self.unsent(&other),
@@ -198,7 +198,7 @@ impl Transport {
         if said.is_empty() {
             return String::new();
         }
-        let start: String = said.chars().take(LONGEST_QUOTE).collect();
+        let start: String = said.chars().take(MAX_QUOTE).collect();
         let more = if start.len() < said.len() { " …" } else { "" };
         format!(": {start:?}{more}")
     }

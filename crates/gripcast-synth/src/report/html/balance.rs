@@ -9,7 +9,7 @@ pub(super) fn section(report: &SynthReport) -> Markup {
     let has_dataset = report.dataset.is_some();
     let body = html! {
         p {
-            "Share of simulations that held. Where a group is nearly all of one label, a model can \
+            "Fraction of simulations that held. Where a group is nearly all of one label, a model can \
              guess it from that alone"
             @if has_dataset { "; what counts for training are the columns of the dataset" }
             "."
@@ -24,7 +24,7 @@ pub(super) fn section(report: &SynthReport) -> Markup {
 
 fn draw(facts: &BalanceTable, has_dataset: bool) -> Table {
     let first = if has_dataset { "dataset" } else { "results" };
-    let mut columns = vec![text(""), text(first), number("share"), number("of")];
+    let mut columns = vec![text(""), text(first), number("fraction"), number("of")];
     if has_dataset {
         columns.extend([number("all results"), number("of")]);
     }
@@ -34,14 +34,14 @@ fn draw(facts: &BalanceTable, has_dataset: bool) -> Table {
         .class("data balance");
     for group in &facts.groups {
         let first = group.dataset.unwrap_or(group.results);
-        let share = |labels: Labels| percent(labels.share());
+        let fraction = |labels: Labels| percent(labels.fraction());
         // Where there is no dataset, there are no columns for the last two cells.
         table.row([
             &words(&group.name) as &dyn Render,
             &bar(first, first.all()),
-            &share(first),
+            &fraction(first),
             &first.all(),
-            &share(group.results),
+            &fraction(group.results),
             &group.results.all(),
         ]);
     }

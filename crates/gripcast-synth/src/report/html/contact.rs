@@ -1,4 +1,4 @@
-//! What the tactile pictures show, and pictures that are there twice.
+//! What the tactile images show, and images that are there twice.
 
 use super::percent;
 use crate::report::facts::SynthReport;
@@ -16,7 +16,7 @@ pub(super) fn section(report: &SynthReport) -> Markup {
              none, a model could tell the label from that alone."
         }
         @if contact.groups.is_empty() {
-            (nothing("There are no pictures yet."))
+            (nothing("There are no images yet."))
         } @else {
             p.verdict {
                 "No contact is seen in " b { (percent(without(report, true))) }
@@ -25,19 +25,19 @@ pub(super) fn section(report: &SynthReport) -> Markup {
             }
             (groups(report))
             p {
-                "AUROC: how often a held grasp changes the pictures of both sensors more than a \
+                "AUROC: how often a held grasp changes the images of both sensors more than a \
                  lost one of the same force; 0.5 tells nothing, and neither 0 nor 1 is wanted."
             }
         }
         @match &report.dataset {
             Some(dataset) => p {
-                "Renderings of the dataset whose tactile pictures are also those of another \
+                "Renderings of the dataset whose tactile images are also those of another \
                  simulation: " b { (dataset.merge.duplicates) } "."
             },
             None => (nothing("Duplicates are counted when merging.")),
         }
     };
-    page::section("contact", "Contact in the tactile pictures", body)
+    page::section("contact", "Contact in the tactile images", body)
 }
 
 /// Fraction of the pairs of a label that show no contact.

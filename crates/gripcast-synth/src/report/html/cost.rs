@@ -9,8 +9,8 @@ use maud::{Markup, Render, html};
 const PARTS: [(&str, &str, &str); 4] = [
     ("prepare", "mesh", "part-0"),
     ("simulate", "simulation", "part-1"),
-    ("tactile", "tactile pictures", "part-2"),
-    ("visual", "colour pictures", "part-3"),
+    ("tactile", "tactile images", "part-2"),
+    ("visual", "colour images", "part-3"),
 ];
 
 pub(super) fn section(report: &SynthReport) -> Markup {
@@ -22,7 +22,7 @@ pub(super) fn section(report: &SynthReport) -> Markup {
             p {
                 b { (optional(costs.per_core_hour, 0)) " simulations an hour on a core" } ", "
                 (optional(costs.labelled_per_core_hour, 0)) " of them with a label, with all their \
-                 pictures. CPU time of " (costs.simulations) " simulations; those that failed have \
+                 images. CPU time of " (costs.simulations) " simulations; those that failed have \
                  none."
             }
             (split(costs))
@@ -40,25 +40,25 @@ fn split(costs: &CostFacts) -> Markup {
     let columns = [
         text("Part"),
         number("CPU time of all"),
-        number("share"),
+        number("fraction"),
         number("each: median"),
         number("95\u{a0}%"),
         number("longest"),
     ];
     let cells = |key: &str, seconds: f64| {
         let each = costs.each_s.get(key).copied().unwrap_or_default();
-        let share = format!("{}\u{a0}%", fixed(100.0 * seconds / all, 1));
+        let fraction = format!("{}\u{a0}%", fixed(100.0 * seconds / all, 1));
         let each = [each.median, each.p95, each.max].map(duration);
-        (duration(seconds), share, each)
+        (duration(seconds), fraction, each)
     };
     let mut table = Table::new("CPU time by part", columns);
     for ((key, name, class), seconds) in PARTS.into_iter().zip(seconds) {
         let title = html! { span.key { i class=(class) {} } " " (name) };
-        let (all, share, [median, p95, max]) = cells(key, seconds);
-        table.row([&title as &dyn Render, &all, &share, &median, &p95, &max]);
+        let (all, fraction, [median, p95, max]) = cells(key, seconds);
+        table.row([&title as &dyn Render, &all, &fraction, &median, &p95, &max]);
     }
-    let (sum, share, [median, p95, max]) = cells("all", all);
-    table.total([&"all" as &dyn Render, &sum, &share, &median, &p95, &max]);
+    let (sum, fraction, [median, p95, max]) = cells("all", all);
+    table.total([&"all" as &dyn Render, &sum, &fraction, &median, &p95, &max]);
     let parts = PARTS.into_iter().zip(seconds);
     html! {
         div.wide-bar { (stack(parts.map(|((_, _, class), s)| (class, s / all)))) }

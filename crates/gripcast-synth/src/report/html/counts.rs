@@ -29,17 +29,17 @@ fn results(report: &SynthReport) -> Table {
         text("Simulations"),
         number("held"),
         number("lost"),
-        number("share held"),
+        number("fraction held"),
         number("objects"),
         number("grasps"),
     ];
     let mut table = Table::new("Counts by category", columns).class("data categories");
     let all = report.categories.values().map(|facts| facts.labels.all());
     let most = all.max().unwrap_or(0);
-    let cells = |labels: Labels| (labels.held, labels.lost, percent(labels.share()));
+    let cells = |labels: Labels| (labels.held, labels.lost, percent(labels.fraction()));
     let (mut objects, mut grasps) = (0, 0);
     for (name, facts) in &report.categories {
-        let (held, lost, share) = cells(facts.labels);
+        let (held, lost, fraction) = cells(facts.labels);
         let bar = bar(facts.labels, most);
         let counts: [&dyn Render; 2] = [&facts.objects, &facts.grasps];
         table.row([
@@ -47,20 +47,20 @@ fn results(report: &SynthReport) -> Table {
             &bar,
             &held,
             &lost,
-            &share,
+            &fraction,
             counts[0],
             counts[1],
         ]);
         objects += facts.objects;
         grasps += facts.grasps;
     }
-    let (held, lost, share) = cells(report.progress.labels);
+    let (held, lost, fraction) = cells(report.progress.labels);
     table.total([
         &"all" as &dyn Render,
         &"",
         &held,
         &lost,
-        &share,
+        &fraction,
         &objects,
         &grasps,
     ]);

@@ -13,14 +13,14 @@ pub(super) fn summary(report: &SynthReport) -> Markup {
             h1 { "Simulated grasps: plan " (short(&plan.sha256)) }
             p.simulated role="note" {
                 b { "Everything here is simulated and rendered." }
-                " No grasp was made by a robot and no picture was taken by a camera; whether an \
+                " No grasp was made by a robot and no image was taken by a camera; whether an \
                  object was held is what a simulator says."
             }
             p.verdict {
                 b { (progress.done) " of " (plan.simulations) }
                 " planned simulations are done: "
                 b { (progress.labels.held) } " held, "
-                b { (progress.labels.lost) } " were lost (" (percent(progress.labels.share()))
+                b { (progress.labels.lost) } " were lost (" (percent(progress.labels.fraction()))
                 " held), " (without_label(report)) ". They make " (progress.rows)
                 " renderings of " (plan.objects) " objects in " (plan.categories) " categories."
             }

@@ -5,7 +5,7 @@ use super::super::gather::plan_facts;
 use super::super::sample::{Sample, labelled};
 use super::super::{balance::balance, contact::contact, costs::costs, unlabelled::unlabelled};
 use super::page;
-use gripcast_report::picture::data_uri;
+use gripcast_report::image::data_uri;
 
 /// A report without contact, a dataset or examples.
 fn sample_report() -> SynthReport {
@@ -33,7 +33,7 @@ fn sample_report() -> SynthReport {
 }
 
 fn example(held: bool) -> Example {
-    let picture = data_uri(&image::RgbImage::new(16, 12)).unwrap();
+    let image = data_uri(&image::RgbImage::new(16, 12)).unwrap();
     Example {
         simulation: format!("mug-{held}"),
         object: "mug <script>".to_owned(),
@@ -48,10 +48,10 @@ fn example(held: bool) -> Example {
         held,
         rendering: 0,
         appearance: "\"red\"".to_owned(),
-        pictures: ExamplePictures {
-            colour: picture.clone(),
-            grasp: [picture.clone(), "https://example.org".to_owned()],
-            change: [picture.clone(), picture],
+        images: ExampleImages {
+            colour: image.clone(),
+            grasp: [image.clone(), "https://example.org".to_owned()],
+            change: [image.clone(), image],
         },
     }
 }

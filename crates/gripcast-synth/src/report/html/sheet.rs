@@ -2,8 +2,8 @@
 
 use super::words;
 use crate::report::facts::{Example, SynthReport};
+use gripcast_report::image::image;
 use gripcast_report::page::{self, grasp_card, nothing};
-use gripcast_report::picture::picture;
 use gripcast_report::{fixed, outcome_name, trimmed};
 use maud::{Markup, html};
 
@@ -41,17 +41,17 @@ pub(super) fn section(report: &SynthReport) -> Markup {
 }
 
 fn card(number: usize, example: &Example) -> Markup {
-    let pictures = &example.pictures;
+    let images = &example.images;
     let views = [
-        (&pictures.colour, "c", "camera"),
-        (&pictures.grasp[0], "l", "left sensor"),
-        (&pictures.grasp[1], "r", "right sensor"),
-        (&pictures.change[0], "m", "change of the left sensor"),
-        (&pictures.change[1], "s", "change of the right sensor"),
+        (&images.colour, "c", "camera"),
+        (&images.grasp[0], "l", "left sensor"),
+        (&images.grasp[1], "r", "right sensor"),
+        (&images.change[0], "m", "change of the left sensor"),
+        (&images.change[1], "s", "change of the right sensor"),
     ];
-    let pictures = html! {
+    let images = html! {
         @for (uri, id, alt) in views {
-            (picture(uri, &format!("e{number}{id}"), &format!("{}, {alt}", example.simulation)))
+            (image(uri, &format!("e{number}{id}"), &format!("{}, {alt}", example.simulation)))
         }
     };
     let fault = match example.fault.as_deref() {
@@ -72,5 +72,5 @@ fn card(number: usize, example: &Example) -> Markup {
         }
         (nothing(&example.appearance))
     };
-    grasp_card(example.held, pictures, text)
+    grasp_card(example.held, images, text)
 }

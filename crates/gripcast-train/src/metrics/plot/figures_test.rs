@@ -88,7 +88,7 @@ fn a_precision_recall_figure_shows_steps_and_chance() {
 }
 
 #[test]
-fn a_reliability_figure_shows_shares_at_mean_probabilities() {
+fn a_reliability_figure_shows_fractions_at_mean_probabilities() {
     let samples = scored(&[(0.9, true), (0.9, true), (0.9, true), (0.9, false)]);
     let svg = reliability("Reliability", &ReliabilityTable::new(&samples)).to_svg();
     let tags = tags(&svg);
@@ -106,7 +106,7 @@ fn a_reliability_figure_shows_shares_at_mean_probabilities() {
 
 #[test]
 fn precision_recall_figures_are_laid_out_well() {
-    for (n, share) in [
+    for (n, fraction) in [
         (0, None),
         (1, Some(0.6)),
         (9, Some(1.0)),
@@ -116,11 +116,11 @@ fn precision_recall_figures_are_laid_out_well() {
             .iter()
             .map(|(name, samples)| ModelCurve::new(name, samples, None))
             .collect();
-        let svg = precision_recall(&curves, share).to_svg();
+        let svg = precision_recall(&curves, fraction).to_svg();
         check(&svg);
         assert_eq!(svg.matches("class=\"curve ").count(), 2 * n);
         let has_chance = texts(&svg).contains(&"Chance".to_owned());
-        assert_eq!(has_chance, share.is_some_and(f64::is_finite));
+        assert_eq!(has_chance, fraction.is_some_and(f64::is_finite));
     }
 }
 

@@ -21,7 +21,7 @@ pub fn reliability(title: &str, table: &ReliabilityTable) -> Chart {
         @for bin in table.bins.iter().filter(|bin| bin.n > 0) {
             g {
                 title { (tooltip(bin)) }
-                (bar(&diagram, bin, bin.stable_share.unwrap_or(0.0)))
+                (bar(&diagram, bin, bin.stable_fraction.unwrap_or(0.0)))
                 (bar(&histogram, bin, bin.n as f64))
             }
         }
@@ -29,7 +29,7 @@ pub fn reliability(title: &str, table: &ReliabilityTable) -> Chart {
         (histogram.edges())
         (diagram.guide([0.0, 0.0], [1.0, 1.0]))
         @for bin in &table.bins {
-            @if let (Some(mean_p), Some(stable)) = (bin.mean_p, bin.stable_share) {
+            @if let (Some(mean_p), Some(stable)) = (bin.mean_p, bin.stable_fraction) {
                 g {
                     title { (tooltip(bin)) }
                     (diagram.dot("point series-0", [mean_p, stable], 4.0))
@@ -60,7 +60,7 @@ fn panels(table: &ReliabilityTable) -> (Panel, Panel) {
     let counts = Axis::of_counts("Grasps", highest);
     let mut diagram = square(
         "Predicted probability of stable",
-        "Share of grasps that are stable",
+        "Fraction of grasps that are stable",
     );
     let shift = (counts.room() - diagram.left).max(0.0);
     diagram.left += shift;
@@ -88,11 +88,11 @@ fn bar(panel: &Panel, bin: &ReliabilityBin, value: f64) -> Markup {
 
 fn tooltip(bin: &ReliabilityBin) -> String {
     format!(
-        "{}–{}: {} grasps, mean probability {}, share stable {}",
+        "{}–{}: {} grasps, mean probability {}, fraction stable {}",
         fixed(bin.low, 3),
         fixed(bin.high, 3),
         bin.n,
         optional(bin.mean_p, 3),
-        optional(bin.stable_share, 3)
+        optional(bin.stable_fraction, 3)
     )
 }

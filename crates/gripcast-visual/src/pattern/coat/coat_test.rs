@@ -1,6 +1,6 @@
 use super::super::tests::closes;
 use super::*;
-use crate::picture::LUMINANCE;
+use crate::linear_image::LUMINANCE;
 use gripcast_imaging::srgb_decode;
 
 fn look(finish: Finish, pattern: Word, base_colour: [f32; 3]) -> Look {
@@ -17,8 +17,8 @@ fn all() -> impl Iterator<Item = (Finish, Word)> {
     Finish::ALL.into_iter().flat_map(words)
 }
 
-fn mean_luminance(picture: &image::RgbImage) -> f32 {
-    let sum: f64 = picture
+fn mean_luminance(image: &image::RgbImage) -> f32 {
+    let sum: f64 = image
         .pixels()
         .map(|p| {
             let parts = p.0.iter().zip(LUMINANCE);
@@ -27,7 +27,7 @@ fn mean_luminance(picture: &image::RgbImage) -> f32 {
                 .sum::<f64>()
         })
         .sum();
-    (sum / f64::from(picture.width() * picture.height())) as f32
+    (sum / f64::from(image.width() * image.height())) as f32
 }
 
 const OAK: [f32; 3] = [0.55, 0.36, 0.15];
@@ -42,9 +42,9 @@ fn coats_are_fixed_by_their_seed_and_tile() {
         let look = look(finish, word, OAK);
         let coat = paint(&look, 64, 5);
         assert_eq!(coat, paint(&look, 64, 5), "{look:?}");
-        assert_ne!(coat.picture, paint(&look, 64, 6).picture, "{look:?}");
+        assert_ne!(coat.image, paint(&look, 64, 6).image, "{look:?}");
         assert!(coat.tile_m > 0.0 && (0.0..=1.0).contains(&coat.roughness));
-        closes(&coat.picture, &format!("{look:?}"));
+        closes(&coat.image, &format!("{look:?}"));
     }
 }
 
@@ -64,10 +64,10 @@ fn the_base_colour_is_the_mean() {
     for (finish, word) in all() {
         for (seed, base) in [OAK, WHITE, BLACK, BLUE, YELLOW].into_iter().enumerate() {
             let look = look(finish, word, base);
-            let picture = paint(&look, 64, seed as u64).picture;
-            let ratio = mean_luminance(&picture) / luminance(base);
+            let image = paint(&look, 64, seed as u64).image;
+            let ratio = mean_luminance(&image) / luminance(base);
             if look.is_print() || word == Word::Rusty {
-                assert!(picture.pixels().any(|p| p != picture.get_pixel(0, 0)));
+                assert!(image.pixels().any(|p| p != image.get_pixel(0, 0)));
             } else {
                 assert!((0.85..=1.15).contains(&ratio), "{look:?}: {ratio}");
             }
@@ -79,9 +79,9 @@ fn the_base_colour_is_the_mean() {
 fn patterns_of_one_finish_differ() {
     for finish in Finish::ALL {
         let contrast = |word| {
-            let picture = paint(&look(finish, word, BLUE), 64, 3).picture;
-            let mean = mean_luminance(&picture);
-            let levels = picture.pixels().map(|p| {
+            let image = paint(&look(finish, word, BLUE), 64, 3).image;
+            let mean = mean_luminance(&image);
+            let levels = image.pixels().map(|p| {
                 let parts = p.0.iter().zip(LUMINANCE);
                 parts.map(|(v, w)| w * srgb_decode(*v)).sum::<f32>() / mean - 1.0
             });
@@ -101,9 +101,9 @@ fn black_and_white_can_be_painted() {
         let black = paint(&look(finish, word, [0.0; 3]), 16, 1);
         let white = paint(&look(finish, word, [1.0; 3]), 16, 1);
         if !look(finish, word, [0.0; 3]).is_print() && word != Word::Rusty {
-            assert!(mean_luminance(&white.picture) > 0.8, "{finish:?} {word:?}");
+            assert!(mean_luminance(&white.image) > 0.8, "{finish:?} {word:?}");
         }
-        assert_eq!(black.picture.dimensions(), (16, 16));
+        assert_eq!(black.image.dimensions(), (16, 16));
     }
 }
 

@@ -10,8 +10,8 @@ use super::super::scaled;
 use super::super::wood::{Boards, Timber};
 use super::palette::{grey_of, hue_turned, tinted, with_luminance};
 use super::{Finish, Layer, Word};
+use crate::linear_image::luminance;
 use crate::look::Look;
-use crate::picture::luminance;
 use gripcast_base::random::{SeedStream, lattice};
 
 /// Threads along each side; a multiple of 12, as all weaves want.
@@ -122,8 +122,8 @@ fn marble(base: [f32; 3], stream: &mut SeedStream) -> Layer {
         with_luminance(base, 5.0 * own + 0.05)
     };
     Box::new(move |x, y, below| {
-        let (share, cloud) = veins.at(x, y);
-        scaled(mix_color(below, vein, share), cloud)
+        let (fraction, cloud) = veins.at(x, y);
+        scaled(mix_color(below, vein, fraction), cloud)
     })
 }
 
@@ -155,10 +155,10 @@ fn peel(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let hue = Fractal::new(seed ^ 0x81, [2, 3], 3);
     let pores = Cells::new(seed ^ 0x82, 44);
     Box::new(move |x, y, below| {
-        let share = smoothstep(0.35, 0.65, hue.at(x, y));
+        let fraction = smoothstep(0.35, 0.65, hue.at(x, y));
         let (near, _, id) = pores.at(x, y);
         let pore = (1.0 - smoothstep(0.1, 0.32, near)) * id;
         let shade = mix(0.84, 1.12, broad.at(x, y)) * (1.0 - 0.16 * pore);
-        scaled(mix_color(below, other, share), shade)
+        scaled(mix_color(below, other, fraction), shade)
     })
 }

@@ -7,10 +7,10 @@ mod strokes;
 mod wear;
 
 use super::{PaintedSurface, light_by_place};
+use crate::linear_image::{Image, luminance};
 use crate::look::FinishClass as Finish;
 use crate::look::Look;
 use crate::look::PatternWord as Word;
-use crate::picture::{Picture, luminance};
 use gripcast_base::random::SeedStream;
 
 use palette::BRIGHTEST;
@@ -26,15 +26,15 @@ const RUSTY_METALLIC: f32 = 0.6;
 pub(crate) fn paint(look: &Look, size_px: u32, seed: u64) -> PaintedSurface {
     let mut stream = SeedStream::named(seed, "coat");
     let layers = layers(look, size_px, &mut stream);
-    let mut picture = light_by_place(size_px, |x, y| {
+    let mut image = light_by_place(size_px, |x, y| {
         let paint = |below: [f32; 3], layer: &Layer| layer(x, y, below);
         layers.iter().fold(look.base_colour, paint)
     });
     if !look.is_print() && look.pattern != Word::Rusty {
-        balance(&mut picture, luminance(look.base_colour));
+        balance(&mut image, luminance(look.base_colour));
     }
     PaintedSurface {
-        picture: picture.to_srgb8(1.0),
+        image: image.to_srgb8(1.0),
         tile_m: tile_m(look),
         roughness: roughness(look),
         metallic: match (look.finish, look.pattern) {
@@ -62,17 +62,17 @@ fn layers(look: &Look, size_px: u32, stream: &mut SeedStream) -> Vec<Layer> {
     below.into_iter().chain([print, wear]).flatten().collect()
 }
 
-/// Scales a picture so that its mean luminance is as wanted, as far as no pixel gets brighter
+/// Scales an image so that its mean luminance is as wanted, as far as no pixel gets brighter
 /// than bright paint.
-fn balance(picture: &mut Picture, wanted: f32) {
+fn balance(image: &mut Image, wanted: f32) {
     // What is cut off at the top is missing in the mean: the second pass makes up for it.
     for _ in 0..2 {
-        let mean = luminance(picture.mean().map(|c| c as f32));
+        let mean = luminance(image.mean().map(|c| c as f32));
         if mean <= 0.0 {
             return;
         }
         let gain = wanted / mean;
-        for pixel in &mut picture.pixels {
+        for pixel in &mut image.pixels {
             *pixel = pixel.map(|c| (c * gain).min(BRIGHTEST));
         }
     }

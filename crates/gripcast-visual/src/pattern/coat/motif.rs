@@ -11,8 +11,8 @@ use super::ground::{clouds, knit, shaded, weave, wood};
 use super::palette::{accent, faded, hue_turned, legible, tinted, with_luminance};
 use super::strokes::{Mask, Strokes};
 use super::{Finish, Layer, Word};
+use crate::linear_image::luminance;
 use crate::look::Look;
-use crate::picture::luminance;
 use gripcast_base::random::SeedStream;
 
 /// Luminance from which specks and bruises are darker than the ground.
@@ -190,8 +190,8 @@ fn melange(stream: &mut SeedStream) -> Layer {
     let lying = Value::new(seed, [24, 96]);
     let upright = Value::new(seed ^ 0xa1, [96, 24]);
     shaded(move |x, y| {
-        let share = 0.5 * (lying.at(x, y) + upright.at(x, y));
-        mix(0.55, 1.4, smoothstep(0.3, 0.7, share))
+        let fraction = 0.5 * (lying.at(x, y) + upright.at(x, y));
+        mix(0.55, 1.4, smoothstep(0.3, 0.7, fraction))
     })
 }
 
@@ -270,8 +270,8 @@ fn dusty(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     );
     let cloud = Fractal::new(stream.bits(), [4, 4], 5);
     Box::new(move |x, y, below| {
-        let share = smoothstep(0.4, 0.72, cloud.at(x, y));
-        mix_color(below, dust, 0.6 * share)
+        let fraction = smoothstep(0.4, 0.72, cloud.at(x, y));
+        mix_color(below, dust, 0.6 * fraction)
     })
 }
 
@@ -285,8 +285,8 @@ fn bruised(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     };
     let cloud = Fractal::new(stream.bits(), [4, 5], 5);
     Box::new(move |x, y, below| {
-        let share = smoothstep(0.5, 0.68, cloud.at(x, y));
-        mix_color(below, patch, 0.8 * share)
+        let fraction = smoothstep(0.5, 0.68, cloud.at(x, y));
+        mix_color(below, patch, 0.8 * fraction)
     })
 }
 
@@ -302,10 +302,10 @@ fn marbled(base: [f32; 3], stream: &mut SeedStream) -> Layer {
     let veins = Veins::new(stream.bits());
     let stirred = Fractal::new(stream.bits(), [2, 3], 3);
     Box::new(move |x, y, below| {
-        let (share, cloud) = veins.at(x, y);
+        let (fraction, cloud) = veins.at(x, y);
         let swirl = (TAU * 2.5 * stirred.at(x, y)).sin();
         let wide = 0.55 * smoothstep(0.55, 1.0, swirl);
-        scaled(mix_color(below, other, share.max(wide)), cloud)
+        scaled(mix_color(below, other, fraction.max(wide)), cloud)
     })
 }
 

@@ -2,7 +2,7 @@
 
 use super::super::noise::{mix, mix_color};
 use super::super::random_color;
-use crate::picture::luminance;
+use crate::linear_image::luminance;
 use gripcast_base::random::SeedStream;
 
 /// Largest reflectance that is painted: that of bright white paint.
@@ -87,12 +87,12 @@ pub(super) fn legible(base: [f32; 3]) -> [f32; 3] {
 }
 
 /// A colour drawn towards dust or bare fibre: paler and lighter.
-pub(super) fn faded(color: [f32; 3], share: f32) -> [f32; 3] {
+pub(super) fn faded(color: [f32; 3], fraction: f32) -> [f32; 3] {
     let own = luminance(color);
     let lighter = mix(own, 0.55, 0.35).max(own);
     mix_color(
         color,
         mix_color(with_luminance(color, lighter), [lighter; 3], 0.6),
-        share,
+        fraction,
     )
 }

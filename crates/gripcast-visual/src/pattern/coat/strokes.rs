@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use gripcast_base::random::SeedStream;
 
-/// How lines are drawn; lengths in widths of the picture, which they leave on one side and enter
+/// How lines are drawn; lengths in widths of the image, which they leave on one side and enter
 /// on the other.
 pub(super) struct Strokes {
     pub(super) count: usize,
@@ -14,7 +14,7 @@ pub(super) struct Strokes {
     pub(super) spread_rad: f64,
     /// Largest turn along a line, rad.
     pub(super) turn_rad: f64,
-    /// Share of the lines that are darker than what is below.
+    /// Fraction of the lines that are darker than what is below.
     pub(super) dark: f64,
 }
 
@@ -64,19 +64,19 @@ impl Mask {
         }
     }
 
-    /// Marks the four pixels around a place by their share; the stronger mark stays.
+    /// Marks the four pixels around a place by their fraction; the stronger mark stays.
     fn dot(&mut self, x: f64, y: f64, strength: f32) {
         let (column, row) = ((x - 0.5).floor(), (y - 0.5).floor());
         let (fx, fy) = ((x - 0.5 - column) as f32, (y - 0.5 - row) as f32);
         let wrap = |c: f64| (c as i64).rem_euclid(self.size as i64) as usize;
-        for (dx, dy, share) in [
+        for (dx, dy, fraction) in [
             (0.0, 0.0, (1.0 - fx) * (1.0 - fy)),
             (1.0, 0.0, fx * (1.0 - fy)),
             (0.0, 1.0, (1.0 - fx) * fy),
             (1.0, 1.0, fx * fy),
         ] {
             let at = wrap(row + dy) * self.size + wrap(column + dx);
-            let mark = share * strength;
+            let mark = fraction * strength;
             if mark.abs() > self.cover[at].abs() {
                 self.cover[at] = mark;
             }

@@ -5,8 +5,8 @@ use super::super::{scaled, srgb};
 use super::palette::{faded, grey_of, tinted, with_luminance};
 use super::strokes::{Mask, Strokes};
 use super::{Finish, Layer, Word};
+use crate::linear_image::luminance;
 use crate::look::Look;
-use crate::picture::luminance;
 use gripcast_base::random::SeedStream;
 
 /// Rust: dark crust, brown, orange rim.
@@ -66,13 +66,13 @@ fn worn(look: &Look, stream: &mut SeedStream) -> Layer {
     let fine = Value::new(stream.bits(), [110, 110]);
     Box::new(move |x, y, below| {
         let rubbed = cloud.at(x, y) + 0.12 * (fine.at(x, y) - 0.5);
-        let share = smoothstep(0.46, 0.66, rubbed);
+        let fraction = smoothstep(0.46, 0.66, rubbed);
         // Texture shows through on both.
         let relief = luminance(below) / luminance(base).max(1e-4);
         mix_color(
             below,
             scaled(under, mix(1.0, relief.min(1.5), 0.6)),
-            0.7 * share,
+            0.7 * fraction,
         )
     })
 }

@@ -1,11 +1,11 @@
-//! Whether a stored file is the whole picture that its record describes.
+//! Whether a stored file is the whole image that its record describes.
 
 use image::ColorType;
 
 use super::grasp::CameraRecord;
 use gripcast_imaging::{PixelFormat, decode_png, jpeg};
 
-/// Says what is wrong with a picture; `None` when it is whole and of the right size and kind.
+/// Says what is wrong with an image; `None` when it is whole and of the right size and kind.
 pub(super) fn fault(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
     let found = match camera.format {
         PixelFormat::Mjpg => jpeg_size(bytes),
@@ -16,14 +16,14 @@ pub(super) fn fault(bytes: &[u8], camera: &CameraRecord) -> Option<String> {
     match found {
         Err(fault) => Some(fault),
         Ok(size) if size != (camera.width, camera.height) => Some(format!(
-            "the picture is {}×{}, its record says {}×{}",
+            "the image is {}×{}, its record says {}×{}",
             size.0, size.1, camera.width, camera.height
         )),
         Ok(_) => None,
     }
 }
 
-/// Format, width and height of a whole picture; the format is the one that is stored so.
+/// Format, width and height of a whole image; the format is the one that is stored so.
 pub(super) fn recognise(bytes: &[u8]) -> Option<(PixelFormat, u32, u32)> {
     if let Ok((width, height)) = jpeg_size(bytes) {
         return Some((PixelFormat::Mjpg, width, height));
@@ -44,7 +44,7 @@ fn png_size(bytes: &[u8], colour: ColorType) -> Result<(u32, u32), String> {
     let image = decode_png(bytes).map_err(|e| format!("not a whole PNG: {e}"))?;
     if image.color() != colour {
         return Err(format!(
-            "the picture is {:?}, its record says {colour:?}",
+            "the image is {:?}, its record says {colour:?}",
             image.color()
         ));
     }

@@ -1,4 +1,4 @@
-//! Pictures of a simulated grasp as a collection would have taken them.
+//! Images of a simulated grasp as a collection would have taken them.
 
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
@@ -18,11 +18,11 @@ use gripcast_visual::{
 
 use super::plan::RenderingPlan;
 
-/// Columns and rows of the colour pictures: what the predictor sees.
+/// Columns and rows of the colour images: what the predictor sees.
 const VIEW: [usize; 2] = [320, 240];
 /// Radius of the denoiser, px: half the work of the usual one, hardly seen under a camera's noise.
 const DENOISE_RADIUS: usize = 5;
-/// JPEG quality of all pictures.
+/// JPEG quality of all images.
 const QUALITY: u8 = 92;
 
 /// Sides of the triangles that a tactile sensor sees, m: the facets of the meshes that meet the
@@ -73,7 +73,7 @@ impl Grasped<'_> {
         let stiffness = foundation_pa_m(young_pa, poisson, thickness);
         let force_n = self.force_n[finger as usize];
         let depth_m = depth_under_force(mesh, &t_sensor_object, force_n, stiffness, grid);
-        // The picture shows less than the gel: what touches its rim alone is not seen.
+        // The image shows less than the gel: what touches its rim alone is not seen.
         match depth_m {
             Some(depth_m) => TactileScene::pressed(mesh, &t_sensor_object, depth_m, grid),
             None => Ok(TactileScene::without_contact(mesh, grid)),
@@ -94,7 +94,7 @@ impl Grasped<'_> {
     }
 }
 
-/// Makes the pictures of a rendering: other sensors, light, ground, camera each.
+/// Makes the images of a rendering: other sensors, light, ground, camera each.
 #[derive(Clone, Debug)]
 pub(super) struct Photographer {
     sensor: SensorProfile,
@@ -111,12 +111,12 @@ impl Photographer {
         })
     }
 
-    /// Named crop of the tactile pictures: they are whole.
+    /// Named crop of the tactile images: they are whole.
     pub(super) fn crop_profile(&self) -> &'static str {
         self.sensor.crop_profile.name()
     }
 
-    /// The tactile pictures of a rendering, initial and before the lift.
+    /// The tactile images of a rendering, initial and before the lift.
     ///
     /// # Errors
     /// `Input` where the snapshot is not of the gel.
@@ -126,16 +126,16 @@ impl Photographer {
             let variation = SensorVariation::drawn(draw.bits(), self.plan.sensor_spread);
             let mut renderer = ObjectDepthRenderer::new(&variation.of(&self.sensor))?;
             let after = grasped.scene(finger, &self.sensor.geometry)?;
-            let mut picture = |scene: &TactileScene<'_>| -> Result<Vec<u8>> {
+            let mut image = |scene: &TactileScene<'_>| -> Result<Vec<u8>> {
                 encode_jpeg(&renderer.render(scene, Some(draw.bits()))?, QUALITY)
             };
-            Ok([picture(&after.untouched())?, picture(&after)?])
+            Ok([image(&after.untouched())?, image(&after)?])
         };
         let ([a, b], [c, d]) = (of(Finger::Left)?, of(Finger::Right)?);
         Ok([[a, c], [b, d]])
     }
 
-    /// The colour picture of a rendering.
+    /// The colour image of a rendering.
     ///
     /// # Errors
     /// `Input` where the camera would be inside something.
@@ -156,8 +156,8 @@ impl Photographer {
             ..DenoiseSettings::default()
         };
         let light = denoise(&rendering, &settings);
-        let picture = develop(&light, &ColourSettings::default(), draw.bits());
-        encode_jpeg(&picture, QUALITY)
+        let image = develop(&light, &ColourSettings::default(), draw.bits());
+        encode_jpeg(&image, QUALITY)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Picture in linear light.
+//! Image in linear light.
 
 use image::RgbImage;
 
@@ -8,9 +8,9 @@ use gripcast_imaging::srgb_encode;
 /// Weights of linear R, G, B in the luminance (ITU-R BT.709).
 pub(super) const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
-/// Linear-light RGB picture, row by row from the top left.
+/// Linear-light RGB image, row by row from the top left.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Picture {
+pub struct Image {
     /// Columns.
     pub width: usize,
     /// Rows.
@@ -19,8 +19,8 @@ pub struct Picture {
     pub pixels: Vec<[f32; 3]>,
 }
 
-impl Picture {
-    /// Picture of one colour.
+impl Image {
+    /// Image of one colour.
     pub fn filled(width: usize, height: usize, colour: [f32; 3]) -> Self {
         Self {
             width,
@@ -29,7 +29,7 @@ impl Picture {
         }
     }
 
-    /// Picture from its pixels, row by row.
+    /// Image from its pixels, row by row.
     ///
     /// # Errors
     /// `Input` without pixels or for another number of pixels than `width * height`.
@@ -37,7 +37,7 @@ impl Picture {
         if width == 0 || height == 0 || pixels.len() != width * height {
             let found = pixels.len();
             return Err(Error::input(format!(
-                "a picture of {width}×{height} cannot hold {found} pixels"
+                "an image of {width}×{height} cannot hold {found} pixels"
             )));
         }
         Ok(Self {
@@ -63,7 +63,7 @@ impl Picture {
         sum.map(|s| s / self.pixels.len().max(1) as f64)
     }
 
-    /// Root of the mean squared difference over pixels and channels to a picture of the same size.
+    /// Root of the mean squared difference over pixels and channels to an image of the same size.
     ///
     /// # Errors
     /// `Input` when the sizes differ.
@@ -71,7 +71,7 @@ impl Picture {
         if (self.width, self.height) != (other.width, other.height) {
             let [a, b] = [self, other].map(|p| format!("{}×{}", p.width, p.height));
             return Err(Error::input(format!(
-                "pictures of {a} and {b} cannot be compared"
+                "images of {a} and {b} cannot be compared"
             )));
         }
         let mut sum = 0.0;
@@ -83,7 +83,7 @@ impl Picture {
         Ok((sum / (3 * self.pixels.len()).max(1) as f64).sqrt())
     }
 
-    /// 8-bit sRGB picture: each value times `exposure`, clipped to [0, 1], encoded by the transfer
+    /// 8-bit sRGB image: each value times `exposure`, clipped to [0, 1], encoded by the transfer
     /// function of IEC 61966-2-1 and rounded. A value that is no number becomes 0.
     pub fn to_srgb8(&self, exposure: f32) -> RgbImage {
         let bytes = self.pixels.iter().flatten();
@@ -104,19 +104,19 @@ mod tests {
 
     #[test]
     fn exposure_scales_linear_light() {
-        let picture = Picture::filled(2, 1, [0.09, 0.5, -1.0]);
-        let pixel = picture.to_srgb8(2.0).get_pixel(1, 0).0;
+        let image = Image::filled(2, 1, [0.09, 0.5, -1.0]);
+        let pixel = image.to_srgb8(2.0).get_pixel(1, 0).0;
         assert_eq!(pixel, [118, 255, 0]);
     }
 
     #[test]
     fn means_and_errors() {
-        let a = Picture::filled(2, 2, [1.0, 2.0, 3.0]);
-        let b = Picture::filled(2, 2, [1.0, 2.0, 6.0]);
+        let a = Image::filled(2, 2, [1.0, 2.0, 3.0]);
+        let b = Image::filled(2, 2, [1.0, 2.0, 6.0]);
         assert_eq!(a.mean(), [1.0, 2.0, 3.0]);
         assert!((a.rmse(&b).unwrap() - 3f64.sqrt()).abs() < 1e-12);
-        let text = a.rmse(&Picture::filled(1, 4, [0.0; 3])).unwrap_err();
+        let text = a.rmse(&Image::filled(1, 4, [0.0; 3])).unwrap_err();
         assert!(text.to_string().contains("2×2 and 1×4"), "{text}");
-        assert!(Picture::from_pixels(0, 3, Vec::new()).is_err());
+        assert!(Image::from_pixels(0, 3, Vec::new()).is_err());
     }
 }

@@ -17,7 +17,7 @@ use gripcast_visual::{
     annotation_scene, denoise, develop, drawn_finish, grasp_scene,
 };
 
-/// Columns and rows of the pictures between the fingers, and their paths for each pixel.
+/// Columns and rows of the images between the fingers, and their paths for each pixel.
 pub(super) const HAND: [usize; 2] = [320, 240];
 const HAND_SAMPLES: u32 = 8;
 /// The same beside the table.
@@ -25,7 +25,7 @@ pub(super) const BESIDE: [usize; 2] = [1280, 720];
 const BESIDE_SAMPLES: u32 = 8;
 /// Neighbourhood of its denoiser, px: the usual one takes longer than the paths.
 const BESIDE_DENOISE_PX: usize = 3;
-/// Its number among the pictures of a grasp.
+/// Its number among the images of a grasp.
 const BESIDE_NUMBER: u64 = 3;
 /// JPEG quality of all.
 const QUALITY: u8 = 92;
@@ -43,7 +43,7 @@ pub(super) struct Stand {
 }
 
 /// JPEGs of a grasp.
-pub(super) struct Pictures {
+pub(super) struct Images {
     /// From between the fingers, before closing and before the lift.
     pub(super) hand: [Vec<u8>; 2],
     /// From beside the table, before closing.
@@ -87,7 +87,7 @@ impl Stand {
         annotation_camera(&state, BESIDE, 0).intrinsics()
     }
 
-    /// Takes the pictures of a grasp; the seed moves the camera beside the table and draws noise.
+    /// Takes the images of a grasp; the seed moves the camera beside the table and draws noise.
     ///
     /// # Errors
     /// `Interrupted` once the watch is cancelled; `Input` where a camera would be in the ground.
@@ -98,7 +98,7 @@ impl Stand {
         grid: &GelGrid,
         seed: u64,
         watch: &DemoWatch<'_>,
-    ) -> Result<Pictures> {
+    ) -> Result<Images> {
         let before = GraspState {
             t_world_object: self.t_world_object,
             t_world_gripper: placed.t_world_gripper,
@@ -118,8 +118,8 @@ impl Stand {
             };
             let rendering = Renderer::new(scene)?.render(camera, &settings, &watch)?;
             let light = denoise(&rendering, &cleaning(number));
-            let picture = develop(&light, &colour(number), seed ^ number);
-            encode_jpeg(&picture, QUALITY)
+            let image = develop(&light, &colour(number), seed ^ number);
+            encode_jpeg(&image, QUALITY)
         };
         let hand = |state: &GraspState, number: u64| {
             let scene = grasp_scene(&self.model, state, &self.conditions, View::EyeInHand(HAND))?;
@@ -127,7 +127,7 @@ impl Stand {
         };
         let camera = annotation_camera(&before, BESIDE, seed);
         let scene = annotation_scene(&self.model, &before, &self.conditions, camera, &self.prints)?;
-        Ok(Pictures {
+        Ok(Images {
             hand: [hand(&before, 1)?, hand(&after, 2)?],
             beside: shoot(&scene, &camera, BESIDE_SAMPLES, BESIDE_NUMBER)?,
             intrinsics: camera.intrinsics(),
@@ -135,7 +135,7 @@ impl Stand {
     }
 }
 
-/// The denoiser of a picture.
+/// The denoiser of an image.
 fn cleaning(number: u64) -> DenoiseSettings {
     let usual = DenoiseSettings::default();
     DenoiseSettings {
@@ -148,7 +148,7 @@ fn cleaning(number: u64) -> DenoiseSettings {
     }
 }
 
-/// The sensor of a picture; that beside the table is sharper and not shrunk from 3 × 3 pixels.
+/// The sensor of an image; that beside the table is sharper and not shrunk from 3 × 3 pixels.
 fn colour(number: u64) -> ColourSettings {
     let usual = ColourSettings::default();
     match number {

@@ -1,16 +1,16 @@
-//! Pictures of a report: the camera's view beside the path tracer's.
+//! Images of a report: the camera's view beside the path tracer's.
 
 use image::{RgbImage, imageops};
 
 use super::object_file::ReplayObject;
 use super::recording::RecordedGrasp;
-use super::report::PicturePair;
+use super::report::ImagePair;
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::FileKind;
 use gripcast_dataset::{Dataset, Stage};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{Decoder, Role};
-use gripcast_report::picture::data_uri;
+use gripcast_report::image::data_uri;
 use gripcast_sim::grasp::Snapshot;
 use gripcast_visual::{
     ColourSettings, DenoiseSettings, Finish, GraspState, Model, Pattern, RenderSettings, Renderer,
@@ -19,7 +19,7 @@ use gripcast_visual::{
 
 /// Columns and rows of a view.
 const VIEW: [usize; 2] = [240, 180];
-/// Columns and rows of an object's picture.
+/// Columns and rows of an object's image.
 const OBJECT: [usize; 2] = [240, 180];
 
 /// How the path tracer draws.
@@ -31,7 +31,7 @@ pub(super) struct ViewSettings {
     pub(super) seed: u64,
 }
 
-/// The camera's picture before the lift, and the simulation's from the nominal place of the
+/// The camera's image before the lift, and the simulation's from the nominal place of the
 /// camera. Light, ground and the object's surface are not known; the simulated ones are drawn
 /// from the seed.
 ///
@@ -43,17 +43,17 @@ pub(super) fn view_pair(
     object: &ReplayObject,
     snapshot: &Snapshot,
     settings: &ViewSettings,
-) -> Result<PicturePair> {
+) -> Result<ImagePair> {
     let camera = grasp.record.grasp.cameras.get(&Role::Rgb);
     let size = camera.map_or([0; 2], |camera| [camera.width, camera.height]);
     let path = dataset.path_of(&grasp.record, Stage::Grasp, Role::Rgb);
-    let path = path.ok_or_else(|| Error::not_found("the grasp has no colour picture"))?;
+    let path = path.ok_or_else(|| Error::not_found("the grasp has no colour image"))?;
     let bytes = path
         .read(FileKind::Image)
-        .map_err(|e| Error::io("cannot read the colour picture", e).at(path.display()))?;
+        .map_err(|e| Error::io("cannot read the colour image", e).at(path.display()))?;
     let whole = Decoder::new()?.decode_file(&bytes, None, size[0], size[1])?;
     let state = GraspState::at(snapshot, None)?;
-    Ok(PicturePair {
+    Ok(ImagePair {
         real: data_uri(&middle(&whole))?,
         sim: data_uri(&rendered(object, &state, View::EyeInHand(VIEW), settings)?)?,
     })
@@ -63,7 +63,7 @@ pub(super) fn view_pair(
 ///
 /// # Errors
 /// Those of rendering.
-pub(super) fn object_picture(
+pub(super) fn object_image(
     object: &ReplayObject,
     grasp: &RecordedGrasp,
     settings: &ViewSettings,
@@ -77,17 +77,17 @@ pub(super) fn object_picture(
     data_uri(&rendered(object, &state, View::External(OBJECT), settings)?)
 }
 
-/// The middle of a picture in the shape of a view.
-fn middle(picture: &RgbImage) -> RgbImage {
+/// The middle of an image in the shape of a view.
+fn middle(image: &RgbImage) -> RgbImage {
     let [width, height] = VIEW.map(|side| side as u32);
-    let (w, h) = picture.dimensions();
+    let (w, h) = image.dimensions();
     let scale = f64::max(
         f64::from(width) / f64::from(w),
         f64::from(height) / f64::from(h),
     );
     let cut = |side: u32, whole: u32| ((f64::from(side) / scale).round() as u32).clamp(1, whole);
     let (cut_w, cut_h) = (cut(width, w), cut(height, h));
-    let cropped = imageops::crop_imm(picture, (w - cut_w) / 2, (h - cut_h) / 2, cut_w, cut_h);
+    let cropped = imageops::crop_imm(image, (w - cut_w) / 2, (h - cut_h) / 2, cut_w, cut_h);
     imageops::resize(
         &cropped.to_image(),
         width,

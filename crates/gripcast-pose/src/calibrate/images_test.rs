@@ -8,7 +8,7 @@ use super::intrinsics_test::{poses, truth};
 use super::{Collector, CollectorSettings, PointFinder, Refusal};
 use crate::camera::project;
 use crate::detect::{ApriltagDetector, ApriltagSettings};
-use crate::synthetic::{PictureConditions, render_board, ring_board};
+use crate::synthetic::{ImageConditions, render_board, ring_board};
 use crate::{BoardFile, Chessboard, Dictionary, MarkerDetector as _};
 use gripcast_geometry::Pose;
 use gripcast_imaging::Intrinsics;
@@ -40,13 +40,13 @@ fn small_lens() -> Intrinsics {
     }
 }
 
-fn picture(lens: &Intrinsics, file: &BoardFile, pose: &Pose, seed: u64) -> GrayImage {
-    let conditions = PictureConditions {
+fn image(lens: &Intrinsics, file: &BoardFile, pose: &Pose, seed: u64) -> GrayImage {
+    let conditions = ImageConditions {
         psf_px: 0.6,
         noise: 2.0,
-        ..PictureConditions::default()
+        ..ImageConditions::default()
     };
-    render_board(lens, file, pose, &conditions, seed).picture
+    render_board(lens, file, pose, &conditions, seed).image
 }
 
 #[test]
@@ -63,9 +63,9 @@ fn chessboard_corners_are_found_without_bias() {
     let mut errors: Vec<DVec2> = Vec::new();
     let mut visible = 0;
     for (seed, pose) in poses(4, &mut random, 0.6).iter().enumerate() {
-        let picture = picture(&lens, &file, pose, seed as u64);
-        let detections = detector.detect(&picture).unwrap();
-        let found = finder.find(&picture, &detections);
+        let image = image(&lens, &file, pose, seed as u64);
+        let detections = detector.detect(&image).unwrap();
+        let found = finder.find(&image, &detections);
         let corners = file.chessboard.as_ref().unwrap().corners_m();
         for corner in &corners {
             let pixel = project(&lens, pose.transform_point(corner.extend(0.0))).unwrap();
@@ -92,13 +92,13 @@ fn chessboard_corners_are_found_without_bias() {
 }
 
 #[test]
-fn pictures_of_a_charuco_board_give_the_lens() {
+fn images_of_a_charuco_board_give_the_lens() {
     let (lens, file) = (small_lens(), charuco());
     let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
     let mut random = Pcg64::seed_from_u64(3);
     for (seed, pose) in poses(14, &mut random, 0.6).iter().enumerate() {
         let offer = collector
-            .offer(&picture(&lens, &file, pose, seed as u64))
+            .offer(&image(&lens, &file, pose, seed as u64))
             .unwrap();
         println!("{offer:?}");
     }
@@ -111,15 +111,15 @@ fn pictures_of_a_charuco_board_give_the_lens() {
 }
 
 #[test]
-fn pictures_of_markers_alone_give_the_lens() {
+fn images_of_markers_alone_give_the_lens() {
     let lens = small_lens();
     let dictionary = Dictionary::by_name("DICT_6X6_250").unwrap();
     let file = BoardFile::new(ring_board(&dictionary), dictionary, None).unwrap();
     let mut collector = Collector::new(&file, CollectorSettings::default()).unwrap();
     let mut random = Pcg64::seed_from_u64(4);
     for (seed, pose) in poses(12, &mut random, 0.6).iter().enumerate() {
-        let picture = picture(&lens, &file, pose, seed as u64);
-        collector.offer(&picture).unwrap();
+        let image = image(&lens, &file, pose, seed as u64);
+        collector.offer(&image).unwrap();
     }
     let report = collector.finish().unwrap();
     println!("{report:#?}");
@@ -130,17 +130,17 @@ fn pictures_of_markers_alone_give_the_lens() {
 }
 
 #[test]
-fn pictures_of_no_use_are_refused() {
+fn images_of_no_use_are_refused() {
     let (lens, file) = (small_lens(), charuco());
     let settings = CollectorSettings::default();
     let mut collector = Collector::new(&file, settings).unwrap();
     let mut random = Pcg64::seed_from_u64(5);
     let poses = poses(4, &mut random, 0.6);
-    let first = picture(&lens, &file, &poses[1], 0);
+    let first = image(&lens, &file, &poses[1], 0);
     let refused =
-        |collector: &mut Collector, picture: &GrayImage| collector.offer(picture).unwrap().refused;
+        |collector: &mut Collector, image: &GrayImage| collector.offer(image).unwrap().refused;
     assert_eq!(refused(&mut collector, &first), None);
-    let again = picture(&lens, &file, &poses[1], 1);
+    let again = image(&lens, &file, &poses[1], 1);
     assert_eq!(refused(&mut collector, &again), Some(Refusal::Duplicate(0)));
     assert_eq!(
         refused(&mut collector, &flip_horizontal(&first)),
@@ -151,11 +151,11 @@ fn pictures_of_no_use_are_refused() {
         refused(&mut collector, &other),
         Some(Refusal::Size([320, 240], [640, 480]))
     );
-    let blurred = PictureConditions {
+    let blurred = ImageConditions {
         psf_px: 2.6,
-        ..PictureConditions::default()
+        ..ImageConditions::default()
     };
-    let blurred = render_board(&lens, &file, &poses[2], &blurred, 2).picture;
+    let blurred = render_board(&lens, &file, &poses[2], &blurred, 2).image;
     let said = refused(&mut collector, &blurred);
     assert!(
         matches!(said, Some(Refusal::Blurred(_) | Refusal::NoBoard)),
@@ -178,10 +178,10 @@ fn pictures_of_no_use_are_refused() {
     assert!(said.contains("at least 3 usable views"), "{said}");
 }
 
-/// OpenCV's tutorial pictures of a board of 5 × 7 squares of 40 mm with markers of 20 mm, in a
+/// OpenCV's tutorial images of a board of 5 × 7 squares of 40 mm with markers of 20 mm, in a
 /// folder that `GRIPCAST_CHARUCO` names.
 #[test]
-fn real_pictures_fit() {
+fn real_images_fit() {
     let Some(folder) = std::env::var_os("GRIPCAST_CHARUCO") else {
         return skip(
             Needs::Charuco,
@@ -206,9 +206,9 @@ fn real_pictures_fit() {
     for k in 0..4 {
         let path = std::path::Path::new(&folder).join(format!("img_0{k}.jpg"));
         let bytes = std::fs::read(&path).unwrap();
-        let picture = decoder.decode_file(&bytes, None, 640, 480).unwrap();
+        let image = decoder.decode_file(&bytes, None, 640, 480).unwrap();
         let offer = collector
-            .offer(&image::imageops::grayscale(&picture))
+            .offer(&image::imageops::grayscale(&image))
             .unwrap();
         println!("{}: {offer:?}", path.display());
     }

@@ -4,7 +4,7 @@ use glam::DVec2;
 use image::GrayImage;
 use rayon::prelude::*;
 
-use super::degrade::{PictureConditions, degrade};
+use super::degrade::{ImageConditions, degrade};
 use super::surface::{Decal, Shade, Surface, chessboard_surface, surfaces};
 use crate::camera::{project, undistort};
 use crate::{Board, BoardFile, Detection, Dictionary, Part};
@@ -17,7 +17,7 @@ const TILE: u32 = 32;
 const SAMPLES: usize = 32;
 const LATTICE: usize = 13;
 
-/// A part of a board that is in the picture.
+/// A part of a board that is in the image.
 #[derive(Clone, Copy, Debug)]
 pub struct Placed<'a> {
     /// The board.
@@ -30,14 +30,14 @@ pub struct Placed<'a> {
     pub t_camera_part: Pose,
 }
 
-/// A picture, and what is in it.
+/// An image, and what is in it.
 #[derive(Clone, Debug)]
-pub struct SyntheticPicture {
-    /// The picture.
-    pub picture: GrayImage,
-    /// Markers with exact corners that are completely in the picture and hidden by nothing.
+pub struct SyntheticImage {
+    /// The image.
+    pub image: GrayImage,
+    /// Markers with exact corners that are completely in the image and hidden by nothing.
     pub truth: Vec<Detection>,
-    /// The other markers in front of the camera: partly hidden or out of the picture.
+    /// The other markers in front of the camera: partly hidden or out of the image.
     pub covered: Vec<Detection>,
 }
 
@@ -46,14 +46,14 @@ pub struct SyntheticPicture {
 pub fn render(
     intrinsics: &Intrinsics,
     placed: &[Placed<'_>],
-    conditions: &PictureConditions,
+    conditions: &ImageConditions,
     seed: u64,
-) -> SyntheticPicture {
+) -> SyntheticImage {
     let surfaces: Vec<Surface> = placed
         .iter()
         .flat_map(|p| surfaces(p.board, p.part, p.dictionary, &p.t_camera_part, intrinsics))
         .collect();
-    picture_of(intrinsics, &surfaces, conditions, seed)
+    image_of(intrinsics, &surfaces, conditions, seed)
 }
 
 /// Renders a board for calibration: its markers, and the squares of its chessboard if it has one.
@@ -62,9 +62,9 @@ pub fn render_board(
     intrinsics: &Intrinsics,
     file: &BoardFile,
     t_camera_board: &Pose,
-    conditions: &PictureConditions,
+    conditions: &ImageConditions,
     seed: u64,
-) -> SyntheticPicture {
+) -> SyntheticImage {
     let (board, dictionary) = (&file.board, &file.dictionary);
     let surfaces = match &file.chessboard {
         Some(chessboard) => vec![chessboard_surface(
@@ -76,15 +76,15 @@ pub fn render_board(
         )],
         None => surfaces(board, Part::Object, dictionary, t_camera_board, intrinsics),
     };
-    picture_of(intrinsics, &surfaces, conditions, seed)
+    image_of(intrinsics, &surfaces, conditions, seed)
 }
 
-fn picture_of(
+fn image_of(
     intrinsics: &Intrinsics,
     surfaces: &[Surface],
-    conditions: &PictureConditions,
+    conditions: &ImageConditions,
     seed: u64,
-) -> SyntheticPicture {
+) -> SyntheticImage {
     let (width, height) = (intrinsics.width, intrinsics.height);
     let rays = Rays::new(intrinsics);
     let mut levels = vec![0.0f32; width as usize * height as usize];
@@ -93,8 +93,8 @@ fn picture_of(
         .enumerate()
         .for_each(|(i, rows)| render_rows(rows, i as u32 * TILE, &rays, surfaces, conditions));
     let (truth, covered) = visible(intrinsics, surfaces);
-    SyntheticPicture {
-        picture: degrade(levels, width, height, conditions, seed),
+    SyntheticImage {
+        image: degrade(levels, width, height, conditions, seed),
         truth,
         covered,
     }
@@ -164,7 +164,7 @@ fn render_rows(
     top: u32,
     rays: &Rays,
     surfaces: &[Surface],
-    conditions: &PictureConditions,
+    conditions: &ImageConditions,
 ) {
     let width = rays.width - 1;
     let height = rows.len() / width;
@@ -187,7 +187,7 @@ fn level(
     rays: &Rays,
     x: usize,
     y: usize,
-    conditions: &PictureConditions,
+    conditions: &ImageConditions,
 ) -> f32 {
     if here.is_empty() {
         return conditions.light(Shade::Background);

@@ -1,4 +1,4 @@
-//! Pictures of a page: data URIs, checked before they get into it.
+//! Images of a page: data URIs, checked before they get into it.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -8,26 +8,26 @@ use maud::{Markup, html};
 use gripcast_base::error::Result;
 use gripcast_imaging::encode_jpeg;
 
-/// JPEG quality of the pictures in a page.
+/// JPEG quality of the images in a page.
 const QUALITY: u8 = 80;
 
-/// A picture as `data:image/jpeg;base64,…`.
+/// An image as `data:image/jpeg;base64,…`.
 ///
 /// # Errors
-/// `Input` for an empty picture.
-pub fn data_uri(picture: &RgbImage) -> Result<String> {
-    let bytes = encode_jpeg(picture, QUALITY)?;
+/// `Input` for an empty image.
+pub fn data_uri(image: &RgbImage) -> Result<String> {
+    let bytes = encode_jpeg(image, QUALITY)?;
     Ok(format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes)))
 }
 
-/// The picture, with an id for [`again`]; a placeholder where it is none.
-pub fn picture(uri: &str, id: &str, alt: &str) -> Markup {
+/// The image, with an id for [`again`]; a placeholder where it is none.
+pub fn image(uri: &str, id: &str, alt: &str) -> Markup {
     frame(uri, alt, |[width, height]| {
         html! { image id=(id) width=(width) height=(height) href=(uri) {} }
     })
 }
 
-/// A picture of another place of the page a second time, without its bytes.
+/// An image of another place of the page a second time, without its bytes.
 pub fn again(uri: &str, id: &str, alt: &str) -> Markup {
     frame(uri, alt, |_| html! { use href={ "#" (id) } {} })
 }
@@ -39,7 +39,7 @@ fn frame(uri: &str, alt: &str, content: impl Fn([u32; 2]) -> Markup) -> Markup {
                 (content([width, height]))
             }
         } @else {
-            span.nopic role="img" aria-label={ (alt) ": missing" } { "no picture" }
+            span.nopic role="img" aria-label={ (alt) ": missing" } { "no image" }
         }
     }
 }
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn anything_else_is_no_picture() {
+    fn anything_else_is_no_image() {
         for uri in [
             "",
             "https://example.org/a.jpg",
@@ -116,9 +116,9 @@ mod tests {
             "data:image/jpeg;base64,\"/><script>",
             "data:image/jpeg;base64,AAAA",
         ] {
-            let out = picture(uri, "p", "the \"view\"").into_string();
+            let out = image(uri, "p", "the \"view\"").into_string();
             assert!(
-                out.contains("no picture") && !out.contains("image id"),
+                out.contains("no image") && !out.contains("image id"),
                 "{uri}"
             );
             assert!(out.contains("the &quot;view&quot;: missing"), "{out}");

@@ -1,4 +1,4 @@
-//! Folders of pictures that a camera is calibrated with.
+//! Folders of images that a camera is calibrated with.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,15 +10,15 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, read_regular};
 use gripcast_imaging::Decoder;
 
-/// Suffixes of pictures.
+/// Suffixes of images.
 const SUFFIXES: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// The pictures in a folder, in the order of their names.
+/// The images in a folder, in the order of their names.
 ///
 /// # Errors
-/// That of the operating system; `Input` for a folder without pictures.
-pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
-    let cannot = |e| Error::io("cannot read the folder of pictures", e).at(folder.display());
+/// That of the operating system; `Input` for a folder without images.
+pub(super) fn images(folder: &Path) -> Result<Vec<PathBuf>> {
+    let cannot = |e| Error::io("cannot read the folder of images", e).at(folder.display());
     let mut files = Vec::new();
     for entry in fs::read_dir(folder).map_err(cannot)? {
         let path = entry.map_err(cannot)?.path();
@@ -29,7 +29,7 @@ pub(super) fn pictures(folder: &Path) -> Result<Vec<PathBuf>> {
     }
     files.sort();
     if files.is_empty() {
-        return Err(Error::input("the folder has no .png or .jpg pictures").at(folder.display()));
+        return Err(Error::input("the folder has no .png or .jpg images").at(folder.display()));
     }
     Ok(files)
 }
@@ -42,12 +42,12 @@ pub(super) fn file_name(path: &Path) -> String {
         .into_owned()
 }
 
-/// A stored picture in grey, at its own size.
+/// A stored image in grey, at its own size.
 ///
 /// # Errors
-/// That of the operating system; `Input` for what is no picture.
+/// That of the operating system; `Input` for what is no image.
 pub(super) fn read_grey(decoder: &mut Decoder, path: &Path) -> Result<GrayImage> {
     let bytes =
-        read_regular(path, FileKind::Image).map_err(|e| Error::io("cannot read the picture", e))?;
-    Ok(grayscale(&decoder.stored_picture(&bytes)?))
+        read_regular(path, FileKind::Image).map_err(|e| Error::io("cannot read the image", e))?;
+    Ok(grayscale(&decoder.stored_image(&bytes)?))
 }

@@ -1,5 +1,5 @@
 /**
- * Live pictures, each with the health of its camera. A browser keeps six connections to a server, over all its windows: five endless
+ * Live images, each with the health of its camera. A browser keeps six connections to a server, over all its windows: five endless
  * streams in each of two windows would leave none for the commands. So one window streams, every
  * other fetches still after still over at most two connections.
  *
@@ -28,7 +28,7 @@ const LOCK = "gripcast-streams";
  * @property {boolean} busy
  */
 
-export class Pictures {
+export class Images {
   constructor() {
     /** @type {Map<Role, Tile>} */
     this.tiles = new Map();
@@ -49,7 +49,7 @@ export class Pictures {
 
   /** @param {Role[]} roles */
   lay(roles) {
-    const box = byId("pictures");
+    const box = byId("images");
     this.tiles = new Map(roles.map((role) => [role, tile(role)]));
     box.replaceChildren(...[...this.tiles.values()].map(({ figure }) => figure));
     box.style.setProperty("--count", String(roles.length));

@@ -1,4 +1,4 @@
-//! Full-size pictures for the emulated GelSight Minis.
+//! Full-size images for the emulated GelSight Minis.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,24 +12,24 @@ use gripcast_testing::shared;
 
 const WIDTH: u32 = 3280;
 const HEIGHT: u32 = 2464;
-/// Different pictures of each kind, so that a camera that moves is not taken for frozen.
-const PICTURES: u32 = 3;
+/// Different images of each kind, so that a camera that moves is not taken for frozen.
+const IMAGES: u32 = 3;
 
-/// Directories of pictures for the two sensors, each with `free/` and `pressed/`.
+/// Directories of images for the two sensors, each with `free/` and `pressed/`.
 #[derive(Debug)]
-pub(super) struct Pictures {
+pub(super) struct Images {
     pub(super) left: PathBuf,
     pub(super) right: PathBuf,
 }
 
-/// Pictures drawn by the test itself.
-pub(super) fn drawn() -> &'static Pictures {
-    static DRAWN: OnceLock<Pictures> = OnceLock::new();
+/// Images drawn by the test itself.
+pub(super) fn drawn() -> &'static Images {
+    static DRAWN: OnceLock<Images> = OnceLock::new();
     DRAWN.get_or_init(|| write("drawn", &draw))
 }
 
-/// Pictures of a real GelSight Mini, 640×480 each, enlarged; `None` where they are not there.
-pub(super) fn real() -> Option<Pictures> {
+/// Images of a real GelSight Mini, 640×480 each, enlarged; `None` where they are not there.
+pub(super) fn real() -> Option<Images> {
     let folder = shared("data/gsmini_taxim_ball")?;
     Some(write("real", &|side, is_pressed, number| {
         let name = match (is_pressed, side) {
@@ -37,23 +37,23 @@ pub(super) fn real() -> Option<Pictures> {
             (true, "left") => format!("ball_{number:02}.png"),
             (true, _) => format!("ball_{:02}.png", 10 + number),
         };
-        let mut picture = image::open(folder.join(name)).unwrap().to_rgb8();
-        stamp(&mut picture, side, number);
-        picture
+        let mut image = image::open(folder.join(name)).unwrap().to_rgb8();
+        stamp(&mut image, side, number);
+        image
     }))
 }
 
-/// Makes a picture unlike every other by a small square in its corner, outside every crop.
-fn stamp(picture: &mut RgbImage, side: &str, number: u32) {
+/// Makes an image unlike every other by a small square in its corner, outside every crop.
+fn stamp(image: &mut RgbImage, side: &str, number: u32) {
     let tone = 40 + 20 * number as u8 + if side == "left" { 0 } else { 100 };
     for (x, y) in (0..8).flat_map(|x| (0..8).map(move |y| (x, y))) {
-        picture.put_pixel(x, y, image::Rgb([tone; 3]));
+        image.put_pixel(x, y, image::Rgb([tone; 3]));
     }
 }
 
 /// A lit gel, with a round dent where it is pressed.
 fn draw(side: &str, is_pressed: bool, number: u32) -> RgbImage {
-    let mut picture = RgbImage::from_fn(640, 480, |x, y| {
+    let mut image = RgbImage::from_fn(640, 480, |x, y| {
         let (x, y) = (x as f32, y as f32);
         let mut rgb = [
             90.0 + 60.0 * (1.0 - x / 640.0),
@@ -69,36 +69,36 @@ fn draw(side: &str, is_pressed: bool, number: u32) -> RgbImage {
         }
         image::Rgb(rgb.map(|value| value.round() as u8))
     });
-    stamp(&mut picture, side, number);
-    picture
+    stamp(&mut image, side, number);
+    image
 }
 
-/// Encodes the pictures at the size and chroma subsampling of the sensor.
-fn write(name: &str, make: &dyn Fn(&str, bool, u32) -> RgbImage) -> Pictures {
-    let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("gel-pictures-{name}"));
+/// Encodes the images at the size and chroma subsampling of the sensor.
+fn write(name: &str, make: &dyn Fn(&str, bool, u32) -> RgbImage) -> Images {
+    let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("gel-images-{name}"));
     for side in ["left", "right"] {
         for (kind, is_pressed) in [("free", false), ("pressed", true)] {
             let dir = root.join(side).join(kind);
             fs::create_dir_all(&dir).unwrap();
-            for number in 0..PICTURES {
-                let picture = make(side, is_pressed, number);
-                let full = imageops::resize(&picture, WIDTH, HEIGHT, FilterType::Triangle);
+            for number in 0..IMAGES {
+                let image = make(side, is_pressed, number);
+                let full = imageops::resize(&image, WIDTH, HEIGHT, FilterType::Triangle);
                 fs::write(dir.join(format!("{number}.jpg")), jpeg(&full)).unwrap();
             }
         }
     }
-    Pictures {
+    Images {
         left: root.join("left"),
         right: root.join("right"),
     }
 }
 
-fn jpeg(picture: &RgbImage) -> Vec<u8> {
+fn jpeg(image: &RgbImage) -> Vec<u8> {
     let image = Image {
-        pixels: picture.as_raw().as_slice(),
-        width: picture.width() as usize,
-        pitch: picture.width() as usize * 3,
-        height: picture.height() as usize,
+        pixels: image.as_raw().as_slice(),
+        width: image.width() as usize,
+        pitch: image.width() as usize * 3,
+        height: image.height() as usize,
         format: PixelFormat::RGB,
     };
     turbojpeg::compress(image, 80, Subsamp::Sub2x1)
