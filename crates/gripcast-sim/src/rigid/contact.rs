@@ -22,8 +22,10 @@ const DISTANCE_PENALTY: f64 = 30.0;
 /// Direction of the first two extreme points, oblique to avoid ties of corners.
 const OBLIQUE: [f64; 2] = [0.94, 0.34];
 
-/// parry's queries, with contacts of flat bodies as described above.
+/// Contacts of flat bodies as described above; all other queries are unsupported.
 pub(super) struct FlatContacts;
+
+type Outcome<T> = Result<T, Unsupported>;
 
 /// A flat body's plane in its own frame.
 struct Plate {
@@ -248,8 +250,8 @@ impl PersistentQueryDispatcher<ContactManifoldData, ContactData> for FlatContact
         g2: &dyn Shape,
         prediction: f64,
         manifolds: &mut Vec<Manifold>,
-        workspace: &mut Option<ContactManifoldsWorkspace>,
-    ) -> Result<(), Unsupported> {
+        _: &mut Option<ContactManifoldsWorkspace>,
+    ) -> Outcome<()> {
         let pos21 = pos12.inverse();
         for (flipped, body, other, pose) in [(false, g1, g2, pos12), (true, g2, g1, &pos21)] {
             let Some(piece) = other.as_convex_polyhedron() else {
@@ -264,100 +266,73 @@ impl PersistentQueryDispatcher<ContactManifoldData, ContactData> for FlatContact
                 return Ok(());
             }
         }
-        DefaultQueryDispatcher.contact_manifolds(pos12, g1, g2, prediction, manifolds, workspace)
+        Err(Unsupported)
     }
 
     fn contact_manifold_convex_convex(
         &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        normal_constraints1: Option<&dyn NormalConstraints>,
-        normal_constraints2: Option<&dyn NormalConstraints>,
-        prediction: f64,
-        manifold: &mut Manifold,
-    ) -> Result<(), Unsupported> {
-        DefaultQueryDispatcher.contact_manifold_convex_convex(
-            pos12,
-            g1,
-            g2,
-            normal_constraints1,
-            normal_constraints2,
-            prediction,
-            manifold,
-        )
+        _: &Pose,
+        _: &dyn Shape,
+        _: &dyn Shape,
+        _: Option<&dyn NormalConstraints>,
+        _: Option<&dyn NormalConstraints>,
+        _: f64,
+        _: &mut Manifold,
+    ) -> Outcome<()> {
+        Err(Unsupported)
     }
 }
 
 impl QueryDispatcher for FlatContacts {
     fn intersection_test(
         &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-    ) -> Result<ShapeIntersection, Unsupported> {
-        DefaultQueryDispatcher.intersection_test(pos12, g1, g2)
+        _: &Pose,
+        _: &dyn Shape,
+        _: &dyn Shape,
+    ) -> Outcome<ShapeIntersection> {
+        Err(Unsupported)
     }
 
-    fn distance(
-        &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-    ) -> Result<ShapeDistance, Unsupported> {
-        DefaultQueryDispatcher.distance(pos12, g1, g2)
+    fn distance(&self, _: &Pose, _: &dyn Shape, _: &dyn Shape) -> Outcome<ShapeDistance> {
+        Err(Unsupported)
     }
 
-    fn contact(
-        &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        prediction: f64,
-    ) -> Result<Option<Contact>, Unsupported> {
-        DefaultQueryDispatcher.contact(pos12, g1, g2, prediction)
+    fn contact(&self, _: &Pose, _: &dyn Shape, _: &dyn Shape, _: f64) -> Outcome<Option<Contact>> {
+        Err(Unsupported)
     }
 
     fn closest_points(
         &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        max_dist: f64,
-    ) -> Result<ClosestPoints, Unsupported> {
-        DefaultQueryDispatcher.closest_points(pos12, g1, g2, max_dist)
+        _: &Pose,
+        _: &dyn Shape,
+        _: &dyn Shape,
+        _: f64,
+    ) -> Outcome<ClosestPoints> {
+        Err(Unsupported)
     }
 
     fn cast_shapes(
         &self,
-        pos12: &Pose,
-        local_vel12: Vector,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        options: ShapeCastOptions,
-    ) -> Result<Option<ShapeCastHit>, Unsupported> {
-        DefaultQueryDispatcher.cast_shapes(pos12, local_vel12, g1, g2, options)
+        _: &Pose,
+        _: Vector,
+        _: &dyn Shape,
+        _: &dyn Shape,
+        _: ShapeCastOptions,
+    ) -> Outcome<Option<ShapeCastHit>> {
+        Err(Unsupported)
     }
 
     fn cast_shapes_nonlinear(
         &self,
-        motion1: &NonlinearRigidMotion,
-        g1: &dyn Shape,
-        motion2: &NonlinearRigidMotion,
-        g2: &dyn Shape,
-        start_time: f64,
-        end_time: f64,
-        stop_at_penetration: bool,
-    ) -> Result<Option<ShapeCastHit>, Unsupported> {
-        DefaultQueryDispatcher.cast_shapes_nonlinear(
-            motion1,
-            g1,
-            motion2,
-            g2,
-            start_time,
-            end_time,
-            stop_at_penetration,
-        )
+        _: &NonlinearRigidMotion,
+        _: &dyn Shape,
+        _: &NonlinearRigidMotion,
+        _: &dyn Shape,
+        _: f64,
+        _: f64,
+        _: bool,
+    ) -> Outcome<Option<ShapeCastHit>> {
+        Err(Unsupported)
     }
 }
 

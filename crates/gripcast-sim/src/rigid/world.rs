@@ -3,7 +3,7 @@
 //! Simulated in the initial gripper frame, so that the only degree of freedom of a finger is along x,
 //! which rapier can leave free while locking the others exactly.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rapier3d_f64::dynamics::{
     CoefficientCombineRule, FrictionModel, GenericJointBuilder, ImpulseJointHandle,
     IntegrationParameters, JointAxesMask, JointAxis, LockedAxes, MassProperties as RapierMass,
@@ -13,6 +13,7 @@ use rapier3d_f64::geometry::{
     ColliderBuilder, Group, InteractionGroups, InteractionTestMode, NarrowPhase, SharedShape,
 };
 use rapier3d_f64::math::{Matrix, Vector};
+use rapier3d_f64::parry::query::{DefaultQueryDispatcher, QueryDispatcher};
 use rapier3d_f64::pipeline::PhysicsWorld;
 
 use super::contact::FlatContacts;
@@ -62,11 +63,6 @@ pub(super) struct World {
     base_speed_m_s: f64,
 }
 
-/// Inertia tensor about the centre of mass of a uniform body of `mass_kg`, kg m².
-pub(super) fn inertia(properties: &MassProperties, mass_kg: f64) -> DMat3 {
-    properties.inertia_m5() * (mass_kg / properties.volume_m3)
-}
-
 /// Centre of a finger's box on the gripper's x axis, m.
 pub(super) fn finger_x(finger: Finger, opening_m: f64) -> f64 {
     -finger.closing().x * (0.5 * opening_m + FINGER_HALF_M.x)
@@ -79,7 +75,9 @@ impl World {
         let mut physics = PhysicsWorld {
             gravity: convert::vector(up * -settings.gravity_m_s2),
             integration_parameters: integration(settings),
-            narrow_phase: NarrowPhase::with_query_dispatcher(FlatContacts),
+            narrow_phase: NarrowPhase::with_query_dispatcher(
+                FlatContacts.chain(DefaultQueryDispatcher),
+            ),
             ..PhysicsWorld::default()
         };
         let groups = |own, other| InteractionGroups::new(own, other, InteractionTestMode::And);
@@ -284,11 +282,12 @@ impl World {
 
 fn mass(setup: &WorldSetup) -> Result<RapierMass> {
     let properties = MassProperties::from_mesh(&setup.grasp.mesh)?;
-    let tensor = inertia(&properties, setup.grasp.mass_kg).to_cols_array();
+    let mass_kg = setup.grasp.mass_kg;
+    let inertia = properties.inertia_m5() * (mass_kg / properties.volume_m3);
     Ok(RapierMass::with_inertia_matrix(
         convert::vector(properties.center_of_mass_m),
-        setup.grasp.mass_kg,
-        Matrix::from_cols_array(&tensor),
+        mass_kg,
+        Matrix::from_cols_array(&inertia.to_cols_array()),
     ))
 }
 

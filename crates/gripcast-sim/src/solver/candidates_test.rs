@@ -4,6 +4,7 @@ use glam::{DMat3, DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::super::gel_contact::Obstacle;
 use super::super::test_scene::{centred, near_distances, random_point, small_pad};
 use super::super::{Collider, Drive, Gel, GelMaterial, SolverParameters};
 use crate::affine::AffineState;
@@ -63,7 +64,11 @@ fn candidates_cover_all_active_pairs_within_the_margin() {
                 !gel.ensure_candidates(&moved, &collider, &parameters),
                 "still covered"
             );
-            gel.find_contacts(&moved, &barrier);
+            gel.find_contacts(Obstacle {
+                barrier: &barrier,
+                now: &moved,
+                start: &moved,
+            });
             let found = gel.contact.distances();
             let expected = near_distances(&gel, &moved, &collider, barrier.d_hat);
             for (kind, (mut found, mut expected)) in found.into_iter().zip(expected).enumerate() {

@@ -5,11 +5,10 @@ use glam::DVec3;
 use super::ccd;
 use super::collider::Collider;
 use super::coupling::{Coupling, GeneralisedForce, OBJECT_DOF};
-use super::gel_contact::{ContactState, GelContact};
+use super::gel_contact::{ContactState, GelContact, Obstacle};
 use super::gel_factor::{GelFactor, NotPositiveDefinite};
 use super::parameters::SolverParameters;
 use crate::affine::AffineState;
-use crate::contact::barrier::Barrier;
 use crate::fem::{Elastic, GelGrid, NeoHookean, Projection, Surface};
 use gripcast_base::error::{Error, Result};
 
@@ -325,14 +324,12 @@ impl Gel {
     }
 
     /// Finds the active contacts; candidates must cover the current positions.
-    pub(super) fn find_contacts(&mut self, object: &AffineState, barrier: &Barrier) {
-        self.update_displacements(object);
+    pub(super) fn find_contacts(&mut self, obstacle: Obstacle<'_>) {
+        self.update_displacements(obstacle.now);
         self.contact.update(&ContactState {
-            barrier,
+            obstacle,
             x: &self.x,
             start: &self.start,
-            object,
-            object_start: object,
         });
     }
 
@@ -358,23 +355,16 @@ impl Gel {
     }
 
     /// Energy at the current positions, J.
-    pub(super) fn energy(
-        &mut self,
-        object: &AffineState,
-        object_start: &AffineState,
-        barrier: &Barrier,
-    ) -> f64 {
+    pub(super) fn energy(&mut self, obstacle: Obstacle<'_>) -> f64 {
         let body = self.body_energy();
         if !body.is_finite() {
             return body;
         }
-        self.update_displacements(object);
+        self.update_displacements(obstacle.now);
         let state = ContactState {
-            barrier,
+            obstacle,
             x: &self.x,
             start: &self.start,
-            object,
-            object_start,
         };
         let contact = self.contact.energy(&state);
         body + contact + self.contact.friction_energy(&state)
@@ -393,21 +383,13 @@ impl Gel {
     }
 
     /// Writes the gradient at the current positions into `flat`; contacts must be up to date.
-    pub(super) fn write_gradient(
-        &mut self,
-        object: &AffineState,
-        object_start: &AffineState,
-        barrier: &Barrier,
-        flat: &mut [f64],
-    ) {
+    pub(super) fn write_gradient(&mut self, obstacle: Obstacle<'_>, flat: &mut [f64]) {
         self.contact_gradient.fill(DVec3::ZERO);
         self.object_gradient = GeneralisedForce::default();
         let state = ContactState {
-            barrier,
+            obstacle,
             x: &self.x,
             start: &self.start,
-            object,
-            object_start,
         };
         self.contact.add_gradient(
             &state,
@@ -438,9 +420,7 @@ impl Gel {
     /// sides of the Schur complement.
     pub(super) fn factorise(
         &mut self,
-        object: &AffineState,
-        object_start: &AffineState,
-        barrier: &Barrier,
+        obstacle: Obstacle<'_>,
         projection: Projection,
     ) -> std::result::Result<(), NotPositiveDefinite> {
         self.stiffness.fill(0.0);
@@ -459,11 +439,9 @@ impl Gel {
         }
         self.coupling.clear(3 * self.x.len());
         let state = ContactState {
-            barrier,
+            obstacle,
             x: &self.x,
             start: &self.start,
-            object,
-            object_start,
         };
         self.contact
             .add_hessian(&state, pattern, &mut self.stiffness, &mut self.coupling);

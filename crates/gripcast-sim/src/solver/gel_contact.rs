@@ -36,7 +36,8 @@ impl Stencil {
     fn slip(&self, state: &ContactState<'_>) -> DVec3 {
         let moved = |(i, w): (usize, f64)| (state.x[i] - state.start[i]) * w;
         let gel: DVec3 = self.gel().map(moved).sum();
-        gel - (state.object.point(self.material) - state.object_start.point(self.material))
+        let Obstacle { now, start, .. } = state.obstacle;
+        gel - (now.point(self.material) - start.point(self.material))
     }
 
     /// Adds a gradient with respect to u, N.
@@ -102,14 +103,20 @@ struct FrictionContact {
     friction: Friction,
 }
 
+/// The object now and at the start of the step, and the barrier around it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Obstacle<'a> {
+    pub(super) barrier: &'a Barrier,
+    pub(super) now: &'a AffineState,
+    pub(super) start: &'a AffineState,
+}
+
 /// Positions of a gel and of the object, now and at the start of the step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ContactState<'a> {
-    pub(super) barrier: &'a Barrier,
+    pub(super) obstacle: Obstacle<'a>,
     pub(super) x: &'a [DVec3],
     pub(super) start: &'a [DVec3],
-    pub(super) object: &'a AffineState,
-    pub(super) object_start: &'a AffineState,
 }
 
 /// Contacts of one gel with the object.
@@ -160,9 +167,9 @@ impl GelContact {
     ) {
         self.world.clear();
         let materials = self.candidates.materials().iter();
-        self.world.extend(materials.map(|&m| state.object.point(m)));
-        let (x, d_hat) = (state.x, state.barrier.d_hat);
-        let limit = state.barrier.d_hat_squared();
+        let Obstacle { barrier, now, .. } = state.obstacle;
+        self.world.extend(materials.map(|&m| now.point(m)));
+        let (x, d_hat, limit) = (state.x, barrier.d_hat, barrier.d_hat_squared());
         let corner = |v: u32| self.world[v as usize];
         let material = |v: u32| self.candidates.material(v);
         for pair in &self.candidates.node_triangles {
@@ -234,7 +241,7 @@ impl GelContact {
 
     /// Energy of all contacts, J; infinite where a pair touches.
     pub(super) fn energy(&mut self, state: &ContactState<'_>) -> f64 {
-        let (barrier, mut energy) = (state.barrier, 0.0);
+        let (barrier, mut energy) = (state.obstacle.barrier, 0.0);
         self.for_each_active(state, |pair, closest| {
             let scale = pair.weight * barrier.d_hat * pair.mollifier_value();
             if scale > 0.0 {
@@ -250,7 +257,7 @@ impl GelContact {
         let mut rotations = std::mem::take(&mut self.mollifier_rotations);
         contacts.clear();
         rotations.clear();
-        let barrier = state.barrier;
+        let barrier = state.obstacle.barrier;
         self.for_each_active(state, |pair, closest| {
             let scale = pair.weight * barrier.d_hat;
             let derivatives = barrier.squared(closest.squared);

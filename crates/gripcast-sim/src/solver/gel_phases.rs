@@ -4,8 +4,10 @@
 use glam::DVec3;
 
 use super::super::ccd::Motion;
-use super::super::gel_contact::ContactState;
-use super::{AffineState, Barrier, Collider, Gel, GeneralisedForce, SolverParameters, Surface};
+use super::{
+    AffineState, Collider, ContactState, Gel, GeneralisedForce, Obstacle, SolverParameters, Surface,
+};
+use crate::contact::barrier::Barrier;
 
 /// A gel about to move along a resting object, without friction.
 #[derive(Debug)]
@@ -67,7 +69,8 @@ impl GelPhases {
 
     /// Finds the active contacts among the candidates, with their derivatives.
     pub fn find_contacts(&mut self) {
-        self.gel.find_contacts(&self.object, &self.barrier);
+        let obstacle = obstacle(&self.object, &self.barrier);
+        self.gel.find_contacts(obstacle);
     }
 
     /// Energy (J) as in a trial of the line search: recomputes the distances of near candidates.
@@ -75,13 +78,13 @@ impl GelPhases {
         self.gel.update_displacements(&self.object);
         let gel = &mut self.gel;
         gel.contact
-            .energy(&state(&gel.x, &self.object, &self.barrier))
+            .energy(&state(&gel.x, obstacle(&self.object, &self.barrier)))
     }
 
     /// Gradient on the nodes, N; also computes that on the object's 12 unknowns.
     pub fn gradient(&mut self) -> &[DVec3] {
         let gel = &mut self.gel;
-        let state = state(&gel.x, &self.object, &self.barrier);
+        let state = state(&gel.x, obstacle(&self.object, &self.barrier));
         gel.contact_gradient.fill(DVec3::ZERO);
         gel.object_gradient = GeneralisedForce::default();
         gel.contact
@@ -95,7 +98,7 @@ impl GelPhases {
         let gel = &mut self.gel;
         gel.stiffness.fill(0.0);
         gel.coupling.clear(3 * gel.x.len());
-        let state = state(&gel.x, &self.object, &self.barrier);
+        let state = state(&gel.x, obstacle(&self.object, &self.barrier));
         let pattern = gel.elastic.pattern();
         gel.contact
             .add_hessian(&state, pattern, &mut gel.stiffness, &mut gel.coupling);
@@ -116,12 +119,19 @@ impl GelPhases {
     }
 }
 
-fn state<'a>(x: &'a [DVec3], object: &'a AffineState, barrier: &'a Barrier) -> ContactState<'a> {
-    ContactState {
+/// The resting object.
+fn obstacle<'a>(object: &'a AffineState, barrier: &'a Barrier) -> Obstacle<'a> {
+    Obstacle {
         barrier,
+        now: object,
+        start: object,
+    }
+}
+
+fn state<'a>(x: &'a [DVec3], obstacle: Obstacle<'a>) -> ContactState<'a> {
+    ContactState {
+        obstacle,
         x,
         start: x,
-        object,
-        object_start: object,
     }
 }

@@ -4,6 +4,7 @@ use glam::{DMat3, DVec3};
 
 use super::collider::Collider;
 use super::coupling::{GeneralisedForce, ObjectStiffness};
+use super::gel_contact::Obstacle;
 use crate::affine::{AffineBody, AffineRate, AffineState};
 use crate::contact::barrier::Barrier;
 use crate::contact::ccd::half_space_toi;
@@ -151,6 +152,15 @@ impl Object {
 
     pub(super) fn end_step(&mut self, dt: f64) {
         self.rate = self.state.rate_since(&self.start, dt);
+    }
+
+    /// The object as an obstacle for the gels.
+    pub(super) fn as_obstacle<'a>(&'a self, barrier: &'a Barrier) -> Obstacle<'a> {
+        Obstacle {
+            barrier,
+            now: &self.state,
+            start: &self.start,
+        }
     }
 
     pub(super) fn store_line_origin(&mut self) {

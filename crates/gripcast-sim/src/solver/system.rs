@@ -292,31 +292,27 @@ impl System {
     }
 
     fn find_contacts(&mut self) {
-        let (object, barrier) = (&self.object.state, &self.barrier);
+        let obstacle = self.object.as_obstacle(&self.barrier);
         let gels = self.gels.par_iter_mut();
-        gels.for_each(|gel| gel.find_contacts(object, barrier));
+        gels.for_each(|gel| gel.find_contacts(obstacle));
     }
 
     fn energy(&mut self) -> f64 {
-        let (object, object_start) = (&self.object.state, &self.object.start);
-        let barrier = &self.barrier;
+        let obstacle = self.object.as_obstacle(&self.barrier);
         let gels = self.gels.par_iter_mut();
         // Collected so that the order of the sum is fixed.
-        let gels: Vec<f64> = gels
-            .map(|gel| gel.energy(object, object_start, barrier))
-            .collect();
+        let gels: Vec<f64> = gels.map(|gel| gel.energy(obstacle)).collect();
         let dt = self.parameters.dt_s;
         gels.into_iter().sum::<f64>() + self.object.energy(&self.collider, &self.barrier, dt)
     }
 
     /// Computes the gradient at the current state, whose contacts must be up to date.
     fn compute_gradient(&mut self) {
-        let (object, object_start) = (&self.object.state, &self.object.start);
-        let barrier = &self.barrier;
+        let obstacle = self.object.as_obstacle(&self.barrier);
         let slices = split_by_gel(&self.gels, &mut self.gradient);
         let gels = self.gels.par_iter_mut().zip(slices);
         gels.for_each(|(gel, gradient)| {
-            gel.write_gradient(object, object_start, barrier, gradient);
+            gel.write_gradient(obstacle, gradient);
         });
         let dt = self.parameters.dt_s;
         let mut on_object = self.object.gradient(&self.collider, &self.barrier, dt);
@@ -342,11 +338,10 @@ impl System {
     }
 
     fn try_factorise(&mut self, projection: Projection) -> Result<(), NotPositiveDefinite> {
-        let (object, object_start) = (&self.object.state, &self.object.start);
-        let barrier = &self.barrier;
+        let obstacle = self.object.as_obstacle(&self.barrier);
         let gels = self.gels.par_iter_mut();
         let outcomes: Vec<_> = gels
-            .map(|gel| gel.factorise(object, object_start, barrier, projection))
+            .map(|gel| gel.factorise(obstacle, projection))
             .collect();
         outcomes.into_iter().collect::<Result<(), _>>()?;
         let dt = self.parameters.dt_s;

@@ -83,7 +83,6 @@ fn slope(system: &mut System, step: f64, shift: impl Fn(&mut System, f64)) -> f6
 #[test]
 fn gradient_is_the_slope_of_the_energy() {
     let mut system = sliding_at_a_corner();
-    let (object, object_start) = (&system.object.state, &system.object.start);
     for (gel, side) in system.gels.iter().zip(["left", "right"]) {
         let counts = gel.contact.counts();
         assert!(
@@ -95,11 +94,9 @@ fn gradient_is_the_slope_of_the_energy() {
             "{counts:?}"
         );
         let state = ContactState {
-            barrier: &system.barrier,
+            obstacle: system.object.as_obstacle(&system.barrier),
             x: &gel.x,
             start: &gel.start,
-            object,
-            object_start,
         };
         let [sticking, sliding] = gel.contact.sticking_and_sliding(&state);
         let some = if side == "left" { sliding } else { sticking };

@@ -19,6 +19,15 @@ pub(super) struct Row {
     pub(super) shear_n: f64,
 }
 
+impl Row {
+    fn target(&self) -> PressTarget {
+        PressTarget {
+            depth_m: self.depth_m,
+            shift_m: self.shift_m,
+        }
+    }
+}
+
 /// Rows of a reference case: A and B spheres of radius 10 and 3 mm, C cylinder, D plate, E rounded
 /// edge, F the sphere of A with friction.
 ///
@@ -107,13 +116,7 @@ impl Curve {
                 .filter(|row| !is_quick || row.depth_m > QUICK_MIN_DEPTH_M - DEPTH_TOLERANCE_M)
                 .collect();
             from = mesh.up_to_m;
-            let targets: Vec<PressTarget> = selected
-                .iter()
-                .map(|row| PressTarget {
-                    depth_m: row.depth_m,
-                    shift_m: 0.0,
-                })
-                .collect();
+            let targets: Vec<PressTarget> = selected.iter().map(|row| row.target()).collect();
             let mut press = mesh.press(&self.indenter)?;
             press.grid = quarter_pad(mesh.cells, mesh.growth)?;
             press.symmetric = [true, true];
@@ -251,13 +254,7 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     };
     let keep = |row: &Row| !is_quick || row.depth_m > 5e-4 && row.shift_m < 5.5e-4;
     let rows: Vec<Row> = reference("F")?.into_iter().filter(keep).collect();
-    let targets: Vec<PressTarget> = rows
-        .iter()
-        .map(|row| PressTarget {
-            depth_m: row.depth_m,
-            shift_m: row.shift_m,
-        })
-        .collect();
+    let targets: Vec<PressTarget> = rows.iter().map(Row::target).collect();
     let mut press = mesh.press(&Indenter::Sphere { radius_m: 0.01 })?;
     press.grid = half_pad(mesh.cells, mesh.growth)?;
     press.symmetric = [false, true];
