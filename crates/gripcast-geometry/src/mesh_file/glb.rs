@@ -25,21 +25,15 @@ const FLOAT: u32 = 5126;
 const CHUNK_JSON: &[u8] = b"JSON";
 const CHUNK_BIN: &[u8] = b"BIN\0";
 
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
+#[derive(Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
 struct Document {
     scene: Option<usize>,
-    #[serde(default)]
     scenes: Vec<Scene>,
-    #[serde(default)]
     nodes: Vec<Node>,
-    #[serde(default)]
     meshes: Vec<Mesh>,
-    #[serde(default)]
     accessors: Vec<Accessor>,
-    #[serde(default)]
     buffer_views: Vec<BufferView>,
-    #[serde(default)]
     buffers: Vec<Buffer>,
 }
 

@@ -80,13 +80,7 @@ struct Transmission {
 
 #[derive(Deserialize)]
 struct Ior {
-    #[serde(default = "default_ior")]
-    ior: f64,
-}
-
-/// Default index of refraction.
-fn default_ior() -> f64 {
-    1.5
+    ior: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -157,11 +151,7 @@ fn convert(
         messages.push("the normal map is not supported and is ignored".to_string());
     }
     let transmission = entry.extensions.transmission.transmission_factor;
-    let ior = entry
-        .extensions
-        .ior
-        .as_ref()
-        .map_or(default_ior(), |e| e.ior);
+    let ior = entry.extensions.ior.as_ref().and_then(|e| e.ior);
     let mut image = |texture: &Option<TextureUse>| {
         image_source(texture.as_ref()?, document, gltf)
             .map_err(|text| messages.push(text))
@@ -177,11 +167,7 @@ fn convert(
         roughness: finite(pbr.roughness_factor, 1.0).clamp(0.0, 1.0),
         metallic_roughness_image: image(&pbr.metallic_roughness_texture),
         transmission: finite(transmission.max(see_through), 0.0).clamp(0.0, 1.0),
-        ior: if (1.0..=4.0).contains(&ior) {
-            ior
-        } else {
-            plain.ior
-        },
+        ior: ior.filter(|n| (1.0..=4.0).contains(n)).unwrap_or(plain.ior),
         emission: entry.emissive_factor.map(|c| finite(c, 0.0).max(0.0)),
     }
 }

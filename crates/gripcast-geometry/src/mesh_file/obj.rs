@@ -146,14 +146,9 @@ impl ObjFile {
 
 /// Zero-based index of an index from 1 or from the end, if below `count`.
 fn resolve_index(number: i64, count: usize) -> Option<u32> {
-    let from_zero = if number < 0 {
-        number.checked_add(count as i64)?
-    } else {
-        number - 1
-    };
-    u32::try_from(from_zero)
-        .ok()
-        .filter(|&index| (index as usize) < count)
+    let shift = if number < 0 { count as i64 } else { -1 };
+    let index = u32::try_from(number + shift).ok()?;
+    ((index as usize) < count).then_some(index)
 }
 
 /// Parses the first three numbers; NaN for missing or invalid ones.

@@ -79,7 +79,7 @@ impl Indenter {
                 let angle = arc_angle(radius, size).min(1.4);
                 extrude(&arc(radius, angle, size.face_m), size)
             }
-            Self::Plate => plate(size),
+            Self::Plate => extrude(&flat(size), size),
             Self::Edge { radius_m } => {
                 let radius = shrunk(*radius_m, inset_m);
                 extrude(&wedge(radius, size), size)
@@ -181,7 +181,16 @@ fn wedge(radius: f64, size: &MeshSize) -> Vec<DVec2> {
     left.chain(tip.iter().copied()).chain(right).collect()
 }
 
-/// Extrudes a profile along y beyond the gel.
+/// Profile of a plate wider than the gel.
+fn flat(size: &MeshSize) -> Vec<DVec2> {
+    let half = size.half.x + MARGIN_M;
+    let cells = (2.0 * half / size.along_m).ceil();
+    let x = |k: u32| half * (2.0 * f64::from(k) / cells - 1.0);
+    (0..=cells as u32).map(|k| DVec2::new(x(k), 0.0)).collect()
+}
+
+/// Extrudes a profile along y beyond the gel: two triangles per cell, facing down, with alternating
+/// diagonals.
 fn extrude(profile: &[DVec2], size: &MeshSize) -> TriangleMesh {
     let half = size.half.y + MARGIN_M;
     let rows = (2.0 * half / size.along_m).ceil() as u32;
@@ -192,28 +201,6 @@ fn extrude(profile: &[DVec2], size: &MeshSize) -> TriangleMesh {
         let points = profile.iter().map(|p| DVec3::new(p.x, y, p.y));
         mesh.vertices.extend(points);
     }
-    push_cells(&mut mesh, width, rows);
-    mesh
-}
-
-fn plate(size: &MeshSize) -> TriangleMesh {
-    let half = size.half + MARGIN_M;
-    let cells = (2.0 * half / size.along_m).ceil().max(DVec2::ONE);
-    let (columns, rows) = (cells.x as u32, cells.y as u32);
-    let mut mesh = TriangleMesh::default();
-    for row in 0..=rows {
-        let y = half.y * (2.0 * f64::from(row) / cells.y - 1.0);
-        let x = |k: u32| half.x * (2.0 * f64::from(k) / cells.x - 1.0);
-        let points = (0..=columns).map(|k| DVec3::new(x(k), y, 0.0));
-        mesh.vertices.extend(points);
-    }
-    push_cells(&mut mesh, columns + 1, rows);
-    mesh
-}
-
-/// Two triangles per cell of a grid with `width` points per row, counter-clockwise seen from below,
-/// with alternating diagonals.
-fn push_cells(mesh: &mut TriangleMesh, width: u32, rows: u32) {
     for row in 0..rows {
         for k in 0..width - 1 {
             let a = row * width + k;
@@ -225,6 +212,7 @@ fn push_cells(mesh: &mut TriangleMesh, width: u32, rows: u32) {
             }
         }
     }
+    mesh
 }
 
 #[cfg(test)]

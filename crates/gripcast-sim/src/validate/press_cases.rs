@@ -3,6 +3,7 @@
 use serde::Deserialize;
 
 use super::report::Recorder;
+use crate::fem::GelGrid;
 use crate::press::{Indenter, Press, PressTarget, half_pad, quarter_pad};
 use gripcast_base::error::{Error, Result};
 
@@ -117,8 +118,8 @@ impl Curve {
                 .collect();
             from = mesh.up_to_m;
             let targets: Vec<PressTarget> = selected.iter().map(|row| row.target()).collect();
-            let mut press = mesh.press(&self.indenter)?;
-            press.grid = quarter_pad(mesh.cells, mesh.growth)?;
+            let grid = quarter_pad(mesh.cells, mesh.growth)?;
+            let mut press = mesh.press(grid, &self.indenter);
             press.symmetric = [true, true];
             for (point, row) in press.run(&targets)?.iter().zip(selected) {
                 let fraction = self.tolerance(row.depth_m, is_quick);
@@ -150,13 +151,13 @@ fn rounded(mm: f64) -> f64 {
 }
 
 impl Meshing {
-    /// A press with this meshing; the caller sets the grid.
-    fn press(&self, indenter: &Indenter) -> Result<Press> {
-        let mut press = Press::new(quarter_pad([1, 1, 1], [1.0; 3])?, indenter.clone());
-        press.face_m = self.face_m;
-        press.d_hat_m = self.d_hat_m;
-        press.step_m = self.step_m;
-        Ok(press)
+    fn press(&self, grid: GelGrid, indenter: &Indenter) -> Press {
+        Press {
+            face_m: self.face_m,
+            d_hat_m: self.d_hat_m,
+            step_m: self.step_m,
+            ..Press::new(grid, indenter.clone())
+        }
     }
 }
 
@@ -255,8 +256,8 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     let keep = |row: &Row| !is_quick || row.depth_m > 5e-4 && row.shift_m < 5.5e-4;
     let rows: Vec<Row> = reference("F")?.into_iter().filter(keep).collect();
     let targets: Vec<PressTarget> = rows.iter().map(Row::target).collect();
-    let mut press = mesh.press(&Indenter::Sphere { radius_m: 0.01 })?;
-    press.grid = half_pad(mesh.cells, mesh.growth)?;
+    let grid = half_pad(mesh.cells, mesh.growth)?;
+    let mut press = mesh.press(grid, &Indenter::Sphere { radius_m: 0.01 });
     press.symmetric = [false, true];
     press.friction = 0.4;
     press.slip_m = 2e-7;
