@@ -55,7 +55,7 @@ pub(crate) fn run(object: &str, folder: &Path) -> Result<String> {
     // A short grasp; the default holds the force for longer and lifts higher.
     engine.settings.protocol.adjust_s = 0.1;
     let result = engine.simulate(&setup, 0.5, 15.0)?;
-    let summary = GraspSummary::of(
+    let summary = GraspSummary::new(
         &result,
         &engine.settings.protocol,
         engine.settings.solver.dt_s,

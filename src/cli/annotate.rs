@@ -484,7 +484,7 @@ fn placed(t_m: &[f64; 3], [w, x, y, z]: &[f64; 4]) -> Pose {
 fn distance(pose: &PoseRecord, other: &Pose) -> (f64, f64) {
     let own = placed(&pose.t_m, &pose.q_wxyz);
     let shift = other.translation_m - own.translation_m;
-    (shift.length(), own.turn_from(other).length())
+    (shift.length(), own.rotation_from(other).length())
 }
 
 impl Summary {

@@ -35,7 +35,7 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::save;
 use gripcast_geometry::{LengthUnit, Pose};
 use gripcast_imaging::{encode_png_grey16, encode_png_rgb};
-use gripcast_sim::grasp::{GraspPose, Placed, Placement, resting_pose};
+use gripcast_sim::grasp::{GraspPose, GripperState, Placement, resting_pose};
 use gripcast_visual::{
     Bitmap, ColourSettings, DenoiseSettings, DepthSettings, Finish, GraspState, Image, Model,
     Pattern, RenderSettings, Renderer, Sky, View, VisualConditions, VisualRandomisation, Watch,
@@ -309,7 +309,7 @@ impl<'a> Job<'a> {
         };
         let mesh = source.load()?;
         let resting = || -> Result<Pose> { Ok(resting_pose(&mesh, None)?.1.t_world_object) };
-        let (t_world_object, placed): (Pose, Placed) = match &flags.pose {
+        let (t_world_object, placed): (Pose, GripperState) = match &flags.pose {
             None => {
                 let lying = resting()?;
                 (lying, Placement::default().place(&mesh, &lying)?)

@@ -30,7 +30,7 @@ use gripcast_geometry::Pose;
 use gripcast_replay::plot;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::{
-    ForceRule, GraspOutcome, GraspPose, GraspResult, GraspSettings, GraspSummary, Placed,
+    ForceRule, GraspOutcome, GraspPose, GraspResult, GraspSettings, GraspSummary, GripperState,
     Placement, Preset, STEADY_STEPS, Scene, TACCEL_DRIVE_WEIGHT, TraceFile, resting_pose, simulate,
 };
 use gripcast_sim::solver::{Drive, PhaseTimes};
@@ -280,7 +280,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     }
     let gel_axes_m = scene.gel.grid.axes().clone();
     let (result, wall_s) = timed(context, scene, settings, args.settings.threads)?;
-    let mut summary = GraspSummary::of(&result, &settings.protocol, settings.solver.dt_s);
+    let mut summary = GraspSummary::new(&result, &settings.protocol, settings.solver.dt_s);
     summary
         .warnings
         .splice(0..0, object.warnings.iter().cloned());
@@ -306,7 +306,7 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
 struct Place {
     t_world_object: Pose,
     stable_pose: Option<StablePoseRecord>,
-    placed: Placed,
+    placed: GripperState,
 }
 
 fn place(object: &SimObject, flags: &PlaceFlags) -> Result<Place> {
@@ -334,8 +334,8 @@ fn place(object: &SimObject, flags: &PlaceFlags) -> Result<Place> {
     let (t_world_object, stable_pose) = resting()?;
     let placement = Placement {
         yaw_rad: flags.yaw_deg.to_radians(),
-        tilt_rad: flags.tilt_deg.to_radians(),
-        lean_rad: flags.lean_deg.to_radians(),
+        roll_rad: flags.tilt_deg.to_radians(),
+        pitch_rad: flags.lean_deg.to_radians(),
         offset_m: [flags.offset_x, flags.offset_y],
         height_m: flags.height,
         opening_m: flags.width,
@@ -502,7 +502,7 @@ fn outcome_text(outcome: GraspOutcome) -> &'static str {
         GraspOutcome::Slip => "slip: the object was not held through the lift",
         GraspOutcome::Eject => "eject: the object was squeezed out before the lift",
         GraspOutcome::Miss => "miss: the fingers closed without touching the object",
-        GraspOutcome::Closed => "closed: the gels met before the force was reached",
+        GraspOutcome::GelsMet => "gels_met: the gels met before the force was reached",
         GraspOutcome::PenetratingStart => "penetrating_start: nothing was simulated",
         GraspOutcome::NotConverged => "not_converged: there is no outcome",
     }

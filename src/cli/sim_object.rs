@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use gripcast_base::error::{Error, Result};
-use gripcast_geometry::{LengthUnit, Prepared, TriangleMesh, load_object_mesh};
+use gripcast_geometry::{LengthUnit, PreparedMesh, TriangleMesh, load_object_mesh};
 
 /// Flags that choose the object.
 #[derive(Clone, Debug, clap::Args)]
@@ -64,7 +64,7 @@ impl SimObject {
                 "`--scale` must be a number above 0, found {scale}"
             )));
         }
-        let Prepared { mesh, warnings } = load_object_mesh(name, unit, scale)?;
+        let PreparedMesh { mesh, warnings } = load_object_mesh(name, unit, scale)?;
         Ok(Self { mesh, warnings })
     }
 

@@ -12,7 +12,7 @@
 use super::working::interruptible;
 use super::{Context, print_report};
 use gripcast_base::error::{Error, ErrorKind, Result};
-use gripcast_sim::validate::{self, CASE_NAMES, CaseResult, Effort, Report, Tolerance};
+use gripcast_sim::validate::{self, CaseResult, Effort, Report, Tolerance};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -38,13 +38,16 @@ pub(crate) fn run(context: &Context, args: Args) -> Result<()> {
     };
     let names = args.cases.clone();
     let report = interruptible(context, "validating", move |progress| {
-        let is_wanted = |name: &&&str| names.is_empty() || names.iter().any(|n| n == **name);
-        let groups: Vec<&str> = CASE_NAMES.iter().filter(is_wanted).copied().collect();
+        let is_wanted = |name: &&str| names.is_empty() || names.iter().any(|n| n == *name);
+        let groups: Vec<&str> = validate::case_names()
+            .into_iter()
+            .filter(is_wanted)
+            .collect();
         let mut report = Report::default();
         for (done, group) in groups.iter().enumerate() {
             progress.at(done as u64, groups.len() as u64);
             progress.line(*group);
-            report.absorb(validate::run(&[(*group).to_owned()], effort)?);
+            report.add(validate::run(&[(*group).to_owned()], effort)?.cases);
         }
         Ok::<_, Error>(report)
     })??;
@@ -73,8 +76,7 @@ fn line(case: &CaseResult, width: usize) -> String {
         Tolerance::Absolute(limit) => format!("within {limit} {}", case.unit),
         Tolerance::Relative(fraction) => format!("within {} %", 100.0 * fraction),
         Tolerance::AtLeast => "at least".to_owned(),
-        Tolerance::AtMost => "at most".to_owned(),
-        Tolerance::Stated => "stated".to_owned(),
+        Tolerance::Informational => "stated".to_owned(),
     };
     format!(
         "{mark} {:<width$}  expected {:>11} found {:>11} {}  {tolerance}",

@@ -121,7 +121,7 @@ fn an_image_gives_the_pose_its_covariance_and_its_quality() {
     assert!(off_mm(record) < 0.2, "{} mm", off_mm(record));
     let [w, x, y, z] = record.q_wxyz;
     let found = Pose::from_rotation(DQuat::from_xyzw(x, y, z, w));
-    assert!(w >= 0.0 && found.turn_from(&t_object_gripper()).length() < 0.003);
+    assert!(w >= 0.0 && found.rotation_from(&t_object_gripper()).length() < 0.003);
     let covariance = record.covariance.as_ref().unwrap();
     assert_eq!(covariance.len(), 36);
     let sigma_mm = 1e3 * (covariance[0] + covariance[7] + covariance[14]).sqrt();

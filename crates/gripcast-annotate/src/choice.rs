@@ -74,7 +74,7 @@ pub fn choose(observations: &[&Observation]) -> Option<Choice> {
     let end = *sharp.last()?;
     let is_at_rest = |i: &usize| {
         let (a, b) = (pose(observations[*i]), pose(observations[end]));
-        a.translation_m.distance(b.translation_m) < REST_M && a.turn_from(b).length() < REST_RAD
+        a.translation_m.distance(b.translation_m) < REST_M && a.rotation_from(b).length() < REST_RAD
     };
     let mut used: Vec<usize> = sharp.iter().rev().copied().take_while(is_at_rest).collect();
     if used.len() < 2 && observations.len() > 2 {
@@ -88,7 +88,7 @@ pub fn choose(observations: &[&Observation]) -> Option<Choice> {
         let shift = pose(seen).translation_m - t_object_gripper.translation_m;
         (
             shift.length(),
-            pose(seen).turn_from(&t_object_gripper).length(),
+            pose(seen).rotation_from(&t_object_gripper).length(),
         )
     };
     let (spread_m, spread_rad) = chosen
@@ -124,7 +124,7 @@ fn mean(seen: &[&Observation]) -> Pose {
         return Pose::IDENTITY;
     };
     let count = seen.len() as f64;
-    let turns = seen.iter().map(|s| pose(s).turn_from(pose(first)));
+    let turns = seen.iter().map(|s| pose(s).rotation_from(pose(first)));
     let turn = DQuat::from_scaled_axis(turns.sum::<DVec3>() / count);
     let translation = seen.iter().map(|s| pose(s).translation_m).sum::<DVec3>() / count;
     Pose::new(turn * pose(first).rotation, translation)

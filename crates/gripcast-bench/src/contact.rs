@@ -34,7 +34,6 @@ use gripcast::cli::Context;
 use gripcast::cli::bench::Report;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{resolution_by_name, resolution_name};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
@@ -55,7 +54,7 @@ const IPCTK: Peer = Peer {
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Gel meshes, separated by commas
-    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',', default_value = "coarse")]
+    #[arg(long, value_parser = GelResolution::from_name, value_delimiter = ',', default_value = "coarse")]
     gel: Vec<GelResolution>,
     /// Faces of the sphere, separated by commas
     #[arg(long, value_parser = ["1280", "5120", "20480"], value_delimiter = ',',
@@ -146,7 +145,7 @@ pub(crate) fn run(context: &Context, args: &Args) -> Result<()> {
                 }
             }
             measured.push(Measured {
-                gel: resolution_name(gel),
+                gel: gel.name(),
                 faces: scene.faces(),
                 phases,
                 state,

@@ -189,7 +189,7 @@ pub(crate) fn cases() -> Vec<GraspCase> {
     let easy = GraspCase::easy;
     let hard = GraspCase::hard;
     let tilted = Placement {
-        tilt_rad: 15f64.to_radians(),
+        roll_rad: 15f64.to_radians(),
         ..across(0.014)
     };
     let high = Placement {

@@ -19,7 +19,7 @@ use gripcast::daemon::live_load::peak_rss_mb;
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::workers::cores;
 use gripcast_sim::fem::GelResolution;
-use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name, resolution_name};
+use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::{Engine, FemEngine};
 use gripcast_synth::plan::{
     MIN_FRICTION_FRACTION, Plan, PlanPreset, PlanSettings, Shard, family_drafts, make_plan,
@@ -46,11 +46,11 @@ pub(crate) struct Args {
     #[arg(long, value_name = "N", default_value_t = 1)]
     grasps: usize,
     /// Meshes of the gels
-    #[arg(long, value_parser = resolution_by_name, value_delimiter = ',',
+    #[arg(long, value_parser = GelResolution::from_name, value_delimiter = ',',
         default_values = ["coarse", "default"])]
     gel: Vec<GelResolution>,
     /// Simulate the grasps with this mesh as well and compare the labels
-    #[arg(long, value_parser = resolution_by_name)]
+    #[arg(long, value_parser = GelResolution::from_name)]
     against: Option<GelResolution>,
     /// Seed of the plan
     #[arg(long, default_value_t = 0)]
@@ -110,14 +110,14 @@ fn measure(args: &Args, progress: &Progress) -> Result<Vec<(GelResolution, Figur
         let jobs = args.jobs();
         let drafts = family_drafts(args.objects, args.seed, jobs, &|_| ())?;
         let made = make_plan(&args.settings(), drafts.into(), &engine, None, &|_| ())?;
-        let at = folder.path().join(resolution_name(*gel));
+        let at = folder.path().join(gel.name());
         made.write(&at)?;
         let plan = made.plan;
-        progress.line(format!("{} gels", resolution_name(*gel)));
+        progress.line(format!("{} gels", gel.name()));
         let mut figures = figures(&plan, &at, &engine, jobs, progress)?;
         if let Some(other) = args.against {
             if reference.is_none() {
-                progress.line(format!("{} gels, for their labels", resolution_name(other)));
+                progress.line(format!("{} gels, for their labels", other.name()));
                 let told = |done: usize| {
                     progress.at(done as u64, plan.simulations.len() as u64);
                 };
@@ -223,7 +223,7 @@ impl Args {
 fn report(args: &Args, found: &[(GelResolution, Figures)]) -> Report {
     let gels: Map<String, Value> = found
         .iter()
-        .map(|(gel, figures)| (resolution_name(*gel).to_owned(), json!(figures)))
+        .map(|(gel, figures)| (gel.name().to_owned(), json!(figures)))
         .collect();
     let params = json!({
         "objects": args.objects,
@@ -231,7 +231,7 @@ fn report(args: &Args, found: &[(GelResolution, Figures)]) -> Report {
         "seed": args.seed,
         "jobs": args.jobs(),
         "renderings": PlanPreset::Small.rendering().renderings,
-        "against": args.against.map(resolution_name),
+        "against": args.against.map(GelResolution::name),
     });
     Report::new("synth", params, gels.into(), text(args, found))
 }
@@ -243,7 +243,7 @@ fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
         lines.push(format!(
             "{:8} {:6.0} grasps an hour · {} held, {} lost, {} failed · CPU s: prepare {:.2}, \
              simulate {:.2}, tactile {:.2}, visual {:.2} · {:.0} MB",
-            resolution_name(*gel),
+            gel.name(),
             figures.grasps_per_hour,
             figures.held,
             figures.lost,
@@ -258,7 +258,7 @@ fn text(args: &Args, found: &[(GelResolution, Figures)]) -> String {
             lines.push(format!(
                 "{:8} labels agree with {} gels on {:.1} %",
                 "",
-                resolution_name(other),
+                other.name(),
                 1e2 * fraction
             ));
         }

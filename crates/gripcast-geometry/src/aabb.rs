@@ -12,13 +12,13 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// Contains nothing; the neutral element of [`Aabb::union`].
+    /// The empty box: the neutral element of [`Aabb::union`].
     pub const EMPTY: Self = Self {
         min: DVec3::INFINITY,
         max: DVec3::NEG_INFINITY,
     };
 
-    /// Smallest box around the points; [`Aabb::EMPTY`] without points.
+    /// Bounding box of the points; [`Aabb::EMPTY`] without points.
     pub fn from_points(points: impl IntoIterator<Item = DVec3>) -> Self {
         points.into_iter().fold(Self::EMPTY, |bounds, point| Self {
             min: bounds.min.min(point),
@@ -26,7 +26,7 @@ impl Aabb {
         })
     }
 
-    /// Smallest box around both.
+    /// Bounding box of both.
     #[must_use]
     pub fn union(&self, other: &Self) -> Self {
         Self {
@@ -35,7 +35,7 @@ impl Aabb {
         }
     }
 
-    /// The box grown by `radius` (m) on every side.
+    /// The box enlarged by `radius` (m) on every side.
     #[must_use]
     pub fn inflated(&self, radius: f64) -> Self {
         Self {
@@ -44,24 +44,24 @@ impl Aabb {
         }
     }
 
-    /// Whether both share a point; touching counts.
+    /// Whether both boxes share a point, including touching boxes.
     #[inline]
     pub fn intersects(&self, other: &Self) -> bool {
         self.min.cmple(other.max).all() && other.min.cmple(self.max).all()
     }
 
-    /// Whether the point lies inside or on the border.
+    /// Whether the point lies inside or on the boundary.
     #[inline]
     pub fn contains(&self, point: DVec3) -> bool {
         self.min.cmple(point).all() && point.cmple(self.max).all()
     }
 
-    /// Whether it contains nothing.
+    /// Whether the box is empty.
     pub fn is_empty(&self) -> bool {
         !self.min.cmple(self.max).all()
     }
 
-    /// Middle of the box.
+    /// Centre of the box, m.
     pub fn center(&self) -> DVec3 {
         0.5 * (self.min + self.max)
     }
@@ -76,7 +76,7 @@ impl Aabb {
         self.extent().length()
     }
 
-    /// Half of the surface, m²: the cost measure of the surface area heuristic.
+    /// Half of the surface area, m²: the cost measure of the surface area heuristic.
     pub fn half_area(&self) -> f64 {
         let e = self.extent();
         e.x * e.y + e.y * e.z + e.z * e.x
@@ -94,11 +94,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn union_inflation_and_overlap() {
+    fn union_inflation_and_intersection() {
         let a = Aabb::from_points([DVec3::ZERO, DVec3::ONE]);
         let b = Aabb::from_points([DVec3::new(1.5, 0.0, 0.0), DVec3::new(2.0, 1.0, 1.0)]);
         assert!(!a.intersects(&b));
-        assert!(a.inflated(0.5).intersects(&b), "touching counts");
+        assert!(a.inflated(0.5).intersects(&b), "touching boxes intersect");
         assert!(!a.inflated(0.499).intersects(&b));
         assert_eq!(a.union(&b).extent(), DVec3::new(2.0, 1.0, 1.0));
         assert_eq!(a.union(&Aabb::EMPTY), a);

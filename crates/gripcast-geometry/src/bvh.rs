@@ -1,15 +1,15 @@
-//! Static bounding volume hierarchy over boxes, split by the surface area heuristic.
+//! Static bounding volume hierarchy (BVH) of boxes, built by the surface area heuristic.
 
 use super::aabb::Aabb;
 
-/// Most boxes in one leaf.
-const LEAF_SIZE: usize = 4;
-/// Number of buckets in which a split plane is looked for.
+/// Maximum number of boxes in a leaf.
+const MAX_LEAF_SIZE: usize = 4;
+/// Number of bins for the search of a split plane.
 const BINS: usize = 16;
-/// Below this depth halves are of equal count, which bounds the depth of the tree.
+/// Depth below which nodes are split into equal halves, which bounds the depth of the tree.
 const MAX_SAH_DEPTH: u32 = 40;
-/// Deepest stack of a traversal: `MAX_SAH_DEPTH` plus the halvings of 2³² boxes.
-const STACK: usize = 80;
+/// Maximum stack size of a traversal: `MAX_SAH_DEPTH` plus the halvings of 2³² boxes.
+const MAX_STACK: usize = 80;
 
 /// A node; the left child of an inner node follows it directly.
 #[derive(Clone, Debug)]
@@ -21,9 +21,9 @@ struct Node {
     count: u32,
 }
 
-/// Static hierarchy over a slice of boxes; answers with indices into that slice.
+/// Static hierarchy over a slice of boxes; queries return indices into that slice.
 ///
-/// The tree, and thus the order of the answers, depends on the boxes alone.
+/// The tree, and thus the order of the results, depends on the boxes alone.
 #[derive(Clone, Debug, Default)]
 pub struct Bvh {
     nodes: Vec<Node>,
@@ -34,7 +34,7 @@ pub struct Bvh {
 }
 
 impl Bvh {
-    /// Builds the hierarchy. Boxes must not hold NaN; an empty slice gives an empty tree.
+    /// Builds the hierarchy. Boxes must not contain NaN; an empty slice gives an empty tree.
     pub fn build(boxes: &[Aabb]) -> Self {
         let mut order: Vec<u32> = (0..boxes.len() as u32).collect();
         let mut nodes = Vec::with_capacity(boxes.len());
@@ -54,23 +54,22 @@ impl Bvh {
         self.order.len()
     }
 
-    /// Whether it holds no box.
+    /// Whether there are no boxes.
     pub fn is_empty(&self) -> bool {
         self.order.is_empty()
     }
 
-    /// Box around everything.
+    /// Bounding box of all boxes.
     pub fn bounds(&self) -> Aabb {
         self.nodes.first().map_or(Aabb::EMPTY, |root| root.bounds)
     }
 
-    /// Indices of the boxes in the order of the leaves: data stored in this order is read
-    /// front to back by the queries.
+    /// Indices of the boxes in leaf order: queries read data stored in this order sequentially.
     pub fn leaf_order(&self) -> &[u32] {
         &self.order
     }
 
-    /// Calls `visit` with the index of each box that overlaps `query`; touching counts.
+    /// Calls `visit` with the index of each box that overlaps or touches `query`.
     #[inline]
     pub fn for_each_overlap(&self, query: &Aabb, mut visit: impl FnMut(u32)) {
         self.search(
@@ -84,8 +83,8 @@ impl Bvh {
         );
     }
 
-    /// Depth-first walk over the nodes that `enter` accepts; `visit` gets positions in
-    /// [`Bvh::leaf_order`] and ends the walk by returning true. Returns whether it was ended.
+    /// Depth-first traversal of the nodes that `enter` accepts. `visit` receives positions in
+    /// [`Bvh::leaf_order`] and stops the traversal by returning true. Returns whether it stopped.
     pub fn search(
         &self,
         mut enter: impl FnMut(&Aabb) -> bool,
@@ -94,7 +93,7 @@ impl Bvh {
         if self.nodes.is_empty() {
             return false;
         }
-        let mut stack = [0u32; STACK];
+        let mut stack = [0u32; MAX_STACK];
         let mut depth = 1;
         while depth > 0 {
             depth -= 1;
@@ -117,9 +116,9 @@ impl Bvh {
         false
     }
 
-    /// Branch and bound: visits leaves near to far and skips nodes whose `lower_bound` is not
-    /// below the best value so far. `visit` gets a position in [`Bvh::leaf_order`] and the best
-    /// value, and returns the new best value. Returns the final one.
+    /// Branch and bound: visits near leaves first and skips nodes whose `lower_bound` is not below
+    /// the best value so far. `visit` receives a position in [`Bvh::leaf_order`] and the best value
+    /// and returns the new best value. Returns the final best value.
     pub fn minimise(
         &self,
         mut best: f64,
@@ -129,7 +128,7 @@ impl Bvh {
         if self.nodes.is_empty() {
             return best;
         }
-        let mut stack = [(0u32, 0.0f64); STACK];
+        let mut stack = [(0u32, 0.0f64); MAX_STACK];
         stack[0] = (0, lower_bound(&self.nodes[0].bounds));
         let mut depth = 1;
         while depth > 0 {
@@ -167,7 +166,7 @@ impl Bvh {
     }
 }
 
-/// Appends the node of `order[..]` (whose first entry is number `first` of all) and its subtree.
+/// Appends the subtree over `order`, whose first entry has position `first` in the leaf order.
 fn build_node(boxes: &[Aabb], order: &mut [u32], first: u32, depth: u32, nodes: &mut Vec<Node>) {
     let bounds = order
         .iter()
@@ -178,7 +177,7 @@ fn build_node(boxes: &[Aabb], order: &mut [u32], first: u32, depth: u32, nodes: 
         right_or_first: first,
         count: order.len() as u32,
     });
-    if order.len() <= LEAF_SIZE {
+    if order.len() <= MAX_LEAF_SIZE {
         return;
     }
     let middle = split(boxes, order, depth);
@@ -189,7 +188,7 @@ fn build_node(boxes: &[Aabb], order: &mut [u32], first: u32, depth: u32, nodes: 
     build_node(boxes, right, first + middle as u32, depth + 1, nodes);
 }
 
-/// Partitions `order` and returns the size of the left part, never 0 or all.
+/// Partitions `order`; returns the size of the left part, which is never 0 nor all.
 fn split(boxes: &[Aabb], order: &mut [u32], depth: u32) -> usize {
     let centers = Aabb::from_points(order.iter().map(|&i| boxes[i as usize].center()));
     let extent = centers.extent();
@@ -207,7 +206,7 @@ fn split(boxes: &[Aabb], order: &mut [u32], depth: u32) -> usize {
             }
         }
     }
-    // Equal halves; the index breaks ties, so that the tree depends on the boxes alone.
+    // Equal halves; the index breaks ties to keep the tree deterministic.
     let middle = order.len() / 2;
     order.select_nth_unstable_by(middle, |&a, &b| {
         let key = |i: u32| boxes[i as usize].center()[axis];
@@ -216,7 +215,7 @@ fn split(boxes: &[Aabb], order: &mut [u32], depth: u32) -> usize {
     middle
 }
 
-/// The bin after which to split for the smallest Σ area · count.
+/// The bin after which a split minimises Σ area · count.
 fn cheapest_plane(boxes: &[Aabb], order: &[u32], bin: &impl Fn(u32) -> usize) -> Option<usize> {
     let mut bounds = [Aabb::EMPTY; BINS];
     let mut counts = [0usize; BINS];
@@ -238,14 +237,14 @@ fn cheapest_plane(boxes: &[Aabb], order: &[u32], bin: &impl Fn(u32) -> usize) ->
         area = area.union(&bounds[b]);
         count += counts[b];
         let cost = area.half_area() * count as f64 + right_cost[b];
-        if count > 0 && count < order.len() && best.is_none_or(|(least, _)| cost < least) {
+        if count > 0 && count < order.len() && best.is_none_or(|(min, _)| cost < min) {
             best = Some((cost, b));
         }
     }
     best.map(|(_, b)| b)
 }
 
-/// Moves the entries that satisfy `is_left` to the front, in order, and returns their number.
+/// Moves the entries that satisfy `is_left` to the front, preserving order; returns their number.
 fn partition(order: &mut [u32], is_left: impl Fn(u32) -> bool) -> usize {
     let (left, right): (Vec<u32>, Vec<u32>) = order.iter().partition(|&&i| is_left(i));
     order[..left.len()].copy_from_slice(&left);
@@ -272,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn overlaps_are_those_of_the_double_loop() {
+    fn overlaps_match_brute_force() {
         let mut rng = rand_pcg::Pcg64Mcg::seed_from_u64(1);
         for count in [0, 1, 4, 5, 300] {
             let boxes = random_boxes(count, &mut rng);
@@ -310,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn boxes_in_one_place_make_a_balanced_tree() {
+    fn coincident_boxes_make_a_balanced_tree() {
         let boxes = vec![Aabb::from_points([DVec3::ZERO]); 10_000];
         let bvh = Bvh::build(&boxes);
         let mut found = 0;
@@ -319,8 +318,8 @@ mod tests {
     }
 
     #[test]
-    fn a_geometric_row_does_not_overflow_the_stack() {
-        // Each box lies at half of the distance of the one before: bins peel off one at a time.
+    fn geometric_series_does_not_overflow_the_stack() {
+        // Each box lies at half the distance of the previous one: splits peel off one bin at a time.
         let boxes: Vec<Aabb> = (0..1000)
             .map(|i| Aabb::from_points([DVec3::X * 0.5f64.powi(i)]))
             .collect();

@@ -1,8 +1,8 @@
-//! Convex hull of points.
+//! Convex hull by quickhull (Barber, Dobkin and Huhdanpaa, ACM TOMS 1996) with exact orientation
+//! predicates.
 //!
-//! Quickhull (Barber, Dobkin and Huhdanpaa, ACM TOMS 1996) with exact orientation predicates:
-//! a face is visible from a point only if the point is strictly in front of it. Coplanar,
-//! collinear and doubled points then need no tolerance.
+//! A face is visible from a point only if the point is strictly in front of it, so coplanar,
+//! collinear and duplicate points need no tolerance.
 
 use std::collections::BTreeMap;
 
@@ -12,8 +12,8 @@ use robust::{Coord3D, orient3d};
 use super::mesh::TriangleMesh;
 use gripcast_base::error::{Error, Result};
 
-/// A face with its neighbours across the sides that start at each corner, and the points in
-/// front of it that have no other face yet.
+/// A face, its neighbours across the side that starts at each corner, and the points in front of it
+/// that are not assigned to another face.
 struct Face {
     corners: [u32; 3],
     neighbours: [usize; 3],
@@ -26,17 +26,17 @@ struct Hull<'a> {
     faces: Vec<Face>,
 }
 
-/// A side between a face that a point sees and one that it does not.
-struct Horizon {
+/// A side between a face visible from a point and one that is not.
+struct HorizonSide {
     from: u32,
     to: u32,
-    /// The face beyond.
+    /// The invisible face.
     beyond: usize,
 }
 
-/// Smallest convex mesh around the points (m), closed, counter-clockwise seen from outside.
-/// Coplanar facets are cut into triangles, which may be slivers; points within facets or sides may
-/// be left out.
+/// Computes the convex hull of points (m): a closed mesh, counter-clockwise seen from outside.
+/// Planar facets are triangulated, possibly into slivers; points within facets or sides may be left
+/// out.
 ///
 /// # Errors
 /// `Input` if the points do not span a volume or are not finite.
@@ -49,13 +49,13 @@ pub fn convex_hull(points: &[DVec3]) -> Result<TriangleMesh> {
     }
     let simplex = first_simplex(points).ok_or_else(|| {
         Error::input(format!(
-            "a convex hull needs points that span a volume, found {} in one plane",
+            "a convex hull needs points that span a volume, found {} coplanar points",
             points.len()
         ))
-        .remedy("give the part thickness")
+        .remedy("give the body some thickness")
     })?;
-    let mut hull = Hull::of_simplex(points, simplex);
-    // New faces are appended, so that each face is looked at once it is final or dead.
+    let mut hull = Hull::from_simplex(points, simplex);
+    // New faces are appended: each face is processed once.
     let mut next = 0;
     while next < hull.faces.len() {
         if hull.faces[next].alive && !hull.faces[next].outside.is_empty() {
@@ -71,7 +71,7 @@ pub fn convex_hull(points: &[DVec3]) -> Result<TriangleMesh> {
     .without_unused_vertices())
 }
 
-/// Four points far from each other that span a volume; none if all lie in one plane.
+/// Four distant points that span a volume; `None` if all points are coplanar.
 fn first_simplex(points: &[DVec3]) -> Option<[u32; 4]> {
     let farthest = |measure: &dyn Fn(DVec3) -> f64| -> Option<u32> {
         let measured = points.iter().map(|&p| measure(p)).enumerate();
@@ -84,7 +84,7 @@ fn first_simplex(points: &[DVec3]) -> Option<[u32; 4]> {
     let b = farthest(&|p| (p - at(a)).length_squared())?;
     let c = farthest(&|p| (p - at(a)).cross(at(b) - at(a)).length_squared())?;
     let d = farthest(&|p| orientation(at(a), at(b), at(c), p).abs())?;
-    // The other faces follow from the first, which must not see the fourth point.
+    // The first face must face away from the fourth point; the others follow from it.
     if orientation(at(a), at(b), at(c), at(d)) > 0.0 {
         Some([a, b, c, d])
     } else {
@@ -93,7 +93,7 @@ fn first_simplex(points: &[DVec3]) -> Option<[u32; 4]> {
 }
 
 impl<'a> Hull<'a> {
-    fn of_simplex(points: &'a [DVec3], [a, b, c, d]: [u32; 4]) -> Self {
+    fn from_simplex(points: &'a [DVec3], [a, b, c, d]: [u32; 4]) -> Self {
         let face = |corners, neighbours| Face {
             corners,
             neighbours,
@@ -109,7 +109,7 @@ impl<'a> Hull<'a> {
                 face([a, c, d], [0, 2, 1]),
             ],
         };
-        hull.hand_out((0..points.len() as u32).collect(), 0);
+        hull.assign_points((0..points.len() as u32).collect(), 0);
         hull
     }
 
@@ -119,9 +119,9 @@ impl<'a> Hull<'a> {
         orientation(a, b, c, self.points[point as usize]) < 0.0
     }
 
-    /// Gives each point to the first of the faces from `first` on that it sees; the others lie
-    /// inside.
-    fn hand_out(&mut self, points: Vec<u32>, first: usize) {
+    /// Assigns each point to the first face, from index `first` on, that it sees. Points that see
+    /// none lie inside.
+    fn assign_points(&mut self, points: Vec<u32>, first: usize) {
         for point in points {
             if let Some(face) = (first..self.faces.len()).find(|&f| self.sees(point, f)) {
                 self.faces[face].outside.push(point);
@@ -145,16 +145,10 @@ impl<'a> Hull<'a> {
             orphans.append(&mut self.faces[face].outside);
         }
         let first = self.faces.len();
-        let starting_at: BTreeMap<u32, usize> = horizon
-            .iter()
-            .enumerate()
-            .map(|(i, side)| (side.from, first + i))
-            .collect();
-        let ending_at: BTreeMap<u32, usize> = horizon
-            .iter()
-            .enumerate()
-            .map(|(i, side)| (side.to, first + i))
-            .collect();
+        let new_faces = |vertex: fn(&HorizonSide) -> u32| -> BTreeMap<u32, usize> {
+            horizon.iter().map(vertex).zip(first..).collect()
+        };
+        let (starting_at, ending_at) = (new_faces(|side| side.from), new_faces(|side| side.to));
         for (i, side) in horizon.iter().enumerate() {
             let beyond = &mut self.faces[side.beyond];
             let back = beyond.corners.iter().position(|&v| v == side.to);
@@ -167,12 +161,12 @@ impl<'a> Hull<'a> {
             });
         }
         orphans.retain(|&p| p != apex);
-        self.hand_out(orphans, first);
+        self.assign_points(orphans, first);
     }
 
-    /// The faces that the point sees, from one of them on, and the sides around them.
-    fn horizon(&self, point: u32, start: usize) -> (Vec<usize>, Vec<Horizon>) {
-        let mut seen = BTreeMap::from([(start, true)]);
+    /// The faces visible from the point, found from the visible face `start`, and their horizon.
+    fn horizon(&self, point: u32, start: usize) -> (Vec<usize>, Vec<HorizonSide>) {
+        let mut visibility = BTreeMap::from([(start, true)]);
         let (mut visible, mut horizon) = (vec![start], Vec::new());
         let mut open = vec![start];
         while let Some(face) = open.pop() {
@@ -183,17 +177,17 @@ impl<'a> Hull<'a> {
             } = &self.faces[face];
             for k in 0..3 {
                 let beyond = neighbours[k];
-                let first_time = !seen.contains_key(&beyond);
-                let is_visible = *seen
+                let is_new = !visibility.contains_key(&beyond);
+                let is_visible = *visibility
                     .entry(beyond)
                     .or_insert_with(|| self.sees(point, beyond));
                 if !is_visible {
-                    horizon.push(Horizon {
+                    horizon.push(HorizonSide {
                         from: corners[k],
                         to: corners[(k + 1) % 3],
                         beyond,
                     });
-                } else if first_time {
+                } else if is_new {
                     visible.push(beyond);
                     open.push(beyond);
                 }
@@ -203,8 +197,8 @@ impl<'a> Hull<'a> {
     }
 }
 
-/// Positive if `d` lies behind the plane through a, b, c, whose front sees them
-/// counter-clockwise; exact sign.
+/// Orientation of four points, with exact sign: positive if `d` lies behind the plane through a, b
+/// and c, which are counter-clockwise seen from its front.
 pub(super) fn orientation(a: DVec3, b: DVec3, c: DVec3, d: DVec3) -> f64 {
     let [a, b, c, d] = [a, b, c, d].map(|v| Coord3D {
         x: v.x,
@@ -221,7 +215,7 @@ mod tests {
     use glam::DQuat;
     use proptest::prelude::*;
 
-    /// Checks that the hull is closed and convex, and has all points on or behind each face.
+    /// Checks that the hull is closed, convex and contains all points.
     fn check(points: &[DVec3]) -> TriangleMesh {
         let hull = convex_hull(points).unwrap();
         assert!(hull.edges().is_closed());
@@ -234,11 +228,11 @@ mod tests {
     }
 
     fn volume(mesh: &TriangleMesh) -> f64 {
-        MassProperties::of(mesh).unwrap().volume_m3
+        MassProperties::from_mesh(mesh).unwrap().volume_m3
     }
 
     #[test]
-    fn a_lattice_of_points_has_a_box_as_hull() {
+    fn hull_of_a_lattice_is_a_box() {
         let mut points = Vec::new();
         for i in 0..216 {
             let lattice = [i % 6, i / 6 % 6, i / 36].map(f64::from);
@@ -253,9 +247,9 @@ mod tests {
     fn convex_shapes_are_their_own_hull() {
         for name in BUILTIN_NAMES {
             let mesh = builtin(name).unwrap();
-            for turn in [DQuat::IDENTITY, DQuat::from_xyzw(0.1, 0.7, -0.3, 0.64)] {
-                let turned = mesh.transformed(&Pose::from_rotation(turn));
-                let hull = check(&turned.vertices);
+            for rotation in [DQuat::IDENTITY, DQuat::from_xyzw(0.1, 0.7, -0.3, 0.64)] {
+                let rotated = mesh.transformed(&Pose::from_rotation(rotation));
+                let hull = check(&rotated.vertices);
                 let ratio = volume(&hull) / volume(&mesh);
                 match *name {
                     "mug" => assert!(ratio > 2.0, "{ratio}"),
@@ -270,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_point_sets_are_refused() {
+    fn coplanar_points_are_rejected() {
         let flat: Vec<DVec3> = (0..20)
             .map(|i| DVec3::new(f64::from(i % 5), f64::from(i / 5), 1.0))
             .collect();
@@ -281,16 +275,16 @@ mod tests {
         assert!(convex_hull(&[DVec3::NAN; 4]).is_err());
     }
 
-    /// Largest volume (times six) of a tetrahedron of four points, grown greedily.
+    /// Six times the volume of a greedily chosen tetrahedron of four points.
     fn largest_volume(points: &[DVec3]) -> f64 {
         let from = |p: &DVec3| *p - points[0];
-        let most = |measure: &dyn Fn(DVec3) -> f64| {
+        let farthest = |measure: &dyn Fn(DVec3) -> f64| {
             let by = |a: &DVec3, b: &DVec3| measure(*a).total_cmp(&measure(*b));
             points.iter().map(from).max_by(by).unwrap()
         };
-        let a = most(&DVec3::length);
-        let b = most(&|p| p.cross(a).length());
-        let c = most(&|p| p.dot(a.cross(b)).abs());
+        let a = farthest(&DVec3::length);
+        let b = farthest(&|p| p.cross(a).length());
+        let c = farthest(&|p| p.dot(a.cross(b)).abs());
         c.dot(a.cross(b)).abs()
     }
 
@@ -299,7 +293,7 @@ mod tests {
         fn hulls_of_coarse_points_are_convex(
             points in prop::collection::vec([-3..=3i32, -3..=3, -3..=3], 4..60), jitter in 0..2
         ) {
-            // Many coplanar and doubled points, exactly so or off by rounding.
+            // Many coplanar and duplicate points, exactly or up to rounding.
             let points: Vec<DVec3> = points
                 .into_iter()
                 .map(|p| DVec3::from_array(p.map(f64::from)) * 0.1)

@@ -1,19 +1,19 @@
-//! Normals of a faceted mesh where it stands for a smooth one.
+//! Shading normals of a faceted mesh that represents a smooth surface.
 
 use glam::DVec3;
 
 use super::mesh::TriangleMesh;
+use super::weld::{join, root};
 
-/// Triangles that meet at less than this angle are parts of one smooth surface, rad (40°).
+/// Crease angle: triangles that meet at a smaller angle belong to one smooth surface, rad (40°).
 pub const CREASE_RAD: f64 = 0.698;
 
-/// Cosine of the angle under which neighbouring triangles lie in one plane (0.08°).
+/// Cosine of the largest angle between coplanar neighbours (0.08°).
 const COPLANAR: f64 = 1.0 - 1e-6;
 
-/// Unit normal at each corner of each triangle: the mean over the triangles at its vertex that are
-/// within the crease angle, weighted by their angle there and by the area of the plane face that
-/// each is a part of. So a face stays plane up to the bevel around it, however both are cut into
-/// triangles.
+/// Computes a unit normal at each corner of each triangle: the mean over the triangles at its vertex
+/// within the crease angle, weighted by their angle there and by the area of their planar face. A
+/// face thus stays flat up to the bevel around it, independent of the triangulation.
 pub fn corner_normals(mesh: &TriangleMesh, crease_rad: f64) -> Vec<[DVec3; 3]> {
     let units: Vec<DVec3> = mesh.all_corners().map(normal).collect();
     let areas = face_areas(mesh, &units);
@@ -61,34 +61,25 @@ fn angle_at(corners: [DVec3; 3], k: usize) -> f64 {
     p.cross(q).length().atan2(p.dot(q))
 }
 
-/// Area of the plane face that each triangle is a part of, m².
+/// Area of the planar face that contains each triangle, m².
 fn face_areas(mesh: &TriangleMesh, units: &[DVec3]) -> Vec<f64> {
-    let mut face: Vec<usize> = (0..mesh.triangles.len()).collect();
+    let mut face: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let edges = mesh.edges();
     for edge in 0..edges.len() {
         if let [a, b] = *edges.triangles(edge) {
-            let [a, b] = [a as usize, b as usize];
-            if units[a].dot(units[b]) >= COPLANAR {
-                let [a, b] = [a, b].map(|t| root(&mut face, t));
-                face[a.max(b)] = a.min(b);
+            if units[a as usize].dot(units[b as usize]) >= COPLANAR {
+                join(&mut face, a, b);
             }
         }
     }
-    let roots: Vec<usize> = (0..face.len()).map(|t| root(&mut face, t)).collect();
+    let roots: Vec<usize> = (0..face.len() as u32)
+        .map(|t| root(&mut face, t) as usize)
+        .collect();
     let mut sums = vec![0.0; face.len()];
     for (area, &root) in mesh.triangle_areas().iter().zip(&roots) {
         sums[root] += area;
     }
     roots.iter().map(|&root| sums[root]).collect()
-}
-
-/// The triangle that stands for the face of `t`; the way there becomes shorter.
-fn root(face: &mut [usize], mut t: usize) -> usize {
-    while face[t] != t {
-        face[t] = face[face[t]];
-        t = face[t];
-    }
-    t
 }
 
 #[cfg(test)]
@@ -97,7 +88,7 @@ mod tests {
     use crate::{BUILTIN_NAMES, builtin};
 
     #[test]
-    fn a_box_keeps_its_edges_and_a_sphere_is_smooth() {
+    fn box_keeps_its_edges_and_sphere_is_smooth() {
         let mesh = builtin("box").unwrap();
         for normal in corner_normals(&mesh, CREASE_RAD).iter().flatten() {
             assert!((normal.abs().max_element() - 1.0).abs() < 1e-9, "{normal}");
@@ -111,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_face_stays_plane_up_to_its_bevel() {
+    fn face_stays_flat_up_to_its_bevel() {
         // A square of 20 mm cut into squares of 2 mm, with a bevel of 1 mm at 30° along x = 10 mm.
         let mut mesh = TriangleMesh::default();
         let down = 1e-3 * 30_f64.to_radians().tan();
@@ -138,19 +129,19 @@ mod tests {
         for (triangle, normals) in mesh.triangles.iter().zip(&normals) {
             for (vertex, normal) in mesh.corners(*triangle).iter().zip(normals) {
                 let tilt = normal.angle_between(DVec3::Z);
-                let most = if vertex.x > 0.0105 { 0.53 } else { 0.04 };
-                assert!(tilt < most, "{tilt} at {vertex}");
+                let max = if vertex.x > 0.0105 { 0.53 } else { 0.04 };
+                assert!(tilt < max, "{tilt} at {vertex}");
             }
         }
     }
 
     #[test]
-    fn faces_have_the_area_of_their_triangles() {
+    fn face_area_is_the_sum_of_its_triangles() {
         for name in BUILTIN_NAMES {
             let mesh = builtin(name).unwrap();
             let units: Vec<DVec3> = mesh.all_corners().map(normal).collect();
             let areas = face_areas(&mesh, &units);
-            // Each face counts once when each of its triangles counts by its part.
+            // Each face counts once if each of its triangles counts by its fraction of the area.
             let faces: f64 = mesh
                 .triangle_areas()
                 .iter()

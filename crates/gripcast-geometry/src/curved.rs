@@ -1,23 +1,20 @@
-//! Curved triangles over a faceted mesh: a finer mesh of the smooth body that the facets stand for.
+//! Refines a faceted mesh by curved patches towards the smooth body that it represents.
 
 use glam::DVec3;
 
 use super::corner_normals::corner_normals;
 use super::mesh::TriangleMesh;
 
-/// Parts into which an edge is cut at most: a square of that many triangles take its place.
+/// Maximum subdivisions of an edge; a triangle becomes the square of that number.
 const MAX_PARTS: usize = 5;
-/// Distance of a control point from its edge under which the edge counts as straight, as a part of
-/// the edge.
+/// Distance of the control points from a straight edge, as a fraction of its length.
 const STRAIGHT: f64 = 1e-4;
 
-/// The mesh with each triangle replaced by a cubic patch that meets the vertex normals (point-normal
-/// triangles: Vlachos, Peters, Boyd, Mitchell, "Curved PN triangles", I3D 2001), cut into triangles
-/// with sides of about `side_m` (m). Triangles that meet at less than `crease_rad` are parts of one
-/// smooth surface; other edges stay sharp and follow the tangent that both sides share, so that the
-/// rim of a cylinder becomes round. Closed meshes stay closed; the first vertices are those of
-/// `mesh`, in order, and the patches of a body with plane faces lie in them.
-#[must_use]
+/// Replaces each triangle by a cubic patch that matches the vertex normals (Vlachos et al., "Curved
+/// PN triangles", I3D 2001), triangulated with sides of about `side_m` (m). Triangles that meet at
+/// less than `crease_rad` belong to one smooth surface; other edges stay sharp and follow the
+/// tangent common to both sides, so that the rim of a cylinder becomes round. Closed meshes stay
+/// closed, planar faces stay planar, and the first vertices are those of `mesh` in order.
 pub fn curved(mesh: &TriangleMesh, crease_rad: f64, side_m: f64) -> TriangleMesh {
     let edges = mesh.edges();
     let normals = corner_normals(mesh, crease_rad);
@@ -49,8 +46,8 @@ pub fn curved(mesh: &TriangleMesh, crease_rad: f64, side_m: f64) -> TriangleMesh
     }
 }
 
-/// The control point of an edge a third of its way from its first end (eq. of b_210 in the paper).
-/// `normals` are those of the triangles at the edge there.
+/// Control point of an edge at a third from its first end (b_210 in the paper). `normals` are those
+/// of the adjacent triangles at that end.
 fn control_point(
     [from, to]: [DVec3; 2],
     normals: impl Iterator<Item = DVec3>,
@@ -66,7 +63,7 @@ fn control_point(
         }
         [n, m] => {
             let tangent = n.cross(m).normalize_or_zero();
-            // Opposite normals have no tangent in common, and one across the edge is none of it.
+            // Opposite normals have no common tangent; one across the edge is not its tangent.
             if third.dot(tangent).abs() > 0.5 * third.length() {
                 third.dot(tangent) * tangent
             } else {
@@ -78,7 +75,7 @@ fn control_point(
     from + offset
 }
 
-/// Cuts every edge into `parts`, and every patch into `parts²` triangles.
+/// Divides every edge into `parts` and every patch into `parts²` triangles.
 fn cut(mesh: &TriangleMesh, bent: &[[DVec3; 2]], parts: usize) -> TriangleMesh {
     let edges = mesh.edges();
     let mut vertices = mesh.vertices.clone();
@@ -101,9 +98,13 @@ fn cut(mesh: &TriangleMesh, bent: &[[DVec3; 2]], parts: usize) -> TriangleMesh {
         let sides = [on_edge(a, b), on_edge(b, c), on_edge(c, a)];
         let patch = Patch::new(
             mesh.corners(triangle),
-            sides.map(|(edge, is_turned)| {
+            sides.map(|(edge, is_reversed)| {
                 let [near, far] = bent[edge];
-                if is_turned { [far, near] } else { [near, far] }
+                if is_reversed {
+                    [far, near]
+                } else {
+                    [near, far]
+                }
             }),
         );
         let first_inside = vertices.len() as u32;
@@ -115,14 +116,14 @@ fn cut(mesh: &TriangleMesh, bent: &[[DVec3; 2]], parts: usize) -> TriangleMesh {
                 vertices.push(patch.at(1.0 - v - w, v, w));
             }
         }
-        let along = |(edge, is_turned): (usize, bool), i: usize| {
-            let i = if is_turned { parts - i } else { i };
+        let along = |(edge, is_reversed): (usize, bool), i: usize| {
+            let i = if is_reversed { parts - i } else { i };
             (mesh.vertices.len() + edge * (parts - 1) + i - 1) as u32
         };
-        let mut names = vec![vec![0_u32; parts + 1]; parts + 1];
-        for (i, row) in names.iter_mut().enumerate() {
-            for (j, name) in row.iter_mut().enumerate().take(parts + 1 - i) {
-                *name = match (i, j) {
+        let mut indices = vec![vec![0_u32; parts + 1]; parts + 1];
+        for (i, row) in indices.iter_mut().enumerate() {
+            for (j, index) in row.iter_mut().enumerate().take(parts + 1 - i) {
+                *index = match (i, j) {
                     (0, 0) => a,
                     (i, 0) if i == parts => b,
                     (0, j) if j == parts => c,
@@ -138,9 +139,9 @@ fn cut(mesh: &TriangleMesh, bent: &[[DVec3; 2]], parts: usize) -> TriangleMesh {
         }
         for i in 0..parts {
             for j in 0..parts - i {
-                triangles.push([names[i][j], names[i + 1][j], names[i][j + 1]]);
+                triangles.push([indices[i][j], indices[i + 1][j], indices[i][j + 1]]);
                 if i + j + 1 < parts {
-                    triangles.push([names[i + 1][j], names[i + 1][j + 1], names[i][j + 1]]);
+                    triangles.push([indices[i + 1][j], indices[i + 1][j + 1], indices[i][j + 1]]);
                 }
             }
         }
@@ -170,7 +171,7 @@ impl Patch {
         }
     }
 
-    /// The point with these barycentric coordinates.
+    /// Point with these barycentric coordinates, m.
     fn at(&self, u: f64, v: f64, w: f64) -> DVec3 {
         let [a, b, c] = self.corners;
         let [[ab, ba], [bc, cb], [ca, ac]] = self.sides;
@@ -191,27 +192,27 @@ mod tests {
     use crate::{CREASE_RAD, MassProperties, builtin};
 
     fn volume(mesh: &TriangleMesh) -> f64 {
-        MassProperties::of(mesh).unwrap().volume_m3
+        MassProperties::from_mesh(mesh).unwrap().volume_m3
     }
 
-    /// Largest distance from the sphere's or the cylinder's surface over the middles of triangles.
-    fn most_off(mesh: &TriangleMesh, radius: f64, of: impl Fn(DVec3) -> f64) -> f64 {
+    /// Largest deviation of triangle centroids from the radius.
+    fn max_deviation(mesh: &TriangleMesh, radius: f64, of: impl Fn(DVec3) -> f64) -> f64 {
         mesh.all_corners()
             .map(|[a, b, c]| (of((a + b + c) / 3.0) - radius).abs())
             .fold(0.0, f64::max)
     }
 
     #[test]
-    fn a_sphere_becomes_rounder_and_stays_closed() {
+    fn sphere_becomes_rounder_and_stays_closed() {
         let sphere = builtin("sphere").unwrap();
         let radius = sphere.vertices[0].length();
         let fine = curved(&sphere, CREASE_RAD, 5e-4);
         assert!(fine.edges().is_closed());
         assert_eq!(fine.vertices[..sphere.vertices.len()], sphere.vertices);
         fine.validate().unwrap();
-        let [before, after] = [&sphere, &fine].map(|mesh| most_off(mesh, radius, DVec3::length));
-        // Corner normals that keep plane faces plane leave a sphere a little less round than plain
-        // means do, which reach 0.15.
+        let [before, after] =
+            [&sphere, &fine].map(|mesh| max_deviation(mesh, radius, DVec3::length));
+        // Area-weighted corner normals leave a sphere slightly less round than plain means (0.15).
         assert!(after < 0.2 * before, "{after} {before}");
         let ball = 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3);
         let [before, after] = [&sphere, &fine].map(|mesh| (volume(mesh) / ball - 1.0).abs());
@@ -219,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rim_of_a_cylinder_becomes_round_and_stays_sharp() {
+    fn cylinder_rim_becomes_round_and_stays_sharp() {
         let cylinder = builtin("cylinder").unwrap();
         let height = cylinder.bounds().extent().z;
         let across = |p: DVec3| p.truncate().length();
@@ -242,16 +243,16 @@ mod tests {
                 .iter()
                 .all(|p| (p.z.abs() - 0.5 * height).abs() < 1e-9)
         });
-        let mut seen = 0;
+        let mut count = 0;
         for (_, normals) in ends {
-            seen += 1;
+            count += 1;
             assert!(normals.iter().all(|n| n.z.abs() > 0.999), "{normals:?}");
         }
-        assert!(seen > 0);
+        assert!(count > 0);
     }
 
     #[test]
-    fn plane_faces_stay_as_they_are() {
+    fn planar_faces_are_unchanged() {
         for name in ["box", "wedge"] {
             let mesh = builtin(name).unwrap();
             assert_eq!(curved(&mesh, CREASE_RAD, 5e-4), mesh, "{name}");
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn meshes_with_borders_fins_and_empty_triangles_do_no_harm() {
+    fn open_and_degenerate_meshes_are_handled() {
         let mut sphere = builtin("sphere").unwrap();
         sphere.triangles.truncate(sphere.triangles.len() / 2);
         let [a, b, _] = sphere.triangles[0];

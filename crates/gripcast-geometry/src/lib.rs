@@ -1,14 +1,14 @@
-//! Shapes and poses: rigid transforms, triangle meshes and their files, mass properties, stable
-//! poses, bounding volumes.
+//! Geometry: rigid transforms, triangle meshes and mesh files, mass properties, stable poses,
+//! bounding volumes.
 //!
 //! Lengths are metres, coordinates `f64`; `t_a_b` maps coordinates of frame b into frame a.
 //!
 //! ```
 //! use gripcast_geometry::{MassProperties, PrepareOptions, builtin, prepare};
 //!
-//! // A mesh file would come from `load_mesh`.
+//! // `load_mesh` reads a mesh file instead.
 //! let mesh = prepare(&builtin("box")?, &PrepareOptions::default())?.mesh;
-//! let volume_m3 = MassProperties::of(&mesh)?.volume_m3;
+//! let volume_m3 = MassProperties::from_mesh(&mesh)?.volume_m3;
 //! assert!((volume_m3 - 0.04 * 0.04 * 0.06).abs() < 1e-9);
 //! # Ok::<(), gripcast_base::error::Error>(())
 //! ```
@@ -33,7 +33,7 @@ pub use aabb::Aabb;
 pub use builtin::implicit;
 pub use builtin::{BUILTIN_NAMES, builtin};
 pub use bvh::Bvh;
-pub use check::{PrepareOptions, Prepared, prepare};
+pub use check::{PrepareOptions, PreparedMesh, prepare};
 pub use convex_hull::convex_hull;
 pub use corner_normals::{CREASE_RAD, corner_normals};
 pub use curved::curved;

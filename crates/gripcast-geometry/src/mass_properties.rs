@@ -1,11 +1,11 @@
-//! Volume, centre of mass and second moment of a closed mesh at unit density.
+//! Mass properties of a closed mesh: volume, centre of mass and second moment at unit density.
 
 use glam::{DMat3, DVec3};
 
 use super::mesh::TriangleMesh;
 use gripcast_base::error::{Error, Result};
 
-/// Exact integrals over the solid inside a closed mesh. Multiply by a density (kg/m³) for masses.
+/// Exact integrals over the solid inside a closed mesh, at unit density.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MassProperties {
     /// Volume, m³.
@@ -17,17 +17,17 @@ pub struct MassProperties {
 }
 
 impl MassProperties {
-    /// Integrates over the solid bounded by `mesh`, which must be closed with its triangles
-    /// counter-clockwise seen from outside; several components add up.
+    /// Integrates over the solid bounded by `mesh`, which must be closed, with triangles
+    /// counter-clockwise seen from outside; components add up.
     ///
     /// The solid is the signed sum of the tetrahedra between a point and each triangle. For a
     /// tetrahedron with one corner in the origin and edges a, b, c: `V = a·(b×c)/6`,
     /// `∫x = V s/4`, `∫x xᵀ = V (a aᵀ + b bᵀ + c cᵀ + s sᵀ)/20`, `s = a + b + c`.
     ///
     /// # Errors
-    /// `Input` if the volume is not positive: the mesh is open, flat or inside out.
-    pub fn of(mesh: &TriangleMesh) -> Result<Self> {
-        // Near the solid the tetrahedra are small and little is lost to cancellation.
+    /// `Input` if the volume is not positive: the mesh is open, flat or inverted.
+    pub fn from_mesh(mesh: &TriangleMesh) -> Result<Self> {
+        // A reference point near the solid reduces cancellation.
         let reference = mesh.bounds().center();
         let (mut volume, mut first, mut second) = (0.0, DVec3::ZERO, DMat3::ZERO);
         for corners in mesh.all_corners() {
@@ -38,13 +38,11 @@ impl MassProperties {
             first += s * (v / 4.0);
             second += (outer(a) + outer(b) + outer(c) + outer(s)) * (v / 20.0);
         }
-        // Written so that NaN is refused as well.
-        let is_solid = volume > 0.0 && volume.is_finite();
-        if !is_solid {
+        if !(volume > 0.0 && volume.is_finite()) {
             return Err(Error::input(format!(
                 "the mesh must enclose a positive volume, found {volume:e} m³"
             ))
-            .remedy("close its holes and turn its triangles outwards"));
+            .remedy("close its holes and orient its triangles outwards"));
         }
         let center = first / volume;
         Ok(Self {
@@ -88,9 +86,9 @@ mod tests {
     }
 
     #[test]
-    fn a_box_has_its_closed_form() {
+    fn box_matches_its_closed_form() {
         let mesh = builtin("box").unwrap();
-        let found = MassProperties::of(&mesh).unwrap();
+        let found = MassProperties::from_mesh(&mesh).unwrap();
         let (a, b, c): (f64, f64, f64) = (0.04, 0.04, 0.06);
         let volume = a * b * c;
         assert_close(found.volume_m3, volume, 1e-12);
@@ -104,12 +102,12 @@ mod tests {
     }
 
     #[test]
-    fn a_corner_tetrahedron_has_its_closed_form() {
+    fn corner_tetrahedron_matches_its_closed_form() {
         let mesh = TriangleMesh {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
             triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
         };
-        let found = MassProperties::of(&mesh).unwrap();
+        let found = MassProperties::from_mesh(&mesh).unwrap();
         assert_close(found.volume_m3, 1.0 / 6.0, 1e-14);
         assert!(found.center_of_mass_m.distance(DVec3::splat(0.25)) < 1e-15);
         // ∫x² = 1/60 and ∫xy = 1/120 about the corner, less V/16 each.
@@ -119,30 +117,30 @@ mod tests {
     }
 
     #[test]
-    fn spheres_converge_with_the_square_of_the_face_size() {
+    fn sphere_error_is_quadratic_in_face_size() {
         let r: f64 = 0.025;
         let exact = 4.0 / 3.0 * PI * r.powi(3);
         let error = |segments, stacks| {
             let mesh = uv_sphere(r, segments, stacks);
-            1.0 - MassProperties::of(&mesh).unwrap().volume_m3 / exact
+            1.0 - MassProperties::from_mesh(&mesh).unwrap().volume_m3 / exact
         };
         let (coarse, fine) = (error(36, 19), error(72, 38));
         assert!(coarse > 0.0 && coarse < 0.015, "{coarse}");
         assert!((coarse / fine - 4.0).abs() < 0.1, "{coarse} {fine}");
         let mesh = uv_sphere(r, 144, 76);
-        let found = MassProperties::of(&mesh).unwrap();
+        let found = MassProperties::from_mesh(&mesh).unwrap();
         assert_close(found.inertia_m5().x_axis.x, exact * 0.4 * r * r, 3e-3);
     }
 
     #[test]
-    fn moving_the_mesh_moves_the_integrals() {
+    fn integrals_transform_with_the_mesh() {
         let mesh = builtin("box").unwrap();
-        let at_rest = MassProperties::of(&mesh).unwrap();
+        let at_rest = MassProperties::from_mesh(&mesh).unwrap();
         let pose = Pose::new(
             DQuat::from_xyzw(0.1, 0.2, -0.5, 0.7),
             DVec3::new(0.3, -2.0, 0.7),
         );
-        let moved = MassProperties::of(&mesh.transformed(&pose)).unwrap();
+        let moved = MassProperties::from_mesh(&mesh.transformed(&pose)).unwrap();
         assert_close(moved.volume_m3, at_rest.volume_m3, 1e-12);
         assert!(moved.center_of_mass_m.distance(pose.translation_m) < 1e-14);
         let r = pose.rotation_matrix();
@@ -155,9 +153,9 @@ mod tests {
     fn two_components_add_up() {
         let shift = DVec3::X * 0.1;
         let one = builtin("box").unwrap();
-        let single = MassProperties::of(&one).unwrap();
+        let single = MassProperties::from_mesh(&one).unwrap();
         let apart = |s: f64| one.transformed(&Pose::from_translation(shift * s));
-        let both = MassProperties::of(&apart(1.0).joined(&apart(-1.0))).unwrap();
+        let both = MassProperties::from_mesh(&apart(1.0).joined(&apart(-1.0))).unwrap();
         assert_close(both.volume_m3, 2.0 * single.volume_m3, 1e-12);
         assert!(both.center_of_mass_m.length() < 1e-15);
         let expected = 2.0 * (single.second_moment_m5.x_axis.x + single.volume_m3 * 0.01);
@@ -165,13 +163,13 @@ mod tests {
     }
 
     #[test]
-    fn open_and_inverted_meshes_are_refused() {
+    fn inverted_and_empty_meshes_are_rejected() {
         let mut mesh = builtin("box").unwrap();
         for triangle in &mut mesh.triangles {
             triangle.swap(0, 1);
         }
-        let text = MassProperties::of(&mesh).unwrap_err().to_string();
+        let text = MassProperties::from_mesh(&mesh).unwrap_err().to_string();
         assert!(text.contains("positive volume"), "{text}");
-        assert!(MassProperties::of(&TriangleMesh::default()).is_err());
+        assert!(MassProperties::from_mesh(&TriangleMesh::default()).is_err());
     }
 }

@@ -1,4 +1,4 @@
-//! Triangle mesh with its edges, areas and content hash.
+//! Triangle mesh: edges, areas and content hash.
 
 use glam::DVec3;
 use sha2::{Digest as _, Sha256};
@@ -6,21 +6,21 @@ use sha2::{Digest as _, Sha256};
 use super::aabb::Aabb;
 use super::pose::Pose;
 use gripcast_base::error::{Error, Result};
+use gripcast_base::files::hex;
 
-/// Triangles over shared vertices. Seen from outside, the corners of a triangle run
-/// counter-clockwise.
+/// Triangles over shared vertices, counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
     /// Positions, m.
     pub vertices: Vec<DVec3>,
-    /// Indices into `vertices`, three for each triangle.
+    /// Vertex indices of each triangle.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Unique edges of a mesh, sorted by their vertices, with the triangles at each.
+/// Unique edges of a mesh, sorted by vertices, with their adjacent triangles.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MeshEdges {
-    /// Vertices of each edge, the smaller index first; in ascending order.
+    /// Vertex indices of each edge, smaller first, in ascending order.
     pub vertices: Vec<[u32; 2]>,
     /// Edge `i` belongs to `triangles[first[i]..first[i + 1]]`.
     first: Vec<u32>,
@@ -33,12 +33,12 @@ impl MeshEdges {
         self.vertices.len()
     }
 
-    /// Whether there is no edge.
+    /// Whether there are no edges.
     pub fn is_empty(&self) -> bool {
         self.vertices.is_empty()
     }
 
-    /// Triangles at an edge, ascending: two in a closed manifold mesh, one at a border.
+    /// Triangles at an edge, ascending: two in a closed manifold mesh, one at a boundary.
     pub fn triangles(&self, edge: usize) -> &[u32] {
         &self.triangles[self.first[edge] as usize..self.first[edge + 1] as usize]
     }
@@ -61,12 +61,12 @@ impl TriangleMesh {
         self.triangles.iter().map(|&t| self.corners(t))
     }
 
-    /// Box around the vertices that triangles use.
+    /// Bounding box of the vertices that triangles use.
     pub fn bounds(&self) -> Aabb {
         Aabb::from_points(self.all_corners().flatten())
     }
 
-    /// Box around each triangle.
+    /// Bounding box of each triangle.
     pub fn triangle_bounds(&self) -> Vec<Aabb> {
         self.all_corners().map(Aabb::from_points).collect()
     }
@@ -78,12 +78,12 @@ impl TriangleMesh {
             .collect()
     }
 
-    /// Surface, m².
+    /// Surface area, m².
     pub fn area(&self) -> f64 {
         self.triangle_areas().iter().sum()
     }
 
-    /// Area that stands for each vertex, m²: a third of the adjacent triangles.
+    /// Lumped area of each vertex, m²: a third of the adjacent triangles.
     pub fn vertex_areas(&self) -> Vec<f64> {
         let mut areas = vec![0.0; self.vertices.len()];
         for (triangle, area) in self.triangles.iter().zip(self.triangle_areas()) {
@@ -94,7 +94,7 @@ impl TriangleMesh {
         areas
     }
 
-    /// Area that stands for each edge, m²: a third of the adjacent triangles.
+    /// Lumped area of each edge, m²: a third of the adjacent triangles.
     pub fn edge_areas(&self, edges: &MeshEdges) -> Vec<f64> {
         let areas = self.triangle_areas();
         (0..edges.len())
@@ -115,10 +115,10 @@ impl TriangleMesh {
         }
         sides.sort_unstable();
         let mut edges = MeshEdges::default();
-        for (at, (side, triangle)) in sides.into_iter().enumerate() {
+        for (index, (side, triangle)) in sides.into_iter().enumerate() {
             if edges.vertices.last() != Some(&side) {
                 edges.vertices.push(side);
-                edges.first.push(at as u32);
+                edges.first.push(index as u32);
             }
             edges.triangles.push(triangle);
         }
@@ -132,13 +132,13 @@ impl TriangleMesh {
         self.mapped(|v| v * factor)
     }
 
-    /// Copy in frame a of a mesh in frame b.
+    /// Transforms a mesh from frame b into frame a.
     #[must_use]
     pub fn transformed(&self, t_a_b: &Pose) -> Self {
         self.mapped(|v| t_a_b.transform_point(v))
     }
 
-    /// Copy with each vertex moved by `map`, which must keep the orientation.
+    /// Copy with each vertex mapped by `map`, which must preserve orientation.
     fn mapped(&self, map: impl Fn(DVec3) -> DVec3) -> Self {
         Self {
             vertices: self.vertices.iter().map(|&v| map(v)).collect(),
@@ -146,7 +146,7 @@ impl TriangleMesh {
         }
     }
 
-    /// Copy without the vertices that no triangle uses; the others keep their order.
+    /// Copy without unused vertices; the others keep their order.
     #[must_use]
     pub fn without_unused_vertices(&self) -> Self {
         let mut used = vec![false; self.vertices.len()];
@@ -167,22 +167,27 @@ impl TriangleMesh {
         compact
     }
 
-    /// Both meshes as one, without welding.
+    /// Concatenates both meshes without welding.
     #[must_use]
     pub fn joined(&self, other: &Self) -> Self {
-        let offset = self.vertices.len() as u32;
         let mut joined = self.clone();
-        joined.vertices.extend(&other.vertices);
-        joined
-            .triangles
-            .extend(other.triangles.iter().map(|t| t.map(|v| v + offset)));
+        joined.append(other);
         joined
     }
 
-    /// Checks that there are triangles, that indices are in range and coordinates finite.
+    /// Appends another mesh without welding.
+    pub(super) fn append(&mut self, other: &Self) {
+        let offset = self.vertices.len() as u32;
+        self.vertices.extend(&other.vertices);
+        let triangles = other.triangles.iter();
+        self.triangles
+            .extend(triangles.map(|t| t.map(|v| v + offset)));
+    }
+
+    /// Checks that there are triangles, indices are in range and coordinates finite.
     ///
     /// # Errors
-    /// `Input`, with the first offending vertex or triangle (counted from 0).
+    /// `Input`, with the first invalid vertex or triangle (from 0).
     pub fn validate(&self) -> Result<()> {
         let bad = |what: String| Err(Error::input(what));
         if self.triangles.is_empty() {
@@ -199,15 +204,14 @@ impl TriangleMesh {
         if let Some(t) = self.triangles.iter().position(outside) {
             let found = self.triangles[t];
             return bad(format!(
-                "triangle {t} names vertices {found:?}, but the mesh has only {count} (0 to {})",
+                "triangle {t} refers to vertices {found:?}, but the mesh has only {count} (0 to {})",
                 count.saturating_sub(1)
             ));
         }
         Ok(())
     }
 
-    /// SHA-256 of vertices and triangles, 64 hex digits: equal exactly if both are equal bit for
-    /// bit.
+    /// SHA-256 of vertices and triangles, 64 hex digits; equal if and only if both are bit-identical.
     pub fn content_hash(&self) -> String {
         let mut hash = Sha256::new();
         hash.update((self.vertices.len() as u64).to_le_bytes());
@@ -219,7 +223,7 @@ impl TriangleMesh {
         for index in self.triangles.iter().flatten() {
             hash.update(index.to_le_bytes());
         }
-        hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+        hex(&hash.finalize())
     }
 }
 
@@ -242,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn edges_are_unique_sorted_and_know_their_triangles() {
+    fn edges_are_unique_and_sorted_with_their_triangles() {
         let edges = square().edges();
         assert_eq!(edges.vertices, [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]);
         assert_eq!(edges.triangles(1), [0, 1]);
@@ -252,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn areas_sum_to_the_surface() {
+    fn vertex_and_edge_areas_sum_to_the_surface() {
         let mesh = square();
         assert_eq!(mesh.area(), 4.0);
         let vertex: f64 = mesh.vertex_areas().iter().sum();
@@ -263,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn moving_and_scaling() {
+    fn transforming_scaling_and_joining() {
         let mesh = square();
         let pose = Pose::new(DQuat::from_rotation_x(1.0), DVec3::ONE);
         assert!((mesh.transformed(&pose).area() - 4.0).abs() < 1e-12);
@@ -279,21 +283,21 @@ mod tests {
     }
 
     #[test]
-    fn the_hash_changes_with_the_content() {
+    fn hash_changes_with_content() {
         let mesh = square();
         let mut moved = mesh.clone();
         moved.vertices[0].z = f64::MIN_POSITIVE;
-        let mut turned = mesh.clone();
-        turned.triangles[0] = [1, 2, 0];
+        let mut rotated = mesh.clone();
+        rotated.triangles[0] = [1, 2, 0];
         let hash = mesh.content_hash();
         assert_eq!(hash.len(), 64);
         assert_eq!(hash, square().content_hash());
         assert_ne!(hash, moved.content_hash());
-        assert_ne!(hash, turned.content_hash());
+        assert_ne!(hash, rotated.content_hash());
     }
 
     #[test]
-    fn a_broken_mesh_is_explained() {
+    fn invalid_meshes_are_rejected() {
         let mut mesh = square();
         mesh.triangles[1][2] = 9;
         let text = mesh.validate().unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Nearest points, inside tests and ray casts on a triangle mesh.
+//! Closest points, inside tests and ray casts on a triangle mesh.
 
 use glam::DVec3;
 
@@ -6,18 +6,18 @@ use super::aabb::Aabb;
 use super::bvh::Bvh;
 use super::mesh::TriangleMesh;
 
-/// Directions of the inside test, aligned with nothing that meshes are usually aligned with.
+/// Ray directions of the inside test, not aligned with common mesh directions.
 const PARITY_DIRECTIONS: [DVec3; 3] = [
     DVec3::new(0.546_231, 0.337_918, 0.766_469),
     DVec3::new(-0.712_387, 0.558_113, -0.425_519),
     DVec3::new(0.227_741, -0.876_229, -0.424_673),
 ];
 
-/// Growth of boxes in ray tests, m: more than the rounding of coordinates and parameters.
+/// Padding of boxes in ray tests, m: more than the rounding of coordinates and parameters.
 const BOX_PAD_M: f64 = 1e-12;
 
-/// A triangle mesh prepared for queries. Triangles are numbered as in the mesh; weights
-/// (barycentric coordinates) belong to its corners in order and sum to 1.
+/// A triangle mesh prepared for queries. Triangle indices are those of the mesh; barycentric
+/// coordinates belong to the corners in order and sum to 1.
 #[derive(Clone, Debug, Default)]
 pub struct MeshQuery {
     bvh: Bvh,
@@ -25,34 +25,34 @@ pub struct MeshQuery {
     corners: Vec<[DVec3; 3]>,
 }
 
-/// Point of a mesh nearest to a query point.
+/// Point of a mesh closest to a query point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClosestPoint {
-    /// The point on the mesh, m.
+    /// Point on the mesh, m.
     pub point_m: DVec3,
-    /// Distance to it, m, never negative.
+    /// Distance to it, m.
     pub distance_m: f64,
-    /// Triangle that holds it.
+    /// Index of its triangle.
     pub triangle: u32,
-    /// Weights of the triangle's corners.
+    /// Barycentric coordinates in the triangle.
     pub barycentric: [f64; 3],
 }
 
-/// Where a ray meets a mesh.
+/// Intersection of a ray with a mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RayHit {
     /// The hit lies at `origin + t · direction`.
     pub t: f64,
-    /// Triangle that is hit.
+    /// Index of the triangle.
     pub triangle: u32,
-    /// Weights of the triangle's corners.
+    /// Barycentric coordinates in the triangle.
     pub barycentric: [f64; 3],
-    /// Whether the ray comes from the side from which the corners run counter-clockwise.
+    /// Whether the ray hits the outer side, from which the corners run counter-clockwise.
     pub front: bool,
 }
 
 impl MeshQuery {
-    /// Prepares the queries.
+    /// Prepares a mesh for queries.
     pub fn new(mesh: &TriangleMesh) -> Self {
         let bvh = Bvh::build(&mesh.triangle_bounds());
         let in_order = bvh.leaf_order().iter();
@@ -62,21 +62,16 @@ impl MeshQuery {
         Self { bvh, corners }
     }
 
-    /// Box around the mesh.
+    /// Bounding box of the mesh.
     pub fn bounds(&self) -> Aabb {
         self.bvh.bounds()
     }
 
-    /// Nearest point of the mesh; none if the mesh is empty.
+    /// Closest point of the mesh; `None` if the mesh is empty.
     pub fn closest_point(&self, point: DVec3) -> Option<ClosestPoint> {
-        self.closest_point_within(point, f64::INFINITY)
-    }
-
-    /// Nearest point of the mesh if it is nearer than `limit_m`.
-    pub fn closest_point_within(&self, point: DVec3, limit_m: f64) -> Option<ClosestPoint> {
         let mut nearest = None;
         self.bvh.minimise(
-            limit_m * limit_m,
+            f64::INFINITY,
             |bounds| bounds.distance_squared(point),
             |slot, best| {
                 let (weights, on_triangle) = closest_on_triangle(point, &self.corners[slot]);
@@ -96,8 +91,8 @@ impl MeshQuery {
         })
     }
 
-    /// First hit with 0 ≤ t < `t_max`, from either side. Neighbouring triangles leave no gap
-    /// between them.
+    /// First intersection with 0 ≤ t < `t_max`, from either side. Watertight between neighbouring
+    /// triangles.
     pub fn ray_cast(&self, origin: DVec3, direction: DVec3, t_max: f64) -> Option<RayHit> {
         let ray = Ray::new(origin, direction);
         let mut nearest = None;
@@ -120,8 +115,8 @@ impl MeshQuery {
         })
     }
 
-    /// Whether the point lies inside of a closed mesh: the majority of three rays leaves it
-    /// through an odd number of triangles.
+    /// Whether the point lies inside a closed mesh: the majority of three rays intersects an odd
+    /// number of triangles.
     pub fn contains(&self, point: DVec3) -> bool {
         if !self.bvh.bounds().contains(point) {
             return false;
@@ -130,7 +125,7 @@ impl MeshQuery {
         PARITY_DIRECTIONS.iter().filter(|d| odd(d)).count() >= 2
     }
 
-    /// Number of triangles that a ray meets.
+    /// Number of triangles that a ray intersects.
     fn crossings(&self, origin: DVec3, direction: DVec3) -> usize {
         let ray = Ray::new(origin, direction);
         let mut count = 0;
@@ -145,8 +140,8 @@ impl MeshQuery {
     }
 }
 
-/// Point of a triangle nearest to `p`, with its weights (Ericson, Real-Time Collision Detection,
-/// 2005, §5.1.5: the Voronoi regions of corners, sides and face in turn).
+/// Barycentric coordinates and position of the point of a triangle closest to `p` (Ericson,
+/// *Real-Time Collision Detection*, 2005, §5.1.5).
 pub(super) fn closest_on_triangle(p: DVec3, &[a, b, c]: &[DVec3; 3]) -> ([f64; 3], DVec3) {
     let weights = closest_weights(p, a, b, c);
     let [wa, wb, wc] = weights;
@@ -186,13 +181,13 @@ fn closest_weights(p: DVec3, a: DVec3, b: DVec3, c: DVec3) -> [f64; 3] {
     [va / sum, vb / sum, vc / sum]
 }
 
-/// A ray with what its tests against boxes and triangles fraction.
+/// A ray with the values that its box and triangle tests share.
 struct Ray {
     origin: DVec3,
     inverse: DVec3,
-    /// Axes permuted so that the direction is largest along the last.
+    /// Axes permuted so that the direction is largest along the last one.
     axes: [usize; 3],
-    /// Shear that turns the direction into the unit vector of the last axis.
+    /// Shear that maps the direction to the unit vector of the last axis.
     shear: DVec3,
 }
 
@@ -205,7 +200,7 @@ struct TriangleHit {
 
 impl Ray {
     fn new(origin: DVec3, direction: DVec3) -> Self {
-        // A finite inverse keeps 0 · ∞ out of the box test; the pad keeps the border in.
+        // A finite inverse avoids 0 · ∞ in the box test; the padding includes the boundary.
         let inverse = |d: f64| {
             if d.abs() < 1e-300 {
                 1e300f64.copysign(d)
@@ -227,7 +222,7 @@ impl Ray {
         }
     }
 
-    /// Parameter at which the ray enters the box, at least 0; infinite if it misses.
+    /// Parameter at which the ray enters the box, at least 0; infinite for a miss.
     #[inline]
     fn entry(&self, bounds: &Aabb) -> f64 {
         let (a, b) = (
@@ -240,9 +235,9 @@ impl Ray {
         if enter <= exit { enter } else { f64::INFINITY }
     }
 
-    /// Meeting with a triangle at t ≥ 0 (Woop, Benthin and Wald, Watertight Ray/Triangle
-    /// Intersection, JCGT 2013): in coordinates sheared along the ray, neighbours evaluate their
-    /// common side alike.
+    /// Intersection with a triangle at t ≥ 0 (Woop, Benthin and Wald, *Watertight Ray/Triangle
+    /// Intersection*, JCGT 2013): in coordinates sheared along the ray, neighbours evaluate their
+    /// common side identically.
     #[inline]
     fn hit(&self, corners: &[DVec3; 3]) -> Option<TriangleHit> {
         let [x, y, z] = self.axes;
@@ -297,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn distances_to_a_box_have_their_closed_form() {
+    fn box_distances_match_their_closed_form() {
         let pose = Pose::new(
             DQuat::from_xyzw(0.3, -0.2, 0.1, 0.8),
             DVec3::new(0.1, 0.2, -0.3),
@@ -317,16 +312,11 @@ mod tests {
             );
             let nearest = query.closest_point(p).unwrap();
             assert!((nearest.barycentric.iter().sum::<f64>() - 1.0).abs() < 1e-12);
-            assert!(
-                query
-                    .closest_point_within(p, nearest.distance_m * 0.999)
-                    .is_none()
-            );
         }
     }
 
     #[test]
-    fn closest_points_are_those_of_all_triangles() {
+    fn closest_points_match_brute_force() {
         let mesh = builtin("sphere").unwrap();
         let query = MeshQuery::new(&mesh);
         let mut rng = rng();
@@ -344,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_hit_what_all_triangles_say() {
+    fn ray_casts_match_brute_force() {
         let mesh = builtin("sphere").unwrap();
         let query = MeshQuery::new(&mesh);
         let mut rng = rng();
@@ -361,8 +351,8 @@ mod tests {
             let Some(hit) = found else { continue };
             let [a, b, c] = mesh.corners(mesh.triangles[hit.triangle as usize]);
             let [wa, wb, wc] = hit.barycentric;
-            let at = origin + direction * hit.t;
-            assert!((a * wa + b * wb + c * wc).distance(at) < 1e-15);
+            let point = origin + direction * hit.t;
+            assert!((a * wa + b * wb + c * wc).distance(point) < 1e-15);
             let towards = direction.dot((b - a).cross(c - a)) < 0.0;
             assert_eq!(hit.front, towards);
             assert_eq!(hit.front, !query.contains(origin));
@@ -370,7 +360,7 @@ mod tests {
     }
 
     #[test]
-    fn axis_rays_through_vertices_and_sides_do_not_leak() {
+    fn axis_rays_through_vertices_and_sides_hit() {
         let query = MeshQuery::new(&builtin("box").unwrap());
         // The lattice of the box: vertices, sides and diagonals of its top face.
         for i in 0..=32 {
@@ -386,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_mesh_answers_nothing() {
+    fn empty_mesh_has_no_hits() {
         let query = MeshQuery::new(&TriangleMesh::default());
         assert!(query.closest_point(DVec3::ZERO).is_none());
         assert!(query.ray_cast(DVec3::ZERO, DVec3::X, 1.0).is_none());

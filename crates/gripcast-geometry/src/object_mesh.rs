@@ -1,62 +1,61 @@
-//! The mesh of an object to simulate: a file or a built-in shape, scaled, checked and repaired.
+//! Loads the mesh of an object for simulation: a file or a built-in shape, scaled and prepared.
 
 use std::path::Path;
 
 use super::{
-    BUILTIN_NAMES, LengthUnit, MeshFormat, PrepareOptions, Prepared, TriangleMesh, builtin,
+    BUILTIN_NAMES, LengthUnit, MeshFormat, PrepareOptions, PreparedMesh, TriangleMesh, builtin,
     load_mesh, prepare, read_mesh,
 };
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{FileKind, Root, companions};
 
-/// Reads `builtin:NAME` or a mesh file whose coordinates are in `unit`, scales it and makes it
-/// fit for simulation; in metres.
+/// Loads `builtin:NAME` or a mesh file with coordinates in `unit`, scales and prepares it; the result
+/// is in metres.
 ///
 /// # Errors
-/// `Input` for a scale that is not above 0; `NotFound`, `Io`, `Input` of reading the mesh; those
-/// of [`prepare`].
-pub fn load_object_mesh(source: &str, unit: LengthUnit, scale: f64) -> Result<Prepared> {
+/// `Input` for a scale that is not above 0; those of [`load_mesh`] and [`prepare`].
+pub fn load_object_mesh(source: &str, unit: LengthUnit, scale: f64) -> Result<PreparedMesh> {
     check_scale(scale)?;
     let path = Path::new(source);
     let mesh = if source.starts_with("builtin:") {
         builtin(source)?
     } else if BUILTIN_NAMES.contains(&source) && !path.exists() {
-        return Err(bare_name(source));
+        return Err(missing_prefix(source));
     } else {
         load_mesh(path, unit)?
     };
     prepared(&mesh, scale).map_err(|e| e.at(source))
 }
 
-/// The same of a mesh that a file names: `builtin:NAME`, or a file below the `folder` of that file
-/// or a folder that the user allowed.
+/// [`load_object_mesh`] for a mesh that a file refers to: `builtin:NAME`, or a file below the
+/// `folder` of that file or below an allowed folder.
 ///
 /// # Errors
 /// As [`load_object_mesh`]; `Input` for a path or a link that leads out of the folder.
 pub fn load_object_mesh_below(
     folder: &Root,
-    named: &str,
+    name: &str,
     unit: LengthUnit,
     scale: f64,
-) -> Result<Prepared> {
-    if named.starts_with("builtin:") {
-        return load_object_mesh(named, unit, scale);
+) -> Result<PreparedMesh> {
+    if name.starts_with("builtin:") {
+        return load_object_mesh(name, unit, scale);
     }
     check_scale(scale)?;
-    let place = folder.resolve_allowed(named).map_err(|_| {
-        let what = format!("the mesh {named:?} is not below the folder of the file that names it");
+    let file = folder.resolve_allowed(name).map_err(|_| {
+        let what = format!("the mesh {name:?} is not below the folder of the file that names it");
         Error::input(what).remedy(
             "copy the mesh beside that file, or allow its folder with \
              GRIPCAST__FILES__LINKED_FOLDERS",
         )
     })?;
-    if BUILTIN_NAMES.contains(&named) && !place.is_taken() {
-        return Err(bare_name(named));
+    if BUILTIN_NAMES.contains(&name) && !file.is_taken() {
+        return Err(missing_prefix(name));
     }
-    let path = place.shown();
+    let path = file.shown();
     let read = || {
-        let format = MeshFormat::of_path(&path)?;
-        let bytes = place.read(FileKind::Mesh).map_err(|e| {
+        let format = MeshFormat::from_path(&path)?;
+        let bytes = file.read(FileKind::Mesh).map_err(|e| {
             Error::io("cannot read the mesh", e).remedy("check the path and its permissions")
         })?;
         let mesh = read_mesh(&bytes, format, &companions(&path))?;
@@ -65,9 +64,9 @@ pub fn load_object_mesh_below(
     read().map_err(|e: Error| e.at(path.display()))
 }
 
-/// The name of a built-in shape where a file was expected.
-fn bare_name(name: &str) -> Error {
-    Error::not_found("there is no such mesh file")
+/// Error for the name of a built-in shape without its prefix.
+fn missing_prefix(name: &str) -> Error {
+    Error::not_found("mesh file not found")
         .at(name)
         .remedy(format!("the built-in shape is builtin:{name}"))
 }
@@ -81,6 +80,6 @@ fn check_scale(scale: f64) -> Result<()> {
     )))
 }
 
-fn prepared(mesh: &TriangleMesh, scale: f64) -> Result<Prepared> {
+fn prepared(mesh: &TriangleMesh, scale: f64) -> Result<PreparedMesh> {
     prepare(&mesh.scaled(scale), &PrepareOptions::default())
 }

@@ -5,15 +5,15 @@ use std::ops::Mul;
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-/// Largest deviation of a quaternion's norm from 1 that is taken as rounding when a pose is read.
+/// Largest deviation of a quaternion's norm from 1 accepted as rounding in files.
 const UNIT_TOLERANCE: f64 = 1e-3;
 
-/// Deviation of the norm that dividing by the norm may leave.
+/// Deviation of the norm that normalisation may leave.
 const UNIT_ROUNDING: f64 = 4.0 * f64::EPSILON;
 
 /// Rigid transform `t_a_b`: maps coordinates of frame b into frame a.
 ///
-/// In files it is `{"t_m":[x,y,z],"q_wxyz":[w,x,y,z]}` with a unit quaternion and w ≥ 0.
+/// Serialised as `{"t_m":[x,y,z],"q_wxyz":[w,x,y,z]}` with a unit quaternion and w ≥ 0.
 ///
 /// ```
 /// use gripcast_geometry::Pose;
@@ -32,14 +32,14 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// The transform that changes nothing.
+    /// The identity transform.
     pub const IDENTITY: Self = Self {
         rotation: DQuat::IDENTITY,
         translation_m: DVec3::ZERO,
     };
 
-    /// Pose from a rotation, which is normalised and given w ≥ 0, and a translation in metres.
-    /// A quaternion that has no direction (zero, not finite) becomes the identity.
+    /// Pose from a rotation, which is normalised with w ≥ 0, and a translation in metres. A zero or
+    /// non-finite quaternion becomes the identity.
     pub fn new(rotation: DQuat, translation_m: DVec3) -> Self {
         Self {
             rotation: canonical(rotation),
@@ -64,25 +64,29 @@ impl Pose {
         Self::new(rotation, -(rotation * self.translation_m))
     }
 
-    /// Coordinates in a of a point given in b, m.
+    /// Transforms a point from b into a, m.
     pub fn transform_point(&self, point: DVec3) -> DVec3 {
         self.rotation * point + self.translation_m
     }
 
-    /// Coordinates in a of a free vector (direction, force) given in b.
+    /// Rotates a free vector (direction, force) from b into a.
     pub fn transform_vector(&self, vector: DVec3) -> DVec3 {
         self.rotation * vector
     }
 
-    /// Rotation vector, rad, of the shortest turn that leads from the rotation of `other` to this
-    /// one, along the outer frame's axes.
-    pub fn turn_from(&self, other: &Self) -> DVec3 {
-        let turn = self.rotation * other.rotation.conjugate();
-        let shortest = if turn.w < 0.0 { -turn } else { turn };
+    /// Rotation vector (rad, in frame a) of the shortest rotation from the orientation of `other` to
+    /// this one.
+    pub fn rotation_from(&self, other: &Self) -> DVec3 {
+        let rotation = self.rotation * other.rotation.conjugate();
+        let shortest = if rotation.w < 0.0 {
+            -rotation
+        } else {
+            rotation
+        };
         shortest.to_scaled_axis()
     }
 
-    /// The rotation as a matrix; its columns are the axes of b in coordinates of a.
+    /// Rotation matrix; its columns are the axes of b in a.
     pub fn rotation_matrix(&self) -> DMat3 {
         DMat3::from_quat(self.rotation)
     }
@@ -106,9 +110,8 @@ impl Mul for Pose {
     }
 }
 
-/// Unit quaternion with w ≥ 0; at w = 0 the first non-zero component is positive, so that one
-/// rotation has one form. One that has the form keeps its bits: numbers come back from files as they
-/// were written.
+/// Canonical unit quaternion: w ≥ 0, and at w = 0 the first non-zero component positive. A canonical
+/// quaternion keeps its bits, so that poses round-trip through files.
 fn canonical(rotation: DQuat) -> DQuat {
     let norm = rotation.length();
     if !norm.is_finite() || norm == 0.0 {
@@ -118,9 +121,9 @@ fn canonical(rotation: DQuat) -> DQuat {
     let unit = if is_unit { rotation } else { rotation / norm };
     let leading = [unit.w, unit.x, unit.y, unit.z]
         .into_iter()
-        .find(|part| *part != 0.0);
+        .find(|component| *component != 0.0);
     let signed = if leading < Some(0.0) { -unit } else { unit };
-    // Adding zero turns −0 into 0.
+    // Adding zero maps −0 to 0.
     DQuat::from_xyzw(
         signed.x + 0.0,
         signed.y + 0.0,
@@ -129,7 +132,7 @@ fn canonical(rotation: DQuat) -> DQuat {
     )
 }
 
-/// The form of a pose in files.
+/// Serialised form of a pose.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PoseRecord {
@@ -159,12 +162,12 @@ impl TryFrom<PoseRecord> for Pose {
         let [w, x, y, z] = q_wxyz;
         let rotation = DQuat::from_xyzw(x, y, z, w);
         let norm = rotation.length();
-        // Written so that NaN is refused as well.
+        // Also rejects NaN.
         let is_unit = (norm - 1.0).abs() <= UNIT_TOLERANCE;
         if !is_unit {
             return Err(format!(
-                "q_wxyz must be a unit quaternion [w, x, y, z], found {q_wxyz:?} of length \
-                 {norm}; divide it by its length"
+                "q_wxyz must be a unit quaternion [w, x, y, z], found {q_wxyz:?} with norm \
+                 {norm}; divide it by its norm"
             ));
         }
         Ok(Self::new(rotation, DVec3::from_array(t_m)))
@@ -202,7 +205,7 @@ mod tests {
         }
 
         #[test]
-        fn a_pose_survives_its_file_form(pose in any_pose()) {
+        fn pose_round_trips_through_json(pose in any_pose()) {
             let text = serde_json::to_string(&pose).unwrap();
             let back: Pose = serde_json::from_str(&text).unwrap();
             prop_assert!(back.rotation.w >= 0.0);
@@ -212,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn the_file_form_is_fixed() {
+    fn serialised_form_is_stable() {
         let pose = Pose {
             rotation: DQuat::from_xyzw(0.0, 0.0, 0.6, -0.8),
             translation_m: DVec3::new(0.5, 0.0, -1.0),
@@ -224,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn one_half_turn_has_one_form() {
+    fn half_turn_has_a_unique_quaternion() {
         let a = Pose::from_rotation(DQuat::from_xyzw(0.0, -1.0, 0.0, 0.0));
         let b = Pose::from_rotation(DQuat::from_xyzw(0.0, 1.0, 0.0, -0.0));
         assert_eq!(a, b);
@@ -232,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_pose_is_explained() {
+    fn invalid_poses_are_rejected() {
         let refused = |text: &str| serde_json::from_str::<Pose>(text).unwrap_err().to_string();
         let long = refused(r#"{"t_m":[0,0,0],"q_wxyz":[1,1,0,0]}"#);
         assert!(long.contains("unit quaternion"), "{long}");
@@ -246,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_are_not_numbers_are_refused() {
+    fn nan_values_are_rejected() {
         let read = |t_m: [f64; 3], q_wxyz: [f64; 4]| Pose::try_from(PoseRecord { t_m, q_wxyz });
         assert!(read([0.0; 3], [1.0, 0.0, 0.0, 0.0]).is_ok());
         let q = read([0.0; 3], [f64::NAN, 0.0, 0.0, 1.0]).unwrap_err();

@@ -1,4 +1,4 @@
-//! The poses in which a body rests on a plane.
+//! Stable poses of a body on a plane.
 
 use std::f64::consts::PI;
 
@@ -11,50 +11,51 @@ use super::mesh_query::closest_on_triangle;
 use super::pose::Pose;
 use gripcast_base::error::{Error, Result};
 
-/// Corners this far from the plane of a facet, relative to the body's diagonal, still rest on it.
+/// Distance from the plane of a facet, relative to the body's diagonal, up to which corners belong to
+/// it.
 const FLATNESS: f64 = 1e-6;
 
-/// A pose in which a body rests on the plane z = 0.
+/// A stable pose of a body on the plane z = 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StablePose {
-    /// Lowest point at z = 0, centre of mass at x = y = 0. Turns about z are equivalent; this is
-    /// the one that turns the object the least.
+    /// Lowest point at z = 0, centre of mass at x = y = 0. Rotations about z are equivalent; this is
+    /// the smallest rotation.
     pub t_world_object: Pose,
-    /// Probability that a body let down slowly, in an orientation drawn uniformly, comes to rest
-    /// in it; all sum to 1.
+    /// Probability that a body put down slowly in a uniformly random orientation comes to rest in
+    /// this pose; all sum to 1.
     pub probability: f64,
-    /// Smallest tilt after which the body falls over, rad.
+    /// Smallest tilt that tips the body over, rad.
     pub tip_angle_rad: f64,
 }
 
-/// The poses that a body is put into: those that survive a tilt of `min_tip_rad` and that it falls
-/// into with at least `least_probability`, by falling probability. A body that has none of them, as
-/// round ones, gets its likeliest poses all the same; there is at least one.
+/// Likely stable poses, by falling probability: those that survive a tilt of `min_tip_rad` and have
+/// at least `min_probability`. Returns at least the most probable pose, also for round bodies that
+/// have no such pose.
 ///
 /// # Errors
 /// As [`stable_poses`] with a tilt of 0.
 pub fn likely_poses(
     mesh: &TriangleMesh,
     min_tip_rad: f64,
-    least_probability: f64,
+    min_probability: f64,
 ) -> Result<Vec<StablePose>> {
     let mut poses = stable_poses(mesh, min_tip_rad).or_else(|_| stable_poses(mesh, 0.0))?;
-    let is_likely = |pose: &&StablePose| pose.probability >= least_probability;
+    let is_likely = |pose: &&StablePose| pose.probability >= min_probability;
     let likely = poses.iter().take_while(is_likely).count();
     poses.truncate(likely.max(1));
     Ok(poses)
 }
 
-/// All poses in which a closed mesh (m, unit density) rests on a plane, by falling probability.
+/// Computes all stable poses of a closed mesh (m, uniform density), by falling probability.
 ///
-/// Each facet of the convex hull is a candidate; it is seen from the centre of mass under the
-/// solid angle that is its fraction of landings (Goldberg et al., Part pose statistics, IJRR 1999,
-/// without dynamics). A facet whose polygon the centre of mass is not above tumbles over its
-/// nearest side, to where that neighbour comes to rest. So does a facet that is left after a tilt
-/// of less than `min_tip_rad`: 0 keeps all that are stable, 0.02 those that survive a nudge.
+/// Each facet of the convex hull is a candidate. Its solid angle from the centre of mass is its
+/// fraction of landings (Goldberg et al., *Part pose statistics*, IJRR 1999, without dynamics). If
+/// the centre of mass is not above the facet, or a tilt below `min_tip_rad` leaves it, the body tips
+/// over the nearest side onto that neighbour, and on to where that one comes to rest. 0 keeps all
+/// stable poses, 0.02 those that survive a nudge.
 ///
 /// # Errors
-/// `Input` if the mesh encloses no volume, or if it tips over from each facet.
+/// `Input` if the mesh encloses no volume, or if it tips over from every facet.
 ///
 /// ```
 /// use gripcast_geometry::{builtin, stable_poses};
@@ -63,7 +64,7 @@ pub fn likely_poses(
 /// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
 pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StablePose>> {
-    let center = MassProperties::of(mesh)?.center_of_mass_m;
+    let center = MassProperties::from_mesh(mesh)?.center_of_mass_m;
     let hull = convex_hull(&mesh.without_unused_vertices().vertices)?;
     let facets = facets(&hull, center);
     let mut probability = vec![0.0; facets.len()];
@@ -85,53 +86,52 @@ pub fn stable_poses(mesh: &TriangleMesh, min_tip_rad: f64) -> Result<Vec<StableP
         .collect();
     if poses.is_empty() {
         return Err(Error::input(format!(
-            "the body must rest on some facet, found that it tips over from each within \
-                 {:.3} degrees",
+            "the body must rest on a facet, but tips over from each within {:.3} degrees",
             min_tip_rad.to_degrees()
         ))
-        .remedy("allow a smaller tip angle"));
+        .remedy("use a smaller minimum tip angle"));
     }
     poses.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     Ok(poses)
 }
 
-/// Triangles of the hull that lie in one plane.
+/// Coplanar triangles of the hull.
 struct Facet {
     /// Outward unit normal.
     normal: DVec3,
-    /// Solid angle under which the centre of mass sees it, as a fraction of the sphere.
+    /// Solid angle seen from the centre of mass, as a fraction of the sphere.
     solid_angle: f64,
-    /// Tilt after which the body leaves the facet, rad; negative if it does so by itself.
+    /// Tilt at which the body leaves the facet, rad; negative if unstable.
     tip_angle: f64,
-    /// The facet that it tips over to.
-    falls_to: usize,
+    /// Facet onto which the body tips.
+    tips_to: usize,
 }
 
-/// Where a body set down on a facet comes to rest; none if it never does.
+/// Facet on which a body put down on `start` comes to rest; `None` if it never does.
 fn resting_facet(facets: &[Facet], start: usize, min_tip_rad: f64) -> Option<usize> {
-    let mut at = start;
-    // Each fall lowers the centre of mass, unless the tip angle asked for forbids a minimum.
+    let mut current = start;
+    // Each fall lowers the centre of mass, unless the minimum tip angle excludes all minima.
     for _ in 0..=facets.len() {
-        if facets[at].tip_angle > 0.0 && facets[at].tip_angle >= min_tip_rad {
-            return Some(at);
+        if facets[current].tip_angle > 0.0 && facets[current].tip_angle >= min_tip_rad {
+            return Some(current);
         }
-        at = facets[at].falls_to;
+        current = facets[current].tips_to;
     }
     None
 }
 
-/// Pose with the given direction of the object downwards.
+/// Pose with the given direction of the object pointing down.
 fn resting_pose(hull: &TriangleMesh, center: DVec3, down: DVec3) -> Pose {
-    // The shortest turn is not defined for a direction that points up.
+    // The shortest rotation is undefined for a direction that points up.
     let rotation = if down.z > 1.0 - 1e-12 {
         DQuat::from_rotation_x(PI)
     } else {
         DQuat::from_rotation_arc(down, DVec3::NEG_Z)
     };
-    let turned = Pose::from_rotation(rotation);
-    let heights = hull.vertices.iter().map(|&v| turned.transform_point(v).z);
+    let rotated = Pose::from_rotation(rotation);
+    let heights = hull.vertices.iter().map(|&v| rotated.transform_point(v).z);
     let lowest = heights.fold(f64::INFINITY, f64::min);
-    let above = turned.transform_point(center);
+    let above = rotated.transform_point(center);
     Pose::new(rotation, DVec3::new(-above.x, -above.y, -lowest))
 }
 
@@ -187,7 +187,7 @@ fn facet(plane: &Plane, triangles: &[[DVec3; 3]], sides: &[Side], center: DVec3)
         closest_on_triangle(foot, &flat).1.distance(foot)
     };
     let outside_by = triangles.iter().map(reach).fold(f64::INFINITY, f64::min);
-    // A foot on the corner between two sides falls over the one that it is farther beyond.
+    // A foot beyond the corner of two sides tips over the one that it is further beyond.
     let middle = middle_of(triangles);
     let beyond = |[a, b]: &[DVec3; 2]| {
         let across = (*b - *a).cross(plane.normal).normalize_or_zero();
@@ -206,7 +206,7 @@ fn facet(plane: &Plane, triangles: &[[DVec3; 3]], sides: &[Side], center: DVec3)
         normal: plane.normal,
         solid_angle: seen / (4.0 * PI),
         tip_angle: margin.atan2(height),
-        falls_to: nearest.map_or(0, |(_, facet)| *facet),
+        tips_to: nearest.map_or(0, |(_, facet)| *facet),
     }
 }
 
@@ -231,9 +231,9 @@ fn solid_angle(corners: &[DVec3; 3], eye: DVec3) -> f64 {
     2.0 * numerator.atan2(denominator)
 }
 
-/// Number of the facet of each triangle, and the plane of each facet. The largest
-/// triangle that is left begins a facet and takes all that lie in its plane; slivers, whose own
-/// plane is rounding, join a neighbour.
+/// Index of each triangle's facet, and the plane of each facet. The largest remaining triangle starts
+/// a facet with all connected coplanar triangles; slivers, whose own plane is uncertain, join a
+/// neighbour.
 fn group_by_plane(hull: &TriangleMesh) -> (Vec<usize>, Vec<Plane>) {
     let tolerance = FLATNESS * hull.bounds().diagonal();
     let areas = hull.triangle_areas();

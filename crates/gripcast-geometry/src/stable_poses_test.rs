@@ -3,7 +3,7 @@ use crate::{BUILTIN_NAMES, LengthUnit, PrepareOptions, builtin, load_mesh, prepa
 use gripcast_testing::shared;
 use std::path::Path;
 
-/// Direction of the object that points down in a pose.
+/// Object direction that points down in a pose.
 fn down(pose: &StablePose) -> DVec3 {
     pose.t_world_object.rotation.conjugate() * DVec3::NEG_Z
 }
@@ -18,12 +18,12 @@ fn height(mesh: &TriangleMesh, center: DVec3, rotation: DQuat) -> f64 {
     (rotation * center).z - lowest.fold(f64::INFINITY, f64::min)
 }
 
-/// Vertices closer than this to the lowest one surely touch the ground, those beyond the second
-/// surely do not, m; between them rounding and facets nearly in one plane decide.
+/// Height above the lowest vertex below which vertices certainly touch the ground, and above which
+/// they certainly do not, m; rounding and nearly coplanar facets decide between them.
 const CONTACT_M: [f64; 2] = [1e-9, 1e-7];
 
-/// How far the foot of the centre of mass lies within the polygon of the contacts (negative:
-/// outside), m. Of all directions across two contacts, the support in the weakest.
+/// Distance of the centre of mass's foot inside the support polygon (negative: outside), m: the
+/// minimum over all directions across two contacts.
 fn support_margin(mesh: &TriangleMesh, center: DVec3, down: DVec3, contact_m: f64) -> f64 {
     let depth = |v: &DVec3| (*v - center).dot(down);
     let lowest = mesh.vertices.iter().map(depth).fold(f64::MIN, f64::max);
@@ -44,9 +44,9 @@ fn support_margin(mesh: &TriangleMesh, center: DVec3, down: DVec3, contact_m: f6
     margin
 }
 
-/// Checks that a mesh stands on z = 0 under its centre of mass, and that each small tilt lifts it.
+/// Checks that a mesh rests on z = 0 under its centre of mass, and that each small tilt lifts it.
 fn assert_rests(mesh: &TriangleMesh, pose: &StablePose) {
-    let center = MassProperties::of(mesh).unwrap().center_of_mass_m;
+    let center = MassProperties::from_mesh(mesh).unwrap().center_of_mass_m;
     let placed = mesh.transformed(&pose.t_world_object);
     assert!(placed.bounds().min.z.abs() < 1e-12);
     let above = pose.t_world_object.transform_point(center);
@@ -64,17 +64,17 @@ fn assert_rests(mesh: &TriangleMesh, pose: &StablePose) {
             "tilt {tilt} about {axis}: {tilted} {at_rest}"
         );
     }
-    let [least, most] = CONTACT_M
+    let [min, max] = CONTACT_M
         .map(|contact_m| (support_margin(mesh, center, down(pose), contact_m) / at_rest).atan());
     let tip = pose.tip_angle_rad;
     assert!(
-        (least - 1e-3..=most + 1e-3).contains(&tip),
-        "{least} {most} {pose:?}"
+        (min - 1e-3..=max + 1e-3).contains(&tip),
+        "{min} {max} {pose:?}"
     );
 }
 
 #[test]
-fn a_box_rests_on_its_six_sides() {
+fn box_rests_on_its_six_sides() {
     let mesh = builtin("box").unwrap();
     let poses = stable_poses(&mesh, 0.0).unwrap();
     assert_eq!(poses.len(), 6);
@@ -95,7 +95,7 @@ fn a_box_rests_on_its_six_sides() {
 }
 
 #[test]
-fn every_pose_of_every_shape_rests() {
+fn all_poses_of_built_in_shapes_are_stable() {
     for name in BUILTIN_NAMES {
         let mesh = builtin(name).unwrap();
         let poses = stable_poses(&mesh, 0.0).unwrap();
@@ -113,27 +113,27 @@ fn every_pose_of_every_shape_rests() {
 }
 
 #[test]
-fn poses_turn_with_the_mesh() {
+fn poses_rotate_with_the_mesh() {
     let mesh = builtin("mug").unwrap();
     let t = Pose::new(
         DQuat::from_xyzw(0.2, -0.4, 0.1, 0.8),
         DVec3::new(0.1, 0.2, 0.3),
     );
     let poses = stable_poses(&mesh, 0.0).unwrap();
-    let turned = stable_poses(&mesh.transformed(&t), 0.0).unwrap();
-    assert_eq!(poses.len(), turned.len());
+    let rotated = stable_poses(&mesh.transformed(&t), 0.0).unwrap();
+    assert_eq!(poses.len(), rotated.len());
     for pose in &poses {
-        let wanted = t.transform_vector(down(pose));
-        let same = turned.iter().find(|p| down(p).distance(wanted) < 1e-6);
-        let same = same.unwrap_or_else(|| panic!("no pose has {wanted} downwards"));
+        let expected = t.transform_vector(down(pose));
+        let same = rotated.iter().find(|p| down(p).distance(expected) < 1e-6);
+        let same = same.unwrap_or_else(|| panic!("no pose has {expected} downwards"));
         assert!((same.probability - pose.probability).abs() < 1e-9);
         assert!((same.tip_angle_rad - pose.tip_angle_rad).abs() < 1e-6);
     }
 }
 
 #[test]
-fn an_oblique_body_tumbles_to_its_neighbour() {
-    // A prism that leans over its base: its centre of mass lies beyond the edge of the base.
+fn oblique_body_tips_onto_a_neighbour() {
+    // An oblique prism: its centre of mass lies beyond the edge of its base.
     let mut mesh = builtin("box").unwrap();
     for v in &mut mesh.vertices {
         v.x += 0.8 * v.z;
@@ -141,14 +141,14 @@ fn an_oblique_body_tumbles_to_its_neighbour() {
     let poses = stable_poses(&mesh, 0.0).unwrap();
     assert!(poses.iter().all(|p| down(p).z.abs() < 0.99));
     assert!((total(&poses) - 1.0).abs() < 1e-12);
-    let leaning = poses.iter().filter(|p| down(p).y.abs() < 1e-9);
-    let direct: f64 = leaning.map(|p| p.probability).sum();
+    let oblique = poses.iter().filter(|p| down(p).y.abs() < 1e-9);
+    let direct: f64 = oblique.map(|p| p.probability).sum();
     assert!(direct > 0.5, "{direct}");
     poses.iter().for_each(|p| assert_rests(&mesh, p));
 }
 
 #[test]
-fn a_tip_angle_removes_wobbly_poses() {
+fn minimum_tip_angle_excludes_unstable_poses() {
     let mesh = builtin("cylinder").unwrap();
     // A polygon of 56 sides tips after 3.2 degrees.
     let poses = stable_poses(&mesh, 4f64.to_radians()).unwrap();
@@ -175,9 +175,9 @@ fn read_npy(path: &Path) -> Vec<f64> {
         .collect()
 }
 
-/// trimesh has the same solid angles, but lets each triangle topple across the side that faces the
-/// centre of mass seen from its centroid, not across the nearest side, and joins no coplanar
-/// triangles. So the poses must agree, and the probabilities within caps of 0.2 rad.
+/// trimesh uses the same solid angles, but tips each triangle over the side that faces the centre of
+/// mass from its centroid instead of the nearest side, and does not merge coplanar triangles. So the
+/// poses must agree, and the probabilities within caps of 0.2 rad.
 #[test]
 fn poses_agree_with_trimesh() {
     let Some(folder) = shared("data/egad_eval") else {
@@ -187,7 +187,7 @@ fn poses_agree_with_trimesh() {
         let file = |suffix: &str| folder.join(format!("{name}{suffix}"));
         let mesh = load_mesh(&file(".obj"), LengthUnit::Millimetre).unwrap();
         let mesh = prepare(&mesh, &PrepareOptions::default()).unwrap().mesh;
-        let center = MassProperties::of(&mesh).unwrap().center_of_mass_m;
+        let center = MassProperties::from_mesh(&mesh).unwrap().center_of_mass_m;
         let ours = stable_poses(&mesh, 0.0).unwrap();
         ours.iter().for_each(|pose| assert_rests(&mesh, pose));
         let matrices = read_npy(&file("_stable_poses.npy"));
@@ -204,10 +204,10 @@ fn poses_agree_with_trimesh() {
                 "{name}: only ours {pose:?}"
             );
         }
-        let missed = theirs
+        let missing = theirs
             .iter()
             .filter(|(d, _)| ours.iter().all(|pose| down(pose).angle_between(*d) > 2e-3));
-        let largest = missed
+        let largest = missing
             .map(|(d, _)| support_margin(&mesh, center, *d, CONTACT_M[1]))
             .fold(f64::MIN, f64::max);
         let cap = |d: DVec3| {
@@ -233,7 +233,7 @@ fn poses_agree_with_trimesh() {
 }
 
 #[test]
-fn a_round_body_gets_its_likeliest_poses() {
+fn round_body_has_a_likely_pose() {
     let ball = builtin("ball").unwrap();
     assert!(stable_poses(&ball, 0.2).is_err());
     let poses = likely_poses(&ball, 0.2, 0.5).unwrap();

@@ -1,16 +1,16 @@
-//! Merging vertices that lie in one place.
+//! Merges coincident vertices.
 
 use super::aabb::Aabb;
 use super::bvh::Bvh;
 use super::mesh::TriangleMesh;
 
-/// Copy in which vertices at most `tolerance_m` apart, directly or through a chain, are one: the
-/// first of them. Triangles may become degenerate; no vertex is left unused.
+/// Copy in which vertices at most `tolerance_m` apart, directly or through a chain, are merged into
+/// the first of them. Triangles may become degenerate; unused vertices are removed.
 pub(super) fn weld(mesh: &TriangleMesh, tolerance_m: f64) -> TriangleMesh {
     let first = if tolerance_m > 0.0 {
         first_within(mesh, tolerance_m)
     } else {
-        first_in_place(mesh)
+        first_coincident(mesh)
     };
     TriangleMesh {
         vertices: mesh.vertices.clone(),
@@ -23,8 +23,8 @@ pub(super) fn weld(mesh: &TriangleMesh, tolerance_m: f64) -> TriangleMesh {
     .without_unused_vertices()
 }
 
-/// For each vertex the first one with the same coordinates.
-pub(super) fn first_in_place(mesh: &TriangleMesh) -> Vec<u32> {
+/// For each vertex, the first one with the same coordinates.
+pub(super) fn first_coincident(mesh: &TriangleMesh) -> Vec<u32> {
     // Adding zero turns −0 into 0.
     let key = |v: u32| {
         mesh.vertices[v as usize]
@@ -42,7 +42,7 @@ pub(super) fn first_in_place(mesh: &TriangleMesh) -> Vec<u32> {
     first
 }
 
-/// For each vertex the first one of its cluster.
+/// For each vertex, the first one of its cluster.
 fn first_within(mesh: &TriangleMesh, tolerance_m: f64) -> Vec<u32> {
     let boxes: Vec<Aabb> = mesh
         .vertices
@@ -51,12 +51,11 @@ fn first_within(mesh: &TriangleMesh, tolerance_m: f64) -> Vec<u32> {
         .collect();
     let bvh = Bvh::build(&boxes);
     let mut first: Vec<u32> = (0..boxes.len() as u32).collect();
-    for (v, place) in boxes.iter().enumerate() {
-        bvh.for_each_overlap(&place.inflated(tolerance_m), |other| {
-            let apart = mesh.vertices[v].distance(mesh.vertices[other as usize]);
-            if apart <= tolerance_m {
-                let (a, b) = (root(&mut first, v as u32), root(&mut first, other));
-                first[a.max(b) as usize] = a.min(b);
+    for (v, position) in boxes.iter().enumerate() {
+        bvh.for_each_overlap(&position.inflated(tolerance_m), |other| {
+            let distance = mesh.vertices[v].distance(mesh.vertices[other as usize]);
+            if distance <= tolerance_m {
+                join(&mut first, v as u32, other);
             }
         });
     }
@@ -65,7 +64,13 @@ fn first_within(mesh: &TriangleMesh, tolerance_m: f64) -> Vec<u32> {
         .collect()
 }
 
-/// Smallest member of the set of `v`, shortening the path to it.
+/// Joins the sets of `a` and `b` (union-find).
+pub(super) fn join(parent: &mut [u32], a: u32, b: u32) {
+    let (a, b) = (root(parent, a), root(parent, b));
+    parent[a.max(b) as usize] = a.min(b);
+}
+
+/// Smallest member of the set of `v`; shortens the path to it.
 pub(super) fn root(parent: &mut [u32], mut v: u32) -> u32 {
     while parent[v as usize] != v {
         parent[v as usize] = parent[parent[v as usize] as usize];
@@ -80,7 +85,7 @@ mod tests {
     use crate::builtin;
     use glam::DVec3;
 
-    /// Each triangle with vertices of its own, moved by up to `jitter`.
+    /// Each triangle with its own vertices, displaced by up to `jitter`.
     fn soup(mesh: &TriangleMesh, jitter: f64) -> TriangleMesh {
         let vertices: Vec<DVec3> = mesh
             .all_corners()
@@ -98,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_soup_of_triangles_becomes_a_closed_mesh() {
+    fn triangle_soup_becomes_a_closed_mesh() {
         let mesh = builtin("mug").unwrap();
         let exact = weld(&soup(&mesh, 0.0), 0.0);
         assert_eq!(exact.vertices.len(), mesh.vertices.len());
@@ -111,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn zero_has_one_place_whatever_its_sign() {
+    fn negative_zero_coincides_with_zero() {
         let mesh = TriangleMesh {
             vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::new(-0.0, 0.0, -0.0)],
             triangles: vec![[0, 1, 2], [3, 2, 1]],

@@ -250,7 +250,7 @@ mod tests {
             times: PhaseTimes::default(),
             trace,
         };
-        GraspSummary::of(&result, &Protocol::default(), 0.01)
+        GraspSummary::new(&result, &Protocol::default(), 0.01)
     }
 
     #[test]

@@ -324,7 +324,7 @@ pub struct GraspReplay {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaseFacts {
-    /// `success`, `slip`, `eject`, `miss`, `closed`, `penetrating_start` or `not_converged`.
+    /// `success`, `slip`, `eject`, `miss`, `gels_met`, `penetrating_start` or `not_converged`.
     pub outcome: String,
     /// Why, where there is more to say.
     pub detail: Option<String>,

@@ -83,7 +83,8 @@ pub fn outcome_name(outcome: &str) -> &str {
         "slip" => "slipped",
         "eject" => "squeezed out",
         "miss" => "missed",
-        "closed" => "fingers met",
+        // `closed` in older data.
+        "gels_met" | "closed" => "fingers met",
         "penetrating_start" => "collision at start",
         "not_converged" => "not converged",
         other => other,

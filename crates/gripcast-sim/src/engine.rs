@@ -1,4 +1,4 @@
-//! What finite elements and rigid bodies have in common: a grasp goes in, its trace comes out.
+//! Common interface of the finite-element and the rigid-body simulator.
 
 use std::sync::Arc;
 
@@ -10,21 +10,21 @@ use super::grasp::{GraspResult, GraspSettings, Scene, simulate};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
-/// Which simulator.
+/// Kind of simulator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EngineKind {
     /// Finite-element gels, incremental potential contact.
     Fem,
-    /// Rigid fingers and convex pieces, as in Taxim's set-up.
+    /// Rigid fingers and convex pieces, as in Taxim.
     Rigid,
 }
 
 impl EngineKind {
-    /// Both, in the order of tables.
+    /// All kinds, in the order of tables.
     pub const ALL: [Self; 2] = [Self::Fem, Self::Rigid];
 
-    /// Its name on the command line and in files.
+    /// Name on the command line and in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Fem => "fem",
@@ -33,41 +33,40 @@ impl EngineKind {
     }
 }
 
-/// What is known of a grasp before the fingers close; friction and force are not.
+/// A grasp before the fingers close, without friction and force.
 #[derive(Clone, Debug)]
 pub struct GraspSetup {
     /// Closed surface of the object in its own frame, m.
     pub mesh: Arc<TriangleMesh>,
     /// Mass of the object, kg.
     pub mass_kg: f64,
-    /// The object on the ground (z = 0).
+    /// Pose of the object on the ground (z = 0).
     pub t_world_object: Pose,
-    /// The gripper; the fingers close along its x axis.
+    /// Pose of the gripper; the fingers close along its x axis.
     pub t_world_gripper: Pose,
-    /// Distance between the gels' faces at the start, m.
+    /// Distance between the gel faces at the start, m.
     pub opening_m: f64,
 }
 
-/// A simulator of grasps. The same input gives the same bits, on any number of threads.
+/// A grasp simulator. The same input gives bit-identical results on any number of threads.
 pub trait Engine: Send + Sync {
-    /// Which one.
+    /// Kind of simulator.
     fn kind(&self) -> EngineKind;
 
-    /// Every parameter that a result depends on besides setup, friction and force, as a JSON
-    /// object.
+    /// All parameters that a result depends on besides setup, friction and force, as a JSON object.
     ///
     /// # Errors
-    /// `Internal` where a number has no JSON form.
+    /// `Internal` for a number that JSON cannot represent.
     fn parameters(&self) -> Result<Value>;
 
-    /// Height above its start that the object must reach for success, or that its lowest point must
-    /// be above, m.
+    /// Success height, m: of the object's lowest point (finite elements), or the rise of the object
+    /// (rigid bodies).
     fn success_height_m(&self) -> f64;
 
-    /// Mesh of the gels at rest, and the distance at which contact begins, m; none without gels.
+    /// Mesh of the gels at rest and the contact distance `d_hat`, m; `None` without gels.
     ///
     /// # Errors
-    /// None for the built-in meshes.
+    /// None: the built-in meshes are valid.
     fn gel(&self) -> Result<Option<(GelGrid, f64)>> {
         Ok(None)
     }
@@ -75,15 +74,15 @@ pub trait Engine: Send + Sync {
     /// Simulates a grasp with a Coulomb friction coefficient and a grasping force (N).
     ///
     /// # Errors
-    /// Where the setup or a parameter cannot be simulated. A grasp that starts inside something
-    /// or does not converge is no error but an outcome.
+    /// `Input` or `Config` for an invalid setup or parameter. An initial penetration and a grasp that
+    /// does not converge are outcomes, not errors.
     fn simulate(&self, setup: &GraspSetup, friction: f64, force_n: f64) -> Result<GraspResult>;
 }
 
-/// The finite-element simulator; the force is the paper's F_stop.
+/// The finite-element simulator; its grasping force is the paper's F_stop.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FemEngine {
-    /// Everything but the stopping force, which each grasp brings along.
+    /// All parameters; the stopping force is replaced by that of each grasp.
     pub settings: GraspSettings,
 }
 

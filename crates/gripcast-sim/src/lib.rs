@@ -1,8 +1,8 @@
-//! The grasp simulator: finite-element gels, incremental potential contact, an affine-body object;
-//! beside it, a rigid-body baseline.
+//! Grasp simulator: finite-element gels, incremental potential contact and an affine-body object,
+//! and a rigid-body baseline.
 //!
-//! Deterministic, f64, without input or output but the baseline's cache of convex pieces, with no
-//! threads of its own but rayon's.
+//! Deterministic and in f64. Uses rayon for threads; the only I/O is the baseline's cache of convex
+//! pieces.
 //!
 //! ```
 //! use gripcast_geometry::{PrepareOptions, builtin, prepare};

@@ -7,7 +7,8 @@ use serde_json::Value;
 use super::plan::{Plan, check_parameters};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::Root;
-use gripcast_sim::grasp::{GraspSettings, Preset, resolution_by_name};
+use gripcast_sim::fem::GelResolution;
+use gripcast_sim::grasp::{GraspSettings, Preset};
 use gripcast_sim::rigid::{RigidEngine, RigidSettings};
 use gripcast_sim::{Engine, EngineKind, FemEngine};
 
@@ -45,7 +46,7 @@ fn fem(parameters: &Value) -> Result<GraspSettings> {
     let preset = text("preset", &parameters["preset"])?;
     let preset = Preset::ALL.into_iter().find(|p| p.name() == preset);
     let mut settings = GraspSettings::new(preset.ok_or_else(|| unreadable("preset"))?);
-    settings.resolution = resolution_by_name(&text("gel.mesh", &parameters["gel"]["mesh"])?)?;
+    settings.resolution = GelResolution::from_name(&text("gel.mesh", &parameters["gel"]["mesh"])?)?;
     settings.solver.max_grasp_iterations = parameters["solver"]["max_grasp_iterations"]
         .as_u64()
         .ok_or_else(|| unreadable("solver.max_grasp_iterations"))?;

@@ -406,7 +406,7 @@ fn stable(outcome: GraspOutcome) -> Option<bool> {
     match outcome {
         GraspOutcome::Success => Some(true),
         GraspOutcome::Slip | GraspOutcome::Eject => Some(false),
-        GraspOutcome::Closed
+        GraspOutcome::GelsMet
         | GraspOutcome::Miss
         | GraspOutcome::PenetratingStart
         | GraspOutcome::NotConverged => None,

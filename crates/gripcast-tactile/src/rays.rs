@@ -77,7 +77,7 @@ mod tests {
     fn the_ball_is_closed_and_as_large_as_said() {
         let ball = bumpy_ball(0.01, 0.0, 60, 60);
         assert!(ball.edges().is_closed());
-        let volume = MassProperties::of(&ball).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&ball).unwrap().volume_m3;
         let sphere = 4.0 / 3.0 * PI * 1e-6;
         assert!((volume / sphere - 1.0).abs() < 0.01, "{volume}");
     }

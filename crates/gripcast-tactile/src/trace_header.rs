@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::scene::SimulatedGel;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{
-    LengthUnit, Pose, PrepareOptions, Prepared, TriangleMesh, builtin, load_mesh, prepare,
+    LengthUnit, Pose, PrepareOptions, PreparedMesh, TriangleMesh, builtin, load_mesh, prepare,
 };
 use gripcast_sim::fem::GelGrid;
 
@@ -123,8 +123,9 @@ impl TraceObject {
             None => builtin(&self.source)?,
             Some(path) => load_mesh(&path, self.unit.parse()?)?,
         };
-        let Prepared { mesh, .. } = prepare(&mesh.scaled(self.scale), &PrepareOptions::default())
-            .map_err(|e| e.at(&self.source))?;
+        let PreparedMesh { mesh, .. } =
+            prepare(&mesh.scaled(self.scale), &PrepareOptions::default())
+                .map_err(|e| e.at(&self.source))?;
         if mesh.content_hash() != self.sha256 {
             return Err(Error::input(format!(
                 "this is another mesh than the simulated one, at unit {} and scale {}",

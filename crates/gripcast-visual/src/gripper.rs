@@ -230,7 +230,7 @@ mod tests {
         for opening in [0.0, 0.042, 0.2] {
             for part in gripper_parts(opening).unwrap() {
                 assert!(part.shape.edges().is_closed(), "{}", part.name);
-                let volume = MassProperties::of(&part.shape).unwrap().volume_m3;
+                let volume = MassProperties::from_mesh(&part.shape).unwrap().volume_m3;
                 assert!(volume > 0.0, "{}: {volume}", part.name);
             }
         }

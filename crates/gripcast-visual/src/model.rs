@@ -255,7 +255,7 @@ impl Build<'_> {
         let name = source.name();
         let read = match source {
             ImageSource::Embedded(_, bytes) => Ok(bytes.clone()),
-            ImageSource::Beside(path) => (self.beside)(path),
+            ImageSource::File(path) => (self.beside)(path),
         };
         let loaded = match read {
             Ok(bytes) => bitmap_file::decode(&bytes).map_err(|e| e.to_string()),

@@ -165,7 +165,7 @@ mod tests {
             ("elbow", &elbow, PI * PI * 0.01, 2e-3),
         ] {
             assert!(mesh.edges().is_closed(), "{name}");
-            let found = MassProperties::of(mesh).unwrap().volume_m3;
+            let found = MassProperties::from_mesh(mesh).unwrap().volume_m3;
             assert!(
                 (found - volume).abs() < tolerance * volume.max(1.0),
                 "{name}: {found}"

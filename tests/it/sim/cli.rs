@@ -25,16 +25,16 @@ fn result(object: &str, more: &str) -> Value {
     json(&succeed(&mut grasp(object, more)))
 }
 
-/// What is said when a grasp is refused with exit code 1.
-fn refusal(command: &mut Command) -> String {
+/// Error text of a command that fails with exit code 1.
+fn error_text(command: &mut Command) -> String {
     let output = command.output().unwrap();
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(output.stdout.is_empty(), "nothing is printed as data");
+    assert!(output.stdout.is_empty(), "no data on stdout");
     text
 }
 
-/// A box of 40 × 40 × 60 of the file's units as OBJ text, closed and facing outwards.
+/// OBJ text of a closed box of 40 × 40 × 60 units, facing outwards.
 fn box_obj() -> String {
     let mut text = String::new();
     for corner in 0..8 {
@@ -57,10 +57,10 @@ fn write(dir: &Path, name: &str, text: &str) -> PathBuf {
 }
 
 #[test]
-fn a_mug_is_held_through_three_stages() {
+fn mug_grasp_succeeds_through_three_stages() {
     let dir = tempfile::tempdir().unwrap();
-    let at = |name: &str| dir.path().join(name).display().to_string();
-    let (plot, trace) = (at("f.svg"), at("f.bin"));
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let (plot, trace) = (path("f.svg"), path("f.bin"));
     let found = result(
         "builtin:mug",
         &format!("--stop-force-n 40 --plot {plot} --trace {trace}"),
@@ -103,7 +103,7 @@ fn a_mug_is_held_through_three_stages() {
 }
 
 #[test]
-fn friction_decides_whether_a_box_is_held() {
+fn friction_decides_whether_a_box_slips() {
     // 2 μ F = 0.5 N against a weight of 1.96 N.
     let loose = result(
         "builtin:box",
@@ -118,10 +118,10 @@ fn friction_decides_whether_a_box_is_held() {
 }
 
 #[test]
-fn a_tilted_off_centre_grasp_is_lost_and_a_high_one_misses() {
+fn rolled_off_centre_grasp_fails_and_high_grasp_misses() {
     let lost = result(
         "builtin:sphere",
-        "--tilt-deg 10 --offset-y 0.018 --adjust-s 0.2",
+        "--roll-deg 10 --offset-y 0.018 --adjust-s 0.2",
     );
     let outcome = lost["outcome"].as_str().unwrap();
     assert!(["eject", "slip"].contains(&outcome), "{outcome}");
@@ -132,7 +132,7 @@ fn a_tilted_off_centre_grasp_is_lost_and_a_high_one_misses() {
 }
 
 #[test]
-fn a_collision_at_the_start_is_an_outcome_with_advice() {
+fn initial_penetration_is_an_outcome_with_a_hint() {
     let output = succeed(&mut grasp("builtin:box", "--width 0.03"));
     assert_eq!(json(&output)["outcome"], "penetrating_start");
     assert!(stderr(&output).contains("--width"), "{}", stderr(&output));
@@ -143,7 +143,7 @@ fn a_collision_at_the_start_is_an_outcome_with_advice() {
 }
 
 #[test]
-fn no_convergence_is_no_outcome() {
+fn unconverged_grasp_exits_with_4() {
     let output = grasp("builtin:box", "--max-iterations 1").output().unwrap();
     assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
     let found = json(&output);
@@ -153,7 +153,7 @@ fn no_convergence_is_no_outcome() {
 }
 
 #[test]
-fn threads_and_repetition_change_nothing() {
+fn results_are_bit_identical_for_any_thread_count() {
     let dir = tempfile::tempdir().unwrap();
     let trace = |name: &str, threads: &str| {
         let path = dir.path().join(name);
@@ -171,7 +171,7 @@ fn threads_and_repetition_change_nothing() {
 }
 
 #[test]
-fn a_pose_file_says_where_the_gripper_stands() {
+fn pose_file_defines_the_gripper_pose() {
     let dir = tempfile::tempdir().unwrap();
     let pose = write(
         dir.path(),
@@ -195,7 +195,7 @@ fn a_pose_file_says_where_the_gripper_stands() {
         "misspelt.json",
         r#"{"t_object_gripper": {"t_m": [0, 0, 0], "q_wxyz": [0, 1, 0, 0]}, "opening": 0.05}"#,
     );
-    let text = refusal(grasp("builtin:box", "--pose").arg(&misspelt));
+    let text = error_text(grasp("builtin:box", "--pose").arg(&misspelt));
     assert!(
         text.contains("`opening`") && text.contains("misspelt.json"),
         "{text}"
@@ -207,7 +207,7 @@ fn a_pose_file_says_where_the_gripper_stands() {
         r#"{"t_object_gripper": {"t_m": [0, 0, 0], "q_wxyz": [0, 1, 0, 0]},
             "t_world_object": {"t_m": [0, 0, 0.01], "q_wxyz": [1, 0, 0, 0]}}"#,
     );
-    let text = refusal(grasp("builtin:box", "--pose").arg(&buried));
+    let text = error_text(grasp("builtin:box", "--pose").arg(&buried));
     assert!(
         text.contains("20.0 mm into the ground") && text.contains("stable"),
         "{text}"
@@ -215,15 +215,15 @@ fn a_pose_file_says_where_the_gripper_stands() {
 }
 
 #[test]
-fn mesh_files_are_checked_fixed_or_refused() {
+fn mesh_files_are_checked_repaired_or_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let text = box_obj();
     let good = write(dir.path(), "box.obj", &text);
     let good = good.display().to_string();
     let short = "--adjust-s 0.05 --lift 0.002";
 
-    let said = refusal(&mut grasp(&good, ""));
-    assert!(said.contains("--unit mm"), "{said}");
+    let text = error_text(&mut grasp(&good, ""));
+    assert!(text.contains("--unit mm"), "{text}");
     let found = result(&good, &format!("--unit mm {short}"));
     let height = found["object"]["size_m"][2].as_f64().unwrap();
     assert!((height - 0.06).abs() < 1e-9);
@@ -254,31 +254,31 @@ fn mesh_files_are_checked_fixed_or_refused() {
         stderr(&output)
     );
 
-    let refused = |name: &str, text: &str| {
+    let rejected = |name: &str, text: &str| {
         let path = write(dir.path(), name, text);
-        refusal(&mut grasp(&path.display().to_string(), "--unit mm"))
+        error_text(&mut grasp(&path.display().to_string(), "--unit mm"))
     };
     let open = text.rsplit_once("f ").unwrap().0;
-    let said = refused("open.obj", open);
+    let text = rejected("open.obj", open);
     assert!(
-        said.contains("closed") && said.contains("open.obj"),
-        "{said}"
+        text.contains("closed") && text.contains("open.obj"),
+        "{text}"
     );
-    let said = refused("nan.obj", &text.replacen("v -20", "v nan", 1));
-    assert!(said.contains("finite") || said.contains("number"), "{said}");
-    let said = refused("empty.obj", "");
-    assert!(said.contains("empty"), "{said}");
+    let text = rejected("nan.obj", &text.replacen("v -20", "v nan", 1));
+    assert!(text.contains("finite") || text.contains("number"), "{text}");
+    let text = rejected("empty.obj", "");
+    assert!(text.contains("empty"), "{text}");
     let flat = text.replace(" 30\n", " 0\n").replace(" -30\n", " 0\n");
-    refused("flat.obj", &flat);
+    rejected("flat.obj", &flat);
     // The same box again, shifted into itself.
     let twice = format!("{text}{}", shifted(&text));
-    let said = refused("twice.obj", &twice);
-    assert!(said.contains("through itself"), "{said}");
-    let tiny = refusal(&mut grasp(&good, "--unit mm --scale 0.001"));
+    let text = rejected("twice.obj", &twice);
+    assert!(text.contains("intersects itself"), "{text}");
+    let tiny = error_text(&mut grasp(&good, "--unit mm --scale 0.001"));
     assert!(tiny.contains("--unit m"), "{tiny}");
 }
 
-/// The box of [`box_obj`] once more, 10 units away in x and y, as further lines of the same file.
+/// Lines that append the box of [`box_obj`] again, shifted into itself.
 fn shifted(text: &str) -> String {
     let mut more = String::new();
     for line in text.lines() {
@@ -299,7 +299,7 @@ fn shifted(text: &str) -> String {
 }
 
 #[test]
-fn numbers_that_cannot_be_are_explained() {
+fn invalid_numbers_are_rejected() {
     let cases = [
         ("--mass-kg 0", "mass"),
         ("--mass-kg -1", "mass"),
@@ -312,17 +312,17 @@ fn numbers_that_cannot_be_are_explained() {
         ("--stable-pose 99", "stable pose 99"),
     ];
     for (flags, word) in cases {
-        let text = refusal(&mut grasp("builtin:box", flags));
+        let text = error_text(&mut grasp("builtin:box", flags));
         assert!(text.contains(word), "{flags}: {text}");
     }
     for object in ["builtin:bx", "nowhere.obj", "box"] {
-        let text = refusal(&mut grasp(object, ""));
+        let text = error_text(&mut grasp(object, ""));
         assert!(text.contains('→'), "{object}: {text}");
     }
 }
 
 #[test]
-fn a_wrong_command_line_is_told_before_anything_is_simulated() {
+fn usage_errors_are_reported_before_the_simulation() {
     let usage = |more: &str| -> Output {
         let output = grasp("builtin:box", more).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{more}: {}", stderr(&output));
@@ -334,7 +334,7 @@ fn a_wrong_command_line_is_told_before_anything_is_simulated() {
     usage("--stop-force-n -4");
     usage("--dt 0");
     usage("--unit parsec");
-    let text = refusal(&mut grasp("builtin:box", "--plot /nowhere/at/all/f.svg"));
+    let text = error_text(&mut grasp("builtin:box", "--plot /nowhere/at/all/f.svg"));
     assert!(text.contains("/nowhere/at/all"), "{text}");
 }
 
@@ -349,7 +349,7 @@ fn ctrl_c_ends_a_grasp_with_130() {
         .spawn()
         .unwrap();
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-    // It listens for Ctrl-C before it says that it starts.
+    // The handler for Ctrl-C is installed before this line is printed.
     let first = lines.next().unwrap().unwrap();
     assert!(first.contains("simulating"), "{first}");
     let id = rustix::process::Pid::from_child(&child);

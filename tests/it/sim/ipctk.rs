@@ -1,7 +1,7 @@
 //! Contact mathematics against the IPC Toolkit.
 //!
-//! `tests/peers/ipctk_cases.py` wrote `tests/data/ipctk_cases.json`. Everything agrees to 1e-10 of
-//! the largest entry; no case lies on a switch of regions but one pair of parallel edges.
+//! `tests/peers/ipctk_cases.py` writes `tests/data/ipctk_cases.json`. All values agree to 1e-10 of the
+//! largest entry; no case lies on a region boundary except one pair of parallel edges.
 
 use glam::{DMat3, DVec3};
 use gripcast_sim::affine::Matrix12;
@@ -88,7 +88,7 @@ struct FrictionCase {
     hessian: Vec<f64>,
 }
 
-/// Times of impact; none where the whole step is free.
+/// Times of impact; `None` if the whole step is free.
 #[derive(Deserialize)]
 struct CcdCase {
     kind: String,
@@ -120,7 +120,7 @@ fn closest(kind: &str, x: &[DVec3; 4]) -> Closest {
     match kind {
         "pt" => point_triangle(x[0], x[1], x[2], x[3]),
         "ee" => edge_edge(x[0], x[1], x[2], x[3]),
-        other => panic!("no stencil is called {other}"),
+        other => panic!("unknown stencil {other}"),
     }
 }
 
@@ -134,22 +134,22 @@ fn symmetric(lower: &[f64]) -> Matrix12 {
     std::array::from_fn(|i| std::array::from_fn(|j| at(i.max(j), i.min(j))))
 }
 
-/// Largest error relative to the largest expected entry, held to the tolerance.
+/// Asserts that the error relative to the largest expected entry is within the tolerance.
 #[track_caller]
 fn assert_close(found: &[f64], expected: &[f64], what: &str) {
     assert_eq!(found.len(), expected.len());
-    let scale = expected.iter().fold(0.0_f64, |most, e| most.max(e.abs()));
+    let scale = expected.iter().fold(0.0_f64, |max, e| max.max(e.abs()));
     let error = found
         .iter()
         .zip(expected)
-        .fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()));
+        .fold(0.0_f64, |max, (a, b)| max.max((a - b).abs()));
     println!(
         "{what}: {:.1e}",
         if error > 0.0 { error / scale } else { 0.0 }
     );
     assert!(
         error <= TOLERANCE * scale,
-        "{what}: {found:?}, not {expected:?}"
+        "{what}: expected {expected:?}, found {found:?}"
     );
 }
 
@@ -160,7 +160,7 @@ fn assert_close_matrix(found: &Matrix12, lower: &[f64], what: &str) {
 }
 
 #[test]
-fn barrier_agrees() {
+fn barrier_matches_ipctk() {
     let cases = cases();
     let barrier = Barrier {
         kappa: 1.0,
@@ -179,7 +179,7 @@ fn barrier_agrees() {
 }
 
 #[test]
-fn distances_agree() {
+fn distances_match_ipctk() {
     let cases = cases();
     for (kind, list) in [("pt", &cases.point_triangle), ("ee", &cases.edge_edge)] {
         for case in list {
@@ -187,7 +187,7 @@ fn distances_agree() {
             let found = closest(kind, &x);
             let what = |part: &str| format!("{kind} {} {part}", case.name);
             assert_close(&[found.squared], &[case.squared], &what("distance"));
-            // Parallel edges have many closest pairs; the two programs may take different ones.
+            // Parallel edges have many closest pairs; the programs may choose different ones.
             if case.name == "parallel, overlapping" {
                 continue;
             }
@@ -197,7 +197,7 @@ fn distances_agree() {
     }
 }
 
-/// The region of an ipctk distance type.
+/// Region of an ipctk distance type.
 fn region(name: &str) -> Region {
     match name {
         "P_T0" => Region::PointPoint(0, 1),
@@ -221,7 +221,7 @@ fn region(name: &str) -> Region {
 }
 
 #[test]
-fn mollifier_agrees() {
+fn mollifier_matches_ipctk() {
     for case in &cases().mollifier {
         let x = points(&case.x);
         let (ea, eb) = (x[1] - x[0], x[3] - x[2]);
@@ -235,7 +235,7 @@ fn mollifier_agrees() {
 }
 
 #[test]
-fn friction_scalars_agree() {
+fn friction_scalars_match_ipctk() {
     let cases = cases();
     let epsilon = cases.parameters.epsilon_m;
     for case in &cases.friction {
@@ -247,7 +247,7 @@ fn friction_scalars_agree() {
 }
 
 #[test]
-fn barrier_potentials_agree() {
+fn barrier_potentials_match_ipctk() {
     let cases = cases();
     let barrier = Barrier {
         kappa: cases.parameters.kappa_pa,
@@ -255,9 +255,9 @@ fn barrier_potentials_agree() {
     };
     for case in &cases.potential {
         let x = points(&case.x);
-        let at = closest(&case.kind, &x);
-        let b = barrier.squared(at.squared);
-        let slope = flat(&at.gradient());
+        let closest = closest(&case.kind, &x);
+        let b = barrier.squared(closest.squared);
+        let slope = flat(&closest.gradient());
         let (m, m_slope) = if case.kind == "ee" {
             let (ea, eb) = (x[1] - x[0], x[3] - x[2]);
             let epsilon = mollifier::threshold(ea, eb);
@@ -275,7 +275,7 @@ fn barrier_potentials_agree() {
 }
 
 #[test]
-fn friction_potentials_agree() {
+fn friction_potentials_match_ipctk() {
     let cases = cases();
     let Parameters {
         mu,
@@ -313,7 +313,7 @@ fn friction_potentials_agree() {
     assert_eq!(compared, 5);
 }
 
-/// The 3×3 block of the relative motion spread over the stencil by its weights.
+/// Hessian of the stencil from the 3×3 block of the relative motion, by the weights.
 fn spread(weights: &[f64; 4], block: &DMat3) -> Matrix12 {
     let entry = |i: usize, j: usize| weights[i / 3] * weights[j / 3] * block.col(j % 3)[i % 3];
     std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
@@ -343,7 +343,7 @@ fn times_of_impact_are_safe_and_not_early() {
                 "case {number}: {found} far before {tight}"
             );
         }
-        // Both keep a tenth of the distance.
+        // Both preserve a tenth of the distance.
         if let (Some(ours), Some(additive)) = (found, case.additive) {
             assert!(
                 ours >= 0.95 * additive,

@@ -12,7 +12,7 @@ fn sim(arguments: &str) -> Command {
 }
 
 #[test]
-fn a_plate_presses_as_stiffly_as_finite_elements_say() {
+fn plate_force_matches_the_reference() {
     let found = json(&succeed(&mut sim(
         "press --indenter plate --gel coarse --depth-m 1e-4,2e-4 --face-m 1e-3 --json",
     )));
@@ -28,8 +28,8 @@ fn a_plate_presses_as_stiffly_as_finite_elements_say() {
 }
 
 #[test]
-fn a_press_that_cannot_be_is_explained() {
-    for (arguments, code, says) in [
+fn invalid_presses_are_rejected() {
+    for (arguments, code, expected) in [
         ("press --indenter sphere", 2, "--radius-m"),
         ("press --indenter sphere --radius-m 0", 1, "radius"),
         ("press --indenter plate --depth-m 0.003", 1, "depths"),
@@ -39,12 +39,12 @@ fn a_press_that_cannot_be_is_explained() {
         let output = sim(arguments).output().unwrap();
         let text = stderr(&output);
         assert_eq!(output.status.code(), Some(code), "{arguments}: {text}");
-        assert!(text.contains(says), "{arguments}: {text}");
+        assert!(text.contains(expected), "{arguments}: {text}");
     }
 }
 
 #[test]
-fn validation_counts_what_holds() {
+fn validation_counts_passed_cases() {
     let found = json(&succeed(&mut sim(
         "validate --cases free-fall,momentum --json",
     )));

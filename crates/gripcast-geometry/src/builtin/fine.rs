@@ -1,4 +1,4 @@
-//! Shapes with faces of about a millimetre, for tactile images without facets.
+//! Shapes with faces of about 1 mm, for tactile images without visible facets.
 
 use std::f64::consts::TAU;
 
@@ -7,12 +7,12 @@ use glam::DVec3;
 use super::shapes::{band, disc, octahedron, square_ring};
 use crate::mesh::TriangleMesh;
 
-/// Ball of the given radius (m): an octahedron of `cuts` parts a side, blown up.
+/// Ball of a radius (m): an octahedron with `cuts` subdivisions per side, projected onto the sphere.
 pub(super) fn ball(radius: f64, cuts: u32) -> TriangleMesh {
     let mut mesh = octahedron(DVec3::ONE, cuts);
     for vertex in &mut mesh.vertices {
-        // Equal steps of the angle instead of equal steps of the edge: faces of nearly one size.
-        let bent = vertex.abs().map(|part| (0.25 * TAU * part).sin());
+        // Equal steps of the angle instead of the edge, for faces of nearly equal size.
+        let bent = vertex.abs().map(|component| (0.25 * TAU * component).sin());
         *vertex = bent.normalize().copysign(*vertex) * radius;
     }
     mesh
@@ -24,7 +24,7 @@ const QUARTER: u32 = 32;
 const RIBS: f64 = 32.0;
 /// Depth of the grooves between them, m.
 const GROOVE_M: f64 = 0.0007;
-/// Outline from the bottom to the top: height and radius, m, rows of faces up to there.
+/// Outline from bottom to top: height and radius, m, and rows of faces up to there.
 const OUTLINE: [(f64, f64, u32); 9] = [
     (0.000, 0.0190, 0),
     (0.002, 0.0215, 2),
@@ -36,10 +36,10 @@ const OUTLINE: [(f64, f64, u32); 9] = [
     (0.107, 0.0165, 18),
     (0.110, 0.0150, 2),
 ];
-/// Rows of the outline between which the cap is ribbed.
+/// Height range of the ribs on the cap, m.
 const CAP_M: (f64, f64) = (0.0835, 0.1065);
 
-/// Upright bottle with a ribbed cap, centred in the origin.
+/// Upright bottle with a ribbed cap, centred at the origin.
 pub(super) fn bottle() -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
     let mut rings = Vec::new();
@@ -56,11 +56,11 @@ pub(super) fn bottle() -> TriangleMesh {
     for (z, ring) in &rings {
         if (CAP_M.0..=CAP_M.1).contains(z) {
             for vertex in ring {
-                let place = &mut mesh.vertices[*vertex as usize];
-                let turn = RIBS * place.y.atan2(place.x);
-                let radius = place.truncate().length();
-                let fraction = 1.0 - GROOVE_M / radius * (0.5 - 0.5 * turn.cos());
-                (place.x, place.y) = (place.x * fraction, place.y * fraction);
+                let position = &mut mesh.vertices[*vertex as usize];
+                let phase = RIBS * position.y.atan2(position.x);
+                let radius = position.truncate().length();
+                let scale = 1.0 - GROOVE_M / radius * (0.5 - 0.5 * phase.cos());
+                (position.x, position.y) = (position.x * scale, position.y * scale);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Shapes that are hard to grasp and not convex: what convex pieces and rigid fingers do badly.
+//! Non-convex shapes that are hard to grasp, and hard for convex pieces and rigid fingers.
 
 use std::f64::consts::TAU;
 
@@ -10,26 +10,26 @@ use crate::mesh::TriangleMesh;
 /// Width of the faces, m.
 const CELL_M: f64 = 1.7e-3;
 
-/// Smooth minimum: the union of bodies with a fillet of about `width` (m) (the quadratic one of
-/// Quilez, *Smooth minimum*).
+/// Smooth minimum: union of bodies with a fillet of about `width` (m) (quadratic, Quilez, *Smooth
+/// minimum*).
 fn union(a: f64, b: f64, width: f64) -> f64 {
     let overlap = (width - (a - b).abs()).max(0.0) / width;
     a.min(b) - 0.25 * width * overlap * overlap
 }
 
-/// Smooth maximum: what bodies have in common, with rounded edges.
-fn common(a: f64, b: f64, width: f64) -> f64 {
+/// Smooth maximum: intersection of bodies with rounded edges.
+fn intersection(a: f64, b: f64, width: f64) -> f64 {
     -union(-a, -b, width)
 }
 
-/// Signed distance from a capsule between two points, m.
+/// Signed distance to a capsule between two points, m.
 fn capsule(p: DVec3, [a, b]: [DVec3; 2], radius: f64) -> f64 {
     let along = b - a;
     let fraction = ((p - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
     p.distance(a + fraction * along) - radius
 }
 
-/// Three crossed bars with a knob at each end: six arms of different length.
+/// Three crossed bars with a knob at each end: six arms of different lengths.
 pub(super) fn jack() -> TriangleMesh {
     const ARMS: [f64; 6] = [0.026, 0.023, 0.025, 0.025, 0.022, 0.026];
     const ARM_RADIUS: f64 = 0.0052;
@@ -57,19 +57,19 @@ pub(super) fn star() -> TriangleMesh {
     let field = |p: DVec3| {
         let angle = p.y.atan2(p.x) - twist * p.z;
         let radius = p.truncate().length();
-        // Flanks are steep: a slope of the outline shortens the distance.
+        // Steep flanks: the slope of the outline reduces the distance.
         let off = radius - RADIUS - POINT * (5.0 * angle).cos();
         let slope = 5.0 * POINT * (5.0 * angle).sin() / radius.max(0.8 * RADIUS);
         let side = off / slope.hypot(1.0);
-        common(side, p.z.abs() - HALF_HEIGHT, 0.004)
+        intersection(side, p.z.abs() - HALF_HEIGHT, 0.004)
     };
     surface(&field, DVec3::new(0.027, 0.027, 0.027), CELL_M)
 }
 
-/// A ball with dents of different depth.
+/// A ball with dents of different depths.
 pub(super) fn dented() -> TriangleMesh {
     const RADIUS: f64 = 0.028;
-    /// Directions, and how far the balls that press the dents are away.
+    /// Direction and distance of the ball that makes each dent.
     const DENTS: [([f64; 3], f64); 7] = [
         ([1.0, 0.1, 0.2], 0.031),
         ([-0.9, 0.5, 0.2], 0.033),
@@ -84,13 +84,13 @@ pub(super) fn dented() -> TriangleMesh {
         let body = p.length() - RADIUS;
         DENTS.into_iter().fold(body, |body, (towards, away)| {
             let center = away * DVec3::from_array(towards).normalize();
-            common(body, DENT_RADIUS - p.distance(center), 0.005)
+            intersection(body, DENT_RADIUS - p.distance(center), 0.005)
         })
     };
     surface(&field, DVec3::splat(0.03), CELL_M)
 }
 
-/// A ring whose radius, thickness and height wobble around it.
+/// A ring whose radius, thickness and height vary around it.
 pub(super) fn ring() -> TriangleMesh {
     let field = |p: DVec3| {
         let angle = p.y.atan2(p.x);
@@ -112,15 +112,15 @@ pub(super) fn saddle() -> TriangleMesh {
         let height = BEND * (u * u * u - 3.0 * u * v * v);
         let slope = 3.0 * BEND / RADIUS * (u * u + v * v);
         let sheet = (p.z - height).abs() / slope.hypot(1.0) - HALF_THICKNESS;
-        common(sheet, p.truncate().length() - RADIUS, 0.006)
+        intersection(sheet, p.truncate().length() - RADIUS, 0.006)
     };
     surface(&field, DVec3::new(0.032, 0.032, 0.026), CELL_M)
 }
 
-/// A ball with bumps and hollows that follow no symmetry.
+/// A ball with asymmetric bumps and hollows.
 pub(super) fn lump() -> TriangleMesh {
     const RADIUS: f64 = 0.0245;
-    /// Waves over the unit ball: direction, number and phase in turns, height, m.
+    /// Waves over the unit sphere: direction, frequency and phase in turns, height, m.
     const WAVES: [([f64; 3], f64, f64, f64); 5] = [
         ([0.3, 1.0, 0.2], 0.62, 0.10, 0.0032),
         ([1.0, -0.4, 0.5], 0.71, 0.35, 0.0030),
@@ -130,10 +130,12 @@ pub(super) fn lump() -> TriangleMesh {
     ];
     let field = |p: DVec3| {
         let out = p.normalize_or_zero();
-        let waves = WAVES.into_iter().map(|(towards, turns, phase, height)| {
-            let along = DVec3::from_array(towards).normalize().dot(out);
-            height * (TAU * (turns * along + phase)).sin()
-        });
+        let waves = WAVES
+            .into_iter()
+            .map(|(towards, frequency, phase, height)| {
+                let along = DVec3::from_array(towards).normalize().dot(out);
+                height * (TAU * (frequency * along + phase)).sin()
+            });
         // Steep bumps: the radius grows faster than the distance.
         0.8 * (p.length() - RADIUS - waves.sum::<f64>())
     };

@@ -1,5 +1,5 @@
-//! Meshes of bodies that a function describes: surface nets (Gibson, *Constrained elastic surface
-//! nets*, MICCAI 1998), evened out on the surface.
+//! Meshes of implicit surfaces by surface nets (Gibson, *Constrained elastic surface nets*, MICCAI
+//! 1998), smoothed on the surface.
 
 use std::collections::BTreeMap;
 
@@ -8,34 +8,38 @@ use glam::DVec3;
 use super::shapes::{push, push_quad};
 use crate::mesh::TriangleMesh;
 
-/// Rounds in which vertices move to the middle of their neighbours and back to the surface.
-const ROUNDS: usize = 12;
-/// Lattices that are tried.
-const ATTEMPTS: u32 = 16;
+/// Smoothing rounds.
+const SMOOTHING_ROUNDS: usize = 12;
+/// Maximum number of lattice offsets to try.
+const MAX_ATTEMPTS: u32 = 16;
 /// Step of the numerical gradient, m.
 const GRADIENT_M: f64 = 1e-5;
 
-/// Signed function of place (m), negative inside the body, growing by about 1 for each metre.
+/// Signed function of the position (m), negative inside the body, with a slope of about 1.
 pub type Field<'a> = &'a dyn Fn(DVec3) -> f64;
 
-/// A surface of quadrilaterals, their corners counter-clockwise seen from outside.
+/// A surface of quadrilaterals, counter-clockwise seen from outside.
 #[derive(Clone, Debug, Default)]
 pub struct QuadMesh {
     /// Positions, m.
     pub vertices: Vec<DVec3>,
-    /// Indices into `vertices`.
+    /// Vertex indices of each quadrilateral.
     pub quads: Vec<[u32; 4]>,
 }
 
-/// Mesh of the zero surface within ±`half` (m), which must enclose it, with faces about `cell` (m)
-/// wide.
+/// Meshes the zero surface inside ±`half` (m) with faces about `cell` (m) wide.
 ///
-/// A vertex for each cell cannot follow a surface that passes a cell twice, as it does where a
-/// plane of the lattice grazes a saddle. Then another lattice is taken.
+/// One vertex per cell cannot represent a surface that passes a cell twice, e.g. where a lattice plane
+/// grazes a saddle. The lattice is then shifted.
 pub(super) fn surface(field: Field<'_>, half: DVec3, cell: f64) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
-    for attempt in 0..ATTEMPTS {
-        mesh = on_lattice(field, half, cell, f64::from(attempt) / f64::from(ATTEMPTS));
+    for attempt in 0..MAX_ATTEMPTS {
+        mesh = on_lattice(
+            field,
+            half,
+            cell,
+            f64::from(attempt) / f64::from(MAX_ATTEMPTS),
+        );
         if mesh.edges().is_closed() {
             break;
         }
@@ -45,7 +49,7 @@ pub(super) fn surface(field: Field<'_>, half: DVec3, cell: f64) -> TriangleMesh 
 
 fn on_lattice(field: Field<'_>, half: DVec3, cell: f64, shift: f64) -> TriangleMesh {
     let mut net = Net::new(field, half, cell, shift).quad_mesh();
-    even_out(field, &mut net, ROUNDS);
+    smooth_on_surface(field, &mut net, SMOOTHING_ROUNDS);
     let mut mesh = TriangleMesh {
         vertices: net.vertices,
         triangles: Vec::new(),
@@ -57,17 +61,18 @@ fn on_lattice(field: Field<'_>, half: DVec3, cell: f64, shift: f64) -> TriangleM
     mesh
 }
 
-/// Quadrilaterals near the zero surface within ±`half` (m) on a lattice of `cell` (m) moved by a
-/// `shift` from 0 to 1, with a vertex for each sheet of the surface in a cell, so that walls of the
-/// width of a cell keep their sides apart. [`even_out`] brings the vertices onto the surface.
-pub fn net_of_sheets(field: Field<'_>, half: DVec3, cell: f64, shift: f64) -> QuadMesh {
+/// Surface net near the zero surface inside ±`half` (m) on a lattice of `cell` (m) with an offset
+/// `shift` from 0 to 1. Each sheet of the surface in a cell has its own vertex, which separates the
+/// sides of thin walls. [`smooth_on_surface`] moves the vertices onto the surface.
+pub fn surface_net_by_sheet(field: Field<'_>, half: DVec3, cell: f64, shift: f64) -> QuadMesh {
     let mut net = Net::new(field, half, cell, shift);
     net.by_sheet = true;
     net.quad_mesh()
 }
 
-/// Moves vertices onto the surface, then in each round to the middle of their neighbours and back.
-pub fn even_out(field: Field<'_>, net: &mut QuadMesh, rounds: usize) {
+/// Projects vertices onto the surface; then, in each round, moves them halfway to the mean of their
+/// neighbours and projects them again.
+pub fn smooth_on_surface(field: Field<'_>, net: &mut QuadMesh, rounds: usize) {
     let neighbours = neighbours(&net.quads, net.vertices.len());
     for vertex in &mut net.vertices {
         *vertex = on_surface(field, *vertex);
@@ -82,7 +87,7 @@ pub fn even_out(field: Field<'_>, net: &mut QuadMesh, rounds: usize) {
     }
 }
 
-/// The quadrilateral, turned so that it is cut along its shorter diagonal.
+/// Rotates the corners so that the quadrilateral is split along its shorter diagonal.
 fn along_shorter_diagonal([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> [u32; 4] {
     let length = |i: u32, j: u32| vertices[i as usize].distance_squared(vertices[j as usize]);
     if length(a, c) <= length(b, d) {
@@ -92,25 +97,25 @@ fn along_shorter_diagonal([a, b, c, d]: [u32; 4], vertices: &[DVec3]) -> [u32; 4
     }
 }
 
-/// The point of the surface near a point close to it: two Newton steps.
+/// Projects a point close to the surface onto it by two Newton steps.
 fn on_surface(field: Field<'_>, point: DVec3) -> DVec3 {
-    let mut at = point;
+    let mut projected = point;
     for _ in 0..2 {
-        let gradient = gradient(field, at);
-        at -= gradient * (field(at) / gradient.length_squared().max(1e-12));
+        let gradient = gradient(field, projected);
+        projected -= gradient * (field(projected) / gradient.length_squared().max(1e-12));
     }
-    at
+    projected
 }
 
 /// Numerical gradient of the field.
-pub fn gradient(field: Field<'_>, at: DVec3) -> DVec3 {
+pub fn gradient(field: Field<'_>, point: DVec3) -> DVec3 {
     DVec3::from_array(DVec3::AXES.map(|axis| {
         let step = GRADIENT_M * axis;
-        (field(at + step) - field(at - step)) / (2.0 * GRADIENT_M)
+        (field(point + step) - field(point - step)) / (2.0 * GRADIENT_M)
     }))
 }
 
-/// Vertices with which each vertex shares a side, ascending.
+/// Vertices that share a side with each vertex, ascending.
 pub fn neighbours(quads: &[[u32; 4]], count: usize) -> Vec<Vec<u32>> {
     let mut around = vec![Vec::with_capacity(6); count];
     for quad in quads {
@@ -127,32 +132,32 @@ pub fn neighbours(quads: &[[u32; 4]], count: usize) -> Vec<Vec<u32>> {
     around
 }
 
-/// Place on the lattice by its numbers along x, y and z.
+/// Lattice node by its indices along x, y and z.
 type Node = [usize; 3];
 
-/// The node one step further along each of the axes.
-fn further(mut node: Node, axes: &[usize]) -> Node {
+/// The next node along each of the axes.
+fn next_node(mut node: Node, axes: &[usize]) -> Node {
     for axis in axes {
         node[*axis] += 1;
     }
     node
 }
 
-/// Values of a function on a lattice.
+/// Field values on a lattice.
 struct Net {
     nodes: Node,
     low: DVec3,
     cell: f64,
     values: Vec<f64>,
-    /// Whether each sheet of the surface in a cell has a vertex of its own.
+    /// Whether each sheet of the surface in a cell has its own vertex.
     by_sheet: bool,
-    /// Vertex of each cell that the surface passes through, by the cell and the sheet's first edge.
+    /// Vertices by cell and first edge of the sheet.
     vertices: BTreeMap<(Node, usize), u32>,
 }
 
 impl Net {
     fn new(field: Field<'_>, half: DVec3, cell: f64, shift: f64) -> Self {
-        // A lattice that no symmetry of the body can put a node of on the surface.
+        // Irregular offsets keep nodes off symmetric surfaces.
         let low = -half - cell * (DVec3::new(1.37, 1.41, 1.43) + 0.61 * shift);
         let nodes = half
             .to_array()
@@ -168,7 +173,7 @@ impl Net {
         for z in 0..nodes[2] {
             for y in 0..nodes[1] {
                 for x in 0..nodes[0] {
-                    net.values.push(field(net.place([x, y, z])));
+                    net.values.push(field(net.position([x, y, z])));
                 }
             }
         }
@@ -184,7 +189,7 @@ impl Net {
         }
     }
 
-    fn place(&self, node: Node) -> DVec3 {
+    fn position(&self, node: Node) -> DVec3 {
         self.low + self.cell * DVec3::from_array(node.map(|n| n as f64))
     }
 
@@ -192,7 +197,7 @@ impl Net {
         self.values[x + self.nodes[0] * (y + self.nodes[1] * z)]
     }
 
-    /// Four cells around each edge of the lattice that the surface crosses, facing outwards.
+    /// The quadrilaterals around all lattice edges that the surface crosses, facing outwards.
     fn quads(&mut self, mesh: &mut TriangleMesh) -> Vec<[u32; 4]> {
         let mut quads = Vec::new();
         let [width, depth, height] = self.nodes;
@@ -208,14 +213,14 @@ impl Net {
         quads
     }
 
-    /// The quadrilateral around the edge from a node along an axis, if the surface crosses it.
+    /// The quadrilateral around the edge from a node along an axis, if the surface crosses the edge.
     fn quad(&mut self, mesh: &mut TriangleMesh, node: Node, axis: usize) -> Option<[u32; 4]> {
-        let (here, there) = (self.value(node), self.value(further(node, &[axis])));
+        let (here, there) = (self.value(node), self.value(next_node(node, &[axis])));
         if (here < 0.0) == (there < 0.0) {
             return None;
         }
         let [u, v] = [(axis + 1) % 3, (axis + 2) % 3];
-        // The cells around the edge, and which of their four edges along the axis it is.
+        // The cells around the edge; it is another of the four edges along the axis in each.
         let around = [(1, 1), (0, 1), (0, 0), (1, 0)];
         let mut quad = around.map(|(before_u, before_v)| {
             let mut cell = node;
@@ -229,8 +234,7 @@ impl Net {
         Some(quad)
     }
 
-    /// The vertex of the sheet of the surface that crosses an edge of a cell: the mean of the
-    /// places where it crosses edges.
+    /// The vertex of the sheet that crosses an edge of a cell: the mean of its crossings.
     fn vertex(&mut self, mesh: &mut TriangleMesh, cell: Node, edge: usize) -> u32 {
         let sheets = if self.by_sheet {
             self.sheets(cell)
@@ -238,8 +242,8 @@ impl Net {
             [0; 12]
         };
         let key = (cell, sheets[edge]);
-        if let Some(&known) = self.vertices.get(&key) {
-            return known;
+        if let Some(&vertex) = self.vertices.get(&key) {
+            return vertex;
         }
         let (mut sum, mut count) = (DVec3::ZERO, 0.0);
         for edge in (0..12).filter(|&edge| sheets[edge] == key.1) {
@@ -247,7 +251,7 @@ impl Net {
             let (here, there) = (self.value(from), self.value(to));
             if (here < 0.0) != (there < 0.0) {
                 let fraction = here / (here - there);
-                sum += self.place(from).lerp(self.place(to), fraction);
+                sum += self.position(from).lerp(self.position(to), fraction);
                 count += 1.0;
             }
         }
@@ -256,8 +260,8 @@ impl Net {
         vertex
     }
 
-    /// For each edge of a cell the first edge that the same sheet of the surface crosses: thin
-    /// walls pass a cell twice (Nielson, *Dual marching cubes*, IEEE Visualization 2004).
+    /// For each edge of a cell, the first edge crossed by the same sheet of the surface; thin walls
+    /// pass a cell twice (Nielson, *Dual marching cubes*, IEEE Visualization 2004).
     fn sheets(&self, cell: Node) -> [usize; 12] {
         let crossed: [bool; 12] = std::array::from_fn(|edge| {
             let [from, to] = edge_ends(cell, edge).map(|end| self.value(end) < 0.0);
@@ -281,9 +285,9 @@ impl Net {
                 if let [one, other] = found[..] {
                     join([one, other]);
                 } else if found.len() == 4 {
-                    // Two corners across are inside: each is cut off by itself.
+                    // Two diagonal corners are inside: each is cut off separately.
                     let corner = if side == 1 {
-                        further(cell, &[axis])
+                        next_node(cell, &[axis])
                     } else {
                         cell
                     };
@@ -297,12 +301,12 @@ impl Net {
     }
 }
 
-/// Ends of an edge of a cell: four edges along each axis, numbered by their places along the next
-/// two axes.
+/// End nodes of an edge of a cell: four edges along each axis, numbered by their positions along the
+/// next two axes.
 fn edge_ends(cell: Node, edge: usize) -> [Node; 2] {
     let axis = edge / 4;
     let mut from = cell;
     from[(axis + 1) % 3] += edge % 2;
     from[(axis + 2) % 3] += edge / 2 % 2;
-    [from, further(from, &[axis])]
+    [from, next_node(from, &[axis])]
 }

@@ -1,5 +1,5 @@
-//! Named procedural meshes: watertight, counter-clockwise seen from outside, body centred in the
-//! origin, z up.
+//! Named procedural meshes: watertight, counter-clockwise seen from outside, centred at the origin,
+//! z up.
 
 mod fine;
 mod hard;
@@ -15,14 +15,14 @@ use gripcast_base::error::{Error, Result, nearest_name};
 #[cfg(test)]
 pub(super) use shapes::uv_sphere;
 
-/// Names that [`builtin`] knows.
+/// Names of the built-in meshes.
 pub const BUILTIN_NAMES: &[&str] = &[
     "box", "sphere", "cylinder", "mug", "wedge", "bar", "spike", "ball", "bottle", "jack", "star",
     "dented", "ring", "saddle", "lump",
 ];
 
-/// A procedural mesh by name, with or without the prefix `builtin:`. Faces are 2 to 4 mm wide, those of
-/// `ball` and `bottle` about 1 mm.
+/// Creates a built-in mesh (m) by name, with or without the prefix `builtin:`. Faces are 2 to 4 mm
+/// wide, those of `ball` and `bottle` about 1 mm.
 ///
 /// | name | shape | triangles |
 /// | --- | --- | --- |
@@ -30,7 +30,7 @@ pub const BUILTIN_NAMES: &[&str] = &[
 /// | `sphere` | radius 25 mm, 36 meridians, 19 rings of faces | 1296 |
 /// | `cylinder` | upright, diameter 50 mm, height 80 mm | 3920 |
 /// | `mug` | diameter 60 mm, height 80 mm, wall 4 mm, handle towards +x to 63 mm from the axis | 8896 |
-/// | `wedge` | 40 mm deep, 50 mm high; 50 mm wide at the bottom, 30 mm at the top: sides tilted by 11.3° | 3312 |
+/// | `wedge` | 40 mm deep, 50 mm high; 50 mm wide at the bottom, 30 mm at the top: sides inclined by 11.3° | 3312 |
 /// | `bar` | 10 × 20 × 120 mm | 2048 |
 /// | `spike` | octahedron, corners at ±20, ±20, ±35 mm | 1152 |
 /// | `ball` | radius 25 mm | 10368 |
@@ -38,14 +38,14 @@ pub const BUILTIN_NAMES: &[&str] = &[
 /// | `jack` | six knobbed arms of different length, 64 to 66 mm across | 7068 |
 /// | `star` | prism over a star of five rounded points, 50 mm across and high, twisted by 50° | 10440 |
 /// | `dented` | ball of 54 mm with seven dents | 10168 |
-/// | `ring` | ring of 61 mm and about 17 mm thick that wobbles in all directions | 7716 |
+/// | `ring` | wavy ring of 61 mm, about 17 mm thick | 7716 |
 /// | `saddle` | round saddle with three legs, 58 mm across, 37 mm high, 11 mm thick | 8580 |
 /// | `lump` | ball with bumps and hollows, 51 × 54 × 61 mm | 9284 |
 ///
 /// The last six are not convex and hard to grasp; their longest edges are below 3 mm.
 ///
 /// # Errors
-/// `NotFound` for another name; the remedy lists the names.
+/// `NotFound` for an unknown name; the remedy lists the names.
 ///
 /// ```
 /// let mug = gripcast_geometry::builtin("builtin:mug")?;
@@ -86,8 +86,8 @@ fn wedge() -> TriangleMesh {
 fn unknown(name: &str) -> Error {
     let nearest = nearest_name(name, BUILTIN_NAMES.iter().copied());
     let hint = nearest.map_or(String::new(), |n| format!("did you mean builtin:{n}? "));
-    Error::not_found(format!("there is no built-in mesh named {name:?}"))
-        .remedy(format!("{hint}known are: {}", BUILTIN_NAMES.join(", ")))
+    Error::not_found(format!("unknown built-in mesh {name:?}"))
+        .remedy(format!("{hint}available: {}", BUILTIN_NAMES.join(", ")))
 }
 
 #[cfg(test)]
@@ -96,13 +96,16 @@ mod tests {
     use crate::{MassProperties, PrepareOptions, convex_hull, prepare};
 
     #[test]
-    fn every_shape_is_watertight_and_faces_outwards() {
+    fn all_shapes_are_watertight_and_face_outwards() {
         for name in BUILTIN_NAMES {
             let mesh = builtin(name).unwrap();
             mesh.validate().unwrap();
             let edges = mesh.edges();
             assert!(edges.is_closed(), "{name}");
-            assert!(MassProperties::of(&mesh).unwrap().volume_m3 > 0.0, "{name}");
+            assert!(
+                MassProperties::from_mesh(&mesh).unwrap().volume_m3 > 0.0,
+                "{name}"
+            );
             let euler =
                 mesh.vertices.len() as i64 - edges.len() as i64 + mesh.triangles.len() as i64;
             let has_hole = ["mug", "ring"].contains(name);
@@ -111,25 +114,22 @@ mod tests {
     }
 
     #[test]
-    fn faces_are_a_few_millimetres_wide_and_no_slivers() {
+    fn faces_are_small_and_not_slivers() {
         for name in BUILTIN_NAMES {
             let mesh = builtin(name).unwrap();
             for (corners, area) in mesh.all_corners().zip(mesh.triangle_areas()) {
                 let [a, b, c] = corners;
                 let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
                 assert!(longest < 0.0065, "{name}: {longest}");
-                // The triangles around the poles of the sphere are narrow by nature.
-                let least = if *name == "sphere" { 0.05 } else { 0.15 };
-                assert!(
-                    2.0 * area > least * longest * longest,
-                    "{name}: {corners:?}"
-                );
+                // The triangles around the poles of the sphere are narrow.
+                let min = if *name == "sphere" { 0.05 } else { 0.15 };
+                assert!(2.0 * area > min * longest * longest, "{name}: {corners:?}");
             }
         }
     }
 
     #[test]
-    fn sizes_are_the_documented_ones() {
+    fn sizes_match_the_documentation() {
         let expected = [
             ("box", [40.0, 40.0, 60.0], 4096),
             ("sphere", [50.0, 50.0, 50.0], 1296),
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn every_shape_can_be_simulated_as_it_is() {
+    fn all_shapes_need_no_repair() {
         for name in BUILTIN_NAMES {
             let prepared = prepare(&builtin(name).unwrap(), &PrepareOptions::default()).unwrap();
             assert!(
@@ -171,8 +171,8 @@ mod tests {
     }
 
     #[test]
-    fn hard_shapes_leave_part_of_their_hull_empty() {
-        for (name, most) in [
+    fn hard_shapes_are_not_convex() {
+        for (name, max_fraction) in [
             ("jack", 0.35),
             ("star", 0.75),
             ("dented", 0.95),
@@ -181,14 +181,17 @@ mod tests {
             ("lump", 0.9),
         ] {
             let mesh = builtin(name).unwrap();
-            let volume = |mesh: &TriangleMesh| MassProperties::of(mesh).unwrap().volume_m3;
+            let volume = |mesh: &TriangleMesh| MassProperties::from_mesh(mesh).unwrap().volume_m3;
             let fraction = volume(&mesh) / volume(&convex_hull(&mesh.vertices).unwrap());
-            assert!((0.1..most).contains(&fraction), "{name}: {fraction}");
+            assert!(
+                (0.1..max_fraction).contains(&fraction),
+                "{name}: {fraction}"
+            );
         }
     }
 
     #[test]
-    fn a_misspelt_name_is_answered_with_the_nearest() {
+    fn misspelt_name_suggests_the_nearest() {
         let text = builtin("builtin:spere").unwrap_err().to_string();
         assert!(
             text.contains("builtin:sphere") && text.contains("wedge"),

@@ -16,17 +16,17 @@ const QUARTER: u32 = 16;
 /// Rings of faces outside and inside.
 const OUTER_ROWS: u32 = 28;
 const INNER_ROWS: u32 = 25;
-/// The handle grows out of a block of faces: columns about the x axis, rows at the top, and the
-/// mirrored rows at the bottom.
+/// Faces replaced by the handle: columns about the x axis, rows at the top, and the mirrored rows at
+/// the bottom.
 const HANDLE_COLUMNS: (usize, usize) = (6, 10);
 const HANDLE_ROWS: (usize, usize) = (20, 24);
-/// Half width (along y) and half thickness of the round middle of the handle.
+/// Half width (along y) and half thickness of the round middle of the handle, m.
 const HANDLE_HALF_M: (f64, f64) = (0.0050, 0.0042);
-/// Where the straight ends of the handle meet its half circle.
+/// x where the straight ends of the handle meet its half circle, m.
 const HANDLE_BEND_X_M: f64 = 0.036;
 const HANDLE_CUTS: u32 = 24;
 
-/// Upright mug, body centred in the origin, opening upwards (+z), handle towards +x.
+/// Upright mug, body centred at the origin, opening upwards (+z), handle towards +x.
 pub(super) fn mug() -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
     let half = 0.5 * HEIGHT_M;
@@ -58,7 +58,7 @@ pub(super) fn mug() -> TriangleMesh {
     mesh.without_unused_vertices()
 }
 
-/// The outside of the body without the faces that the handle replaces.
+/// Outside of the body without the faces that the handle replaces.
 fn wall_with_openings(mesh: &mut TriangleMesh, rings: &[Vec<u32>]) {
     let last_row = rings.len() - 1;
     for row in 0..last_row {
@@ -76,8 +76,8 @@ fn wall_with_openings(mesh: &mut TriangleMesh, rings: &[Vec<u32>]) {
     }
 }
 
-/// Border of the opening as steps (column, row) from its lower left corner, counter-clockwise
-/// seen from outside.
+/// Boundary of an opening as (column, row) steps from its lower left corner, counter-clockwise seen
+/// from outside.
 fn opening_border() -> Vec<(usize, usize)> {
     let columns = HANDLE_COLUMNS.1 - HANDLE_COLUMNS.0;
     let rows = HANDLE_ROWS.1 - HANDLE_ROWS.0;
@@ -110,7 +110,7 @@ fn handle(mesh: &mut TriangleMesh, rings: &[Vec<u32>]) {
     let count = stations.len();
     let mut previous = start;
     for (index, (center, normal)) in stations.into_iter().enumerate() {
-        // From the square opening to the round middle within four rings.
+        // Transition from the square opening to the round middle within four rings.
         let from_end = (index + 1).min(count - index);
         let round = (from_end as f64 / 4.0).min(1.0);
         let mix = |square: f64, middle: f64| square + (middle - square) * round;
@@ -130,7 +130,7 @@ fn handle(mesh: &mut TriangleMesh, rings: &[Vec<u32>]) {
     band(mesh, &previous, &end);
 }
 
-/// Centres of the tube's rings and the direction in the plane y = 0 that began as +z.
+/// Centres and normals (in the plane y = 0, initially +z) of the rings of the tube.
 fn handle_stations(bend_radius: f64) -> Vec<(DVec3, DVec3)> {
     let mut stations = Vec::new();
     let straight_x = 0.5 * (OUTER_RADIUS_M + HANDLE_BEND_X_M);
@@ -144,7 +144,7 @@ fn handle_stations(bend_radius: f64) -> Vec<(DVec3, DVec3)> {
     stations
 }
 
-/// Position of a border step in [−1, 1]², bent from the square (`round` 0) to the circle (1).
+/// Position of a boundary step in [−1, 1]², from the square (`round` = 0) to the circle (1).
 fn rounded((column, row): (usize, usize), round: f64) -> (f64, f64) {
     let columns = (HANDLE_COLUMNS.1 - HANDLE_COLUMNS.0) as f64;
     let rows = (HANDLE_ROWS.1 - HANDLE_ROWS.0) as f64;

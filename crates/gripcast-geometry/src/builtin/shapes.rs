@@ -1,4 +1,4 @@
-//! Boxes, spheres, cylinders, octahedra, and the rings and discs that they are made of.
+//! Boxes, spheres, cylinders, octahedra, and their rings and discs.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_4, PI, TAU};
@@ -7,21 +7,21 @@ use glam::{DVec2, DVec3};
 
 use crate::mesh::TriangleMesh;
 
-/// Box of the given size (m), its faces cut into cells and each cell into two triangles.
+/// Box of a size (m); faces are divided into cells of two triangles.
 pub(super) fn grid_box(size: DVec3, cells: [u32; 3]) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
-    let mut known = BTreeMap::new();
+    let mut indices = BTreeMap::new();
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
         for end in [0, cells[axis]] {
             for i in 0..cells[u] {
                 for j in 0..cells[v] {
                     let mut quad = [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(di, dj)| {
-                        let mut at = [0; 3];
-                        (at[axis], at[u], at[v]) = (end, i + di, j + dj);
-                        *known.entry(at).or_insert_with(|| {
-                            let part = |k: usize| f64::from(at[k]) / f64::from(cells[k]) - 0.5;
-                            push(&mut mesh, DVec3::new(part(0), part(1), part(2)) * size)
+                        let mut node = [0; 3];
+                        (node[axis], node[u], node[v]) = (end, i + di, j + dj);
+                        *indices.entry(node).or_insert_with(|| {
+                            let unit = |k: usize| f64::from(node[k]) / f64::from(cells[k]) - 0.5;
+                            push(&mut mesh, DVec3::new(unit(0), unit(1), unit(2)) * size)
                         })
                     });
                     if end == 0 {
@@ -76,19 +76,19 @@ pub(super) fn cylinder(radius: f64, height: f64, quarter: u32, rows: u32) -> Tri
     mesh
 }
 
-/// Octahedron with corners at ± the given half axes (m), each side cut into `cuts` parts.
+/// Octahedron with corners at ± the half axes (m); each side is divided into `cuts` parts.
 pub(super) fn octahedron(half: DVec3, cuts: u32) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
-    let mut known = BTreeMap::new();
+    let mut indices = BTreeMap::new();
     for octant in 0..8u32 {
         let sign = [0, 1, 2].map(|axis| if octant >> axis & 1 == 0 { 1 } else { -1 });
         let mirrored = sign.iter().product::<i32>() < 0;
-        // Corner of the lattice with i parts towards x, j towards y and the rest towards z.
+        // Lattice node with i steps towards x, j towards y and the rest towards z.
         let mut at = |i: u32, j: u32| {
-            let parts = [i, j, cuts - i - j].map(|n| n as i32);
-            let place = [0, 1, 2].map(|axis| sign[axis] * parts[axis]);
-            *known.entry(place).or_insert_with(|| {
-                let unit = DVec3::from_array(place.map(|n| f64::from(n) / f64::from(cuts)));
+            let steps = [i, j, cuts - i - j].map(|n| n as i32);
+            let node = [0, 1, 2].map(|axis| sign[axis] * steps[axis]);
+            *indices.entry(node).or_insert_with(|| {
+                let unit = DVec3::from_array(node.map(|n| f64::from(n) / f64::from(cuts)));
                 push(&mut mesh, unit * half)
             })
         };
@@ -115,8 +115,8 @@ pub(super) fn push(mesh: &mut TriangleMesh, vertex: DVec3) -> u32 {
     mesh.vertices.len() as u32 - 1
 }
 
-/// Two triangles of a quadrilateral whose corners run counter-clockwise, cut from its first to
-/// its third corner.
+/// Appends two triangles of a counter-clockwise quadrilateral, split from its first to its third
+/// corner.
 pub(super) fn push_quad(mesh: &mut TriangleMesh, [a, b, c, d]: [u32; 4]) {
     mesh.triangles.push([a, b, c]);
     mesh.triangles.push([a, c, d]);
@@ -137,8 +137,8 @@ pub(super) fn square_ring(mesh: &mut TriangleMesh, quarter: u32, radius: f64, z:
     ring(mesh, 4 * quarter, -FRAC_PI_4, radius, z)
 }
 
-/// Faces between two rings; they face outwards if the rings run counter-clockwise seen from the
-/// side of `upper`.
+/// Appends the faces between two rings; they face outwards if the rings run counter-clockwise seen
+/// from the side of `upper`.
 pub(super) fn band(mesh: &mut TriangleMesh, lower: &[u32], upper: &[u32]) {
     for s in 0..lower.len() {
         let next = (s + 1) % lower.len();
@@ -146,8 +146,8 @@ pub(super) fn band(mesh: &mut TriangleMesh, lower: &[u32], upper: &[u32]) {
     }
 }
 
-/// Fills a [`square_ring`] with a square grid bent into a disc, facing up or down.
-/// (Concentric map of Shirley and Chiu, J. Graphics Tools 1997: no slivers in the middle.)
+/// Fills a [`square_ring`] with a square grid mapped to a disc, facing up or down (concentric map of
+/// Shirley and Chiu, J. Graphics Tools 1997: no slivers in the middle).
 pub(super) fn disc(mesh: &mut TriangleMesh, border: &[u32], up: bool) {
     let n = border.len() / 4;
     let rim = mesh.vertices[border[0] as usize];
@@ -155,11 +155,11 @@ pub(super) fn disc(mesh: &mut TriangleMesh, border: &[u32], up: bool) {
     let mut grid = vec![0; (n + 1) * (n + 1)];
     for i in 0..=n {
         for j in 0..=n {
-            grid[i * (n + 1) + j] = match border_position(i, j, n) {
+            grid[i * (n + 1) + j] = match ring_index(i, j, n) {
                 Some(s) => border[s],
                 None => {
-                    let part = |k: usize| 2.0 * k as f64 / n as f64 - 1.0;
-                    let p = concentric(part(i), part(j)) * radius;
+                    let unit = |k: usize| 2.0 * k as f64 / n as f64 - 1.0;
+                    let p = concentric(unit(i), unit(j)) * radius;
                     push(mesh, p.extend(z))
                 }
             };
@@ -169,7 +169,7 @@ pub(super) fn disc(mesh: &mut TriangleMesh, border: &[u32], up: bool) {
         for j in 0..n {
             let at = |di: usize, dj: usize| grid[(i + di) * (n + 1) + j + dj];
             let mut quad = [at(0, 0), at(1, 0), at(1, 1), at(0, 1)];
-            // Cut towards the centre, or the corners of the square become slivers.
+            // Split towards the centre to avoid slivers at the corners of the square.
             if (2 * i + 1 > n) != (2 * j + 1 > n) {
                 quad.rotate_left(1);
             }
@@ -182,8 +182,8 @@ pub(super) fn disc(mesh: &mut TriangleMesh, border: &[u32], up: bool) {
     }
 }
 
-/// Number of a grid vertex within the ring around the grid, if it lies on the border.
-fn border_position(i: usize, j: usize, n: usize) -> Option<usize> {
+/// Index in the ring of a grid vertex on the boundary.
+fn ring_index(i: usize, j: usize, n: usize) -> Option<usize> {
     match (i, j) {
         (i, j) if i == n && j < n => Some(j),
         (i, j) if j == n && i > 0 => Some(n + (n - i)),
@@ -193,7 +193,7 @@ fn border_position(i: usize, j: usize, n: usize) -> Option<usize> {
     }
 }
 
-/// Point of the unit disc for a point of the square [−1, 1]².
+/// Maps the square [−1, 1]² to the unit disc.
 fn concentric(a: f64, b: f64) -> DVec2 {
     if a == 0.0 && b == 0.0 {
         return DVec2::ZERO;

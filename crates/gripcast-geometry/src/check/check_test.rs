@@ -4,18 +4,18 @@ use gripcast_base::error::ErrorKind;
 use gripcast_testing::shared;
 use proptest::prelude::*;
 
-fn run(mesh: &TriangleMesh) -> Result<Prepared> {
+fn run(mesh: &TriangleMesh) -> Result<PreparedMesh> {
     prepare(mesh, &PrepareOptions::default())
 }
 
-fn refused(mesh: &TriangleMesh) -> String {
+fn error_text(mesh: &TriangleMesh) -> String {
     let error = run(mesh).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input);
     assert!(error.remedy_text().is_some(), "{error}");
     error.to_string()
 }
 
-fn only_warning(prepared: &Prepared) -> &str {
+fn only_warning(prepared: &PreparedMesh) -> &str {
     assert_eq!(prepared.warnings.len(), 1, "{:?}", prepared.warnings);
     &prepared.warnings[0]
 }
@@ -33,7 +33,7 @@ fn tetrahedron() -> TriangleMesh {
     .scaled(0.02)
 }
 
-/// Copy mirrored in the plane x = 0 or another, facing outwards.
+/// Copy scaled per axis, facing outwards also if mirrored.
 fn mirrored(mesh: &TriangleMesh, factor: DVec3) -> TriangleMesh {
     let mut copy = mesh.clone();
     copy.vertices.iter_mut().for_each(|v| *v *= factor);
@@ -44,11 +44,11 @@ fn mirrored(mesh: &TriangleMesh, factor: DVec3) -> TriangleMesh {
 }
 
 fn volume(mesh: &TriangleMesh) -> f64 {
-    MassProperties::of(mesh).unwrap().volume_m3
+    MassProperties::from_mesh(mesh).unwrap().volume_m3
 }
 
 #[test]
-fn sound_meshes_pass_unchanged() {
+fn valid_meshes_are_unchanged() {
     for name in BUILTIN_NAMES {
         let mesh = builtin(name).unwrap();
         let prepared = run(&mesh).unwrap();
@@ -62,26 +62,26 @@ fn sound_meshes_pass_unchanged() {
 }
 
 #[test]
-fn broken_meshes_are_refused_before_anything_else() {
+fn invalid_meshes_are_rejected() {
     let mut mesh = tetrahedron();
     mesh.vertices[2].x = f64::INFINITY;
-    assert!(refused(&mesh).contains("finite"));
+    assert!(error_text(&mesh).contains("finite"));
     let mut mesh = tetrahedron();
     mesh.triangles[0][0] = 4;
-    assert!(refused(&mesh).contains("only 4"));
-    assert!(refused(&TriangleMesh::default()).contains("no triangles"));
+    assert!(error_text(&mesh).contains("only 4"));
+    assert!(error_text(&TriangleMesh::default()).contains("no triangles"));
 }
 
 #[test]
-fn unlikely_sizes_name_the_likely_unit() {
+fn implausible_sizes_suggest_the_unit() {
     let mesh = builtin("box").unwrap();
-    let text = refused(&mesh.scaled(1e3));
+    let text = error_text(&mesh.scaled(1e3));
     assert!(
         text.contains("60000 mm long") && text.contains("pass --unit mm"),
         "{text}"
     );
     assert!(text.contains("1000 mm"), "{text}");
-    let text = refused(&mesh.scaled(1e-3));
+    let text = error_text(&mesh.scaled(1e-3));
     assert!(text.contains("pass --unit m,"), "{text}");
 }
 
@@ -114,7 +114,7 @@ fn duplicates_and_fins_are_dropped() {
 }
 
 #[test]
-fn solids_that_share_an_edge_are_parted() {
+fn solids_sharing_an_edge_are_separated() {
     // Corner tetrahedra opposite at the z axis, with a common edge along it.
     let mesh = tetrahedron().joined(&mirrored(&tetrahedron(), DVec3::new(-1.0, -1.0, 1.0)));
     let prepared = run(&mesh).unwrap();
@@ -125,31 +125,31 @@ fn solids_that_share_an_edge_are_parted() {
 }
 
 #[test]
-fn solids_that_share_a_vertex_are_parted() {
+fn solids_sharing_a_vertex_are_separated() {
     let mesh = tetrahedron().joined(&mirrored(&tetrahedron(), DVec3::NEG_ONE));
     let prepared = run(&mesh).unwrap();
-    assert!(only_warning(&prepared).contains("doubled 1 vertices"));
+    assert!(only_warning(&prepared).contains("duplicated 1 vertices"));
     assert_eq!(prepared.mesh.vertices.len(), 8);
 }
 
-/// A block of unit cells (10 mm) given by their lattice places, with the outer faces only.
-fn cells(places: &[[i32; 3]]) -> TriangleMesh {
+/// Outer faces of a block of unit cells (10 mm) at lattice positions.
+fn cells(positions: &[[i32; 3]]) -> TriangleMesh {
     let mut mesh = TriangleMesh::default();
-    for place in places {
+    for position in positions {
         for axis in 0..3 {
             for step in [-1, 1] {
-                let mut beside = *place;
-                beside[axis] += step;
-                if places.contains(&beside) {
+                let mut neighbour = *position;
+                neighbour[axis] += step;
+                if positions.contains(&neighbour) {
                     continue;
                 }
                 let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
                 let corner = |du: i32, dv: i32| {
-                    let mut at = *place;
-                    at[axis] += i32::from(step > 0);
-                    at[u] += du;
-                    at[v] += dv;
-                    DVec3::from_array(at.map(f64::from)) * 0.01
+                    let mut node = *position;
+                    node[axis] += i32::from(step > 0);
+                    node[u] += du;
+                    node[v] += dv;
+                    DVec3::from_array(node.map(f64::from)) * 0.01
                 };
                 let first = mesh.vertices.len() as u32;
                 mesh.vertices
@@ -168,7 +168,7 @@ fn cells(places: &[[i32; 3]]) -> TriangleMesh {
 }
 
 #[test]
-fn a_ring_that_closes_on_an_edge_is_parted() {
+fn ring_closed_at_an_edge_is_separated() {
     // A ring of cells whose ends share an edge but no face: one component on both sides.
     let mesh = cells(&[
         [0, 0, 0],
@@ -191,7 +191,7 @@ fn a_ring_that_closes_on_an_edge_is_parted() {
 }
 
 #[test]
-fn an_edge_whose_ends_hang_together_gets_a_middle() {
+fn edge_with_connected_ends_gets_a_middle_vertex() {
     // Two cells share an edge; bridges around both of its ends join the fans there.
     let mesh = cells(&[
         [0, 0, 1],
@@ -217,7 +217,7 @@ fn an_edge_whose_ends_hang_together_gets_a_middle() {
 }
 
 #[test]
-fn inner_walls_are_refused() {
+fn inner_walls_are_rejected() {
     // Three triangles at an edge: a wall through the solid.
     let mut mesh = cells(&[[0, 0, 0], [1, 0, 0]]);
     let wall = [[1, 0, 0], [1, 1, 0], [1, 1, 1], [1, 0, 1]];
@@ -226,7 +226,7 @@ fn inner_walls_are_refused() {
         .extend(wall.map(|p: [i32; 3]| DVec3::from_array(p.map(f64::from)) * 0.01));
     mesh.triangles
         .extend([[first, first + 1, first + 2], [first, first + 2, first + 3]]);
-    let text = refused(&mesh);
+    let text = error_text(&mesh);
     assert!(
         text.contains("two triangles, found 3 near (10.00,"),
         "{text}"
@@ -241,7 +241,7 @@ fn winding_is_repaired() {
         triangle.swap(0, 1);
     }
     let prepared = run(&mixed).unwrap();
-    assert!(only_warning(&prepared).contains("turned 663 triangle(s)"));
+    assert!(only_warning(&prepared).contains("flipped 663 triangle(s)"));
     assert!((volume(&prepared.mesh) - volume(&mesh)).abs() < 1e-18);
 
     let mut inside_out = mesh.clone();
@@ -252,7 +252,7 @@ fn winding_is_repaired() {
 }
 
 #[test]
-fn components_and_cavities() {
+fn components_and_cavities_are_accepted() {
     let outer = builtin("sphere").unwrap();
     let apart = outer.joined(&moved(&outer, DVec3::X * 0.06));
     assert!(run(&apart).unwrap().warnings.is_empty());
@@ -266,17 +266,17 @@ fn components_and_cavities() {
 
     let mut open = apart.clone();
     open.triangles.pop();
-    assert!(refused(&open).contains("3 boundary edges"));
+    assert!(error_text(&open).contains("3 boundary edges"));
 }
 
 #[test]
-fn holes_are_counted_and_placed() {
+fn holes_are_counted_with_their_position() {
     let mut mesh = builtin("box").unwrap();
     let at_top = |c: [DVec3; 3]| c.iter().all(|v| v.z > 0.0299 && v.x > 0.0 && v.y > 0.0);
     let kept = |t: &[u32; 3]| !at_top(mesh.corners(*t));
     mesh.triangles = mesh.triangles.iter().copied().filter(kept).collect();
     mesh.triangles.remove(0);
-    let text = refused(&mesh);
+    let text = error_text(&mesh);
     assert!(text.contains("31 boundary edges in 2 hole(s)"), "{text}");
     assert!(
         text.contains("17.5 mm wide around (11.25, 11.25, 30.00) mm"),
@@ -285,7 +285,7 @@ fn holes_are_counted_and_placed() {
 }
 
 #[test]
-fn a_klein_bottle_is_refused() {
+fn a_klein_bottle_is_rejected() {
     // A torus grid glued with a mirrored seam (embedded with a crossing, as it must be).
     let (n, m) = (24u32, 12u32);
     let at = |i: u32, j: u32| {
@@ -310,12 +310,12 @@ fn a_klein_bottle_is_refused() {
                 .extend([[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]);
         }
     }
-    let text = refused(&mesh);
+    let text = error_text(&mesh);
     assert!(text.contains("one-sided"), "{text}");
 }
 
 #[test]
-fn flat_bodies_are_refused() {
+fn flat_bodies_are_rejected() {
     let mesh = builtin("bar").unwrap();
     let flat = mirrored(&mesh, DVec3::new(1e-7, 1.0, 1.0));
     let options = PrepareOptions {
@@ -327,7 +327,7 @@ fn flat_bodies_are_refused() {
 }
 
 #[test]
-fn slivers_are_flipped_away() {
+fn slivers_are_removed_by_flips() {
     // A tetrahedron with an extra vertex on an edge and a triangle without area beside it.
     let mut mesh = tetrahedron();
     let middle = 0.5 * (mesh.vertices[1] + mesh.vertices[2]);
@@ -343,11 +343,11 @@ fn slivers_are_flipped_away() {
 }
 
 #[test]
-fn crossing_surfaces_are_refused_and_touching_ones_are_not() {
+fn intersecting_surfaces_are_rejected_touching_ones_not() {
     let cube = builtin("box").unwrap();
     let overlapping = cube.joined(&moved(&cube, DVec3::new(0.011, 0.007, 0.013)));
-    let text = refused(&overlapping);
-    assert!(text.contains("passes through itself"), "{text}");
+    let text = error_text(&overlapping);
+    assert!(text.contains("intersects itself"), "{text}");
     let allowed = PrepareOptions {
         allow_self_intersection: true,
         ..PrepareOptions::default()
@@ -355,55 +355,55 @@ fn crossing_surfaces_are_refused_and_touching_ones_are_not() {
     let prepared = prepare(&overlapping, &allowed).unwrap();
     assert!(only_warning(&prepared).contains("pair(s) of triangles"));
 
-    // On the same lattice, so that sides pass through sides and corners.
+    // On the same lattice, so that sides intersect sides and corners.
     let lattice = cube.joined(&moved(&cube, DVec3::new(0.01, 0.01, 0.01)));
     assert!(run(&lattice).is_err());
-    // Beside one another with a gap, and one through the other without any corner inside.
+    // Side by side with a gap, and one through the other without any corner inside.
     assert!(run(&cube.joined(&moved(&cube, DVec3::X * 0.0401))).is_ok());
     let needle = mirrored(&builtin("bar").unwrap(), DVec3::new(0.9, 0.45, 1.03));
-    assert!(refused(&cube.joined(&needle)).contains("passes through itself"));
+    assert!(error_text(&cube.joined(&needle)).contains("intersects itself"));
 }
 
 #[test]
-fn shallow_crossings_are_tolerated_with_a_warning() {
+fn shallow_intersections_are_warnings() {
     let spike = builtin("spike").unwrap();
-    // The tip of one body just through the side of another.
+    // The tip of one body just pierces the side of another.
     let cube = builtin("box").unwrap();
-    let pricked = |depth: f64| {
-        let at = DVec3::new(1e-4, 2e-4, 0.03 + 0.035 - depth);
-        run(&cube.joined(&moved(&spike, at)))
+    let pierced = |depth: f64| {
+        let position = DVec3::new(1e-4, 2e-4, 0.03 + 0.035 - depth);
+        run(&cube.joined(&moved(&spike, position)))
     };
-    let prepared = pricked(5e-7).unwrap();
-    assert!(only_warning(&prepared).contains("cross by less than 0.001 mm"));
-    assert!(pricked(5e-6).is_err());
+    let prepared = pierced(5e-7).unwrap();
+    assert!(only_warning(&prepared).contains("intersect by less than 0.001 mm"));
+    assert!(pierced(5e-6).is_err());
 }
 
 #[test]
-fn the_place_of_a_crossing_lies_on_the_surface() {
+fn reported_position_lies_on_the_surface() {
     let mesh = builtin("sphere").unwrap();
     let both = mesh.joined(&moved(&mesh, DVec3::X * 0.03));
     let found = self_intersection::find(&both, 0.0);
-    let place = found.first_place.unwrap();
-    assert!((place.x - 0.015).abs() < 1e-3, "{place}");
+    let position = found.first_position.unwrap();
+    assert!((position.x - 0.015).abs() < 1e-3, "{position}");
     let query = MeshQuery::new(&mesh);
-    assert!(query.closest_point(place).unwrap().distance_m < 1e-12);
+    assert!(query.closest_point(position).unwrap().distance_m < 1e-12);
     assert!(found.pairs > 50 && found.pairs < 1000, "{}", found.pairs);
 }
 
 #[test]
-fn a_fold_is_a_crossing_and_a_flat_neighbour_is_not() {
+fn fold_is_an_intersection_flat_neighbour_is_not() {
     let pair = |far: DVec3| TriangleMesh {
         vertices: vec![DVec3::ZERO, DVec3::X, DVec3::new(0.3, 0.5, 0.0), far],
         triangles: vec![[0, 1, 2], [1, 0, 3]],
     };
-    let crossings = |far| self_intersection::find(&pair(far), 0.0).pairs;
-    assert_eq!(crossings(DVec3::new(0.5, 0.4, 0.0)), 1);
-    assert_eq!(crossings(DVec3::new(0.5, -0.4, 0.0)), 0);
-    assert_eq!(crossings(DVec3::new(0.5, 0.4, 1e-9)), 0);
+    let intersections = |far| self_intersection::find(&pair(far), 0.0).pairs;
+    assert_eq!(intersections(DVec3::new(0.5, 0.4, 0.0)), 1);
+    assert_eq!(intersections(DVec3::new(0.5, -0.4, 0.0)), 0);
+    assert_eq!(intersections(DVec3::new(0.5, 0.4, 1e-9)), 0);
 }
 
 #[test]
-fn egad_meshes_can_be_used() {
+fn egad_meshes_are_prepared() {
     let Some(folder) = shared("data/egad_eval") else {
         return;
     };
@@ -415,16 +415,21 @@ fn egad_meshes_can_be_used() {
     ] {
         let path = folder.join(format!("{name}.obj"));
         let unscaled = load_mesh(&path, LengthUnit::Metre).unwrap();
-        assert!(refused(&unscaled).contains("--unit mm"), "{name}");
+        assert!(error_text(&unscaled).contains("--unit mm"), "{name}");
         let mesh = load_mesh(&path, LengthUnit::Millimetre).unwrap();
         let prepared = run(&mesh).unwrap_or_else(|e| panic!("{name}: {e}"));
         let volume_cm3 = volume(&prepared.mesh) * 1e6;
         println!("{name}: {volume_cm3:.1} cm3, {:?}", prepared.warnings);
-        let told = prepared
+        let has_warning = prepared
             .warnings
             .iter()
             .any(|w| warning.is_some_and(|t| w.contains(t)));
-        assert_eq!(told, warning.is_some(), "{name}: {:?}", prepared.warnings);
+        assert_eq!(
+            has_warning,
+            warning.is_some(),
+            "{name}: {:?}",
+            prepared.warnings
+        );
         assert!(prepared.mesh.edges().is_closed());
     }
 }
@@ -432,22 +437,22 @@ fn egad_meshes_can_be_used() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Cells of a lattice touch at edges and corners and leave cavities in all possible ways.
+    /// Lattice cells touch at edges and corners and enclose cavities in all possible ways.
     #[test]
-    fn every_body_of_cells_is_made_manifold(
+    fn bodies_of_cells_become_manifold(
         filled in prop::collection::btree_set([0..4i32, 0..4, 0..4], 1..40)
     ) {
-        let places: Vec<[i32; 3]> = filled.into_iter().collect();
-        let prepared = run(&cells(&places)).unwrap();
+        let positions: Vec<[i32; 3]> = filled.into_iter().collect();
+        let prepared = run(&cells(&positions)).unwrap();
         let found = volume(&prepared.mesh);
-        prop_assert!((found - 1e-6 * places.len() as f64).abs() < 1e-14, "{found}");
+        prop_assert!((found - 1e-6 * positions.len() as f64).abs() < 1e-14, "{found}");
         prop_assert!(prepared.mesh.edges().is_closed());
         let again = run(&prepared.mesh).unwrap();
         prop_assert!((volume(&again.mesh) - found).abs() < 1e-14);
     }
 
     #[test]
-    fn soups_of_triangles_never_panic(
+    fn triangle_soups_never_panic(
         corners in prop::collection::vec([0..3i32, 0..3, 0..3], 4..12),
         triangles in prop::collection::vec([0..4u32, 0..4, 0..4], 1..24),
     ) {

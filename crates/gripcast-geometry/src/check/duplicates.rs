@@ -1,10 +1,10 @@
-//! Triangles that bound nothing.
+//! Removes degenerate and duplicate triangles.
 
 use std::collections::BTreeMap;
 
 use crate::mesh::TriangleMesh;
 
-/// Drops triangles with a repeated corner, and the vertices that only they used.
+/// Drops triangles with a repeated corner and their unused vertices.
 pub(super) fn drop_degenerate(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     let before = mesh.triangles.len();
     mesh.triangles
@@ -13,13 +13,13 @@ pub(super) fn drop_degenerate(mesh: &mut TriangleMesh, warnings: &mut Vec<String
     if dropped > 0 {
         *mesh = mesh.without_unused_vertices();
         warnings.push(format!(
-            "dropped {dropped} degenerate triangle(s) with two corners in one place"
+            "dropped {dropped} degenerate triangle(s) with coincident corners"
         ));
     }
 }
 
-/// Drops triangles over the same three vertices: all but one where the surface would be open
-/// without it, else all of them, for they enclose nothing.
+/// Drops triangles with the same three vertices: all but one if the surface would be open without
+/// it, else all of them, which enclose nothing.
 pub(super) fn drop_duplicates(mesh: &mut TriangleMesh, warnings: &mut Vec<String>) {
     let mut groups: BTreeMap<[u32; 3], Vec<usize>> = BTreeMap::new();
     for (index, triangle) in mesh.triangles.iter().enumerate() {
@@ -48,6 +48,6 @@ pub(super) fn drop_duplicates(mesh: &mut TriangleMesh, warnings: &mut Vec<String
     *mesh = mesh.without_unused_vertices();
     let dropped = drop.iter().filter(|d| **d).count();
     warnings.push(format!(
-        "dropped {dropped} duplicate triangle(s) over the same corners as another"
+        "dropped {dropped} duplicate triangle(s) with the same corners as another"
     ));
 }

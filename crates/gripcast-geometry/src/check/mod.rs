@@ -1,7 +1,8 @@
-//! Makes a mesh fit for simulation, or says why it is not.
+//! Checks and repairs meshes for simulation.
 //!
-//! A simulated object must be closed, face outwards and not pass through itself. What can be
-//! repaired without changing the shape is repaired with a warning; the rest is refused with its place.
+//! A simulated object must be closed, face outwards and not intersect itself. Defects that can be
+//! repaired without changing the shape are repaired with a warning; others are errors with their
+//! position.
 
 mod duplicates;
 mod manifold;
@@ -12,23 +13,24 @@ mod winding;
 use glam::DVec3;
 
 use super::mesh::{MeshEdges, TriangleMesh};
-use super::weld::{root, weld};
+use super::mesh_file::REEXPORT;
+use super::weld::{join, root, weld};
 use gripcast_base::error::{Error, Result};
 
-/// What [`prepare`] accepts.
+/// Limits and tolerances of [`prepare`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PrepareOptions {
-    /// Vertices up to this far apart become one, m. Default 0.1 µm: below what any scan or print
-    /// resolves, above the rounding of coordinates in single precision.
+    /// Distance up to which vertices are merged, m. Default 0.1 µm: below the resolution of scans and
+    /// prints, above the rounding of single-precision coordinates.
     pub weld_tolerance_m: f64,
-    /// Longest side of the bounding box that is accepted, m. Default 1 m.
+    /// Maximum side of the bounding box, m. Default 1 m.
     pub max_extent_m: f64,
-    /// Longest side of the bounding box below which a mesh is refused, m. Default 2 mm.
+    /// Minimum longest side of the bounding box, m. Default 2 mm.
     pub min_extent_m: f64,
-    /// Depth up to which the surface may pass through itself, m. Default 1 µm: slivers of
-    /// exported meshes do so, and nothing is felt of it.
+    /// Depth up to which self-intersections are tolerated, m. Default 1 µm: slivers of exported
+    /// meshes cause such intersections, without effect.
     pub crossing_tolerance_m: f64,
-    /// Whether a surface that passes through itself is only warned about. Default false.
+    /// Whether a deeper self-intersection is a warning instead of an error. Default false.
     pub allow_self_intersection: bool,
 }
 
@@ -44,26 +46,25 @@ impl Default for PrepareOptions {
     }
 }
 
-/// A mesh that can be simulated.
+/// A mesh fit for simulation.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Prepared {
-    /// Closed, each edge with two triangles, counter-clockwise seen from outside; cavities face
-    /// inwards. Several vertices may lie in one place where the surface touches itself.
+pub struct PreparedMesh {
+    /// Closed, with two triangles at each edge, counter-clockwise seen from outside; cavities face
+    /// inwards. Vertices may coincide where the surface touches itself.
     pub mesh: TriangleMesh,
-    /// What was repaired, one sentence each, for the user to read.
+    /// Repairs, one sentence each, for the user.
     pub warnings: Vec<String>,
 }
 
-/// Checks a mesh (m) and repairs what can be repaired without changing its shape:
-/// vertices in one place are welded; degenerate and duplicate triangles are dropped; flat ones
-/// are flipped away; edges with four or more triangles and vertices where the surface touches
-/// itself are split; the winding is made to face outwards.
+/// Checks a mesh (m) and repairs defects that do not affect its shape: welds coincident vertices,
+/// drops degenerate and duplicate triangles, removes slivers by edge flips, splits non-manifold edges
+/// and vertices, and orients all triangles outwards.
 ///
 /// Several components are accepted if each is closed; one inside another is a cavity.
 ///
 /// # Errors
-/// `Input`, with place and remedy, for a mesh that is broken, of unlikely size, open,
-/// non-orientable, without volume, or that passes through itself.
+/// `Input`, with position and remedy, for a mesh that is invalid, of implausible size, open,
+/// non-orientable, without volume, or self-intersecting.
 ///
 /// ```
 /// use gripcast_geometry::{PrepareOptions, builtin, prepare};
@@ -71,28 +72,27 @@ pub struct Prepared {
 /// assert!(prepared.warnings.is_empty());
 /// # Ok::<(), gripcast_base::error::Error>(())
 /// ```
-pub fn prepare(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<Prepared> {
-    mesh.validate()
-        .map_err(|e| e.remedy("check that the file was copied whole, or export the mesh again"))?;
+pub fn prepare(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<PreparedMesh> {
+    mesh.validate().map_err(|e| e.remedy(REEXPORT))?;
     check_size(mesh, options)?;
     let mut warnings = Vec::new();
     let mut mesh = weld(mesh, options.weld_tolerance_m);
     duplicates::drop_degenerate(&mut mesh, &mut warnings);
     duplicates::drop_duplicates(&mut mesh, &mut warnings);
-    refuse_open(&mesh)?;
+    require_closed(&mesh)?;
     let mut mesh = manifold::split(&mesh, &mut warnings)?;
-    winding::face_outwards(&mut mesh, &mut warnings)?;
-    slivers::flip_away(&mut mesh, options.weld_tolerance_m, &mut warnings)?;
-    refuse_self_intersection(&mesh, options, &mut warnings)?;
-    Ok(Prepared { mesh, warnings })
+    winding::orient_outwards(&mut mesh, &mut warnings)?;
+    slivers::remove(&mut mesh, options.weld_tolerance_m, &mut warnings)?;
+    check_self_intersection(&mesh, options, &mut warnings)?;
+    Ok(PreparedMesh { mesh, warnings })
 }
 
-/// Refuses sizes that no gripper meets; they are mostly a matter of units.
+/// Rejects sizes that no gripper can grasp, mostly due to a wrong unit.
 fn check_size(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<()> {
     let extent = mesh.bounds().extent().max_element();
     let refuse = |what: &str, limit: f64, remedy: String| {
         let what = format!(
-            "the mesh is {} mm long, {what} than the {} mm that are accepted",
+            "the mesh is {} mm long, {what} than the limit of {} mm",
             millimetres(extent),
             millimetres(limit)
         );
@@ -114,22 +114,22 @@ fn check_size(mesh: &TriangleMesh, options: &PrepareOptions) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a mesh with edges that only one triangle has.
-fn refuse_open(mesh: &TriangleMesh) -> Result<()> {
+/// Rejects a mesh with boundary edges.
+fn require_closed(mesh: &TriangleMesh) -> Result<()> {
     let edges = mesh.edges();
-    let border: Vec<usize> = (0..edges.len())
+    let boundary: Vec<usize> = (0..edges.len())
         .filter(|&edge| edges.triangles(edge).len() == 1)
         .collect();
     if mesh.triangles.is_empty() {
         return Err(
-            Error::input("the mesh has no triangles but degenerate and duplicate ones")
+            Error::input("the mesh has only degenerate and duplicate triangles")
                 .remedy("export the mesh again as a solid body"),
         );
     }
-    if border.is_empty() {
+    if boundary.is_empty() {
         return Ok(());
     }
-    let holes = holes(&edges, &border, mesh.vertices.len());
+    let holes = holes(&edges, &boundary, mesh.vertices.len());
     let largest = holes.iter().max_by_key(|hole| hole.len());
     let ends = largest
         .iter()
@@ -139,22 +139,22 @@ fn refuse_open(mesh: &TriangleMesh) -> Result<()> {
     Err(Error::input(format!(
         "the mesh must be closed, found {} boundary edges in {} hole(s); the largest is {} mm \
              wide around {}",
-        border.len(),
+        boundary.len(),
         holes.len(),
         millimetres(bounds.extent().max_element()),
-        place_mm(bounds.center()),
+        position_mm(bounds.center()),
     ))
     .remedy("close the holes in a mesh editor (\"make manifold\", \"fill holes\")"))
 }
 
-/// Boundary edges grouped by the vertices that they share.
-fn holes(edges: &MeshEdges, border: &[usize], vertex_count: usize) -> Vec<Vec<usize>> {
+/// Groups boundary edges that are connected by vertices.
+fn holes(edges: &MeshEdges, boundary: &[usize], vertex_count: usize) -> Vec<Vec<usize>> {
     let mut parent: Vec<u32> = (0..vertex_count as u32).collect();
-    for &edge in border {
-        let [a, b] = edges.vertices[edge].map(|v| root(&mut parent, v));
-        parent[a.max(b) as usize] = a.min(b);
+    for &edge in boundary {
+        let [a, b] = edges.vertices[edge];
+        join(&mut parent, a, b);
     }
-    let mut grouped: Vec<(u32, usize)> = border
+    let mut grouped: Vec<(u32, usize)> = boundary
         .iter()
         .map(|&edge| (root(&mut parent, edges.vertices[edge][0]), edge))
         .collect();
@@ -165,7 +165,7 @@ fn holes(edges: &MeshEdges, border: &[usize], vertex_count: usize) -> Vec<Vec<us
         .collect()
 }
 
-fn refuse_self_intersection(
+fn check_self_intersection(
     mesh: &TriangleMesh,
     options: &PrepareOptions,
     warnings: &mut Vec<String>,
@@ -173,28 +173,28 @@ fn refuse_self_intersection(
     let found = self_intersection::find(mesh, options.crossing_tolerance_m);
     if found.shallow > 0 {
         warnings.push(format!(
-            "tolerated {} pair(s) of triangles that cross by less than {} mm",
+            "tolerated {} pair(s) of triangles that intersect by less than {} mm",
             found.shallow,
             options.crossing_tolerance_m * 1e3
         ));
     }
-    let Some(place) = found.first_place else {
+    let Some(position) = found.first_position else {
         return Ok(());
     };
     let what = format!(
-        "the surface passes through itself: {} pair(s) of triangles, one near {}",
+        "the surface intersects itself: {} pair(s) of triangles, one near {}",
         found.pairs,
-        place_mm(place)
+        position_mm(position)
     );
     if options.allow_self_intersection {
         warnings.push(what);
         return Ok(());
     }
     Err(Error::input(what)
-        .remedy("unite the overlapping parts in a mesh editor (boolean union, voxel remesh)"))
+        .remedy("merge the overlapping bodies in a mesh editor (boolean union, voxel remesh)"))
 }
 
-/// A length as text in millimetres.
+/// Formats a length in millimetres.
 fn millimetres(metres: f64) -> String {
     format!("{:.3}", metres * 1e3)
         .trim_end_matches('0')
@@ -202,9 +202,9 @@ fn millimetres(metres: f64) -> String {
         .to_string()
 }
 
-/// A place as text in millimetres.
-fn place_mm(place: DVec3) -> String {
-    let [x, y, z] = place.to_array().map(|c| format!("{:.2}", c * 1e3));
+/// Formats a position in millimetres.
+fn position_mm(position: DVec3) -> String {
+    let [x, y, z] = position.to_array().map(|c| format!("{:.2}", c * 1e3));
     format!("({x}, {y}, {z}) mm")
 }
 

@@ -1,28 +1,28 @@
-//! Triangles without area: three corners on a line.
+//! Removes triangles without area, whose corners are collinear.
 
 use std::collections::BTreeSet;
 
 use glam::DVec3;
 
-use super::place_mm;
+use super::position_mm;
 use crate::mesh::TriangleMesh;
 use gripcast_base::error::{Error, Result};
 
-/// Flips can make new slivers of old ones; more rounds than this do not help.
-const ROUNDS: usize = 8;
+/// Rounds of edge flips; flips can create new slivers, more rounds do not help.
+const MAX_ROUNDS: usize = 8;
 
-/// Replaces triangles lower than `height_m` by flipping their longest side, which moves the
-/// surface by less than that height.
+/// Removes triangles lower than `height_m` by flipping their longest side, which moves the surface
+/// by less than that height.
 ///
 /// # Errors
-/// `Input` if a triangle without any area remains: it has no normal to compute with.
-pub(super) fn flip_away(
+/// `Input` if a triangle with zero area, and thus without a normal, remains.
+pub(super) fn remove(
     mesh: &mut TriangleMesh,
     height_m: f64,
     warnings: &mut Vec<String>,
 ) -> Result<()> {
     let mut flipped = 0;
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ROUNDS {
         match flip_round(mesh, height_m) {
             0 => break,
             count => flipped += count,
@@ -33,15 +33,15 @@ pub(super) fn flip_away(
     }
     let mut areas = mesh.triangle_areas().into_iter();
     if let Some(flat) = areas.position(|area| area < f64::MIN_POSITIVE) {
-        let place = place_mm(mesh.corners(mesh.triangles[flat])[0]);
+        let position = position_mm(mesh.corners(mesh.triangles[flat])[0]);
         return Err(Error::input(format!(
-            "triangles must have an area, found one without near {place}"
+            "triangles must have an area above 0, found one with area 0 near {position}"
         ))
         .remedy("dissolve degenerate faces in a mesh editor"));
     }
     let thin = mesh.all_corners().filter(|c| height(c) < height_m).count();
     if thin > 0 {
-        warnings.push(format!("{thin} triangle(s) have next to no area"));
+        warnings.push(format!("{thin} triangle(s) have almost no area"));
     }
     Ok(())
 }
@@ -53,7 +53,7 @@ fn height(corners: &[DVec3; 3]) -> f64 {
     (b - a).cross(c - a).length() / longest
 }
 
-/// Flips each sliver once, if its neighbourhood is untouched in this round.
+/// Flips each sliver once unless its neighbourhood has changed in this round; returns their number.
 fn flip_round(mesh: &mut TriangleMesh, height_m: f64) -> usize {
     let slivers: Vec<usize> = (0..mesh.triangles.len())
         .filter(|&t| height(&mesh.corners(mesh.triangles[t])) < height_m)
@@ -66,7 +66,7 @@ fn flip_round(mesh: &mut TriangleMesh, height_m: f64) -> usize {
     let mut made: BTreeSet<[u32; 2]> = BTreeSet::new();
     let mut flipped = 0;
     for sliver in slivers {
-        let [a, apex, c] = longest_side_around(mesh, mesh.triangles[sliver]);
+        let [a, apex, c] = longest_side_last(mesh, mesh.triangles[sliver]);
         let Ok(edge) = edges.vertices.binary_search(&[a.min(c), a.max(c)]) else {
             continue;
         };
@@ -102,12 +102,12 @@ fn flip_round(mesh: &mut TriangleMesh, height_m: f64) -> usize {
     flipped
 }
 
-/// The corners turned so that the longest side runs from the third to the first.
-fn longest_side_around(mesh: &TriangleMesh, [a, b, c]: [u32; 3]) -> [u32; 3] {
+/// The corners rotated so that the longest side runs from the third to the first.
+fn longest_side_last(mesh: &TriangleMesh, [a, b, c]: [u32; 3]) -> [u32; 3] {
     let length =
         |t: [u32; 3]| mesh.vertices[t[2] as usize].distance_squared(mesh.vertices[t[0] as usize]);
-    let turns = [[a, b, c], [b, c, a], [c, a, b]];
-    let longest = turns
+    let rotations = [[a, b, c], [b, c, a], [c, a, b]];
+    let longest = rotations
         .into_iter()
         .max_by(|x, y| length(*x).total_cmp(&length(*y)));
     longest.unwrap_or([a, b, c])

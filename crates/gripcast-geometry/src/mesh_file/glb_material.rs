@@ -1,14 +1,12 @@
 //! Materials and images of glTF 2.0, with the extensions for transmission and index of
 //! refraction.
 //!
-//! Read apart from the shape: a document whose materials are damaged still has a shape.
+//! Parsed separately from the shape, so that invalid materials do not prevent reading the shape.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
-use super::appearance::{ImageSource, MeshMaterial};
-use super::glb::Gltf;
+use super::glb::{Gltf, decode_data_uri};
+use super::material::{ImageSource, MeshMaterial};
 
 #[derive(Default, Deserialize)]
 #[serde(default)]
@@ -53,7 +51,7 @@ struct MetallicRoughness {
 }
 
 impl Default for MetallicRoughness {
-    /// The values that the format implies.
+    /// Defaults of the format.
     fn default() -> Self {
         Self {
             base_color_factor: [1.0; 4],
@@ -82,13 +80,7 @@ struct Transmission {
 
 #[derive(Deserialize)]
 struct Ior {
-    #[serde(default = "usual_ior")]
-    ior: f64,
-}
-
-/// The index that the format implies.
-fn usual_ior() -> f64 {
-    1.5
+    ior: Option<f64>,
 }
 
 #[derive(Deserialize)]
@@ -113,23 +105,23 @@ struct Image {
     buffer_view: Option<usize>,
 }
 
-/// The materials of a document in their order; empty, with a warning, where they cannot be read.
+/// Reads the materials of a document in order; on error empty, with a warning.
 pub(super) fn read(json: &[u8], gltf: &Gltf, warnings: &mut Vec<String>) -> Vec<MeshMaterial> {
     let document: Document = match serde_json::from_slice(json) {
         Ok(document) => document,
         Err(error) => {
             warnings.push(format!(
-                "the materials of the glTF cannot be read and are left out: {error}"
+                "invalid materials in the glTF are ignored: {error}"
             ));
             return Vec::new();
         }
     };
     let material = |(index, entry): (usize, &Material)| {
-        let mut told = Vec::new();
-        let read = convert(entry, &document, gltf, &mut told);
+        let mut messages = Vec::new();
+        let material = convert(entry, &document, gltf, &mut messages);
         let label = format!("material {index} {:?}", entry.name);
-        warnings.extend(told.into_iter().map(|text| format!("{label}: {text}")));
-        read
+        warnings.extend(messages.into_iter().map(|text| format!("{label}: {text}")));
+        material
     };
     document
         .materials
@@ -143,28 +135,26 @@ fn convert(
     entry: &Material,
     document: &Document,
     gltf: &Gltf,
-    on_progress: &mut Vec<String>,
+    messages: &mut Vec<String>,
 ) -> MeshMaterial {
     let pbr = &entry.pbr_metallic_roughness;
     let [red, green, blue, alpha] = pbr.base_color_factor;
     let see_through = match entry.alpha_mode.as_str() {
         "BLEND" => 1.0 - alpha,
         "MASK" => {
-            on_progress
-                .push("cut-outs (alphaMode MASK) are not supported: it is opaque".to_string());
+            messages.push("alphaMode MASK is not supported and is treated as opaque".to_string());
             0.0
         }
         _ => 0.0,
     };
     if entry.normal_texture.is_some() {
-        on_progress.push("its normal map is not supported and is ignored".to_string());
+        messages.push("the normal map is not supported and is ignored".to_string());
     }
     let transmission = entry.extensions.transmission.transmission_factor;
-    let ior = entry.extensions.ior.as_ref().map_or(usual_ior(), |e| e.ior);
-    let mut image = |of: &Option<TextureUse>| {
-        let of = of.as_ref()?;
-        source(of, document, gltf)
-            .map_err(|text| on_progress.push(text))
+    let ior = entry.extensions.ior.as_ref().and_then(|e| e.ior);
+    let mut image = |texture: &Option<TextureUse>| {
+        image_source(texture.as_ref()?, document, gltf)
+            .map_err(|text| messages.push(text))
             .ok()
     };
     let plain = MeshMaterial::default();
@@ -177,49 +167,45 @@ fn convert(
         roughness: finite(pbr.roughness_factor, 1.0).clamp(0.0, 1.0),
         metallic_roughness_image: image(&pbr.metallic_roughness_texture),
         transmission: finite(transmission.max(see_through), 0.0).clamp(0.0, 1.0),
-        ior: if (1.0..=4.0).contains(&ior) {
-            ior
-        } else {
-            plain.ior
-        },
+        ior: ior.filter(|n| (1.0..=4.0).contains(n)).unwrap_or(plain.ior),
         emission: entry.emissive_factor.map(|c| finite(c, 0.0).max(0.0)),
     }
 }
 
-/// The image behind a texture; the warning where there is none.
-fn source(of: &TextureUse, document: &Document, gltf: &Gltf) -> Result<ImageSource, String> {
-    if of.tex_coord != 0 {
-        return Err("only the first set of texture coordinates is read".to_string());
+/// Image of a texture, or the reason why there is none.
+fn image_source(
+    texture_use: &TextureUse,
+    document: &Document,
+    gltf: &Gltf,
+) -> Result<ImageSource, String> {
+    if texture_use.tex_coord != 0 {
+        return Err("only the first set of texture coordinates is supported".to_string());
     }
-    if of.extensions.contains_key("KHR_texture_transform") {
-        return Err("a texture with KHR_texture_transform is left out".to_string());
+    if texture_use.extensions.contains_key("KHR_texture_transform") {
+        return Err("KHR_texture_transform is not supported; the texture is ignored".to_string());
     }
-    let texture = document.textures.get(of.index);
-    let texture = texture.ok_or_else(|| format!("there is no texture {}", of.index))?;
+    let texture = document.textures.get(texture_use.index);
+    let texture = texture.ok_or_else(|| format!("texture {} not found", texture_use.index))?;
     let index = texture.source.ok_or_else(|| {
         format!(
-            "texture {} has no PNG or JPEG image and is left out",
-            of.index
+            "texture {} has no PNG or JPEG image and is ignored",
+            texture_use.index
         )
     })?;
     let image = document.images.get(index);
-    let image = image.ok_or_else(|| format!("there is no image {index}"))?;
-    let place = format!("image {index}");
+    let image = image.ok_or_else(|| format!("image {index} not found"))?;
+    let name = format!("image {index}");
     match (&image.uri, image.buffer_view) {
-        (Some(uri), _) => match uri.strip_prefix("data:") {
-            Some(data) => {
-                let encoded = data.split_once("base64,").map_or("", |(_, text)| text);
-                let bytes = STANDARD.decode(encoded);
-                bytes
-                    .map(|bytes| ImageSource::Embedded(place, bytes))
-                    .map_err(|error| format!("image {index} is not base64: {error}"))
-            }
-            None => Ok(ImageSource::Beside(uri.replace("%20", " "))),
+        (Some(uri), _) => match decode_data_uri(uri) {
+            Some(bytes) => bytes
+                .map(|bytes| ImageSource::Embedded(name, bytes))
+                .map_err(|error| format!("image {index} is not valid base64: {error}")),
+            None => Ok(ImageSource::File(uri.replace("%20", " "))),
         },
         (None, Some(view)) => gltf
             .view(view)
-            .map(|bytes| ImageSource::Embedded(place, bytes.to_vec()))
-            .ok_or_else(|| format!("image {index} lies outside the file")),
+            .map(|bytes| ImageSource::Embedded(name, bytes.to_vec()))
+            .ok_or_else(|| format!("image {index} lies outside the buffer")),
         (None, None) => Err(format!("image {index} has no content")),
     }
 }

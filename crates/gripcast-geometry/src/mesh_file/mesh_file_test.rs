@@ -12,7 +12,7 @@ fn parse(bytes: impl AsRef<[u8]>, format: MeshFormat) -> Result<TriangleMesh> {
     read_mesh(bytes.as_ref(), format, &no_file)
 }
 
-fn refused(bytes: impl AsRef<[u8]>, format: MeshFormat) -> String {
+fn error_text(bytes: impl AsRef<[u8]>, format: MeshFormat) -> String {
     let error = parse(bytes, format).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Input);
     assert!(error.remedy_text().is_some(), "{error}");
@@ -28,7 +28,7 @@ fn tetrahedron() -> TriangleMesh {
 }
 
 fn binary_stl(mesh: &TriangleMesh) -> Vec<u8> {
-    let mut bytes = b"solid by a program that says so".to_vec();
+    let mut bytes = b"solid in a binary header".to_vec();
     bytes.resize(80, b' ');
     bytes.extend((mesh.triangles.len() as u32).to_le_bytes());
     for corners in mesh.all_corners() {
@@ -108,7 +108,7 @@ fn assert_same_shape(found: &TriangleMesh, expected: &TriangleMesh) {
 }
 
 #[test]
-fn every_format_gives_the_same_tetrahedron() {
+fn all_formats_read_the_same_tetrahedron() {
     let mesh = tetrahedron();
     let obj = "# a comment\no part\nv 0 0 0 1.0\nv 1 0 0\nv 0 1 0 0.5 0.5 0.5\nv 0 0 0.5\n\
                vt 0 0\nvn 0 0 1\nusemtl a\nf 1/1/1 3//1 2\nf -4 \\\n -3 -1\nf 1 4 3\nf 2 3 4\n";
@@ -133,7 +133,7 @@ fn every_format_gives_the_same_tetrahedron() {
 }
 
 #[test]
-fn gltf_buffers_lie_in_the_text_or_beside_it() {
+fn gltf_buffers_are_embedded_or_companion_files() {
     let mesh = tetrahedron();
     let data = base64::Engine::encode(
         &base64::engine::general_purpose::STANDARD,
@@ -154,11 +154,11 @@ fn gltf_buffers_lie_in_the_text_or_beside_it() {
 }
 
 #[test]
-fn gltf_nodes_are_placed_and_mirrored_ones_turned() {
+fn gltf_node_transforms_are_applied() {
     let mesh = tetrahedron();
     let nested = r#"{"children":[1],"translation":[0,0,1]},{"mesh":0,"scale":[-1,1,1]}"#;
     let found = parse(glb(&mesh, nested), MeshFormat::Gltf).unwrap();
-    let volume = crate::MassProperties::of(&found).unwrap();
+    let volume = crate::MassProperties::from_mesh(&found).unwrap();
     assert!((volume.volume_m3 - 1.0 / 12.0).abs() < 1e-15);
     assert!(
         volume
@@ -167,7 +167,7 @@ fn gltf_nodes_are_placed_and_mirrored_ones_turned() {
             < 1e-15
     );
     let cycle = r#"{"children":[1]},{"mesh":0,"children":[0]}"#;
-    let text = refused(glb(&mesh, cycle), MeshFormat::Gltf);
+    let text = error_text(glb(&mesh, cycle), MeshFormat::Gltf);
     assert!(text.contains("more than one parent"), "{text}");
 }
 
@@ -199,7 +199,7 @@ fn gltf_strips_and_fans_become_triangles() {
 }
 
 #[test]
-fn gltf_references_into_nowhere_are_explained() {
+fn invalid_gltf_references_are_rejected() {
     let mesh = tetrahedron();
     let good = gltf_json(&mesh, Some("x.bin"), r#"{"mesh":0}"#);
     let buffer = gltf_buffer(&mesh);
@@ -209,7 +209,7 @@ fn gltf_references_into_nowhere_are_explained() {
         })
     };
     read(&good).unwrap();
-    for (from, to, on_progress) in [
+    for (from, to, expected) in [
         (r#""POSITION":0"#, r#""POSITION":7"#, "accessor 7"),
         (r#""scene":0"#, r#""scene":2"#, "scene 2"),
         (r#""mesh":0"#, r#""mesh":1"#, "mesh 1"),
@@ -228,7 +228,7 @@ fn gltf_references_into_nowhere_are_explained() {
         let text = good.replace(from, to);
         assert_ne!(text, good);
         let error = read(&text).unwrap_err();
-        assert!(error.to_string().contains(on_progress), "{to}: {error}");
+        assert!(error.to_string().contains(expected), "{to}: {error}");
         assert!(error.remedy_text().is_some(), "{error}");
     }
 }
@@ -246,7 +246,7 @@ fn polygons_become_fans() {
 }
 
 #[test]
-fn files_keep_every_bit_and_units_scale() {
+fn files_round_trip_bit_for_bit_and_units_scale() {
     let folder = tempfile::tempdir().unwrap();
     let mesh = builtin("mug").unwrap();
     for name in ["mug.ply", "mug.OBJ"] {
@@ -264,7 +264,7 @@ fn files_keep_every_bit_and_units_scale() {
 }
 
 #[test]
-fn units_have_names() {
+fn units_parse_their_names() {
     for (name, metres) in [("mm", 0.001), ("cm", 0.01), ("m", 1.0), ("in", 0.0254)] {
         let unit: LengthUnit = name.parse().unwrap();
         assert_eq!(unit.in_metres(), metres);
@@ -275,7 +275,7 @@ fn units_have_names() {
 }
 
 #[test]
-fn missing_files_and_unknown_suffixes_are_explained() {
+fn missing_files_and_unknown_suffixes_are_rejected() {
     let missing = load_mesh(Path::new("/nowhere/cup.obj"), LengthUnit::Metre).unwrap_err();
     assert_eq!(missing.kind(), ErrorKind::NotFound);
     assert!(
@@ -295,33 +295,33 @@ fn missing_files_and_unknown_suffixes_are_explained() {
 }
 
 #[test]
-fn bad_objs_name_the_line() {
-    let text = refused("v 0 0 0\nv 1 0 0\nv 0 1 0\n\nf 1 2 4\n", MeshFormat::Obj);
+fn invalid_obj_errors_state_the_line() {
+    let text = error_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n\nf 1 2 4\n", MeshFormat::Obj);
     assert!(
         text.contains("line 5") && text.contains("vertex 4"),
         "{text}"
     );
-    let text = refused("v 0 0 0\nv 0 nan 0\n", MeshFormat::Obj);
+    let text = error_text("v 0 0 0\nv 0 nan 0\n", MeshFormat::Obj);
     assert!(text.contains("line 2") && text.contains("finite"), "{text}");
-    let text = refused("v 0 0 inf\n", MeshFormat::Obj);
+    let text = error_text("v 0 0 inf\n", MeshFormat::Obj);
     assert!(text.contains("finite"), "{text}");
-    let text = refused("v 0 0\n", MeshFormat::Obj);
+    let text = error_text("v 0 0\n", MeshFormat::Obj);
     assert!(
         text.contains("line 1") && text.contains("3 coordinates"),
         "{text}"
     );
-    let text = refused("v 0 0 0\nf 1 1\n", MeshFormat::Obj);
+    let text = error_text("v 0 0 0\nf 1 1\n", MeshFormat::Obj);
     assert!(text.contains("at least 3 corners, found 2"), "{text}");
     for index in ["0", "-2", "99999999999", "one"] {
-        let text = refused(format!("v 0 0 0\nf 1 1 {index}\n"), MeshFormat::Obj);
+        let text = error_text(format!("v 0 0 0\nf 1 1 {index}\n"), MeshFormat::Obj);
         assert!(text.contains(index), "{text}");
     }
-    let text = refused("hello\n", MeshFormat::Obj);
+    let text = error_text("hello\n", MeshFormat::Obj);
     assert!(text.contains("no triangles"), "{text}");
 }
 
 #[test]
-fn empty_and_cut_files_are_explained() {
+fn empty_and_truncated_files_are_rejected() {
     let mesh = tetrahedron();
     let identity = r#"{"mesh":0}"#;
     let whole = [
@@ -331,11 +331,11 @@ fn empty_and_cut_files_are_explained() {
         (MeshFormat::Gltf, glb(&mesh, identity)),
     ];
     for (format, bytes) in whole {
-        let text = refused([], format);
+        let text = error_text([], format);
         assert!(text.contains("empty"), "{text}");
         parse(&bytes, format).unwrap();
         for cut in 1..bytes.len() {
-            // What follows the last face (`endsolid`, a padding byte) is not missed.
+            // Content after the last face (`endsolid`, padding) is not required.
             let Err(error) = parse(&bytes[..cut], format) else {
                 assert!(cut + 16 > bytes.len(), "{format:?} cut at {cut}");
                 continue;
@@ -344,47 +344,47 @@ fn empty_and_cut_files_are_explained() {
         }
     }
     let pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n";
-    assert!(refused(pointer, MeshFormat::Obj).contains("git lfs pull"));
+    assert!(error_text(pointer, MeshFormat::Obj).contains("git lfs pull"));
 }
 
 #[test]
-fn bad_numbers_in_binary_files_are_explained() {
+fn invalid_numbers_in_binary_files_are_rejected() {
     let mut mesh = tetrahedron();
     mesh.vertices[1].x = f64::NAN;
-    let text = refused(ply::write(&mesh), MeshFormat::Ply);
+    let text = error_text(ply::write(&mesh), MeshFormat::Ply);
     assert!(
         text.contains("vertex 1") && text.contains("finite"),
         "{text}"
     );
-    let text = refused(binary_stl(&mesh), MeshFormat::Stl);
+    let text = error_text(binary_stl(&mesh), MeshFormat::Stl);
     assert!(text.contains("finite"), "{text}");
-    let text = refused(glb(&mesh, r#"{"mesh":0}"#), MeshFormat::Gltf);
+    let text = error_text(glb(&mesh, r#"{"mesh":0}"#), MeshFormat::Gltf);
     assert!(text.contains("finite"), "{text}");
     let mut mesh = tetrahedron();
     mesh.triangles[2][1] = 4;
-    let text = refused(ply::write(&mesh), MeshFormat::Ply);
+    let text = error_text(ply::write(&mesh), MeshFormat::Ply);
     assert!(
         text.contains("triangle 2") && text.contains("only 4"),
         "{text}"
     );
-    let text = refused(glb(&mesh, r#"{"mesh":0}"#), MeshFormat::Gltf);
+    let text = error_text(glb(&mesh, r#"{"mesh":0}"#), MeshFormat::Gltf);
     assert!(text.contains("vertex 4"), "{text}");
 }
 
 #[test]
-fn absurd_headers_take_no_memory() {
+fn absurd_counts_are_rejected_without_allocation() {
     let face = "property list uchar int vertex_indices\n";
     let ply = format!(
         "ply\nformat binary_little_endian 1.0\nelement face 99999999999\n{face}end_header\n"
     );
-    assert!(refused(ply, MeshFormat::Ply).contains("more than the file holds"));
+    assert!(error_text(ply, MeshFormat::Ply).contains("more than the file holds"));
     let bare = "ply\nformat binary_little_endian 1.0\nelement face 9\nend_header\n         ";
-    assert!(refused(bare, MeshFormat::Ply).contains("more than the file holds"));
+    assert!(error_text(bare, MeshFormat::Ply).contains("more than the file holds"));
     let flat = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n";
-    assert!(refused(flat, MeshFormat::Ply).contains("x, y and z"));
+    assert!(error_text(flat, MeshFormat::Ply).contains("x, y and z"));
     let mut stl = vec![0; 84];
     stl[80..].fill(0xff);
-    assert!(refused(stl, MeshFormat::Stl).contains("214748364834 bytes"));
+    assert!(error_text(stl, MeshFormat::Stl).contains("214748364834 bytes"));
 }
 
 proptest! {
@@ -404,9 +404,9 @@ proptest! {
             4 => (MeshFormat::Gltf, gltf_json(&mesh, Some("x.bin"), nested).into_bytes()),
             _ => (MeshFormat::Gltf, glb(&mesh, nested)),
         };
-        for (place, value) in edits {
-            let at = place.index(bytes.len());
-            bytes[at] = value;
+        for (index, value) in edits {
+            let index = index.index(bytes.len());
+            bytes[index] = value;
         }
         let buffer = gltf_buffer(&mesh);
         if let Err(error) = read_mesh(&bytes, format, &|_: &str| Ok(buffer.clone())) {
@@ -415,7 +415,7 @@ proptest! {
     }
 }
 
-/// A mesh in `jail/`, beside what it must not read; each is a valid companion.
+/// A folder `jail/` for a mesh; `secret` and `link` lead to a valid companion outside it.
 struct Jail(tempfile::TempDir);
 
 impl Jail {
@@ -445,33 +445,33 @@ fn with_library(library: &str) -> String {
 }
 
 #[test]
-fn material_libraries_outside_of_the_folder_are_not_read() {
+fn material_libraries_outside_the_folder_are_not_read() {
     let jail = Jail::new(b"newmtl secret\nKd one TOP-SECRET\n");
     for name in jail.names() {
         let path = jail.mesh("m.obj", &with_library(&name));
         let mesh = load_textured_mesh(&path, LengthUnit::Metre).unwrap();
-        let told = mesh.warnings.join("\n");
-        assert!(mesh.materials.is_empty(), "{name}: {told}");
+        let warnings = mesh.warnings.join("\n");
+        assert!(mesh.materials.is_empty(), "{name}: {warnings}");
         assert!(
-            told.contains(&name) && !told.contains("TOP-SECRET"),
-            "{told}"
+            warnings.contains(&name) && !warnings.contains("TOP-SECRET"),
+            "{warnings}"
         );
     }
 }
 
 #[test]
-fn gltf_buffers_outside_of_the_folder_are_not_read() {
+fn gltf_buffers_outside_the_folder_are_not_read() {
     let mesh = tetrahedron();
     let jail = Jail::new(&gltf_buffer(&mesh));
     for name in jail.names() {
         let path = jail.mesh("m.gltf", &gltf_json(&mesh, Some(&name), r#"{"mesh":0}"#));
-        let refused = load_mesh(&path, LengthUnit::Metre).unwrap_err().to_string();
-        assert!(refused.contains(&name), "{refused}");
+        let text = load_mesh(&path, LengthUnit::Metre).unwrap_err().to_string();
+        assert!(text.contains(&name), "{text}");
     }
 }
 
 #[test]
-fn a_pipe_or_a_device_is_no_material_library() {
+fn pipes_and_devices_are_not_read_as_libraries() {
     let jail = Jail::new(b"");
     let pipe = jail.0.path().join("jail/pipe");
     rustix::fs::mknodat(
@@ -482,14 +482,14 @@ fn a_pipe_or_a_device_is_no_material_library() {
         0,
     )
     .unwrap();
-    // Has something to say to whoever opens the pipe.
+    // Writes to any reader of the pipe.
     let writer = std::thread::spawn({
         let pipe = pipe.clone();
         move || fs::write(pipe, "newmtl secret\n")
     });
     let path = jail.mesh("m.obj", &with_library("pipe"));
     let mesh = load_textured_mesh(&path, LengthUnit::Metre).unwrap();
-    // Lets the writer go.
+    // Unblocks the writer.
     let reader = fs::File::options().read(true).write(true).open(&pipe);
     let _ = writer.join().unwrap();
     drop(reader);
@@ -500,7 +500,7 @@ fn a_pipe_or_a_device_is_no_material_library() {
     for name in ["/dev/null", "device"] {
         let path = jail.mesh("m.obj", &with_library(name));
         let mesh = load_textured_mesh(&path, LengthUnit::Metre).unwrap();
-        let told = mesh.warnings.join("\n");
-        assert!(told.contains(name), "{told}");
+        let warnings = mesh.warnings.join("\n");
+        assert!(warnings.contains(name), "{warnings}");
     }
 }

@@ -1,11 +1,11 @@
-//! Meshes in files: OBJ, STL, PLY and glTF in, OBJ and PLY out.
+//! Mesh files: reads OBJ, STL, PLY and glTF, writes OBJ and PLY.
 //!
-//! Polygons become fans of triangles, and vertices with equal coordinates become one. Colours,
-//! normals, materials and texture coordinates are left out.
+//! Polygons are triangulated as fans, and coincident vertices are welded. [`TexturedMesh`] also has
+//! normals, materials and texture coordinates.
 
-mod appearance;
 mod glb;
 mod glb_material;
+mod material;
 mod mtl;
 mod obj;
 mod ply;
@@ -18,13 +18,20 @@ use std::str::FromStr;
 
 use glam::DVec3;
 
-pub use appearance::{ImageSource, MeshMaterial};
+pub use material::{ImageSource, MeshMaterial};
 pub use textured::{MeshPart, TexturedMesh, load_textured_mesh, read_textured_mesh};
 
 use super::mesh::TriangleMesh;
 use super::weld::weld;
 use gripcast_base::error::{Error, Result, nearest_name};
 use gripcast_base::files::{FileKind, companions, read_regular, save};
+
+/// Reads a file that the mesh file refers to by a relative path.
+type Companions<'a> = &'a dyn Fn(&str) -> std::io::Result<Vec<u8>>;
+
+/// Remedy for invalid content.
+pub(super) const REEXPORT: &str =
+    "check that the file was copied completely, or export the mesh again";
 
 const SUFFIXES: [&str; 5] = ["obj", "stl", "ply", "glb", "gltf"];
 
@@ -35,7 +42,7 @@ pub enum LengthUnit {
     Millimetre,
     /// `cm`
     Centimetre,
-    /// `m`, the unit of glTF and of all that gripcast writes.
+    /// `m`, the unit of glTF and of files written by gripcast.
     #[default]
     Metre,
     /// `in`, 25.4 mm
@@ -43,7 +50,7 @@ pub enum LengthUnit {
 }
 
 impl LengthUnit {
-    /// All of them.
+    /// All units.
     pub const ALL: [Self; 4] = [Self::Millimetre, Self::Centimetre, Self::Metre, Self::Inch];
 
     /// Length of one unit, m.
@@ -72,10 +79,9 @@ impl FromStr for LengthUnit {
     type Err = Error;
 
     fn from_str(text: &str) -> Result<Self> {
-        let known = Self::ALL.into_iter().find(|unit| unit.to_string() == text);
-        known.ok_or_else(|| {
-            Error::usage(format!("{text:?} is not a length unit that is known"))
-                .remedy("use mm, cm, m or in")
+        let unit = Self::ALL.into_iter().find(|unit| unit.to_string() == text);
+        unit.ok_or_else(|| {
+            Error::usage(format!("unknown length unit {text:?}")).remedy("use mm, cm, m or in")
         })
     }
 }
@@ -94,11 +100,11 @@ pub enum MeshFormat {
 }
 
 impl MeshFormat {
-    /// Format by the suffix of a path, in upper or lower case.
+    /// Format by the suffix of a path, case-insensitive.
     ///
     /// # Errors
     /// `Input` for an unknown suffix.
-    pub fn of_path(path: &Path) -> Result<Self> {
+    pub fn from_path(path: &Path) -> Result<Self> {
         let suffix = path.extension().unwrap_or_default().to_string_lossy();
         match suffix.to_ascii_lowercase().as_str() {
             "obj" => Ok(Self::Obj),
@@ -113,30 +119,26 @@ impl MeshFormat {
 fn unknown_suffix(suffix: &str) -> Error {
     let nearest = nearest_name(suffix, SUFFIXES).filter(|_| !suffix.is_empty());
     let hint = nearest.map_or(String::new(), |n| format!("did you mean .{n}? "));
-    Error::input(format!(
-        "a mesh file must end in a known suffix, found {suffix:?}"
-    ))
-    .remedy(format!(
-        "{hint}convert it to one of: .{}",
+    Error::input(format!("unknown mesh file suffix {suffix:?}")).remedy(format!(
+        "{hint}convert the mesh to one of: .{}",
         SUFFIXES.join(" .")
     ))
 }
 
-/// Reads a mesh file whose coordinates are in `unit`; the result is in metres.
+/// Reads a mesh file with coordinates in `unit`; the result is in metres.
 ///
 /// # Errors
-/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` if the suffix is unknown
-/// or the content is no mesh: empty, cut off, indices out of range, coordinates that are not
-/// finite.
+/// `NotFound`, `Permission`, `Io` if the file cannot be read; `Input` for an unknown suffix or
+/// invalid content: empty, truncated, indices out of range, non-finite coordinates.
 pub fn load_mesh(path: &Path, unit: LengthUnit) -> Result<TriangleMesh> {
-    let format = MeshFormat::of_path(path)?;
+    let format = MeshFormat::from_path(path)?;
     let bytes = file_bytes(path)?;
     read_mesh(&bytes, format, &companions(path))
         .map(|mesh| mesh.scaled(unit.in_metres()))
         .map_err(|e| e.at(path.display()))
 }
 
-/// The bytes of a mesh file.
+/// Reads the bytes of a mesh file.
 fn file_bytes(path: &Path) -> Result<Vec<u8>> {
     read_regular(path, FileKind::Mesh).map_err(|e| {
         Error::io("cannot read the mesh", e)
@@ -145,30 +147,29 @@ fn file_bytes(path: &Path) -> Result<Vec<u8>> {
     })
 }
 
-/// Parses a mesh; coordinates stay in the unit of the file. `beside` reads a file that a glTF
-/// text refers to by a relative path.
+/// Parses a mesh; coordinates keep the unit of the file. `companions` reads a file that the mesh
+/// refers to by a relative path.
 ///
 /// # Errors
-/// `Input` if the content is no mesh.
+/// `Input` for invalid content.
 pub fn read_mesh(
     bytes: &[u8],
     format: MeshFormat,
-    beside: &dyn Fn(&str) -> std::io::Result<Vec<u8>>,
+    companions: Companions<'_>,
 ) -> Result<TriangleMesh> {
-    refuse_placeholders(bytes)?;
+    check_placeholder(bytes)?;
     let mesh = match format {
         MeshFormat::Obj => obj::read(bytes),
         MeshFormat::Stl => stl::read(bytes),
         MeshFormat::Ply => ply::read(bytes),
-        MeshFormat::Gltf => glb::read(bytes, beside),
+        MeshFormat::Gltf => glb::read(bytes, companions),
     }?;
-    mesh.validate()
-        .map_err(|e| e.remedy("check that the file was copied whole, or export the mesh again"))?;
+    mesh.validate().map_err(|e| e.remedy(REEXPORT))?;
     Ok(weld(&mesh, 0.0))
 }
 
-/// Refuses an empty file and the text that Git LFS leaves in the place of a file.
-fn refuse_placeholders(bytes: &[u8]) -> Result<()> {
+/// Rejects an empty file and a Git LFS pointer.
+fn check_placeholder(bytes: &[u8]) -> Result<()> {
     if bytes.is_empty() {
         return Err(Error::input("the file is empty").remedy("export or download the mesh again"));
     }
@@ -181,53 +182,53 @@ fn refuse_placeholders(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
-/// Writes a mesh in metres as `.obj` or binary `.ply`, by the suffix. Coordinates read back bit
-/// for bit.
+/// Writes a mesh in metres as `.obj` or binary `.ply`, by the suffix; coordinates round-trip bit for
+/// bit.
 ///
 /// # Errors
-/// `Input` for another suffix; the error of the operating system if the file cannot be written.
+/// `Input` for another suffix; `Io` if the file cannot be written.
 pub fn save_mesh(path: &Path, mesh: &TriangleMesh) -> Result<()> {
-    let bytes = match MeshFormat::of_path(path)? {
+    let bytes = match MeshFormat::from_path(path)? {
         MeshFormat::Obj => obj::write(mesh),
         MeshFormat::Ply => ply::write(mesh),
         other => {
-            return Err(
-                Error::input(format!("meshes cannot be written as {other:?}"))
-                    .at(path.display())
-                    .remedy("name the file .ply or .obj"),
-            );
+            return Err(Error::input(format!("cannot write a mesh as {other:?}"))
+                .at(path.display())
+                .remedy("name the file .ply or .obj"));
         }
     };
     save(path, &bytes)
 }
 
-/// A mesh as binary PLY. Coordinates read back bit for bit.
-#[must_use]
+/// Encodes a mesh as binary PLY; coordinates round-trip bit for bit.
 pub fn ply_bytes(mesh: &TriangleMesh) -> Vec<u8> {
     ply::write(mesh)
 }
 
-/// An error of the content, with the usual remedy.
+/// Error for invalid content.
 fn malformed(what: impl Into<String>) -> Error {
-    Error::input(what).remedy("check that the file was copied whole, or export the mesh again")
+    Error::input(what).remedy(REEXPORT)
 }
 
-/// Appends a polygon as a fan around its first corner; fewer than three corners are no face.
+/// Appends a polygon as a fan around its first corner.
 fn push_polygon<T: Copy>(triangles: &mut Vec<[T; 3]>, corners: &[T]) -> Result<()> {
     let [first, rest @ ..] = corners else {
-        return Err(malformed("a face must have at least 3 corners, found 0"));
+        return Err(too_few_corners(0));
     };
     if rest.len() < 2 {
-        let found = corners.len();
-        return Err(malformed(format!(
-            "a face must have at least 3 corners, found {found}"
-        )));
+        return Err(too_few_corners(corners.len()));
     }
     triangles.extend(rest.windows(2).map(|pair| [*first, pair[0], pair[1]]));
     Ok(())
 }
 
-/// Single-precision coordinates as a vector.
+fn too_few_corners(found: usize) -> Error {
+    malformed(format!(
+        "a face must have at least 3 corners, found {found}"
+    ))
+}
+
+/// Converts single-precision coordinates.
 fn from_f32([x, y, z]: [f32; 3]) -> DVec3 {
     DVec3::new(f64::from(x), f64::from(y), f64::from(z))
 }

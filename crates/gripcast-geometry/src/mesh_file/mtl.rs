@@ -1,22 +1,22 @@
-//! Material libraries of Wavefront OBJ, with the PBR statements `Pr` and `Pm` of later programs.
+//! Material libraries of Wavefront OBJ, with the PBR statements `Pr` and `Pm`.
 //!
-//! A library never makes its mesh unreadable: what cannot be understood becomes a warning.
+//! Invalid statements become warnings, never errors.
 //!
 //! The Phong exponent `Ns` becomes the roughness `(2 / (Ns + 2))^(1/4)` (Blinn–Phong exponent to
 //! GGX alpha, Walter et al., *Microfacet Models for Refraction*, 2007, then its square root).
-//! A body with `d` below 1, or with one of the `illum` models 4, 6, 7, 9, is transparent; one
-//! without colour of its own but a bright `Ks` is metal.
+//! A material with `d` below 1 or an `illum` model 4, 6, 7 or 9 is transparent; one with almost no
+//! `Kd` but a bright `Ks` is a metal.
 
-use super::appearance::{ImageSource, MeshMaterial};
+use super::material::{ImageSource, MeshMaterial};
 
-/// `illum` models that let light through.
+/// `illum` models with transparency.
 const GLASS_MODELS: [u32; 4] = [4, 6, 7, 9];
-/// Brightest `Ks` from which a body with hardly any `Kd` is taken for metal.
+/// Minimum peak of `Ks` of a metal.
 const METAL_SPECULAR: f64 = 0.4;
-/// `Kd` against `Ks` below which a body has no colour of its own.
-const METAL_DIFFUSE_FRACTION: f64 = 0.2;
+/// Maximum ratio of the peaks of `Kd` and `Ks` of a metal.
+const METAL_DIFFUSE_RATIO: f64 = 0.2;
 
-/// Options of `map_…` statements and the most values each takes.
+/// Options of `map_…` statements with their maximum number of values.
 const MAP_OPTIONS: [(&str, usize); 12] = [
     ("-blendu", 1),
     ("-blendv", 1),
@@ -32,7 +32,7 @@ const MAP_OPTIONS: [(&str, usize); 12] = [
     ("-type", 1),
 ];
 
-/// Statements of one `newmtl`, before they are weighed against each other.
+/// Statements of one `newmtl`.
 #[derive(Default)]
 struct Entry {
     name: String,
@@ -49,7 +49,7 @@ struct Entry {
     metallic: Option<f64>,
 }
 
-/// Parses a library; each warning names its line.
+/// Parses a library; each warning states its line.
 pub(super) fn read(bytes: &[u8], warnings: &mut Vec<String>) -> Vec<MeshMaterial> {
     let text = String::from_utf8_lossy(bytes);
     let mut entries: Vec<Entry> = Vec::new();
@@ -64,20 +64,20 @@ pub(super) fn read(bytes: &[u8], warnings: &mut Vec<String>) -> Vec<MeshMaterial
             });
             continue;
         }
-        let told = match entries.last_mut() {
+        let warning = match entries.last_mut() {
             Some(entry) => entry.read(keyword, rest),
             None if keyword.is_empty() || keyword.starts_with('#') => None,
-            None => Some(format!("{keyword:?} stands before the first `newmtl`")),
+            None => Some(format!("{keyword:?} before the first `newmtl`")),
         };
-        warnings.extend(told.map(|text| format!("line {}: {text}", index + 1)));
+        warnings.extend(warning.map(|text| format!("line {}: {text}", index + 1)));
     }
     entries.into_iter().map(Entry::material).collect()
 }
 
 impl Entry {
-    /// Takes one statement; the warning where it cannot be used.
+    /// Reads one statement; returns a warning if it cannot be used.
     fn read(&mut self, keyword: &str, rest: &str) -> Option<String> {
-        let bad = || Some(format!("`{keyword} {rest}` cannot be read and is ignored"));
+        let bad = || Some(format!("invalid statement `{keyword} {rest}` is ignored"));
         let number = || rest.split_whitespace().next()?.parse::<f64>().ok();
         let number = || number().filter(|n| n.is_finite());
         let slot = match keyword {
@@ -124,7 +124,7 @@ impl Entry {
             && self.model.is_none_or(|m| m >= 2)
             && peak(specular) >= METAL_SPECULAR
             && self.diffuse_map.is_none()
-            && peak(diffuse) < METAL_DIFFUSE_FRACTION * peak(specular);
+            && peak(diffuse) < METAL_DIFFUSE_RATIO * peak(specular);
         let metallic = self.metallic.unwrap_or(f64::from(u8::from(seems_metal)));
         let base_color = if self.metallic.is_none() && seems_metal {
             specular
@@ -133,16 +133,16 @@ impl Entry {
         } else {
             diffuse
         };
-        // Programs write `Ns` whether or not anything shines.
-        let shines = seems_metal || transmission > 0.0 || peak(specular) > 0.0;
+        // Programs write `Ns` also for diffuse materials.
+        let is_specular = seems_metal || transmission > 0.0 || peak(specular) > 0.0;
         let from_exponent = self
             .exponent
-            .filter(|_| shines)
+            .filter(|_| is_specular)
             .map(|n| (2.0 / (n.max(0.0) + 2.0)).powf(0.25));
         MeshMaterial {
             name: self.name,
             base_color: base_color.map(|c| c.clamp(0.0, 1.0)),
-            base_color_image: self.diffuse_map.map(ImageSource::Beside),
+            base_color_image: self.diffuse_map.map(ImageSource::File),
             metallic: metallic.clamp(0.0, 1.0),
             roughness: self
                 .roughness
@@ -164,7 +164,7 @@ impl Entry {
     }
 }
 
-/// Stores a value, or tells that there is none.
+/// Stores a value, or returns the warning of `bad`.
 fn store<T>(
     slot: &mut Option<T>,
     value: Option<T>,
@@ -177,7 +177,7 @@ fn store<T>(
     None
 }
 
-/// One to three numbers; one alone is grey. Spectral files and XYZ are not read.
+/// Parses one (grey) to three numbers; spectral files and XYZ are not supported.
 fn color(words: &str) -> Option<[f64; 3]> {
     let mut numbers = words.split_whitespace().map(|word| word.parse::<f64>());
     let red = numbers.next()?.ok()?;
@@ -187,17 +187,17 @@ fn color(words: &str) -> Option<[f64; 3]> {
     all.iter().all(|c| c.is_finite()).then_some(all)
 }
 
-/// The file name after the options; names may hold spaces and backslashes.
+/// File name after the options; it may contain spaces and backslashes.
 fn image_name(words: &str) -> Option<String> {
     let mut rest = words.trim();
-    while let Some((option, most)) = MAP_OPTIONS
+    while let Some((option, max_values)) = MAP_OPTIONS
         .iter()
         .find(|(option, _)| rest.split_whitespace().next() == Some(*option))
     {
         rest = rest[option.len()..].trim_start();
-        for taken in 0..*most {
+        for count in 0..*max_values {
             let word = rest.split_whitespace().next()?;
-            if taken > 0 && word.parse::<f64>().is_err() {
+            if count > 0 && word.parse::<f64>().is_err() {
                 break;
             }
             rest = rest[word.len()..].trim_start();

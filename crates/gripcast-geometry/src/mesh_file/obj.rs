@@ -1,7 +1,6 @@
-//! Wavefront OBJ: positions and faces, with their texture coordinates, normals and materials.
+//! Wavefront OBJ: positions and faces with texture coordinates, normals and materials.
 //!
-//! Read line by line here, not by a crate, so that errors name the line and vertices keep their
-//! order.
+//! Parsed here instead of by a crate, so that errors state the line and vertices keep their order.
 
 use std::fmt::Write as _;
 
@@ -11,8 +10,7 @@ use super::{malformed, push_polygon};
 use crate::mesh::TriangleMesh;
 use gripcast_base::error::{Error, Result};
 
-/// A corner of a face: its position, and its texture coordinate and normal where it names valid
-/// ones.
+/// A corner of a face: indices of its position and, if valid, of its texture coordinate and normal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Corner {
     pub(super) position: u32,
@@ -20,27 +18,27 @@ pub(super) struct Corner {
     pub(super) normal: Option<u32>,
 }
 
-/// Everything of the file that matters for shape and looks.
+/// Shape and appearance of an OBJ file.
 #[derive(Default)]
 pub(super) struct ObjFile {
     pub(super) positions: Vec<DVec3>,
-    /// u to the right, v upwards; not finite where the line could not be read.
+    /// u to the right, v upwards; not finite for an invalid line.
     pub(super) uvs: Vec<[f64; 2]>,
-    /// Not finite where the line could not be read.
+    /// Not finite for an invalid line.
     pub(super) normals: Vec<DVec3>,
     pub(super) triangles: Vec<[Corner; 3]>,
     /// Index into `material_names` of each triangle.
     pub(super) materials: Vec<Option<u32>>,
-    /// As `usemtl` names them, in the order of their first use.
+    /// Names of `usemtl`, in the order of their first use.
     pub(super) material_names: Vec<String>,
-    /// As `mtllib` names them.
+    /// File names of `mtllib`.
     pub(super) libraries: Vec<String>,
-    /// Corners that name a texture coordinate or normal that does not exist.
+    /// Number of corners with an invalid texture coordinate or normal.
     pub(super) dangling: usize,
     material: Option<u32>,
 }
 
-/// The shape alone: `v` and `f` statements.
+/// Reads the shape: `v` and `f` statements.
 pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
     let file = parse(bytes)?;
     Ok(TriangleMesh {
@@ -53,9 +51,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
     })
 }
 
-/// All statements; those that concern only the looks never make the file an error.
+/// Reads all statements; invalid appearance is not an error.
 pub(super) fn parse(bytes: &[u8]) -> Result<ObjFile> {
-    // Names and comments may be in any encoding.
+    // Names and comments may have any encoding.
     let text = String::from_utf8_lossy(bytes);
     let mut file = ObjFile::default();
     let mut lines = text.lines().enumerate();
@@ -102,7 +100,7 @@ impl ObjFile {
         Ok(())
     }
 
-    /// `7`, `7/1`, `7//3` or `7/1/3`, each from 1; −1 is the one defined last.
+    /// Parses `7`, `7/1`, `7//3` or `7/1/3`, each from 1; −1 is the last one defined.
     fn corner(&mut self, word: &str) -> Result<Corner> {
         let mut parts = word.split('/');
         let number: i64 = parts
@@ -111,15 +109,15 @@ impl ObjFile {
             .parse()
             .map_err(|_| bad_number(word))?;
         let count = self.positions.len();
-        let position = index_of(number, count).ok_or_else(|| {
+        let position = resolve_index(number, count).ok_or_else(|| {
             malformed(format!(
-                "the face names vertex {number}, but {count} are defined before it"
+                "the face refers to vertex {number}, but {count} are defined before it"
             ))
         })?;
         let mut optional = |count: usize, is_usable: &dyn Fn(u32) -> bool| {
             let part = parts.next().filter(|part| !part.is_empty())?;
-            let found = part.parse().ok().and_then(|n| index_of(n, count));
-            let usable = found.filter(|&index| is_usable(index));
+            let index = part.parse().ok().and_then(|n| resolve_index(n, count));
+            let usable = index.filter(|&index| is_usable(index));
             self.dangling += usize::from(usable.is_none());
             usable
         };
@@ -137,8 +135,8 @@ impl ObjFile {
     }
 
     fn use_material(&mut self, name: &str) {
-        let known = self.material_names.iter().position(|known| known == name);
-        let index = known.unwrap_or_else(|| {
+        let index = self.material_names.iter().position(|n| n == name);
+        let index = index.unwrap_or_else(|| {
             self.material_names.push(name.to_string());
             self.material_names.len() - 1
         });
@@ -146,19 +144,14 @@ impl ObjFile {
     }
 }
 
-/// Index from 0 of an index from 1 or from the end, if it is within `count`.
-fn index_of(number: i64, count: usize) -> Option<u32> {
-    let from_zero = if number < 0 {
-        number.checked_add(count as i64)?
-    } else {
-        number - 1
-    };
-    u32::try_from(from_zero)
-        .ok()
-        .filter(|&index| (index as usize) < count)
+/// Zero-based index of an index from 1 or from the end, if below `count`.
+fn resolve_index(number: i64, count: usize) -> Option<u32> {
+    let shift = if number < 0 { count as i64 } else { -1 };
+    let index = u32::try_from(number + shift).ok()?;
+    ((index as usize) < count).then_some(index)
 }
 
-/// The first three numbers; NaN for what is missing or no number.
+/// Parses the first three numbers; NaN for missing or invalid ones.
 fn numbers(words: &str) -> [f64; 3] {
     let mut words = words.split_whitespace();
     std::array::from_fn(|_| {
@@ -169,29 +162,29 @@ fn numbers(words: &str) -> [f64; 3] {
     })
 }
 
-/// The first three numbers; a weight or a colour may follow.
+/// Parses a position; a weight or a colour may follow.
 fn position<'a>(mut words: impl Iterator<Item = &'a str>) -> Result<DVec3> {
     let mut number = || -> Result<f64> {
-        let word = words.next().ok_or_else(|| {
-            malformed("a vertex must have 3 coordinates, the line ends before the third")
-        })?;
+        let word = words
+            .next()
+            .ok_or_else(|| malformed("a vertex must have 3 coordinates"))?;
         word.parse().map_err(|_| bad_number(word))
     };
-    let place = DVec3::new(number()?, number()?, number()?);
-    if !place.is_finite() {
-        let found = place.to_array();
+    let position = DVec3::new(number()?, number()?, number()?);
+    if !position.is_finite() {
+        let found = position.to_array();
         return Err(malformed(format!(
             "a vertex must have finite coordinates, found {found:?}"
         )));
     }
-    Ok(place)
+    Ok(position)
 }
 
 fn bad_number(word: &str) -> Error {
-    malformed(format!("{word:?} is not a number"))
+    malformed(format!("invalid number {word:?}"))
 }
 
-/// Text of the mesh with as many digits as reading back bit for bit takes.
+/// Writes the mesh with enough digits to round-trip bit for bit.
 pub(super) fn write(mesh: &TriangleMesh) -> Vec<u8> {
     let mut text = String::from("# unit: metre\n");
     for v in &mesh.vertices {

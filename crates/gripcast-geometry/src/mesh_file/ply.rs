@@ -16,7 +16,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
     let mut reader = Reader::new(Cursor::new(bytes));
     let header = Parser::<DefaultElement>::new()
         .read_header(&mut reader)
-        .map_err(unreadable)?;
+        .map_err(invalid)?;
     let mut mesh = TriangleMesh::default();
     for (name, element) in &header.elements {
         check_element(element, bytes.len())?;
@@ -50,21 +50,21 @@ fn elements<E: PropertyAccess>(
 ) -> Result<Vec<E>> {
     Parser::<E>::new()
         .read_payload_for_element(reader, element, header)
-        .map_err(unreadable)
+        .map_err(invalid)
 }
 
-fn unreadable(error: ParseError) -> Error {
-    malformed("the PLY cannot be read").because(error)
+fn invalid(error: ParseError) -> Error {
+    malformed("invalid PLY file").because(error)
 }
 
-/// Refuses counts that the file cannot hold before any memory is taken for them, and vertices
-/// without coordinates.
+/// Rejects counts that the file cannot hold, before memory is allocated, and vertices without
+/// coordinates.
 fn check_element(element: &ElementDef, file_size: usize) -> Result<()> {
     let ElementDef { name, count, .. } = element;
     let properties = &element.properties;
     if *count > file_size || (*count > 0 && properties.iter().next().is_none()) {
         return Err(malformed(format!(
-            "the header announces {count} of element {name:?}, more than the file holds"
+            "the header declares {count} of element {name:?}, more than the file holds"
         )));
     }
     let has = |key: &str| properties.iter().any(|(k, _)| k == key);
@@ -103,7 +103,7 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// Corners of a face, if it lists any.
+/// Corner indices of a face, if it has any.
 struct Face(Option<Vec<u32>>);
 
 impl PropertyAccess for Face {
@@ -127,7 +127,7 @@ impl PropertyAccess for Skipped {
     }
 }
 
-/// Binary little-endian file with double coordinates.
+/// Writes a binary little-endian file with double coordinates.
 pub(super) fn write(mesh: &TriangleMesh) -> Vec<u8> {
     let mut bytes = format!(
         "ply\nformat binary_little_endian 1.0\ncomment unit: metre\n\

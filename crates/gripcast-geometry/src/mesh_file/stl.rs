@@ -6,15 +6,15 @@ use super::{from_f32, malformed};
 use crate::mesh::TriangleMesh;
 use gripcast_base::error::Result;
 
-/// Bytes before the triangles of a binary file, and of one triangle.
+/// Bytes of the header of a binary file, and of one triangle.
 const HEADER: usize = 84;
 const TRIANGLE: usize = 50;
 
-/// Parses either form; the normals of the file are ignored, the order of corners counts.
+/// Parses either form; the order of corners defines the orientation, normals are ignored.
 pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
     let mut bytes = bytes.to_vec();
     if let Some(count) = binary_count(&bytes) {
-        // Binary headers that begin with "solid" would be taken for text.
+        // The parser would take a binary header that starts with "solid" for text.
         bytes[0] = 0;
         let expected = HEADER + TRIANGLE * count;
         if bytes.len() < expected {
@@ -25,7 +25,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
         }
     }
     let parsed = stl_io::read_stl(&mut Cursor::new(bytes))
-        .map_err(|e| malformed("the STL cannot be read").because(e))?;
+        .map_err(|e| malformed("invalid STL file").because(e))?;
     Ok(TriangleMesh {
         vertices: parsed.vertices.iter().map(|v| from_f32(v.0)).collect(),
         triangles: parsed
@@ -36,8 +36,8 @@ pub(super) fn read(bytes: &[u8]) -> Result<TriangleMesh> {
     })
 }
 
-/// Number of triangles of a binary file; none for text. A file that begins with `solid` is
-/// binary if its size is the one of its count.
+/// Number of triangles of a binary file; `None` for text. A file that starts with `solid` is binary
+/// if its size matches its count.
 fn binary_count(bytes: &[u8]) -> Option<usize> {
     let count: [u8; 4] = bytes.get(HEADER - 4..HEADER)?.try_into().ok()?;
     let count = u32::from_le_bytes(count) as usize;

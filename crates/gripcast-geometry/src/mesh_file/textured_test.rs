@@ -9,11 +9,11 @@ fn no_file(_: &str) -> io::Result<Vec<u8>> {
 }
 
 fn read(text: &str, mtl: &str) -> TexturedMesh {
-    let beside = |name: &str| match name {
+    let companions = |name: &str| match name {
         "a b.mtl" => Ok(mtl.as_bytes().to_vec()),
         _ => no_file(name),
     };
-    read_textured_mesh(text.as_bytes(), MeshFormat::Obj, &beside).unwrap()
+    read_textured_mesh(text.as_bytes(), MeshFormat::Obj, &companions).unwrap()
 }
 
 const CUBE_CORNER: &str = "mtllib a b.mtl\n\
@@ -23,7 +23,7 @@ const CUBE_CORNER: &str = "mtllib a b.mtl\n\
     f 1/4/1 4/1/1 3/3/1\n";
 
 #[test]
-fn obj_parts_have_one_material_each_and_vertices_split_at_seams() {
+fn obj_parts_split_by_material_and_seam() {
     let mesh = read(
         CUBE_CORNER,
         "newmtl Side\nKd 1 0 0\nnewmtl Bottom\nKd 0 1 0\n",
@@ -34,7 +34,7 @@ fn obj_parts_have_one_material_each_and_vertices_split_at_seams() {
         panic!()
     };
     assert_eq!(bottom.shape.triangles.len(), 3);
-    // Two of the four corners are there again with other texture coordinates.
+    // Two of the four corners are duplicated with other texture coordinates.
     assert_eq!(bottom.shape.vertices.len(), 6);
     let uvs = bottom.uvs.as_ref().unwrap();
     assert_eq!((uvs.len(), uvs[0]), (6, [0.0, 1.0]));
@@ -48,7 +48,7 @@ fn obj_parts_have_one_material_each_and_vertices_split_at_seams() {
 }
 
 #[test]
-fn the_shape_is_that_of_the_plain_reader() {
+fn shape_matches_the_plain_reader() {
     let textured = read(CUBE_CORNER, "");
     let plain = super::super::read_mesh(CUBE_CORNER.as_bytes(), MeshFormat::Obj, &no_file);
     let plain = plain.unwrap();
@@ -66,26 +66,26 @@ fn the_shape_is_that_of_the_plain_reader() {
 }
 
 #[test]
-fn broken_looks_are_warnings_and_never_errors() {
+fn invalid_appearance_is_a_warning() {
     let text = "mtllib gone.mtl\nmtllib a b.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt x\nvn 0 0 0\n\
                 usemtl here\nf 1/1/1 2/7/-9 3/one/1\n";
     let mesh = read(
         text,
         "Kd 1 1 1\nnewmtl here\nKd one two\nNs nan\nmap_bump b.png\nKs 2\n",
     );
-    let told = mesh.warnings.join("\n");
+    let warnings = mesh.warnings.join("\n");
     for expected in [
         "gone.mtl",
         "6 corners",
         "before the first `newmtl`",
-        "line 3: `Kd one two`",
-        "line 4: `Ns nan`",
+        "line 3: invalid statement `Kd one two`",
+        "line 4: invalid statement `Ns nan`",
         "`map_bump` is not supported",
     ] {
-        assert!(told.contains(expected), "{expected}: {told}");
+        assert!(warnings.contains(expected), "{expected}: {warnings}");
     }
     assert!(mesh.parts[0].uvs.is_none() && mesh.parts[0].material == Some(0));
-    // The plain reader takes no notice.
+    // The plain reader ignores the appearance.
     assert!(super::super::read_mesh(text.as_bytes(), MeshFormat::Obj, &no_file).is_ok());
 }
 
@@ -123,7 +123,7 @@ fn mtl_statements_become_metallic_roughness() {
 }
 
 #[test]
-fn image_names_may_have_options_and_spaces() {
+fn image_names_with_options_and_spaces_are_parsed() {
     for (words, name) in [
         ("wood.png", "wood.png"),
         ("-s 1 1 1 -o 0.5 0 0 my wood.png", "my wood.png"),
@@ -131,11 +131,7 @@ fn image_names_may_have_options_and_spaces() {
         ("-clamp on \"wood 2.png\"", "wood 2.png"),
     ] {
         let found = material(&format!("map_Kd {words}")).base_color_image;
-        assert_eq!(
-            found,
-            Some(ImageSource::Beside(name.to_string())),
-            "{words}"
-        );
+        assert_eq!(found, Some(ImageSource::File(name.to_string())), "{words}");
     }
     assert_eq!(material("map_Kd a.png").base_color, [1.0; 3]);
 }
@@ -158,9 +154,9 @@ fn gltf(materials: &str, extra: &str) -> String {
         "nodes":[{{"mesh":0,"scale":[2,1,4],"translation":[0,0,3]}}],
         "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"NORMAL":1,"TEXCOORD_0":2}},
             "material":0}}]}}],
-        "buffers":[{{"uri":"data:application/octet-stream;base64,{data}","byteLength":104}}],
+        "buffers":[{{"uri":"data:application/octet-stream;base64,{data}","byteLength":102}}],
         "bufferViews":[{{"buffer":0,"byteLength":36}},{{"buffer":0,"byteOffset":36,"byteLength":36}},
-          {{"buffer":0,"byteOffset":72,"byteLength":24}},{{"buffer":0,"byteOffset":96,"byteLength":8}}],
+          {{"buffer":0,"byteOffset":72,"byteLength":24}},{{"buffer":0,"byteOffset":96,"byteLength":6}}],
         "accessors":[{{"bufferView":0,"componentType":5126,"type":"VEC3","count":3}},
           {{"bufferView":1,"componentType":5126,"type":"VEC3","count":3}},
           {{"bufferView":2,"componentType":5126,"type":"VEC2","count":3}}],
@@ -174,7 +170,7 @@ fn read_gltf_text(text: &str) -> TexturedMesh {
 }
 
 #[test]
-fn gltf_parts_are_placed_with_normals_coordinates_and_images() {
+fn gltf_parts_have_normals_coordinates_and_images() {
     let mesh = read_gltf_text(&gltf(
         r#"{"name":"m","pbrMetallicRoughness":{"baseColorFactor":[1,0.5,0.25,1],
             "baseColorTexture":{"index":0},"metallicFactor":0,"roughnessFactor":0.4}}"#,
@@ -196,7 +192,7 @@ fn gltf_parts_are_placed_with_normals_coordinates_and_images() {
 }
 
 #[test]
-fn gltf_glass_and_what_is_not_supported() {
+fn gltf_transmission_and_unsupported_features() {
     let mesh = read_gltf_text(&gltf(
         r#"{"extensions":{"KHR_materials_transmission":{"transmissionFactor":0.9},
             "KHR_materials_ior":{"ior":1.33}},"normalTexture":{"index":0}},
@@ -210,20 +206,20 @@ fn gltf_glass_and_what_is_not_supported() {
     };
     assert_eq!((glass.transmission, glass.ior), (0.9, 1.33));
     assert!((blend.transmission - 0.8).abs() < 1e-12);
-    // What the format implies.
+    // Defaults of the format.
     assert_eq!((mask.metallic, mask.roughness), (1.0, 1.0));
-    let told = mesh.warnings.join("\n");
-    for expected in ["normal map", "first set", "MASK", "no texture 9"] {
-        assert!(told.contains(expected), "{expected}: {told}");
+    let warnings = mesh.warnings.join("\n");
+    for expected in ["normal map", "first set", "MASK", "texture 9 not found"] {
+        assert!(warnings.contains(expected), "{expected}: {warnings}");
     }
 }
 
 #[test]
-fn damaged_gltf_materials_leave_the_shape() {
+fn invalid_gltf_materials_keep_the_shape() {
     let mesh = read_gltf_text(&gltf(r#"{"pbrMetallicRoughness":7}"#, ""));
     assert!(mesh.materials.is_empty() && mesh.parts[0].material.is_none());
     assert!(
-        mesh.warnings[0].contains("cannot be read"),
+        mesh.warnings[0].contains("invalid materials"),
         "{:?}",
         mesh.warnings
     );
@@ -233,7 +229,7 @@ fn damaged_gltf_materials_leave_the_shape() {
 }
 
 #[test]
-fn other_formats_have_one_part_without_looks() {
+fn other_formats_have_one_part_without_appearance() {
     let folder = tempfile::tempdir().unwrap();
     let mug = crate::builtin("mug").unwrap();
     let path = folder.path().join("mug.ply");
@@ -252,7 +248,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(1024))]
 
     #[test]
-    fn damaged_looks_never_panic(
+    fn damaged_appearance_never_panics(
         which in 0..3usize,
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6)
     ) {
@@ -263,18 +259,18 @@ proptest! {
             1 => mtl.as_bytes().to_vec(),
             _ => document.into_bytes(),
         };
-        for (place, value) in edits {
-            let at = place.index(bytes.len());
-            bytes[at] = value;
+        for (index, value) in edits {
+            let index = index.index(bytes.len());
+            bytes[index] = value;
         }
         let damaged = bytes.clone();
-        let beside = |_: &str| Ok(if which == 1 { damaged.clone() } else { Vec::new() });
+        let companions = |_: &str| Ok(if which == 1 { damaged.clone() } else { Vec::new() });
         let (text, format) = match which {
             0 => (&bytes[..], MeshFormat::Obj),
             1 => (CUBE_CORNER.as_bytes(), MeshFormat::Obj),
             _ => (&bytes[..], MeshFormat::Gltf),
         };
-        if let Ok(mesh) = read_textured_mesh(text, format, &beside) {
+        if let Ok(mesh) = read_textured_mesh(text, format, &companions) {
             for part in &mesh.parts {
                 let count = part.shape.vertices.len();
                 prop_assert!(part.uvs.as_ref().is_none_or(|uvs| uvs.len() == count));

@@ -10,7 +10,7 @@ use gripcast_imaging::{Intrinsics, encode_jpeg};
 use gripcast_pose::BoardFile;
 use gripcast_pose::print::{ObjectOnSheet, ObjectSheet, usual_object_sheet};
 use gripcast_sim::fem::GelGrid;
-use gripcast_sim::grasp::{Placed, Snapshot};
+use gripcast_sim::grasp::{GripperState, Snapshot};
 use gripcast_visual::{
     Camera, ColourSettings, DenoiseSettings, GraspPrints, GraspState, Model, RenderSettings,
     Renderer, Scene, View, VisualConditions, VisualRandomisation, Watch, annotation_camera,
@@ -93,7 +93,7 @@ impl Stand {
     /// `Interrupted` once the watch is cancelled; `Input` where a camera would be in the ground.
     pub(super) fn photograph(
         &self,
-        placed: &Placed,
+        placed: &GripperState,
         grasped: &Snapshot,
         grid: &GelGrid,
         seed: u64,

@@ -14,9 +14,7 @@ use gripcast_base::files::{BeneathPath, FileKind, FileName};
 use gripcast_base::workers::thread_cpu_s;
 use gripcast_sim::fem::GelResolution;
 use gripcast_sim::grasp::GraspResult;
-use gripcast_sim::grasp::{
-    GraspOutcome, GraspSettings, Preset, Snapshot, StageName, resolution_name,
-};
+use gripcast_sim::grasp::{GraspOutcome, GraspSettings, Preset, Snapshot, StageName};
 use gripcast_sim::{Engine as _, FemEngine, GraspSetup};
 
 /// A simulated candidate, as it is kept in a file.
@@ -55,7 +53,7 @@ impl Simulated {
     pub(super) fn class(&self) -> Option<Class> {
         match self.outcome {
             GraspOutcome::Success => Some(Class::Stable),
-            GraspOutcome::Slip | GraspOutcome::Eject | GraspOutcome::Closed => Some(Class::Lost),
+            GraspOutcome::Slip | GraspOutcome::Eject | GraspOutcome::GelsMet => Some(Class::Lost),
             GraspOutcome::Miss | GraspOutcome::PenetratingStart | GraspOutcome::NotConverged => {
                 None
             }
@@ -166,7 +164,7 @@ impl<'a> Reality<'a> {
     }
 
     fn place(&self, candidate: &Candidate) -> Result<BeneathPath> {
-        let mesh = resolution_name(self.engine.settings.resolution);
+        let mesh = self.engine.settings.resolution.name();
         let name = format!("{}-{:03}.{mesh}.json", self.object.name, candidate.number);
         Ok(self.folder.join(&FileName::parse(&name)?))
     }

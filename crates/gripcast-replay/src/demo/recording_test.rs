@@ -11,7 +11,7 @@ use gripcast_dataset::verify;
 use gripcast_geometry::Pose;
 use gripcast_imaging::encode_jpeg;
 use gripcast_pose::synthetic::test_camera;
-use gripcast_sim::grasp::{GraspOutcome, Placed, Snapshot, StageName};
+use gripcast_sim::grasp::{GraspOutcome, GripperState, Snapshot, StageName};
 
 fn object() -> DemoObject {
     let settings = DemoSettings {
@@ -29,7 +29,7 @@ fn chosen(number: usize, outcome: GraspOutcome) -> Chosen {
         object: 0,
         candidate: Candidate {
             number,
-            placed: Placed {
+            placed: GripperState {
                 t_world_gripper: above,
                 opening_m: 0.06,
             },

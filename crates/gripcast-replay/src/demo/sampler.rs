@@ -2,7 +2,7 @@
 
 use super::object::DemoObject;
 use gripcast_base::error::Result;
-use gripcast_sim::grasp::Placed;
+use gripcast_sim::grasp::GripperState;
 use gripcast_synth::grasp::{FaultRanges, GraspSampler};
 
 /// A person's squeeze, N.
@@ -14,7 +14,7 @@ pub(super) struct Candidate {
     /// Its number among those of its object.
     pub number: usize,
     /// Where the gripper is and how far it is open.
-    pub(super) placed: Placed,
+    pub(super) placed: GripperState,
     /// The person's squeeze, N.
     pub(super) stop_force_n: f64,
 }

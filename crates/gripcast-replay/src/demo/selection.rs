@@ -208,12 +208,12 @@ fn selection(known: Vec<Known>) -> Vec<Chosen> {
 mod tests {
     use super::*;
     use gripcast_geometry::Pose;
-    use gripcast_sim::grasp::{GraspOutcome, Placed, Snapshot, StageName};
+    use gripcast_sim::grasp::{GraspOutcome, GripperState, Snapshot, StageName};
 
     fn candidate(number: usize) -> Candidate {
         Candidate {
             number,
-            placed: Placed {
+            placed: GripperState {
                 t_world_gripper: Pose::IDENTITY,
                 opening_m: 0.05,
             },

@@ -4,7 +4,7 @@
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 use gripcast_imaging::encode_jpeg;
-use gripcast_sim::grasp::{Finger, Placed, Snapshot};
+use gripcast_sim::grasp::{Finger, GripperState, Snapshot};
 use gripcast_tactile::{
     ObjectDepthRenderer, SceneRenderer as _, SensorPlace, SensorProfile, SensorVariation,
     SimulatedGel, TactileScene, WholeFrame,
@@ -68,7 +68,7 @@ pub(super) struct Contact<'a> {
     /// The object and the gripper before the fingers close.
     pub(super) t_world_object: gripcast_geometry::Pose,
     /// See `t_world_object`.
-    pub(super) placed: &'a Placed,
+    pub(super) placed: &'a GripperState,
     /// Before the lift.
     pub(super) grasped: &'a Snapshot,
 }

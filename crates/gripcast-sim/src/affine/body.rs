@@ -1,16 +1,17 @@
-//! Kinetic term and shape energy of an affine body, with gradients and Hessians.
+//! Kinetic term and shape energy of an affine body, with gradients and Hessians (Lan et al., *Affine
+//! Body Dynamics*, 2022).
 //!
-//! After Lan et al., *Affine Body Dynamics* (2022): q = (p, A) with X relative to the centre of
-//! mass, so that translation and shape do not mix in the mass matrix.
+//! q = (p, A) with X relative to the centre of mass decouples translation and shape in the mass
+//! matrix.
 
 use glam::{DMat3, DVec3};
 
 use super::state::AffineState;
 use super::{Matrix12, Vector12};
-use crate::fem::{Projection, svd, symmetric_eigen};
+use crate::fem::{Projection, outer, svd, symmetric_eigen};
 use gripcast_base::error::{Error, Result};
 
-/// Constants of one affine body.
+/// Mass and stiffness constants of an affine body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AffineBody {
     mass_kg: f64,
@@ -20,12 +21,12 @@ pub struct AffineBody {
 }
 
 impl AffineBody {
-    /// From mass in kg, volume in m³, the volume's second moment about the centre of mass
-    /// (integral of X X^T dV, m⁵) and the modulus in Pa that keeps the shape (1e9 is usual).
+    /// Creates a body from mass (kg), volume (m³), second moment of volume about the centre of mass
+    /// (∫ X Xᵀ dV, m⁵) and the modulus that preserves its shape (Pa, typically 1e9).
     ///
     /// # Errors
     /// `Input` unless mass, volume and modulus are positive and finite and the second moment is
-    /// symmetric and positive definite.
+    /// symmetric positive definite.
     pub fn new(
         mass_kg: f64,
         volume_m3: f64,
@@ -38,7 +39,7 @@ impl AffineBody {
             ("modulus", stiffness_pa),
         ];
         if let Some((name, value)) = named.iter().find(|(_, v)| !(*v > 0.0 && v.is_finite())) {
-            let what = format!("object's {name} must be positive and finite, found {value}");
+            let what = format!("the object's {name} must be positive and finite, found {value}");
             return Err(Error::input(what));
         }
         let skew = volume_second_moment - volume_second_moment.transpose();
@@ -46,16 +47,15 @@ impl AffineBody {
             .to_cols_array()
             .into_iter()
             .fold(0.0, |m: f64, v| m.max(v.abs()));
-        let symmetric = skew.abs_diff_eq(DMat3::ZERO, 1e-9 * largest);
+        let is_symmetric = skew.abs_diff_eq(DMat3::ZERO, 1e-9 * largest);
         let (values, _) = symmetric_eigen(&volume_second_moment);
-        let definite = values.is_finite() && values.min_element() > 1e-12 * values.max_element();
-        if !(symmetric && definite) {
-            let what = format!(
-                "object's second moment must be symmetric and positive definite, found {volume_second_moment}"
-            );
-            return Err(
-                Error::input(what).remedy("give a closed mesh whose triangles all face outwards")
-            );
+        let is_definite = values.is_finite() && values.min_element() > 1e-12 * values.max_element();
+        if !(is_symmetric && is_definite) {
+            return Err(Error::input(format!(
+                "the object's second moment must be symmetric positive definite, found \
+                 {volume_second_moment}"
+            ))
+            .remedy("use a closed mesh whose triangles all face outwards"));
         }
         Ok(Self {
             mass_kg,
@@ -66,25 +66,21 @@ impl AffineBody {
     }
 
     /// Mass in kg.
-    #[must_use]
     pub fn mass_kg(&self) -> f64 {
         self.mass_kg
     }
 
     /// Volume in m³.
-    #[must_use]
     pub fn volume_m3(&self) -> f64 {
         self.volume_m3
     }
 
     /// Second moment of mass S in kg m², about the centre of mass, in the material frame.
-    #[must_use]
     pub fn second_moment(&self) -> &DMat3 {
         &self.second_moment
     }
 
     /// Kinetic term 1/2 m |p - p^|² + 1/2 tr((A - A^) S (A - A^)^T) in kg m².
-    #[must_use]
     pub fn kinetic(&self, state: &AffineState, inertial: &AffineState) -> f64 {
         let (p, a) = (state.p - inertial.p, state.a - inertial.a);
         let shape: f64 = (0..3)
@@ -122,7 +118,6 @@ impl AffineBody {
     }
 
     /// Shape energy V E/8 |A^T A - I|² in J.
-    #[must_use]
     pub fn shape(&self, a: &DMat3) -> f64 {
         let strain = a.transpose() * *a - DMat3::IDENTITY;
         let squares: f64 = strain.to_cols_array().iter().map(|e| e * e).sum();
@@ -168,7 +163,7 @@ impl AffineBody {
     }
 }
 
-/// Adds back the negative modes. In singular values s the eigenvalues are k (s_i² - s_i s_j +
+/// Adds corrections of the negative modes. In singular values s the eigenvalues are k (s_i² - s_i s_j +
 /// s_j² - 1) for twists, k (s_i² + s_i s_j + s_j² - 1) for flips, k (3 s_i² - 1) for stretches
 /// (Smith, De Goes and Kim 2019 for this energy). Twists need the signs of a reflected A, which
 /// U carries.
@@ -191,10 +186,6 @@ fn add_corrections(a: &DMat3, k: f64, projection: Projection, hessian: &mut Matr
             add_mode(hessian, 0.5 * correction, &mode);
         }
     }
-}
-
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 fn add_at(gradient: &mut Vector12, start: usize, v: DVec3) {

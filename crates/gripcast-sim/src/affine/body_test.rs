@@ -17,16 +17,16 @@ fn body() -> AffineBody {
     AffineBody::new(0.06, volume, moment, 1e9).unwrap()
 }
 
-fn turn() -> DMat3 {
+fn rotation() -> DMat3 {
     DMat3::from_rotation_z(0.8) * DMat3::from_rotation_x(-0.3)
 }
 
 /// Rotations, equal and unequal stretches, mirrored, flat and random linear parts.
 fn cases() -> Vec<DMat3> {
-    let stretched = |x, y, z| turn() * DMat3::from_diagonal(DVec3::new(x, y, z)) * turn();
+    let stretched = |x, y, z| rotation() * DMat3::from_diagonal(DVec3::new(x, y, z)) * rotation();
     let mut all = vec![
         DMat3::IDENTITY,
-        turn(),
+        rotation(),
         stretched(1.001, 0.999, 1.0),
         stretched(0.9, 0.9, 0.9),
         stretched(0.5, 0.5, 1.2),
@@ -103,17 +103,17 @@ fn shape_gradient_and_hessian_are_slopes() {
 }
 
 #[test]
-fn rotations_cost_nothing() {
-    assert!(body().shape(&turn()) < 1e-12);
-    assert!(largest(&shape_gradient(&turn())) < 1e-6);
+fn rotations_have_no_shape_energy() {
+    assert!(body().shape(&rotation()) < 1e-12);
+    assert!(largest(&shape_gradient(&rotation())) < 1e-6);
 }
 
 #[test]
 fn kinetic_gradient_and_hessian_are_slopes() {
     let body = body();
     let (s, hat) = (
-        state(turn() * 1.1),
-        state(DMat3::IDENTITY).moved(turn(), DVec3::X),
+        state(rotation() * 1.1),
+        state(DMat3::IDENTITY).moved(rotation(), DVec3::X),
     );
     let mut m = [[0.0; 12]; 12];
     body.add_kinetic_hessian(1.0, &mut m);
@@ -137,9 +137,9 @@ fn kinetic_gradient_and_hessian_are_slopes() {
 
 /// The kinetic term is the integral of rho |x - x^|² / 2: a cloud of points with the same moments.
 #[test]
-fn kinetic_term_is_that_of_the_points() {
+fn kinetic_term_matches_a_point_cloud() {
     let body = body();
-    let (s, hat) = (state(turn() * 1.1), state(DMat3::from_rotation_y(0.2)));
+    let (s, hat) = (state(rotation() * 1.1), state(DMat3::from_rotation_y(0.2)));
     let half = DVec3::new(0.02, 0.015, 0.03) / 3.0_f64.sqrt();
     let mut sum = 0.0;
     for k in 0..8 {
@@ -176,9 +176,9 @@ fn projected_shape_hessian_is_positive_semidefinite() {
     assert!((5..cases().len() - 2).contains(&indefinite), "{indefinite}");
 }
 
-/// Abs has the eigenvalues' sizes: its square is that of the exact Hessian.
+/// `Abs` preserves the magnitudes of the eigenvalues, and so the square of the Hessian.
 #[test]
-fn absolute_projection_keeps_the_square() {
+fn absolute_projection_preserves_the_square() {
     let square = |m: &Matrix12| -> Matrix12 {
         std::array::from_fn(|r| std::array::from_fn(|c| (0..12).map(|k| m[r][k] * m[k][c]).sum()))
     };
@@ -232,12 +232,12 @@ fn angular_momentum(body: &AffineBody, s: &AffineState, rate: &AffineRate) -> DV
     axial(rate.a * *body.second_moment() * s.a.transpose())
 }
 
-/// The shape energy has no torque, so that a step changes the angular momentum only by the known
-/// error of implicit Euler, dt axial(A'_old S A'_new^T), which damps.
+/// The shape energy exerts no torque, so a step changes the angular momentum only by the damping error
+/// of implicit Euler, dt axial(A'_old S A'_new^T).
 #[test]
-fn a_free_body_keeps_its_momenta() {
+fn free_body_conserves_momenta() {
     let (body, dt) = (body(), 0.01);
-    let mut s = state(turn());
+    let mut s = state(rotation());
     let omega = DVec3::new(0.5, -1.0, 2.0);
     let mut rate = AffineRate {
         p: DVec3::new(0.1, 0.0, -0.2),
@@ -270,14 +270,14 @@ fn a_free_body_keeps_its_momenta() {
     }
     let strain = s.a.transpose() * s.a - DMat3::IDENTITY;
     assert!(largest(&strain.to_cols_array()) < 1e-6);
-    let turned = s.a * turn().transpose();
-    assert!(!turned.abs_diff_eq(DMat3::IDENTITY, 0.5), "it did turn");
+    let rotated = s.a * rotation().transpose();
+    assert!(!rotated.abs_diff_eq(DMat3::IDENTITY, 0.5), "no rotation");
 }
 
 #[test]
 fn free_fall_follows_implicit_euler() {
     let (body, dt, g) = (body(), 0.01, DVec3::new(0.0, 0.0, -9.81));
-    let start = state(turn());
+    let start = state(rotation());
     let (mut s, mut rate) = (start, AffineRate::ZERO);
     for n in 1..=100 {
         let next = advance(&body, &s, &rate, g, dt);
@@ -290,7 +290,7 @@ fn free_fall_follows_implicit_euler() {
 }
 
 #[test]
-fn bad_bodies_are_refused() {
+fn invalid_bodies_are_rejected() {
     let good = DMat3::from_diagonal(DVec3::new(1e-9, 2e-9, 3e-9));
     let skew = DMat3::from_cols(good.x_axis + DVec3::Y * 1e-9, good.y_axis, good.z_axis);
     let flat = DMat3::from_diagonal(DVec3::new(1e-9, 2e-9, 0.0));

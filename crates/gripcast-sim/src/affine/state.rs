@@ -1,14 +1,14 @@
-//! Position and rate of an affine body, and the map from them to its material points.
+//! State and rate of an affine body, and their map to its material points.
 
 use glam::{DMat3, DVec3};
 
 use super::{Matrix12, Vector12};
 use crate::fem::svd;
 
-/// Where an affine body is: material point X, relative to the centre of mass, lies at p + A X.
+/// State of an affine body: material point X, relative to the centre of mass, is at p + A X.
 ///
-/// As 12 numbers q = (p, A's columns): entry 3 + 3 j + i is A(i, j). With weights
-/// w = (1, X) a point is x = sum w_k q_k over the four 3-vectors of q.
+/// As a vector q = (p, columns of A): entry 3 + 3 j + i is A(i, j). With weights w = (1, X), a point
+/// is x = Σ w_k q_k over the four 3-vectors of q.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AffineState {
     /// Centre of mass in m.
@@ -35,20 +35,17 @@ impl AffineRate {
 }
 
 impl AffineState {
-    /// A body turned by `rotation` with its centre of mass at `p` (m).
-    #[must_use]
+    /// A body rotated by `rotation` with its centre of mass at `p` (m).
     pub fn rigid(p: DVec3, rotation: DMat3) -> Self {
         Self { p, a: rotation }
     }
 
-    /// World place in m of material point `x`.
-    #[must_use]
+    /// World position of material point `x`, m.
     pub fn point(&self, x: DVec3) -> DVec3 {
         self.p + self.a * x
     }
 
-    /// The 12 numbers: p, then the columns of A.
-    #[must_use]
+    /// As a vector of 12: p, then the columns of A.
     pub fn to_array(&self) -> Vector12 {
         let mut q = [0.0; 12];
         self.p.write_to_slice(&mut q[..3]);
@@ -57,7 +54,6 @@ impl AffineState {
     }
 
     /// Inverse of [`AffineState::to_array`].
-    #[must_use]
     pub fn from_array(q: &Vector12) -> Self {
         Self {
             p: DVec3::from_slice(&q[..3]),
@@ -65,7 +61,7 @@ impl AffineState {
         }
     }
 
-    /// This state moved by `scale` times a step of the 12 numbers.
+    /// This state plus `scale` times a step of the 12 numbers.
     #[must_use]
     pub fn stepped(&self, step: &Vector12, scale: f64) -> Self {
         let step = Self::from_array(step);
@@ -75,7 +71,7 @@ impl AffineState {
         }
     }
 
-    /// This state after the rigid motion x -> rotation x + translation (m) of the world.
+    /// This state after the rigid motion x → rotation x + translation (m) of the world.
     #[must_use]
     pub fn moved(&self, rotation: DMat3, translation: DVec3) -> Self {
         Self {
@@ -84,8 +80,7 @@ impl AffineState {
         }
     }
 
-    /// Rate in 1/s that leads from `before` to this state in `dt` seconds.
-    #[must_use]
+    /// Rate that leads from `before` to this state in `dt` seconds.
     pub fn rate_since(&self, before: &Self, dt: f64) -> AffineRate {
         AffineRate {
             p: (self.p - before.p) / dt,
@@ -93,8 +88,8 @@ impl AffineState {
         }
     }
 
-    /// Where inertia and a constant acceleration (m/s²) carry the body in `dt` seconds under
-    /// implicit Euler: the minimum of the kinetic term.
+    /// Inertial prediction of implicit Euler after `dt` seconds with a constant acceleration (m/s²):
+    /// the minimum of the kinetic term.
     #[must_use]
     pub fn inertial(&self, rate: &AffineRate, acceleration: DVec3, dt: f64) -> Self {
         Self {
@@ -103,9 +98,8 @@ impl AffineState {
         }
     }
 
-    /// The rotation nearest to A in the Frobenius norm (polar decomposition). For det A < 0 the
-    /// smallest singular direction is mirrored.
-    #[must_use]
+    /// Rotation nearest to A in the Frobenius norm (polar decomposition). For det A < 0 the smallest
+    /// singular direction is mirrored.
     pub fn nearest_rotation(&self) -> DMat3 {
         let mut parts = svd(&self.a);
         if parts.u.determinant() < 0.0 {
@@ -118,7 +112,6 @@ impl AffineState {
 
 /// Weights (1, X) of the four 3-vectors of q in material point `x`: the Jacobian of a world point
 /// is their Kronecker product with the identity.
-#[must_use]
 pub fn axis_weights(x: DVec3) -> [f64; 4] {
     [1.0, x.x, x.y, x.z]
 }
@@ -156,12 +149,12 @@ mod tests {
 
     use super::*;
 
-    fn turn() -> DMat3 {
+    fn rotation() -> DMat3 {
         DMat3::from_rotation_z(0.8) * DMat3::from_rotation_x(-0.3)
     }
 
     #[test]
-    fn the_twelve_numbers_are_p_and_the_columns() {
+    fn vector_form_is_p_and_the_columns() {
         let s = AffineState {
             p: DVec3::new(1.0, 2.0, 3.0),
             a: DMat3::from_cols_array(&[4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0]),
@@ -176,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn point_gradient_and_hessian_are_those_of_the_jacobian() {
+    fn point_gradient_and_hessian_match_the_jacobian() {
         let (x, y) = (DVec3::new(0.1, -0.2, 0.3), DVec3::new(-0.4, 0.5, 0.6));
         let force = DVec3::new(1.0, -2.0, 4.0);
         let block = DMat3::from_cols_array(&std::array::from_fn(|k| k as f64 - 3.5));
@@ -198,22 +191,22 @@ mod tests {
     }
 
     #[test]
-    fn nearest_rotation_of_a_stretch_is_its_rotation() {
+    fn nearest_rotation_ignores_stretch() {
         let stretch = DMat3::from_rotation_y(0.4)
             * DMat3::from_diagonal(DVec3::new(0.5, 1.0, 1.7))
             * DMat3::from_rotation_y(-0.4);
-        for a in [turn(), turn() * 3.0, turn() * stretch] {
+        for a in [rotation(), rotation() * 3.0, rotation() * stretch] {
             let s = AffineState { p: DVec3::ZERO, a };
-            assert!(s.nearest_rotation().abs_diff_eq(turn(), 1e-13));
+            assert!(s.nearest_rotation().abs_diff_eq(rotation(), 1e-13));
         }
     }
 
     #[test]
-    fn nearest_rotation_is_one_even_for_mirrored_and_flat() {
-        let mirrored = turn() * DMat3::from_diagonal(DVec3::new(1.0, 0.9, -0.1));
+    fn nearest_rotation_handles_mirrored_and_flat_states() {
+        let mirrored = rotation() * DMat3::from_diagonal(DVec3::new(1.0, 0.9, -0.1));
         for a in [
             mirrored,
-            turn() * DMat3::from_diagonal(DVec3::new(1.0, 0.9, 0.0)),
+            rotation() * DMat3::from_diagonal(DVec3::new(1.0, 0.9, 0.0)),
             DMat3::ZERO,
         ] {
             let r = AffineState { p: DVec3::ZERO, a }.nearest_rotation();
@@ -225,12 +218,12 @@ mod tests {
             a: mirrored,
         }
         .nearest_rotation();
-        assert!(nearest.abs_diff_eq(turn(), 1e-13));
+        assert!(nearest.abs_diff_eq(rotation(), 1e-13));
     }
 
     #[test]
-    fn steps_and_rates_undo_each_other() {
-        let start = AffineState::rigid(DVec3::X, turn());
+    fn inertial_prediction_inverts_the_rate() {
+        let start = AffineState::rigid(DVec3::X, rotation());
         let step = std::array::from_fn(|k| 0.01 * k as f64);
         let next = start.stepped(&step, 0.5);
         let rate = next.rate_since(&start, 0.1);

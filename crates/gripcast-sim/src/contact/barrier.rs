@@ -1,9 +1,9 @@
-//! The clamped logarithmic barrier (Li et al. 2020, eq. 6) with the normalisation of Taccel.
+//! Clamped logarithmic barrier (Li et al. 2020, eq. 6) with the normalisation of Taccel.
 //!
 //! `b(x) = −κ ((x − x̂) / x̂)² ln(x / x̂)` for `x < x̂`, else 0; twice differentiable at `x̂`.
 //! Pairs take the squared distance, `x = d²`, `x̂ = d_hat²`; the half-space takes the distance
 //! itself, `x = d`, `x̂ = d_hat`. `b` has the unit of κ, Pa: the energy of a contact is
-//! `b · area · d_hat`, where the area is the part of the surface that the contact stands for.
+//! `b · area · d_hat` with the area that the contact represents.
 
 /// Value and derivatives of a barrier with respect to its argument.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,18 +17,18 @@ pub struct Derivatives {
 }
 
 impl Derivatives {
-    /// Of a barrier that is not reached.
+    /// Beyond the support of the barrier.
     pub const ZERO: Self = Self {
         value: 0.0,
         first: 0.0,
         second: 0.0,
     };
 
-    /// From derivatives with respect to the squared distance to derivatives with respect to the
+    /// Converts derivatives with respect to the squared distance into derivatives with respect to the
     /// distance (Pa/m, Pa/m²); `squared` in m².
     ///
-    /// The second one is positive, so `second n nᵀ` is the positive semidefinite part of the
-    /// contact's Hessian along the unit normal.
+    /// The second derivative is positive, so `second n nᵀ` is the positive semidefinite part of the
+    /// contact Hessian along the unit normal.
     #[inline]
     #[must_use]
     pub fn to_linear(self, squared: f64) -> Self {
@@ -45,12 +45,12 @@ impl Derivatives {
 pub struct Barrier {
     /// Stiffness, Pa.
     pub kappa: f64,
-    /// Distance at which contact begins, m; must be positive.
+    /// Distance at which the barrier starts, m; must be positive.
     pub d_hat: f64,
 }
 
 impl Barrier {
-    /// Square of `d_hat`, m²: pairs further apart have no energy.
+    /// Square of `d_hat`, m².
     #[inline]
     pub fn d_hat_squared(&self) -> f64 {
         self.d_hat * self.d_hat
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_are_finite_differences() {
+    fn derivatives_match_finite_differences() {
         for fraction in [1e-3, 1e-2, 0.1, 0.3, 0.5, 0.8, 0.95, 0.99] {
             for (x, of, value) in [
                 (
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn zero_from_d_hat_on_and_infinite_at_contact() {
+    fn barrier_is_zero_beyond_d_hat_and_infinite_at_contact() {
         let support = BARRIER.d_hat_squared();
         assert_eq!(BARRIER.squared(support), Derivatives::ZERO);
         assert_eq!(BARRIER.squared(2.0 * support), Derivatives::ZERO);
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn published_value_of_the_normalised_barrier() {
+    fn normalised_barrier_matches_the_published_value() {
         let unit = Barrier {
             kappa: 1.0,
             d_hat: 5e-4,

@@ -1,29 +1,28 @@
-//! Continuous collision on straight trajectories: how far a step may go.
+//! Continuous collision detection (CCD) on linear trajectories.
 //!
-//! Additive advance (Li et al. 2021, C-IPC, algorithm 1): the distance over a bound of the relative
-//! motion is a time that cannot be too late; walk it, measure again. Each step is the longer of
-//! that bound and of the time for which the plane across the closest points still separates both
-//! features (conservative advancement, Mirtich 1996), which lets features slide past each other in
-//! few steps.
+//! Additive CCD (Li et al. 2021, C-IPC, algorithm 1): the distance divided by a bound of the relative
+//! motion is a safe time step; advance and repeat. Each advance is the longer of that time and the
+//! time for which the plane across the closest points still separates both features (conservative
+//! advancement, Mirtich 1996), which lets features slide past each other in few steps.
 //!
-//! With `g = slack · (initial distance)`, both bounds keep the distance at g or more. So up to a
-//! returned time, and up to the end of the step if there is none, the distance never falls below
-//! g; at the returned time it is at most 1.1 g.
+//! With `g = slack · (initial distance)`, both bounds keep the distance at g or more: up to the
+//! returned time, or the end of the step if there is none, it never falls below g, and at the
+//! returned time it is at most 1.1 g.
 
 use glam::DVec3;
 
 use super::distance::{Closest, edge_edge, point_triangle};
 
-/// Steps aim at this multiple of the gap that must remain, so that rounding does not go below it.
-const AIM: f64 = 1.01;
+/// Target of an advance as a multiple of the gap that must remain, to absorb rounding.
+const TARGET_RATIO: f64 = 1.01;
 
-/// The walk ends when the distance is at most this multiple of the gap that must remain.
-const CLOSE_ENOUGH: f64 = 1.1;
+/// Distance at which the iteration ends, as a multiple of the gap that must remain.
+const STOP_RATIO: f64 = 1.1;
 
-/// Bound of the walk; the time reached by then is safe, only early.
+/// Iteration limit; the time reached by then is safe, but early.
 const MAX_ITERATIONS: usize = 1000;
 
-/// A stencil with its split into two convex features.
+/// A stencil split into two convex features.
 trait Stencil {
     /// Stencil indices of the two features.
     const FIRST: &'static [usize];
@@ -56,8 +55,8 @@ impl Stencil for EdgeEdge {
     }
 }
 
-/// Largest possible decrease of the distance over the whole step, m: the longest motion in each
-/// feature, with the mean motion taken away.
+/// Upper bound of the decrease of the distance over the whole step, m: the sum of the longest motions
+/// of both features relative to the mean motion.
 #[inline]
 fn motion_bound<S: Stencil>(motion: &[DVec3; 4]) -> f64 {
     let mean = (motion[0] + motion[1] + motion[2] + motion[3]) * 0.25;
@@ -92,8 +91,8 @@ fn time_of_impact<S: Stencil>(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> O
     let mut closest = S::closest(x0);
     let mut distance = closest.distance();
     let gap = slack * distance;
-    let aim = AIM * gap;
-    if bound <= distance - aim {
+    let target = TARGET_RATIO * gap;
+    if bound <= distance - target {
         return None;
     }
     if distance <= 0.0 {
@@ -102,42 +101,42 @@ fn time_of_impact<S: Stencil>(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> O
     let mut time = 0.0;
     let mut x = *x0;
     for _ in 0..MAX_ITERATIONS {
-        let plane = separated_time::<S>(&x, &motion, closest.offset / distance, aim);
-        let next = time + plane.max((distance - aim) / bound);
+        let plane = separated_time::<S>(&x, &motion, closest.offset / distance, target);
+        let next = time + plane.max((distance - target) / bound);
         if next >= 1.0 {
             return None;
         }
         x = std::array::from_fn(|i| x0[i] + motion[i] * next);
         closest = S::closest(&x);
         distance = closest.distance();
-        // Only where the gap is as small as the rounding of positions.
+        // Only if the gap is as small as the rounding of positions.
         if distance < gap {
             return Some(time);
         }
         time = next;
-        if distance <= CLOSE_ENOUGH * gap {
+        if distance <= STOP_RATIO * gap {
             break;
         }
     }
     Some(time)
 }
 
-/// Time in [0, 1] up to which a point and a triangle may move from `x0` to `x1`, stencil
-/// `[p, t0, t1, t2]`, so that `slack` (in (0, 0.9]) of their distance remains; nothing when the whole
-/// step may be taken. 0 when they touch already and move against each other.
+/// Time of impact in [0, 1] of a point and a triangle, stencil `[p, t0, t1, t2]`, that move from `x0`
+/// to `x1`: the time up to which the fraction `slack` (in (0, 0.9]) of their distance remains. `None`
+/// if the whole step is free; 0 if they touch and move against each other.
 #[inline]
 pub fn point_triangle_toi(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> Option<f64> {
     time_of_impact::<PointTriangle>(x0, x1, slack)
 }
 
-/// As [`point_triangle_toi`] for two edges, stencil `[a0, a1, b0, b1]`.
+/// [`point_triangle_toi`] for two edges, stencil `[a0, a1, b0, b1]`.
 #[inline]
 pub fn edge_edge_toi(x0: &[DVec3; 4], x1: &[DVec3; 4], slack: f64) -> Option<f64> {
     time_of_impact::<EdgeEdge>(x0, x1, slack)
 }
 
-/// As [`point_triangle_toi`] for a point at signed distance `d0` (m) from a half-space that ends
-/// the step at `d1` (m); exact. 0 when the point is not outside at first and does not move out.
+/// [`point_triangle_toi`] for a point whose signed distance from a half-space changes from `d0` to `d1`
+/// (m); exact. 0 if the point starts inside and does not move outwards.
 #[inline]
 pub fn half_space_toi(d0: f64, d1: f64, slack: f64) -> Option<f64> {
     if d0 <= 0.0 {

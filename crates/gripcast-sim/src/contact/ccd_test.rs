@@ -17,11 +17,11 @@ fn largest_coordinate(x0: &Points, x1: &Points) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// The contract: the gap holds on the way, and the time is not early.
+/// Checks that the gap remains along the trajectory and that the time is not early.
 fn check<S: Stencil>(x0: &Points, x1: &Points) -> Option<f64> {
     let found = time_of_impact::<S>(x0, x1, SLACK);
     let gap = SLACK * S::closest(x0).distance();
-    // Less is rounding of the positions, as if they touched.
+    // Below the rounding of positions the features touch.
     if gap < 1e-12 * largest_coordinate(x0, x1) {
         return found;
     }
@@ -45,7 +45,7 @@ fn check<S: Stencil>(x0: &Points, x1: &Points) -> Option<f64> {
 }
 
 #[test]
-fn gap_holds_on_the_whole_way() {
+fn gap_remains_along_the_trajectory() {
     let mut hits = [0, 0];
     for scale in cases::SCALES {
         let (from, to) = (cases::random(500, scale, 31), cases::random(500, scale, 32));
@@ -61,7 +61,7 @@ fn gap_holds_on_the_whole_way() {
 }
 
 #[test]
-fn head_on_keeps_a_tenth_of_the_gap() {
+fn head_on_impact_keeps_a_tenth_of_the_gap() {
     let triangle = [DVec3::ZERO, DVec3::X * 1e-3, DVec3::Y * 1e-3];
     let point = DVec3::new(2e-4, 2e-4, 1e-3);
     let x0 = [point, triangle[0], triangle[1], triangle[2]];
@@ -73,9 +73,9 @@ fn head_on_keeps_a_tenth_of_the_gap() {
     assert_eq!(point_triangle_toi(&x0, &x1, SLACK), None);
 }
 
-/// Faces in one plane meet the plane at the gap exactly; rounding there must not give a time of 0.
+/// Coplanar faces reach the gap exactly; rounding must not give a time of 0.
 #[test]
-fn parallel_faces_are_not_stopped_early() {
+fn parallel_faces_do_not_stop_early() {
     for k in 1..200 {
         let height = 1e-5 * f64::from(k).sqrt();
         let point = DVec3::new(2e-4, 2e-4, 4e-3 + height);
@@ -91,7 +91,7 @@ fn parallel_faces_are_not_stopped_early() {
 }
 
 #[test]
-fn sliding_past_is_no_impact() {
+fn sliding_past_has_no_impact() {
     let over = DVec3::new(0.1, 0.1, 1e-5);
     let x0 = [over, DVec3::ZERO, DVec3::X, DVec3::Y];
     let x1 = [over + DVec3::X * 5.0, x0[1], x0[2], x0[3]];
@@ -108,7 +108,7 @@ fn sliding_past_is_no_impact() {
 }
 
 #[test]
-fn common_motion_is_no_impact() {
+fn common_motion_has_no_impact() {
     for x0 in cases::random(50, 1e-3, 33) {
         let x1 = x0.map(|p| p + DVec3::new(3.0, -2.0, 1.0));
         assert_eq!(point_triangle_toi(&x0, &x1, SLACK), None);
@@ -135,7 +135,7 @@ fn half_space_time_is_exact() {
     assert_eq!(half_space_toi(-1.0, 1.0, SLACK), None);
 }
 
-/// Points on a coarse grid or anywhere, so that features often start or end in one plane or line.
+/// Points on a coarse grid or anywhere, so that features are often coplanar or collinear.
 fn stencil() -> impl Strategy<Value = Points> {
     let coordinate = || prop_oneof![-1.0..1.0_f64, (-2_i32..=2).prop_map(|n| f64::from(n) * 0.5)];
     let point = move || [coordinate(), coordinate(), coordinate()].prop_map(DVec3::from_array);
@@ -146,13 +146,13 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(1000))]
 
     #[test]
-    fn no_step_passes_through(x0 in stencil(), x1 in stencil()) {
+    fn steps_never_pass_through(x0 in stencil(), x1 in stencil()) {
         check::<PointTriangle>(&x0, &x1);
         check::<EdgeEdge>(&x0, &x1);
     }
 
     #[test]
-    fn no_small_step_passes_through(x0 in stencil(), x1 in stencil(), step in 1e-6..1e-2_f64) {
+    fn small_steps_never_pass_through(x0 in stencil(), x1 in stencil(), step in 1e-6..1e-2_f64) {
         let x1 = at(&x0, &x1, step);
         check::<PointTriangle>(&x0, &x1);
         check::<EdgeEdge>(&x0, &x1);

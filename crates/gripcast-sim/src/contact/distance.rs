@@ -1,34 +1,33 @@
 //! Closest points of a point and a triangle, and of two edges.
 //!
-//! Finite input never gives NaN, also where triangles or edges vanish or are parallel, and the
-//! closest points always lie on the features.
+//! Finite input never gives NaN, even for degenerate or parallel features, and the closest points
+//! always lie on the features.
 
 use glam::DVec3;
 
-/// Below this squared sine of two sides a triangle takes the slower path that stays accurate.
+/// Squared sine of two sides below which a triangle takes the slower, more accurate path.
 const THIN: f64 = 1e-4;
 
-/// Below this squared sine a triangle has no inside.
-const FLAT: f64 = 1e-20;
+/// Squared sine of two sides below which a triangle has no interior.
+const DEGENERATE: f64 = 1e-20;
 
-/// Which features of the stencil hold the closest points; numbers are stencil indices.
+/// Features of a stencil that contain the closest points, by stencil indices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Region {
     /// Two points.
     PointPoint(u8, u8),
-    /// A point, and the inside of the edge between the second and third index.
+    /// A point, and the interior of the edge between the second and third index.
     PointEdge(u8, u8, u8),
-    /// Point 0, and the inside of triangle 1, 2, 3.
+    /// Point 0, and the interior of triangle 1, 2, 3.
     PointTriangle,
-    /// The insides of edges 0, 1 and 2, 3.
+    /// The interiors of edges 0, 1 and 2, 3.
     EdgeEdge,
 }
 
 /// Closest points of a stencil.
 ///
-/// The offset is `Σ weights[i] x[i]`. The weights of the first feature are not negative and add up
-/// to 1, those of the second are not positive and add up to −1; points that do not take part have
-/// exactly 0.
+/// The offset is `Σ weights[i] x[i]`. The weights of the first feature are non-negative and sum to 1,
+/// those of the second are non-positive and sum to −1; uninvolved points have exactly 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Closest {
     /// Weight of each stencil point: `(1, −b0, −b1, −b2)` for a point and a triangle,
@@ -56,7 +55,7 @@ impl Closest {
         self.squared.sqrt()
     }
 
-    /// Features that hold the closest points: those whose weights are not 0.
+    /// Features that contain the closest points: those with non-zero weights.
     pub fn region(&self) -> Region {
         let find = |sign: f64| {
             let mut found = (0..4_u8).filter(move |&i| self.weights[usize::from(i)] * sign > 0.0);
@@ -72,14 +71,14 @@ impl Closest {
     }
 
     /// Derivative of the squared distance with respect to each stencil point, m:
-    /// `2 weights[i] offset`, because the closest parameters are at their minimum.
+    /// `2 weights[i] offset`, because the closest parameters are stationary.
     #[inline]
     pub fn gradient(&self) -> [DVec3; 4] {
         self.weights.map(|weight| self.offset * (2.0 * weight))
     }
 
-    /// `Σ weights[i] vectors[i]`: the motion of the first closest point relative to the second when
-    /// the stencil points move by `vectors`.
+    /// `Σ weights[i] vectors[i]`: motion of the first closest point relative to the second for motions
+    /// `vectors` of the stencil points.
     #[inline]
     pub fn relative(&self, vectors: &[DVec3; 4]) -> DVec3 {
         let [a, b, c, d] = self.weights;
@@ -87,7 +86,7 @@ impl Closest {
     }
 }
 
-/// `a / b` clamped to [0, 1]; 0 for `0 / 0`. Compiles without branches.
+/// `a / b` clamped to [0, 1]; 0 for `0 / 0`. Branch-free.
 #[inline]
 fn unit_ratio(a: f64, b: f64) -> f64 {
     let ratio = a / b;
@@ -97,7 +96,7 @@ fn unit_ratio(a: f64, b: f64) -> f64 {
 
 /// Closest points of a point and a triangle, stencil `[p, t0, t1, t2]`.
 ///
-/// Walks the regions of the triangle's corners, sides and inside (Ericson 2005, §5.1.5).
+/// Tests the Voronoi regions of corners, sides and interior (Ericson 2005, §5.1.5).
 #[inline]
 pub fn point_triangle(p: DVec3, t0: DVec3, t1: DVec3, t2: DVec3) -> Closest {
     let (ab, ac, ap) = (t1 - t0, t2 - t0, p - t0);
@@ -141,8 +140,8 @@ pub fn point_triangle(p: DVec3, t0: DVec3, t1: DVec3, t2: DVec3) -> Closest {
     Closest::new([1.0, v + w - 1.0, -v, -w], ap - ab * v - ac * w)
 }
 
-/// [`point_triangle`] by the triangle's normal, which a cross product gives to more digits than
-/// products of lengths; without an inside, the nearest of the three sides.
+/// [`point_triangle`] by the triangle's normal, which a cross product gives more accurately than
+/// products of lengths; for a degenerate triangle the nearest of the three sides.
 #[cold]
 #[inline(never)]
 fn thin_triangle(ab: DVec3, ac: DVec3, ap: DVec3) -> Closest {
@@ -151,8 +150,8 @@ fn thin_triangle(ab: DVec3, ac: DVec3, ap: DVec3) -> Closest {
     let v = ap.dot(ac.cross(normal));
     let w = ap.dot(normal.cross(ab));
     let u = area - v - w;
-    let flat = area <= FLAT * ab.length_squared() * ac.length_squared();
-    if !flat && u >= 0.0 && v >= 0.0 && w >= 0.0 {
+    let is_degenerate = area <= DEGENERATE * ab.length_squared() * ac.length_squared();
+    if !is_degenerate && u >= 0.0 && v >= 0.0 && w >= 0.0 {
         let (v, w) = (v / area, w / area);
         return Closest::new([1.0, v + w - 1.0, -v, -w], ap - ab * v - ac * w);
     }
@@ -174,14 +173,13 @@ fn thin_triangle(ab: DVec3, ac: DVec3, ap: DVec3) -> Closest {
 
 /// Closest points of two edges, stencil `[a0, a1, b0, b1]`.
 ///
-/// The closest point of line a to line b, clamped to edge a; then its partner on edge b; then that
-/// one's partner on edge a (Ericson 2005, §5.1.9). For parallel edges, where the first has no
-/// answer, any start leads to a closest pair. No branches, so the time does not depend on the
-/// region.
+/// Projects the closest point of line a to line b, clamped to edge a, onto edge b and back onto edge a
+/// (Ericson 2005, §5.1.9). For parallel edges any start leads to a closest pair. Branch-free, so the
+/// time does not depend on the region.
 #[inline]
 pub fn edge_edge(a0: DVec3, a1: DVec3, b0: DVec3, b1: DVec3) -> Closest {
     let (u, v, w) = (a1 - a0, b1 - b0, a0 - b0);
-    // Products of lengths would lose the square of the sine.
+    // A cross product, because products of lengths would lose the squared sine.
     let normal = u.cross(v);
     let s = unit_ratio(v.cross(w).dot(normal), normal.length_squared());
     let uv = u.dot(v);

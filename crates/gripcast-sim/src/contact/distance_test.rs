@@ -78,7 +78,7 @@ fn closest_points_beat_every_sample() {
     }
 }
 
-/// Differences across a jump of the second derivative are of first order only.
+/// Finite differences across a jump of the second derivative are only first order.
 fn tolerance(points: &Points, step: f64, closest: impl Fn(&Points) -> Closest) -> f64 {
     let region = closest(points).region();
     let crossed = (0..12).any(|i| {
@@ -90,7 +90,7 @@ fn tolerance(points: &Points, step: f64, closest: impl Fn(&Points) -> Closest) -
 }
 
 #[test]
-fn gradient_is_the_finite_difference() {
+fn gradient_matches_finite_differences() {
     for scale in SCALES {
         let step = 1e-6 * scale;
         for points in cases::point_triangle(scale) {
@@ -143,7 +143,7 @@ fn regions_of_two_edges() {
 }
 
 #[test]
-fn degenerate_stencils_have_finite_answers() {
+fn degenerate_stencils_have_finite_results() {
     let points = [
         DVec3::ZERO,
         DVec3::X,
@@ -166,7 +166,7 @@ fn degenerate_stencils_have_finite_answers() {
 }
 
 #[test]
-fn thin_triangles_keep_their_inside() {
+fn thin_triangles_keep_their_interior() {
     for width in [1e-2, 1e-4, 1e-5, 1e-7, 1e-9, 1e-11, 0.0] {
         for (fraction, height) in [
             (0.4, 1e-6),
@@ -178,19 +178,19 @@ fn thin_triangles_keep_their_inside() {
             let p = DVec3::new(0.7, fraction * width, height);
             let x = [p, DVec3::ZERO, DVec3::X, DVec3::new(0.8, width, 0.0)];
             for (i, j, k) in [(1, 2, 3), (2, 3, 1), (3, 1, 2), (3, 2, 1)] {
-                let turned = [x[0], x[i], x[j], x[k]];
-                let closest = closest_pt(&turned);
-                check(&turned, &closest, 1.0, false);
+                let permuted = [x[0], x[i], x[j], x[k]];
+                let closest = closest_pt(&permuted);
+                check(&permuted, &closest, 1.0, false);
                 if (0.0..1.0).contains(&fraction) && width > 1e-8 {
                     let error = (closest.distance() - height).abs();
-                    assert!(error <= 1e-12 + 1e-17 / width, "{error:e} at {turned:?}");
+                    assert!(error <= 1e-12 + 1e-17 / width, "{error:e} at {permuted:?}");
                 }
             }
         }
     }
 }
 
-/// Coordinates that often coincide or line up.
+/// Coordinates that often coincide or align.
 fn coordinate() -> impl Strategy<Value = f64> {
     prop_oneof![-1.0..1.0_f64, (-2_i32..=2).prop_map(|n| f64::from(n) * 0.5)]
 }
@@ -217,8 +217,8 @@ proptest! {
         shift in prop::array::uniform3(-1.0..1.0_f64),
     ) {
         let [a, b, c] = angles;
-        let turn = DQuat::from_euler(glam::EulerRot::XYZ, a, b, c);
-        let moved = x.map(|p| turn * p + DVec3::from_array(shift));
+        let rotation = DQuat::from_euler(glam::EulerRot::XYZ, a, b, c);
+        let moved = x.map(|p| rotation * p + DVec3::from_array(shift));
         for (before, after) in squared(&x).into_iter().zip(squared(&moved)) {
             prop_assert!(same_distance(before, after), "{before} became {after}");
         }

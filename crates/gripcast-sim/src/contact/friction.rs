@@ -7,12 +7,7 @@
 
 use glam::{DMat3, DVec3};
 
-/// Friction coefficient of a pair of materials: the harmonic mean `2 a b / (a + b)`, as Taccel.
-#[inline]
-pub fn pair_mu(a: f64, b: f64) -> f64 {
-    let sum = a + b;
-    if sum > 0.0 { 2.0 * a * b / sum } else { 0.0 }
-}
+use crate::fem::outer;
 
 /// f0 (m) of a tangential displacement `y >= 0` (m); `epsilon` is `eps_v dt` (m).
 #[inline]
@@ -52,19 +47,19 @@ pub fn f2(y: f64, epsilon: f64) -> f64 {
     2.0 * (1.0 - y / epsilon) / epsilon
 }
 
-/// Friction of one contact over one step, with what is lagged from the step's start.
+/// Friction of one contact over a time step, with normal and force lagged from its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Friction {
     /// Unit normal.
     pub normal: DVec3,
     /// Limit force μ λ, N.
     pub limit: f64,
-    /// `eps_v dt`, m: below this displacement the contact sticks (creeps).
+    /// `eps_v dt`, m: displacement below which the contact sticks (creeps).
     pub epsilon: f64,
 }
 
 impl Friction {
-    /// The part of the relative displacement `u` (m) along the surface.
+    /// Tangential component of the relative displacement `u`, m.
     #[inline]
     pub fn tangential(&self, u: DVec3) -> DVec3 {
         u - self.normal * self.normal.dot(u)
@@ -96,12 +91,7 @@ impl Friction {
         if y > 0.0 {
             let along = self.limit * f2(y, self.epsilon);
             let direction = tangential / y;
-            let scaled = direction * (along - across);
-            hessian += DMat3::from_cols(
-                scaled * direction.x,
-                scaled * direction.y,
-                scaled * direction.z,
-            );
+            hessian += outer(direction * (along - across), direction);
         }
         hessian
     }
@@ -140,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_are_finite_differences() {
+    fn derivatives_match_finite_differences() {
         for (case, points) in random(100, 1.0, 5).into_iter().enumerate() {
             let friction = friction(points[0]);
             let size = EPSILON * [1e-3, 0.3, 0.8, 3.0][case % 4];
@@ -176,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn hessian_is_positive_semidefinite_and_blind_to_the_normal() {
+    fn hessian_is_positive_semidefinite_without_normal_part() {
         for points in random(200, 1.0, 6) {
             let friction = friction(points[0]);
             for size in [0.0, 1e-9, 1e-6, 1e-5, 1e-3] {
@@ -191,21 +181,12 @@ mod tests {
     }
 
     #[test]
-    fn force_never_exceeds_the_cone() {
+    fn force_stays_in_the_friction_cone() {
         for points in random(200, 3.0 * EPSILON, 7) {
             let friction = friction(points[0]);
             let force = friction.gradient(points[1]);
             assert!(force.length() <= friction.limit * (1.0 + 1e-15));
             assert!(force.dot(points[1]) >= 0.0);
         }
-    }
-
-    #[test]
-    fn pair_coefficient_is_the_harmonic_mean() {
-        assert!((pair_mu(0.4, 0.4) - 0.4).abs() < 1e-15);
-        assert!((pair_mu(0.2, 0.6) - 0.3).abs() < 1e-15);
-        assert_eq!(pair_mu(0.2, 0.7), pair_mu(0.7, 0.2));
-        assert_eq!(pair_mu(0.0, 0.0), 0.0);
-        assert_eq!(pair_mu(0.0, 1.0), 0.0);
     }
 }

@@ -1,13 +1,13 @@
-//! The edge-edge mollifier (Li et al. 2020, eq. 24): takes the barrier of two edges smoothly to
-//! zero as they become parallel, where their closest points jump.
+//! Edge-edge mollifier (Li et al. 2020, eq. 24): smoothly reduces the barrier of two edges to zero as
+//! they become parallel, where their closest points jump.
 //!
 //! `m = (2 − c/ε) c/ε` for `c < ε`, else 1, with `c = |ea × eb|²` of the current edges and
 //! `ε = 1e-3 |ea|² |eb|²` of the edges at rest.
 
 use glam::DVec3;
 
-/// ε relative to the squared lengths of the edges at rest; edges within about 1.8° are mollified.
-pub const RELATIVE_THRESHOLD: f64 = 1e-3;
+/// ε relative to the squared lengths of the edges at rest; mollifies edges within about 1.8°.
+const RELATIVE_THRESHOLD: f64 = 1e-3;
 
 /// ε of two edges at rest, m⁴.
 #[inline]
@@ -27,7 +27,7 @@ pub struct Mollifier {
 }
 
 impl Mollifier {
-    /// Whether the factor is 1 and its derivatives are 0.
+    /// Whether the mollifier has no effect: factor 1, gradient 0.
     #[inline]
     pub fn is_one(&self) -> bool {
         self.value >= 1.0
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn derivatives_are_finite_differences() {
+    fn derivatives_match_finite_differences() {
         for scale in SCALES {
             for points in edge_edge(scale) {
                 let (ea, eb) = edges(&points);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn parallel_edges_have_none() {
+    fn parallel_edges_are_fully_mollified() {
         let found = mollifier(
             DVec3::X,
             DVec3::X * 2.0,

@@ -1,4 +1,4 @@
-//! Stencils for tests: named and random, tiny and huge; and finite differences over them.
+//! Stencils for tests, named and random, at several scales, and finite differences over them.
 
 use glam::{DQuat, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -7,14 +7,14 @@ use rand_pcg::Pcg64;
 /// Points of a stencil.
 pub(crate) type Points = [DVec3; 4];
 
-/// Edge lengths that tests go through, m: smallest mesh detail, gel element, largest object.
+/// Edge lengths of the tests, m: smallest mesh detail, gel element, largest object.
 pub(crate) const SCALES: [f64; 3] = [1e-5, 2e-3, 1.0];
 
 fn stencil(points: [[f64; 3]; 4], scale: f64) -> Points {
     points.map(|p| DVec3::from_array(p) * scale)
 }
 
-fn turned(points: Points, rng: &mut Pcg64) -> Points {
+fn rotated(points: Points, rng: &mut Pcg64) -> Points {
     let mut angle = || rng.random_range(-3.0..3.0);
     let rotation = DQuat::from_euler(glam::EulerRot::XYZ, angle(), angle(), angle());
     points.map(|p| rotation * p)
@@ -29,7 +29,7 @@ pub(crate) fn random(count: usize, scale: f64, seed: u64) -> Vec<Points> {
         .collect()
 }
 
-/// Points over the inside, edges and corners of triangles, far and near, also thin triangles.
+/// Points over interior, edges and corners of triangles, far and near, including thin triangles.
 pub(crate) fn point_triangle(scale: f64) -> Vec<Points> {
     let mut rng = Pcg64::seed_from_u64(11);
     let mut cases = random(200, scale, 12);
@@ -54,7 +54,7 @@ pub(crate) fn point_triangle(scale: f64) -> Vec<Points> {
                     let centre = (va + vb + vc) / 3.0;
                     let foot = va + (vb - va) * u + (vc - va) * v;
                     let p = foot + (foot - centre) * out + DVec3::Z * height;
-                    cases.push(turned(stencil([p.to_array(), a, b, c], scale), &mut rng));
+                    cases.push(rotated(stencil([p.to_array(), a, b, c], scale), &mut rng));
                 }
             }
         }
@@ -62,7 +62,7 @@ pub(crate) fn point_triangle(scale: f64) -> Vec<Points> {
     cases
 }
 
-/// Edges that cross, that pass each other's ends, that are nearly and exactly parallel.
+/// Edges that cross, pass each other's ends, or are nearly or exactly parallel.
 pub(crate) fn edge_edge(scale: f64) -> Vec<Points> {
     let mut rng = Pcg64::seed_from_u64(21);
     let mut cases = random(200, scale, 22);
@@ -74,7 +74,7 @@ pub(crate) fn edge_edge(scale: f64) -> Vec<Points> {
                 let ends = [middle - direction * 0.5, middle + direction * 0.5];
                 let a = [[0.0; 3], [1.0, 0.0, 0.0]];
                 let points = [a[0], a[1], ends[0].to_array(), ends[1].to_array()];
-                cases.push(turned(stencil(points, scale), &mut rng));
+                cases.push(rotated(stencil(points, scale), &mut rng));
             }
         }
     }
@@ -105,7 +105,7 @@ pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
     values.into_iter().map(f64::abs).fold(0.0, f64::max)
 }
 
-/// Holds `found` to `expected` within `tolerance` of the largest entry or of `floor`.
+/// Asserts that `found` equals `expected` within `tolerance` of the largest entry or of `floor`.
 #[track_caller]
 pub(crate) fn assert_close(
     found: &[f64],

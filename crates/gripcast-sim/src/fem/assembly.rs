@@ -1,7 +1,7 @@
-//! Sums over the elements: energy, gradient and Hessian of the whole mesh.
+//! Sums over the elements: energy, gradient and Hessian of the mesh.
 //!
-//! Each sum is compiled for plain x86-64 and for its wide vectors and chosen at run time. Both do
-//! the same operations in the same order, so their results are the same to the last bit.
+//! Each sum is compiled for several instruction sets and dispatched at run time. All perform the same
+//! operations in the same order, so their results are bit-identical.
 
 #![allow(
     clippy::needless_range_loop,
@@ -16,7 +16,7 @@ use super::kernel::{self, Blocks};
 use super::neo_hookean::{NeoHookean, Projection};
 use super::projection;
 
-/// What every sum runs over.
+/// Elements of a sum.
 #[derive(Clone, Copy)]
 pub(super) struct Elements<'a> {
     pub(super) law: &'a NeoHookean,
@@ -99,7 +99,7 @@ fn add_lanes(sums: &mut [f64; WIDTH], terms: &[f64; WIDTH]) {
     }
 }
 
-/// Sum of the lanes; infinite when it is not a number.
+/// Sum of the lanes; infinite if NaN.
 fn total(sums: &[f64; WIDTH]) -> f64 {
     let sum: f64 = sums.iter().sum();
     if sum.is_nan() { f64::INFINITY } else { sum }
@@ -148,8 +148,8 @@ fn add_lower(values: &mut [f64], start: usize, stride: usize, block: &[Lanes; 6]
 #[inline(always)]
 fn add_block(values: &mut [f64], start: usize, stride: usize, block: &[Lanes; 9], lane: usize) {
     for (axis, shorter) in [0, 1, 3].into_iter().enumerate() {
-        let at = start + axis * stride - shorter;
-        let column = &mut values[at..at + 3];
+        let first = start + axis * stride - shorter;
+        let column = &mut values[first..first + 3];
         column[0] += block[3 * axis][lane];
         column[1] += block[3 * axis + 1][lane];
         column[2] += block[3 * axis + 2][lane];
@@ -163,9 +163,9 @@ mod tests {
     use crate::fem::{GelGrid, GelResolution};
     use pulp::Arch;
 
-    /// Without wide vectors on this machine the two are one and the test says nothing.
+    /// Without SIMD on this machine both are the same.
     #[test]
-    fn wide_vectors_change_no_bit() {
+    fn simd_is_bit_identical_to_scalar() {
         let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
         let law = NeoHookean::new(1e6, 0.3).unwrap();
         let pattern = StiffnessPattern::new(grid.positions().len(), grid.tets());

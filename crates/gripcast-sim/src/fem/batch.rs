@@ -1,26 +1,25 @@
-//! Elements in groups of [`WIDTH`], one array an attribute, so that a compiler can use wide
-//! vectors.
+//! Elements in groups of [`WIDTH`] as structures of arrays, for SIMD.
 
 use glam::{DMat3, DVec3};
 
 use super::pattern::StiffnessPattern;
 
-/// Elements a group.
+/// Elements per group.
 pub(super) const WIDTH: usize = 8;
 
-/// One number for each element of a group.
+/// One value per element of a group.
 pub(super) type Lanes = [f64; WIDTH];
 
 /// Pairs of corners of an element, the higher first, in the order of [`Batch::pair_starts`].
 pub(super) const PAIRS: [(usize, usize); 6] = [(1, 0), (2, 0), (3, 0), (2, 1), (3, 1), (3, 2)];
 
-/// Constant data of [`WIDTH`] elements. The last group is filled up with copies of weight zero.
+/// Constant data of [`WIDTH`] elements; the last group is padded with elements of weight zero.
 ///
-/// Corners are sorted by node, so that corner 0 owns the first column of each block below the
-/// diagonal; a sort may mirror an element, which only the sign of `inverse_det` shows.
+/// Corners are sorted by node, so that the lower corner owns the column of each block below the
+/// diagonal. Sorting may mirror an element, which only affects the sign of `inverse_det`.
 #[derive(Clone, Debug)]
 pub(super) struct Batch {
-    /// Nodes by corner.
+    /// Node indices by corner.
     pub(super) nodes: [[u32; WIDTH]; 4],
     /// Rest volume in m³.
     pub(super) volume: Lanes,
@@ -30,8 +29,9 @@ pub(super) struct Batch {
     pub(super) metric: [Lanes; 6],
     /// grad N_i in 1/m by corner 1 to 3 and axis.
     pub(super) shape: [[Lanes; 3]; 3],
-    /// First entry of the column of each corner, and the stride to the block's next column.
+    /// First entry of the column of each corner.
     pub(super) diagonal_starts: [[u32; WIDTH]; 4],
+    /// Stride to the next column of the block of each corner.
     pub(super) strides: [[u32; WIDTH]; 4],
     /// First entry of the blocks of [`PAIRS`].
     pub(super) pair_starts: [[u32; WIDTH]; 6],
@@ -49,7 +49,7 @@ impl Batch {
         pair_starts: [[0; WIDTH]; 6],
     };
 
-    /// Groups `tets` in their order. Every tetrahedron has volume, every entry fits 32 bits.
+    /// Groups `tets` in order. Every tetrahedron must have a volume and every entry fit 32 bits.
     pub(super) fn group(
         tets: &[[u32; 4]],
         rest: &[DVec3],
@@ -61,7 +61,7 @@ impl Batch {
                 let tet = group[lane.min(group.len() - 1)];
                 let weight = if lane < group.len() { 1.0 } else { 0.0 };
                 batch.fill(lane, tet, weight, rest);
-                batch.place(lane, pattern);
+                batch.locate(lane, pattern);
             }
             batch
         };
@@ -93,16 +93,16 @@ impl Batch {
         }
     }
 
-    fn place(&mut self, lane: usize, pattern: &StiffnessPattern) {
+    fn locate(&mut self, lane: usize, pattern: &StiffnessPattern) {
         for corner in 0..4 {
-            let place = pattern.diagonal(self.nodes[corner][lane] as usize);
-            self.diagonal_starts[corner][lane] = place.start as u32;
-            self.strides[corner][lane] = place.stride as u32;
+            let block = pattern.diagonal(self.nodes[corner][lane] as usize);
+            self.diagonal_starts[corner][lane] = block.start as u32;
+            self.strides[corner][lane] = block.stride as u32;
         }
         for (k, (high, low)) in PAIRS.into_iter().enumerate() {
             let [high, low] = [high, low].map(|corner| self.nodes[corner][lane] as usize);
-            if let Some(place) = pattern.pair(low, high) {
-                self.pair_starts[k][lane] = place.start as u32;
+            if let Some(block) = pattern.pair(low, high) {
+                self.pair_starts[k][lane] = block.start as u32;
             }
         }
     }

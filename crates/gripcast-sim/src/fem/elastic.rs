@@ -1,4 +1,4 @@
-//! Elastic energy of a gel: mesh, law, and the sums over its elements.
+//! Elastic energy of a gel: sums of the law over the elements.
 
 use glam::DVec3;
 use pulp::Arch;
@@ -12,8 +12,8 @@ use gripcast_base::error::{Error, Result};
 
 /// Elastic energy of linear tetrahedra as a function of the node positions.
 ///
-/// Positions are in m, one per node; energies in J, gradients in N, Hessians in N/m. Element sums
-/// run in a fixed order on one thread, so results do not depend on the machine's load.
+/// Positions are in m, one per node; energies in J, gradients in N, Hessians in N/m. Element sums run
+/// in a fixed order on one thread, so results are deterministic.
 #[derive(Clone, Debug)]
 pub struct Elastic {
     law: NeoHookean,
@@ -22,33 +22,33 @@ pub struct Elastic {
 }
 
 impl Elastic {
-    /// From rest positions in m and positively oriented tetrahedra.
+    /// Creates the energy from rest positions (m) and positively oriented tetrahedra.
     ///
     /// # Errors
-    /// `Input` when there is no tetrahedron, one names a node that does not exist or has no
-    /// positive finite volume at rest, or the stiffness matrix has 2^32 entries or more.
+    /// `Input` without tetrahedra, for an invalid node index or rest volume, or for a stiffness matrix
+    /// with 2^32 entries or more.
     pub fn new(rest: &[DVec3], tets: &[[u32; 4]], law: NeoHookean) -> Result<Self> {
         if tets.is_empty() {
-            return Err(bad_mesh("no tetrahedra".to_owned()));
+            return Err(invalid_mesh("no tetrahedra".to_owned()));
         }
         for (t, tet) in tets.iter().enumerate() {
             if let Some(v) = tet.iter().find(|v| **v as usize >= rest.len()) {
                 let nodes = rest.len();
-                return Err(bad_mesh(format!(
-                    "tetrahedron {t} names node {v} of {nodes}"
+                return Err(invalid_mesh(format!(
+                    "tetrahedron {t} refers to node {v}, but there are only {nodes}"
                 )));
             }
             let [a, b, c, d] = tet.map(|v| rest[v as usize]);
             let volume = (b - a).cross(c - a).dot(d - a) / 6.0;
             if !(volume > 0.0 && volume.is_finite()) {
-                return Err(bad_mesh(format!(
-                    "tetrahedron {t} has volume {volume} m3, expected a positive one"
+                return Err(invalid_mesh(format!(
+                    "the volume of tetrahedron {t} must be above 0, found {volume} m³"
                 )));
             }
         }
         let pattern = StiffnessPattern::new(rest.len(), tets);
         if pattern.entries() > u32::MAX as usize {
-            return Err(bad_mesh("2^32 matrix entries or more".to_owned()));
+            return Err(invalid_mesh("2^32 matrix entries or more".to_owned()));
         }
         Ok(Self {
             law,
@@ -57,14 +57,12 @@ impl Elastic {
         })
     }
 
-    /// Sparsity of the Hessian.
-    #[must_use]
+    /// Sparsity pattern of the Hessian.
     pub fn pattern(&self) -> &StiffnessPattern {
         &self.pattern
     }
 
-    /// Energy in J; infinite when an element is flat or inverted, or a position is not finite.
-    #[must_use]
+    /// Energy in J; infinite if an element is flat or inverted, or a position is not finite.
     pub fn energy(&self, x: &[DVec3]) -> f64 {
         Arch::new().dispatch(EnergySum {
             elements: self.elements(),
@@ -100,12 +98,10 @@ impl Elastic {
         }
     }
 
-    /// Largest step a in (0, 1] such that no element on the way from x to x + a dx falls below a
-    /// tenth of its volume at x; zero when a position or `dx` is not finite.
+    /// Largest step size a in (0, 1] such that no element falls below a tenth of its volume at x on the
+    /// way to x + a dx; zero if a position or `dx` is not finite.
     ///
-    /// `x` is a state of finite energy. A slightly smaller step than the largest may be returned,
-    /// never a larger one.
-    #[must_use]
+    /// `x` must be a state of finite energy. The result may be slightly below the largest step size.
     pub fn inversion_free_step(&self, x: &[DVec3], dx: &[DVec3]) -> f64 {
         Arch::new().dispatch(SafeStep {
             batches: &self.batches,
@@ -115,8 +111,8 @@ impl Elastic {
     }
 }
 
-fn bad_mesh(what: String) -> Error {
-    Error::input(format!("tetrahedral mesh: {what}"))
+fn invalid_mesh(what: String) -> Error {
+    Error::input(format!("invalid tetrahedral mesh: {what}"))
 }
 
 #[cfg(test)]

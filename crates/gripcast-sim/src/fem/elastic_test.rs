@@ -35,7 +35,7 @@ fn noise(rng: &mut Pcg64, size: f64) -> DVec3 {
 /// Named states: rest, pure rotation, equal stretch, strong compression, random.
 fn states(rest: &[DVec3]) -> Vec<(&'static str, Vec<DVec3>)> {
     let mut rng = Pcg64::seed_from_u64(7);
-    let turn = DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::new(0.4, -1.1, 0.7)));
+    let rotation = DMat3::from_quat(glam::DQuat::from_scaled_axis(DVec3::new(0.4, -1.1, 0.7)));
     let affine = |m: DMat3| rest.iter().map(|x| m * *x).collect::<Vec<_>>();
     let squash = DMat3::from_diagonal(DVec3::new(1.1, 1.0, 0.3));
     let mut jitter = |x: &[DVec3], size| {
@@ -45,17 +45,17 @@ fn states(rest: &[DVec3]) -> Vec<(&'static str, Vec<DVec3>)> {
     };
     vec![
         ("rest", rest.to_vec()),
-        ("turned", affine(turn)),
+        ("rotated", affine(rotation)),
         ("swollen", affine(DMat3::from_diagonal(DVec3::splat(1.4)))),
         (
             "blown up",
             affine(DMat3::from_diagonal(DVec3::new(2.5, 2.0, 1.5))),
         ),
-        ("squashed", affine(turn * squash)),
+        ("squashed", affine(rotation * squash)),
         ("jittered", jitter(rest, 1e-4)),
         (
             "squashed and jittered",
-            jitter(&affine(turn * squash), 5e-5),
+            jitter(&affine(rotation * squash), 5e-5),
         ),
     ]
 }
@@ -169,7 +169,7 @@ fn all_indices() -> impl Iterator<Item = (usize, usize, usize, usize)> {
 }
 
 #[test]
-fn the_same_numbers_as_element_by_element() {
+fn sums_match_element_by_element() {
     let (rest, elastic) = small();
     for (name, x) in states(&rest) {
         let energy = elastic.energy(&x);
@@ -200,7 +200,7 @@ fn close(found: &[f64], expected: &[f64], tolerance: f64, name: &str) {
 }
 
 #[test]
-fn no_force_at_rest_or_after_a_rotation() {
+fn rest_and_rotation_have_no_force() {
     let (rest, elastic) = small();
     for (name, x) in &states(&rest)[..2] {
         let forces = gradient(&elastic, x);
@@ -224,7 +224,7 @@ fn inner_forces_balance() {
 }
 
 #[test]
-fn patch_under_an_affine_motion_has_one_stress() {
+fn affine_motion_has_uniform_stress() {
     let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
     let law = NeoHookean::new(1e6, 0.3).unwrap();
     let elastic = Elastic::new(grid.positions(), grid.tets(), law).unwrap();
@@ -290,15 +290,15 @@ fn factors(h: &[Vec<f64>], shift: f64) -> bool {
 }
 
 #[test]
-fn flat_and_inverted_and_not_a_number_are_infinite() {
+fn degenerate_states_have_infinite_energy() {
     let (rest, elastic) = small();
     let mut flat = rest.clone();
     flat.iter_mut().for_each(|x| x.z = 0.0);
     let mut inside_out = rest.clone();
     inside_out[0] = DVec3::new(1.0, 1.0, 1.0);
-    let mut lost = rest.clone();
-    lost[59].y = f64::NAN;
-    for x in [flat, inside_out, lost] {
+    let mut nan = rest.clone();
+    nan[59].y = f64::NAN;
+    for x in [flat, inside_out, nan] {
         assert_eq!(elastic.energy(&x), f64::INFINITY);
     }
 }
@@ -349,7 +349,7 @@ fn steps_stop_before_inversion() {
 }
 
 #[test]
-fn steps_along_what_is_not_a_number_are_zero() {
+fn steps_along_nan_are_zero() {
     let (rest, elastic) = small();
     let mut dx = vec![DVec3::ZERO; rest.len()];
     assert_eq!(elastic.inversion_free_step(&rest, &dx), 1.0);
@@ -358,7 +358,7 @@ fn steps_along_what_is_not_a_number_are_zero() {
 }
 
 #[test]
-fn bad_meshes_are_refused() {
+fn invalid_meshes_are_rejected() {
     let law = NeoHookean::new(1e6, 0.3).unwrap();
     let x = [DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
     assert!(Elastic::new(&x, &[[0, 1, 2, 3]], law).is_ok());

@@ -1,21 +1,21 @@
-//! The gel as a box of tetrahedra on a tensor-product grid.
+//! Tetrahedral mesh of a gel on a tensor-product grid.
 //!
 //! Local frame: x and y in the plane of the faces, z from the back face (z = 0, driven) to the
-//! front face (z = thickness, the one that touches). Every cell has five tetrahedra; the two
-//! possible cuts alternate with the parity of the cell, so that neighbours fraction diagonals.
-//! Against the reference forces of a pressed gel five are nearer than six per cell (26 x 21 x 5
-//! nodes: flat plate +0.9 against +1.1 %, sphere of 10 mm at 0.4 mm +0.7 against +5.7 %), with a
-//! sixth fewer elements; not so where the patch is one element wide (13 x 11 x 3, 0.2 mm).
+//! front face (z = thickness, in contact). Each cell has five tetrahedra; the two possible cuts
+//! alternate with the parity of the cell, so that neighbours share diagonals. Five tetrahedra per
+//! cell are closer to the reference forces of a pressed gel than six (26 x 21 x 5 nodes: flat plate
+//! +0.9 against +1.1 %, 10 mm sphere at 0.4 mm +0.7 against +5.7 %) with a sixth fewer elements,
+//! except where the contact patch is one element wide (13 x 11 x 3, 0.2 mm).
 
 use glam::DVec3;
 
 use super::surface::{Surface, boundary_triangles};
-use gripcast_base::error::{Error, Result};
+use gripcast_base::error::{Error, Result, unknown_name};
 
-/// Extent of the standard gel pad in m: x, y, thickness.
+/// Size of the standard gel pad: x, y, thickness, m.
 pub const PAD_SIZE_M: [f64; 3] = [0.025, 0.020, 0.004];
 
-/// Mesh sizes of the standard 25 x 20 x 4 mm pad, equally spaced.
+/// Uniform meshes of the standard 25 x 20 x 4 mm pad.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum GelResolution {
     /// 13 x 11 x 3 nodes, 1200 tetrahedra.
@@ -29,7 +29,6 @@ pub enum GelResolution {
 
 impl GelResolution {
     /// Nodes along x, y, z.
-    #[must_use]
     pub fn nodes(self) -> [usize; 3] {
         match self {
             Self::Coarse => [13, 11, 3],
@@ -37,9 +36,28 @@ impl GelResolution {
             Self::Fine => [26, 21, 5],
         }
     }
+
+    /// Name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Coarse => "coarse",
+            Self::Default => "default",
+            Self::Fine => "fine",
+        }
+    }
+
+    /// Parses the name of a mesh.
+    ///
+    /// # Errors
+    /// `Usage` for an unknown name, with the nearest one.
+    pub fn from_name(name: &str) -> Result<Self> {
+        let all = [Self::Coarse, Self::Default, Self::Fine];
+        let found = all.into_iter().find(|resolution| resolution.name() == name);
+        found.ok_or_else(|| unknown_name("gel mesh", name, &all.map(Self::name)))
+    }
 }
 
-/// One of the six faces of the gel.
+/// A side of the gel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
     /// z = thickness.
@@ -66,7 +84,7 @@ impl Side {
         Self::Back,
     ];
 
-    /// Axis the face is normal to, and whether it lies at that axis' upper end.
+    /// Axis normal to the side, and whether the side lies at its upper end.
     fn axis(self) -> (usize, bool) {
         match self {
             Self::Front => (2, true),
@@ -79,9 +97,9 @@ impl Side {
     }
 }
 
-/// How [`GelGrid::graded`] spaces its nodes.
+/// Node spacing of [`GelGrid::graded`].
 ///
-/// An exponent g maps a uniform parameter s in 0..1, counted from the fine end, to s^g: 1 is
+/// An exponent g maps a uniform parameter s in 0..1, measured from the fine end, to s^g: 1 is
 /// uniform, 1.4 makes the first of 12 cells 0.37 of the mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grading {
@@ -89,7 +107,7 @@ pub struct Grading {
     pub front: f64,
     /// Exponent towards `centre_m` in the face plane, >= 1.
     pub plane: f64,
-    /// Point of the face plane with the finest spacing, x and y in m from the middle of the face.
+    /// Point of the face plane with the finest spacing, x and y from the middle of the face, m.
     pub centre_m: [f64; 2],
 }
 
@@ -103,9 +121,9 @@ impl Default for Grading {
     }
 }
 
-/// Tetrahedral mesh of one gel at rest, in its local frame.
+/// Tetrahedral mesh of a gel at rest, in its local frame, m.
 ///
-/// Node (i, j, k) of the grid has index i + nx (j + ny k).
+/// Node (i, j, k) has index i + nx (j + ny k).
 #[derive(Clone, Debug)]
 pub struct GelGrid {
     axes: [Vec<f64>; 3],
@@ -142,7 +160,7 @@ impl GelGrid {
     pub fn graded(nodes: [usize; 3], size_m: [f64; 3], grading: Grading) -> Result<Self> {
         for axis in 0..3 {
             if nodes[axis] < 2 || !(size_m[axis] > 0.0 && size_m[axis].is_finite()) {
-                return Err(bad_grid(format!(
+                return Err(invalid_grid(format!(
                     "axis {axis} has {} nodes over {} m",
                     nodes[axis], size_m[axis]
                 )));
@@ -151,7 +169,7 @@ impl GelGrid {
         let inside = (0..2).all(|a| grading.centre_m[a].abs() <= 0.5 * size_m[a]);
         let exponents = [grading.front, grading.plane];
         if !inside || !exponents.iter().all(|g| *g >= 1.0 && g.is_finite()) {
-            return Err(bad_grid(format!(
+            return Err(invalid_grid(format!(
                 "exponents must be >= 1 and the centre on the face, found {grading:?}"
             )));
         }
@@ -172,20 +190,23 @@ impl GelGrid {
         for (name, axis) in ["x", "y", "z"].iter().zip(&axes) {
             let rising = axis.windows(2).all(|w| w[1] > w[0]);
             if axis.len() < 2 || !rising || !axis.iter().all(|c| c.is_finite()) {
-                return Err(bad_grid(format!(
+                return Err(invalid_grid(format!(
                     "the {name} coordinates must be two or more finite, rising numbers"
                 )));
             }
         }
         if axes[2][0] != 0.0 {
-            return Err(bad_grid(format!("z must start at 0, found {}", axes[2][0])));
+            return Err(invalid_grid(format!(
+                "z must start at 0, found {}",
+                axes[2][0]
+            )));
         }
         let count = axes
             .iter()
             .map(Vec::len)
             .try_fold(1_usize, usize::checked_mul);
         if count.is_none_or(|n| n >= 1 << 31) {
-            return Err(bad_grid("2^31 nodes or more".to_owned()));
+            return Err(invalid_grid("2^31 nodes or more".to_owned()));
         }
         Ok(Self::build(axes))
     }
@@ -223,69 +244,59 @@ impl GelGrid {
         }
     }
 
-    /// Nodes along x, y, z.
-    #[must_use]
+    /// Number of nodes along x, y, z.
     pub fn nodes(&self) -> [usize; 3] {
         [self.axes[0].len(), self.axes[1].len(), self.axes[2].len()]
     }
 
     /// Node coordinates in m along x, y, z.
-    #[must_use]
     pub fn axes(&self) -> &[Vec<f64>; 3] {
         &self.axes
     }
 
     /// Index of grid node (i, j, k).
-    #[must_use]
     pub fn node(&self, i: usize, j: usize, k: usize) -> usize {
         i + self.axes[0].len() * (j + self.axes[1].len() * k)
     }
 
     /// Thickness in m.
-    #[must_use]
     pub fn thickness_m(&self) -> f64 {
         self.axes[2].last().copied().unwrap_or(0.0)
     }
 
     /// Rest positions of the nodes in m.
-    #[must_use]
     pub fn positions(&self) -> &[DVec3] {
         &self.positions
     }
 
     /// Nodes of each tetrahedron; (x1 - x0) x (x2 - x0) . (x3 - x0) > 0 at rest.
-    #[must_use]
     pub fn tets(&self) -> &[[u32; 4]] {
         &self.tets
     }
 
     /// Triangles of one side, counter-clockwise seen from outside.
-    #[must_use]
     pub fn triangles(&self, side: Side) -> &[[u32; 3]] {
-        let at = Side::ALL.iter().position(|s| *s == side).unwrap_or(0);
-        let start = if at == 0 { 0 } else { self.side_ends[at - 1] };
-        &self.triangles[start..self.side_ends[at]]
+        let index = Side::ALL.iter().position(|s| *s == side).unwrap_or(0);
+        let start = index.checked_sub(1).map_or(0, |i| self.side_ends[i]);
+        &self.triangles[start..self.side_ends[index]]
     }
 
-    /// The surface that may touch: front and the four sides, without the back.
-    #[must_use]
+    /// Surface that can touch the object: front and four sides, without the back.
     pub fn contact_surface(&self) -> &Surface {
         &self.contact
     }
 
     /// Nodes of the back face, ascending.
-    #[must_use]
     pub fn driven(&self) -> &[u32] {
         self.back.vertices()
     }
 
-    /// Fraction of the back face of each driven node in m², in the order of [`GelGrid::driven`].
-    #[must_use]
+    /// Area of the back face that each of [`GelGrid::driven`] stands for, m².
     pub fn driven_areas(&self) -> &[f64] {
         self.back.vertex_areas()
     }
 
-    /// Lumped node masses in kg for a density in kg/m³: a quarter of every tetrahedron.
+    /// Lumped node masses (kg) for a density in kg/m³: a quarter of each adjacent tetrahedron.
     ///
     /// # Errors
     /// `Input` when the density is not positive and finite.
@@ -306,8 +317,8 @@ impl GelGrid {
     }
 }
 
-fn bad_grid(what: String) -> Error {
-    Error::input(format!("gel grid: {what}"))
+fn invalid_grid(what: String) -> Error {
+    Error::input(format!("invalid gel grid: {what}"))
 }
 
 /// Nodes over 0..length, finer towards `length`.
@@ -325,10 +336,10 @@ fn towards_end(nodes: usize, length: f64, exponent: f64) -> Vec<f64> {
 fn towards_point(nodes: usize, half: f64, centre: f64, exponent: f64) -> Vec<f64> {
     let cells = nodes - 1;
     if exponent == 1.0 {
-        let at = |i: usize| half * ((2.0 * i as f64 - cells as f64) / cells as f64);
-        return (0..nodes).map(at).collect();
+        let position = |i: usize| half * ((2.0 * i as f64 - cells as f64) / cells as f64);
+        return (0..nodes).map(position).collect();
     }
-    // Place of the centre on the uniform parameter; it need not be a node.
+    // Uniform parameter of the centre; it need not be a node.
     let split = cells as f64 * (centre + half) / (2.0 * half);
     (0..nodes)
         .map(|i| {

@@ -74,7 +74,7 @@ fn every_inner_face_has_two_tetrahedra() {
 }
 
 #[test]
-fn sides_face_outwards_and_have_their_area() {
+fn sides_face_outwards_with_their_area() {
     for grid in grids() {
         let extent = size(&grid);
         for (side, normal) in [
@@ -102,13 +102,13 @@ fn sides_face_outwards_and_have_their_area() {
 }
 
 #[test]
-fn contact_areas_add_up_without_the_back() {
+fn contact_areas_sum_without_the_back() {
     for grid in grids() {
         let (extent, surface) = (size(&grid), grid.contact_surface());
         let area = extent.x * extent.y + 2.0 * extent.z * (extent.x + extent.y);
-        for fractions in [surface.vertex_areas(), surface.edge_areas()] {
-            assert!((fractions.iter().sum::<f64>() / area - 1.0).abs() < 1e-12);
-            assert!(fractions.iter().all(|a| *a > 0.0));
+        for areas in [surface.vertex_areas(), surface.edge_areas()] {
+            assert!((areas.iter().sum::<f64>() / area - 1.0).abs() < 1e-12);
+            assert!(areas.iter().all(|a| *a > 0.0));
         }
         assert_eq!(surface.vertices().len(), surface.vertex_areas().len());
         assert_eq!(surface.edges().len(), surface.edge_areas().len());
@@ -121,7 +121,7 @@ fn contact_areas_add_up_without_the_back() {
 }
 
 #[test]
-fn the_back_face_is_driven() {
+fn back_face_is_driven() {
     for grid in grids() {
         let [nx, ny, _] = grid.nodes();
         let expected: Vec<u32> = (0..(nx * ny) as u32).collect();
@@ -132,7 +132,7 @@ fn the_back_face_is_driven() {
 }
 
 #[test]
-fn grading_is_finest_where_asked() {
+fn grading_is_finest_at_its_centre() {
     let grid = &grids()[2];
     let cells =
         |axis: usize| -> Vec<f64> { grid.axes()[axis].windows(2).map(|w| w[1] - w[0]).collect() };
@@ -143,13 +143,13 @@ fn grading_is_finest_where_asked() {
         let narrowest = (0..widths.len())
             .min_by(|a, b| widths[*a].total_cmp(&widths[*b]))
             .unwrap();
-        let place = grid.axes()[axis][narrowest] - centre;
-        assert!(place.abs() < 2.0 * widths[narrowest], "{widths:?}");
+        let offset = grid.axes()[axis][narrowest] - centre;
+        assert!(offset.abs() < 2.0 * widths[narrowest], "{widths:?}");
     }
 }
 
 #[test]
-fn bad_grids_are_refused() {
+fn invalid_grids_are_rejected() {
     let pad = [0.025, 0.02, 0.004];
     let flat = Grading {
         front: 0.5,
@@ -173,4 +173,14 @@ fn bad_grids_are_refused() {
     }
     let grid = GelGrid::uniform([2, 2, 2], pad).unwrap();
     assert!(grid.lumped_masses(0.0).is_err());
+}
+
+#[test]
+fn resolution_parses_its_name() {
+    assert_eq!(
+        GelResolution::from_name("fine").unwrap(),
+        GelResolution::Fine
+    );
+    let text = GelResolution::from_name("corse").unwrap_err().to_string();
+    assert!(text.contains("did you mean coarse"), "{text}");
 }

@@ -1,4 +1,4 @@
-//! Energy, gradient and Hessian of a group of elements in terms of their current edges.
+//! Energy, gradient and Hessian of a group of elements from their current edges.
 //!
 //! With edges e_i from corner 0 and rest shape gradients g_i, F = sum e_i g_i^T. Hence
 //! tr F^T F = sum (g_i . g_j) e_i . e_j, J = det(e) / det(e at rest) and
@@ -14,7 +14,7 @@ use super::neo_hookean::NeoHookean;
 
 pub(super) type Vector = [Lanes; 3];
 
-/// A vector's three numbers of one element.
+/// The vector of one element.
 #[inline(always)]
 pub(super) fn at(v: &Vector, lane: usize) -> [f64; 3] {
     [v[0][lane], v[1][lane], v[2][lane]]
@@ -34,7 +34,7 @@ pub(super) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     ]
 }
 
-/// Natural logarithm of a normal positive number, to 2 units in the last place, without branches.
+/// Branch-free natural logarithm of a normal positive number, accurate to 2 ulp.
 ///
 /// x = 2^k m with m in [sqrt(1/2), sqrt(2)), ln m = 2 artanh((m - 1) / (m + 1)) by its series.
 #[inline(always)]
@@ -55,7 +55,7 @@ pub(super) fn ln(x: f64) -> f64 {
     exponent * std::f64::consts::LN_2 + (2.0 * s + s * z * series)
 }
 
-/// Energies in J of the elements. False when one is inverted; its energy then means nothing.
+/// Energies of the elements in J; false if one is inverted, whose energy is then meaningless.
 #[inline(always)]
 pub(super) fn energy(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3]) -> (Lanes, bool) {
     let (mu, lambda) = (law.mu(), law.lambda());
@@ -125,14 +125,14 @@ const FROM_LOWER: [usize; 9] = [0, 1, 2, 1, 3, 4, 2, 4, 5];
 /// Entry 3 row + column for entry 3 column + row.
 const TRANSPOSED: [usize; 9] = [0, 3, 6, 1, 4, 7, 2, 5, 8];
 
-/// The pairs among corners 1 to 3: place in [`Blocks::pairs`], higher and lower corner less one.
+/// The pairs among corners 1 to 3: index in [`Blocks::pairs`], higher and lower corner minus one.
 const INNER: [(usize, usize, usize); 3] = [(3, 1, 0), (4, 2, 0), (5, 2, 1)];
 
 /// Exact Hessian blocks of corners 1 to 3.
 #[inline(always)]
 pub(super) fn hessian(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3], out: &mut Blocks) {
     let (mu, m) = (law.mu(), &batch.metric);
-    let (normals, curvature, turn) = bending(law, batch, edges);
+    let (normals, curvature, twist) = bending(law, batch, edges);
     for (corner, metric) in [(0, &m[0]), (1, &m[3]), (2, &m[5])] {
         let q = &normals[corner];
         for (e, (row, column)) in LOWER.into_iter().enumerate() {
@@ -157,7 +157,7 @@ pub(super) fn hessian(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3], out:
         }
     }
     for (pair, edge, sign) in [(3, 2, 1.0), (4, 1, -1.0), (5, 0, 1.0)] {
-        add_cross(&mut out.pairs[pair], &edges[edge], &turn, sign);
+        add_cross(&mut out.pairs[pair], &edges[edge], &twist, sign);
     }
 }
 
@@ -166,26 +166,26 @@ pub(super) fn hessian(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3], out:
 fn bending(law: &NeoHookean, batch: &Batch, edges: &[Vector; 3]) -> ([Vector; 3], Lanes, Lanes) {
     let (mu, lambda) = (law.mu(), law.lambda());
     let mut normals = [[[0.0; WIDTH]; 3]; 3];
-    let (mut curvature, mut turn) = ([0.0; WIDTH], [0.0; WIDTH]);
+    let (mut curvature, mut twist) = ([0.0; WIDTH], [0.0; WIDTH]);
     for l in 0..WIDTH {
         let (a, b, c) = (at(&edges[0], l), at(&edges[1], l), at(&edges[2], l));
         let (ab, bc, ca) = (cross(a, b), cross(b, c), cross(c, a));
         let det = dot(ab, c);
         let slope = lambda * ln(det * batch.inverse_det[l]) - mu;
         curvature[l] = batch.volume[l] * (lambda - slope) / (det * det);
-        turn[l] = batch.volume[l] * slope / det;
+        twist[l] = batch.volume[l] * slope / det;
         for axis in 0..3 {
             normals[0][axis][l] = bc[axis];
             normals[1][axis][l] = ca[axis];
             normals[2][axis][l] = ab[axis];
         }
     }
-    (normals, curvature, turn)
+    (normals, curvature, twist)
 }
 
-/// Adds sign * turn * the cross product matrix of an edge.
+/// Adds sign * twist * the cross product matrix of an edge.
 #[inline(always)]
-fn add_cross(block: &mut [Lanes; 9], edge: &Vector, turn: &Lanes, sign: f64) {
+fn add_cross(block: &mut [Lanes; 9], edge: &Vector, twist: &Lanes, sign: f64) {
     for (entry, axis, sign) in [
         (1, 2, sign),
         (2, 1, -sign),
@@ -195,12 +195,12 @@ fn add_cross(block: &mut [Lanes; 9], edge: &Vector, turn: &Lanes, sign: f64) {
         (7, 0, -sign),
     ] {
         for l in 0..WIDTH {
-            block[entry][l] += sign * turn[l] * edge[axis][l];
+            block[entry][l] += sign * twist[l] * edge[axis][l];
         }
     }
 }
 
-/// Adds weight m_i m_j^T to the block of each two corners i, j in 1 to 3.
+/// Adds weight m_i m_j^T to the block of each pair of corners i, j in 1 to 3.
 #[inline(always)]
 pub(super) fn add_outer(weight: &Lanes, m: &[Vector; 3], out: &mut Blocks) {
     for corner in 0..3 {
@@ -223,7 +223,7 @@ pub(super) fn add_outer(weight: &Lanes, m: &[Vector; 3], out: &mut Blocks) {
     }
 }
 
-/// Blocks of corner 0 from the others: a translation costs nothing, so rows of blocks sum to zero.
+/// Blocks of corner 0 from the others: translation invariance makes block rows sum to zero.
 #[inline(always)]
 pub(super) fn balance(out: &mut Blocks) {
     let [_, k11, k22, k33] = out.diagonal;
@@ -250,7 +250,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn logarithm_is_that_of_the_library() {
+    fn logarithm_matches_std() {
         let near_one = (-40..40).map(|k| 1.0 + f64::from(k) * 1e-9);
         let wide = (-3000..3000).map(|k| (f64::from(k) * 0.2).exp2());
         let edges = [

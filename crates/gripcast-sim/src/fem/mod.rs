@@ -1,20 +1,20 @@
-//! The gels: tetrahedral grids with a log neo-Hookean law.
-
-mod grid;
-mod surface;
+//! Finite-element gels: tetrahedral grids with a log neo-Hookean law.
 
 mod assembly;
 mod batch;
 mod elastic;
+mod grid;
 mod kernel;
 mod neo_hookean;
 mod pattern;
 mod projection;
 mod safe_step;
+mod surface;
 mod svd;
 
 pub use elastic::Elastic;
 pub use grid::{GelGrid, GelResolution, Grading, PAD_SIZE_M, Side};
+pub(crate) use neo_hookean::outer;
 pub use neo_hookean::{NeoHookean, Projection};
 pub use pattern::StiffnessPattern;
 pub use surface::Surface;

@@ -1,7 +1,7 @@
-//! Log neo-Hookean law: its constants, and how its tangent is projected.
+//! Log neo-Hookean law: constants and projection of its tangent.
 //!
 //! Psi(F) = mu/2 (tr F^T F - 3) - mu ln J + lambda/2 (ln J)^2, J = det F (Bonet and Wood,
-//! *Nonlinear Continuum Mechanics for Finite Element Analysis*, eq. 6.28). It is infinite for
+//! *Nonlinear Continuum Mechanics for Finite Element Analysis*, eq. 6.28). Psi is infinite for
 //! J <= 0. The tangent's eigensystem in closed form follows Smith, De Goes and Kim, *Analytic
 //! Eigensystems for Isotropic Distortion Energies* (2019).
 
@@ -10,10 +10,10 @@ use glam::{DMat3, DVec3};
 use super::svd::{Svd, symmetric_eigen};
 use gripcast_base::error::{Error, Result};
 
-/// What to do with negative eigenvalues of an element's tangent.
+/// Treatment of negative eigenvalues of an element's tangent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Projection {
-    /// Nothing: the exact Hessian, perhaps indefinite.
+    /// None: the exact, possibly indefinite Hessian.
     #[default]
     None,
     /// Set them to zero.
@@ -23,13 +23,12 @@ pub enum Projection {
 }
 
 impl Projection {
-    /// What has to be added to an eigenvalue to project it.
-    #[must_use]
+    /// Correction that projects an eigenvalue.
     pub fn correction(self, eigenvalue: f64) -> f64 {
         self.factor() * (-eigenvalue).max(0.0)
     }
 
-    /// Multiple of a negative eigenvalue's size that projects it.
+    /// Correction as a multiple of a negative eigenvalue's magnitude.
     pub(super) fn factor(self) -> f64 {
         match self {
             Self::None => 0.0,
@@ -39,7 +38,7 @@ impl Projection {
     }
 }
 
-/// The two Lamé constants in Pa.
+/// Log neo-Hookean law with its Lamé constants in Pa.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NeoHookean {
     mu: f64,
@@ -47,7 +46,7 @@ pub struct NeoHookean {
 }
 
 impl NeoHookean {
-    /// From Young's modulus in Pa and Poisson's ratio.
+    /// Creates a law from Young's modulus (Pa) and Poisson's ratio.
     ///
     /// # Errors
     /// `Config` unless the modulus is positive and finite and 0 <= ratio < 0.5.
@@ -70,13 +69,11 @@ impl NeoHookean {
     }
 
     /// Shear modulus in Pa.
-    #[must_use]
     pub fn mu(&self) -> f64 {
         self.mu
     }
 
     /// First Lamé constant in Pa.
-    #[must_use]
     pub fn lambda(&self) -> f64 {
         self.lambda
     }
@@ -86,7 +83,7 @@ impl NeoHookean {
         self.lambda * j.ln() - self.mu
     }
 
-    /// The three modes that stretch along the singular directions.
+    /// Corrections of the three modes that stretch along the singular directions.
     pub(super) fn scaling_corrections(&self, f: &Svd, projection: Projection) -> [(f64, DMat3); 3] {
         let (values, vectors) = symmetric_eigen(&self.scaling_tangent(f.sigma));
         [0, 1, 2].map(|k| {
@@ -106,7 +103,7 @@ impl NeoHookean {
 }
 
 /// a b^T.
-pub(super) fn outer(a: DVec3, b: DVec3) -> DMat3 {
+pub(crate) fn outer(a: DVec3, b: DVec3) -> DMat3 {
     DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 

@@ -1,4 +1,4 @@
-//! Energy density, stress and tangent of one deformation gradient, that the kernels are held to.
+//! Energy density, stress and tangent of one deformation gradient: the reference for the kernels.
 
 use glam::DMat3;
 
@@ -6,7 +6,7 @@ use super::super::svd::{Svd, svd};
 use super::{NeoHookean, Projection, outer};
 
 impl NeoHookean {
-    /// Energy density in J/m³; infinite for J <= 0 and for what is not a number.
+    /// Energy density in J/m³; infinite for J <= 0 and NaN.
     pub(crate) fn energy(&self, f: &DMat3) -> f64 {
         let j = f.determinant();
         if j.is_nan() || j <= 0.0 {

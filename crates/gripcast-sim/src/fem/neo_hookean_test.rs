@@ -15,11 +15,11 @@ fn law() -> NeoHookean {
 
 /// Random and degenerate deformation gradients with J > 0.
 fn cases() -> Vec<(String, DMat3)> {
-    let turn = DMat3::from_rotation_z(0.7) * DMat3::from_rotation_x(-0.4);
-    let stretched = |x, y, z| turn * DMat3::from_diagonal(DVec3::new(x, y, z)) * turn;
+    let rotation = DMat3::from_rotation_z(0.7) * DMat3::from_rotation_x(-0.4);
+    let stretched = |x, y, z| rotation * DMat3::from_diagonal(DVec3::new(x, y, z)) * rotation;
     let mut all: Vec<(String, DMat3)> = [
         ("rest", DMat3::IDENTITY),
-        ("turned", turn),
+        ("rotated", rotation),
         ("equal stretch", stretched(1.3, 1.3, 1.3)),
         ("equal compression", stretched(0.6, 0.6, 0.6)),
         ("two equal", stretched(1.2, 1.2, 0.5)),
@@ -64,7 +64,7 @@ fn largest(entries: impl IntoIterator<Item = f64>) -> f64 {
     entries.into_iter().fold(0.0, |m, v| m.max(v.abs()))
 }
 
-/// Eigenvalues of a symmetric 9x9 matrix by cyclic Jacobi rotations: the slow way to check.
+/// Eigenvalues of a symmetric 9x9 matrix by cyclic Jacobi rotations.
 fn eigenvalues(mut a: [[f64; 9]; 9]) -> [f64; 9] {
     for _ in 0..30 {
         for p in 0..9 {
@@ -148,17 +148,17 @@ fn tangent_is_the_slope_of_the_stress() {
 }
 
 #[test]
-fn rest_and_rotation_carry_no_stress() {
+fn rest_and_rotation_have_no_stress() {
     let law = law();
-    let turn = DMat3::from_rotation_z(2.0) * DMat3::from_rotation_x(-0.4);
-    for f in [DMat3::IDENTITY, turn] {
+    let rotation = DMat3::from_rotation_z(2.0) * DMat3::from_rotation_x(-0.4);
+    for f in [DMat3::IDENTITY, rotation] {
         assert!(law.energy(&f).abs() < 1e-9);
         assert!(law.pk1(&f).abs_diff_eq(DMat3::ZERO, 1e-9));
     }
 }
 
 #[test]
-fn inverted_is_infinitely_dear() {
+fn inverted_elements_have_infinite_energy() {
     let law = law();
     for f in [
         DMat3::ZERO,
@@ -170,7 +170,7 @@ fn inverted_is_infinitely_dear() {
 }
 
 #[test]
-fn projection_changes_the_negative_eigenvalues_only() {
+fn projection_changes_only_negative_eigenvalues() {
     let law = law();
     for (name, f) in cases() {
         let exact = law.hessian(&f);
@@ -195,7 +195,7 @@ fn projection_changes_the_negative_eigenvalues_only() {
 }
 
 #[test]
-fn cases_reach_every_kind_of_negative_mode() {
+fn cases_cover_all_negative_modes() {
     let law = law();
     let indefinite = |f: &DMat3| eigenvalues(law.hessian(f))[0] < -1.0;
     let grown = |f: &DMat3| law.log_slope(f.determinant()) > 0.0;
@@ -220,7 +220,7 @@ const NOMINAL: [(f64, f64, f64); 4] = [
 ];
 
 #[test]
-fn compression_gives_the_analytic_stress() {
+fn compression_matches_the_analytic_stress() {
     let law = law();
     for (compression, uniaxial, confined) in NOMINAL {
         let axial = 1.0 - compression;

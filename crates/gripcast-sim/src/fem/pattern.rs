@@ -1,12 +1,12 @@
-//! Sparsity of the stiffness matrix of a mesh: lower triangle, compressed columns.
+//! Sparsity pattern of the stiffness matrix of a mesh: lower triangle, compressed columns.
 
 use glam::DMat3;
 
-/// Where the entries of a symmetric matrix over node blocks of 3x3 lie.
+/// Sparsity pattern of a symmetric matrix of 3x3 node blocks.
 ///
 /// Row and column 3 n + a belong to axis a of node n. Only the lower triangle is stored, in
-/// compressed columns with ascending rows: what a sparse Cholesky factorisation takes. Two nodes
-/// are coupled when they share an element.
+/// compressed columns with ascending rows, as required by a sparse Cholesky factorisation. Two nodes
+/// are coupled if they share an element.
 #[derive(Clone, Debug)]
 pub struct StiffnessPattern {
     /// Higher neighbours of each node, ascending: those of node n at `starts[n]..starts[n + 1]`.
@@ -17,10 +17,7 @@ pub struct StiffnessPattern {
 }
 
 impl StiffnessPattern {
-    /// Pattern of `nodes` nodes that are coupled within each of `elements`.
-    ///
-    /// Element corners must be below `nodes`; those that are not are left out.
-    #[must_use]
+    /// Pattern of `nodes` nodes coupled by `elements`; corners that are not below `nodes` are ignored.
     pub fn new(nodes: usize, elements: &[[u32; 4]]) -> Self {
         let mut pairs: Vec<(u32, u32)> = Vec::with_capacity(6 * elements.len());
         for e in elements {
@@ -48,91 +45,88 @@ impl StiffnessPattern {
         }
     }
 
-    /// Rows and columns of the matrix: three per node.
-    #[must_use]
+    /// Number of rows and columns: three per node.
     pub fn dimension(&self) -> usize {
         self.column_starts.len() - 1
     }
 
-    /// Stored entries.
-    #[must_use]
+    /// Number of stored entries.
     pub fn entries(&self) -> usize {
         self.rows.len()
     }
 
-    /// First entry of each column, and the number of entries at the end.
-    #[must_use]
+    /// First entry of each column, then the number of entries.
     pub fn column_starts(&self) -> &[usize] {
         &self.column_starts
     }
 
     /// Row of each entry.
-    #[must_use]
     pub fn rows(&self) -> &[usize] {
         &self.rows
     }
 
-    /// A matrix of zeros: one value an entry.
-    #[must_use]
+    /// A matrix of zeros: one value per entry.
     pub fn zeros(&self) -> Vec<f64> {
         vec![0.0; self.entries()]
     }
 
-    /// Adds a symmetric 3x3 block on the diagonal; only its lower triangle is read.
+    /// Adds a symmetric 3x3 block on the diagonal, of which only the lower triangle is read.
     pub fn add_diagonal_block(&self, node: usize, block: &DMat3, values: &mut [f64]) {
         let c = block.to_cols_array_2d();
         for (axis, column) in c.iter().enumerate() {
-            let at = self.column_starts[3 * node + axis];
-            for (value, entry) in values[at..at + 3 - axis].iter_mut().zip(&column[axis..]) {
+            let start = self.column_starts[3 * node + axis];
+            for (value, entry) in values[start..start + 3 - axis]
+                .iter_mut()
+                .zip(&column[axis..])
+            {
                 *value += entry;
             }
         }
     }
 
-    /// Adds `diagonal` on the three diagonal entries of a node.
+    /// Adds `diagonal` to the three diagonal entries of a node.
     pub fn add_diagonal(&self, node: usize, diagonal: [f64; 3], values: &mut [f64]) {
         for (axis, entry) in diagonal.into_iter().enumerate() {
             values[self.column_starts[3 * node + axis]] += entry;
         }
     }
 
-    /// Adds the block of rows of node `i` and columns of node `j`, and with it its transpose.
+    /// Adds the block of rows of node `i` and columns of node `j`, and its transpose.
     ///
-    /// False, and nothing added, when the two nodes share no element. `i` = `j` is the diagonal
-    /// block.
+    /// Returns false without adding if the two nodes share no element. `i` = `j` is the diagonal block.
     pub fn add_pair_block(&self, i: usize, j: usize, block: &DMat3, values: &mut [f64]) -> bool {
         if i == j {
             self.add_diagonal_block(i, block, values);
             return true;
         }
         let (low, high) = (i.min(j), i.max(j));
-        let Some(at) = self.pair(low, high) else {
+        let Some(offset) = self.pair(low, high) else {
             return false;
         };
         let lower = if i > j { *block } else { block.transpose() };
         for (axis, column) in lower.to_cols_array_2d().iter().enumerate() {
-            let at = at.entry(axis);
-            for (value, entry) in values[at..at + 3].iter_mut().zip(column) {
+            let start = offset.entry(axis);
+            for (value, entry) in values[start..start + 3].iter_mut().zip(column) {
                 *value += entry;
             }
         }
         true
     }
 
-    /// Where the block of two coupled nodes, `low` < `high`, is stored.
-    pub(super) fn pair(&self, low: usize, high: usize) -> Option<BlockPlace> {
+    /// Storage of the block of two coupled nodes, `low` < `high`.
+    pub(super) fn pair(&self, low: usize, high: usize) -> Option<BlockOffset> {
         let (start, end) = (self.starts[low], self.starts[low + 1]);
         let neighbours = &self.neighbours[start..end];
         let k = neighbours.binary_search(&(high as u32)).ok()?;
-        Some(BlockPlace {
+        Some(BlockOffset {
             start: self.column_starts[3 * low] + 3 + 3 * k,
             stride: 3 + 3 * neighbours.len(),
         })
     }
 
-    /// Where the diagonal block of a node is stored.
-    pub(super) fn diagonal(&self, node: usize) -> BlockPlace {
-        BlockPlace {
+    /// Storage of the diagonal block of a node.
+    pub(super) fn diagonal(&self, node: usize) -> BlockOffset {
+        BlockOffset {
             start: self.column_starts[3 * node],
             stride: 3 + 3 * (self.starts[node + 1] - self.starts[node]),
         }
@@ -154,23 +148,23 @@ impl StiffnessPattern {
     }
 }
 
-/// Place of a 3x3 block among the values: its first entry, and the length of its first column.
+/// Storage of a 3x3 block: its first entry and the length of its first column.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct BlockPlace {
+pub(super) struct BlockOffset {
     pub(super) start: usize,
     pub(super) stride: usize,
 }
 
-impl BlockPlace {
-    /// First of the three entries in the block's column `axis`. The diagonal block above it is
-    /// one entry shorter in every next column.
+impl BlockOffset {
+    /// First of the three entries in column `axis` of the block. The diagonal block above it is one
+    /// entry shorter in each next column.
     pub(super) fn entry(self, axis: usize) -> usize {
         let shorter = [0, 1, 3][axis];
         self.start + axis * self.stride - shorter
     }
 }
 
-/// Column starts and rows of the scalar matrix from the nodes' higher neighbours.
+/// Column starts and rows of the scalar matrix from the higher neighbours of the nodes.
 fn columns(starts: &[usize], neighbours: &[u32]) -> (Vec<usize>, Vec<usize>) {
     let mut column_starts = vec![0];
     let mut rows = Vec::with_capacity(9 * neighbours.len() + 6 * starts.len());
@@ -208,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_hold_the_lower_triangle_in_order() {
+    fn columns_contain_the_lower_triangle_in_order() {
         let p = pattern();
         assert_eq!(p.dimension(), 15);
         // 5 diagonal blocks of 6 and 9 pairs of 9; nodes 0 and 4 share no element.
@@ -221,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_land_in_rows_and_columns_of_their_nodes() {
+    fn pair_blocks_are_added_symmetrically() {
         let p = pattern();
         let block = DMat3::from_cols_array(&std::array::from_fn(|k| 1.0 + k as f64));
         for (i, j) in [(0, 1), (1, 0), (3, 1), (1, 4), (2, 3)] {
@@ -240,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn strangers_are_refused() {
+    fn uncoupled_nodes_are_rejected() {
         let p = pattern();
         let mut values = p.zeros();
         assert!(!p.add_pair_block(0, 4, &DMat3::IDENTITY, &mut values));
@@ -248,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn diagonal_blocks_and_entries() {
+    fn diagonal_blocks_and_entries_add_up() {
         let p = pattern();
         let half = DMat3::from_cols_array(&[1.0, 2.0, 3.0, 2.0, 4.0, 5.0, 3.0, 5.0, 6.0]);
         let mut values = p.zeros();

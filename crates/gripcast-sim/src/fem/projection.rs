@@ -1,8 +1,8 @@
-//! Positive semidefinite element Hessians of a group, by adding their negative modes back.
+//! Projects the element Hessians of a group to positive semidefinite, by correcting negative modes.
 //!
 //! With F = U diag(s) V^T and c = lambda ln J - mu the only negative eigenvalues while c <= 0 are
 //! those of the three twists, mu + c / (s_i s_j); for c > 0 they are those of the flips,
-//! mu - c / (s_i s_j), and perhaps of the stretches, which are rare and done one by one.
+//! mu - c / (s_i s_j), and possibly of the stretches, which are rare and handled one by one.
 
 #![allow(
     clippy::needless_range_loop,
@@ -16,16 +16,16 @@ use super::kernel::{Blocks, Vector, add_outer, at, cross, dot, ln};
 use super::neo_hookean::{NeoHookean, Projection};
 use super::svd::svd;
 
-/// Sweeps of rotations after which the rest is taken as it is; four or five are usual.
+/// Maximum number of Jacobi sweeps; four or five are typical.
 const MAX_SWEEPS: usize = 10;
 
-/// Squared cosine between columns below which the next sweep would only change rounding.
+/// Squared cosine between columns at which the sweeps end.
 const SMALL_SKEW: f64 = 1e-14;
 
 /// Singular directions of the three shear modes.
 const SHEARS: [(usize, usize); 3] = [(0, 1), (0, 2), (1, 2)];
 
-/// Adds to `blocks` what turns their negative eigenvalues to zero or positive.
+/// Adds the corrections of negative eigenvalues to `blocks`.
 #[inline(always)]
 pub(super) fn project(
     law: &NeoHookean,
@@ -111,7 +111,7 @@ fn rotate(gp: &mut Vector, gq: &mut Vector, vp: &mut Vector, vq: &mut Vector, sk
     }
 }
 
-/// Divides columns by their lengths, which it returns.
+/// Normalises columns; returns their lengths.
 #[inline(always)]
 fn normalise(columns: &mut [Vector; 3]) -> [Lanes; 3] {
     let mut lengths = [[0.0; WIDTH]; 3];

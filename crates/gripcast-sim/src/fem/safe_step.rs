@@ -1,4 +1,4 @@
-//! Longest step that keeps every tetrahedron from inverting.
+//! Largest step size without inverted tetrahedra.
 //!
 //! Along x + a dx the determinant of a tetrahedron's edges is a cubic in a; the step ends before
 //! the first root of det(a) = fraction * det(0) (the filter of Smith and Schaefer, *Bijective
@@ -15,10 +15,10 @@ use pulp::{Simd, WithSimd};
 use super::batch::{Batch, Lanes, WIDTH};
 use super::kernel::{Vector, at, cross, dot};
 
-/// Fraction of its volume that a tetrahedron keeps in one step.
-const KEPT_VOLUME: f64 = 0.1;
+/// Minimum fraction of its volume that a tetrahedron keeps in one step.
+const MIN_VOLUME_FRACTION: f64 = 0.1;
 
-/// Largest step in (0, 1] along `dx`.
+/// Largest step size in (0, 1] along `dx`.
 pub(super) struct SafeStep<'a> {
     pub(super) batches: &'a [Batch],
     pub(super) x: &'a [DVec3],
@@ -38,10 +38,10 @@ impl WithSimd for SafeStep<'_> {
                 let tail = cubic[2][l].abs() + step * cubic[3][l].abs();
                 bound[l] = step * (cubic[1][l].abs() + step * tail);
             }
-            // Far from a root for every step so far allowed: the usual case.
+            // Far from a root for all steps allowed so far: the usual case.
             if bound
                 .iter()
-                .fold(true, |safe, b| safe & (*b < 1.0 - KEPT_VOLUME))
+                .fold(true, |safe, b| safe & (*b < 1.0 - MIN_VOLUME_FRACTION))
             {
                 continue;
             }
@@ -64,7 +64,7 @@ fn volume_cubic(x: &[Vector; 3], dx: &[Vector; 3]) -> [Lanes; 4] {
         let mixed = [cross(a, v), cross(u, b)];
         let mixed = [0, 1, 2].map(|k| mixed[0][k] + mixed[1][k]);
         let scale = 1.0 / dot(ab, c);
-        cubic[0][l] = 1.0 - KEPT_VOLUME;
+        cubic[0][l] = 1.0 - MIN_VOLUME_FRACTION;
         cubic[1][l] = (dot(ab, w) + dot(mixed, c)) * scale;
         cubic[2][l] = (dot(mixed, w) + dot(uv, c)) * scale;
         cubic[3][l] = dot(uv, w) * scale;
@@ -124,7 +124,7 @@ fn bisect(value: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// (1 - KEPT) scaled cubic with the given roots, positive at zero.
+    /// (1 - MIN_VOLUME_FRACTION) scaled cubic with the given roots, positive at zero.
     fn with_roots(roots: [f64; 3]) -> [f64; 4] {
         let [r, s, t] = roots;
         let scale = -1.0 / (r * s * t);
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_positive_root_bounds_the_step() {
+    fn first_positive_root_bounds_the_step() {
         for (roots, expected) in [
             ([0.5, 0.7, 2.0], 0.5),
             ([0.7, 0.2, 0.9], 0.2),
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn lower_degrees_are_fine() {
+    fn lower_degrees_are_handled() {
         assert_eq!(first_root([1.0, 0.0, 0.0, 0.0], 1.0), 1.0);
         assert!((first_root([1.0, -2.0, 0.0, 0.0], 1.0) - 0.5).abs() < 1e-6);
         assert!((first_root([1.0, 0.0, -4.0, 0.0], 1.0) - 0.5).abs() < 1e-6);
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn never_past_a_limit_already_found() {
+    fn step_never_exceeds_the_limit() {
         assert_eq!(first_root([1.0, -2.0, 0.0, 0.0], 0.3), 0.3);
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-/// Sweeps after which the rotations stop whatever is left; five are enough for rounding error.
+/// Maximum number of Jacobi sweeps; five reach rounding error.
 const MAX_SWEEPS: usize = 16;
 
 /// F = U diag(sigma) V^T with U and V orthogonal.
@@ -10,7 +10,7 @@ const MAX_SWEEPS: usize = 16;
 pub struct Svd {
     /// Left singular vectors, in columns.
     pub u: DMat3,
-    /// Singular values, >= 0, in no order.
+    /// Singular values, >= 0, unordered.
     pub sigma: DVec3,
     /// Right singular vectors, in columns; det V = 1.
     pub v: DMat3,
@@ -20,7 +20,6 @@ pub struct Svd {
 ///
 /// Small singular values keep their relative accuracy. det U has the sign of det F. For a
 /// singular F the missing columns of U are completed to an orthogonal matrix.
-#[must_use]
 pub fn svd(f: &DMat3) -> Svd {
     let mut g = [f.x_axis, f.y_axis, f.z_axis];
     let mut v = [DVec3::X, DVec3::Y, DVec3::Z];
@@ -89,10 +88,9 @@ fn left_vectors(g: &[DVec3; 3], sigma: [f64; 3]) -> DMat3 {
     DMat3::from_cols(u[0], u[1], u[2])
 }
 
-/// Eigenvalues and eigenvectors (columns) of a symmetric matrix, in no order.
+/// Eigenvalues and eigenvectors (columns) of a symmetric matrix, unordered.
 ///
 /// Only the lower triangle is read.
-#[must_use]
 pub fn symmetric_eigen(m: &DMat3) -> (DVec3, DMat3) {
     let mut a = [
         [m.x_axis.x, m.x_axis.y, m.x_axis.z],
@@ -146,16 +144,16 @@ mod tests {
 
     fn cases() -> Vec<DMat3> {
         let mut rng = Pcg64::seed_from_u64(3);
-        let turn = DMat3::from_rotation_y(0.3) * DMat3::from_rotation_x(-1.2);
+        let rotation = DMat3::from_rotation_y(0.3) * DMat3::from_rotation_x(-1.2);
         let mut all = vec![
             DMat3::IDENTITY,
-            turn,
-            turn * 1e-9,
-            turn * DMat3::from_diagonal(DVec3::new(2.0, 2.0, 0.5)),
+            rotation,
+            rotation * 1e-9,
+            rotation * DMat3::from_diagonal(DVec3::new(2.0, 2.0, 0.5)),
             DMat3::from_diagonal(DVec3::new(1.0, 1.0 + 1e-13, -1.0)),
-            turn * DMat3::from_diagonal(DVec3::new(1.0, 1e-3, 1e-9)) * turn,
-            turn * DMat3::from_diagonal(DVec3::new(1.0, 0.0, 0.0)) * turn,
-            turn * DMat3::from_diagonal(DVec3::new(1.0, 0.0, 2.0)) * turn,
+            rotation * DMat3::from_diagonal(DVec3::new(1.0, 1e-3, 1e-9)) * rotation,
+            rotation * DMat3::from_diagonal(DVec3::new(1.0, 0.0, 0.0)) * rotation,
+            rotation * DMat3::from_diagonal(DVec3::new(1.0, 0.0, 2.0)) * rotation,
             DMat3::from_cols(DVec3::X, DVec3::X, DVec3::X),
             DMat3::ZERO,
         ];
@@ -168,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn singular_parts_rebuild_the_matrix() {
+    fn singular_value_decomposition_rebuilds_the_matrix() {
         for f in cases() {
             let Svd { u, sigma, v } = svd(&f);
             let size = f
@@ -184,9 +182,9 @@ mod tests {
     }
 
     #[test]
-    fn small_singular_values_keep_their_digits() {
-        let turn = DMat3::from_rotation_y(0.3) * DMat3::from_rotation_x(-1.2);
-        let f = turn * DMat3::from_diagonal(DVec3::new(1.0, 1e-4, 1e-8));
+    fn small_singular_values_are_accurate() {
+        let rotation = DMat3::from_rotation_y(0.3) * DMat3::from_rotation_x(-1.2);
+        let f = rotation * DMat3::from_diagonal(DVec3::new(1.0, 1e-4, 1e-8));
         let mut sigma = svd(&f).sigma.to_array();
         sigma.sort_by(f64::total_cmp);
         for (found, expected) in sigma.into_iter().zip([1e-8, 1e-4, 1.0]) {
@@ -195,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn eigenvectors_rebuild_the_matrix() {
+    fn eigendecomposition_rebuilds_the_matrix() {
         for f in cases() {
             let m = f + f.transpose();
             let (values, vectors) = symmetric_eigen(&m);

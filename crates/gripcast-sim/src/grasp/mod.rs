@@ -1,4 +1,4 @@
-//! The grasp of the paper: closure, force adjustment, lift.
+//! Simulation of a grasp as in the paper: closure, force adjustment, lift.
 
 #[cfg(test)]
 mod not_converged_test;
@@ -14,15 +14,15 @@ mod summary;
 pub mod trace;
 mod trace_file;
 
-pub use placement::{GraspPose, Placed, Placement, resting_pose};
+pub use placement::{GraspPose, GripperState, Placement, resting_pose};
 pub use protocol::{ForceRule, Protocol};
+pub(crate) use run::MIN_CONTACT_FORCE_N;
 pub use run::{GraspOutcome, GraspResult, simulate};
 #[cfg(any(test, feature = "testing"))]
 pub use sample_trace::sample_trace;
+pub(crate) use scene::MAX_OPENING_M;
 pub use scene::{Finger, GelSpec, Scene};
-pub use settings::{
-    GraspSettings, Preset, TACCEL_DRIVE_WEIGHT, resolution_by_name, resolution_name,
-};
-pub use summary::{GraspSummary, PerGel, STEADY_STEPS, StageWork, is_steady};
+pub use settings::{GraspSettings, Preset, TACCEL_DRIVE_WEIGHT};
+pub use summary::{GraspSummary, PerGel, STEADY_STEPS, StageWork};
 pub use trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 pub use trace_file::TraceFile;

@@ -1,5 +1,3 @@
-//! A grasp whose steps do not converge has no outcome.
-
 use super::{GelSpec, GraspOutcome, Placement, Protocol, Scene, resting_pose, simulate};
 use crate::fem::{GelGrid, GelResolution};
 use crate::solver::SolverParameters;
@@ -23,7 +21,7 @@ fn small_box() -> Scene {
 }
 
 #[test]
-fn a_grasp_whose_steps_do_not_converge_has_no_outcome() {
+fn unconverged_steps_give_no_outcome() {
     let parameters = SolverParameters {
         max_iterations: 1,
         ..Default::default()
@@ -36,14 +34,14 @@ fn a_grasp_whose_steps_do_not_converge_has_no_outcome() {
 }
 
 #[test]
-fn a_grasp_is_given_up_after_its_iterations() {
+fn grasp_stops_at_its_iteration_limit() {
     let parameters = SolverParameters {
         max_grasp_iterations: 20,
         ..Default::default()
     };
     let result = simulate(&small_box(), &Protocol::default(), &parameters).unwrap();
     assert_eq!(result.outcome, GraspOutcome::NotConverged);
-    assert_eq!(result.detail.unwrap(), "given up after 20 iterations");
+    assert_eq!(result.detail.unwrap(), "stopped after 20 iterations");
     let iterations = result.trace.steps.iter().filter_map(|step| step.solver);
     let spent: u32 = iterations.map(|step| step.iterations).sum();
     assert!((21..100).contains(&spent), "{spent}");

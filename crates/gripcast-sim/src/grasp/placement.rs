@@ -1,4 +1,4 @@
-//! Where the gripper stands: from above by a few numbers, or by a recorded pose.
+//! Initial gripper pose: a grasp from above by a few parameters, or a recorded pose.
 
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
@@ -6,55 +6,55 @@ use serde::{Deserialize, Serialize};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Aabb, Pose, StablePose, TriangleMesh, stable_poses};
 
-/// Free space that is left between the object and each gel, m.
+/// Clearance between the object and each gel, m.
 const SIDE_CLEARANCE_M: f64 = 1e-3;
-/// Free space that is left between the gels and the ground, m.
+/// Clearance between the gels and the ground, m.
 const GROUND_CLEARANCE_M: f64 = 5e-4;
-/// Half of the gel along the approach and across, and its thickness, m.
+/// Half size of the gel along the approach and across, and its thickness, m.
 const GEL_M: [f64; 3] = [0.0125, 0.010, 0.004];
 
-/// A grasp from above, relative to the object as it lies.
+/// A grasp from above, relative to the resting object.
 ///
-/// All zero or none: the gripper's z axis points down and its x axis along the world's, its origin
-/// is the middle of the object's bounding box, but high enough for the gels to clear the ground,
-/// and it is open by the width of the object and 1 mm on each side.
+/// By default the gripper's z axis points down and its x axis along the world's; its origin is the
+/// centre of the object's bounding box, raised if the gels would not clear the ground; the opening
+/// is the object's width plus 1 mm on each side.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Placement {
-    /// Turn about the world's z axis, rad.
+    /// Rotation about the world's z axis, rad.
     pub yaw_rad: f64,
-    /// Turn about the gripper's y axis, rad: one finger higher than the other.
-    pub tilt_rad: f64,
-    /// Turn about the gripper's x axis, rad: the approach leaves the vertical.
-    pub lean_rad: f64,
-    /// Shift along the turned gripper's horizontal x and y axes, m.
+    /// Rotation about the gripper's y axis, rad: one finger higher than the other.
+    pub roll_rad: f64,
+    /// Rotation about the gripper's x axis, rad: approach out of the vertical.
+    pub pitch_rad: f64,
+    /// Offset along the horizontal x and y axes of the yawed gripper, m.
     pub offset_m: [f64; 2],
-    /// Height of the gripper's origin above the ground, m.
+    /// Height of the gripper's origin above the ground, m; default as above.
     pub height_m: Option<f64>,
-    /// Distance between the gels' faces at the start, m.
+    /// Distance between the gel faces at the start, m; default as above.
     pub opening_m: Option<f64>,
 }
 
-/// An object that lies this close to a stable pose already is put into that one, rad.
+/// Largest rotation to a stable pose for which that pose is preferred, rad.
 const NEAR_STABLE_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
 
-/// The stable pose of an object, and its number by falling probability: number `wanted`, else the
-/// one nearest to how the mesh stands if that is within 5°, else the most probable.
+/// Returns a stable pose of an object and its index by falling probability: pose `index` if given,
+/// else the one nearest to the mesh's own orientation within 5°, else the most probable.
 ///
 /// # Errors
-/// `Input` if there is no such pose, or none at all.
-pub fn resting_pose(mesh: &TriangleMesh, wanted: Option<usize>) -> Result<(usize, StablePose)> {
+/// `Input` if the index is out of range or there is no stable pose.
+pub fn resting_pose(mesh: &TriangleMesh, index: Option<usize>) -> Result<(usize, StablePose)> {
     let poses = stable_poses(mesh, 0.0)?;
-    let turn = |pose: &StablePose| 2.0 * pose.t_world_object.rotation.w.abs().min(1.0).acos();
+    let angle = |pose: &StablePose| 2.0 * pose.t_world_object.rotation.w.abs().min(1.0).acos();
     let nearest = || {
-        let all = poses.iter().map(turn).enumerate();
-        all.filter(|(_, turn)| *turn < NEAR_STABLE_RAD)
+        let all = poses.iter().map(angle).enumerate();
+        all.filter(|(_, angle)| *angle < NEAR_STABLE_RAD)
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .map(|(index, _)| index)
     };
-    let index = wanted.or_else(nearest).unwrap_or(0);
+    let index = index.or_else(nearest).unwrap_or(0);
     let pose = poses.get(index).ok_or_else(|| {
         Error::input(format!(
-            "there is no stable pose {index}: the object has {} (0 to {})",
+            "stable pose {index} not found: the object has {} (0 to {})",
             poses.len(),
             poses.len().saturating_sub(1)
         ))
@@ -63,56 +63,50 @@ pub fn resting_pose(mesh: &TriangleMesh, wanted: Option<usize>) -> Result<(usize
     Ok((index, *pose))
 }
 
-/// Where the gripper stands.
+/// Gripper pose and opening at the start of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Placed {
-    /// The gripper in the world.
+pub struct GripperState {
+    /// Pose of the gripper in the world.
     pub t_world_gripper: Pose,
-    /// Distance between the gels' faces, m.
+    /// Distance between the gel faces, m.
     pub opening_m: f64,
 }
 
 impl Placement {
-    /// Places the gripper at an object.
+    /// Places the gripper relative to an object.
     ///
     /// # Errors
-    /// `Input` where a number is not finite.
-    pub fn place(&self, mesh: &TriangleMesh, t_world_object: &Pose) -> Result<Placed> {
+    /// `Input` for a number that is not finite.
+    pub fn place(&self, mesh: &TriangleMesh, t_world_object: &Pose) -> Result<GripperState> {
         self.validate()?;
         let points = || mesh.all_corners().flatten();
         let bounds = Aabb::from_points(points().map(|v| t_world_object.transform_point(v)));
-        let turn = DQuat::from_rotation_z(self.yaw_rad);
+        let yaw = DQuat::from_rotation_z(self.yaw_rad);
         let down = DQuat::from_mat3(&DMat3::from_cols(DVec3::X, DVec3::NEG_Y, DVec3::NEG_Z));
-        let rotation = turn
+        let rotation = yaw
             * down
-            * DQuat::from_rotation_y(self.tilt_rad)
-            * DQuat::from_rotation_x(self.lean_rad);
+            * DQuat::from_rotation_y(self.roll_rad)
+            * DQuat::from_rotation_x(self.pitch_rad);
         let [along, across] = self.offset_m;
-        let mut origin = bounds.center() + turn * (DVec3::X * along + DVec3::NEG_Y * across);
+        let mut origin = bounds.center() + yaw * (DVec3::X * along + DVec3::NEG_Y * across);
         let closing = rotation * DVec3::X;
         origin.z = self.height_m.unwrap_or(origin.z);
-        let width = |origin: DVec3| {
-            let reach = points()
-                .map(|v| {
-                    (t_world_object.transform_point(v) - origin)
-                        .dot(closing)
-                        .abs()
-                })
-                .fold(0.0, f64::max);
-            self.opening_m.unwrap_or(2.0 * (reach + SIDE_CLEARANCE_M))
+        let opening = |origin: DVec3| {
+            let points = points().map(|v| t_world_object.transform_point(v));
+            self.opening_m
+                .unwrap_or_else(|| clear_opening(points, origin, closing))
         };
-        let mut opening_m = width(origin);
+        let mut opening_m = opening(origin);
         if self.height_m.is_none() {
-            origin.z = origin
-                .z
-                .max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M);
-            // Tilted fingers reach further where they stand higher.
-            opening_m = width(origin);
-            origin.z = origin
-                .z
-                .max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M);
+            let raise = |z: f64, opening_m: f64| {
+                z.max(lowest_height(rotation, opening_m) + GROUND_CLEARANCE_M)
+            };
+            origin.z = raise(origin.z, opening_m);
+            // With roll, a higher gripper reaches further across.
+            opening_m = opening(origin);
+            origin.z = raise(origin.z, opening_m);
         }
-        Ok(Placed {
+        Ok(GripperState {
             t_world_gripper: Pose::new(rotation, origin),
             opening_m,
         })
@@ -122,8 +116,8 @@ impl Placement {
         let [along, across] = self.offset_m;
         let numbers = [
             ("--yaw-deg", self.yaw_rad),
-            ("--tilt-deg", self.tilt_rad),
-            ("--lean-deg", self.lean_rad),
+            ("--roll-deg", self.roll_rad),
+            ("--pitch-deg", self.pitch_rad),
             ("--offset-x", along),
             ("--offset-y", across),
             ("--height", self.height_m.unwrap_or(0.0)),
@@ -139,7 +133,13 @@ impl Placement {
     }
 }
 
-/// Height of the gripper's origin at which its gels touch the ground, m.
+/// Opening that leaves [`SIDE_CLEARANCE_M`] between the points and each gel, m.
+fn clear_opening(points: impl Iterator<Item = DVec3>, origin: DVec3, closing: DVec3) -> f64 {
+    let reach = points.map(|p| (p - origin).dot(closing).abs());
+    2.0 * (reach.fold(0.0, f64::max) + SIDE_CLEARANCE_M)
+}
+
+/// Height of the gripper's origin at which a gel touches the ground, m.
 fn lowest_height(rotation: DQuat, opening_m: f64) -> f64 {
     let [z, y, thickness] = GEL_M;
     let half = DVec3::new(0.5 * opening_m + thickness, y, z);
@@ -156,12 +156,12 @@ fn lowest_height(rotation: DQuat, opening_m: f64) -> f64 {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GraspPose {
-    /// The gripper in the frame of the object's mesh.
+    /// Pose of the gripper in the frame of the object's mesh.
     pub t_object_gripper: Pose,
-    /// The object on the ground; a stable pose where missing.
+    /// Pose of the object on the ground; a stable pose if missing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub t_world_object: Option<Pose>,
-    /// Distance between the gels' faces at the start, m; the object's width and 2 mm where missing.
+    /// Distance between the gel faces at the start, m; the object's width plus 2 mm if missing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub opening_m: Option<f64>,
 }
@@ -170,28 +170,26 @@ impl GraspPose {
     /// Parses the JSON of a pose file.
     ///
     /// # Errors
-    /// `Input` with the place of the mistake and an example.
+    /// `Input`, with the position of the error and an example.
     pub fn from_json(text: &str) -> Result<Self> {
         serde_json::from_str(text).map_err(|e| {
-            Error::input("this is no grasp pose").because(e).remedy(
+            Error::input("invalid grasp pose").because(e).remedy(
                 "write {\"t_object_gripper\": {\"t_m\": [x, y, z], \"q_wxyz\": [w, x, y, z]}}, \
                      optionally with \"t_world_object\" and \"opening_m\"",
             )
         })
     }
 
-    /// Places the gripper at the object, which stands at `t_world_object`.
-    pub fn place(&self, mesh: &TriangleMesh, t_world_object: &Pose) -> Placed {
+    /// Gripper state in the world for an object at `t_world_object`.
+    pub fn place(&self, mesh: &TriangleMesh, t_world_object: &Pose) -> GripperState {
         let closing = self.t_object_gripper.rotation * DVec3::X;
         let origin = self.t_object_gripper.translation_m;
-        let reach = mesh
-            .all_corners()
-            .flatten()
-            .map(|v| (v - origin).dot(closing).abs())
-            .fold(0.0, f64::max);
-        Placed {
+        let points = mesh.all_corners().flatten();
+        GripperState {
             t_world_gripper: *t_world_object * self.t_object_gripper,
-            opening_m: self.opening_m.unwrap_or(2.0 * (reach + SIDE_CLEARANCE_M)),
+            opening_m: self
+                .opening_m
+                .unwrap_or_else(|| clear_opening(points, origin, closing)),
         }
     }
 }
@@ -206,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn from_above_at_mid_height() {
+    fn default_grasp_is_vertical_at_mid_height() {
         let mesh = builtin("box").unwrap();
         let placed = Placement::default()
             .place(&mesh, &on_ground(&mesh))
@@ -219,17 +217,17 @@ mod tests {
     }
 
     #[test]
-    fn low_objects_leave_the_gels_above_the_ground() {
+    fn gels_clear_the_ground_at_low_objects() {
         let mesh = builtin("sphere").unwrap().scaled(0.4);
         let placed = Placement::default()
             .place(&mesh, &on_ground(&mesh))
             .unwrap();
         assert!((placed.t_world_gripper.translation_m.z - 0.013).abs() < 1e-12);
-        let tilted = Placement {
-            tilt_rad: 0.3,
+        let rolled = Placement {
+            roll_rad: 0.3,
             ..Placement::default()
         };
-        let placed = tilted.place(&mesh, &on_ground(&mesh)).unwrap();
+        let placed = rolled.place(&mesh, &on_ground(&mesh)).unwrap();
         let half = 0.5 * placed.opening_m + 0.004;
         let lowest =
             placed.t_world_gripper.translation_m.z - (0.0125 * 0.3f64.cos() + half * 0.3f64.sin());
@@ -237,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn turns_and_shifts_widen_the_opening() {
+    fn yaw_and_offset_widen_the_opening() {
         let mesh = builtin("box").unwrap();
         let placement = Placement {
             yaw_rad: 30f64.to_radians(),
@@ -253,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_rest_as_they_stand_where_that_is_stable() {
+    fn resting_pose_keeps_stable_orientations() {
         for name in ["box", "mug", "wedge", "sphere"] {
             let (_, pose) = resting_pose(&builtin(name).unwrap(), None).unwrap();
             assert!(pose.t_world_object.rotation.w > 0.999, "{name}");
@@ -271,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recorded_pose_is_relative_to_the_object() {
+    fn recorded_pose_is_relative_to_the_object() {
         let mesh = builtin("box").unwrap();
         let text = r#"{"t_object_gripper": {"t_m": [0, 0, 0.01], "q_wxyz": [0, 1, 0, 0]}}"#;
         let pose = GraspPose::from_json(text).unwrap();
@@ -281,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn misspelt_pose_files_are_explained() {
+    fn invalid_pose_files_and_angles_are_rejected() {
         let text = r#"{"t_object_griper": {"t_m": [0, 0, 0], "q_wxyz": [1, 0, 0, 0]}}"#;
         let error = GraspPose::from_json(text).unwrap_err().to_string();
         assert!(

@@ -1,31 +1,31 @@
-//! The three stages of the paper (§3.1): finger closure, force adjustment, lift.
+//! Protocol of the paper (§3.1): finger closure, force adjustment, lift.
 
 use serde::{Deserialize, Serialize};
 
 use gripcast_base::error::{Error, Result};
 
-/// How the fingers follow the force.
+/// Force controller of the fingers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ForceRule {
-    /// The paper's: open at the adjustment speed while the mean force is above the threshold,
-    /// close otherwise. It cycles by one step.
+    /// The paper's: open at the adjustment speed while the mean force exceeds the stopping force,
+    /// close otherwise. The force cycles by one step.
     BangBang,
-    /// Speed in proportion to what is missing, at most the adjustment speed.
+    /// Speed proportional to the force error, at most the adjustment speed.
     Proportional {
-        /// Motion of each finger for each newton that is missing, m/N. Stable below twice the
-        /// compliance of a gel's contact.
+        /// Finger motion per step and newton of force error, m/N. Stable below twice the compliance
+        /// of a gel's contact.
         gain_m_per_n: f64,
     },
 }
 
-/// Speeds, durations and thresholds of a grasp. The defaults are the paper's.
+/// Speeds, durations and thresholds of a grasp; the defaults are the paper's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Protocol {
     /// Closing speed of each finger, m/s.
     pub closing_speed_m_s: f64,
-    /// Force of both gels at which closing ends, N.
+    /// Stopping force per finger at which closure ends, N.
     pub stop_force_n: f64,
     /// Speed of each finger in the adjustment, m/s.
     pub adjust_speed_m_s: f64,
@@ -35,9 +35,9 @@ pub struct Protocol {
     pub lift_speed_m_s: f64,
     /// Height of the lift, m.
     pub lift_m: f64,
-    /// Success is when every point of the object is above this at the end, m.
+    /// Height that every point of the object must exceed at the end for success, m.
     pub success_height_m: f64,
-    /// How the fingers follow the force in adjustment and lift.
+    /// Force controller in adjustment and lift.
     pub rule: ForceRule,
 }
 
@@ -57,10 +57,10 @@ impl Default for Protocol {
 }
 
 impl Protocol {
-    /// Checks that every number can be computed with.
+    /// Checks the range of every parameter.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] naming the parameter and what was found.
+    /// `Config`, with the parameter and its value.
     pub fn validate(&self) -> Result<()> {
         let mut positive = vec![
             ("closing_speed_m_s", self.closing_speed_m_s),
@@ -84,14 +84,14 @@ impl Protocol {
         Ok(())
     }
 
-    /// Motion of each finger towards the other in one step, m.
+    /// Motion of each finger towards the other in the next step, m.
     pub(super) fn adjustment(&self, mean_force_n: f64, dt: f64) -> f64 {
-        let largest = self.adjust_speed_m_s * dt;
+        let max = self.adjust_speed_m_s * dt;
         match self.rule {
-            ForceRule::BangBang if mean_force_n > self.stop_force_n => -largest,
-            ForceRule::BangBang => largest,
+            ForceRule::BangBang if mean_force_n > self.stop_force_n => -max,
+            ForceRule::BangBang => max,
             ForceRule::Proportional { gain_m_per_n } => {
-                (gain_m_per_n * (self.stop_force_n - mean_force_n)).clamp(-largest, largest)
+                (gain_m_per_n * (self.stop_force_n - mean_force_n)).clamp(-max, max)
             }
         }
     }

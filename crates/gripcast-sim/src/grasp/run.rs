@@ -1,76 +1,77 @@
-//! Runs a grasp through its stages.
+//! Simulates a grasp through the stages of the protocol.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::protocol::Protocol;
-use super::scene::{Scene, Stage};
-use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep, pose_of};
+use super::scene::{BuiltScene, Scene};
+use super::trace::{GelForce, Snapshot, StageName, Trace, TraceStep};
 use crate::solver::{Gel, PhaseTimes, SolverParameters, StepReport, StepStart};
 use gripcast_base::error::Result;
 use gripcast_geometry::Pose;
 
-/// The gels fly freely while they are further from the object than `d_hat` and this, m.
-const FLIGHT_MARGIN: f64 = 2e-4;
-/// Forces below this are no contact, N.
-const NO_FORCE: f64 = 1e-3;
-/// Steps of a grasp that may fail to converge before it is given up.
+/// Distance beyond `d_hat` above which the gels move freely, m.
+const FREE_MOTION_MARGIN_M: f64 = 2e-4;
+/// Smallest force that counts as contact, N.
+pub(crate) const MIN_CONTACT_FORCE_N: f64 = 1e-3;
+/// Unconverged steps after which the simulation stops.
 const MAX_UNCONVERGED: usize = 5;
 
-/// How a grasp ended.
+/// Outcome of a simulated grasp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GraspOutcome {
-    /// Every point of the object was above the success height at the end.
+    /// Every point of the object is above the success height at the end.
     Success,
-    /// It was held before the lift and did not follow, or not to the end.
+    /// The object was held before the lift but did not follow it to the end.
     Slip,
-    /// It was squeezed out before the lift.
+    /// The object was squeezed out before the lift.
     Eject,
-    /// The fingers closed without touching it.
+    /// The fingers closed without touching the object.
     Miss,
-    /// The gels met each other before the force was reached.
-    Closed,
+    /// The gels met each other before the stopping force was reached.
+    #[serde(alias = "closed")]
+    GelsMet,
     /// The gripper started inside the object or the ground.
     PenetratingStart,
-    /// Steps did not converge; there is no outcome.
+    /// Steps did not converge: there is no physical outcome.
     NotConverged,
 }
 
 impl GraspOutcome {
-    /// Its name in results and files.
+    /// Name in results and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Success => "success",
             Self::Slip => "slip",
             Self::Eject => "eject",
             Self::Miss => "miss",
-            Self::Closed => "closed",
+            Self::GelsMet => "gels_met",
             Self::PenetratingStart => "penetrating_start",
             Self::NotConverged => "not_converged",
         }
     }
 }
 
-/// Result of a grasp.
+/// Result of a simulated grasp.
 #[derive(Clone, Debug, Serialize)]
 pub struct GraspResult {
-    /// How it ended.
+    /// Outcome.
     pub outcome: GraspOutcome,
-    /// Why, where there is more to say.
+    /// Further explanation of the outcome.
     pub detail: Option<String>,
     /// Rise of the object's centre of mass, m.
     pub lifted_m: f64,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
-    /// Where the solver's time went.
+    /// Wall time of the solver phases.
     pub times: PhaseTimes,
-    /// All steps.
+    /// Trace of all steps.
     pub trace: Trace,
 }
 
 impl GraspResult {
-    /// A grasp that ended before its first step, because the gripper was inside something.
+    /// Result of a grasp whose gripper starts inside the object or the ground.
     pub(crate) fn penetrating_start(detail: String) -> Self {
         Self {
             outcome: GraspOutcome::PenetratingStart,
@@ -86,24 +87,24 @@ impl GraspResult {
 /// Simulates a grasp.
 ///
 /// # Errors
-/// Where the scene, the protocol or a parameter cannot be simulated. A grasp that starts inside
-/// something or does not converge is no error but an outcome.
+/// `Input` or `Config` for an invalid scene, protocol or parameter. An initial penetration and a
+/// grasp that does not converge are outcomes, not errors.
 pub fn simulate(
     scene: &Scene,
     protocol: &Protocol,
     parameters: &SolverParameters,
 ) -> Result<GraspResult> {
     protocol.validate()?;
-    let stage = scene.build(parameters)?;
-    if let Some(detail) = stage.starts_penetrating {
+    let built = scene.build(parameters)?;
+    if let Some(detail) = built.penetration {
         return Ok(GraspResult::penetrating_start(detail));
     }
-    Ok(Run::new(stage, scene, protocol, parameters.dt_s).finish())
+    Ok(Run::new(built, scene, protocol, parameters.dt_s).finish())
 }
 
-/// A grasp under way.
+/// A grasp in progress.
 struct Run<'a> {
-    stage: Stage,
+    scene: BuiltScene,
     protocol: &'a Protocol,
     t_world_gripper: Pose,
     dt: f64,
@@ -111,7 +112,7 @@ struct Run<'a> {
     opening: f64,
     lifted: f64,
     start_height: f64,
-    is_closed: bool,
+    gels_have_met: bool,
     has_touched: bool,
     has_reached_force: bool,
     unconverged: usize,
@@ -120,18 +121,18 @@ struct Run<'a> {
 }
 
 impl<'a> Run<'a> {
-    fn new(stage: Stage, scene: &Scene, protocol: &'a Protocol, dt: f64) -> Self {
-        let raise = Pose::from_translation(DVec3::Z * stage.raised_m);
+    fn new(built: BuiltScene, scene: &Scene, protocol: &'a Protocol, dt: f64) -> Self {
+        let raise = Pose::from_translation(DVec3::Z * built.raised_m);
         Self {
             t_world_gripper: raise * scene.t_world_gripper,
-            start_height: stage.system.object().state().p.z,
+            start_height: built.system.object().state().p.z,
             opening: scene.opening_m,
-            stage,
+            scene: built,
             protocol,
             dt,
             time: 0.0,
             lifted: 0.0,
-            is_closed: false,
+            gels_have_met: false,
             has_touched: false,
             has_reached_force: false,
             unconverged: 0,
@@ -140,6 +141,7 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// Runs all stages and determines the outcome.
     fn finish(mut self) -> GraspResult {
         self.close();
         self.snapshot(StageName::Closure);
@@ -148,14 +150,14 @@ impl<'a> Run<'a> {
             self.adjust();
             self.snapshot(StageName::Adjustment);
         }
-        let was_held = self.mean_force() > NO_FORCE;
+        let was_held = self.mean_force() > MIN_CONTACT_FORCE_N;
         if touched {
             self.lift();
             self.snapshot(StageName::Lift);
         }
-        let object = self.stage.system.object();
-        let lowest = object.lowest(self.stage.system.collider());
-        let (outcome, detail) = if let Some(reason) = self.given_up() {
+        let object = self.scene.system.object();
+        let lowest = object.lowest(self.scene.system.collider());
+        let (outcome, detail) = if let Some(reason) = self.stop_reason() {
             (GraspOutcome::NotConverged, Some(reason))
         } else if !touched {
             (GraspOutcome::Miss, None)
@@ -163,9 +165,9 @@ impl<'a> Run<'a> {
             (GraspOutcome::Success, None)
         } else if !was_held {
             (GraspOutcome::Eject, None)
-        } else if self.is_closed && !self.has_reached_force {
-            let detail = "the gels met each other before the force was reached".to_owned();
-            (GraspOutcome::Closed, Some(detail))
+        } else if self.gels_have_met && !self.has_reached_force {
+            let detail = "the gels met before the stopping force was reached".to_owned();
+            (GraspOutcome::GelsMet, Some(detail))
         } else {
             (GraspOutcome::Slip, None)
         };
@@ -174,23 +176,23 @@ impl<'a> Run<'a> {
             detail,
             lifted_m: object.state().p.z - self.start_height,
             unconverged_steps: self.unconverged,
-            times: *self.stage.system.phase_times(),
+            times: *self.scene.system.phase_times(),
             trace: self.trace,
         }
     }
 
-    /// Why the grasp is not simulated any further, if so.
-    fn given_up(&self) -> Option<String> {
-        let most = self.stage.system.parameters().max_grasp_iterations;
+    /// Reason to stop the simulation early.
+    fn stop_reason(&self) -> Option<String> {
+        let limit = self.scene.system.parameters().max_grasp_iterations;
         if self.unconverged > MAX_UNCONVERGED {
             return Some(format!("{} steps did not converge", self.unconverged));
         }
-        (self.iterations > most).then(|| format!("given up after {most} iterations"))
+        (self.iterations > limit).then(|| format!("stopped after {limit} iterations"))
     }
 
     fn forces(&self) -> [GelForce; 2] {
-        let gels = self.stage.system.gels();
-        [0, 1].map(|i| gel_force(&gels[i], self.stage.closing[i], &self.stage.gripper_axes))
+        let gels = self.scene.system.gels();
+        [0, 1].map(|i| gel_force(&gels[i], self.scene.closing[i], &self.scene.gripper_axes))
     }
 
     fn mean_force(&self) -> f64 {
@@ -198,15 +200,15 @@ impl<'a> Run<'a> {
         0.5 * (left.normal_n + right.normal_n)
     }
 
-    /// Moves each finger by `by` (m) towards the other, as long as the gels do not meet; what was
-    /// moved.
-    fn squeeze(&mut self, by: f64) -> f64 {
-        let room = 0.5 * (self.opening - self.stage.system.parameters().d_hat_m);
-        let by = if by > 0.0 && self.stage.gels_meet() {
-            self.is_closed = true;
+    /// Closes the opening by up to `by` (m) per finger, until the gels meet. Returns the actual
+    /// motion per finger.
+    fn close_by(&mut self, by: f64) -> f64 {
+        let room = 0.5 * (self.opening - self.scene.system.parameters().d_hat_m);
+        let by = if by > 0.0 && self.scene.gels_meet() {
+            self.gels_have_met = true;
             0.0
         } else if by >= room {
-            self.is_closed = true;
+            self.gels_have_met = true;
             room.max(0.0)
         } else {
             by
@@ -215,38 +217,39 @@ impl<'a> Run<'a> {
         by
     }
 
-    fn move_targets(&mut self, squeeze: f64, lift: f64) {
-        let closing = self.stage.closing;
-        for (gel, closing) in self.stage.system.gels_mut().iter_mut().zip(closing) {
-            gel.move_target(closing * squeeze + DVec3::Z * lift);
+    fn move_targets(&mut self, closing_by: f64, lift: f64) {
+        let closing = self.scene.closing;
+        for (gel, closing) in self.scene.system.gels_mut().iter_mut().zip(closing) {
+            gel.move_target(closing * closing_by + DVec3::Z * lift);
         }
     }
 
-    fn may_fly(&mut self, by: f64) -> bool {
-        let d_hat = self.stage.system.parameters().d_hat_m;
-        let near = d_hat + FLIGHT_MARGIN + by;
-        !self.has_touched && self.stage.system.clearance().iter().all(|c| *c > near)
+    /// Whether the gels are out of contact range, also after closing by `by` (m).
+    fn is_out_of_range(&mut self, by: f64) -> bool {
+        let d_hat = self.scene.system.parameters().d_hat_m;
+        let near = d_hat + FREE_MOTION_MARGIN_M + by;
+        !self.has_touched && self.scene.system.clearance().iter().all(|c| *c > near)
     }
 
     fn close(&mut self) {
         let step = self.protocol.closing_speed_m_s * self.dt;
-        while !self.is_closed && self.given_up().is_none() {
-            let by = self.squeeze(step);
-            if self.may_fly(by) {
-                let closing = self.stage.closing;
-                self.stage.system.fly(&closing.map(|c| c * by));
+        while !self.gels_have_met && self.stop_reason().is_none() {
+            let by = self.close_by(step);
+            if self.is_out_of_range(by) {
+                let closing = self.scene.closing;
+                self.scene.system.translate_free(&closing.map(|c| c * by));
                 self.record(StageName::Closure, None);
                 continue;
             }
             self.move_targets(by, 0.0);
             let start = StepStart {
-                renew: true,
-                kind: kind(StageName::Closure, by),
+                refactorize: true,
+                warm_start_slot: warm_start_slot(StageName::Closure, by),
                 ..Default::default()
             };
             self.step(StageName::Closure, &start);
             let [left, right] = self.forces().map(|force| force.normal_n);
-            self.has_touched |= left > NO_FORCE || right > NO_FORCE;
+            self.has_touched |= left > MIN_CONTACT_FORCE_N || right > MIN_CONTACT_FORCE_N;
             if left > self.protocol.stop_force_n && right > self.protocol.stop_force_n {
                 self.has_reached_force = true;
                 return;
@@ -257,17 +260,10 @@ impl<'a> Run<'a> {
     fn adjust(&mut self) {
         let steps = (self.protocol.adjust_s / self.dt).round() as usize;
         for _ in 0..steps {
-            if self.given_up().is_some() {
+            if self.stop_reason().is_some() {
                 return;
             }
-            let by = self.protocol.adjustment(self.mean_force(), self.dt);
-            let by = self.squeeze(by);
-            self.move_targets(by, 0.0);
-            let start = StepStart {
-                kind: kind(StageName::Adjustment, by),
-                ..Default::default()
-            };
-            self.step(StageName::Adjustment, &start);
+            self.control_step(StageName::Adjustment, 0.0, DVec3::ZERO);
             self.has_reached_force |= self.mean_force() >= self.protocol.stop_force_n;
         }
     }
@@ -277,47 +273,52 @@ impl<'a> Run<'a> {
         let steps = (self.protocol.lift_m / rise).round() as usize;
         let mut follows = true;
         for _ in 0..steps {
-            if self.given_up().is_some() {
+            if self.stop_reason().is_some() {
                 return;
             }
-            let mean = self.mean_force();
-            let by = self.protocol.adjustment(mean, self.dt);
-            let by = self.squeeze(by);
-            self.move_targets(by, rise);
             self.lifted += rise;
-            let is_held = self.forces().iter().all(|f| f.normal_n > NO_FORCE);
-            let start = StepStart {
-                together: if follows && is_held {
-                    DVec3::Z * rise
-                } else {
-                    DVec3::ZERO
-                },
-                kind: kind(StageName::Lift, by),
-                ..Default::default()
-            };
-            let before = self.stage.system.object().state().p.z;
-            self.step(StageName::Lift, &start);
-            let risen = self.stage.system.object().state().p.z - before;
+            let is_in_contact = self
+                .forces()
+                .iter()
+                .all(|f| f.normal_n > MIN_CONTACT_FORCE_N);
+            let translation = if follows && is_in_contact { rise } else { 0.0 };
+            let before = self.scene.system.object().state().p.z;
+            self.control_step(StageName::Lift, rise, DVec3::Z * translation);
+            let risen = self.scene.system.object().state().p.z - before;
             follows = risen > 0.5 * rise;
         }
     }
 
+    /// One step of the force controller, with the gripper rising by `rise` (m).
+    fn control_step(&mut self, stage: StageName, rise: f64, initial_translation: DVec3) {
+        let by = self.protocol.adjustment(self.mean_force(), self.dt);
+        let by = self.close_by(by);
+        self.move_targets(by, rise);
+        let start = StepStart {
+            initial_translation,
+            warm_start_slot: warm_start_slot(stage, by),
+            ..Default::default()
+        };
+        self.step(stage, &start);
+    }
+
     fn step(&mut self, stage: StageName, start: &StepStart) {
-        let report = self.stage.system.step(start);
+        let report = self.scene.system.step(start);
         self.unconverged += usize::from(!report.converged);
         self.iterations += u64::from(report.iterations);
         self.record(stage, Some(report));
     }
 
     fn object_pose(&self) -> Pose {
-        let state = self.stage.system.object().state();
+        let state = self.scene.system.object().state();
         let rotation = state.nearest_rotation();
-        pose_of(rotation, state.p - rotation * self.stage.center_of_mass)
+        let origin = state.p - rotation * self.scene.center_of_mass;
+        Pose::new(DQuat::from_mat3(&rotation), origin)
     }
 
     fn record(&mut self, stage: StageName, solver: Option<StepReport>) {
         self.time += self.dt;
-        let gels = self.stage.system.gels();
+        let gels = self.scene.system.gels();
         self.trace.steps.push(TraceStep {
             stage,
             t_s: self.time,
@@ -332,7 +333,7 @@ impl<'a> Run<'a> {
 
     fn snapshot(&mut self, stage: StageName) {
         let lift = Pose::from_translation(DVec3::Z * self.lifted);
-        let gels = self.stage.system.gels();
+        let gels = self.scene.system.gels();
         let positions = |i: usize| gels[i].positions().iter().map(|x| x.to_array()).collect();
         let snapshot = Snapshot {
             stage,
@@ -346,12 +347,12 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Steps that move the fingers alike, numbered for [`StepStart::kind`].
-fn kind(stage: StageName, squeeze: f64) -> usize {
-    2 * stage as usize + usize::from(squeeze > 0.0)
+/// Warm-start slot: one per stage and direction of finger motion.
+fn warm_start_slot(stage: StageName, closing_by: f64) -> usize {
+    2 * stage as usize + usize::from(closing_by > 0.0)
 }
 
-/// What a gel feels on its passive nodes.
+/// Contact force on the passive nodes of a gel.
 fn gel_force(gel: &Gel, closing: DVec3, gripper_axes: &glam::DMat3) -> GelForce {
     let mut is_driven = vec![false; gel.positions().len()];
     let mut center = DVec3::ZERO;

@@ -1,4 +1,4 @@
-//! What is grasped, where, and with which gripper.
+//! Scene of a grasp: object, gripper pose and gels.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,10 @@ use crate::solver::{Collider, Drive, Gel, GelMaterial, Object, SolverParameters,
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{MassProperties, Pose, TriangleMesh};
 
-/// A finger of the gripper. Its gel's own frame has z from the back to the face, x along the
+/// Largest opening of the gripper, m.
+pub(crate) const MAX_OPENING_M: f64 = 0.2;
+
+/// A finger of the gripper. The frame of its gel has z from the back to the face, x along the
 /// gripper's approach axis (25 mm) and y across (20 mm).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -32,7 +35,7 @@ impl Finger {
         }
     }
 
-    /// Rotation from the gel's own frame to the gripper's.
+    /// Rotation from the gel frame to the gripper frame.
     pub fn rotation(self) -> DMat3 {
         let (x, z) = (DVec3::Z, self.closing());
         DMat3::from_cols(x, z.cross(x), z)
@@ -42,19 +45,19 @@ impl Finger {
 /// Mesh and material of both gels.
 #[derive(Clone, Debug)]
 pub struct GelSpec {
-    /// Mesh at rest.
+    /// Mesh at rest, in the gel frame.
     pub grid: GelGrid,
-    /// Material.
+    /// Elastic material.
     pub material: GelMaterial,
-    /// What moves the back face.
+    /// Boundary drive of the back face.
     pub drive: Drive,
 }
 
 impl GelSpec {
-    /// A standard pad of the paper's material.
+    /// The standard pad with the paper's material.
     ///
     /// # Errors
-    /// None for the built-in meshes.
+    /// None: the built-in meshes are valid.
     pub fn standard(resolution: GelResolution) -> Result<Self> {
         Ok(Self {
             grid: GelGrid::pad(resolution)?,
@@ -64,55 +67,56 @@ impl GelSpec {
     }
 }
 
-/// A grasp before the fingers close.
+/// Initial state of a grasp.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Closed surface of the object in its own frame, m.
     pub mesh: TriangleMesh,
-    /// Mass, kg.
+    /// Mass of the object, kg.
     pub mass_kg: f64,
     /// Coulomb friction coefficient between gels and object, and between object and ground.
     pub friction: f64,
-    /// The object on the ground (z = 0).
+    /// Pose of the object on the ground (z = 0).
     pub t_world_object: Pose,
-    /// The gripper; the fingers close along its x axis.
+    /// Pose of the gripper; the fingers close along its x axis.
     pub t_world_gripper: Pose,
-    /// Distance between the gels' faces at the start, m.
+    /// Distance between the gel faces at the start, m.
     pub opening_m: f64,
-    /// The gels.
+    /// Mesh, material and drive of both gels.
     pub gel: GelSpec,
 }
 
-/// A scene ready to step, with what the protocol needs to know of it.
+/// A scene ready to simulate.
 #[derive(Debug)]
-pub struct Stage {
+pub(super) struct BuiltScene {
     pub(super) system: System,
     /// Closing direction of each gel in the world.
     pub(super) closing: [DVec3; 2],
     /// Gripper axes in the world.
     pub(super) gripper_axes: DMat3,
-    /// From the object's file frame to the frame of its centre of mass.
+    /// Centre of mass in the frame of the object's mesh, m.
     pub(super) center_of_mass: DVec3,
-    /// How far scene was raised for the object to rest at its contact gap, m.
+    /// Height by which object and gripper were raised to the contact gap of the ground, m.
     pub(super) raised_m: f64,
-    pub(super) starts_penetrating: Option<String>,
-    /// Nodes of the left and the right face that lie opposite each other.
+    /// Description of an initial penetration.
+    pub(super) penetration: Option<String>,
+    /// Pairs of opposite nodes on the left and the right face.
     facing: Vec<[u32; 2]>,
 }
 
-impl Stage {
-    /// Whether the gels touch each other, which nothing would keep them from passing through.
+impl BuiltScene {
+    /// Whether the gels touch each other; there is no contact between them.
     pub(super) fn gels_meet(&self) -> bool {
         let [left, right] = [0, 1].map(|i| self.system.gels()[i].positions());
         let d_hat = self.system.parameters().d_hat_m;
         self.facing.iter().any(|[l, r]| {
-            let apart = right[*r as usize] - left[*l as usize];
-            apart.dot(self.closing[0]) < d_hat
+            let offset = right[*r as usize] - left[*l as usize];
+            offset.dot(self.closing[0]) < d_hat
         })
     }
 }
 
-/// Opposite nodes of two equal pads: y points in opposite directions on them.
+/// Pairs of opposite nodes of two equal pads, whose y axes point in opposite directions.
 fn facing_nodes(grid: &GelGrid) -> Vec<[u32; 2]> {
     let [nx, ny, nz] = grid.nodes();
     (0..ny)
@@ -121,21 +125,17 @@ fn facing_nodes(grid: &GelGrid) -> Vec<[u32; 2]> {
         .collect()
 }
 
-fn input(what: String, remedy: &str) -> Error {
-    Error::input(what).remedy(remedy)
-}
-
 impl Scene {
     /// Builds the gels and the object.
     ///
-    /// The object and the gripper are raised together until the ground's barrier carries the
-    /// object's weight (less than `d_hat`), so their relative pose is exactly the given one.
+    /// Object and gripper are raised together (by less than `d_hat`) until the ground's barrier
+    /// carries the object's weight, which preserves their relative pose.
     ///
     /// # Errors
-    /// Where mass, friction, opening, pose or mesh cannot be simulated.
-    pub fn build(&self, parameters: &SolverParameters) -> Result<Stage> {
+    /// `Input` for an invalid mass, friction, opening, pose or mesh.
+    pub(super) fn build(&self, parameters: &SolverParameters) -> Result<BuiltScene> {
         self.validate()?;
-        let properties = MassProperties::of(&self.mesh)?;
+        let properties = MassProperties::from_mesh(&self.mesh)?;
         let center = properties.center_of_mass_m;
         let mut mesh = self.mesh.clone();
         for vertex in &mut mesh.vertices {
@@ -152,16 +152,14 @@ impl Scene {
             self.t_world_object.transform_point(center),
             self.t_world_object.rotation_matrix(),
         );
-        let mut object = Object::new(body, state, &collider).on_ground(self.friction);
+        let mut object = Object::new(body, state, &collider).with_ground(self.friction);
         let lowest = object.lowest(&collider);
         if lowest < -1e-3 {
-            return Err(input(
-                format!(
-                    "the object's pose puts it {:.1} mm into the ground (z = 0)",
-                    -1e3 * lowest
-                ),
-                "give a pose whose lowest point is at z = 0, or leave it out for a stable one",
-            ));
+            return Err(Error::input(format!(
+                "the object's pose puts it {:.1} mm into the ground (z = 0)",
+                -1e3 * lowest
+            ))
+            .remedy("use a pose whose lowest point is at z = 0, or omit it for a stable pose"));
         }
         let barrier = parameters.barrier();
         let weight = self.mass_kg * parameters.gravity_m_s2.abs();
@@ -170,30 +168,29 @@ impl Scene {
         let t_world_gripper = Pose::from_translation(DVec3::Z * raised_m) * self.t_world_gripper;
         let mut gels = Vec::with_capacity(2);
         for finger in Finger::BOTH {
-            let place = self.gel_pose(finger, &t_world_gripper);
-            let gel = Gel::new(
-                &self.gel.grid,
-                &self.gel.material,
-                self.gel.drive,
-                parameters,
-                |p| place.transform_point(p),
-            )?;
-            gels.push(gel);
+            let t_world_gel = self.gel_pose(finger, &t_world_gripper);
+            let GelSpec {
+                grid,
+                material,
+                drive,
+            } = &self.gel;
+            gels.push(Gel::new(grid, material, *drive, parameters, |p| {
+                t_world_gel.transform_point(p)
+            })?);
         }
-        let starts_penetrating = super::start_check::penetration(&gels, &object, &mesh);
-        let axes = t_world_gripper.rotation_matrix();
-        Ok(Stage {
-            closing: Finger::BOTH.map(|finger| axes * finger.closing()),
-            gripper_axes: axes,
+        let gripper_axes = t_world_gripper.rotation_matrix();
+        Ok(BuiltScene {
+            closing: Finger::BOTH.map(|finger| gripper_axes * finger.closing()),
+            gripper_axes,
             center_of_mass: center,
             raised_m,
-            starts_penetrating,
+            penetration: super::start_check::penetration(&gels, &object, &mesh),
             facing: facing_nodes(&self.gel.grid),
             system: System::new(gels, object, collider, self.friction, *parameters)?,
         })
     }
 
-    /// Pose of a gel's own frame (back face at z = 0) in the world at the start.
+    /// Pose of the gel frame (back face at z = 0) in the world at the start.
     fn gel_pose(&self, finger: Finger, t_world_gripper: &Pose) -> Pose {
         let back = -(0.5 * self.opening_m + self.gel.grid.thickness_m());
         let rotation = glam::DQuat::from_mat3(&finger.rotation());
@@ -201,30 +198,21 @@ impl Scene {
     }
 
     fn validate(&self) -> Result<()> {
-        if !(self.mass_kg.is_finite() && self.mass_kg > 0.0) {
-            return Err(input(
-                format!("the mass must be above 0 kg, found {}", self.mass_kg),
-                "weigh the object and pass --mass-kg",
-            ));
-        }
-        if !(self.friction.is_finite() && self.friction >= 0.0) {
-            return Err(input(
-                format!(
-                    "the friction coefficient must be 0 or more, found {}",
-                    self.friction
-                ),
-                "pass --friction between 0 and about 1.5",
-            ));
-        }
-        if !(self.opening_m.is_finite() && self.opening_m > 0.0 && self.opening_m <= 0.2) {
-            return Err(input(
-                format!(
-                    "the opening must be above 0 and at most 0.2 m, found {}",
-                    self.opening_m
-                ),
-                "pass --width in metres, for instance 0.08",
-            ));
-        }
-        Ok(())
+        let (mass, friction, opening) = (self.mass_kg, self.friction, self.opening_m);
+        let (what, remedy) = if !(mass.is_finite() && mass > 0.0) {
+            let what = format!("the mass must be above 0 kg, found {mass}");
+            (what, "weigh the object and pass --mass-kg")
+        } else if !(friction.is_finite() && friction >= 0.0) {
+            let what = format!("the friction coefficient must be 0 or more, found {friction}");
+            (what, "pass --friction between 0 and about 1.5")
+        } else if !(opening > 0.0 && opening <= MAX_OPENING_M) {
+            let what = format!(
+                "the opening must be above 0 and at most {MAX_OPENING_M} m, found {opening}"
+            );
+            (what, "pass --width in metres, for instance 0.08")
+        } else {
+            return Ok(());
+        };
+        Err(Error::input(what).remedy(remedy))
     }
 }

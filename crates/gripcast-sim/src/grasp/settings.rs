@@ -1,4 +1,4 @@
-//! All parameters of a grasp besides the scene, and the presets they start from.
+//! Parameters of a grasp besides the scene, and their presets.
 
 use serde::ser::SerializeStruct as _;
 use serde::{Deserialize, Serialize, Serializer};
@@ -7,13 +7,13 @@ use super::protocol::Protocol;
 use super::scene::GelSpec;
 use crate::fem::GelResolution;
 use crate::solver::{Drive, GelMaterial, SolverParameters};
-use gripcast_base::error::{Error, Result, nearest_name};
+use gripcast_base::error::Result;
 
 /// A named set of parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// The paper's §3.1: E = 1 MPa, ν = 0.3.
+    /// The paper (§3.1): E = 1 MPa, ν = 0.3.
     #[default]
     Paper,
     /// The paper's protocol with the gel stiffness of FEATS (arXiv 2411.03315).
@@ -21,19 +21,19 @@ pub enum Preset {
 }
 
 /// Young's modulus of [`Preset::Feats`], Pa: 6 C10 of an incompressible neo-Hookean gel with
-/// C10 = 0.0725 MPa, the material template of FEATS' finite-element model of the GelSight Mini.
+/// C10 = 0.0725 MPa, as in FEATS' finite-element model of the GelSight Mini.
 const FEATS_YOUNG_PA: f64 = 0.435e6;
 
-/// Poisson's ratio of [`Preset::Feats`]. FEATS gives no compressibility, for which its solver
-/// takes 0.475. Linear tetrahedra lock towards 0.5, so 0.45 is used with the same modulus; its
-/// shear modulus is then 3 % above 2 C10.
+/// Poisson's ratio of [`Preset::Feats`]. FEATS gives no compressibility; its solver then uses
+/// 0.475. Linear tetrahedra lock towards 0.5, so 0.45 is used with the same Young's modulus, which
+/// puts the shear modulus 3 % above 2 C10.
 const FEATS_POISSON: f64 = 0.45;
 
 impl Preset {
-    /// All, in the order of the docs.
+    /// All presets.
     pub const ALL: [Self; 2] = [Self::Paper, Self::Feats];
 
-    /// Its name on the command line.
+    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Paper => "paper",
@@ -54,51 +54,23 @@ impl Preset {
     }
 }
 
-/// Name of a gel mesh on the command line.
-pub fn resolution_name(resolution: GelResolution) -> &'static str {
-    match resolution {
-        GelResolution::Coarse => "coarse",
-        GelResolution::Default => "default",
-        GelResolution::Fine => "fine",
-    }
-}
-
-/// A gel mesh by its name.
-///
-/// # Errors
-/// `Usage` for another name, with the nearest.
-pub fn resolution_by_name(name: &str) -> Result<GelResolution> {
-    let all = [
-        GelResolution::Coarse,
-        GelResolution::Default,
-        GelResolution::Fine,
-    ];
-    let known = all.into_iter().find(|r| resolution_name(*r) == name);
-    known.ok_or_else(|| {
-        let nearest = nearest_name(name, all.map(resolution_name));
-        let hint = nearest.map_or(String::new(), |n| format!("did you mean {n}? "));
-        Error::usage(format!("there is no gel mesh named {name:?}"))
-            .remedy(format!("{hint}known are: coarse, default, fine"))
-    })
-}
-
-/// The weight of the paper's drive by nodal mass.
+/// Weight of the paper's drive by nodal mass.
 pub const TACCEL_DRIVE_WEIGHT: f64 = 5e4;
 
-/// All parameters of a grasp besides the scene.
+/// Parameters of a grasp besides the scene.
 ///
 /// As JSON: `{"preset", "gel": {"mesh", "nodes"}, "material", "drive", "protocol", "solver"}`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GraspSettings {
-    /// What the parameters started from.
+    /// Preset that the parameters are based on.
     pub preset: Preset,
     /// Mesh of the gels.
     pub resolution: GelResolution,
     /// Material of the gels.
     pub material: GelMaterial,
-    /// What moves their back faces.
+    /// Boundary drive of the gels.
     pub drive: Drive,
-    /// Stages and forces.
+    /// Stages and forces of the protocol.
     pub protocol: Protocol,
     /// Parameters of the solver.
     pub solver: SolverParameters,
@@ -126,7 +98,7 @@ impl GraspSettings {
     /// Mesh, material and drive of the gels.
     ///
     /// # Errors
-    /// None for the built-in meshes.
+    /// None: the built-in meshes are valid.
     pub fn gel(&self) -> Result<GelSpec> {
         Ok(GelSpec {
             material: self.material,
@@ -139,7 +111,7 @@ impl GraspSettings {
 impl Serialize for GraspSettings {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let gel = serde_json::json!({
-            "mesh": resolution_name(self.resolution),
+            "mesh": self.resolution.name(),
             "nodes": self.resolution.nodes(),
         });
         let material = serde_json::json!({
@@ -184,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_tell_all_parameters() {
+    fn json_has_all_parameters() {
         let settings = GraspSettings {
             drive: Drive::PerMass(TACCEL_DRIVE_WEIGHT),
             resolution: GelResolution::Coarse,
@@ -196,12 +168,5 @@ mod tests {
         assert_eq!(value["drive"]["kind"], "taccel");
         assert_eq!(value["material"]["young_pa"], 435_000.0);
         assert_eq!(value["solver"]["d_hat_m"], 5e-4);
-    }
-
-    #[test]
-    fn gel_meshes_have_names() {
-        assert_eq!(resolution_by_name("fine").unwrap(), GelResolution::Fine);
-        let text = resolution_by_name("corse").unwrap_err().to_string();
-        assert!(text.contains("did you mean coarse"), "{text}");
     }
 }

@@ -1,11 +1,11 @@
-//! Whether the gripper starts inside the object or the ground.
+//! Detects a gripper that starts inside the object or the ground.
 
 use glam::DVec3;
 
 use crate::solver::{Gel, Object};
 use gripcast_geometry::TriangleMesh;
 
-/// What is penetrated at the start, if anything: a gel by the object, or the ground by a gel.
+/// Describes an initial penetration of object and gel or of gel and ground, if there is one.
 pub(super) fn penetration(gels: &[Gel], object: &Object, mesh: &TriangleMesh) -> Option<String> {
     for (gel, side) in gels.iter().zip(["left", "right"]) {
         let lowest = gel
@@ -25,9 +25,8 @@ pub(super) fn penetration(gels: &[Gel], object: &Object, mesh: &TriangleMesh) ->
     None
 }
 
-/// Whether a triangle of the object meets the gel's box, or the box lies inside the object.
+/// Whether a triangle of the object intersects the gel's box, or the box lies inside the object.
 fn overlaps_box(gel: &Gel, object: &Object, mesh: &TriangleMesh) -> bool {
-    // The gel is at rest: its box is spanned by the differences of its corner nodes.
     let x = gel.positions();
     let rest = gel.rest();
     let corner = |pick: fn(f64, f64) -> f64, axis: usize| {
@@ -48,7 +47,7 @@ fn overlaps_box(gel: &Gel, object: &Object, mesh: &TriangleMesh) -> bool {
     meets || is_inside(mesh, to_box)
 }
 
-/// Rigid motion between the gel at rest in its own frame and in the world.
+/// Pose of an undeformed gel in the world.
 struct Frame {
     rotation: glam::DMat3,
     translation: DVec3,
@@ -97,7 +96,7 @@ fn triangle_meets_box(t: [DVec3; 3], half: DVec3) -> bool {
         .any(separated)
 }
 
-/// Whether the origin of the mapped frame lies inside the mesh: winding by solid angles.
+/// Whether the origin lies inside the mapped mesh, by the sum of solid angles.
 fn is_inside(mesh: &TriangleMesh, map: impl Fn(DVec3) -> DVec3) -> bool {
     let angle: f64 = mesh
         .all_corners()

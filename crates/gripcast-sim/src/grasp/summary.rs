@@ -1,24 +1,24 @@
-//! What a grasp came to, in figures.
+//! Summary of a grasp in figures.
 
 use serde::Serialize;
 
 use super::protocol::Protocol;
 use super::run::{GraspOutcome, GraspResult};
-use super::trace::{StageName, Trace, TraceStep};
+use super::trace::{StageName, Trace, TraceStep, mean};
 use gripcast_base::statistics::median;
 
-/// Adjustment steps at the end that the force is judged by.
+/// Number of final adjustment steps used for force statistics.
 pub const STEADY_STEPS: usize = 20;
-/// The mean may be off the threshold by this fraction and still count as steady.
+/// Largest deviation of a steady mean from the stopping force, as a fraction of it.
 const STEADY_FRACTION: f64 = 0.02;
-/// Steps may change the force by this much more than the fingers' stiffness explains.
-const STEP_ALLOWANCE: f64 = 1.1;
-/// Changes below this fraction of the threshold are no restlessness.
-const REST_FRACTION: f64 = 1e-3;
-/// The gels' forces in the lift may differ by this fraction.
-const LOPSIDED_FRACTION: f64 = 0.05;
+/// Largest steady force change per step, as a multiple of the one expected from the stiffness.
+const STEP_TOLERANCE: f64 = 1.1;
+/// Force changes below this fraction of the stopping force are always steady.
+const NOISE_FRACTION: f64 = 1e-3;
+/// Largest difference of the gels' forces in the lift, as a fraction.
+const MAX_IMBALANCE: f64 = 0.05;
 
-/// A number for each gel.
+/// One value per gel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PerGel {
     /// Left gel.
@@ -27,64 +27,64 @@ pub struct PerGel {
     pub right: f64,
 }
 
-/// Work of the solver in one stage.
+/// Solver work in one stage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct StageWork {
-    /// Stage.
+    /// Stage of the protocol.
     pub stage: StageName,
-    /// Time steps, flight included.
+    /// Time steps, including free motion.
     pub steps: usize,
-    /// Newton iterations for each step that was solved.
+    /// Newton iterations per solved step.
     pub newton_per_step: f64,
 }
 
-/// A grasp in figures.
+/// Summary of a grasp.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GraspSummary {
-    /// How it ended.
+    /// Outcome of the protocol.
     pub outcome: GraspOutcome,
-    /// Why, where there is more to say.
+    /// Further explanation of the outcome.
     pub detail: Option<String>,
     /// Rise of the object's centre of mass, m.
     pub lifted_m: f64,
-    /// Normal force of each gel at the end of the adjustment, or at the end where it was not
-    /// reached, N.
+    /// Normal force of each gel at the end of the adjustment (without one, at the end), N.
     pub force_n: PerGel,
-    /// Threshold of the force, N.
+    /// Stopping force, N.
     pub stop_force_n: f64,
-    /// Mean of both gels' forces over the last [`STEADY_STEPS`] adjustment steps, N.
+    /// Mean force of both gels over the last [`STEADY_STEPS`] adjustment steps, N.
     pub mean_force_n: Option<f64>,
-    /// Standard deviation of the same, N.
+    /// Standard deviation of that force, N.
     pub std_force_n: Option<f64>,
-    /// Whether the force was steady at the end of the adjustment, see [`is_steady`].
+    /// Whether the force was steady at the end of the adjustment (docs/simulator.md); `None` without
+    /// an adjustment.
     pub steady: Option<bool>,
-    /// Time steps, flight included.
+    /// Time steps, including free motion.
     pub steps: usize,
-    /// Time that was simulated, s.
+    /// Simulated time, s.
     pub simulated_s: f64,
-    /// Newton iterations for each step that was solved.
+    /// Newton iterations per solved step.
     pub newton_per_step: f64,
-    /// Most iterations of one step.
+    /// Maximum Newton iterations of a step.
     pub newton_max: u32,
     /// Steps that did not converge.
     pub unconverged_steps: usize,
-    /// The stages that were reached.
+    /// Stages that were reached.
     pub stages: Vec<StageWork>,
-    /// What the user should know before believing it.
+    /// Reasons to doubt the result, for the user.
     pub warnings: Vec<String>,
 }
 
 impl GraspSummary {
     /// Summarises a grasp; `dt_s` is its time step.
-    pub fn of(result: &GraspResult, protocol: &Protocol, dt_s: f64) -> Self {
+    pub fn new(result: &GraspResult, protocol: &Protocol, dt_s: f64) -> Self {
         let trace = &result.trace;
-        let judged = trace
+        let last = trace
             .stage(StageName::Adjustment)
             .next_back()
             .or(trace.steps.last());
-        let forces = last_forces(trace);
+        let forces = trace.last_forces(StageName::Adjustment, STEADY_STEPS);
         let mean = mean(&forces);
-        let force = |gel: usize| judged.map_or(0.0, |step| step.force[gel].normal_n);
+        let force = |gel: usize| last.map_or(0.0, |step| step.force[gel].normal_n);
         let mut warnings = Vec::new();
         if result.unconverged_steps > 0 && result.outcome != GraspOutcome::NotConverged {
             warnings.push(format!(
@@ -93,8 +93,7 @@ impl GraspSummary {
                 trace.steps.len()
             ));
         }
-        warnings.extend(lopsided(trace));
-        let stages = [StageName::Closure, StageName::Adjustment, StageName::Lift];
+        warnings.extend(force_imbalance(trace));
         Self {
             outcome: result.outcome,
             detail: result.detail.clone(),
@@ -112,7 +111,7 @@ impl GraspSummary {
             newton_per_step: newton_per_step(trace.steps.iter()),
             newton_max: iterations(trace.steps.iter()).max().unwrap_or(0),
             unconverged_steps: result.unconverged_steps,
-            stages: stages
+            stages: StageName::ALL
                 .into_iter()
                 .filter_map(|stage| work(trace, stage))
                 .collect(),
@@ -121,9 +120,9 @@ impl GraspSummary {
     }
 }
 
-/// Once the object is off the ground both gels must push alike. Where they do not, nodes that are
-/// driven carry a part of the contact, which the force per gel leaves out.
-fn lopsided(trace: &Trace) -> Option<String> {
+/// Warns if the gels' forces differ in the lift. Off the ground they must balance; a difference
+/// means that driven nodes, which the force per gel leaves out, carry part of the contact.
+fn force_imbalance(trace: &Trace) -> Option<String> {
     let last: Vec<&TraceStep> = trace
         .stage(StageName::Lift)
         .rev()
@@ -134,7 +133,7 @@ fn lopsided(trace: &Trace) -> Option<String> {
         steps.map(|step| step.force[gel].normal_n).collect()
     };
     let (left, right) = (mean(&force(0))?, mean(&force(1))?);
-    ((left - right).abs() > LOPSIDED_FRACTION * left.max(right).max(1.0)).then(|| {
+    ((left - right).abs() > MAX_IMBALANCE * left.max(right).max(1.0)).then(|| {
         format!(
             "in the lift the left gel feels {left:.1} N and the right {right:.1} N: the object \
              also touches driven nodes at the edge of a gel's back, which the force leaves out"
@@ -164,22 +163,6 @@ fn newton_per_step<'a>(steps: impl Iterator<Item = &'a TraceStep>) -> f64 {
     f64::from(sum) / f64::from(count.max(1))
 }
 
-/// Mean forces of both gels in the last adjustment steps, N.
-fn last_forces(trace: &Trace) -> Vec<f64> {
-    let mut forces: Vec<f64> = trace
-        .stage(StageName::Adjustment)
-        .rev()
-        .take(STEADY_STEPS)
-        .map(TraceStep::mean_force_n)
-        .collect();
-    forces.reverse();
-    forces
-}
-
-fn mean(values: &[f64]) -> Option<f64> {
-    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-}
-
 fn deviation(values: &[f64], mean: f64) -> f64 {
     let squares: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
     (squares / values.len().max(1) as f64).sqrt()
@@ -187,21 +170,21 @@ fn deviation(values: &[f64], mean: f64) -> f64 {
 
 /// Whether the force is steady at the end of the adjustment; `None` without an adjustment.
 ///
-/// With k the change of force for each metre that the fingers move (the median over the
-/// adjustment) and s = k · adjustment speed · dt the force of one step of the rule, it is steady
-/// when over the last [`STEADY_STEPS`] steps the mean lies within max(2 % F_stop, s/2) of F_stop
-/// and no step changes it by more than max(1.1 s, 0.1 % F_stop).
-pub fn is_steady(trace: &Trace, protocol: &Protocol, dt_s: f64) -> Option<bool> {
-    let forces = last_forces(trace);
+/// Let k be the force change per metre of finger motion (median over the adjustment) and
+/// s = k · adjustment speed · dt the force of one controller step. The force is steady if, over the
+/// last [`STEADY_STEPS`] steps, its mean lies within max(2 % F_stop, s/2) of F_stop and no step
+/// changes it by more than max(1.1 s, 0.1 % F_stop).
+fn is_steady(trace: &Trace, protocol: &Protocol, dt_s: f64) -> Option<bool> {
+    let forces = trace.last_forces(StageName::Adjustment, STEADY_STEPS);
     let mean = mean(&forces)?;
     let step_n = stiffness(trace) * protocol.adjust_speed_m_s * dt_s;
     let band = (STEADY_FRACTION * protocol.stop_force_n).max(0.5 * step_n);
-    let most = (STEP_ALLOWANCE * step_n).max(REST_FRACTION * protocol.stop_force_n);
-    let is_calm = forces.windows(2).all(|w| (w[1] - w[0]).abs() <= most);
-    Some((mean - protocol.stop_force_n).abs() <= band && is_calm)
+    let max_change = (STEP_TOLERANCE * step_n).max(NOISE_FRACTION * protocol.stop_force_n);
+    let is_quiet = forces.windows(2).all(|w| (w[1] - w[0]).abs() <= max_change);
+    Some((mean - protocol.stop_force_n).abs() <= band && is_quiet)
 }
 
-/// Median change of force for each metre of finger motion over the adjustment, N/m.
+/// Median force change per metre of finger motion over the adjustment, N/m.
 fn stiffness(trace: &Trace) -> f64 {
     let steps: Vec<&TraceStep> = trace.stage(StageName::Adjustment).collect();
     let moved = |w: &[&TraceStep]| 0.5 * (w[0].opening_m - w[1].opening_m);
@@ -231,8 +214,8 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_a_cycling_force() {
-        let summary = GraspSummary::of(&result(), &Protocol::default(), 0.01);
+    fn summary_of_a_cycling_force() {
+        let summary = GraspSummary::new(&result(), &Protocol::default(), 0.01);
         assert!((summary.mean_force_n.unwrap() - 40.005).abs() < 1e-9);
         assert!((summary.std_force_n.unwrap() - 0.5).abs() < 1e-9);
         assert_eq!(summary.force_n.left, 40.5);
@@ -245,12 +228,12 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_or_an_offset_is_not_steady() {
+    fn force_jump_or_offset_is_not_steady() {
         let protocol = Protocol::default();
         let mut trace = sample_trace();
         assert_eq!(is_steady(&trace, &protocol, 0.01), Some(true));
-        let at = trace.steps.len() - 25;
-        for force in &mut trace.steps[at].force {
+        let late = trace.steps.len() - 25;
+        for force in &mut trace.steps[late].force {
             force.normal_n += 1.5;
         }
         assert_eq!(is_steady(&trace, &protocol, 0.01), Some(false));
@@ -263,20 +246,20 @@ mod tests {
     }
 
     #[test]
-    fn forces_that_do_not_balance_are_told() {
+    fn force_imbalance_in_lift_is_a_warning() {
         let mut result = result();
         for step in &mut result.trace.steps {
             step.force[1].normal_n *= 0.8;
         }
-        let summary = GraspSummary::of(&result, &Protocol::default(), 0.01);
-        let told = &summary.warnings[1];
-        assert!(told.contains("40.0 N") && told.contains("32.0 N"), "{told}");
+        let summary = GraspSummary::new(&result, &Protocol::default(), 0.01);
+        let text = &summary.warnings[1];
+        assert!(text.contains("40.0 N") && text.contains("32.0 N"), "{text}");
     }
 
     #[test]
-    fn a_grasp_without_steps_has_no_force() {
+    fn grasp_without_steps_has_no_force() {
         let result = GraspResult::penetrating_start("the left gel is inside the object".into());
-        let summary = GraspSummary::of(&result, &Protocol::default(), 0.01);
+        let summary = GraspSummary::new(&result, &Protocol::default(), 0.01);
         assert_eq!((summary.steps, summary.mean_force_n), (0, None));
         let value = serde_json::to_value(summary).unwrap();
         assert_eq!(value["outcome"], "penetrating_start");

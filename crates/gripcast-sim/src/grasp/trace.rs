@@ -1,76 +1,80 @@
-//! What happened in a grasp, step by step.
+//! Trace of a grasp: every time step, and snapshots at the ends of the stages.
 
-use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::solver::StepReport;
 use gripcast_geometry::Pose;
 
-/// Stage of a grasp.
+/// Stage of the grasp protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StageName {
-    /// The fingers close.
+    /// Finger closure.
     Closure,
-    /// The force is adjusted.
+    /// Force adjustment.
     Adjustment,
-    /// The gripper is lifted.
+    /// Lift of the gripper.
     Lift,
 }
 
-/// What a gel feels, on its passive (not driven) nodes.
+impl StageName {
+    /// All stages in order.
+    pub const ALL: [Self; 3] = [Self::Closure, Self::Adjustment, Self::Lift];
+}
+
+/// Contact force on the passive (not driven) nodes of a gel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct GelForce {
-    /// Component of contact and friction against the closing direction, N: f_c of the paper.
+    /// Force of contact and friction against the closing direction, N: f_c of the paper.
     pub normal_n: f64,
-    /// Components of the force on the gel along the gripper's y and z axes, N.
+    /// Force on the gel along the gripper's y and z axes, N.
     pub shear_n: [f64; 2],
-    /// Moment of the force on the gel about the closing direction through the pad's centre, N m.
+    /// Torque on the gel about the closing direction through the pad's centre, N m.
     pub torque_n_m: f64,
 }
 
-/// One time step.
+/// State at the end of a time step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TraceStep {
-    /// Stage.
+    /// Stage of the protocol.
     pub stage: StageName,
     /// Time since the start, s.
     pub t_s: f64,
-    /// Left and right gel.
+    /// Force on the left and right gel.
     pub force: [GelForce; 2],
-    /// The object in the world.
+    /// Pose of the object in the world.
     pub t_world_object: Pose,
-    /// Distance between the undeformed faces, m.
+    /// Distance between the undeformed gel faces, m.
     pub opening_m: f64,
-    /// How far the gripper was lifted, m.
+    /// Lift of the gripper so far, m.
     pub lifted_m: f64,
-    /// Smallest distance between each gel and the object; none where further than `d_hat`.
+    /// Smallest distance between each gel and the object, m; `None` beyond `d_hat`.
     pub min_gap_m: [Option<f64>; 2],
-    /// Work of the solver; none for steps of free flight.
+    /// Work of the solver; `None` for steps of free motion.
     pub solver: Option<StepReport>,
 }
 
-/// State that the renderers need.
+/// State at the end of a stage, for renderers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Snapshot {
-    /// End of which stage.
+    /// Stage that has ended.
     pub stage: StageName,
     /// Time since the start, s.
     pub t_s: f64,
-    /// The object in the world.
+    /// Pose of the object in the world.
     pub t_world_object: Pose,
-    /// The gripper in the world.
+    /// Pose of the gripper in the world.
     pub t_world_gripper: Pose,
-    /// Distance between the undeformed faces, m.
+    /// Distance between the undeformed gel faces, m.
     pub opening_m: f64,
     /// Node positions of both gels in the world, m.
     pub gels: [Vec<[f64; 3]>; 2],
 }
 
-/// A whole grasp.
+/// Trace of a whole grasp.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Trace {
-    /// All steps.
+    /// All time steps.
     pub steps: Vec<TraceStep>,
     /// States at the ends of the stages.
     pub snapshots: Vec<Snapshot>,
@@ -89,15 +93,19 @@ impl Trace {
         self.steps.iter().filter(move |step| step.stage == stage)
     }
 
+    /// Mean of both gels' normal forces in each of the last `count` steps of a stage, N.
+    pub(super) fn last_forces(&self, stage: StageName, count: usize) -> Vec<f64> {
+        let forces: Vec<f64> = self.stage(stage).map(TraceStep::mean_force_n).collect();
+        forces[forces.len().saturating_sub(count)..].to_vec()
+    }
+
     /// Mean of both gels' normal forces over the last `count` steps of a stage, N.
     pub fn mean_force(&self, stage: StageName, count: usize) -> Option<f64> {
-        let forces: Vec<f64> = self.stage(stage).map(TraceStep::mean_force_n).collect();
-        let last = &forces[forces.len().saturating_sub(count)..];
-        (!last.is_empty()).then(|| last.iter().sum::<f64>() / last.len() as f64)
+        mean(&self.last_forces(stage, count))
     }
 }
 
-/// The rotation of `a` as a pose with its origin at `position`.
-pub(super) fn pose_of(rotation: glam::DMat3, position: DVec3) -> Pose {
-    Pose::new(DQuat::from_mat3(&rotation), position)
+/// Mean of values; `None` without values.
+pub(super) fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }

@@ -1,11 +1,11 @@
-//! Traces as bytes: JSON for people and scripts, a compact binary form for renderers.
+//! Trace files: JSON for people and scripts, a compact binary form for renderers.
 //!
 //! # Binary form, version 1
-//! All numbers little-endian, floats IEEE 754 `f64`, no padding besides what is named.
+//! All numbers little-endian, floats IEEE 754 `f64`, no padding but the zeros listed.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! | --- | --- |
-//! | 8 | magic `89 47 43 54 0d 0a 1a 0a` (`\x89GCT\r\n\x1a\n`: damage by text-mode copies shows) |
+//! | 8 | magic `89 47 43 54 0d 0a 1a 0a` (`\x89GCT\r\n\x1a\n`: reveals damage by text-mode copies) |
 //! | u32 | version, 1 |
 //! | u32 | length H of the header |
 //! | u64 | number of steps |
@@ -14,11 +14,11 @@
 //! | H | header: one JSON object in UTF-8, the result of the grasp with its parameters |
 //! | … | the steps, then the snapshots; then the file ends |
 //!
-//! A step is: u8 stage (0 closure, 1 adjustment, 2 lift) · u8 flags (1 solved by the solver, 2
-//! converged, 4 the left gap is known, 8 the right gap is known) · u16 zero · u32 iterations,
-//! factorisations, halvings, gathers, zero · f64 time, opening, lift · left gel: normal force, shear
-//! along y and z, torque · right gel: the same · left and right gap (0 where not known) · object
-//! pose: translation x y z, quaternion w x y z.
+//! A step is: u8 stage (0 closure, 1 adjustment, 2 lift) · u8 flags (1 has a solver report, 2
+//! converged, 4 has a left gap, 8 has a right gap) · u16 zero · u32 iterations, factorisations,
+//! halvings, broad-phase rebuilds, zero · f64 time, opening, lift · left gel: normal force, shear
+//! along y and z, torque · right gel: the same · left and right gap (0 if absent) · object pose:
+//! translation x y z, quaternion w x y z.
 //!
 //! A snapshot is: u8 stage · 3 zero bytes · u32 nodes of the left gel, of the right gel, zero · f64
 //! time, opening · object pose · gripper pose · node positions x y z of the left gel, of the right.
@@ -42,20 +42,20 @@ const CONVERGED: u8 = 2;
 const LEFT_GAP: u8 = 4;
 const RIGHT_GAP: u8 = 8;
 
-/// A trace with the result it belongs to.
+/// A trace with the result of its grasp.
 #[derive(Clone, Debug)]
 pub struct TraceFile {
-    /// The result of the grasp with its parameters: a JSON object.
+    /// Result and parameters of the grasp: a JSON object.
     pub header: Value,
     /// All steps and snapshots.
     pub trace: Trace,
 }
 
 impl TraceFile {
-    /// One JSON object: `{"format", "version", "result", "steps", "snapshots"}`.
+    /// Encodes as one JSON object: `{"format", "version", "result", "steps", "snapshots"}`.
     ///
     /// # Errors
-    /// `Internal` where a number has no JSON form.
+    /// `Internal` for a number that JSON cannot represent.
     pub fn to_json(&self) -> Result<Vec<u8>> {
         #[derive(Serialize)]
         struct Document<'a> {
@@ -75,10 +75,10 @@ impl TraceFile {
             .map_err(|e| Error::internal("cannot write the trace").because(e))
     }
 
-    /// The binary form.
+    /// Encodes in the binary form.
     ///
     /// # Errors
-    /// `Internal` where the header cannot be written or there are more than 2³² items.
+    /// `Internal` if the header cannot be encoded or there are more than 2³² items.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         let header = serde_json::to_vec(&self.header)
             .map_err(|e| Error::internal("cannot write the trace").because(e))?;
@@ -99,10 +99,10 @@ impl TraceFile {
         Ok(out.0)
     }
 
-    /// Reads either form.
+    /// Reads a trace in either form.
     ///
     /// # Errors
-    /// `Input` where the bytes are something else, of another version, or cut off.
+    /// `Input` if the bytes are not a trace, of another version, or truncated.
     pub fn read(bytes: &[u8]) -> Result<Self> {
         if bytes.trim_ascii_start().starts_with(b"{") {
             Self::from_json(bytes)
@@ -128,14 +128,16 @@ impl TraceFile {
             trace: Trace,
         }
         let head: Head = serde_json::from_slice(bytes)
-            .map_err(|e| not_a_trace("this JSON is no trace of a grasp").because(e))?;
+            .map_err(|e| not_a_trace("not a grasp trace").because(e))?;
         if head.format != FORMAT {
-            let what = format!("expected the format `{FORMAT}`, found `{}`", head.format);
-            return Err(not_a_trace(&what));
+            return Err(not_a_trace(&format!(
+                "expected the format `{FORMAT}`, found `{}`",
+                head.format
+            )));
         }
         check_version(head.version)?;
         let document: Document = serde_json::from_slice(bytes)
-            .map_err(|e| damaged("its content does not fit the format".into()).because(e))?;
+            .map_err(|e| damaged("invalid content".into()).because(e))?;
         Ok(Self {
             header: document.result,
             trace: document.trace,
@@ -145,57 +147,57 @@ impl TraceFile {
     /// Reads the binary form.
     ///
     /// # Errors
-    /// `Input` where the bytes are something else, of another version, or cut off.
+    /// As [`Self::read`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let mut from = Reader { bytes, at: 0 };
+        let mut reader = Reader { bytes, position: 0 };
         if !bytes.starts_with(&MAGIC[..bytes.len().min(MAGIC.len())]) {
-            return Err(not_a_trace("this is no trace of a grasp"));
+            return Err(not_a_trace("not a grasp trace"));
         }
-        from.take(MAGIC.len())?;
-        check_version(from.u32()?)?;
-        let header_bytes = from.u32()? as usize;
-        let step_count = from.u64()?;
-        let snapshot_count = from.u32()?;
-        let step_bytes = from.u32()?;
+        reader.take(MAGIC.len())?;
+        check_version(reader.u32()?)?;
+        let header_bytes = reader.u32()? as usize;
+        let step_count = reader.u64()?;
+        let snapshot_count = reader.u32()?;
+        let step_bytes = reader.u32()?;
         if step_bytes as usize != STEP_BYTES {
             return Err(damaged(format!(
-                "expected {STEP_BYTES} bytes a step, found {step_bytes}"
+                "expected {STEP_BYTES} bytes per step, found {step_bytes}"
             )));
         }
-        let header = serde_json::from_slice(from.take(header_bytes)?)
-            .map_err(|e| damaged("its header is no JSON".into()).because(e))?;
+        let header = serde_json::from_slice(reader.take(header_bytes)?)
+            .map_err(|e| damaged("the header is not valid JSON".into()).because(e))?;
         let mut trace = Trace::default();
         for _ in 0..step_count {
-            trace.steps.push(from.step()?);
+            trace.steps.push(reader.step()?);
         }
         for _ in 0..snapshot_count {
-            trace.snapshots.push(from.snapshot()?);
+            trace.snapshots.push(reader.snapshot()?);
         }
-        let rest = bytes.len() - from.at;
+        let rest = bytes.len() - reader.position;
         if rest > 0 {
-            return Err(damaged(format!("{rest} bytes follow its end")));
+            return Err(damaged(format!("{rest} bytes after the end")));
         }
         Ok(Self { header, trace })
     }
 }
 
 fn not_a_trace(what: &str) -> Error {
-    Error::input(what).remedy("write one with `gripcast sim grasp … --trace FILE.bin`")
+    Error::input(what).remedy("write a trace with `gripcast sim grasp … --trace FILE.bin`")
 }
 
 fn check_version(version: u32) -> Result<()> {
     if version == VERSION {
         return Ok(());
     }
-    Err(Error::input(format!(
-        "expected a trace of version {VERSION}, found {version}"
-    ))
-    .remedy("use the gripcast that wrote it, or simulate the grasp again"))
+    Err(
+        Error::input(format!("expected trace version {VERSION}, found {version}"))
+            .remedy("read it with the gripcast that wrote it, or simulate the grasp again"),
+    )
 }
 
 fn damaged(what: String) -> Error {
     Error::input(format!("the trace is damaged: {what}"))
-        .remedy("check that the file was copied whole, or simulate the grasp again")
+        .remedy("check that the file was copied completely, or simulate the grasp again")
 }
 
 struct Writer(Vec<u8>);
@@ -232,11 +234,11 @@ impl Writer {
             | flag(solver.converged, CONVERGED)
             | flag(left.is_some(), LEFT_GAP)
             | flag(right.is_some(), RIGHT_GAP);
-        self.0.extend([stage_code(step.stage), flags, 0, 0]);
+        self.0.extend([step.stage as u8, flags, 0, 0]);
         self.u32(solver.iterations);
         self.u32(solver.factorisations);
         self.u32(solver.halvings);
-        self.u32(solver.gathers);
+        self.u32(solver.broad_phase_rebuilds);
         self.u32(0);
         self.floats([step.t_s, step.opening_m, step.lifted_m]);
         for force in &step.force {
@@ -248,7 +250,7 @@ impl Writer {
     }
 
     fn snapshot(&mut self, snapshot: &Snapshot) -> Result<()> {
-        self.0.extend([stage_code(snapshot.stage), 0, 0, 0]);
+        self.0.extend([snapshot.stage as u8, 0, 0, 0]);
         for gel in &snapshot.gels {
             self.count(gel.len())?;
         }
@@ -261,39 +263,27 @@ impl Writer {
     }
 }
 
-fn stage_code(stage: StageName) -> u8 {
-    match stage {
-        StageName::Closure => 0,
-        StageName::Adjustment => 1,
-        StageName::Lift => 2,
-    }
-}
-
-fn stage_of(code: u8) -> Result<StageName> {
-    match code {
-        0 => Ok(StageName::Closure),
-        1 => Ok(StageName::Adjustment),
-        2 => Ok(StageName::Lift),
-        other => Err(damaged(format!("there is no stage {other}"))),
-    }
+fn stage_from_code(code: u8) -> Result<StageName> {
+    let stage = StageName::ALL.get(usize::from(code)).copied();
+    stage.ok_or_else(|| damaged(format!("unknown stage {code}")))
 }
 
 struct Reader<'a> {
     bytes: &'a [u8],
-    at: usize,
+    position: usize,
 }
 
 impl<'a> Reader<'a> {
     fn take(&mut self, count: usize) -> Result<&'a [u8]> {
-        let rest = &self.bytes[self.at..];
+        let rest = &self.bytes[self.position..];
         if rest.len() < count {
             return Err(damaged(format!(
-                "it ends after {} bytes, {} more were expected",
+                "truncated after {} bytes, {} more expected",
                 self.bytes.len(),
                 count - rest.len()
             )));
         }
-        self.at += count;
+        self.position += count;
         Ok(&rest[..count])
     }
 
@@ -311,14 +301,10 @@ impl<'a> Reader<'a> {
         Ok(u64::from_le_bytes(self.array()?))
     }
 
-    fn float(&mut self) -> Result<f64> {
-        Ok(f64::from_le_bytes(self.array()?))
-    }
-
     fn floats<const N: usize>(&mut self) -> Result<[f64; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
-            *value = self.float()?;
+            *value = f64::from_le_bytes(self.array()?);
         }
         Ok(values)
     }
@@ -340,23 +326,27 @@ impl<'a> Reader<'a> {
 
     fn step(&mut self) -> Result<TraceStep> {
         let [stage, flags, _, _] = self.array()?;
-        let mut counts = [0; 5];
-        for count in &mut counts {
-            *count = self.u32()?;
-        }
+        let solver = StepReport {
+            converged: flags & CONVERGED != 0,
+            iterations: self.u32()?,
+            factorisations: self.u32()?,
+            halvings: self.u32()?,
+            broad_phase_rebuilds: self.u32()?,
+        };
+        self.u32()?;
         let [t_s, opening_m, lifted_m] = self.floats()?;
         let force = [self.force()?, self.force()?];
         let [left, right] = self.floats()?;
-        let known = |bit: u8, gap: f64| (flags & bit != 0).then_some(gap);
+        let optional = |bit: u8, gap: f64| (flags & bit != 0).then_some(gap);
         Ok(TraceStep {
-            stage: stage_of(stage)?,
+            stage: stage_from_code(stage)?,
             t_s,
             force,
             t_world_object: self.pose()?,
             opening_m,
             lifted_m,
-            min_gap_m: [known(LEFT_GAP, left), known(RIGHT_GAP, right)],
-            solver: (flags & SOLVED != 0).then(|| report(flags & CONVERGED != 0, counts)),
+            min_gap_m: [optional(LEFT_GAP, left), optional(RIGHT_GAP, right)],
+            solver: (flags & SOLVED != 0).then_some(solver),
         })
     }
 
@@ -370,7 +360,7 @@ impl<'a> Reader<'a> {
         self.u32()?;
         let [t_s, opening_m] = self.floats()?;
         Ok(Snapshot {
-            stage: stage_of(stage)?,
+            stage: stage_from_code(stage)?,
             t_s,
             t_world_object: self.pose()?,
             t_world_gripper: self.pose()?,
@@ -378,19 +368,6 @@ impl<'a> Reader<'a> {
             gels: [self.nodes(left)?, self.nodes(right)?],
         })
     }
-}
-
-fn report(converged: bool, counts: [u32; 5]) -> StepReport {
-    let mut report = StepReport::default();
-    let fill = |report: &mut StepReport| {
-        report.converged = converged;
-        report.iterations = counts[0];
-        report.factorisations = counts[1];
-        report.halvings = counts[2];
-        report.gathers = counts[3];
-    };
-    fill(&mut report);
-    report
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ fn file() -> TraceFile {
 }
 
 #[test]
-fn binary_traces_read_back_bit_for_bit() {
+fn binary_trace_round_trips_bit_for_bit() {
     let file = file();
     let bytes = file.to_bytes().unwrap();
     let back = TraceFile::from_bytes(&bytes).unwrap();
@@ -22,7 +22,7 @@ fn binary_traces_read_back_bit_for_bit() {
 }
 
 #[test]
-fn the_layout_is_the_documented_one() {
+fn binary_layout_matches_the_documentation() {
     let file = file();
     let bytes = file.to_bytes().unwrap();
     let header = serde_json::to_vec(&file.header).unwrap();
@@ -46,23 +46,23 @@ fn the_layout_is_the_documented_one() {
 }
 
 #[test]
-fn every_cut_is_noticed() {
+fn truncated_binary_trace_is_rejected() {
     let bytes = file().to_bytes().unwrap();
     for length in (0..bytes.len()).step_by(7).chain([bytes.len() - 1]) {
         let error = TraceFile::from_bytes(&bytes[..length]).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Input);
-        assert!(error.to_string().contains("it ends after"), "{error}");
+        assert!(error.to_string().contains("truncated after"), "{error}");
     }
 }
 
 #[test]
-fn foreign_newer_and_longer_files_are_explained() {
+fn foreign_newer_and_overlong_files_are_rejected() {
     let text = TraceFile::from_bytes(b"{\"steps\": []}").unwrap_err();
-    assert!(text.to_string().contains("no trace of a grasp"), "{text}");
+    assert!(text.to_string().contains("not a grasp trace"), "{text}");
     let mut bytes = file().to_bytes().unwrap();
     bytes.push(0);
     let text = TraceFile::from_bytes(&bytes).unwrap_err();
-    assert!(text.to_string().contains("1 bytes follow"), "{text}");
+    assert!(text.to_string().contains("1 bytes after the end"), "{text}");
     bytes.pop();
     bytes[8] = 2;
     let text = TraceFile::from_bytes(&bytes).unwrap_err();
@@ -74,7 +74,7 @@ fn foreign_newer_and_longer_files_are_explained() {
 }
 
 #[test]
-fn json_has_steps_snapshots_and_the_result() {
+fn json_trace_has_result_steps_and_snapshots() {
     let file = file();
     let value: Value = serde_json::from_slice(&file.to_json().unwrap()).unwrap();
     assert_eq!(value["format"], "gripcast-trace");
@@ -90,7 +90,7 @@ fn json_has_steps_snapshots_and_the_result() {
 }
 
 #[test]
-fn json_traces_read_back() {
+fn json_trace_round_trips() {
     let file = file();
     let bytes = file.to_json().unwrap();
     let back = TraceFile::read(&bytes).unwrap();
@@ -111,9 +111,9 @@ fn json_traces_read_back() {
 }
 
 #[test]
-fn json_of_something_else_is_explained() {
+fn foreign_and_damaged_json_is_rejected() {
     let other = TraceFile::read(br#"{"outcome": "success"}"#).unwrap_err();
-    assert!(other.to_string().contains("no trace of a grasp"), "{other}");
+    assert!(other.to_string().contains("not a grasp trace"), "{other}");
     let newer = br#"{"format": "gripcast-trace", "version": 9}"#;
     let newer = TraceFile::read(newer).unwrap_err();
     assert!(newer.to_string().contains("found 9"), "{newer}");

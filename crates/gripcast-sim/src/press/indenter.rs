@@ -1,8 +1,8 @@
 //! Rigid indenters as fine triangle surfaces, tip at the origin, pointing along -z.
 //!
 //! Only the part that can meet a pad is meshed. A polyhedron with its vertices on a curved surface
-//! lies inside it; the vertices are moved out by the mean of that, so that the surface is right on
-//! average.
+//! lies inside it; the vertices are moved outwards by its mean distance, so that the surface is
+//! exact on average.
 
 use std::f64::consts::{FRAC_PI_4, TAU};
 
@@ -11,7 +11,7 @@ use glam::{DVec2, DVec3};
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::TriangleMesh;
 
-/// What is pressed into a gel. Long indenters lie along the gel's y axis.
+/// Shape pressed into a gel. Long indenters lie along the gel's y axis.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Indenter {
     /// A sphere.
@@ -31,32 +31,31 @@ pub enum Indenter {
         /// Radius of the tip, m.
         radius_m: f64,
     },
-    /// Any surface, in the gel's frame: its lowest point (least z) touches first, wherever it is in
-    /// x and y.
+    /// Any surface, in the gel frame; its lowest point (minimum z) touches first.
     Mesh(TriangleMesh),
 }
 
-/// What the surface is meshed for.
+/// Meshing parameters of an indenter.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Fineness {
-    /// Size of the faces across the contact, m.
+pub(super) struct MeshSize {
+    /// Face size across the contact, m.
     pub(super) face_m: f64,
-    /// Size of the faces along y, where the indenter is the same everywhere, m.
+    /// Face size along y, where the indenter is constant, m.
     pub(super) along_m: f64,
-    /// Half the extent of the gel, m.
+    /// Half extent of the gel, m.
     pub(super) half: DVec2,
-    /// Largest depth, m.
+    /// Maximum depth, m.
     pub(super) depth_m: f64,
 }
 
 /// Margin beyond the gel, m.
-const BEYOND_M: f64 = 5e-4;
+const MARGIN_M: f64 = 5e-4;
 
 impl Indenter {
-    /// Checks the radius.
+    /// Checks radius and mesh.
     ///
     /// # Errors
-    /// `Input` where it is not a positive number, or the mesh is broken.
+    /// `Input` for a radius that is not positive, or an invalid mesh.
     pub(super) fn validate(&self) -> Result<()> {
         match self {
             Self::Sphere { radius_m } | Self::Cylinder { radius_m } | Self::Edge { radius_m } => {
@@ -71,19 +70,19 @@ impl Indenter {
         }
     }
 
-    /// The surface with its lowest point at z = 0, smaller by `inset_m` where its shape is known.
-    pub(super) fn surface(&self, fineness: &Fineness, inset_m: f64) -> TriangleMesh {
+    /// Surface with its lowest point at z = 0; analytic shapes are smaller by `inset_m`.
+    pub(super) fn surface(&self, size: &MeshSize, inset_m: f64) -> TriangleMesh {
         match self {
-            Self::Sphere { radius_m } => cap(shrunk(*radius_m, inset_m), fineness),
+            Self::Sphere { radius_m } => cap(shrunk(*radius_m, inset_m), size),
             Self::Cylinder { radius_m } => {
                 let radius = shrunk(*radius_m, inset_m);
-                let angle = arc_angle(radius, fineness).min(1.4);
-                extrude(&arc(radius, angle, fineness.face_m), fineness)
+                let angle = arc_angle(radius, size).min(1.4);
+                extrude(&arc(radius, angle, size.face_m), size)
             }
-            Self::Plate => plate(fineness),
+            Self::Plate => extrude(&flat(size), size),
             Self::Edge { radius_m } => {
                 let radius = shrunk(*radius_m, inset_m);
-                extrude(&wedge(radius, fineness), fineness)
+                extrude(&wedge(radius, size), size)
             }
             Self::Mesh(mesh) => {
                 let lowest = mesh.bounds().min.z;
@@ -101,20 +100,20 @@ fn shrunk(radius: f64, inset: f64) -> f64 {
     (radius - inset).max(0.5 * radius)
 }
 
-/// Polar angle beyond which a round indenter can't touch: the undeformed face lies deeper there.
-/// A pad's free surface sinks around the contact, so a part more than the overlap is ample.
-fn arc_angle(radius: f64, fineness: &Fineness) -> f64 {
-    let cosine = 1.0 - 1.1 * fineness.depth_m / radius;
-    (cosine.max(0.0).acos() + 2.0 * fineness.face_m / radius).min(1.5)
+/// Polar angle beyond which a round indenter cannot touch: the undeformed face lies deeper there.
+/// The free surface of a pad sinks around the contact, so slightly more than the overlap suffices.
+fn arc_angle(radius: f64, size: &MeshSize) -> f64 {
+    let cosine = 1.0 - 1.1 * size.depth_m / radius;
+    (cosine.max(0.0).acos() + 2.0 * size.face_m / radius).min(1.5)
 }
 
-/// The lower cap of a sphere: rings of faces around the pole.
-fn cap(radius: f64, fineness: &Fineness) -> TriangleMesh {
-    let angle = arc_angle(radius, fineness);
-    let rings = (angle * radius / fineness.face_m).ceil().max(2.0) as u32;
+/// Lower cap of a sphere: rings of faces around the pole.
+fn cap(radius: f64, size: &MeshSize) -> TriangleMesh {
+    let angle = arc_angle(radius, size);
+    let rings = (angle * radius / size.face_m).ceil().max(2.0) as u32;
     let face = angle * radius / f64::from(rings);
-    // A triangle with sides a, b, c lies (a² + b² + c²) / 24 R inside, on average; the sides'
-    // squares add up to 3.72 face² here.
+    // A triangle with sides a, b, c lies (a² + b² + c²) / 24 R inside on average; the squared sides
+    // sum to 3.72 face² here.
     let raised = radius + 3.72 * face * face / (24.0 * radius);
     let at = |ring: u32, part: u32| {
         let (sine, cosine) = (angle * f64::from(ring) / f64::from(rings)).sin_cos();
@@ -137,7 +136,7 @@ fn cap(radius: f64, fineness: &Fineness) -> TriangleMesh {
         mesh.vertices
             .extend((0..6 * ring).map(|part| at(ring, part)));
         for sector in 0..6 {
-            // Along one sector the outer ring has `ring` faces, the inner one less by one.
+            // Per sector the outer ring has `ring` faces, the inner one fewer.
             let outer = |k: u32| start(ring) + (sector * ring + k) % (6 * ring);
             let inner = |k: u32| match ring {
                 1 => 0,
@@ -168,11 +167,11 @@ fn arc(radius: f64, angle: f64, face: f64) -> Vec<DVec2> {
 }
 
 /// Profile of a 90 degree edge with a rounded tip.
-fn wedge(radius: f64, fineness: &Fineness) -> Vec<DVec2> {
-    let tip = arc(radius, FRAC_PI_4, fineness.face_m);
-    // The flanks rise with the distance from the tip; the free surface does not follow far.
-    let length = (1.5 * fineness.depth_m).max(2.0 * radius);
-    let parts = (length / fineness.face_m).ceil().min(200.0) as u32;
+fn wedge(radius: f64, size: &MeshSize) -> Vec<DVec2> {
+    let tip = arc(radius, FRAC_PI_4, size.face_m);
+    // The flanks rise away from the tip; the free surface does not follow far.
+    let length = (1.5 * size.depth_m).max(2.0 * radius);
+    let parts = (length / size.face_m).ceil().min(200.0) as u32;
     let flank = |sign: f64, from: DVec2, k: u32| {
         from + DVec2::new(sign, 1.0) * (length * f64::from(k) / f64::from(parts))
     };
@@ -182,10 +181,19 @@ fn wedge(radius: f64, fineness: &Fineness) -> Vec<DVec2> {
     left.chain(tip.iter().copied()).chain(right).collect()
 }
 
-/// A profile drawn along y beyond the gel.
-fn extrude(profile: &[DVec2], fineness: &Fineness) -> TriangleMesh {
-    let half = fineness.half.y + BEYOND_M;
-    let rows = (2.0 * half / fineness.along_m).ceil() as u32;
+/// Profile of a plate wider than the gel.
+fn flat(size: &MeshSize) -> Vec<DVec2> {
+    let half = size.half.x + MARGIN_M;
+    let cells = (2.0 * half / size.along_m).ceil();
+    let x = |k: u32| half * (2.0 * f64::from(k) / cells - 1.0);
+    (0..=cells as u32).map(|k| DVec2::new(x(k), 0.0)).collect()
+}
+
+/// Extrudes a profile along y beyond the gel: two triangles per cell, facing down, with alternating
+/// diagonals.
+fn extrude(profile: &[DVec2], size: &MeshSize) -> TriangleMesh {
+    let half = size.half.y + MARGIN_M;
+    let rows = (2.0 * half / size.along_m).ceil() as u32;
     let width = profile.len() as u32;
     let mut mesh = TriangleMesh::default();
     for row in 0..=rows {
@@ -193,28 +201,6 @@ fn extrude(profile: &[DVec2], fineness: &Fineness) -> TriangleMesh {
         let points = profile.iter().map(|p| DVec3::new(p.x, y, p.y));
         mesh.vertices.extend(points);
     }
-    push_cells(&mut mesh, width, rows);
-    mesh
-}
-
-fn plate(fineness: &Fineness) -> TriangleMesh {
-    let half = fineness.half + BEYOND_M;
-    let cells = (2.0 * half / fineness.along_m).ceil().max(DVec2::ONE);
-    let (columns, rows) = (cells.x as u32, cells.y as u32);
-    let mut mesh = TriangleMesh::default();
-    for row in 0..=rows {
-        let y = half.y * (2.0 * f64::from(row) / cells.y - 1.0);
-        let x = |k: u32| half.x * (2.0 * f64::from(k) / cells.x - 1.0);
-        let points = (0..=columns).map(|k| DVec3::new(x(k), y, 0.0));
-        mesh.vertices.extend(points);
-    }
-    push_cells(&mut mesh, columns + 1, rows);
-    mesh
-}
-
-/// Two triangles a cell of a grid of `width` points a row, seen from below counter-clockwise; the
-/// diagonals alternate.
-fn push_cells(mesh: &mut TriangleMesh, width: u32, rows: u32) {
     for row in 0..rows {
         for k in 0..width - 1 {
             let a = row * width + k;
@@ -226,13 +212,14 @@ fn push_cells(mesh: &mut TriangleMesh, width: u32, rows: u32) {
             }
         }
     }
+    mesh
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const FINENESS: Fineness = Fineness {
+    const SIZE: MeshSize = MeshSize {
         face_m: 2e-4,
         along_m: 5e-4,
         half: DVec2::new(0.0125, 0.01),
@@ -240,7 +227,7 @@ mod tests {
     };
 
     #[test]
-    fn surfaces_face_down_and_begin_at_zero() {
+    fn surfaces_face_down_and_start_at_zero() {
         let indenters = [
             Indenter::Sphere { radius_m: 0.01 },
             Indenter::Cylinder { radius_m: 0.005 },
@@ -248,7 +235,7 @@ mod tests {
             Indenter::Edge { radius_m: 5e-4 },
         ];
         for indenter in indenters {
-            let mesh = indenter.surface(&FINENESS, 0.0);
+            let mesh = indenter.surface(&SIZE, 0.0);
             mesh.validate().unwrap();
             for [a, b, c] in mesh.all_corners() {
                 assert!((b - a).cross(c - a).z < 0.0, "{indenter:?}");
@@ -262,9 +249,9 @@ mod tests {
     }
 
     #[test]
-    fn a_polyhedron_is_as_large_as_its_sphere_on_average() {
+    fn sphere_mesh_has_the_radius_on_average() {
         let radius = 0.01;
-        let mesh = cap(radius, &FINENESS);
+        let mesh = cap(radius, &SIZE);
         let center = DVec3::Z * radius;
         let (mut area, mut moment) = (0.0, 0.0);
         for ([a, b, c], face) in mesh.all_corners().zip(mesh.triangle_areas()) {

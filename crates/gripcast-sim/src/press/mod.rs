@@ -1,7 +1,7 @@
-//! Pressing a gel against a fixed rigid indenter, quasi-statically: force against depth.
+//! Quasi-static press of a gel against a fixed rigid indenter: force against depth.
 
 mod indenter;
 mod run;
 
 pub use indenter::Indenter;
-pub use run::{Goal, Press, PressPoint, half_pad, quarter_pad};
+pub use run::{Press, PressPoint, PressTarget, half_pad, quarter_pad};

@@ -1,16 +1,16 @@
-//! The press: the gel's back moves towards the indenter in small steps.
+//! Runs a press: the back of the gel moves towards the indenter in small steps.
 //!
-//! The indenter stays; the gel's frame is the world at the start, its front face towards +z. A
-//! time step is so long that inertia is nothing. Contact acts from `d_hat` on, so the surface that
-//! carries the force is the indenter's grown by the gap. A smooth indenter is therefore meshed
-//! smaller by `d_hat`, and the depth counts from where the undeformed face would first meet that
-//! surface at the gap of the moment: with the mean motion b of the back, the distance c between
-//! face and tip at the start and the mean gap g, weighted by the forces, the depth is `b - c + g`.
+//! The indenter is fixed; the gel frame is the world frame at the start, with the front face towards
+//! +z. Time steps are long enough for inertia to vanish. Contact acts below `d_hat`, so the surface
+//! that carries the force is the indenter's offset by the gap. A smooth indenter is therefore meshed
+//! smaller by `d_hat`, and the depth counts from where the undeformed face would first meet the
+//! surface offset by the current gap: with the mean motion b of the back, the initial distance c
+//! between face and tip and the force-weighted mean gap g, the depth is `b - c + g`.
 
 use glam::{DMat3, DVec2, DVec3};
 use serde::Serialize;
 
-use super::indenter::{Fineness, Indenter};
+use super::indenter::{Indenter, MeshSize};
 use crate::affine::{AffineBody, AffineState};
 use crate::fem::{GelGrid, Side, Surface};
 use crate::solver::{
@@ -18,63 +18,63 @@ use crate::solver::{
 };
 use gripcast_base::error::{Error, Result};
 
-/// Long enough for inertia to be nothing: 2 g over its square is 2e-5 N/m.
+/// Time step, s. Long enough to make inertia vanish: 2 g over its square is 2e-5 N/m.
 const DT_S: f64 = 10.0;
-/// Stiffness of the back's drive, N/m³: it gives by 0.3 µm under 0.3 MPa, and that is measured.
+/// Stiffness of the boundary drive, N/m³: yields by 0.3 µm under 0.3 MPa, which is measured.
 const STIFF_DRIVE: f64 = 1e12;
-/// Stiffness that holds a plane of symmetry, N/m for each node.
-const PLANE: f64 = 1e7;
-/// Newton's iteration ends when nothing moves further than this, m.
+/// Stiffness per node of the constraint to a plane of symmetry, N/m.
+const SYMMETRY_STIFFNESS: f64 = 1e7;
+/// Newton convergence tolerance: maximum nodal motion, m.
 const TOLERANCE_M: f64 = 2e-9;
-/// A goal is met when the depth is off by less, m.
-const CLOSE_M: f64 = 2e-8;
-/// Room between contact and the face at the start, as a fraction of `d_hat`.
+/// Tolerance of depth and shift at a target, m.
+const TARGET_TOLERANCE_M: f64 = 2e-8;
+/// Initial clearance beyond `d_hat`, as a fraction of it.
 const CLEARANCE: f64 = 1e-3;
 
-/// A gel and what it is pressed against.
+/// A press of a gel against an indenter.
 #[derive(Clone, Debug)]
 pub struct Press {
-    /// The gel; where `symmetric` says so, only its part at positive x or y.
+    /// Mesh of the gel; with `symmetric`, only its half or quarter at positive x or y.
     pub grid: GelGrid,
-    /// Whether x = 0 and y = 0 are planes of symmetry that the grid ends at.
+    /// Whether the grid ends at a plane of symmetry x = 0, and y = 0.
     pub symmetric: [bool; 2],
-    /// Drive of the back.
+    /// Boundary drive of the back face.
     pub drive: Drive,
-    /// The gel's material.
+    /// Material of the gel.
     pub material: GelMaterial,
-    /// What it meets, above the middle of the whole gel.
+    /// Indenter above the centre of the whole gel.
     pub indenter: Indenter,
-    /// Friction coefficient between them.
+    /// Friction coefficient of gel and indenter.
     pub friction: f64,
-    /// Distance at which contact acts, m.
+    /// Distance below which contact acts, m.
     pub d_hat_m: f64,
-    /// Stiffness of contact, Pa.
+    /// Stiffness of the contact barrier, Pa.
     pub kappa_pa: f64,
-    /// Slip in one step up to which friction is mollified, m.
+    /// Slip per step below which friction is mollified, m.
     pub slip_m: f64,
-    /// Size of the indenter's faces, m.
+    /// Face size of the indenter, m.
     pub face_m: f64,
-    /// Size of the faces along y where the indenter is straight, m.
+    /// Face size along y where the indenter is straight, m.
     pub along_m: f64,
-    /// Longest motion in one step, m.
+    /// Maximum motion per step, m.
     pub step_m: f64,
-    /// Time of a step, s; by default so long that inertia is nothing.
+    /// Time step, s; the default makes inertia vanish.
     pub dt_s: f64,
 }
 
-/// Where a press is to be measured.
+/// Depth and shift at which a press is measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct Goal {
+pub struct PressTarget {
     /// Depth from first touch, m.
     pub depth_m: f64,
-    /// Shift of the indenter along x relative to the gel's back, m.
+    /// Shift of the indenter along x relative to the back of the gel, m.
     pub shift_m: f64,
 }
 
-/// One measured point of a press, of the whole gel.
+/// Measurement at one target of a press, for the whole gel.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PressPoint {
-    /// Depth from first touch of the surface that carries the force, m.
+    /// Depth from first touch of the force-carrying surface, m.
     pub depth_m: f64,
     /// Shift along x, m.
     pub shift_m: f64,
@@ -82,15 +82,15 @@ pub struct PressPoint {
     pub normal_n: f64,
     /// Force on the gel along x, N.
     pub shear_n: f64,
-    /// Mean contact gap, weighted by the forces, m.
+    /// Force-weighted mean contact gap, m.
     pub gap_m: f64,
     /// Smallest contact gap, m.
     pub min_gap_m: f64,
-    /// Mean motion of the back against the drive, weighted by the drive's stiffness, m.
+    /// Stiffness-weighted mean lag of the back behind its drive, m.
     pub lag_m: f64,
-    /// Steps since the goal before.
+    /// Time steps since the previous target.
     pub steps: u32,
-    /// Iterations since the goal before.
+    /// Newton iterations since the previous target.
     pub iterations: u32,
     /// Whether all steps converged.
     pub converged: bool,
@@ -116,25 +116,26 @@ impl Press {
         }
     }
 
-    /// Goes from goal to goal in order and measures at each.
+    /// Moves from target to target in order and measures at each.
     ///
     /// # Errors
-    /// `Input` where a goal is no number or deeper than half the gel; where the indenter, the
-    /// material or a parameter cannot be simulated.
-    pub fn run(&self, goals: &[Goal]) -> Result<Vec<PressPoint>> {
-        self.validate(goals)?;
-        let mut run = self.start(goals)?;
-        goals.iter().map(|goal| run.reach(goal)).collect()
+    /// `Input` for a target that is not finite or deeper than half the gel; `Input` or `Config` for
+    /// an invalid indenter, material or parameter.
+    pub fn run(&self, targets: &[PressTarget]) -> Result<Vec<PressPoint>> {
+        self.validate(targets)?;
+        let mut run = self.start(targets)?;
+        targets.iter().map(|target| run.move_to(target)).collect()
     }
 
-    fn validate(&self, goals: &[Goal]) -> Result<()> {
+    fn validate(&self, targets: &[PressTarget]) -> Result<()> {
         self.indenter.validate()?;
         let deepest = 0.5 * self.grid.thickness_m();
-        for goal in goals {
-            let is_fine = goal.depth_m > 0.0 && goal.depth_m <= deepest && goal.shift_m.is_finite();
-            if !is_fine {
+        for target in targets {
+            let is_valid =
+                target.depth_m > 0.0 && target.depth_m <= deepest && target.shift_m.is_finite();
+            if !is_valid {
                 let what = format!(
-                    "a press goes to depths above 0 and at most {deepest} m, found {goal:?}"
+                    "press depths must be above 0 and at most {deepest} m, found {target:?}"
                 );
                 return Err(Error::input(what));
             }
@@ -148,18 +149,20 @@ impl Press {
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
-                let what = format!("a press needs a positive `{name}`, found {value}");
+                let what = format!("`{name}` of a press must be above 0, found {value}");
                 return Err(Error::input(what));
             }
         }
         Ok(())
     }
 
-    fn start(&self, goals: &[Goal]) -> Result<Run> {
-        let depth = goals.iter().fold(0.0_f64, |d, goal| d.max(goal.depth_m));
+    fn start(&self, targets: &[PressTarget]) -> Result<Run> {
+        let depth = targets
+            .iter()
+            .fold(0.0_f64, |d, target| d.max(target.depth_m));
         let [x, y, _] = self.grid.axes();
         let reach = |axis: &[f64]| axis.iter().fold(0.0_f64, |m, c| m.max(c.abs()));
-        let fineness = Fineness {
+        let size = MeshSize {
             face_m: self.face_m,
             along_m: self.along_m,
             half: DVec2::new(reach(x), reach(y)),
@@ -177,13 +180,13 @@ impl Press {
             max_factor_age: 8,
             ..SolverParameters::default()
         };
-        let mesh = self.indenter.surface(&fineness, self.d_hat_m);
+        let mesh = self.indenter.surface(&size, self.d_hat_m);
         let collider = Collider::new(&mesh);
         let clearance = self.d_hat_m * (1.0 + CLEARANCE);
-        // It does not move, so its mass does not matter.
+        // The indenter is fixed: its mass has no effect.
         let body = AffineBody::new(1.0, 1.0, DMat3::IDENTITY, parameters.affine_stiffness_pa)?;
-        let place = DVec3::Z * (self.grid.thickness_m() + clearance);
-        let state = AffineState::rigid(place, DMat3::IDENTITY);
+        let position = DVec3::Z * (self.grid.thickness_m() + clearance);
+        let state = AffineState::rigid(position, DMat3::IDENTITY);
         let object = Object::new(body, state, &collider).fixed();
         let mut gel = Gel::new(&self.grid, &self.material, self.drive, &parameters, |p| p)?;
         for (axis, direction) in [DVec3::X, DVec3::Y].into_iter().enumerate() {
@@ -191,12 +194,12 @@ impl Press {
                 let nodes = self.grid.positions().iter().enumerate();
                 let on_plane = nodes.filter(|(_, p)| p[axis].abs() < 1e-9);
                 let on_plane: Vec<u32> = on_plane.map(|(node, _)| node as u32).collect();
-                gel = gel.holding(on_plane, direction * PLANE);
+                gel = gel.with_spring_constraints(on_plane, direction * SYMMETRY_STIFFNESS);
             }
         }
         if self.symmetric.contains(&true) {
             let front = self.grid.triangles(Side::Front);
-            gel = gel.touching_with(Surface::new(front, self.grid.positions()));
+            gel = gel.with_contact_surface(Surface::new(front, self.grid.positions()));
         }
         Ok(Run {
             system: System::new(vec![gel], object, collider, self.friction, parameters)?,
@@ -207,32 +210,32 @@ impl Press {
                 .map(|s| if *s { 2.0 } else { 1.0 })
                 .product(),
             step_m: self.step_m,
-            driven: Goal::default(),
+            driven: PressTarget::default(),
         })
     }
 }
 
-/// A press under way.
+/// A press in progress.
 struct Run {
     system: System,
     clearance: f64,
-    /// Copies of the grid in the whole gel.
+    /// Number of copies of the grid in the whole gel.
     copies: f64,
     step_m: f64,
-    /// Motion of the drive so far; the depth without clearance.
-    driven: Goal,
+    /// Motion of the drive so far; its depth includes the initial clearance.
+    driven: PressTarget,
 }
 
 impl Run {
-    fn reach(&mut self, goal: &Goal) -> Result<PressPoint> {
+    fn move_to(&mut self, target: &PressTarget) -> Result<PressPoint> {
         let (mut steps, mut iterations, mut converged) = (0, 0, true);
         for attempt in 0..4 {
-            // What the drive has to move for the goal, as far as gap and lag are known.
+            // Gap and lag at the target are not known yet: repeat with those found.
             let now = self.measure();
-            let missing_depth = goal.depth_m - now.depth_m;
-            let missing_shift = goal.shift_m - now.shift_m;
+            let missing_depth = target.depth_m - now.depth_m;
+            let missing_shift = target.shift_m - now.shift_m;
             let longest = missing_depth.abs().max(missing_shift.abs());
-            if attempt > 0 && longest < CLOSE_M {
+            if attempt > 0 && longest < TARGET_TOLERANCE_M {
                 break;
             }
             let count = (longest / self.step_m).ceil().max(1.0);
@@ -260,13 +263,13 @@ impl Run {
     fn measure(&self) -> PressPoint {
         let gel = &self.system.gels()[0];
         let force: DVec3 = gel.contact_forces().sum();
-        let (mut moved, mut whole) = (DVec3::ZERO, 0.0);
+        let (mut moved, mut total_stiffness) = (DVec3::ZERO, 0.0);
         for (&node, stiffness) in gel.driven().iter().zip(gel.drive_stiffness()) {
             let node = node as usize;
             moved += (gel.positions()[node] - gel.rest()[node]) * *stiffness;
-            whole += stiffness;
+            total_stiffness += stiffness;
         }
-        moved /= whole;
+        moved /= total_stiffness;
         let d_hat = self.system.parameters().d_hat_m;
         let gap_m = gel.mean_gap().unwrap_or(d_hat);
         PressPoint {
@@ -284,21 +287,21 @@ impl Run {
     }
 }
 
-/// The quarter at positive x and y of the 25 x 20 x 4 mm pad.
+/// Mesh of the quarter at positive x and y of the 25 x 20 x 4 mm pad.
 ///
-/// `cells` along x, y, z; each is `growth` times as long as the one before it, counted from the
-/// middle of the front face.
+/// `cells` along x, y, z; each is `growth` times as long as the previous one, counted from the
+/// centre of the front face.
 ///
 /// # Errors
-/// `Input` where an axis has no cells or a growth is not a positive number.
+/// `Input` if an axis has no cells or a growth factor is not positive.
 pub fn quarter_pad(cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
     let [x, y, depth] = [(0, 0.0125), (1, 0.01), (2, 0.004)]
-        .map(|(axis, length)| growing(cells[axis], growth[axis], length));
+        .map(|(axis, length)| graded_coordinates(cells[axis], growth[axis], length));
     let z = depth.iter().rev().map(|d| 0.004 - d).collect();
     GelGrid::new([x, y, z])
 }
 
-/// The half at positive y, finest around the middle: `cells` along half of x, along y and z.
+/// Mesh of the half at positive y, finest at the centre: `cells` along half of x, along y and z.
 ///
 /// # Errors
 /// As [`quarter_pad`].
@@ -309,18 +312,18 @@ pub fn half_pad(cells: [usize; 3], growth: [f64; 3]) -> Result<GelGrid> {
     GelGrid::new([left.chain(right.iter().copied()).collect(), y, z])
 }
 
-/// Coordinates from 0 to `length` of cells that grow by a factor.
-fn growing(cells: usize, growth: f64, length: f64) -> Vec<f64> {
-    let mut at = vec![0.0];
+/// Node coordinates from 0 to `length` of cells that grow by a factor.
+fn graded_coordinates(cells: usize, growth: f64, length: f64) -> Vec<f64> {
+    let mut nodes = vec![0.0];
     let (mut end, mut cell) = (0.0, 1.0);
     for _ in 0..cells {
         end += cell;
         cell *= growth;
-        at.push(end);
+        nodes.push(end);
     }
-    for coordinate in &mut at {
+    for coordinate in &mut nodes {
         *coordinate *= length / end;
     }
-    at[cells] = length;
-    at
+    nodes[cells] = length;
+    nodes
 }

@@ -1,4 +1,4 @@
-//! Decompositions that were computed before: in memory, and as files of a folder.
+//! Cache of decompositions, in memory and as files of a folder.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -13,12 +13,12 @@ use gripcast_base::error::{Error, Result};
 use gripcast_base::files::{BeneathPath, FileKind, FileName, hex, sha256_hex};
 use gripcast_geometry::TriangleMesh;
 
-/// What such a file says it is.
+/// Format name of a cache file.
 const FORMAT: &str = "gripcast-convex-pieces-v1";
 
 type Slot = Arc<OnceLock<std::result::Result<Arc<Decomposition>, String>>>;
 
-/// Decompositions by mesh and parameters. Threads that ask for the same one wait for the first.
+/// Decompositions by mesh and parameters. Concurrent requests for the same one wait for the first.
 #[derive(Debug, Default)]
 pub(super) struct DecompositionCache {
     folder: Option<BeneathPath>,
@@ -26,10 +26,10 @@ pub(super) struct DecompositionCache {
 }
 
 impl DecompositionCache {
-    /// With a folder for files, which is made if it does not exist.
+    /// Cache with files in a folder, which is created if missing.
     pub(super) fn in_folder(folder: BeneathPath) -> Result<Self> {
         folder.create_dir_all().map_err(|e| {
-            Error::io("cannot make the folder of convex pieces", e).at(folder.display())
+            Error::io("cannot create the folder for convex pieces", e).at(folder.display())
         })?;
         Ok(Self {
             folder: Some(folder),
@@ -42,12 +42,12 @@ impl DecompositionCache {
         mesh: &TriangleMesh,
         settings: &DecompositionSettings,
     ) -> Result<Arc<Decomposition>> {
-        let key = Key::of(mesh, settings)?;
+        let key = Key::new(mesh, settings)?;
         let slot = {
             let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
             slots.entry(key.file_name()?).or_default().clone()
         };
-        // Computed outside the lock: other meshes need not wait.
+        // Computed outside the lock, so that other meshes do not wait.
         slot.get_or_init(|| self.load_or_compute(&key, mesh))
             .clone()
             .map_err(Error::input)
@@ -59,20 +59,21 @@ impl DecompositionCache {
         mesh: &TriangleMesh,
     ) -> std::result::Result<Arc<Decomposition>, String> {
         let name = key.file_name().map_err(|error| error.to_string())?;
-        let place = self.folder.as_ref().map(|folder| folder.join(&name));
-        if let Some(found) = place.as_ref().and_then(|place| read(place, key)) {
-            return Ok(Arc::new(found));
+        let path = self.folder.as_ref().map(|folder| folder.join(&name));
+        if let Some(cached) = path.as_ref().and_then(|path| read(path, key)) {
+            return Ok(Arc::new(cached));
         }
-        let computed = Decomposition::of(mesh, &key.settings).map_err(|error| error.to_string())?;
-        if let Some(place) = place {
-            // Without the file it is only computed again.
-            let _ = write(&place, key, &computed);
+        let computed =
+            Decomposition::compute(mesh, &key.settings).map_err(|error| error.to_string())?;
+        if let Some(path) = path {
+            // On failure the decomposition is recomputed next time.
+            let _ = write(&path, key, &computed);
         }
         Ok(Arc::new(computed))
     }
 }
 
-/// What a decomposition depends on.
+/// Inputs of a decomposition.
 struct Key {
     mesh: String,
     settings: DecompositionSettings,
@@ -80,9 +81,9 @@ struct Key {
 }
 
 impl Key {
-    fn of(mesh: &TriangleMesh, settings: &DecompositionSettings) -> Result<Self> {
+    fn new(mesh: &TriangleMesh, settings: &DecompositionSettings) -> Result<Self> {
         let json = serde_json::to_vec(settings)
-            .map_err(|e| Error::internal("cannot write the parameters").because(e))?;
+            .map_err(|e| Error::internal("cannot encode the parameters").because(e))?;
         Ok(Self {
             mesh: mesh.content_hash(),
             settings: *settings,
@@ -102,7 +103,7 @@ struct File {
     mesh: String,
     settings: DecompositionSettings,
     pieces: Vec<Piece>,
-    /// Of the pieces, so that an altered number is found.
+    /// Checksum of the pieces.
     sha256: String,
 }
 
@@ -120,9 +121,9 @@ fn checksum(pieces: &[TriangleMesh]) -> String {
     hex(&hash.finalize())
 }
 
-/// The pieces in a file; none if it is damaged or of something else.
-fn read(place: &BeneathPath, key: &Key) -> Option<Decomposition> {
-    let bytes = place.read(FileKind::Mesh).ok()?;
+/// Reads the pieces of a file; `None` if it is damaged or belongs to another key.
+fn read(path: &BeneathPath, key: &Key) -> Option<Decomposition> {
+    let bytes = path.read(FileKind::Mesh).ok()?;
     let file: File = serde_json::from_slice(&bytes).ok()?;
     if file.format != FORMAT || file.mesh != key.mesh || file.settings != key.settings {
         return None;
@@ -142,7 +143,7 @@ fn read(place: &BeneathPath, key: &Key) -> Option<Decomposition> {
     Decomposition::from_pieces(pieces).ok()
 }
 
-fn write(place: &BeneathPath, key: &Key, found: &Decomposition) -> Result<()> {
+fn write(path: &BeneathPath, key: &Key, decomposition: &Decomposition) -> Result<()> {
     let piece = |mesh: &TriangleMesh| Piece {
         vertices_m: mesh.vertices.iter().map(|v| v.to_array()).collect(),
         triangles: mesh.triangles.clone(),
@@ -151,14 +152,13 @@ fn write(place: &BeneathPath, key: &Key, found: &Decomposition) -> Result<()> {
         format: FORMAT.to_owned(),
         mesh: key.mesh.clone(),
         settings: key.settings,
-        pieces: found.pieces().iter().map(piece).collect(),
-        sha256: checksum(found.pieces()),
+        pieces: decomposition.pieces().iter().map(piece).collect(),
+        sha256: checksum(decomposition.pieces()),
     };
     let json =
-        serde_json::to_vec(&file).map_err(|e| Error::internal("cannot write JSON").because(e))?;
-    place
-        .replace(&json)
-        .map_err(|e| Error::io("cannot write the file", e).at(place.display()))
+        serde_json::to_vec(&file).map_err(|e| Error::internal("cannot encode JSON").because(e))?;
+    path.replace(&json)
+        .map_err(|e| Error::io("cannot write the file", e).at(path.display()))
 }
 
 #[cfg(test)]
@@ -188,12 +188,12 @@ mod tests {
         cache.get(&mesh, &SETTINGS()).unwrap().pieces().to_vec()
     }
 
-    /// Where this fails, decompositions have changed: raise [`FORMAT`], so that files of the old
-    /// ones are not read, and write the new sum here.
+    /// If this fails, decompositions have changed: increment [`FORMAT`], so that old files are not
+    /// read, and update the checksum.
     #[test]
-    fn format_stands_for_the_decompositions_of_this_version() {
+    fn format_identifies_the_current_decomposition() {
         let mesh = builtin("mug").unwrap();
-        let computed = Decomposition::of(&mesh, &SETTINGS()).unwrap();
+        let computed = Decomposition::compute(&mesh, &SETTINGS()).unwrap();
         let sum = checksum(computed.pieces());
         assert_eq!(
             (FORMAT, &sum[..16]),
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn files_give_back_the_same_bits() {
+    fn cache_files_round_trip_bit_for_bit() {
         let folder = tempfile::tempdir().unwrap();
         let nested = folder.path().join("a/b");
         fs::create_dir_all(&nested).unwrap();
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_is_replaced_and_its_target_stays() {
+    fn symlink_is_replaced_and_its_target_kept() {
         let folder = tempfile::tempdir().unwrap();
         let [cache, secret] = ["cache", "secret"].map(|name| folder.path().join(name));
         fs::create_dir(&cache).unwrap();
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_cannot_be_is_an_error() {
+    fn invalid_folder_is_an_error() {
         let file = tempfile::NamedTempFile::new().unwrap();
         assert!(DecompositionCache::in_folder(Root::new(file.path()).top().join("a")).is_err());
     }

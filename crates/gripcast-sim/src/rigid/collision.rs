@@ -1,4 +1,4 @@
-//! Whether two shapes overlap.
+//! Intersection tests of two shapes.
 
 use glam::DVec3;
 use rapier3d_f64::geometry::SharedShape;
@@ -8,11 +8,11 @@ use super::convert;
 use gripcast_base::error::{Error, Result};
 use gripcast_geometry::{Pose, TriangleMesh};
 
-/// A shape that can be tested for collisions, in its own frame, m.
+/// A shape for collision tests, in its own frame, m.
 pub struct CollisionShape(SharedShape);
 
 impl CollisionShape {
-    /// The surface of a mesh; what lies wholly inside it does not touch it.
+    /// Surface of a mesh; a shape entirely inside it does not intersect it.
     ///
     /// # Errors
     /// `Input` for a mesh without triangles.
@@ -21,24 +21,23 @@ impl CollisionShape {
         let surface = SharedShape::trimesh(vertices.collect(), mesh.triangles.clone());
         surface
             .map(Self)
-            .map_err(|e| Error::input("the mesh cannot be tested for collisions").because(e))
+            .map_err(|e| Error::input("cannot use the mesh for collision tests").because(e))
     }
 
-    /// A solid by its convex hull; none for a hull without volume.
+    /// Convex solid; `None` without volume.
     pub fn solid(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Option<Self> {
         let points = vertices.iter().map(|v| convert::vector(*v)).collect();
         SharedShape::convex_mesh(points, triangles).map(Self)
     }
 
-    /// Whether the shape at one pose and another at another overlap.
+    /// Whether this shape at `pose` intersects another one at `other_pose`.
     ///
     /// # Errors
-    /// `Internal` for kinds of shapes that cannot be compared.
-    pub fn intersects(&self, at: &Pose, other: &Self, other_at: &Pose) -> Result<bool> {
-        let (place, other_place) = (convert::pose(at), convert::pose(other_at));
-        let hit = intersection_test(&place, self.0.as_ref(), &other_place, other.0.as_ref());
-        let hit =
-            hit.map_err(|e| Error::internal("shapes cannot be tested for collisions").because(e))?;
-        Ok(hit.intersecting)
+    /// `Internal` for an unsupported pair of shapes.
+    pub fn intersects(&self, pose: &Pose, other: &Self, other_pose: &Pose) -> Result<bool> {
+        let (pose, other_pose) = (convert::pose(pose), convert::pose(other_pose));
+        intersection_test(&pose, self.0.as_ref(), &other_pose, other.0.as_ref())
+            .map(|hit| hit.intersecting)
+            .map_err(|e| Error::internal("cannot test these shapes for collision").because(e))
     }
 }

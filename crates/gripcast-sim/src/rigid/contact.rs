@@ -1,8 +1,8 @@
-//! Contact points of flat bodies on convex pieces.
+//! Contact points of flat bodies (ground, finger faces) with convex pieces.
 //!
-//! parry takes the first four corners of a face, which on a face of many corners do not surround
-//! its middle: a cylinder falls over on the ground. Here the contacts of the ground, and of a
-//! finger's flat faces, are found over the whole common area, and the four that span it are kept.
+//! parry uses the first four corners of a face, which do not surround the centre of a face with many
+//! corners: a cylinder tips over on the ground. Here contacts are found over the whole contact patch,
+//! and the four that span it are kept.
 
 use rapier3d_f64::geometry::{ContactData, ContactManifold, ContactManifoldData};
 use rapier3d_f64::math::{Pose, Vector};
@@ -14,32 +14,35 @@ use rapier3d_f64::parry::query::{
 };
 use rapier3d_f64::parry::shape::{ConvexPolyhedron, Cuboid, HalfSpace, PackedFeatureId, Shape};
 
-/// A contact's direction is a finger's face's where it is within 2.5° of it.
-const FLAT: f64 = 0.999;
-/// A point counts for the common area as if it were this much of its distance further inside.
-const SLOPE: f64 = 30.0;
-/// Direction in which the first two points are extreme: askew, so that corners do not tie.
-const ASKEW: [f64; 2] = [0.94, 0.34];
+/// Cosine of the largest angle (2.5°) between a contact direction and the normal of a finger face.
+const MIN_FACE_COSINE: f64 = 0.999;
+/// Penalty of a point's distance in the choice of spanning points: each metre counts as this many
+/// metres inwards.
+const DISTANCE_PENALTY: f64 = 30.0;
+/// Direction of the first two extreme points, oblique to avoid ties of corners.
+const OBLIQUE: [f64; 2] = [0.94, 0.34];
 
-/// parry's queries, with contacts of flat bodies on convex pieces as above.
+/// Contacts of flat bodies as described above; all other queries are unsupported.
 pub(super) struct FlatContacts;
+
+type Outcome<T> = Result<T, Unsupported>;
 
 /// A flat body's plane in its own frame.
 struct Plate {
     normal: Vector,
-    /// Along the plane.
+    /// Unit vectors in the plane.
     axes: [Vector; 2],
     /// Distance of the plane from the origin along the normal, m.
     offset: f64,
-    /// Half of the plate along both axes, m; none of the ground.
+    /// Half size of the plate along both axes, m; `None` for the ground.
     half: Option<[f64; 2]>,
 }
 
 /// A possible contact.
 #[derive(Clone, Copy)]
 struct Candidate {
-    /// Along the plate's axes, m.
-    at: [f64; 2],
+    /// Coordinates along the plate's axes, m.
+    uv: [f64; 2],
     /// From the plate to the piece, m.
     distance: f64,
 }
@@ -62,10 +65,10 @@ impl Plate {
         }
     }
 
-    /// The face of a finger that looks along a direction, if that is along x.
+    /// The face of a finger towards a direction, if that is along x.
     fn finger(finger: &Cuboid, direction: Vector) -> Option<Self> {
         let half = finger.half_extents;
-        (direction.x.abs() >= FLAT).then(|| Self {
+        (direction.x.abs() >= MIN_FACE_COSINE).then(|| Self {
             normal: Vector::X * direction.x.signum(),
             axes: [Vector::Y, Vector::Z],
             offset: half.x,
@@ -75,18 +78,18 @@ impl Plate {
 
     fn candidate(&self, point: Vector) -> Candidate {
         Candidate {
-            at: self.axes.map(|axis| axis.dot(point)),
+            uv: self.axes.map(|axis| axis.dot(point)),
             distance: self.normal.dot(point) - self.offset,
         }
     }
 
-    /// A candidate's place on the plate.
+    /// Projection of a candidate onto the plate, m.
     fn on_plate(&self, candidate: &Candidate) -> Vector {
-        let [u, v] = candidate.at;
+        let [u, v] = candidate.uv;
         self.axes[0] * u + self.axes[1] * v + self.normal * self.offset
     }
 
-    /// Corners of the common area, as far as `prediction`, of a piece in the plate's frame.
+    /// Corners of the contact patch with a piece, within `prediction`, in the plate's frame.
     fn candidates(&self, piece: &ConvexPolyhedron, pose: &Pose, prediction: f64) -> Vec<Candidate> {
         let corners: Vec<Candidate> = piece
             .points()
@@ -113,9 +116,9 @@ impl Plate {
         found
     }
 
-    /// The piece's surface above a point of the plate.
-    fn above(&self, at: [f64; 2], piece: &ConvexPolyhedron, pose: &Pose) -> Option<Candidate> {
-        let start = self.on_plate(&Candidate { at, distance: 0.0 });
+    /// The surface of the piece above a point of the plate.
+    fn above(&self, uv: [f64; 2], piece: &ConvexPolyhedron, pose: &Pose) -> Option<Candidate> {
+        let start = self.on_plate(&Candidate { uv, distance: 0.0 });
         let start = pose.inverse_transform_point(start);
         let along = pose.inverse_transform_vector(self.normal);
         let (mut enter, mut leave) = (f64::NEG_INFINITY, f64::INFINITY);
@@ -132,16 +135,16 @@ impl Plate {
             }
         }
         (enter.is_finite() && enter <= leave).then_some(Candidate {
-            at,
+            uv,
             distance: enter,
         })
     }
 }
 
-/// The part of an edge above a plate.
+/// Clips an edge to the area of a plate.
 fn clipped([a, b]: [Candidate; 2], half: [f64; 2]) -> Option<[Candidate; 2]> {
     let (mut from, mut to) = (0.0_f64, 1.0_f64);
-    for ((start, end), half) in a.at.into_iter().zip(b.at).zip(half) {
+    for ((start, end), half) in a.uv.into_iter().zip(b.uv).zip(half) {
         let change = end - start;
         for (room, speed) in [(half - start, change), (half + start, -change)] {
             if speed > 0.0 {
@@ -154,40 +157,40 @@ fn clipped([a, b]: [Candidate; 2], half: [f64; 2]) -> Option<[Candidate; 2]> {
         }
     }
     let point = |t: f64| Candidate {
-        at: [0, 1].map(|i| a.at[i] + t * (b.at[i] - a.at[i])),
+        uv: [0, 1].map(|i| a.uv[i] + t * (b.uv[i] - a.uv[i])),
         distance: a.distance + t * (b.distance - a.distance),
     };
     (from <= to).then(|| [point(from), point(to)])
 }
 
-/// At most four that span the common area, near ones first.
+/// At most four candidates that span the contact patch, preferring near ones, with their slots.
 fn spanning(all: &[Candidate]) -> Vec<(usize, Candidate)> {
-    let along = |c: &Candidate, d: [f64; 2]| c.at[0] * d[0] + c.at[1] * d[1];
+    let along = |c: &Candidate, d: [f64; 2]| c.uv[0] * d[0] + c.uv[1] * d[1];
     let extreme = |d: [f64; 2]| {
-        let score = |c: &Candidate| along(c, d) - SLOPE * c.distance;
-        // The first of equals.
+        let score = |c: &Candidate| along(c, d) - DISTANCE_PENALTY * c.distance;
+        // The first of ties.
         let best = all
             .iter()
             .reduce(|a, b| if score(b) > score(a) { b } else { a });
         best.copied()
     };
-    let opposite = ASKEW.map(|x| -x);
-    let (Some(a), Some(b)) = (extreme(ASKEW), extreme(opposite)) else {
+    let opposite = OBLIQUE.map(|x| -x);
+    let (Some(a), Some(b)) = (extreme(OBLIQUE), extreme(opposite)) else {
         return Vec::new();
     };
-    let line = [a.at[0] - b.at[0], a.at[1] - b.at[1]];
+    let line = [a.uv[0] - b.uv[0], a.uv[1] - b.uv[1]];
     let length = line[0].hypot(line[1]);
     let side = if length > 0.0 {
         [-line[1] / length, line[0] / length]
     } else {
-        [-ASKEW[1], ASKEW[0]]
+        [-OBLIQUE[1], OBLIQUE[0]]
     };
     let others = [extreme(side), extreme(side.map(|x| -x))];
     let mut found: Vec<(usize, Candidate)> = Vec::with_capacity(4);
     let chosen = [Some(a), Some(b)].into_iter().chain(others).enumerate();
     for (slot, candidate) in chosen {
         let Some(candidate) = candidate else { continue };
-        if !found.iter().any(|(_, other)| other.at == candidate.at) {
+        if !found.iter().any(|(_, other)| other.uv == candidate.uv) {
             found.push((slot, candidate));
         }
     }
@@ -196,8 +199,8 @@ fn spanning(all: &[Candidate]) -> Vec<(usize, Candidate)> {
 
 type Manifold = ContactManifold;
 
-/// Writes the contacts of a plate (first body, or second if `flipped`) and a piece.
-fn write(
+/// Writes the contacts of a plate (first body, or second if `flipped`) and a piece into a manifold.
+fn write_contacts(
     manifold: &mut Manifold,
     plate: &Plate,
     piece: &ConvexPolyhedron,
@@ -229,7 +232,7 @@ fn write(
     manifold.match_contacts(&old);
 }
 
-/// The plate of a body, if it is one, that faces a piece at `pose` within `prediction`.
+/// The plate of a flat body that faces a piece at `pose` within `prediction`.
 fn plate(body: &dyn Shape, piece: &dyn Shape, pose: &Pose, prediction: f64) -> Option<Plate> {
     if let Some(ground) = body.as_shape::<HalfSpace>() {
         return Some(Plate::ground(ground));
@@ -247,8 +250,8 @@ impl PersistentQueryDispatcher<ContactManifoldData, ContactData> for FlatContact
         g2: &dyn Shape,
         prediction: f64,
         manifolds: &mut Vec<Manifold>,
-        workspace: &mut Option<ContactManifoldsWorkspace>,
-    ) -> Result<(), Unsupported> {
+        _: &mut Option<ContactManifoldsWorkspace>,
+    ) -> Outcome<()> {
         let pos21 = pos12.inverse();
         for (flipped, body, other, pose) in [(false, g1, g2, pos12), (true, g2, g1, &pos21)] {
             let Some(piece) = other.as_convex_polyhedron() else {
@@ -259,104 +262,77 @@ impl PersistentQueryDispatcher<ContactManifoldData, ContactData> for FlatContact
                     manifolds.clear();
                     manifolds.push(Manifold::new());
                 }
-                write(&mut manifolds[0], &plate, piece, pose, prediction, flipped);
+                write_contacts(&mut manifolds[0], &plate, piece, pose, prediction, flipped);
                 return Ok(());
             }
         }
-        DefaultQueryDispatcher.contact_manifolds(pos12, g1, g2, prediction, manifolds, workspace)
+        Err(Unsupported)
     }
 
     fn contact_manifold_convex_convex(
         &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        normal_constraints1: Option<&dyn NormalConstraints>,
-        normal_constraints2: Option<&dyn NormalConstraints>,
-        prediction: f64,
-        manifold: &mut Manifold,
-    ) -> Result<(), Unsupported> {
-        DefaultQueryDispatcher.contact_manifold_convex_convex(
-            pos12,
-            g1,
-            g2,
-            normal_constraints1,
-            normal_constraints2,
-            prediction,
-            manifold,
-        )
+        _: &Pose,
+        _: &dyn Shape,
+        _: &dyn Shape,
+        _: Option<&dyn NormalConstraints>,
+        _: Option<&dyn NormalConstraints>,
+        _: f64,
+        _: &mut Manifold,
+    ) -> Outcome<()> {
+        Err(Unsupported)
     }
 }
 
 impl QueryDispatcher for FlatContacts {
     fn intersection_test(
         &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-    ) -> Result<ShapeIntersection, Unsupported> {
-        DefaultQueryDispatcher.intersection_test(pos12, g1, g2)
+        _: &Pose,
+        _: &dyn Shape,
+        _: &dyn Shape,
+    ) -> Outcome<ShapeIntersection> {
+        Err(Unsupported)
     }
 
-    fn distance(
-        &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-    ) -> Result<ShapeDistance, Unsupported> {
-        DefaultQueryDispatcher.distance(pos12, g1, g2)
+    fn distance(&self, _: &Pose, _: &dyn Shape, _: &dyn Shape) -> Outcome<ShapeDistance> {
+        Err(Unsupported)
     }
 
-    fn contact(
-        &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        prediction: f64,
-    ) -> Result<Option<Contact>, Unsupported> {
-        DefaultQueryDispatcher.contact(pos12, g1, g2, prediction)
+    fn contact(&self, _: &Pose, _: &dyn Shape, _: &dyn Shape, _: f64) -> Outcome<Option<Contact>> {
+        Err(Unsupported)
     }
 
     fn closest_points(
         &self,
-        pos12: &Pose,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        max_dist: f64,
-    ) -> Result<ClosestPoints, Unsupported> {
-        DefaultQueryDispatcher.closest_points(pos12, g1, g2, max_dist)
+        _: &Pose,
+        _: &dyn Shape,
+        _: &dyn Shape,
+        _: f64,
+    ) -> Outcome<ClosestPoints> {
+        Err(Unsupported)
     }
 
     fn cast_shapes(
         &self,
-        pos12: &Pose,
-        local_vel12: Vector,
-        g1: &dyn Shape,
-        g2: &dyn Shape,
-        options: ShapeCastOptions,
-    ) -> Result<Option<ShapeCastHit>, Unsupported> {
-        DefaultQueryDispatcher.cast_shapes(pos12, local_vel12, g1, g2, options)
+        _: &Pose,
+        _: Vector,
+        _: &dyn Shape,
+        _: &dyn Shape,
+        _: ShapeCastOptions,
+    ) -> Outcome<Option<ShapeCastHit>> {
+        Err(Unsupported)
     }
 
     fn cast_shapes_nonlinear(
         &self,
-        motion1: &NonlinearRigidMotion,
-        g1: &dyn Shape,
-        motion2: &NonlinearRigidMotion,
-        g2: &dyn Shape,
-        start_time: f64,
-        end_time: f64,
-        stop_at_penetration: bool,
-    ) -> Result<Option<ShapeCastHit>, Unsupported> {
-        DefaultQueryDispatcher.cast_shapes_nonlinear(
-            motion1,
-            g1,
-            motion2,
-            g2,
-            start_time,
-            end_time,
-            stop_at_penetration,
-        )
+        _: &NonlinearRigidMotion,
+        _: &dyn Shape,
+        _: &NonlinearRigidMotion,
+        _: &dyn Shape,
+        _: f64,
+        _: f64,
+        _: bool,
+    ) -> Outcome<Option<ShapeCastHit>> {
+        Err(Unsupported)
     }
 }
 
@@ -366,14 +342,14 @@ mod tests {
 
     fn at(u: f64, v: f64) -> Candidate {
         Candidate {
-            at: [u, v],
+            uv: [u, v],
             distance: 0.0,
         }
     }
 
     /// Twice the area of the points in the order of their angles.
     fn area(points: &[(usize, Candidate)]) -> f64 {
-        let mut corners: Vec<[f64; 2]> = points.iter().map(|p| p.1.at).collect();
+        let mut corners: Vec<[f64; 2]> = points.iter().map(|p| p.1.uv).collect();
         corners.sort_by(|a, b| a[1].atan2(a[0]).total_cmp(&b[1].atan2(b[0])));
         let next = corners.iter().cycle().skip(1);
         corners
@@ -384,13 +360,13 @@ mod tests {
     }
 
     #[test]
-    fn four_points_span_squares_and_rounds_however_they_lie() {
-        for turn in 0..90 {
-            let turn = f64::from(turn).to_radians();
+    fn spanning_points_cover_squares_and_discs() {
+        for angle in 0..90 {
+            let angle = f64::from(angle).to_radians();
             for (corners, fraction) in [(4, 0.999), (32, 0.6)] {
                 let step = std::f64::consts::TAU / f64::from(corners);
                 let all: Vec<Candidate> = (0..corners)
-                    .map(|i| (turn + f64::from(i) * step).sin_cos())
+                    .map(|i| (angle + f64::from(i) * step).sin_cos())
                     .map(|(s, c)| at(c, s))
                     .collect();
                 let whole = f64::from(corners) * step.sin();
@@ -401,10 +377,10 @@ mod tests {
     }
 
     #[test]
-    fn far_points_do_not_count() {
+    fn spanning_points_prefer_near_candidates() {
         let mut all = vec![at(0.0, 0.0), at(0.001, 0.0), at(0.0, 0.001)];
         all.push(Candidate {
-            at: [0.02, 0.02],
+            uv: [0.02, 0.02],
             distance: 0.002,
         });
         assert!(spanning(&all).iter().all(|(_, c)| c.distance == 0.0));
@@ -413,19 +389,19 @@ mod tests {
     }
 
     #[test]
-    fn edges_are_cut_at_the_plate() {
+    fn edges_are_clipped_to_the_plate() {
         let end = Candidate {
-            at: [3.0, 0.0],
+            uv: [3.0, 0.0],
             distance: 3.0,
         };
         let [a, b] = clipped([at(0.0, 0.0), end], [1.0, 1.0]).unwrap();
-        assert_eq!((a.at, a.distance), ([0.0, 0.0], 0.0));
-        assert_eq!((b.at, b.distance), ([1.0, 0.0], 1.0));
+        assert_eq!((a.uv, a.distance), ([0.0, 0.0], 0.0));
+        assert_eq!((b.uv, b.distance), ([1.0, 0.0], 1.0));
         assert!(clipped([at(2.0, 0.0), at(2.0, 1.0)], [1.0, 1.0]).is_none());
     }
 
     #[test]
-    fn a_plate_within_a_face_touches_with_its_corners() {
+    fn plate_inside_a_face_touches_with_its_corners() {
         let half = Vector::new(0.02, 0.02, 0.03);
         let (points, triangles) = Cuboid::new(half).to_trimesh();
         let piece = ConvexPolyhedron::from_convex_mesh(points, &triangles).unwrap();
@@ -435,7 +411,7 @@ mod tests {
         let found = spanning(&plate.candidates(&piece, &pose, 2e-3));
         assert_eq!(found.len(), 4);
         for (_, candidate) in found {
-            assert_eq!(candidate.at.map(f64::abs), [0.01, 0.0125]);
+            assert_eq!(candidate.uv.map(f64::abs), [0.01, 0.0125]);
             assert!((candidate.distance - 5e-4).abs() < 1e-12);
         }
         assert!(plate.candidates(&piece, &pose, 1e-4).is_empty());

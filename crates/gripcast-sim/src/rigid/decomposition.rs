@@ -1,4 +1,4 @@
-//! Convex pieces of an object.
+//! Convex decomposition of an object.
 
 use glam::DVec3;
 use rapier3d_f64::geometry::SharedShape;
@@ -23,13 +23,12 @@ impl std::fmt::Debug for Decomposition {
 }
 
 impl Decomposition {
-    /// Cuts a closed mesh (m) into convex pieces: V-HACD on voxels, the hull of the part of the mesh
-    /// in each piece with its most telling corners, and merging of pieces that are convex
-    /// together. Same input, same bits.
+    /// Decomposes a closed mesh (m) into convex pieces: V-HACD on voxels, a simplified hull of the mesh
+    /// in each piece, and merging of pieces that are convex together. Deterministic.
     ///
     /// # Errors
-    /// `Input` where the mesh is not valid or encloses nothing.
-    pub fn of(mesh: &TriangleMesh, settings: &DecompositionSettings) -> Result<Self> {
+    /// `Input` if the mesh is invalid or encloses no volume.
+    pub fn compute(mesh: &TriangleMesh, settings: &DecompositionSettings) -> Result<Self> {
         mesh.validate()?;
         let points: Vec<_> = mesh.vertices.iter().map(|v| convert::vector(*v)).collect();
         let parameters = VHACDParameters {
@@ -43,40 +42,38 @@ impl Decomposition {
             },
             ..VHACDParameters::default()
         };
-        // What has no volume cannot be cut, nor simulated.
         let whole = convex_hull(&mesh.vertices)?;
-        let hull_m3 = MassProperties::of(&whole)?.volume_m3;
-        let most_m3 = settings.concavity * hull_m3;
+        let hull_m3 = MassProperties::from_mesh(&whole)?.volume_m3;
+        let max_excess_m3 = settings.concavity * hull_m3;
         let mut pieces = Vec::new();
-        // The voxels of a convex object are less convex than it is.
-        if hull_m3 - MassProperties::of(mesh)?.volume_m3 > most_m3 {
-            let parts = VHACD::decompose(&parameters, &points, &mesh.triangles, true);
-            for part in parts.voxel_parts() {
+        // The voxels of a convex object are less convex than the object.
+        if hull_m3 - MassProperties::from_mesh(mesh)?.volume_m3 > max_excess_m3 {
+            let voxels = VHACD::decompose(&parameters, &points, &mesh.triangles, true);
+            for part in voxels.voxel_parts() {
                 let inside = part.compute_primitive_intersections(&points, &mesh.triangles);
                 let inside: Vec<_> = inside.into_iter().map(convert::from_vector).collect();
-                pieces.extend(hull_of_few(&inside, settings));
+                pieces.extend(simplified_hull(&inside, settings));
             }
-            pieces = merge::merged(pieces, most_m3);
-            let fewer = |piece: TriangleMesh| hull_of_few(&piece.vertices, settings);
-            pieces = pieces.into_iter().filter_map(fewer).collect();
+            pieces = merge::merged(pieces, max_excess_m3);
+            let simplified = |piece: TriangleMesh| simplified_hull(&piece.vertices, settings);
+            pieces = pieces.into_iter().filter_map(simplified).collect();
         }
         if pieces.is_empty() {
-            pieces.extend(hull_of_few(&whole.vertices, settings));
+            pieces.extend(simplified_hull(&whole.vertices, settings));
         }
         Self::from_pieces(pieces)
     }
 
-    /// Of pieces that are convex already.
+    /// From convex pieces.
     ///
     /// # Errors
-    /// `Input` where a piece is no solid, or there is none.
+    /// `Input` if there are no pieces, or one has no volume.
     pub(super) fn from_pieces(pieces: Vec<TriangleMesh>) -> Result<Self> {
-        let refused = |what: &str| {
-            Error::input(what.to_owned())
-                .remedy("give the object a closed mesh with some thickness")
+        let invalid = |what: &str| {
+            Error::input(what.to_owned()).remedy("use a closed mesh with some thickness")
         };
         if pieces.is_empty() {
-            return Err(refused("the mesh has no convex pieces"));
+            return Err(invalid("the mesh has no convex pieces"));
         }
         let mut shapes = Vec::with_capacity(pieces.len());
         for piece in &pieces {
@@ -84,13 +81,13 @@ impl Decomposition {
             let corners: Vec<_> = piece.vertices.iter().map(|v| convert::vector(*v)).collect();
             let shape = SharedShape::convex_mesh(corners.clone(), &piece.triangles)
                 .or_else(|| SharedShape::convex_hull(&corners))
-                .ok_or_else(|| refused("a convex piece of the mesh is no solid"))?;
+                .ok_or_else(|| invalid("a convex piece of the mesh has no volume"))?;
             shapes.push(shape);
         }
         Ok(Self { pieces, shapes })
     }
 
-    /// The pieces: closed convex meshes, m. They may overlap where they were cut.
+    /// The pieces: closed convex meshes (m), which may overlap at the cuts.
     pub fn pieces(&self) -> &[TriangleMesh] {
         &self.pieces
     }
@@ -100,17 +97,18 @@ impl Decomposition {
     }
 }
 
-/// Hull of the corners that add most to it, one after the other; none of points in a plane.
-fn hull_of_few(points: &[DVec3], settings: &DecompositionSettings) -> Option<TriangleMesh> {
+/// Convex hull of greedily chosen points, each the farthest outside the hull so far; `None` for
+/// coplanar points.
+fn simplified_hull(points: &[DVec3], settings: &DecompositionSettings) -> Option<TriangleMesh> {
     let whole = convex_hull(points).ok()?;
     let whole = whole.without_unused_vertices();
-    let most = settings.max_corners as usize;
+    let max_corners = settings.max_corners as usize;
     let candidates = &whole.vertices;
     let mut chosen = first_corners(candidates);
     loop {
         let corners: Vec<DVec3> = chosen.iter().map(|&i| candidates[i]).collect();
         let hull = convex_hull(&corners).ok()?;
-        if chosen.len() >= most {
+        if chosen.len() >= max_corners {
             return Some(hull.without_unused_vertices());
         }
         match farthest(&hull, candidates) {
@@ -122,12 +120,12 @@ fn hull_of_few(points: &[DVec3], settings: &DecompositionSettings) -> Option<Tri
     }
 }
 
-/// Four corners that span a volume: the two ends along x, and those farthest from their line and
-/// from the plane of the three.
+/// Four corners that span a volume: two distant ones, the one farthest from their line and the one
+/// farthest from the plane of the three.
 fn first_corners(points: &[DVec3]) -> Vec<usize> {
     let best = |score: &dyn Fn(DVec3) -> f64| {
         let all = points.iter().map(|p| score(*p)).enumerate();
-        // The first of equals, so that the order of the points decides.
+        // The first of ties.
         all.fold((0, f64::NEG_INFINITY), |best, next| {
             if next.1 > best.1 { next } else { best }
         })
@@ -142,7 +140,7 @@ fn first_corners(points: &[DVec3]) -> Vec<usize> {
     vec![a, b, c, d]
 }
 
-/// The point farthest outside a hull and its distance from the nearest plane that it sees.
+/// The point farthest outside a hull: its index and its distance from the farthest face plane, m.
 fn farthest(hull: &TriangleMesh, points: &[DVec3]) -> Option<(usize, f64)> {
     let planes: Vec<(DVec3, f64)> = hull
         .all_corners()
@@ -176,7 +174,7 @@ mod tests {
         }
     }
 
-    /// How far a point is outside the union of the pieces, m.
+    /// Distance of a point outside the union of the pieces, m.
     fn outside(pieces: &Decomposition, point: DVec3) -> f64 {
         let distance = |piece: &TriangleMesh| farthest(piece, &[point]).unwrap().1;
         pieces
@@ -187,18 +185,20 @@ mod tests {
     }
 
     #[test]
-    fn a_box_is_one_piece_of_eight_corners() {
-        let found = Decomposition::of(&builtin("box").unwrap(), &coarse()).unwrap();
+    fn box_is_one_piece_with_eight_corners() {
+        let found = Decomposition::compute(&builtin("box").unwrap(), &coarse()).unwrap();
         assert_eq!(found.pieces().len(), 1);
         assert_eq!(found.pieces()[0].vertices.len(), 8);
-        let volume = MassProperties::of(&found.pieces()[0]).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&found.pieces()[0])
+            .unwrap()
+            .volume_m3;
         assert!((volume - 0.04 * 0.04 * 0.06).abs() < 1e-12);
     }
 
     #[test]
-    fn the_pieces_of_a_mug_cover_it_and_leave_it_hollow() {
+    fn pieces_of_a_mug_cover_it_and_keep_it_hollow() {
         let mug = builtin("mug").unwrap();
-        let found = Decomposition::of(&mug, &coarse()).unwrap();
+        let found = Decomposition::compute(&mug, &coarse()).unwrap();
         let count = found.pieces().len();
         assert!((6..=32).contains(&count), "{count} pieces");
         let worst = mug
@@ -206,22 +206,22 @@ mod tests {
             .iter()
             .map(|v| outside(&found, *v))
             .fold(0.0, f64::max);
-        assert!(worst < 1e-3, "{worst} m of the mug stand out");
+        assert!(worst < 1e-3, "the mug protrudes by {worst} m");
         let inside = outside(&found, DVec3::new(0.0, 0.0, 0.02));
         assert!(inside > 5e-3, "the mug is filled: {inside}");
         let volume: f64 = found
             .pieces()
             .iter()
-            .map(|piece| MassProperties::of(piece).unwrap().volume_m3)
+            .map(|piece| MassProperties::from_mesh(piece).unwrap().volume_m3)
             .sum();
-        let exact = MassProperties::of(&mug).unwrap().volume_m3;
+        let exact = MassProperties::from_mesh(&mug).unwrap().volume_m3;
         assert!(volume < 1.8 * exact, "{volume} of {exact}");
     }
 
     #[test]
-    fn round_pieces_keep_few_corners_and_their_size() {
+    fn round_pieces_have_few_corners_and_keep_their_size() {
         let ball = builtin("ball").unwrap();
-        let found = Decomposition::of(&ball, &coarse()).unwrap();
+        let found = Decomposition::compute(&ball, &coarse()).unwrap();
         assert_eq!(found.pieces().len(), 1);
         assert_eq!(found.pieces()[0].vertices.len(), 64);
         let worst = ball
@@ -233,15 +233,15 @@ mod tests {
     }
 
     #[test]
-    fn flat_and_broken_meshes_are_refused() {
+    fn flat_and_invalid_meshes_are_rejected() {
         let mut flat = builtin("box").unwrap();
         for v in &mut flat.vertices {
             v.z = 0.0;
         }
-        let error = Decomposition::of(&flat, &coarse()).unwrap_err();
+        let error = Decomposition::compute(&flat, &coarse()).unwrap_err();
         assert!(error.to_string().contains("thickness"), "{error}");
-        assert!(Decomposition::of(&TriangleMesh::default(), &coarse()).is_err());
+        assert!(Decomposition::compute(&TriangleMesh::default(), &coarse()).is_err());
         flat.vertices[0].x = f64::NAN;
-        assert!(Decomposition::of(&flat, &coarse()).is_err());
+        assert!(Decomposition::compute(&flat, &coarse()).is_err());
     }
 }

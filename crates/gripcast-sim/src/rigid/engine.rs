@@ -1,4 +1,4 @@
-//! The rigid-body simulator as an engine.
+//! The rigid-body simulator as an [`Engine`].
 
 use std::sync::Arc;
 
@@ -10,25 +10,22 @@ use super::run::Run;
 use super::settings::RigidSettings;
 use super::start;
 use super::world::{World, WorldSetup};
-use crate::grasp::GraspResult;
+use crate::grasp::{GraspResult, MAX_OPENING_M};
 use crate::{Engine, EngineKind, GraspSetup};
 use gripcast_base::error::{Error, Result};
 use gripcast_base::files::BeneathPath;
 use gripcast_geometry::TriangleMesh;
 
-/// Largest opening that a gripper can have, m.
-const MAX_OPENING_M: f64 = 0.2;
-
-/// Rigid fingers on a rigid object of convex pieces; the force is that of the fingers' motors.
+/// Rigid fingers and a rigid object of convex pieces; the grasping force is the motor force per finger.
 #[derive(Debug, Default)]
 pub struct RigidEngine {
-    /// Everything but friction and force.
+    /// All parameters but friction and force.
     pub settings: RigidSettings,
     cache: DecompositionCache,
 }
 
 impl RigidEngine {
-    /// With parameters; decompositions are kept in memory.
+    /// An engine that caches decompositions in memory.
     pub fn new(settings: RigidSettings) -> Self {
         Self {
             settings,
@@ -36,12 +33,11 @@ impl RigidEngine {
         }
     }
 
-    /// Keeps decompositions in files of a folder as well, which is made if it does not exist. A
-    /// file that is damaged or of something else is replaced; one that cannot be written is
-    /// computed again next time.
+    /// Also caches decompositions as files in a folder, which is created if missing. Damaged files are
+    /// replaced; failures to write are ignored.
     ///
     /// # Errors
-    /// `Io`, … where there can be no such folder.
+    /// `Io` if the folder cannot be created.
     pub fn with_cache(self, folder: BeneathPath) -> Result<Self> {
         Ok(Self {
             cache: DecompositionCache::in_folder(folder)?,
@@ -49,19 +45,19 @@ impl RigidEngine {
         })
     }
 
-    /// The convex pieces of a mesh (m), computed once for each mesh and set of parameters.
+    /// Convex pieces of a mesh (m), computed once per mesh and parameters.
     ///
     /// # Errors
-    /// `Input` where a parameter is out of its range, or the mesh encloses nothing.
+    /// `Input` for a parameter out of range or a mesh without volume.
     pub fn decomposition(&self, mesh: &TriangleMesh) -> Result<Arc<Decomposition>> {
         self.settings.validate()?;
         self.cache.get(mesh, &self.settings.decomposition)
     }
 
-    /// The opening that a grasp of an object of `pieces` starts from, m.
+    /// Opening at the start of a grasp, m.
     ///
     /// # Errors
-    /// What the fingers would be inside of.
+    /// A description of the collision if the fingers start inside object or ground.
     pub fn start_opening(&self, setup: &GraspSetup, pieces: &Decomposition) -> Result<f64, String> {
         start::opening(setup, pieces, self.settings.opening_m)
     }
@@ -74,7 +70,7 @@ impl Engine for RigidEngine {
 
     fn parameters(&self) -> Result<Value> {
         serde_json::to_value(self.settings)
-            .map_err(|e| Error::internal("cannot write the parameters").because(e))
+            .map_err(|e| Error::internal("cannot encode the parameters").because(e))
     }
 
     fn success_height_m(&self) -> f64 {
@@ -107,11 +103,11 @@ fn validate(setup: &GraspSetup, friction: f64, force_n: f64) -> Result<()> {
         ("grasping force", force_n, "N", 1e-6, 1e5),
         ("opening", setup.opening_m, "m", 1e-6, MAX_OPENING_M),
     ];
-    for (name, found, unit, least, most) in numbers {
-        // Written so that NaN is refused as well.
-        if !(found >= least && found <= most) {
+    for (name, found, unit, min, max) in numbers {
+        // Also rejects NaN.
+        if !(found >= min && found <= max) {
             return Err(Error::input(format!(
-                "the {name} must be from {least} to {most} {unit}, found {found}"
+                "the {name} must be from {min} to {max} {unit}, found {found}"
             ))
             .remedy("use SI units: kg, N, m"));
         }

@@ -6,7 +6,7 @@ use super::*;
 use crate::grasp::{GraspOutcome, Placement, StageName};
 use gripcast_geometry::{Pose, builtin};
 
-/// A built-in mesh as it stands, gripped from above in the middle.
+/// A built-in mesh in its own orientation, gripped centrally from above.
 fn setup(name: &str) -> GraspSetup {
     let mesh = builtin(name).unwrap();
     let t_world_object = Pose::from_translation(DVec3::Z * -mesh.bounds().min.z);
@@ -41,20 +41,20 @@ fn world(setup: &GraspSetup, engine: &RigidEngine, friction: f64, force_n: f64) 
 /// Rotation (rad) and shift (m) between two poses.
 fn moved(a: &Pose, b: &Pose) -> (f64, f64) {
     (
-        a.turn_from(b).length(),
+        a.rotation_from(b).length(),
         a.translation_m.distance(b.translation_m),
     )
 }
 
 #[test]
-fn a_box_pinched_with_40_n_neither_creeps_nor_jitters() {
+fn box_gripped_with_40_n_neither_creeps_nor_jitters() {
     let engine = engine();
     let setup = setup("box");
     let mut world = world(&setup, &engine, 0.4, 40.0);
     for _ in 0..120 {
         world.tick(0.0);
     }
-    // Lifted off the ground, so that only the fingers hold it.
+    // Lifted off the ground: only the fingers hold the box.
     for _ in 0..60 {
         world.tick(0.18);
     }
@@ -62,27 +62,32 @@ fn a_box_pinched_with_40_n_neither_creeps_nor_jitters() {
         world.tick(0.0);
     }
     let start = world.t_world_object();
-    let (mut fastest, mut fastest_turn) = (0.0_f64, 0.0_f64);
+    let (mut max_speed, mut max_angular_speed) = (0.0_f64, 0.0_f64);
     for _ in 0..10 * 240 {
         world.tick(0.0);
-        let (speed, turn) = world.object_speed();
-        fastest = fastest.max(speed);
-        fastest_turn = fastest_turn.max(turn);
+        let (speed, angular_speed) = world.object_speed();
+        max_speed = max_speed.max(speed);
+        max_angular_speed = max_angular_speed.max(angular_speed);
         for force in world.forces() {
             assert!((force.normal_n - 40.0).abs() < 0.4, "{force:?}");
         }
     }
-    let (turned, shifted) = moved(&world.t_world_object(), &start);
+    let (rotated, shifted) = moved(&world.t_world_object(), &start);
     let shift = world.t_world_object().translation_m - start.translation_m;
-    println!("drift {shift} m, {turned:e} rad; speed {fastest:e} m/s, {fastest_turn:e} rad/s");
-    assert!(shifted < 1e-4, "it crept by {shifted} m");
-    assert!(turned < 1e-3, "it turned by {turned} rad");
-    assert!(fastest < 1e-4, "it moved at {fastest} m/s");
-    assert!(fastest_turn < 1e-2, "it turned at {fastest_turn} rad/s");
+    println!(
+        "drift {shift} m, {rotated:e} rad; speed {max_speed:e} m/s, {max_angular_speed:e} rad/s"
+    );
+    assert!(shifted < 1e-4, "crept by {shifted} m");
+    assert!(rotated < 1e-3, "rotated by {rotated} rad");
+    assert!(max_speed < 1e-4, "moved at {max_speed} m/s");
+    assert!(
+        max_angular_speed < 1e-2,
+        "rotated at {max_angular_speed} rad/s"
+    );
     // Both fingers carry the weight together.
     let shear: f64 = world.forces().iter().map(|f| f.shear_n[1]).sum();
     let weight = 0.05 * 9.81;
-    // The gripper looks down: the object pulls the fingers along its z axis.
+    // The gripper points down: the object pulls the fingers along the gripper's z axis.
     assert!(
         (shear - weight).abs() < 0.02 * weight,
         "{shear} N of {weight} N"
@@ -92,7 +97,7 @@ fn a_box_pinched_with_40_n_neither_creeps_nor_jitters() {
 }
 
 #[test]
-fn free_objects_rest() {
+fn ungripped_objects_rest() {
     let engine = engine();
     for shape in ["box", "cylinder"] {
         let mut setup = setup(shape);
@@ -102,21 +107,21 @@ fn free_objects_rest() {
         for _ in 0..480 {
             world.tick(0.0);
         }
-        let (turned, shifted) = moved(&world.t_world_object(), &start);
+        let (rotated, shifted) = moved(&world.t_world_object(), &start);
         assert!(
-            shifted < 1e-4 && turned < 1e-3,
-            "{shape}: {shifted} m, {turned} rad"
+            shifted < 1e-4 && rotated < 1e-3,
+            "{shape}: {shifted} m, {rotated} rad"
         );
-        let (speed, turn) = world.object_speed();
+        let (speed, angular_speed) = world.object_speed();
         assert!(
-            speed < 1e-5 && turn < 1e-4,
-            "{shape}: {speed} m/s, {turn} rad/s"
+            speed < 1e-5 && angular_speed < 1e-4,
+            "{shape}: {speed} m/s, {angular_speed} rad/s"
         );
     }
 }
 
 #[test]
-fn friction_and_force_decide_what_is_lifted() {
+fn friction_and_force_decide_the_outcome() {
     let engine = engine();
     let setup = setup("box");
     let held = engine.simulate(&setup, 0.4, 10.0).unwrap();
@@ -131,7 +136,7 @@ fn friction_and_force_decide_what_is_lifted() {
 }
 
 #[test]
-fn the_trace_has_all_stages() {
+fn trace_has_all_stages() {
     let result = engine().simulate(&setup("box"), 0.4, 20.0).unwrap();
     let trace = &result.trace;
     let steps = |stage| trace.stage(stage).count();
@@ -162,7 +167,7 @@ fn the_trace_has_all_stages() {
 }
 
 #[test]
-fn a_gripper_beside_the_object_misses() {
+fn gripper_beside_the_object_misses() {
     let mut setup = setup("box");
     setup.t_world_gripper.translation_m.y += 0.05;
     let result = engine().simulate(&setup, 0.4, 10.0).unwrap();
@@ -173,7 +178,7 @@ fn a_gripper_beside_the_object_misses() {
 }
 
 #[test]
-fn a_sphere_gripped_far_off_its_middle_is_squeezed_out() {
+fn sphere_gripped_off_centre_is_ejected() {
     let mut setup = setup("sphere");
     setup.t_world_gripper.translation_m.y += 0.03;
     let result = engine().simulate(&setup, 0.1, 10.0).unwrap();
@@ -181,7 +186,7 @@ fn a_sphere_gripped_far_off_its_middle_is_squeezed_out() {
 }
 
 #[test]
-fn a_finger_inside_something_cannot_start() {
+fn initial_penetration_is_an_outcome() {
     let engine = engine();
     let mut narrow = setup("box");
     narrow.t_world_gripper.translation_m.x += 0.045;
@@ -201,7 +206,7 @@ fn a_finger_inside_something_cannot_start() {
 }
 
 #[test]
-fn fingers_without_room_further_out_start_where_the_grasp_says() {
+fn fingers_without_clearance_start_at_the_given_opening() {
     let mut setup = setup("box");
     // 17 degrees: at 90 mm the lower finger would be in the ground.
     setup.t_world_gripper.rotation *= glam::DQuat::from_rotation_y(0.3);
@@ -213,7 +218,7 @@ fn fingers_without_room_further_out_start_where_the_grasp_says() {
 }
 
 #[test]
-fn a_tilted_gripper_lifts_as_high() {
+fn rolled_gripper_lifts_equally_high() {
     let mut setup = setup("box");
     setup.t_world_gripper.rotation *= glam::DQuat::from_rotation_y(0.1);
     let result = engine().simulate(&setup, 0.4, 20.0).unwrap();
@@ -222,7 +227,7 @@ fn a_tilted_gripper_lifts_as_high() {
 }
 
 #[test]
-fn the_same_grasp_gives_the_same_bits_on_any_thread() {
+fn grasp_is_bit_identical_on_any_thread() {
     let engine = engine();
     let mut setup = setup("mug");
     setup.t_world_gripper.rotation *= glam::DQuat::from_rotation_y(0.1);
@@ -239,30 +244,30 @@ fn the_same_grasp_gives_the_same_bits_on_any_thread() {
 }
 
 #[test]
-fn bad_input_is_explained() {
+fn invalid_input_is_rejected() {
     let engine = engine();
     let good = setup("box");
-    let refused = |setup: &GraspSetup, friction: f64, force_n: f64| {
+    let error_text = |setup: &GraspSetup, friction: f64, force_n: f64| {
         engine
             .simulate(setup, friction, force_n)
             .unwrap_err()
             .to_string()
     };
-    assert!(refused(&good, -0.1, 10.0).contains("friction"));
-    assert!(refused(&good, 0.4, f64::NAN).contains("force"));
+    assert!(error_text(&good, -0.1, 10.0).contains("friction"));
+    assert!(error_text(&good, 0.4, f64::NAN).contains("force"));
     let weightless = GraspSetup {
         mass_kg: 0.0,
         ..good.clone()
     };
-    assert!(refused(&weightless, 0.4, 10.0).contains("mass"));
+    assert!(error_text(&weightless, 0.4, 10.0).contains("mass"));
     let wide = GraspSetup {
         opening_m: 90.0,
         ..good.clone()
     };
-    assert!(refused(&wide, 0.4, 10.0).contains("opening"));
+    assert!(error_text(&wide, 0.4, 10.0).contains("opening"));
     let mut lost = good.clone();
     lost.t_world_object.translation_m.x = f64::INFINITY;
-    assert!(refused(&lost, 0.4, 10.0).contains("finite"));
+    assert!(error_text(&lost, 0.4, 10.0).contains("finite"));
     let settings = RigidSettings {
         dt_s: -1.0,
         ..RigidSettings::default()
@@ -274,7 +279,7 @@ fn bad_input_is_explained() {
 }
 
 #[test]
-fn every_parameter_is_told() {
+fn parameters_round_trip_as_json() {
     let value = engine().parameters().unwrap();
     assert_eq!(value["closing_steps"], 150);
     assert_eq!(value["decomposition"]["resolution"], 32);

@@ -1,18 +1,19 @@
-//! Pieces that are convex together become one, as in V-HACD's last step.
+//! Merges pieces that are convex together, as in the last step of V-HACD.
 
 use glam::DVec3;
 
 use gripcast_geometry::{MassProperties, TriangleMesh, convex_hull};
 
-/// Two pieces as one.
+/// The common hull of two pieces.
 struct Pair {
+    /// Volume of the hull beyond that of the pieces, m³.
     excess_m3: f64,
     hull: TriangleMesh,
 }
 
-/// Joins the two convex pieces whose common hull exceeds their volumes least, again and again,
-/// while that is below `most_m3`.
-pub(super) fn merged(pieces: Vec<TriangleMesh>, most_m3: f64) -> Vec<TriangleMesh> {
+/// Repeatedly merges the two convex pieces whose common hull has the smallest excess volume, while
+/// that is below `max_excess_m3`.
+pub(super) fn merged(pieces: Vec<TriangleMesh>, max_excess_m3: f64) -> Vec<TriangleMesh> {
     let mut pieces: Vec<(TriangleMesh, f64)> = pieces
         .into_iter()
         .filter_map(|piece| Some((volume_m3(&piece)?, piece)))
@@ -22,7 +23,7 @@ pub(super) fn merged(pieces: Vec<TriangleMesh>, most_m3: f64) -> Vec<TriangleMes
     let mut pairs: Vec<Vec<Option<Pair>>> = (0..pieces.len())
         .map(|b| (0..b).map(|a| pair(&pieces[a], &pieces[b])).collect())
         .collect();
-    while let Some((a, b)) = cheapest(&pairs, most_m3) {
+    while let Some((a, b)) = cheapest(&pairs, max_excess_m3) {
         let Some(joined) = pairs[b][a].take() else {
             break;
         };
@@ -43,14 +44,14 @@ pub(super) fn merged(pieces: Vec<TriangleMesh>, most_m3: f64) -> Vec<TriangleMes
     pieces.into_iter().map(|(piece, _)| piece).collect()
 }
 
-/// The first of the cheapest pairs.
-fn cheapest(pairs: &[Vec<Option<Pair>>], most_m3: f64) -> Option<(usize, usize)> {
+/// Indices of the pair with the smallest excess, the first of ties.
+fn cheapest(pairs: &[Vec<Option<Pair>>], max_excess_m3: f64) -> Option<(usize, usize)> {
     let mut best = None;
-    let mut least = most_m3;
+    let mut min_excess = max_excess_m3;
     for (b, row) in pairs.iter().enumerate() {
         for (a, pair) in row.iter().enumerate() {
-            if let Some(pair) = pair.as_ref().filter(|pair| pair.excess_m3 < least) {
-                least = pair.excess_m3;
+            if let Some(pair) = pair.as_ref().filter(|pair| pair.excess_m3 < min_excess) {
+                min_excess = pair.excess_m3;
                 best = Some((a, b));
             }
         }
@@ -70,7 +71,9 @@ fn pair(a: &(TriangleMesh, f64), b: &(TriangleMesh, f64)) -> Option<Pair> {
 }
 
 fn volume_m3(mesh: &TriangleMesh) -> Option<f64> {
-    MassProperties::of(mesh).ok().map(|found| found.volume_m3)
+    MassProperties::from_mesh(mesh)
+        .ok()
+        .map(|properties| properties.volume_m3)
 }
 
 #[cfg(test)]
@@ -79,7 +82,7 @@ mod tests {
     use gripcast_geometry::{Pose, builtin};
 
     #[test]
-    fn halves_of_a_box_join_and_boxes_apart_do_not() {
+    fn adjacent_boxes_merge_and_separate_ones_do_not() {
         let half = convex_hull(&builtin("box").unwrap().vertices).unwrap();
         let at = |x: f64| half.transformed(&Pose::from_translation(DVec3::X * x));
         let volume = 0.04 * 0.04 * 0.06;

@@ -1,17 +1,16 @@
-//! Runs a grasp of rigid bodies through its stages.
+//! Simulates a grasp of rigid bodies through its stages.
 
 use glam::DVec3;
 
 use super::settings::RigidSettings;
 use super::world::World;
-use crate::grasp::{GraspOutcome, GraspResult, Snapshot, StageName, Trace, TraceStep};
+use crate::grasp::{
+    GraspOutcome, GraspResult, MIN_CONTACT_FORCE_N, Snapshot, StageName, Trace, TraceStep,
+};
 use crate::solver::PhaseTimes;
 use gripcast_geometry::Pose;
 
-/// Forces below this are no contact, N.
-const NO_FORCE: f64 = 1e-3;
-
-/// A grasp under way.
+/// A grasp in progress.
 pub(super) struct Run<'a> {
     world: World,
     settings: &'a RigidSettings,
@@ -37,20 +36,20 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Closes, settles, lifts, and judges.
+    /// Runs all stages and determines the outcome.
     pub(super) fn finish(mut self) -> GraspResult {
         let is_finite = self.close();
         let before = self.world.object_height_m();
-        let was_held = self.last_force() > NO_FORCE;
+        let was_held = self.last_force() > MIN_CONTACT_FORCE_N;
         let is_finite = is_finite && (!self.has_touched || self.lift());
         let height = self.world.object_height_m();
-        let enough = self.settings.success_rise_m();
+        let min_rise = self.settings.success_rise_m();
         let (outcome, detail) = if !is_finite {
-            let detail = "the rigid bodies moved beyond all numbers".to_owned();
+            let detail = "the simulation diverged".to_owned();
             (GraspOutcome::NotConverged, Some(detail))
         } else if !self.has_touched {
             (GraspOutcome::Miss, None)
-        } else if height - before >= enough {
+        } else if height - before >= min_rise {
             (GraspOutcome::Success, None)
         } else if was_held {
             (GraspOutcome::Slip, None)
@@ -88,7 +87,10 @@ impl<'a> Run<'a> {
                     return false;
                 }
                 let forces = self.trace.steps.last().map(|step| step.force);
-                self.has_touched |= forces.iter().flatten().any(|f| f.normal_n > NO_FORCE);
+                self.has_touched |= forces
+                    .iter()
+                    .flatten()
+                    .any(|f| f.normal_n > MIN_CONTACT_FORCE_N);
             }
             if steps > 0 && (stage == StageName::Closure || self.has_touched) {
                 self.snapshot(stage);

@@ -8,31 +8,31 @@ use gripcast_base::error::{Error, Result};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct RigidSettings {
-    /// Distance between the faces from which the fingers close, m. Taxim: 0.09. A wider set-up
-    /// keeps its own, and so does one whose fingers have no room further out.
+    /// Distance between the faces from which the fingers close, m. Taxim: 0.09. A grasp with a wider
+    /// opening, or without clearance for this one, keeps its own.
     pub opening_m: f64,
-    /// Time steps of closing. Taxim: at most 150.
+    /// Time steps of the closure. Taxim: at most 150.
     pub closing_steps: u32,
-    /// The last steps of closing, recorded as the adjustment: the force has settled by then.
+    /// Last steps of the closure, recorded as the adjustment: the force has settled by then.
     pub settle_steps: u32,
-    /// Fastest motion of a finger relative to the gripper, m/s. 0.1: from 45 mm to the middle in
-    /// 108 of the 150 steps.
+    /// Maximum finger speed relative to the gripper, m/s. 0.1: from 45 mm to the centre in 108 of the
+    /// 150 steps.
     pub closing_speed_m_s: f64,
-    /// Speed for each metre that a finger's face is away from the gripper's middle, 1/s. 24: the
-    /// position gain of a PyBullet motor, 0.1 in a step of 1/240 s.
+    /// Position gain: finger speed per metre from the gripper's centre, 1/s. 24: the gain of a PyBullet
+    /// motor, 0.1 per step of 1/240 s.
     pub position_gain_per_s: f64,
-    /// Time in which the fingers' common motion along the closing direction dies away, s. Two
-    /// independent motors of the same force would let the gripped object float between them; the
-    /// drive of a real gripper couples its fingers. 0.05: well within the settling.
+    /// Decay time of the fingers' common motion along the closing direction, s. Two independent motors
+    /// of the same force would let the gripped object float between them; the drive of a real gripper
+    /// couples its fingers. 0.05: well within the settling time.
     pub centring_s: f64,
-    /// Mass that moves with a finger, kg. 0.2: guide and finger of Taxim's WSG 50.
+    /// Moving mass of a finger, kg. 0.2: guide and finger of Taxim's WSG 50.
     pub finger_mass_kg: f64,
     /// Control steps of the lift. Taxim: 60.
     pub lift_steps: u32,
-    /// Rise of the gripper in a control step of the lift, m. Taxim: 0.003.
+    /// Rise of the gripper per control step of the lift, m. Taxim: 0.003.
     pub lift_step_m: f64,
-    /// Time steps in a control step of the lift: 4, which is 0.18 m/s. The arm that lags behind
-    /// Taxim's commands is not simulated.
+    /// Time steps per control step of the lift: 4, i.e. 0.18 m/s. The lag of Taxim's arm is not
+    /// simulated.
     pub lift_ticks: u32,
     /// A grasp succeeds if the object rises by this fraction of the lift. Taxim: 0.8.
     pub success_fraction: f64,
@@ -40,18 +40,16 @@ pub struct RigidSettings {
     pub dt_s: f64,
     /// Gravity, m/s².
     pub gravity_m_s2: f64,
-    /// Parts of a time step that the solver integrates one by one. 8: small enough for the
-    /// stiffness of the contacts.
+    /// Solver substeps per time step. 8: small enough for the contact stiffness.
     pub solver_substeps: u32,
-    /// Natural frequency of a contact's spring, Hz. 480, a quarter of the substeps' rate: at 40 N a
-    /// finger sinks 0.1 mm into an object of 50 g; with rapier's 30 Hz it would be 20 mm.
+    /// Natural frequency of the contact springs, Hz. 480, a quarter of the substep rate: at 40 N a
+    /// finger sinks 0.1 mm into an object of 50 g; with rapier's default of 30 Hz it would be 20 mm.
     pub contact_frequency_hz: f64,
-    /// Damping ratio of a contact's spring; above 1 it does not bounce.
+    /// Damping ratio of the contact springs; above 1 there is no bounce.
     pub contact_damping_ratio: f64,
-    /// Contacts are looked for up to this distance, m. 2 mm: more than two bodies approach in a
-    /// step.
+    /// Contact prediction distance, m. 2 mm: more than two bodies approach in a step.
     pub prediction_m: f64,
-    /// How the object is cut into convex pieces.
+    /// Convex decomposition of the object.
     pub decomposition: DecompositionSettings,
 }
 
@@ -86,20 +84,19 @@ impl Default for RigidSettings {
 pub struct DecompositionSettings {
     /// Bias towards cuts along planes of symmetry. Taxim: 0.06.
     pub alpha: f64,
-    /// Bias towards cuts along axes of revolution. 0.05: the usual one.
+    /// Bias towards cuts along axes of revolution. Default of V-HACD: 0.05.
     pub beta: f64,
-    /// Pieces are cut until their hull exceeds their volume by less than this fraction of the whole
-    /// hull, and joined again where that costs less. 0.01: finer cuts of voxels only follow their
-    /// steps.
+    /// Concavity: pieces are cut until their hull exceeds their volume by less than this fraction of the
+    /// whole hull, and merged below it. 0.01: finer cuts only follow the voxels.
     pub concavity: f64,
-    /// Voxels along the longest side. 64: as many voxels as V-HACD's resolution of some 1e5; the
-    /// paper's 1e7 (215) takes minutes.
+    /// Voxels along the longest side. 64 corresponds to a V-HACD resolution of about 1e5; the paper's
+    /// 1e7 (215) takes minutes.
     pub resolution: u32,
-    /// Most pieces.
+    /// Maximum number of pieces.
     pub max_pieces: u32,
-    /// Most corners of a piece. 64: PyBullet's.
+    /// Maximum number of corners of a piece. PyBullet: 64.
     pub max_corners: u32,
-    /// Corners are left out of a piece that would lie closer than this to its surface, m.
+    /// Distance from the surface of a piece below which corners are left out, m.
     pub corner_tolerance_m: f64,
 }
 
@@ -118,12 +115,12 @@ impl Default for DecompositionSettings {
 }
 
 impl RigidSettings {
-    /// Height by which the gripper is lifted, m.
+    /// Height of the lift, m.
     pub fn lift_m(&self) -> f64 {
         f64::from(self.lift_steps) * self.lift_step_m
     }
 
-    /// Rise of the object from which on a grasp succeeds, m.
+    /// Minimum rise of the object for success, m.
     pub fn success_rise_m(&self) -> f64 {
         self.success_fraction * self.lift_m()
     }
@@ -133,10 +130,10 @@ impl RigidSettings {
         self.lift_step_m / (f64::from(self.lift_ticks) * self.dt_s)
     }
 
-    /// Checks every parameter.
+    /// Checks the range of every parameter.
     ///
     /// # Errors
-    /// `Input`, with the parameter that cannot be simulated and what it may be.
+    /// `Input`, with the parameter, its value and its range.
     pub fn validate(&self) -> Result<()> {
         let d = &self.decomposition;
         let numbers = [
@@ -167,10 +164,10 @@ impl RigidSettings {
                 0.01,
             ),
         ];
-        for (name, found, least, most) in numbers {
-            // Written so that NaN is refused as well.
-            if !(found >= least && found <= most) {
-                return Err(outside(name, &found, &least, &most));
+        for (name, found, min, max) in numbers {
+            // Also rejects NaN.
+            if !(found >= min && found <= max) {
+                return Err(out_of_range(name, found, min, max));
             }
         }
         let counts = [
@@ -183,20 +180,20 @@ impl RigidSettings {
             ("decomposition.max_pieces", d.max_pieces, 1, 1024),
             ("decomposition.max_corners", d.max_corners, 4, 4096),
         ];
-        for (name, found, least, most) in counts {
-            if !(least..=most).contains(&found) {
-                return Err(outside(name, &found, &least, &most));
+        for (name, found, min, max) in counts {
+            if !(min..=max).contains(&found) {
+                return Err(out_of_range(name, found, min, max));
             }
         }
         Ok(())
     }
 }
 
-fn outside<T: std::fmt::Display>(name: &str, found: &T, least: &T, most: &T) -> Error {
+fn out_of_range<T: std::fmt::Display>(name: &str, found: T, min: T, max: T) -> Error {
     Error::input(format!(
-        "the rigid simulator's `{name}` must be from {least} to {most}, found {found}"
+        "`{name}` of the rigid simulator must be from {min} to {max}, found {found}"
     ))
-    .remedy("leave it out for the default")
+    .remedy("omit it to use the default")
 }
 
 #[cfg(test)]
@@ -204,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_is_taxims_and_valid() {
+    fn default_settings_are_valid() {
         let settings = RigidSettings::default();
         settings.validate().unwrap();
         assert!((settings.lift_m() - 0.18).abs() < 1e-12);
@@ -212,20 +209,20 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_simulated_is_named() {
-        let refused = |change: fn(&mut RigidSettings)| {
+    fn invalid_settings_are_rejected_by_name() {
+        let error_text = |change: fn(&mut RigidSettings)| {
             let mut settings = RigidSettings::default();
             change(&mut settings);
             settings.validate().unwrap_err().to_string()
         };
-        assert!(refused(|s| s.dt_s = f64::NAN).contains("dt_s"));
-        assert!(refused(|s| s.settle_steps = 151).contains("0 to 150"));
-        assert!(refused(|s| s.decomposition.resolution = 0).contains("resolution"));
-        assert!(refused(|s| s.finger_mass_kg = 0.0).contains("finger_mass_kg"));
+        assert!(error_text(|s| s.dt_s = f64::NAN).contains("dt_s"));
+        assert!(error_text(|s| s.settle_steps = 151).contains("0 to 150"));
+        assert!(error_text(|s| s.decomposition.resolution = 0).contains("resolution"));
+        assert!(error_text(|s| s.finger_mass_kg = 0.0).contains("finger_mass_kg"));
     }
 
     #[test]
-    fn a_settings_file_may_leave_out_anything_but_not_misspell_it() {
+    fn settings_default_if_missing_and_reject_unknown_keys() {
         let settings: RigidSettings = serde_json::from_str(r#"{"lift_ticks": 8}"#).unwrap();
         assert_eq!(settings.lift_ticks, 8);
         assert_eq!(settings.closing_steps, 150);

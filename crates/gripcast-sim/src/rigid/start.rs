@@ -1,4 +1,4 @@
-//! Where the fingers can start.
+//! Initial opening of the fingers.
 
 use glam::DVec3;
 use rapier3d_f64::geometry::SharedShape;
@@ -11,33 +11,30 @@ use crate::GraspSetup;
 use crate::grasp::Finger;
 use gripcast_geometry::Pose;
 
-/// The opening to start from: the wanted one where the set-up's own is narrower and there is room
-/// for the fingers, else the set-up's own.
+/// Initial opening (m): `preferred_m` if it is wider than the setup's own and collision-free, else the
+/// setup's own.
 ///
 /// # Errors
-/// What the fingers are inside of.
+/// A description of the collision if the fingers start inside object or ground.
 pub(super) fn opening(
     setup: &GraspSetup,
     pieces: &Decomposition,
-    wanted_m: f64,
+    preferred_m: f64,
 ) -> Result<f64, String> {
-    if wanted_m > setup.opening_m && penetration(setup, pieces, wanted_m).is_none() {
-        return Ok(wanted_m);
+    if preferred_m > setup.opening_m && penetration(setup, pieces, preferred_m).is_none() {
+        return Ok(preferred_m);
     }
-    match penetration(setup, pieces, setup.opening_m) {
-        None => Ok(setup.opening_m),
-        Some(what) => Err(what),
-    }
+    penetration(setup, pieces, setup.opening_m).map_or(Ok(setup.opening_m), Err)
 }
 
-/// What a finger is inside of at an opening, if anything.
+/// Describes a collision of a finger with object or ground at an opening, if there is one.
 fn penetration(setup: &GraspSetup, pieces: &Decomposition, opening_m: f64) -> Option<String> {
     let t_object = convert::pose(&setup.t_world_object);
     let half = FINGER_HALF_M;
     let shape = SharedShape::cuboid(half.x, half.y, half.z);
     for (finger, side) in Finger::BOTH.into_iter().zip(["left", "right"]) {
-        let middle = Pose::from_translation(DVec3::X * finger_x(finger, opening_m));
-        let t_finger = setup.t_world_gripper * middle;
+        let t_gripper_finger = Pose::from_translation(DVec3::X * finger_x(finger, opening_m));
+        let t_finger = setup.t_world_gripper * t_gripper_finger;
         let reach = t_finger
             .rotation_matrix()
             .transpose()
@@ -52,7 +49,7 @@ fn penetration(setup: &GraspSetup, pieces: &Decomposition, opening_m: f64) -> Op
             ));
         }
         let t_finger = convert::pose(&t_finger);
-        // A pair of shapes that cannot be tested does not occur; it would count as free.
+        // Unsupported pairs of shapes do not occur; they would count as collision-free.
         let meets = pieces.shapes().iter().any(|piece| {
             intersection_test(&t_finger, &*shape.0, &t_object, &*piece.0)
                 .is_ok_and(|found| found.intersecting)

@@ -1,9 +1,9 @@
 //! Object, fingers and ground as rigid bodies.
 //!
-//! Everything is simulated in the gripper's frame at the start, so that a finger's only degree of
-//! freedom, along x, is one that rapier can leave free while it holds the others exactly.
+//! Simulated in the initial gripper frame, so that the only degree of freedom of a finger is along x,
+//! which rapier can leave free while locking the others exactly.
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use rapier3d_f64::dynamics::{
     CoefficientCombineRule, FrictionModel, GenericJointBuilder, ImpulseJointHandle,
     IntegrationParameters, JointAxesMask, JointAxis, LockedAxes, MassProperties as RapierMass,
@@ -13,6 +13,7 @@ use rapier3d_f64::geometry::{
     ColliderBuilder, Group, InteractionGroups, InteractionTestMode, NarrowPhase, SharedShape,
 };
 use rapier3d_f64::math::{Matrix, Vector};
+use rapier3d_f64::parry::query::{DefaultQueryDispatcher, QueryDispatcher};
 use rapier3d_f64::pipeline::PhysicsWorld;
 
 use super::contact::FlatContacts;
@@ -27,28 +28,28 @@ use gripcast_geometry::{MassProperties, Pose};
 /// Half of a finger's box along the gripper's x (closing), y and z (approach), m: the gel of the
 /// finite-element simulator.
 pub(super) const FINGER_HALF_M: DVec3 = DVec3::new(0.002, 0.010, 0.0125);
-/// What makes a motor rigid until its force is exhausted, 1/s.
+/// Motor damping, 1/s: rigid up to the maximum force.
 const MOTOR_DAMPING: f64 = 1e9;
-/// The bits of a contact's number that tell its point.
-const POINT: u64 = 0x7fff_ffff;
-/// Fastest push that corrects a penetration, m/s.
-const CORRECTION_M_S: f64 = 0.5;
+/// Bits of a contact id that hold the index of its point.
+const POINT_MASK: u64 = 0x7fff_ffff;
+/// Maximum speed of penetration correction, m/s.
+const MAX_CORRECTION_M_S: f64 = 0.5;
 
 const OBJECT: Group = Group::GROUP_1;
 const FINGERS: Group = Group::GROUP_2;
 const GROUND: Group = Group::GROUP_3;
 
-/// What of a grasp the bodies are made of.
+/// Inputs of [`World::new`].
 pub(super) struct WorldSetup<'a> {
     pub(super) grasp: &'a GraspSetup,
     pub(super) pieces: &'a Decomposition,
-    /// Of the fingers at the start.
+    /// Initial opening of the fingers, m.
     pub(super) opening_m: f64,
     pub(super) friction: f64,
     pub(super) force_n: f64,
 }
 
-/// Bodies under way.
+/// The simulated bodies.
 pub(super) struct World {
     physics: PhysicsWorld,
     settings: RigidSettings,
@@ -60,11 +61,6 @@ pub(super) struct World {
     fingers: [RigidBodyHandle; 2],
     motors: [ImpulseJointHandle; 2],
     base_speed_m_s: f64,
-}
-
-/// Inertia tensor of the mesh filled evenly with `mass_kg`, about its centre of mass, kg m².
-pub(super) fn inertia(properties: &MassProperties, mass_kg: f64) -> DMat3 {
-    properties.inertia_m5() * (mass_kg / properties.volume_m3)
 }
 
 /// Centre of a finger's box on the gripper's x axis, m.
@@ -79,7 +75,9 @@ impl World {
         let mut physics = PhysicsWorld {
             gravity: convert::vector(up * -settings.gravity_m_s2),
             integration_parameters: integration(settings),
-            narrow_phase: NarrowPhase::with_query_dispatcher(FlatContacts),
+            narrow_phase: NarrowPhase::with_query_dispatcher(
+                FlatContacts.chain(DefaultQueryDispatcher),
+            ),
             ..PhysicsWorld::default()
         };
         let groups = |own, other| InteractionGroups::new(own, other, InteractionTestMode::And);
@@ -162,7 +160,7 @@ impl World {
         self.base_speed_m_s = lift_speed_m_s;
         self.physics.bodies[self.base].set_linvel(base_velocity, true);
         let base_x = self.physics.bodies[self.base].translation().x;
-        let [gain, most] = [
+        let [gain, max_speed] = [
             self.settings.position_gain_per_s,
             self.settings.closing_speed_m_s,
         ];
@@ -170,9 +168,9 @@ impl World {
             let body = &mut self.physics.bodies[self.fingers[i]];
             let along_x = body.linvel().x + rise.x - damped;
             body.set_linvel(Vector::new(along_x, base_velocity.y, base_velocity.z), true);
-            // The face stops in the gripper's middle.
+            // The face stops at the gripper's centre.
             let to_go = finger_x(finger, 0.0) - (body.translation().x - base_x);
-            let speed = (gain * to_go).clamp(-most, most);
+            let speed = (gain * to_go).clamp(-max_speed, max_speed);
             if let Some(joint) = self.physics.impulse_joints.get_mut(self.motors[i], true) {
                 joint
                     .data
@@ -182,7 +180,7 @@ impl World {
         self.physics.step();
     }
 
-    /// Whether every number is finite still.
+    /// Whether the state is finite.
     pub(super) fn is_finite(&self) -> bool {
         let bodies = [self.object, self.fingers[0], self.fingers[1]];
         bodies.iter().all(|body| {
@@ -201,7 +199,7 @@ impl World {
         self.t_world_gripper.transform_point(center).z
     }
 
-    /// Speed of the object's centre of mass, m/s, and its rate of turn, rad/s.
+    /// Linear (m/s) and angular (rad/s) speed of the object.
     #[cfg(test)]
     pub(super) fn object_speed(&self) -> (f64, f64) {
         let body = &self.physics.bodies[self.object];
@@ -214,7 +212,7 @@ impl World {
         right - left - 2.0 * FINGER_HALF_M.x
     }
 
-    /// What the fingers feel, mean over the last time step.
+    /// Contact forces on the fingers, averaged over the last time step.
     pub(super) fn forces(&self) -> [GelForce; 2] {
         [0, 1].map(|i| {
             let closing = Finger::BOTH[i].closing();
@@ -231,7 +229,7 @@ impl World {
         })
     }
 
-    /// Smallest distance between each finger and the object, m, negative where they overlap.
+    /// Smallest distance between each finger and the object, m; negative for an overlap.
     pub(super) fn gaps_m(&self) -> [Option<f64>; 2] {
         [0, 1].map(|i| {
             let mut gap: Option<f64> = None;
@@ -242,7 +240,7 @@ impl World {
         })
     }
 
-    /// Calls `visit` with each contact of a finger: its place relative to the finger's middle (m),
+    /// Calls `visit` with each contact of a finger: its position relative to the finger's centre (m),
     /// the force on the finger (N) and the distance (m).
     fn for_each_contact(&self, finger: usize, mut visit: impl FnMut(DVec3, DVec3, f64)) {
         let dt = self.settings.dt_s;
@@ -255,14 +253,16 @@ impl World {
         for manifold in pairs.flat_map(|pair| pair.solver_manifolds()) {
             let is_second = manifold.data.rigid_body2 == Some(body);
             let sign = if is_second { 1.0 } else { -1.0 };
-            // The other points of the manifold keep impulses of earlier steps.
+            // Other points of the manifold still hold impulses of earlier steps.
             for solved in &manifold.data.solver_contacts {
-                let Some(point) = manifold.points.get((solved.contact_id[0] & POINT) as usize)
+                let Some(point) = manifold
+                    .points
+                    .get((solved.contact_id[0] & POINT_MASK) as usize)
                 else {
                     continue;
                 };
                 let data = &point.data;
-                // Impulses push the second body along the normal and act on the first in reverse.
+                // Impulses push the second body along the normal and the first one in reverse.
                 let normal = manifold.data.normal * (data.impulse / dt);
                 let friction = data.warmstart_tangent_world / -substep;
                 let arm = if is_second {
@@ -281,17 +281,18 @@ impl World {
 }
 
 fn mass(setup: &WorldSetup) -> Result<RapierMass> {
-    let properties = MassProperties::of(&setup.grasp.mesh)?;
-    let tensor = inertia(&properties, setup.grasp.mass_kg).to_cols_array();
+    let properties = MassProperties::from_mesh(&setup.grasp.mesh)?;
+    let mass_kg = setup.grasp.mass_kg;
+    let inertia = properties.inertia_m5() * (mass_kg / properties.volume_m3);
     Ok(RapierMass::with_inertia_matrix(
         convert::vector(properties.center_of_mass_m),
-        setup.grasp.mass_kg,
-        Matrix::from_cols_array(&tensor),
+        mass_kg,
+        Matrix::from_cols_array(&inertia.to_cols_array()),
     ))
 }
 
-/// Solver parameters. What rapier counts for bodies of a metre is set to the size of a gripper,
-/// and what saves time at the cost of exactness is off.
+/// Solver parameters, with tolerances scaled from bodies of 1 m to a gripper and all approximations
+/// disabled.
 fn integration(settings: &RigidSettings) -> IntegrationParameters {
     let softness = SpringCoefficients {
         natural_frequency: settings.contact_frequency_hz,
@@ -303,7 +304,7 @@ fn integration(settings: &RigidSettings) -> IntegrationParameters {
         static_contact_softness: softness,
         num_solver_iterations: settings.solver_substeps as usize,
         normalized_allowed_linear_error: 1e-5,
-        normalized_max_corrective_velocity: CORRECTION_M_S,
+        normalized_max_corrective_velocity: MAX_CORRECTION_M_S,
         normalized_prediction_distance: settings.prediction_m,
         max_ccd_substeps: 0,
         contact_clustering: false,

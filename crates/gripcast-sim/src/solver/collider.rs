@@ -1,14 +1,14 @@
-//! The object's surface as contact sees it, fixed in the material frame (origin: centre of mass).
+//! Collision surface of the object in its material frame (origin: centre of mass).
 
 use glam::DVec3;
 
 use gripcast_geometry::{Aabb, Bvh, TriangleMesh};
 
-/// Edges whose faces open by less than this angle (rad) cannot be touched before a face is: flat
-/// or concave ones. On a 2 mm edge a gel edge would dip 50 nm, far below any contact gap.
-const FLAT: f64 = 1e-4;
+/// Edges whose faces open outwards by less than this angle (rad), flat or concave, cannot touch
+/// before a face does. On a 2 mm edge a gel edge would dip 50 nm, far below any contact gap.
+const MIN_OPENING_RAD: f64 = 1e-4;
 
-/// Triangles, convex edges and convex vertices of a closed surface, each with its hierarchy.
+/// Triangles, convex edges and convex vertices of a closed surface, each with a BVH.
 #[derive(Clone, Debug)]
 pub struct Collider {
     pub(super) vertices: Vec<DVec3>,
@@ -76,14 +76,9 @@ impl Collider {
     pub fn bounds(&self) -> Aabb {
         self.bounds
     }
-
-    /// Numbers of triangles, of edges and of vertices that can touch first.
-    pub fn sizes(&self) -> [usize; 3] {
-        [self.triangles.len(), self.edges.len(), self.corners.len()]
-    }
 }
 
-/// Whether the two faces at an edge open outwards by more than [`FLAT`]. Edges without exactly two
+/// Whether the two faces at an edge open outwards by more than [`MIN_OPENING_RAD`]. Edges without exactly two
 /// faces count as convex.
 fn is_convex(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32]) -> bool {
     let &[first, second] = faces else { return true };
@@ -98,7 +93,7 @@ fn is_convex(mesh: &TriangleMesh, edge: [u32; 2], faces: &[u32]) -> bool {
     let (n1, n2) = (normal(corners(first)), normal(corners(second)));
     let start = mesh.vertices[edge[0] as usize];
     let below = n1.dot(mesh.vertices[opposite as usize] - start) < 0.0;
-    below && n1.cross(n2).length().atan2(n1.dot(n2)) > FLAT
+    below && n1.cross(n2).length().atan2(n1.dot(n2)) > MIN_OPENING_RAD
 }
 
 #[cfg(test)]
@@ -107,7 +102,7 @@ mod tests {
     use gripcast_geometry::builtin;
 
     #[test]
-    fn of_a_box_only_the_twelve_ridges_can_touch_first() {
+    fn box_has_only_its_twelve_ridges_as_edges() {
         let mesh = builtin("box").unwrap();
         let collider = Collider::new(&mesh);
         let edge_length: f64 = collider
@@ -123,11 +118,11 @@ mod tests {
     }
 
     #[test]
-    fn of_a_sphere_all_but_the_diagonals_of_its_flat_quads_can_touch_first() {
+    fn sphere_has_all_edges_but_the_flat_diagonals() {
         let mesh = builtin("sphere").unwrap();
         let collider = Collider::new(&mesh);
-        let [triangles, edges, corners] = collider.sizes();
-        assert_eq!(corners, mesh.vertices.len());
+        let (triangles, edges) = (collider.triangles.len(), collider.edges.len());
+        assert_eq!(collider.corners.len(), mesh.vertices.len());
         // A quad has two triangles and one diagonal; the caps have triangles without one.
         let all = mesh.edges().len();
         assert!(

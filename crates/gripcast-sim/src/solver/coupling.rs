@@ -1,5 +1,5 @@
-//! The object's side of contact: generalised forces and stiffness on its 12 unknowns, and the
-//! stiffness between these and the nodes of one gel.
+//! Generalised forces and stiffness of contact on the object's 12 unknowns, and the stiffness
+//! between these and the nodes of one gel.
 //!
 //! Order of the unknowns: p, then the columns of A, so that a material point X moves by
 //! `dx = Σ s_k dq_k` with `s = (1, X)` and four blocks of three unknowns.
@@ -8,8 +8,8 @@ use glam::{DMat3, DVec3};
 
 use crate::affine::{Matrix12, Vector12, add_point_gradient, add_point_hessian, axis_weights};
 
-/// Number of unknowns of the object.
-pub(super) const OBJECT: usize = 12;
+/// Degrees of freedom of the object.
+pub(super) const OBJECT_DOF: usize = 12;
 
 /// Gradient with respect to the object's unknowns.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -44,7 +44,7 @@ pub(super) struct ObjectStiffness(pub(super) Matrix12);
 
 impl Default for ObjectStiffness {
     fn default() -> Self {
-        Self([[0.0; OBJECT]; OBJECT])
+        Self([[0.0; OBJECT_DOF]; OBJECT_DOF])
     }
 }
 
@@ -70,20 +70,20 @@ impl ObjectStiffness {
     }
 }
 
-/// Stiffness that contact of one gel adds off the gel's own block.
+/// Stiffness that the contact of one gel adds outside the gel's own block.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Coupling {
     /// Rows of the gel's unknowns against the object's.
-    pub rows: Vec<[f64; OBJECT]>,
-    /// Part on the object's own block.
+    pub(super) rows: Vec<[f64; OBJECT_DOF]>,
+    /// Contribution to the object's own block.
     pub(super) object: ObjectStiffness,
 }
 
 impl Coupling {
-    /// Sets all to zero for a gel of `unknowns` unknowns.
+    /// Resets to zero for a gel of `unknowns` unknowns.
     pub(super) fn clear(&mut self, unknowns: usize) {
         self.rows.clear();
-        self.rows.resize(unknowns, [0.0; OBJECT]);
+        self.rows.resize(unknowns, [0.0; OBJECT_DOF]);
         self.object = ObjectStiffness::default();
     }
 

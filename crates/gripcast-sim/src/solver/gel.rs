@@ -1,29 +1,28 @@
-//! One gel in a step: its energy, its gradient, its stiffness and the factor of it.
+//! One gel in a time step: energy, gradient, stiffness and factorisation.
 
 use glam::DVec3;
 
 use super::ccd;
 use super::collider::Collider;
-use super::coupling::{Coupling, GeneralisedForce, OBJECT};
-use super::gel_contact::{GelContact, Situation};
+use super::coupling::{Coupling, GeneralisedForce, OBJECT_DOF};
+use super::gel_contact::{ContactState, GelContact, Obstacle};
 use super::gel_factor::{GelFactor, NotPositiveDefinite};
 use super::parameters::SolverParameters;
 use crate::affine::AffineState;
-use crate::contact::barrier::Barrier;
 use crate::fem::{Elastic, GelGrid, NeoHookean, Projection, Surface};
 use gripcast_base::error::{Error, Result};
 
-/// A step may move a node by at most this much relative to the object, m: it bounds the pairs
-/// that one iteration has to look at.
-const MAX_MOVE: f64 = 2e-3;
+/// Longest motion of a node relative to the object in one iteration, m: bounds the candidates
+/// that collision detection has to consider.
+const MAX_NODE_MOTION_M: f64 = 2e-3;
 
-/// What drives the back face of a gel.
+/// Boundary drive: the penalty springs that move the back face of a gel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Drive {
-    /// Springs of this stiffness per back area, N/m³: the same for every mesh.
+    /// Stiffness per back area, N/m³: the same for every mesh.
     PerArea(f64),
-    /// Springs of `weight m_i / dt²` for the nodal mass m_i, as Taccel: they soften as the mesh
-    /// is refined. The paper's weight is 5e4.
+    /// Stiffness `weight m_i / dt²` for the nodal mass m_i, as in Taccel: softens as the mesh is
+    /// refined. The paper's weight is 5e4.
     PerMass(f64),
 }
 
@@ -55,11 +54,12 @@ impl Default for GelMaterial {
     }
 }
 
-/// A node held by springs along the world's axes.
+/// A spring between a node and a fixed world position, with one stiffness per world axis.
 #[derive(Clone, Copy, Debug)]
-struct Held {
+struct SpringConstraint {
     node: u32,
-    at: DVec3,
+    anchor: DVec3,
+    /// N/m.
     stiffness: DVec3,
 }
 
@@ -71,16 +71,18 @@ pub struct Gel {
     rest: Vec<DVec3>,
     driven: Vec<u32>,
     drive: Vec<f64>,
-    /// Nodes held at a world position by springs that differ by axis, N/m.
-    held: Vec<Held>,
+    spring_constraints: Vec<SpringConstraint>,
     /// Lumped mass over dt² of the nodes that are not driven, else 0.
     inertia: Vec<f64>,
     pub(super) x: Vec<DVec3>,
+    /// Positions at the start of the step, m.
     pub(super) start: Vec<DVec3>,
     pub(super) velocity: Vec<DVec3>,
+    /// Positions that inertia alone would lead to, m.
     predicted: Vec<DVec3>,
+    /// Drive target of each driven node, m.
     pub(super) target: Vec<DVec3>,
-    trial: Vec<DVec3>,
+    line_origin: Vec<DVec3>,
     pub(super) contact: GelContact,
     contact_gradient: Vec<DVec3>,
     gradient: Vec<DVec3>,
@@ -89,26 +91,27 @@ pub struct Gel {
     stiffness: Vec<f64>,
     coupling: Coupling,
     /// `L⁻¹ P B` of the coupling B, and the same in single precision.
-    eliminated: Vec<[f64; OBJECT]>,
-    single_eliminated: Vec<[f32; OBJECT]>,
+    schur_rhs: Vec<[f64; OBJECT_DOF]>,
+    schur_rhs_f32: Vec<[f32; OBJECT_DOF]>,
     permuted: Vec<f32>,
     scratch: Vec<f32>,
-    scratch_many: Vec<[f64; OBJECT]>,
-    motion: Vec<f64>,
+    scratch_many: Vec<[f64; OBJECT_DOF]>,
+    /// Bound of each node's motion relative to the object over a whole step, m.
+    motion_bounds: Vec<f64>,
     step: Vec<DVec3>,
 }
 
 impl Gel {
-    /// A pad at rest with the nodes of `grid` mapped into the world by `place`.
+    /// Builds a pad at rest; `to_world` maps the node positions of `grid` into the world, m.
     ///
     /// # Errors
-    /// Where the material's parameters are out of range.
+    /// `Config` or `Input` where the material, the drive or the grid is out of range.
     pub fn new(
         grid: &GelGrid,
         material: &GelMaterial,
         drive: Drive,
         parameters: &SolverParameters,
-        place: impl Fn(DVec3) -> DVec3,
+        to_world: impl Fn(DVec3) -> DVec3,
     ) -> Result<Self> {
         let law = NeoHookean::new(material.young_pa, material.poisson)?;
         let elastic = Elastic::new(grid.positions(), grid.tets(), law)?;
@@ -125,7 +128,7 @@ impl Gel {
             .collect();
         if let Some(bad) = drive.iter().find(|k| !(k.is_finite() && **k > 0.0)) {
             return Err(Error::config(format!(
-                "the drive's stiffness must be above 0, found {bad} N/m at a node"
+                "the drive stiffness must be above 0, found {bad} N/m at a node"
             )));
         }
         let mut inertia: Vec<f64> = masses.iter().map(|m| m / (dt * dt)).collect();
@@ -135,7 +138,7 @@ impl Gel {
         let pattern = elastic.pattern();
         let factor = GelFactor::new(pattern.column_starts(), pattern.rows())?;
         let stiffness = pattern.zeros();
-        let x: Vec<DVec3> = grid.positions().iter().map(|&p| place(p)).collect();
+        let x: Vec<DVec3> = grid.positions().iter().map(|&p| to_world(p)).collect();
         let n = x.len();
         Ok(Self {
             surface: grid.contact_surface().clone(),
@@ -143,23 +146,23 @@ impl Gel {
             target: driven.iter().map(|&node| x[node as usize]).collect(),
             driven,
             drive,
-            held: Vec::new(),
+            spring_constraints: Vec::new(),
             inertia,
             start: x.clone(),
             predicted: x.clone(),
-            trial: x.clone(),
+            line_origin: x.clone(),
             velocity: vec![DVec3::ZERO; n],
             contact_gradient: vec![DVec3::ZERO; n],
             gradient: vec![DVec3::ZERO; n],
             object_gradient: GeneralisedForce::default(),
             contact: GelContact::new(n),
             coupling: Coupling::default(),
-            eliminated: Vec::new(),
-            single_eliminated: Vec::new(),
+            schur_rhs: Vec::new(),
+            schur_rhs_f32: Vec::new(),
             permuted: vec![0.0; 3 * n],
             scratch: Vec::new(),
             scratch_many: Vec::new(),
-            motion: vec![0.0; n],
+            motion_bounds: vec![0.0; n],
             step: Vec::new(),
             x,
             elastic,
@@ -168,22 +171,27 @@ impl Gel {
         })
     }
 
-    /// Holds nodes where they are by springs of this stiffness along each axis of the world, N/m:
-    /// with a stiff one along an axis and none along the others, a plane of symmetry.
+    /// Ties nodes to their current positions by springs, N/m per world axis. A stiff spring along
+    /// one axis and none along the others makes a plane of symmetry.
     #[must_use]
-    pub fn holding(mut self, nodes: impl IntoIterator<Item = u32>, stiffness: DVec3) -> Self {
+    pub fn with_spring_constraints(
+        mut self,
+        nodes: impl IntoIterator<Item = u32>,
+        stiffness: DVec3,
+    ) -> Self {
         let x = &self.x;
-        self.held.extend(nodes.into_iter().map(|node| Held {
-            node,
-            at: x[node as usize],
-            stiffness,
-        }));
+        self.spring_constraints
+            .extend(nodes.into_iter().map(|node| SpringConstraint {
+                node,
+                anchor: x[node as usize],
+                stiffness,
+            }));
         self
     }
 
-    /// Lets only these triangles of the gel's nodes touch the object, not its front and sides.
+    /// Replaces the surface that can touch the object, by default front and sides.
     #[must_use]
-    pub fn touching_with(mut self, surface: Surface) -> Self {
+    pub fn with_contact_surface(mut self, surface: Surface) -> Self {
         self.surface = surface;
         self
     }
@@ -203,7 +211,7 @@ impl Gel {
         &self.driven
     }
 
-    /// Stiffness that drives each of [`Gel::driven`], N/m.
+    /// Drive stiffness of each of [`Gel::driven`], N/m.
     pub fn drive_stiffness(&self) -> &[f64] {
         &self.drive
     }
@@ -218,37 +226,34 @@ impl Gel {
         self.contact_gradient.iter().map(|gradient| -*gradient)
     }
 
-    /// Smallest distance to the object among the pairs nearer than `d_hat`, m.
+    /// Smallest distance among the active contacts (closer than `d_hat`), m.
     pub fn min_gap(&self) -> Option<f64> {
         self.contact.min_gap()
     }
 
-    /// Mean distance to the object of the pairs nearer than `d_hat`, weighted by the force that
-    /// each carries, m.
+    /// Mean distance of the active contacts, weighted by their forces, m.
     pub fn mean_gap(&self) -> Option<f64> {
         self.contact.mean_gap()
     }
 
-    /// Number of pairs nearer than `d_hat`.
+    /// Number of active contacts (closer than `d_hat`).
     pub fn contacts(&self) -> usize {
         self.contact.contacts.len()
     }
 
-    /// Moves the drive's targets.
+    /// Moves the drive targets, m.
     pub fn move_target(&mut self, by: DVec3) {
         for target in &mut self.target {
             *target += by;
         }
     }
 
-    /// Moves the whole gel with its drive and sets its velocity: flight without contact.
-    pub(super) fn fly(&mut self, by: DVec3, dt: f64) {
+    /// Translates the gel and its drive rigidly over one time step without contact.
+    pub(super) fn translate_free(&mut self, by: DVec3, dt: f64) {
         self.move_target(by);
         self.start.clone_from(&self.x);
-        for (x, v) in self.x.iter_mut().zip(&mut self.velocity) {
-            *x += by;
-            *v = by / dt;
-        }
+        self.translate(by);
+        self.velocity.fill(by / dt);
         self.contact_gradient.fill(DVec3::ZERO);
     }
 
@@ -269,156 +274,125 @@ impl Gel {
         }
     }
 
-    pub(super) fn shift(&mut self, by: DVec3) {
+    pub(super) fn translate(&mut self, by: DVec3) {
         for x in &mut self.x {
             *x += by;
         }
     }
 
-    /// A lower bound of the distance to the object, m; candidates must be complete.
+    /// Lower bound of the distance to the object, m; candidates must cover the current positions.
     pub(super) fn clearance(&mut self, object: &AffineState, d_hat: f64) -> f64 {
-        let moved = self.moved(object);
-        self.contact.candidates.nearest(d_hat) - moved
+        let moved = self.update_displacements(object);
+        self.contact.candidates.min_build_distance(d_hat) - moved
     }
 
-    /// Makes the candidate pairs complete for the present positions.
+    /// Rebuilds the candidates unless they cover the current positions; whether it did.
     pub(super) fn ensure_candidates(
         &mut self,
         object: &AffineState,
         collider: &Collider,
         parameters: &SolverParameters,
     ) -> bool {
-        if self.contact.candidates.is_gathered() {
-            let largest = self.moved(object);
-            if self.contact.candidates.cover(largest) {
+        if self.contact.candidates.is_built() {
+            let moved = self.update_displacements(object);
+            if self.contact.candidates.covers(moved) {
                 return false;
             }
         }
-        self.gather(object, collider, parameters, parameters.candidate_margin_m);
+        self.rebuild_candidates(object, collider, parameters, parameters.candidate_margin_m);
         true
     }
 
-    fn moved(&mut self, object: &AffineState) -> f64 {
-        let GelContact {
-            candidates, moved, ..
-        } = &mut self.contact;
-        candidates.moved(&self.surface, &self.x, object, moved)
+    /// Updates the nodes' displacements since the last build; the largest, m.
+    fn update_displacements(&mut self, object: &AffineState) -> f64 {
+        self.contact
+            .update_displacements(&self.surface, &self.x, object)
     }
 
-    fn gather(
+    fn rebuild_candidates(
         &mut self,
         object: &AffineState,
         collider: &Collider,
         parameters: &SolverParameters,
-        radius: f64,
+        margin: f64,
     ) {
-        let limits = (parameters.d_hat_m, radius);
-        let Self {
-            contact,
-            surface,
-            rest,
-            x,
-            ..
-        } = self;
-        contact
+        let limits = (parameters.d_hat_m, margin);
+        self.contact
             .candidates
-            .gather(surface, rest, x, object, collider, limits);
-        contact.moved.fill(0.0);
+            .build(&self.surface, &self.rest, &self.x, object, collider, limits);
+        self.contact.displacements.fill(0.0);
     }
 
-    /// Finds the contacts of the present positions; candidates must be complete.
-    pub(super) fn find_contacts(&mut self, object: &AffineState, barrier: &Barrier) {
-        self.moved(object);
-        self.contact.update(&Situation {
-            barrier,
+    /// Finds the active contacts; candidates must cover the current positions.
+    pub(super) fn find_contacts(&mut self, obstacle: Obstacle<'_>) {
+        self.update_displacements(obstacle.now);
+        self.contact.update(&ContactState {
+            obstacle,
             x: &self.x,
-            object,
+            start: &self.start,
         });
     }
 
-    /// Energy without contact at positions `x`, J.
-    fn body_energy(&self, x: &[DVec3]) -> f64 {
-        let elastic = self.elastic.energy(x);
+    /// Energy without contact at the current positions, J; infinite where an element is inverted.
+    fn body_energy(&self) -> f64 {
+        let elastic = self.elastic.energy(&self.x);
         if !elastic.is_finite() {
             return f64::INFINITY;
         }
         let mut energy = 0.0;
-        for ((x, predicted), inertia) in x.iter().zip(&self.predicted).zip(&self.inertia) {
+        for ((x, predicted), inertia) in self.x.iter().zip(&self.predicted).zip(&self.inertia) {
             energy += 0.5 * inertia * (*x - *predicted).length_squared();
         }
         let springs = self.driven.iter().zip(&self.drive).zip(&self.target);
         for ((&node, stiffness), target) in springs {
-            energy += 0.5 * stiffness * (x[node as usize] - *target).length_squared();
+            energy += 0.5 * stiffness * (self.x[node as usize] - *target).length_squared();
         }
-        for held in &self.held {
-            let off = x[held.node as usize] - held.at;
-            energy += 0.5 * off.dot(held.stiffness * off);
+        for spring in &self.spring_constraints {
+            let offset = self.x[spring.node as usize] - spring.anchor;
+            energy += 0.5 * offset.dot(spring.stiffness * offset);
         }
         energy + elastic
     }
 
-    /// Energy at the present positions, J.
-    pub(super) fn energy(
-        &mut self,
-        object: &AffineState,
-        from: &AffineState,
-        barrier: &Barrier,
-    ) -> f64 {
-        let body = self.body_energy(&self.x);
+    /// Energy at the current positions, J.
+    pub(super) fn energy(&mut self, obstacle: Obstacle<'_>) -> f64 {
+        let body = self.body_energy();
         if !body.is_finite() {
             return body;
         }
-        let x = std::mem::take(&mut self.x);
-        let GelContact {
-            candidates, moved, ..
-        } = &mut self.contact;
-        candidates.moved(&self.surface, &x, object, moved);
-        let now = Situation {
-            barrier,
-            x: &x,
-            object,
+        self.update_displacements(obstacle.now);
+        let state = ContactState {
+            obstacle,
+            x: &self.x,
+            start: &self.start,
         };
-        let contact = self.contact.energy(&now);
-        let friction = self.contact.friction_energy(&now, &self.start, from);
-        self.x = x;
-        body + contact + friction
+        let contact = self.contact.energy(&state);
+        body + contact + self.contact.friction_energy(&state)
     }
 
-    /// Moves to `origin + step * length`, where `origin` was saved by [`Gel::save`].
-    pub(super) fn place_on_line(&mut self, direction: &[f64], length: f64) {
-        for ((x, origin), d) in self
-            .x
-            .iter_mut()
-            .zip(&self.trial)
-            .zip(direction.chunks_exact(3))
-        {
-            *x = *origin + DVec3::new(d[0], d[1], d[2]) * length;
+    /// Moves to the line origin plus `step_size` times `direction`.
+    pub(super) fn set_step(&mut self, direction: &[f64], step_size: f64) {
+        let origins = self.line_origin.iter().zip(direction.chunks_exact(3));
+        for (x, (origin, d)) in self.x.iter_mut().zip(origins) {
+            *x = *origin + DVec3::new(d[0], d[1], d[2]) * step_size;
         }
     }
 
-    pub(super) fn save(&mut self) {
-        self.trial.clone_from(&self.x);
+    pub(super) fn store_line_origin(&mut self) {
+        self.line_origin.clone_from(&self.x);
     }
 
-    /// Gradient at the present positions into `flat`; contacts must have been found.
-    pub(super) fn write_gradient(
-        &mut self,
-        object: &AffineState,
-        from: &AffineState,
-        barrier: &Barrier,
-        flat: &mut [f64],
-    ) {
+    /// Writes the gradient at the current positions into `flat`; contacts must be up to date.
+    pub(super) fn write_gradient(&mut self, obstacle: Obstacle<'_>, flat: &mut [f64]) {
         self.contact_gradient.fill(DVec3::ZERO);
         self.object_gradient = GeneralisedForce::default();
-        let now = Situation {
-            barrier,
+        let state = ContactState {
+            obstacle,
             x: &self.x,
-            object,
+            start: &self.start,
         };
         self.contact.add_gradient(
-            &now,
-            &self.start,
-            from,
+            &state,
             &mut self.contact_gradient,
             &mut self.object_gradient,
         );
@@ -433,22 +407,20 @@ impl Gel {
             let node = node as usize;
             self.gradient[node] += (self.x[node] - *target) * *stiffness;
         }
-        for held in &self.held {
-            let node = held.node as usize;
-            self.gradient[node] += (self.x[node] - held.at) * held.stiffness;
+        for spring in &self.spring_constraints {
+            let node = spring.node as usize;
+            self.gradient[node] += (self.x[node] - spring.anchor) * spring.stiffness;
         }
         for (flat, g) in flat.chunks_exact_mut(3).zip(&self.gradient) {
             flat.copy_from_slice(&g.to_array());
         }
     }
 
-    /// Assembles the stiffness at the present positions, factorises it and eliminates it from the
-    /// coupling.
+    /// Assembles and factorises the stiffness at the current positions and computes the right-hand
+    /// sides of the Schur complement.
     pub(super) fn factorise(
         &mut self,
-        object: &AffineState,
-        from: &AffineState,
-        barrier: &Barrier,
+        obstacle: Obstacle<'_>,
         projection: Projection,
     ) -> std::result::Result<(), NotPositiveDefinite> {
         self.stiffness.fill(0.0);
@@ -461,45 +433,39 @@ impl Gel {
         for (&node, &stiffness) in self.driven.iter().zip(&self.drive) {
             pattern.add_diagonal(node as usize, [stiffness; 3], &mut self.stiffness);
         }
-        for held in &self.held {
-            let (node, stiffness) = (held.node as usize, held.stiffness.to_array());
+        for spring in &self.spring_constraints {
+            let (node, stiffness) = (spring.node as usize, spring.stiffness.to_array());
             pattern.add_diagonal(node, stiffness, &mut self.stiffness);
         }
         self.coupling.clear(3 * self.x.len());
-        let now = Situation {
-            barrier,
+        let state = ContactState {
+            obstacle,
             x: &self.x,
-            object,
+            start: &self.start,
         };
-        self.contact.add_hessian(
-            &now,
-            &self.start,
-            from,
-            pattern,
-            &mut self.stiffness,
-            &mut self.coupling,
-        );
+        self.contact
+            .add_hessian(&state, pattern, &mut self.stiffness, &mut self.coupling);
         self.factor.factorize(&self.stiffness)?;
-        self.eliminated.clear();
+        self.schur_rhs.clear();
         let rows = &self.coupling.rows;
-        self.eliminated
+        self.schur_rhs
             .extend(self.factor.permutation().iter().map(|&row| rows[row]));
         self.factor
-            .solve_forward_many(&mut self.eliminated, &mut self.scratch_many);
-        self.single_eliminated.clear();
-        self.single_eliminated
-            .extend(self.eliminated.iter().map(|w| w.map(|value| value as f32)));
+            .forward_substitute_many(&mut self.schur_rhs, &mut self.scratch_many);
+        self.schur_rhs_f32.clear();
+        self.schur_rhs_f32
+            .extend(self.schur_rhs.iter().map(|w| w.map(|value| value as f32)));
         Ok(())
     }
 
-    /// Contribution of this gel to the object's stiffness once the gel is eliminated.
-    pub(super) fn add_schur(&self, schur: &mut [[f64; OBJECT]; OBJECT]) {
+    /// Adds this gel's part of the Schur complement on the object's unknowns.
+    pub(super) fn add_schur(&self, schur: &mut [[f64; OBJECT_DOF]; OBJECT_DOF]) {
         for (row, own) in schur.iter_mut().zip(&self.coupling.object.0) {
             for (a, b) in row.iter_mut().zip(own) {
                 *a += b;
             }
         }
-        for w in &self.eliminated {
+        for w in &self.schur_rhs {
             for (row, wi) in schur.iter_mut().zip(w) {
                 for (value, wj) in row.iter_mut().zip(w) {
                     *value -= wi * wj;
@@ -508,28 +474,28 @@ impl Gel {
         }
     }
 
-    /// First half of a solve: the right-hand side through the factor, and what it takes from the
-    /// object's right-hand side.
-    pub(super) fn solve_down(&mut self, flat: &[f64]) -> [f64; OBJECT] {
+    /// First half of a solve: forward substitution of the right-hand side `flat`. Returns what it
+    /// takes from the object's right-hand side.
+    pub(super) fn forward_substitute(&mut self, flat: &[f64]) -> [f64; OBJECT_DOF] {
         self.factor.permute(flat, &mut self.permuted);
         self.factor
-            .solve_forward(&mut self.permuted, &mut self.scratch);
+            .forward_substitute(&mut self.permuted, &mut self.scratch);
         pulp::Arch::new().dispatch(|| {
-            let mut taken = [0.0; OBJECT];
-            for (w, value) in self.single_eliminated.iter().zip(&self.permuted) {
-                for (taken, w) in taken.iter_mut().zip(w) {
-                    *taken += f64::from(w * value);
+            let mut eliminated = [0.0; OBJECT_DOF];
+            for (w, value) in self.schur_rhs_f32.iter().zip(&self.permuted) {
+                for (eliminated, w) in eliminated.iter_mut().zip(w) {
+                    *eliminated += f64::from(w * value);
                 }
             }
-            taken
+            eliminated
         })
     }
 
-    /// Second half: the gel's unknowns from the object's.
-    pub(super) fn solve_up(&mut self, object: &[f64; OBJECT], flat: &mut [f64]) {
+    /// Second half: back substitution with the solved unknowns of the object, into `flat`.
+    pub(super) fn back_substitute(&mut self, object: &[f64; OBJECT_DOF], flat: &mut [f64]) {
         let object = object.map(|value| value as f32);
         pulp::Arch::new().dispatch(|| {
-            for (w, value) in self.single_eliminated.iter().zip(&mut self.permuted) {
+            for (w, value) in self.schur_rhs_f32.iter().zip(&mut self.permuted) {
                 let mut sum = 0.0;
                 for (w, q) in w.iter().zip(&object) {
                     sum += w * q;
@@ -538,13 +504,13 @@ impl Gel {
             }
         });
         self.factor
-            .solve_backward(&mut self.permuted, &mut self.scratch);
+            .back_substitute(&mut self.permuted, &mut self.scratch);
         self.factor.unpermute(&self.permuted, flat);
     }
 
-    /// Largest fraction of the step that neither touches the object nor leaves the candidates;
-    /// gathers anew where the step is longer than they reach. Also whether it gathered.
-    pub(super) fn free_fraction(
+    /// Largest step size in (0, 1] without collision with the object. Rebuilds the candidates
+    /// where the step exceeds their margin; also returns whether it did.
+    pub(super) fn collision_free_step(
         &mut self,
         direction: &[f64],
         object: &AffineState,
@@ -552,42 +518,39 @@ impl Gel {
         collider: &Collider,
         parameters: &SolverParameters,
     ) -> (f64, bool) {
-        let already = self.moved(object);
-        let longest = ccd::relative_motion(
-            &self.surface,
-            &self.x,
+        let displacement = self.update_displacements(object);
+        let motion = ccd::Motion {
             direction,
             object,
             object_direction,
-            &mut self.motion,
-        );
-        let fraction = (MAX_MOVE / longest).min(1.0);
-        let reach = longest * fraction;
-        let gathered = !self.contact.candidates.cover(already + reach);
-        if gathered {
-            let radius = parameters.candidate_margin_m.max(1.02 * reach);
-            self.gather(object, collider, parameters, radius);
+        };
+        let longest = motion.bound(&self.surface, &self.x, &mut self.motion_bounds);
+        let max_step = (MAX_NODE_MOTION_M / longest).min(1.0);
+        let reach = longest * max_step;
+        let is_rebuilt = !self.contact.candidates.covers(displacement + reach);
+        if is_rebuilt {
+            let margin = parameters.candidate_margin_m.max(1.02 * reach);
+            self.rebuild_candidates(object, collider, parameters, margin);
         }
-        let limit = ccd::free_fraction(
-            &self.contact,
-            &self.x,
-            direction,
-            object,
-            object_direction,
-            &self.motion,
-            (fraction, parameters.ccd_slack),
-        );
-        (limit, gathered)
+        let (bounds, slack) = (&self.motion_bounds, parameters.ccd_slack);
+        let step = motion.collision_free_step(&self.contact, &self.x, bounds, max_step, slack);
+        (step, is_rebuilt)
     }
 
-    /// Largest fraction of the step before an element inverts.
-    pub(super) fn inversion_free_fraction(&mut self, direction: &[f64]) -> f64 {
+    /// Largest step size in (0, 1] before an element inverts.
+    pub(super) fn inversion_free_step(&mut self, direction: &[f64]) -> f64 {
         self.step.clear();
         self.step
             .extend(direction.chunks_exact(3).map(DVec3::from_slice));
         self.elastic.inversion_free_step(&self.x, &self.step)
     }
 }
+
+#[cfg(feature = "bench")]
+#[path = "gel_phases.rs"]
+mod phases;
+#[cfg(feature = "bench")]
+pub use phases::GelPhases;
 
 #[cfg(test)]
 #[path = "gel_probe.rs"]

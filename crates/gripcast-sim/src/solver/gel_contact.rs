@@ -2,19 +2,19 @@
 //!
 //! A contact joins up to three gel nodes with one material point of the object. With the weights
 //! of the closest points the relative displacement is `u = Σ w_i dx_i - (dp + dA X)`, and every
-//! term here is a scalar or 3x3 function of u; only mollified edge pairs add a term in the edges'
-//! directions.
+//! term here is a scalar or 3x3 function of u; only mollified edge pairs add a term in the
+//! directions of the edges.
 
 use glam::{DMat3, DVec3};
 
-use super::candidates::{Candidates, EdgeEdge, near};
+use super::candidates::{Candidates, EdgeEdge, within};
 use super::coupling::{Coupling, GeneralisedForce};
 use crate::affine::AffineState;
 use crate::contact::barrier::Barrier;
 use crate::contact::distance::{Closest, edge_edge, point_triangle};
 use crate::contact::friction::Friction;
 use crate::contact::mollifier::{self, Mollifier};
-use crate::fem::StiffnessPattern;
+use crate::fem::{StiffnessPattern, Surface, outer};
 
 /// Gel nodes of a contact with the weights of its closest point, and the object's material point.
 #[derive(Clone, Copy, Debug)]
@@ -31,20 +31,16 @@ impl Stencil {
         (0..usize::from(self.count)).map(|k| (self.nodes[k] as usize, self.weights[k]))
     }
 
-    /// Displacement of the gel's point minus that of the object's since the step's start.
+    /// Displacement of the gel's point relative to the object's since the start of the step, m.
     #[inline]
-    fn slip(
-        &self,
-        x: &[DVec3],
-        start: &[DVec3],
-        object: &AffineState,
-        from: &AffineState,
-    ) -> DVec3 {
-        let gel: DVec3 = self.gel().map(|(i, w)| (x[i] - start[i]) * w).sum();
-        gel - (object.point(self.material) - from.point(self.material))
+    fn slip(&self, state: &ContactState<'_>) -> DVec3 {
+        let moved = |(i, w): (usize, f64)| (state.x[i] - state.start[i]) * w;
+        let gel: DVec3 = self.gel().map(moved).sum();
+        let Obstacle { now, start, .. } = state.obstacle;
+        gel - (now.point(self.material) - start.point(self.material))
     }
 
-    /// Adds a force gradient (N, with respect to u).
+    /// Adds a gradient with respect to u, N.
     #[inline]
     fn add_gradient(&self, gradient: DVec3, gel: &mut [DVec3], object: &mut GeneralisedForce) {
         for (i, w) in self.gel() {
@@ -53,7 +49,7 @@ impl Stencil {
         object.add(-gradient, self.material);
     }
 
-    /// Adds a stiffness (N/m, with respect to u).
+    /// Adds a Hessian with respect to u, N/m.
     fn add_hessian(
         &self,
         hessian: &DMat3,
@@ -86,11 +82,11 @@ pub(super) struct Contact {
     is_mollified: bool,
 }
 
-/// The part of a mollified edge pair's energy that acts on the edges' directions.
+/// The term of a mollified edge pair that rotates its edges.
 #[derive(Clone, Copy, Debug)]
-struct Turning {
+struct MollifierRotation {
     nodes: [u32; 2],
-    /// Edge of the object in the material frame and in the world.
+    /// Edge of the object in the material frame, m.
     material_edge: DVec3,
     ea: DVec3,
     eb: DVec3,
@@ -100,129 +96,154 @@ struct Turning {
     coefficient: f64,
 }
 
-/// A contact whose friction is lagged from the start of the step.
+/// A contact with friction lagged from the start of the step.
 #[derive(Clone, Copy, Debug)]
-struct Rubbing {
+struct FrictionContact {
     stencil: Stencil,
     friction: Friction,
 }
 
-/// What contact reads of the moment.
+/// The object now and at the start of the step, and the barrier around it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Situation<'a> {
+pub(super) struct Obstacle<'a> {
     pub(super) barrier: &'a Barrier,
-    pub(super) x: &'a [DVec3],
-    pub(super) object: &'a AffineState,
+    pub(super) now: &'a AffineState,
+    pub(super) start: &'a AffineState,
 }
 
-/// Contact state of one gel.
+/// Positions of a gel and of the object, now and at the start of the step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ContactState<'a> {
+    pub(super) obstacle: Obstacle<'a>,
+    pub(super) x: &'a [DVec3],
+    pub(super) start: &'a [DVec3],
+}
+
+/// Contacts of one gel with the object.
 #[derive(Clone, Debug, Default)]
 pub(super) struct GelContact {
     pub(super) candidates: Candidates,
     pub(super) contacts: Vec<Contact>,
-    turning: Vec<Turning>,
-    rubbing: Vec<Rubbing>,
-    /// World positions of the candidates' object vertices.
+    mollifier_rotations: Vec<MollifierRotation>,
+    friction_contacts: Vec<FrictionContact>,
+    /// World positions of the candidates' object vertices, m.
     world: Vec<DVec3>,
-    /// Motion of the nodes in the object's frame since the candidates were gathered, m.
-    pub(super) moved: Vec<f64>,
+    /// Motion of each node in the object's frame since the candidates were built, m.
+    pub(super) displacements: Vec<f64>,
 }
 
 impl GelContact {
     /// For a gel of `nodes` nodes.
     pub(super) fn new(nodes: usize) -> Self {
         Self {
-            moved: vec![0.0; nodes],
+            displacements: vec![0.0; nodes],
             ..Self::default()
         }
     }
 
-    fn place(&mut self, object: &AffineState) {
-        self.world.clear();
-        let material = self.candidates.material.iter();
-        self.world.extend(material.map(|&m| object.point(m)));
+    /// Updates the displacements since the last build of the candidates; the largest, m.
+    pub(super) fn update_displacements(
+        &mut self,
+        surface: &Surface,
+        x: &[DVec3],
+        object: &AffineState,
+    ) -> f64 {
+        self.candidates
+            .max_displacement(surface, x, object, &mut self.displacements)
     }
 
-    fn largest_move(&self, nodes: &[u32]) -> f64 {
-        nodes
-            .iter()
-            .fold(0.0, |largest, &node| self.moved[node as usize].max(largest))
+    /// Whether a pair can be closer than `d_hat` after the displacements of its nodes.
+    fn is_near(&self, build_distance: f64, nodes: &[u32], d_hat: f64) -> bool {
+        let displacements = nodes.iter().map(|&node| self.displacements[node as usize]);
+        build_distance <= d_hat + displacements.fold(0.0, |largest, d| d.max(largest))
     }
 
-    /// Calls `visit` with each pair nearer than `d_hat`. `self.moved` must be of this moment.
+    /// Calls `visit` with each pair closer than `d_hat`; the displacements must be up to date.
     #[inline]
-    fn for_each_near(&mut self, now: &Situation<'_>, mut visit: impl FnMut(Pair<'_>, &Closest)) {
-        self.place(now.object);
-        let (x, d_hat) = (now.x, now.barrier.d_hat);
-        let limit = now.barrier.d_hat_squared();
+    fn for_each_active(
+        &mut self,
+        state: &ContactState<'_>,
+        mut visit: impl FnMut(ActivePair<'_>, &Closest),
+    ) {
+        self.world.clear();
+        let materials = self.candidates.materials().iter();
+        let Obstacle { barrier, now, .. } = state.obstacle;
+        self.world.extend(materials.map(|&m| now.point(m)));
+        let (x, d_hat, limit) = (state.x, barrier.d_hat, barrier.d_hat_squared());
         let corner = |v: u32| self.world[v as usize];
+        let material = |v: u32| self.candidates.material(v);
         for pair in &self.candidates.node_triangles {
-            if pair.gathered > d_hat + self.moved[pair.node as usize] {
+            if !self.is_near(pair.build_distance, &[pair.node], d_hat) {
                 continue;
             }
             let [a, b, c] = pair.triangle.map(corner);
-            if let Some(closest) = near(point_triangle(x[pair.node as usize], a, b, c), limit) {
+            if let Some(closest) = within(point_triangle(x[pair.node as usize], a, b, c), limit) {
                 let [_, wa, wb, wc] = closest.weights;
-                let [ma, mb, mc] = pair.triangle.map(|v| self.candidates.material[v as usize]);
+                let [ma, mb, mc] = pair.triangle.map(material);
                 let stencil = Stencil {
                     nodes: [pair.node, 0, 0],
                     weights: [1.0, 0.0, 0.0],
                     count: 1,
                     material: -(ma * wa + mb * wb + mc * wc),
                 };
-                visit(Pair::plain(stencil, closest.offset, pair.weight), &closest);
+                visit(
+                    ActivePair::new(stencil, closest.offset, pair.weight),
+                    &closest,
+                );
             }
         }
         for pair in &self.candidates.vertex_triangles {
-            if pair.gathered > d_hat + self.largest_move(&pair.nodes) {
+            if !self.is_near(pair.build_distance, &pair.nodes, d_hat) {
                 continue;
             }
             let [a, b, c] = pair.nodes.map(|node| x[node as usize]);
             let vertex = corner(pair.vertex);
-            if let Some(closest) = near(point_triangle(vertex, a, b, c), limit) {
+            if let Some(closest) = within(point_triangle(vertex, a, b, c), limit) {
                 let [_, wa, wb, wc] = closest.weights;
                 let stencil = Stencil {
                     nodes: pair.nodes,
                     weights: [-wa, -wb, -wc],
                     count: 3,
-                    material: self.candidates.material[pair.vertex as usize],
+                    material: material(pair.vertex),
                 };
-                visit(Pair::plain(stencil, -closest.offset, pair.weight), &closest);
+                visit(
+                    ActivePair::new(stencil, -closest.offset, pair.weight),
+                    &closest,
+                );
             }
         }
         for pair in &self.candidates.edge_edges {
-            if pair.gathered > d_hat + self.largest_move(&pair.nodes) {
+            if !self.is_near(pair.build_distance, &pair.nodes, d_hat) {
                 continue;
             }
             let [a0, a1] = pair.nodes.map(|node| x[node as usize]);
             let [b0, b1] = pair.vertices.map(corner);
-            if let Some(closest) = near(edge_edge(a0, a1, b0, b1), limit) {
+            if let Some(closest) = within(edge_edge(a0, a1, b0, b1), limit) {
                 let [w0, w1, v0, v1] = closest.weights;
-                let [m0, m1] = pair.vertices.map(|v| self.candidates.material[v as usize]);
+                let [m0, m1] = pair.vertices.map(material);
                 let stencil = Stencil {
                     nodes: [pair.nodes[0], pair.nodes[1], 0],
                     weights: [w0, w1, 0.0],
                     count: 2,
                     material: -(m0 * v0 + m1 * v1),
                 };
-                let edges = Edges {
+                let mut active = ActivePair::new(stencil, closest.offset, pair.weight);
+                active.edges = Some(Edges {
                     pair,
                     material_edge: m1 - m0,
                     ea: a1 - a0,
                     eb: b1 - b0,
-                };
-                let mut near = Pair::plain(stencil, closest.offset, pair.weight);
-                near.edges = Some(edges);
-                visit(near, &closest);
+                });
+                visit(active, &closest);
             }
         }
     }
 
-    /// Energy of all contacts, J. Infinite where a pair touches.
-    pub(super) fn energy(&mut self, now: &Situation<'_>) -> f64 {
-        let (barrier, mut energy) = (now.barrier, 0.0);
-        self.for_each_near(now, |pair, closest| {
-            let scale = pair.weight * barrier.d_hat * pair.mollification();
+    /// Energy of all contacts, J; infinite where a pair touches.
+    pub(super) fn energy(&mut self, state: &ContactState<'_>) -> f64 {
+        let (barrier, mut energy) = (state.obstacle.barrier, 0.0);
+        self.for_each_active(state, |pair, closest| {
+            let scale = pair.weight * barrier.d_hat * pair.mollifier_value();
             if scale > 0.0 {
                 energy += scale * barrier.value_squared(closest.squared);
             }
@@ -230,20 +251,20 @@ impl GelContact {
         energy
     }
 
-    /// Finds the active contacts of the moment.
-    pub(super) fn update(&mut self, now: &Situation<'_>) {
+    /// Finds the active contacts.
+    pub(super) fn update(&mut self, state: &ContactState<'_>) {
         let mut contacts = std::mem::take(&mut self.contacts);
-        let mut turning = std::mem::take(&mut self.turning);
+        let mut rotations = std::mem::take(&mut self.mollifier_rotations);
         contacts.clear();
-        turning.clear();
-        let barrier = now.barrier;
-        self.for_each_near(now, |pair, closest| {
+        rotations.clear();
+        let barrier = state.obstacle.barrier;
+        self.for_each_active(state, |pair, closest| {
             let scale = pair.weight * barrier.d_hat;
             let derivatives = barrier.squared(closest.squared);
             let mollifier = pair.mollifier();
             let factor = mollifier.as_ref().map_or(1.0, |m| m.value);
             if let (Some(mollifier), Some(edges)) = (mollifier, pair.edges) {
-                turning.push(edges.turning(&mollifier, scale * derivatives.value));
+                rotations.push(edges.rotation(&mollifier, scale * derivatives.value));
             }
             let distance = closest.distance();
             let linear = derivatives.to_linear(closest.squared);
@@ -257,43 +278,37 @@ impl GelContact {
             });
         });
         self.contacts = contacts;
-        self.turning = turning;
+        self.mollifier_rotations = rotations;
     }
 
-    /// Takes the friction of the coming step from the present contacts.
+    /// Lags the friction of the coming step from the active contacts.
     pub(super) fn lag_friction(&mut self, mu: f64, epsilon: f64) {
-        self.rubbing.clear();
+        self.friction_contacts.clear();
         if mu <= 0.0 {
             return;
         }
-        let sticking = self.contacts.iter().filter(|c| !c.is_mollified);
-        self.rubbing.extend(sticking.map(|contact| Rubbing {
-            stencil: contact.stencil,
-            friction: Friction {
-                normal: contact.normal,
-                limit: -mu * contact.first,
-                epsilon,
-            },
-        }));
+        let contacts = self.contacts.iter().filter(|c| !c.is_mollified);
+        self.friction_contacts
+            .extend(contacts.map(|contact| FrictionContact {
+                stencil: contact.stencil,
+                friction: Friction {
+                    normal: contact.normal,
+                    limit: -mu * contact.first,
+                    epsilon,
+                },
+            }));
     }
 
-    /// Potential of friction since the step's start, J.
-    pub(super) fn friction_energy(
-        &self,
-        now: &Situation<'_>,
-        start: &[DVec3],
-        from: &AffineState,
-    ) -> f64 {
-        let slip = |r: &Rubbing| r.stencil.slip(now.x, start, now.object, from);
-        self.rubbing.iter().map(|r| r.friction.value(slip(r))).sum()
+    /// Friction potential since the start of the step, J.
+    pub(super) fn friction_energy(&self, state: &ContactState<'_>) -> f64 {
+        let energy = |c: &FrictionContact| c.friction.value(c.stencil.slip(state));
+        self.friction_contacts.iter().map(energy).sum()
     }
 
-    /// Adds the gradients of contact and friction; [`GelContact::update`] comes before.
+    /// Adds the gradients of contact and friction, N; [`GelContact::update`] comes first.
     pub(super) fn add_gradient(
         &self,
-        now: &Situation<'_>,
-        start: &[DVec3],
-        from: &AffineState,
+        state: &ContactState<'_>,
         gel: &mut [DVec3],
         object: &mut GeneralisedForce,
     ) {
@@ -301,49 +316,42 @@ impl GelContact {
             let gradient = contact.normal * contact.first;
             contact.stencil.add_gradient(gradient, gel, object);
         }
-        for turning in &self.turning {
-            let [a, b] = turning.gradient;
-            gel[turning.nodes[1] as usize] += a;
-            gel[turning.nodes[0] as usize] -= a;
-            object.add_edge(b, turning.material_edge);
+        for rotation in &self.mollifier_rotations {
+            let [a, b] = rotation.gradient;
+            gel[rotation.nodes[1] as usize] += a;
+            gel[rotation.nodes[0] as usize] -= a;
+            object.add_edge(b, rotation.material_edge);
         }
-        for rubbing in &self.rubbing {
-            let slip = rubbing.stencil.slip(now.x, start, now.object, from);
-            let gradient = rubbing.friction.gradient(slip);
-            rubbing.stencil.add_gradient(gradient, gel, object);
+        for FrictionContact { stencil, friction } in &self.friction_contacts {
+            stencil.add_gradient(friction.gradient(stencil.slip(state)), gel, object);
         }
     }
 
-    /// Adds a positive semidefinite stiffness: of contacts the part along the normal, of
-    /// mollified edges the Gauss-Newton part, of friction all.
+    /// Adds a positive semidefinite stiffness, N/m: of contacts along the normal, of mollified
+    /// edges by Gauss-Newton, and of friction.
     pub(super) fn add_hessian(
         &self,
-        now: &Situation<'_>,
-        start: &[DVec3],
-        from: &AffineState,
+        state: &ContactState<'_>,
         pattern: &StiffnessPattern,
         values: &mut [f64],
         coupling: &mut Coupling,
     ) {
         for contact in &self.contacts {
-            let n = contact.normal;
-            let scaled = n * contact.second.max(0.0);
-            let hessian = DMat3::from_cols(scaled * n.x, scaled * n.y, scaled * n.z);
-            let stencil = &contact.stencil;
-            stencil.add_hessian(&hessian, pattern, values, coupling);
+            let hessian = outer(contact.normal * contact.second.max(0.0), contact.normal);
+            contact
+                .stencil
+                .add_hessian(&hessian, pattern, values, coupling);
         }
-        for turning in &self.turning {
-            turning.add_hessian(pattern, values, coupling);
+        for rotation in &self.mollifier_rotations {
+            rotation.add_hessian(pattern, values, coupling);
         }
-        for rubbing in &self.rubbing {
-            let slip = rubbing.stencil.slip(now.x, start, now.object, from);
-            let hessian = rubbing.friction.hessian(slip);
-            let stencil = &rubbing.stencil;
+        for FrictionContact { stencil, friction } in &self.friction_contacts {
+            let hessian = friction.hessian(stencil.slip(state));
             stencil.add_hessian(&hessian, pattern, values, coupling);
         }
     }
 
-    /// Mean distance among the active contacts, weighted by their forces, m.
+    /// Mean distance of the active contacts, weighted by their forces, m.
     pub(super) fn mean_gap(&self) -> Option<f64> {
         let sums = self.contacts.iter().fold((0.0, 0.0), |(force, moment), c| {
             (force - c.first, moment - c.first * c.distance)
@@ -351,23 +359,23 @@ impl GelContact {
         (sums.0 > 0.0).then(|| sums.1 / sums.0)
     }
 
-    /// Smallest distance among the active contacts, m.
+    /// Smallest distance of the active contacts, m.
     pub(super) fn min_gap(&self) -> Option<f64> {
         self.contacts.iter().map(|c| c.distance).reduce(f64::min)
     }
 }
 
-/// A near pair.
-struct Pair<'a> {
+/// A pair closer than `d_hat`.
+struct ActivePair<'a> {
     stencil: Stencil,
-    /// From the object to the gel.
+    /// From the object to the gel, m.
     offset: DVec3,
     weight: f64,
     edges: Option<Edges<'a>>,
 }
 
-impl Pair<'_> {
-    fn plain(stencil: Stencil, offset: DVec3, weight: f64) -> Self {
+impl ActivePair<'_> {
+    fn new(stencil: Stencil, offset: DVec3, weight: f64) -> Self {
         Self {
             stencil,
             offset,
@@ -376,7 +384,7 @@ impl Pair<'_> {
         }
     }
 
-    fn mollification(&self) -> f64 {
+    fn mollifier_value(&self) -> f64 {
         self.edges.as_ref().map_or(1.0, |edges| {
             mollifier::value(edges.ea, edges.eb, edges.pair.mollifier_threshold)
         })
@@ -399,11 +407,11 @@ struct Edges<'a> {
 }
 
 impl Edges<'_> {
-    fn turning(&self, mollifier: &Mollifier, energy: f64) -> Turning {
+    fn rotation(&self, mollifier: &Mollifier, energy: f64) -> MollifierRotation {
         // m = 2 c/eps - (c/eps)^2 with c = |ea x eb|^2, so dm/dc = 2 (1 - c/eps) / eps.
         let epsilon = self.pair.mollifier_threshold;
         let ratio = self.ea.cross(self.eb).length_squared() / epsilon;
-        Turning {
+        MollifierRotation {
             nodes: self.pair.nodes,
             material_edge: self.material_edge,
             ea: self.ea,
@@ -417,24 +425,24 @@ impl Edges<'_> {
     }
 }
 
-impl Turning {
-    /// Gauss-Newton in `ea x eb`, without the terms between gel and object: what is left is
-    /// positive semidefinite.
+impl MollifierRotation {
+    /// Gauss-Newton in `ea x eb` without the terms between gel and object, which leaves a positive
+    /// semidefinite matrix.
     fn add_hessian(&self, pattern: &StiffnessPattern, values: &mut [f64], coupling: &mut Coupling) {
         let [i, j] = self.nodes.map(|node| node as usize);
-        let gel = across(self.eb, self.coefficient);
+        let gel = cross_product_hessian(self.eb, self.coefficient);
         pattern.add_diagonal_block(i, &gel, values);
         pattern.add_diagonal_block(j, &gel, values);
         pattern.add_pair_block(i, j, &-gel, values);
-        let object = across(self.ea, self.coefficient);
+        let object = cross_product_hessian(self.ea, self.coefficient);
         coupling.object.add_edge_block(&object, self.material_edge);
     }
 }
 
 /// `coefficient (|e|^2 I - e e^T)`.
-fn across(e: DVec3, coefficient: f64) -> DMat3 {
+fn cross_product_hessian(e: DVec3, coefficient: f64) -> DMat3 {
     let identity = DMat3::from_diagonal(DVec3::splat(e.length_squared()));
-    (identity - DMat3::from_cols(e * e.x, e * e.y, e * e.z)) * coefficient
+    (identity - outer(e, e)) * coefficient
 }
 
 #[cfg(test)]

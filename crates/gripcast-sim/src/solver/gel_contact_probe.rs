@@ -1,38 +1,36 @@
-//! What tests look at inside the contacts of a gel.
+//! Internals of a gel's contacts for tests.
 
-use glam::DVec3;
-
-use super::{GelContact, Situation};
-use crate::affine::AffineState;
+use super::{ContactState, GelContact};
 
 /// Numbers of active contacts.
 #[derive(Debug, Default, PartialEq)]
-pub(in super::super) struct Census {
+pub(in super::super) struct ContactCounts {
     pub(in super::super) node_triangle: usize,
     pub(in super::super) vertex_triangle: usize,
     pub(in super::super) edge_edge: usize,
     pub(in super::super) mollified: usize,
-    /// Largest force on an edge's direction, N.
-    pub(in super::super) turning_n: f64,
 }
 
 impl GelContact {
-    pub(in super::super) fn census(&self) -> Census {
-        let mut census = Census::default();
+    pub(in super::super) fn counts(&self) -> ContactCounts {
+        let mut counts = ContactCounts::default();
         for contact in &self.contacts {
             match contact.stencil.count {
-                1 => census.node_triangle += 1,
-                2 => census.edge_edge += 1,
-                _ => census.vertex_triangle += 1,
+                1 => counts.node_triangle += 1,
+                2 => counts.edge_edge += 1,
+                _ => counts.vertex_triangle += 1,
             }
-            census.mollified += usize::from(contact.is_mollified);
+            counts.mollified += usize::from(contact.is_mollified);
         }
-        let turning = self
-            .turning
-            .iter()
-            .map(|turning| turning.gradient[0].length());
-        census.turning_n = turning.fold(0.0, f64::max);
-        census
+        counts
+    }
+
+    /// Largest force of a mollifier on an edge's direction, N.
+    pub(in super::super) fn max_rotation_force_n(&self) -> f64 {
+        let rotations = self.mollifier_rotations.iter();
+        rotations
+            .map(|rotation| rotation.gradient[0].length())
+            .fold(0.0, f64::max)
     }
 
     /// Distances of the active contacts: node-triangle, vertex-triangle, edge-edge.
@@ -46,17 +44,11 @@ impl GelContact {
     }
 
     /// Numbers of contacts whose friction sticks and of those whose friction slides.
-    pub(in super::super) fn rubbing(
-        &self,
-        now: &Situation<'_>,
-        start: &[DVec3],
-        from: &AffineState,
-    ) -> [usize; 2] {
+    pub(in super::super) fn sticking_and_sliding(&self, state: &ContactState<'_>) -> [usize; 2] {
         let mut counts = [0; 2];
-        for rubbing in &self.rubbing {
-            let slip = rubbing.stencil.slip(now.x, start, now.object, from);
-            let slip = rubbing.friction.tangential(slip).length();
-            counts[usize::from(slip > rubbing.friction.epsilon)] += 1;
+        for contact in &self.friction_contacts {
+            let slip = contact.friction.tangential(contact.stencil.slip(state));
+            counts[usize::from(slip.length() > contact.friction.epsilon)] += 1;
         }
         counts
     }

@@ -1,10 +1,10 @@
 //! Sparse Cholesky factor of one gel's stiffness: faer's supernodal factorisation with a symbolic
-//! part that is made once, and triangular solves that can be used apart.
+//! part computed once, and separate triangular solves.
 //!
-//! `P K Pᵀ = L Lᵀ`. With the forward solve alone, the 12 unknowns of the object are eliminated at
-//! the price of 12 forward solves a factorisation and one forward and one backward solve an
-//! iteration. The latter two are bound by reading L from memory and only have to give a descent
-//! direction, so they use a copy in single precision.
+//! `P K Pᵀ = L Lᵀ`. The Schur complement on the object's 12 unknowns costs 12 forward substitutions
+//! per factorisation and one forward and one back substitution per iteration. The latter two are
+//! bound by the memory bandwidth for L and only have to give a descent direction, so they use a
+//! copy in single precision.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
@@ -20,10 +20,10 @@ use gripcast_base::error::{Error, Result};
 
 /// The matrix is not positive definite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct NotPositiveDefinite;
+pub(super) struct NotPositiveDefinite;
 
 /// One dense block column of L: `columns` columns from `start`, first the triangle, then the rows
-/// of `pattern`; column-major in `values[offset..]`.
+/// of `pattern`; column-major at `values[offset..]`.
 #[derive(Clone, Copy, Debug)]
 struct Supernode {
     start: usize,
@@ -33,17 +33,17 @@ struct Supernode {
 }
 
 /// Factor of a symmetric positive definite matrix of a fixed sparsity pattern.
-pub struct GelFactor {
+pub(super) struct GelFactor {
     symbolic: SymbolicCholesky<usize>,
     column_pointers: Vec<usize>,
     row_indices: Vec<usize>,
-    /// `permutation[i]`: row of the matrix that is row `i` of the factor.
+    /// Row of the matrix behind each row of the factor.
     permutation: Vec<usize>,
     supernodes: Vec<Supernode>,
     patterns: Vec<u32>,
     values: Vec<f64>,
     inverse_diagonal: Vec<f64>,
-    /// Both in single precision.
+    /// `values` and `inverse_diagonal` in single precision.
     single: Vec<f32>,
     single_inverse_diagonal: Vec<f32>,
     memory: MemBuffer,
@@ -59,17 +59,17 @@ impl std::fmt::Debug for GelFactor {
 }
 
 impl GelFactor {
-    /// Symbolic factor of the pattern: lower triangle, compressed columns, rows ascending.
+    /// Symbolic factorisation of a pattern: lower triangle, compressed columns, rows ascending.
     ///
     /// # Errors
-    /// [`ErrorKind::Internal`] where the pattern is none.
-    pub fn new(column_pointers: &[usize], row_indices: &[usize]) -> Result<Self> {
+    /// `Internal` for an invalid pattern.
+    pub(super) fn new(column_pointers: &[usize], row_indices: &[usize]) -> Result<Self> {
         let n = column_pointers.len().saturating_sub(1);
         let defect = |what: &str| Error::internal(what.to_owned());
         let pattern =
             SymbolicSparseColMatRef::new_checked(n, n, column_pointers, None, row_indices);
         let parameters = CholeskySymbolicParams {
-            // Below zero: a matrix without fill shall be supernodal too.
+            // Negative: supernodal also for a matrix without fill.
             supernodal_flop_ratio_threshold: SupernodalThreshold(-1.0),
             ..Default::default()
         };
@@ -101,7 +101,7 @@ impl GelFactor {
         };
         let scratch = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
         let memory = MemBuffer::try_new(scratch)
-            .map_err(|_| defect("no memory for the factorisation of a gel"))?;
+            .map_err(|_| defect("not enough memory to factorise a gel"))?;
         Ok(Self {
             values: vec![0.0; symbolic.len_val()],
             inverse_diagonal: vec![0.0; n],
@@ -118,25 +118,20 @@ impl GelFactor {
     }
 
     /// Number of unknowns.
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.permutation.len()
     }
 
-    /// Whether there are no unknowns.
-    pub fn is_empty(&self) -> bool {
-        self.permutation.is_empty()
-    }
-
-    /// Entries of the factor.
-    pub fn entries(&self) -> usize {
+    /// Stored entries of the factor.
+    pub(super) fn entries(&self) -> usize {
         self.values.len()
     }
 
-    /// Factorises the matrix with these values in the pattern.
+    /// Factorises the matrix with these values at the entries of the pattern.
     ///
     /// # Errors
-    /// Where it is not positive definite; the factor is then unusable until the next success.
-    pub fn factorize(&mut self, values: &[f64]) -> Result<(), NotPositiveDefinite> {
+    /// If it is not positive definite; the factor is then unusable until the next success.
+    pub(super) fn factorize(&mut self, values: &[f64]) -> Result<(), NotPositiveDefinite> {
         let n = self.len();
         let pattern = SymbolicSparseColMatRef::new_checked(
             n,
@@ -180,27 +175,27 @@ impl GelFactor {
         Ok(())
     }
 
-    /// Brings a vector of the matrix's order into the factor's order.
-    pub fn permute(&self, vector: &[f64], permuted: &mut [f32]) {
+    /// Permutes a vector into the order of the factor.
+    pub(super) fn permute(&self, vector: &[f64], permuted: &mut [f32]) {
         for (to, &from) in permuted.iter_mut().zip(&self.permutation) {
             *to = vector[from] as f32;
         }
     }
 
-    /// Brings a vector of the factor's order back into the matrix's order.
-    pub fn unpermute(&self, permuted: &[f32], vector: &mut [f64]) {
+    /// Permutes a vector back into the order of the matrix.
+    pub(super) fn unpermute(&self, permuted: &[f32], vector: &mut [f64]) {
         for (value, &to) in permuted.iter().zip(&self.permutation) {
             vector[to] = f64::from(*value);
         }
     }
 
     /// `x ← L⁻¹ x`, in the factor's order. `scratch` grows as needed.
-    pub fn solve_forward(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
-        pulp::Arch::new().dispatch(|| self.solve_forward_lanes(x, scratch));
+    pub(super) fn forward_substitute(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
+        pulp::Arch::new().dispatch(|| self.forward_substitute_lanes(x, scratch));
     }
 
     #[inline(always)]
-    fn solve_forward_lanes(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
+    fn forward_substitute_lanes(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
         for node in &self.supernodes {
             let pattern = &self.patterns[node.pattern.0..node.pattern.1];
             let rows = node.columns + pattern.len();
@@ -228,16 +223,16 @@ impl GelFactor {
     }
 
     /// `X ← L⁻¹ X` for `N` right-hand sides at once, rows in the factor's order.
-    pub fn solve_forward_many<const N: usize>(
+    pub(super) fn forward_substitute_many<const N: usize>(
         &self,
         x: &mut [[f64; N]],
         scratch: &mut Vec<[f64; N]>,
     ) {
-        pulp::Arch::new().dispatch(|| self.solve_forward_many_lanes(x, scratch));
+        pulp::Arch::new().dispatch(|| self.forward_substitute_many_lanes(x, scratch));
     }
 
     #[inline(always)]
-    fn solve_forward_many_lanes<const N: usize>(
+    fn forward_substitute_many_lanes<const N: usize>(
         &self,
         x: &mut [[f64; N]],
         scratch: &mut Vec<[f64; N]>,
@@ -275,17 +270,17 @@ impl GelFactor {
     }
 
     /// Row of the matrix behind each row of the factor.
-    pub fn permutation(&self) -> &[usize] {
+    pub(super) fn permutation(&self) -> &[usize] {
         &self.permutation
     }
 
     /// `x ← L⁻ᵀ x`, in the factor's order. `scratch` grows as needed.
-    pub fn solve_backward(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
-        pulp::Arch::new().dispatch(|| self.solve_backward_lanes(x, scratch));
+    pub(super) fn back_substitute(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
+        pulp::Arch::new().dispatch(|| self.back_substitute_lanes(x, scratch));
     }
 
     #[inline(always)]
-    fn solve_backward_lanes(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
+    fn back_substitute_lanes(&self, x: &mut [f32], scratch: &mut Vec<f32>) {
         for node in self.supernodes.iter().rev() {
             let pattern = &self.patterns[node.pattern.0..node.pattern.1];
             let rows = node.columns + pattern.len();
@@ -304,7 +299,7 @@ impl GelFactor {
     }
 }
 
-/// Scalar product in sixteen lanes of a fixed order: the same on every machine.
+/// Scalar product in sixteen lanes summed in a fixed order: the same bits on every machine.
 #[inline(always)]
 fn dot_single(a: &[f32], b: &[f32]) -> f32 {
     let n = a.len().min(b.len());
@@ -349,10 +344,10 @@ mod tests {
     fn times(pointers: &[usize], rows: &[usize], values: &[f64], x: &[f64]) -> Vec<f64> {
         let mut y = vec![0.0; x.len()];
         for column in 0..x.len() {
-            for at in pointers[column]..pointers[column + 1] {
-                y[rows[at]] += values[at] * x[column];
-                if rows[at] != column {
-                    y[column] += values[at] * x[rows[at]];
+            for entry in pointers[column]..pointers[column + 1] {
+                y[rows[entry]] += values[entry] * x[column];
+                if rows[entry] != column {
+                    y[column] += values[entry] * x[rows[entry]];
                 }
             }
         }
@@ -360,34 +355,34 @@ mod tests {
     }
 
     #[test]
-    fn both_solves_together_invert_the_matrix() {
+    fn forward_and_back_substitution_solve_the_system() {
         for n in [1, 5, 60, 301] {
             let (pointers, rows, values) = chain(n);
             let mut factor = GelFactor::new(&pointers, &rows).unwrap();
             factor.factorize(&values).unwrap();
-            let wanted: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7 + 0.3).sin()).collect();
-            let right = times(&pointers, &rows, &values, &wanted);
+            let expected: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7 + 0.3).sin()).collect();
+            let right = times(&pointers, &rows, &values, &expected);
             let (mut x, mut found) = (vec![0.0_f32; n], vec![0.0; n]);
             let mut scratch = Vec::new();
             factor.permute(&right, &mut x);
-            factor.solve_forward(&mut x, &mut scratch);
-            factor.solve_backward(&mut x, &mut scratch);
+            factor.forward_substitute(&mut x, &mut scratch);
+            factor.back_substitute(&mut x, &mut scratch);
             factor.unpermute(&x, &mut found);
-            for (found, wanted) in found.iter().zip(&wanted) {
-                assert!((found - wanted).abs() < 1e-5, "{n}: {found} {wanted}");
+            for (found, expected) in found.iter().zip(&expected) {
+                assert!((found - expected).abs() < 1e-5, "{n}: {found} {expected}");
             }
             // In double precision, b^T K^-1 b is the squared length of L^-1 P b.
             let mut columns: Vec<[f64; 1]> =
                 factor.permutation().iter().map(|&i| [right[i]]).collect();
-            factor.solve_forward_many(&mut columns, &mut Vec::new());
+            factor.forward_substitute_many(&mut columns, &mut Vec::new());
             let squared: f64 = columns.iter().map(|[v]| v * v).sum();
-            let product: f64 = right.iter().zip(&wanted).map(|(b, x)| b * x).sum();
+            let product: f64 = right.iter().zip(&expected).map(|(b, x)| b * x).sum();
             assert!((squared / product - 1.0).abs() < 1e-12);
         }
     }
 
     #[test]
-    fn an_indefinite_matrix_is_refused_and_the_next_one_works() {
+    fn indefinite_matrix_fails_and_factor_stays_usable() {
         let (pointers, rows, values) = chain(40);
         let mut factor = GelFactor::new(&pointers, &rows).unwrap();
         let mut indefinite = values.clone();

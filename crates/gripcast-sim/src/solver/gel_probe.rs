@@ -1,6 +1,6 @@
-//! What tests look at inside a gel.
+//! Internals of a gel for tests.
 
-use super::super::coupling::OBJECT;
+use super::super::coupling::OBJECT_DOF;
 use super::Gel;
 
 impl Gel {
@@ -17,7 +17,7 @@ impl Gel {
             .multiply(&self.stiffness, x, &mut own);
         for ((y, own), (row, x)) in y.iter_mut().zip(&own).zip(self.coupling.rows.iter().zip(x)) {
             *y += own;
-            for k in 0..OBJECT {
+            for k in 0..OBJECT_DOF {
                 *y += row[k] * q[k];
                 p[k] += row[k] * x;
             }

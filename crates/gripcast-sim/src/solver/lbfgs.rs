@@ -1,8 +1,8 @@
-//! Limited-memory quasi-Newton corrections (Nocedal 1980) on top of a factorised stiffness.
+//! L-BFGS corrections (Nocedal 1980) of a factorised stiffness.
 
-/// The newest pairs of step and change of gradient.
+/// The last pairs of step and change of gradient.
 #[derive(Clone, Debug)]
-pub(super) struct Memory {
+pub(super) struct History {
     capacity: usize,
     pairs: Vec<Pair>,
     alphas: Vec<f64>,
@@ -15,7 +15,7 @@ struct Pair {
     curvature: f64,
 }
 
-impl Memory {
+impl History {
     pub(super) fn new(capacity: usize) -> Self {
         Self {
             capacity,
@@ -28,8 +28,8 @@ impl Memory {
         self.pairs.clear();
     }
 
-    /// Takes a pair, if the gradient grew along the step enough to be worth keeping.
-    pub(super) fn push(&mut self, step: &[f64], gradient: &[f64], before: &[f64]) {
+    /// Adds a pair if its curvature is positive beyond rounding.
+    pub(super) fn push(&mut self, step: &[f64], gradient: &[f64], previous: &[f64]) {
         if self.capacity == 0 {
             return;
         }
@@ -42,7 +42,7 @@ impl Memory {
         pair.step.extend_from_slice(step);
         pair.change.clear();
         pair.change
-            .extend(gradient.iter().zip(before).map(|(now, then)| now - then));
+            .extend(gradient.iter().zip(previous).map(|(now, then)| now - then));
         pair.curvature = dot(&pair.step, &pair.change);
         let scale = dot(&pair.step, &pair.step) * dot(&pair.change, &pair.change);
         if pair.curvature > 1e-10 * scale.sqrt() {
@@ -50,23 +50,24 @@ impl Memory {
         }
     }
 
-    /// `x ← H x`, where `solve` applies the inverse of the factorised stiffness in place.
+    /// `x ← H x` by the two-loop recursion; `solve` applies the inverse of the factorised stiffness
+    /// in place.
     pub(super) fn apply(&mut self, x: &mut [f64], solve: impl FnOnce(&mut [f64])) {
         self.alphas.clear();
         for pair in self.pairs.iter().rev() {
             let alpha = dot(&pair.step, x) / pair.curvature;
-            add_scaled(x, -alpha, &pair.change);
+            axpy(x, -alpha, &pair.change);
             self.alphas.push(alpha);
         }
         solve(x);
         for (pair, alpha) in self.pairs.iter().zip(self.alphas.iter().rev()) {
             let beta = dot(&pair.change, x) / pair.curvature;
-            add_scaled(x, alpha - beta, &pair.step);
+            axpy(x, alpha - beta, &pair.step);
         }
     }
 }
 
-fn add_scaled(x: &mut [f64], factor: f64, y: &[f64]) {
+fn axpy(x: &mut [f64], factor: f64, y: &[f64]) {
     pulp::Arch::new().dispatch(|| {
         for (x, y) in x.iter_mut().zip(y) {
             *x += factor * y;
@@ -74,14 +75,14 @@ fn add_scaled(x: &mut [f64], factor: f64, y: &[f64]) {
     });
 }
 
-/// Scalar product, in the widest registers of this machine.
+/// Scalar product, vectorised for this machine.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     pulp::Arch::new().dispatch(|| dot_lanes(a, b))
 }
 
-/// Scalar product in eight lanes of a fixed order: the same on every machine.
+/// Scalar product in eight lanes summed in a fixed order: the same bits on every machine.
 #[inline(always)]
-pub(super) fn dot_lanes(a: &[f64], b: &[f64]) -> f64 {
+fn dot_lanes(a: &[f64], b: &[f64]) -> f64 {
     let n = a.len().min(b.len());
     let (a, b) = (&a[..n], &b[..n]);
     let mut lanes = [0.0; 8];
@@ -100,10 +101,10 @@ pub(super) fn dot_lanes(a: &[f64], b: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Minimises a quadratic whose true stiffness is up to 2.5 times the factorised one.
+    /// Iterations to minimise a quadratic whose stiffness is up to 2.5 times the factorised one.
     fn iterations(capacity: usize) -> usize {
         let stiffness = [1.0, 1.7, 0.4, 1.9, 0.9, 1.3];
-        let mut memory = Memory::new(capacity);
+        let mut history = History::new(capacity);
         let mut x = vec![1.0, -2.0, 0.5, 3.0, -1.0, 0.2];
         let gradient =
             |x: &[f64]| -> Vec<f64> { x.iter().zip(stiffness).map(|(x, k)| x * k).collect() };
@@ -113,17 +114,17 @@ mod tests {
                 return count;
             }
             let mut direction: Vec<f64> = before.iter().map(|g| -g).collect();
-            memory.apply(&mut direction, |_| {});
+            history.apply(&mut direction, |_| {});
             for (x, d) in x.iter_mut().zip(&direction) {
                 *x += d;
             }
-            memory.push(&direction, &gradient(&x), &before);
+            history.push(&direction, &gradient(&x), &before);
         }
         200
     }
 
     #[test]
-    fn memory_makes_a_stale_stiffness_converge_faster() {
+    fn history_speeds_up_convergence_with_stale_stiffness() {
         let (without, with) = (iterations(0), iterations(5));
         assert!(2 * with < without, "{with} against {without}");
     }

@@ -1,9 +1,10 @@
-//! The object in a step: an affine body above a half-space.
+//! The object in a time step: an affine body above the ground.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::collider::Collider;
 use super::coupling::{GeneralisedForce, ObjectStiffness};
+use super::gel_contact::Obstacle;
 use crate::affine::{AffineBody, AffineRate, AffineState};
 use crate::contact::barrier::Barrier;
 use crate::contact::ccd::half_space_toi;
@@ -12,9 +13,17 @@ use crate::fem::Projection;
 
 /// A vertex that touches the ground at the start of a step.
 #[derive(Clone, Copy, Debug)]
-struct Rubbing {
+struct FrictionContact {
     material: DVec3,
     friction: Friction,
+}
+
+/// A vertex within the reach of the ground's barrier.
+struct GroundContact {
+    material: DVec3,
+    height: f64,
+    /// Area of the vertex times `d_hat`, m³.
+    scale: f64,
 }
 
 /// The object and the ground below it (z = 0 of the world).
@@ -22,18 +31,20 @@ struct Rubbing {
 pub struct Object {
     pub(super) body: AffineBody,
     pub(super) state: AffineState,
+    /// State at the start of the step.
     pub(super) start: AffineState,
     pub(super) rate: AffineRate,
+    /// State that inertia and gravity alone would lead to.
     predicted: AffineState,
-    saved: AffineState,
-    /// Friction coefficient with the ground; without one there is no ground.
+    line_origin: AffineState,
+    /// Friction coefficient with the ground; `None` without ground.
     pub(super) ground_mu: Option<f64>,
-    rubbing: Vec<Rubbing>,
-    /// It stays where it is.
+    friction_contacts: Vec<FrictionContact>,
     pub(super) is_fixed: bool,
     /// Acceleration besides gravity, m/s².
-    pull: DVec3,
-    reach: f64,
+    acceleration: DVec3,
+    /// Bound of the distance of a vertex from the centre of mass, m.
+    radius: f64,
     pub(super) ground_gradient: GeneralisedForce,
 }
 
@@ -46,32 +57,32 @@ impl Object {
             state,
             start: state,
             predicted: state,
-            saved: state,
+            line_origin: state,
             rate: AffineRate::ZERO,
             ground_mu: None,
-            rubbing: Vec::new(),
+            friction_contacts: Vec::new(),
             is_fixed: false,
-            pull: DVec3::ZERO,
-            reach: lengths.fold(0.0, f64::max) * 1.01,
+            acceleration: DVec3::ZERO,
+            radius: lengths.fold(0.0, f64::max) * 1.01,
             ground_gradient: GeneralisedForce::default(),
         }
     }
 
-    /// Adds the ground.
+    /// Adds the ground with a friction coefficient.
     #[must_use]
-    pub fn on_ground(mut self, mu: f64) -> Self {
+    pub fn with_ground(mut self, mu: f64) -> Self {
         self.ground_mu = Some(mu);
         self
     }
 
-    /// Raises or lowers the object.
+    /// Moves the object up, m.
     pub fn raise(&mut self, by_m: f64) {
         self.state.p.z += by_m;
         self.start = self.state;
     }
 
-    /// Height of the lowest point at which the ground carries the object's weight in its present
-    /// attitude, m.
+    /// Height of the lowest point (m) at which the ground's barrier carries `weight_n` in the
+    /// current orientation.
     pub fn resting_height(&self, collider: &Collider, barrier: &Barrier, weight_n: f64) -> f64 {
         let row = self.state.a.row(2);
         let lowest = self.lowest(collider) - self.state.p.z;
@@ -96,34 +107,34 @@ impl Object {
         high
     }
 
-    /// Holds the object where it is.
+    /// Fixes the object in the world.
     #[must_use]
     pub fn fixed(mut self) -> Self {
         self.is_fixed = true;
         self
     }
 
-    /// Lets the object start with this rate instead of at rest.
+    /// Sets the initial rate.
     #[must_use]
-    pub fn moving(mut self, rate: AffineRate) -> Self {
+    pub fn with_rate(mut self, rate: AffineRate) -> Self {
         self.rate = rate;
         self
     }
 
-    /// Adds a constant acceleration besides gravity, m/s²: a tilted ground, for instance, is
-    /// gravity that is not along z.
+    /// Adds a constant acceleration besides gravity, m/s², e.g. the component of gravity along an
+    /// inclined ground.
     #[must_use]
-    pub fn pulled(mut self, acceleration: DVec3) -> Self {
-        self.pull = acceleration;
+    pub fn with_acceleration(mut self, acceleration: DVec3) -> Self {
+        self.acceleration = acceleration;
         self
     }
 
-    /// Place and shape.
+    /// Position and linear part.
     pub fn state(&self) -> &AffineState {
         &self.state
     }
 
-    /// Rate of place and shape over the last step.
+    /// Rate of the state over the last step.
     pub fn rate(&self) -> &AffineRate {
         &self.rate
     }
@@ -135,7 +146,7 @@ impl Object {
 
     pub(super) fn begin_step(&mut self, dt: f64, gravity: f64) {
         self.start = self.state;
-        let acceleration = DVec3::new(0.0, 0.0, gravity) + self.pull;
+        let acceleration = DVec3::new(0.0, 0.0, gravity) + self.acceleration;
         self.predicted = self.state.inertial(&self.rate, acceleration, dt);
     }
 
@@ -143,109 +154,123 @@ impl Object {
         self.rate = self.state.rate_since(&self.start, dt);
     }
 
-    pub(super) fn save(&mut self) {
-        self.saved = self.state;
+    /// The object as an obstacle for the gels.
+    pub(super) fn as_obstacle<'a>(&'a self, barrier: &'a Barrier) -> Obstacle<'a> {
+        Obstacle {
+            barrier,
+            now: &self.state,
+            start: &self.start,
+        }
     }
 
-    pub(super) fn place_on_line(&mut self, direction: &[f64; 12], length: f64) {
-        self.state = self.saved.stepped(direction, length);
+    pub(super) fn store_line_origin(&mut self) {
+        self.line_origin = self.state;
     }
 
-    fn may_touch_ground(&self, barrier: &Barrier) -> bool {
-        self.ground_mu.is_some() && self.state.p.z - self.reach < barrier.d_hat
+    /// Moves to the line origin plus `step_size` times `direction`.
+    pub(super) fn set_step(&mut self, direction: &[f64; 12], step_size: f64) {
+        self.state = self.line_origin.stepped(direction, step_size);
     }
 
     fn height(&self, material: DVec3) -> f64 {
         self.state.p.z + self.state.a.row(2).dot(material)
     }
 
-    /// Lowest point above the ground plane, m.
+    /// Height of the lowest vertex above the ground plane, m.
     pub fn lowest(&self, collider: &Collider) -> f64 {
         let row = self.state.a.row(2);
         let heights = collider.vertices.iter().map(|v| row.dot(*v));
         self.state.p.z + heights.fold(f64::INFINITY, f64::min)
     }
 
-    /// Energy at the present state, J.
+    /// The vertices closer than `d_hat` to the ground.
+    fn ground_contacts<'a>(
+        &'a self,
+        collider: &'a Collider,
+        barrier: &'a Barrier,
+    ) -> impl Iterator<Item = GroundContact> + 'a {
+        let can_touch = self.ground_mu.is_some() && self.state.p.z - self.radius < barrier.d_hat;
+        let count = if can_touch {
+            collider.vertices.len()
+        } else {
+            0
+        };
+        let vertices = collider.vertices[..count].iter();
+        vertices
+            .zip(&collider.vertex_areas)
+            .map(|(vertex, area)| GroundContact {
+                material: *vertex,
+                height: self.height(*vertex),
+                scale: area * barrier.d_hat,
+            })
+            .filter(|contact| contact.height < barrier.d_hat)
+    }
+
+    /// Energy at the current state, J.
     pub(super) fn energy(&self, collider: &Collider, barrier: &Barrier, dt: f64) -> f64 {
         if self.is_fixed {
             return 0.0;
         }
         let mut energy = self.body.kinetic(&self.state, &self.predicted) / (dt * dt)
             + self.body.shape(&self.state.a);
-        if self.may_touch_ground(barrier) {
-            for (vertex, area) in collider.vertices.iter().zip(&collider.vertex_areas) {
-                let height = self.height(*vertex);
-                if height < barrier.d_hat {
-                    energy += area * barrier.d_hat * barrier.value_linear(height);
-                }
-            }
+        for contact in self.ground_contacts(collider, barrier) {
+            energy += contact.scale * barrier.value_linear(contact.height);
         }
-        for rubbing in &self.rubbing {
-            energy += rubbing.friction.value(self.slip(rubbing));
+        for contact in &self.friction_contacts {
+            energy += contact.friction.value(self.slip(contact));
         }
         energy
     }
 
-    fn slip(&self, rubbing: &Rubbing) -> DVec3 {
-        self.state.point(rubbing.material) - self.start.point(rubbing.material)
+    fn slip(&self, contact: &FrictionContact) -> DVec3 {
+        self.state.point(contact.material) - self.start.point(contact.material)
     }
 
-    /// Takes the ground's friction of the coming step from the present state.
+    /// Lags the ground friction of the coming step from the current state.
     pub(super) fn lag_friction(&mut self, collider: &Collider, barrier: &Barrier, epsilon: f64) {
-        self.rubbing.clear();
+        self.friction_contacts.clear();
         let Some(mu) = self.ground_mu.filter(|&mu| mu > 0.0 && !self.is_fixed) else {
             return;
         };
-        if !self.may_touch_ground(barrier) {
-            return;
-        }
-        for (vertex, area) in collider.vertices.iter().zip(&collider.vertex_areas) {
-            let height = self.height(*vertex);
-            if height < barrier.d_hat {
-                let force = -area * barrier.d_hat * barrier.linear(height).first;
-                self.rubbing.push(Rubbing {
-                    material: *vertex,
-                    friction: Friction {
-                        normal: DVec3::Z,
-                        limit: mu * force,
-                        epsilon,
-                    },
-                });
-            }
-        }
+        let lagged = self
+            .ground_contacts(collider, barrier)
+            .map(|contact| FrictionContact {
+                material: contact.material,
+                friction: Friction {
+                    normal: DVec3::Z,
+                    limit: mu * -(contact.scale * barrier.linear(contact.height).first),
+                    epsilon,
+                },
+            })
+            .collect();
+        self.friction_contacts = lagged;
     }
 
-    /// Gradient at the present state, without the gels' part.
+    /// Gradient at the current state, without the gels' part.
     pub(super) fn gradient(
         &mut self,
         collider: &Collider,
         barrier: &Barrier,
         dt: f64,
     ) -> GeneralisedForce {
-        self.ground_gradient = GeneralisedForce::default();
+        let mut on_ground = GeneralisedForce::default();
         let mut gradient = GeneralisedForce::default();
-        if self.is_fixed {
-            return gradient;
-        }
-        let (state, scale) = (&self.state, 1.0 / (dt * dt));
-        self.body
-            .add_kinetic_gradient(state, &self.predicted, scale, &mut gradient.0);
-        self.body.add_shape_gradient(&state.a, 1.0, &mut gradient.0);
-        if self.may_touch_ground(barrier) {
-            for (vertex, area) in collider.vertices.iter().zip(&collider.vertex_areas) {
-                let height = self.height(*vertex);
-                if height < barrier.d_hat {
-                    let first = area * barrier.d_hat * barrier.linear(height).first;
-                    self.ground_gradient.add(DVec3::Z * first, *vertex);
-                }
+        if !self.is_fixed {
+            let (state, scale) = (&self.state, 1.0 / (dt * dt));
+            self.body
+                .add_kinetic_gradient(state, &self.predicted, scale, &mut gradient.0);
+            self.body.add_shape_gradient(&state.a, 1.0, &mut gradient.0);
+            for contact in self.ground_contacts(collider, barrier) {
+                let first = contact.scale * barrier.linear(contact.height).first;
+                on_ground.add(DVec3::Z * first, contact.material);
             }
+            for contact in &self.friction_contacts {
+                let friction = contact.friction.gradient(self.slip(contact));
+                on_ground.add(friction, contact.material);
+            }
+            gradient.add_all(&on_ground);
         }
-        for rubbing in &self.rubbing {
-            let friction = rubbing.friction.gradient(self.slip(rubbing));
-            self.ground_gradient.add(friction, rubbing.material);
-        }
-        gradient.add_all(&self.ground_gradient);
+        self.ground_gradient = on_ground;
         gradient
     }
 
@@ -261,25 +286,20 @@ impl Object {
             .add_kinetic_hessian(1.0 / (dt * dt), &mut stiffness.0);
         self.body
             .add_shape_hessian(&self.state.a, Projection::Abs, 1.0, &mut stiffness.0);
-        if self.may_touch_ground(barrier) {
-            for (vertex, area) in collider.vertices.iter().zip(&collider.vertex_areas) {
-                let height = self.height(*vertex);
-                if height < barrier.d_hat {
-                    let second = area * barrier.d_hat * barrier.linear(height).second;
-                    let block = glam::DMat3::from_diagonal(DVec3::Z * second.max(0.0));
-                    stiffness.add_block(&block, *vertex);
-                }
-            }
+        for contact in self.ground_contacts(collider, barrier) {
+            let second = contact.scale * barrier.linear(contact.height).second;
+            let block = DMat3::from_diagonal(DVec3::Z * second.max(0.0));
+            stiffness.add_block(&block, contact.material);
         }
-        for rubbing in &self.rubbing {
-            let block = rubbing.friction.hessian(self.slip(rubbing));
-            stiffness.add_block(&block, rubbing.material);
+        for contact in &self.friction_contacts {
+            let block = contact.friction.hessian(self.slip(contact));
+            stiffness.add_block(&block, contact.material);
         }
         stiffness
     }
 
-    /// Largest fraction of a step before a vertex touches the ground.
-    pub(super) fn free_fraction(
+    /// Largest step size in (0, 1] before a vertex touches the ground.
+    pub(super) fn collision_free_step(
         &self,
         direction: &AffineState,
         collider: &Collider,
@@ -289,8 +309,8 @@ impl Object {
             return 1.0;
         }
         let row = direction.a.row(2);
-        let fall = direction.p.z.abs() + direction.a.row(2).length() * self.reach;
-        if self.state.p.z - self.reach > fall {
+        let fall = direction.p.z.abs() + row.length() * self.radius;
+        if self.state.p.z - self.radius > fall {
             return 1.0;
         }
         let mut limit = 1.0_f64;

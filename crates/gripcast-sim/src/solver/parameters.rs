@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 use crate::contact::barrier::Barrier;
 use gripcast_base::error::{Error, Result};
 
-/// What one step of the simulator depends on, besides the scene.
+/// Parameters of a time step, besides the scene.
 ///
-/// The defaults are those of the paper (§3.1); where it is silent, measured ones.
+/// The defaults are those of the paper (§3.1); values it does not give were tuned by measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SolverParameters {
@@ -17,27 +17,27 @@ pub struct SolverParameters {
     pub kappa_pa: f64,
     /// Distance below which contact acts, m.
     pub d_hat_m: f64,
-    /// Relative speed up to which friction is mollified, m/s.
+    /// Relative speed below which friction is mollified, m/s.
     pub eps_v_m_s: f64,
-    /// Newton's iteration ends when no point moves faster than this within an iteration, m/s.
+    /// Newton convergence tolerance: maximum nodal speed within an iteration, m/s.
     pub newton_tolerance_m_s: f64,
-    /// Iterations after which a step counts as not converged.
+    /// Iteration limit of a step; beyond it the step has not converged.
     pub max_iterations: u32,
-    /// Iterations after which a whole grasp is given up as not converged. The slowest of 900 hard
-    /// grasps on the default mesh took 7,300.
+    /// Iteration limit of a whole grasp; beyond it the grasp has not converged. The slowest of 900
+    /// hard grasps on the default mesh took 7,300.
     pub max_grasp_iterations: u64,
-    /// Gravity on the object along the world's z axis, m/s². The gels are held and weigh 2 g;
-    /// gravity does not act on them.
+    /// Gravity on the object along the world's z axis, m/s². The gels weigh 2 g; gravity does not
+    /// act on them.
     pub gravity_m_s2: f64,
     /// Stiffness that keeps the object rigid, Pa.
     pub affine_stiffness_pa: f64,
-    /// Candidate pairs are gathered up to this distance beyond `d_hat_m`, m.
+    /// Broad-phase margin: candidate pairs are built up to this distance beyond `d_hat_m`, m.
     pub candidate_margin_m: f64,
-    /// Corrections that the quasi-Newton iteration remembers; 0 is Newton with a stale matrix.
+    /// L-BFGS memory; 0 is Newton with a stale matrix.
     pub memory: usize,
-    /// The stiffness is assembled and factorised anew after this many iterations; 1 is Newton.
+    /// Iterations after which the stiffness is refactorised; 1 is Newton.
     pub max_factor_age: u32,
-    /// Fraction of a distance that continuous collision detection leaves.
+    /// Fraction of each distance that continuous collision detection preserves.
     pub ccd_slack: f64,
 }
 
@@ -70,10 +70,10 @@ impl SolverParameters {
         }
     }
 
-    /// Checks that every parameter can be computed with.
+    /// Checks the range of every parameter.
     ///
     /// # Errors
-    /// [`ErrorKind::Config`] naming the parameter, its value and its bounds.
+    /// `Config`, with the parameter, its value and its range.
     pub fn validate(&self) -> Result<()> {
         let positive = [
             ("dt_s", self.dt_s),
@@ -87,14 +87,14 @@ impl SolverParameters {
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
-                return Err(wrong(name, value, "a number above 0"));
+                return Err(invalid(name, value, "a number above 0"));
             }
         }
         if !self.gravity_m_s2.is_finite() {
-            return Err(wrong("gravity_m_s2", self.gravity_m_s2, "a number"));
+            return Err(invalid("gravity_m_s2", self.gravity_m_s2, "a number"));
         }
         if self.ccd_slack >= 1.0 {
-            return Err(wrong("ccd_slack", self.ccd_slack, "a number below 1"));
+            return Err(invalid("ccd_slack", self.ccd_slack, "a number below 1"));
         }
         if self.max_iterations == 0 || self.max_grasp_iterations == 0 || self.max_factor_age == 0 {
             return Err(Error::config(
@@ -106,7 +106,7 @@ impl SolverParameters {
     }
 }
 
-fn wrong(name: &str, value: f64, expected: &str) -> Error {
+fn invalid(name: &str, value: f64, expected: &str) -> Error {
     Error::config(format!("`{name}` must be {expected}, found {value}"))
 }
 

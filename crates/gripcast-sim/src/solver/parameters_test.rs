@@ -1,32 +1,30 @@
-//! What parameters are refused, and how.
-
 use super::*;
 use gripcast_base::error::ErrorKind;
 
 type Set = fn(&mut SolverParameters, f64);
 
 #[test]
-fn a_parameter_out_of_range_is_refused_by_name() {
-    let wrong = [f64::NAN, f64::INFINITY, 0.0, -1.0];
+fn invalid_parameters_are_rejected_by_name() {
+    let invalid = [f64::NAN, f64::INFINITY, 0.0, -1.0];
     let table: [(&str, Set, &[f64]); 12] = [
-        ("dt_s", |p, v| p.dt_s = v, &wrong),
-        ("kappa_pa", |p, v| p.kappa_pa = v, &wrong),
-        ("d_hat_m", |p, v| p.d_hat_m = v, &wrong),
-        ("eps_v_m_s", |p, v| p.eps_v_m_s = v, &wrong),
+        ("dt_s", |p, v| p.dt_s = v, &invalid),
+        ("kappa_pa", |p, v| p.kappa_pa = v, &invalid),
+        ("d_hat_m", |p, v| p.d_hat_m = v, &invalid),
+        ("eps_v_m_s", |p, v| p.eps_v_m_s = v, &invalid),
         (
             "newton_tolerance_m_s",
             |p, v| p.newton_tolerance_m_s = v,
-            &wrong,
+            &invalid,
         ),
         (
             "affine_stiffness_pa",
             |p, v| p.affine_stiffness_pa = v,
-            &wrong,
+            &invalid,
         ),
         (
             "candidate_margin_m",
             |p, v| p.candidate_margin_m = v,
-            &wrong,
+            &invalid,
         ),
         (
             "ccd_slack",
@@ -62,7 +60,7 @@ fn a_parameter_out_of_range_is_refused_by_name() {
 }
 
 #[test]
-fn gravity_may_be_off_or_upwards() {
+fn zero_and_upward_gravity_are_valid() {
     for gravity_m_s2 in [0.0, 9.81] {
         let parameters = SolverParameters {
             gravity_m_s2,

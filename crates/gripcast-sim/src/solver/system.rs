@@ -1,20 +1,20 @@
-//! Gels, object and ground together, and one implicit Euler step of them.
+//! Gels, object and ground as one system, and its implicit Euler step.
 //!
 //! With all terms divided by dt² the incremental potential (Li et al. 2020) is, in J,
 //! `E(x, q) = ½ |x - x̂|²_M/dt² + Ψ(x) + drive(x) + ½ |q - q̂|²_M/dt² + shape(q) + contact + friction`,
-//! and its gradient is a balance of forces in N. A quasi-Newton iteration minimises it: a
-//! factorised stiffness that is kept over iterations and steps, corrected by the newest changes of
-//! the gradient.
+//! and its gradient is a balance of forces in N. A quasi-Newton iteration minimises it: the
+//! factorised stiffness is kept over iterations and steps and corrected by L-BFGS.
 
 use std::time::Instant;
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 use super::collider::Collider;
-use super::coupling::OBJECT;
+use super::coupling::OBJECT_DOF;
 use super::gel::Gel;
 use super::gel_factor::NotPositiveDefinite;
-use super::lbfgs::{Memory, dot};
+use super::lbfgs::{History, dot};
 use super::object::Object;
 use super::parameters::SolverParameters;
 use crate::affine::{AffineState, Cholesky, Matrix12};
@@ -22,64 +22,65 @@ use crate::contact::barrier::Barrier;
 use crate::fem::Projection;
 use gripcast_base::error::Result;
 
-/// Sufficient decrease of the line search (Armijo).
-const SUFFICIENT: f64 = 1e-4;
-/// A step that shrinks by less than this fraction from one iteration to the next is slow.
-const SLOW: f64 = 0.5;
-/// Slow iterations in a row that are taken before the stiffness is assembled anew.
-const PATIENCE: u32 = 3;
-/// Shortenings of the motion that a step begins with.
-const REPEAT_HALVINGS: u32 = 3;
-/// Halvings before the stiffness is assembled anew.
+/// Sufficient-decrease constant of the Armijo condition.
+const ARMIJO_C1: f64 = 1e-4;
+/// An iteration is slow when its step is longer than this fraction of the previous one.
+const SLOW_STEP_RATIO: f64 = 0.5;
+/// Consecutive slow iterations before the stiffness is refactorised.
+const MAX_SLOW_ITERATIONS: u32 = 3;
+/// Step sizes tried for the warm start, each half of the one before.
+const WARM_START_TRIALS: u32 = 3;
+/// Halvings of the line search before the stiffness is refactorised.
 const MAX_HALVINGS: u32 = 30;
 
-/// What one step took.
+/// Work of one time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct StepReport {
-    /// Whether the tolerance was met.
+    /// Whether the Newton tolerance was met.
     pub converged: bool,
-    /// Iterations.
+    /// Newton iterations.
     pub iterations: u32,
     /// Assemblies and factorisations of the stiffness.
     pub factorisations: u32,
     /// Halvings of the line search.
     pub halvings: u32,
-    /// Times that candidate pairs were gathered.
-    pub gathers: u32,
+    /// Rebuilds of the candidate pairs of a gel.
+    #[serde(alias = "gathers")]
+    pub broad_phase_rebuilds: u32,
 }
 
-/// Wall time spent in the phases of all steps so far, s.
+/// Wall time of the solver phases, summed over all steps, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct PhaseTimes {
-    /// Finding contacts, forces and gradient.
+    /// Active contacts, forces and gradient.
     pub gradient_s: f64,
     /// Assembly and factorisation of the stiffness.
     pub factorisation_s: f64,
-    /// Solves for the direction.
+    /// Search direction.
     pub direction_s: f64,
-    /// Continuous collision detection and gathering of candidates.
+    /// Continuous collision detection and broad phase.
     pub collision_s: f64,
     /// Energies of the line search.
     pub line_search_s: f64,
-    /// Contacts, friction, first motion and first gradient of the steps.
+    /// Start of each step: contacts, lagged friction, warm start, first gradient.
     pub begin_s: f64,
 }
 
-/// How a step begins.
+/// Initial guess and solver state of one time step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StepStart {
-    /// Motion that gels and object start the iteration with, m: a guess that saves iterations when
-    /// all move together. It must not bring the object closer to the ground.
-    pub together: DVec3,
-    /// The stiffness of earlier steps is not worth keeping.
-    pub renew: bool,
-    /// What kind of step it is. It begins with the motion of the last step of its kind, as far as
-    /// nothing touches and if the energy falls by that: fingers that open and close in turn repeat
-    /// themselves every other step.
-    pub kind: usize,
+    /// Translation of gels and object in the initial guess, m: saves iterations when all move
+    /// together. Must not move the object towards the ground.
+    pub initial_translation: DVec3,
+    /// Discards the factorised stiffness of earlier steps.
+    pub refactorize: bool,
+    /// Slot of the stored motion for the warm start: the motion of the last step with the same
+    /// slot is applied if it is collision-free and lowers the energy. Use one slot per kind of
+    /// step, e.g. one for closing and one for opening fingers.
+    pub warm_start_slot: usize,
 }
 
-/// The scene in motion.
+/// Gels, object and ground with the state of the solver.
 #[derive(Debug)]
 pub struct System {
     gels: Vec<Gel>,
@@ -87,33 +88,35 @@ pub struct System {
     collider: Collider,
     parameters: SolverParameters,
     barrier: Barrier,
-    pair_mu: f64,
-    memory: Memory,
+    /// Friction coefficient between gels and object.
+    gel_mu: f64,
+    history: History,
     gradient: Vec<f64>,
-    before: Vec<f64>,
+    previous_gradient: Vec<f64>,
     direction: Vec<f64>,
     schur: Option<Cholesky>,
     factor_age: u32,
+    /// Corners of the object's bounding box in its material frame, m.
     corners: [DVec3; 8],
     times: PhaseTimes,
-    /// Motion of the last step of each kind.
-    motions: Vec<Vec<f64>>,
+    /// Motion of the last step of each warm-start slot.
+    stored_motions: Vec<Vec<f64>>,
 }
 
 impl System {
-    /// A scene; `pair_mu` is the friction coefficient between gels and object.
+    /// Builds a system; `gel_mu` is the friction coefficient between gels and object.
     ///
     /// # Errors
-    /// Where a parameter is out of range.
+    /// `Config` where a parameter is out of range.
     pub fn new(
         gels: Vec<Gel>,
         object: Object,
         collider: Collider,
-        pair_mu: f64,
+        gel_mu: f64,
         parameters: SolverParameters,
     ) -> Result<Self> {
         parameters.validate()?;
-        let unknowns = gels.iter().map(Gel::unknowns).sum::<usize>() + OBJECT;
+        let unknowns = gels.iter().map(Gel::unknowns).sum::<usize>() + OBJECT_DOF;
         let (min, max) = (collider.bounds.min, collider.bounds.max);
         let corners = std::array::from_fn(|i| {
             let pick = |bit: usize, low, high| if i & bit == 0 { low } else { high };
@@ -128,16 +131,16 @@ impl System {
             object,
             collider,
             barrier: parameters.barrier(),
-            pair_mu,
-            memory: Memory::new(parameters.memory),
+            gel_mu,
+            history: History::new(parameters.memory),
             gradient: vec![0.0; unknowns],
-            before: vec![0.0; unknowns],
+            previous_gradient: vec![0.0; unknowns],
             direction: vec![0.0; unknowns],
             schur: None,
             factor_age: 0,
             corners,
             times: PhaseTimes::default(),
-            motions: Vec::new(),
+            stored_motions: Vec::new(),
             parameters,
         })
     }
@@ -147,7 +150,7 @@ impl System {
         &self.gels
     }
 
-    /// The gels, to move their targets.
+    /// The gels, mutable: moves their drive targets between steps.
     pub fn gels_mut(&mut self) -> &mut [Gel] {
         &mut self.gels
     }
@@ -157,7 +160,7 @@ impl System {
         &self.object
     }
 
-    /// The object's surface.
+    /// Collision surface of the object.
     pub fn collider(&self) -> &Collider {
         &self.collider
     }
@@ -167,30 +170,30 @@ impl System {
         &self.parameters
     }
 
-    /// Where the time went.
+    /// Wall time of the solver phases so far.
     pub fn phase_times(&self) -> &PhaseTimes {
         &self.times
     }
 
-    /// A lower bound of the distance between each gel and the object, m.
+    /// Lower bound of the distance between each gel and the object, m.
     pub fn clearance(&mut self) -> Vec<f64> {
         self.ensure_candidates();
-        let object = self.object.state;
-        let d_hat = self.parameters.d_hat_m;
-        on_each(&mut self.gels, |_, gel| gel.clearance(&object, d_hat))
+        let (object, d_hat) = (&self.object.state, self.parameters.d_hat_m);
+        let gels = self.gels.par_iter_mut();
+        gels.map(|gel| gel.clearance(object, d_hat)).collect()
     }
 
-    /// Moves the gels without deforming them, while the object rests: flight without contact.
-    pub fn fly(&mut self, by: &[DVec3]) {
+    /// Translates each gel rigidly (m) while the object rests: a time step without contact.
+    pub fn translate_free(&mut self, by: &[DVec3]) {
         let dt = self.parameters.dt_s;
         for (gel, by) in self.gels.iter_mut().zip(by) {
-            gel.fly(*by, dt);
+            gel.translate_free(*by, dt);
         }
     }
 
-    /// One time step towards the drive's targets.
+    /// Advances by one time step towards the drive targets.
     ///
-    /// Forces and contacts of the gels are those of the end of the step afterwards.
+    /// Forces and contacts of the gels are those at the end of the step.
     pub fn step(&mut self, start: &StepStart) -> StepReport {
         let began = Instant::now();
         let dt = self.parameters.dt_s;
@@ -200,27 +203,28 @@ impl System {
             gel.begin_step(dt);
         }
         self.object.begin_step(dt, self.parameters.gravity_m_s2);
-        report.gathers += self.ensure_candidates();
+        report.broad_phase_rebuilds += self.ensure_candidates();
         self.find_contacts();
-        let mu = self.pair_mu;
         for gel in &mut self.gels {
-            gel.contact.lag_friction(mu, epsilon);
+            gel.contact.lag_friction(self.gel_mu, epsilon);
         }
         self.object
             .lag_friction(&self.collider, &self.barrier, epsilon);
-        if start.together != DVec3::ZERO && !self.object.is_fixed {
+        let mut translation = DVec3::ZERO;
+        if start.initial_translation != DVec3::ZERO && !self.object.is_fixed {
+            translation = start.initial_translation;
             for gel in &mut self.gels {
-                gel.shift(start.together);
+                gel.translate(translation);
             }
-            self.object.state.p += start.together;
-            report.gathers += self.ensure_candidates();
+            self.object.state.p += translation;
+            report.broad_phase_rebuilds += self.ensure_candidates();
             self.find_contacts();
         }
-        let energy = self.repeat(start, &mut report);
-        if start.renew {
+        let energy = self.warm_start(start.warm_start_slot, translation, &mut report);
+        if start.refactorize {
             self.schur = None;
         }
-        self.memory.clear();
+        self.history.clear();
         self.compute_gradient();
         self.times.begin_s += began.elapsed().as_secs_f64();
         self.minimise(energy, &mut report);
@@ -228,55 +232,46 @@ impl System {
             gel.end_step(dt);
         }
         self.object.end_step(dt);
-        self.remember(start.kind);
+        self.store_motion(start.warm_start_slot);
         report
     }
 
-    /// Repeats the motion of the last step of this kind; the energy thereafter, J.
-    fn repeat(&mut self, start: &StepStart, report: &mut StepReport) -> f64 {
+    /// Applies the stored motion of a slot, less the `translation` already applied, as far as it
+    /// lowers the energy. Returns the energy afterwards, J.
+    fn warm_start(&mut self, slot: usize, translation: DVec3, report: &mut StepReport) -> f64 {
         let before = self.energy();
-        let Some(remembered) = self.motions.get(start.kind).filter(|m| !m.is_empty()) else {
+        let Some(stored) = self.stored_motions.get(slot).filter(|m| !m.is_empty()) else {
             return before;
         };
-        self.direction.clone_from(remembered);
-        let together = if self.object.is_fixed {
-            DVec3::ZERO
-        } else {
-            start.together
-        };
-        let at = self.direction.len() - OBJECT;
-        for flat in self.direction[..at + 3].chunks_exact_mut(3) {
-            for (value, together) in flat.iter_mut().zip(together.to_array()) {
-                *value -= together;
+        self.direction.clone_from(stored);
+        let object_offset = self.direction.len() - OBJECT_DOF;
+        for vector in self.direction[..object_offset + 3].chunks_exact_mut(3) {
+            for (value, translation) in vector.iter_mut().zip(translation.to_array()) {
+                *value -= translation;
             }
         }
-        let (fraction, gathers) = self.free_fraction();
-        report.gathers += gathers;
-        for gel in &mut self.gels {
-            gel.save();
-        }
-        self.object.save();
-        let mut length = fraction;
-        for _ in 0..REPEAT_HALVINGS {
-            self.place_on_line(length);
+        let mut step_size = self.collision_free_step(report);
+        self.store_line_origin();
+        for _ in 0..WARM_START_TRIALS {
+            self.set_step(step_size);
             let energy = self.energy();
             if energy < before {
                 self.find_contacts();
                 return energy;
             }
-            length *= 0.5;
+            step_size *= 0.5;
         }
-        self.place_on_line(0.0);
+        self.set_step(0.0);
         self.find_contacts();
         before
     }
 
-    /// Remembers the motion of the step that ends.
-    fn remember(&mut self, kind: usize) {
-        if self.motions.len() <= kind {
-            self.motions.resize(kind + 1, Vec::new());
+    /// Stores the motion of the finished step for the warm start of later ones.
+    fn store_motion(&mut self, slot: usize) {
+        if self.stored_motions.len() <= slot {
+            self.stored_motions.resize(slot + 1, Vec::new());
         }
-        let motion = &mut self.motions[kind];
+        let motion = &mut self.stored_motions[slot];
         motion.clear();
         for gel in &self.gels {
             for (x, start) in gel.x.iter().zip(&gel.start) {
@@ -287,49 +282,51 @@ impl System {
         motion.extend(now.iter().zip(start).map(|(now, start)| now - start));
     }
 
+    /// Rebuilds candidates that no longer cover the motion of their gel; returns their number.
     fn ensure_candidates(&mut self) -> u32 {
         let (object, collider) = (&self.object.state, &self.collider);
         let parameters = &self.parameters;
-        let gathered = on_each(&mut self.gels, |_, gel| {
-            gel.ensure_candidates(object, collider, parameters)
-        });
-        gathered.into_iter().map(u32::from).sum()
+        let gels = self.gels.par_iter_mut();
+        gels.map(|gel| u32::from(gel.ensure_candidates(object, collider, parameters)))
+            .sum()
     }
 
     fn find_contacts(&mut self) {
-        let (object, barrier) = (&self.object.state, &self.barrier);
-        on_each(&mut self.gels, |_, gel| gel.find_contacts(object, barrier));
+        let obstacle = self.object.as_obstacle(&self.barrier);
+        let gels = self.gels.par_iter_mut();
+        gels.for_each(|gel| gel.find_contacts(obstacle));
     }
 
     fn energy(&mut self) -> f64 {
-        let (state, from) = (&self.object.state, &self.object.start);
-        let barrier = &self.barrier;
-        let gels = on_each(&mut self.gels, |_, gel| gel.energy(state, from, barrier));
+        let obstacle = self.object.as_obstacle(&self.barrier);
+        let gels = self.gels.par_iter_mut();
+        // Collected so that the order of the sum is fixed.
+        let gels: Vec<f64> = gels.map(|gel| gel.energy(obstacle)).collect();
         let dt = self.parameters.dt_s;
         gels.into_iter().sum::<f64>() + self.object.energy(&self.collider, &self.barrier, dt)
     }
 
-    /// Gradient at the present state, whose contacts have been found.
+    /// Computes the gradient at the current state, whose contacts must be up to date.
     fn compute_gradient(&mut self) {
-        let (state, from) = (self.object.state, self.object.start);
-        let barrier = &self.barrier;
-        let parts = split(&self.gels, &mut self.gradient);
-        on_each_with(&mut self.gels, parts, |gel, flat| {
-            gel.write_gradient(&state, &from, barrier, flat);
+        let obstacle = self.object.as_obstacle(&self.barrier);
+        let slices = split_by_gel(&self.gels, &mut self.gradient);
+        let gels = self.gels.par_iter_mut().zip(slices);
+        gels.for_each(|(gel, gradient)| {
+            gel.write_gradient(obstacle, gradient);
         });
         let dt = self.parameters.dt_s;
-        let mut object = self.object.gradient(&self.collider, &self.barrier, dt);
+        let mut on_object = self.object.gradient(&self.collider, &self.barrier, dt);
         if !self.object.is_fixed {
             for gel in &self.gels {
-                object.add_all(&gel.object_gradient);
+                on_object.add_all(&gel.object_gradient);
             }
         }
-        let at = self.gradient.len() - OBJECT;
-        self.gradient[at..].copy_from_slice(&object.0);
+        let object_offset = self.gradient.len() - OBJECT_DOF;
+        self.gradient[object_offset..].copy_from_slice(&on_object.0);
     }
 
-    /// Assembles and factorises. Where the plain stiffness is not positive definite, each element
-    /// is projected; the sum of positive semidefinite parts and inertia then is.
+    /// Assembles and factorises the stiffness. Where it is not positive definite, the element
+    /// Hessians are projected; their sum with the inertia then is.
     fn factorise(&mut self) {
         self.schur = None;
         let projections = [Projection::None, Projection::Abs];
@@ -341,13 +338,12 @@ impl System {
     }
 
     fn try_factorise(&mut self, projection: Projection) -> Result<(), NotPositiveDefinite> {
-        let (state, from) = (self.object.state, self.object.start);
-        let barrier = &self.barrier;
-        for outcome in on_each(&mut self.gels, |_, gel| {
-            gel.factorise(&state, &from, barrier, projection)
-        }) {
-            outcome?;
-        }
+        let obstacle = self.object.as_obstacle(&self.barrier);
+        let gels = self.gels.par_iter_mut();
+        let outcomes: Vec<_> = gels
+            .map(|gel| gel.factorise(obstacle, projection))
+            .collect();
+        outcomes.into_iter().collect::<Result<(), _>>()?;
         let dt = self.parameters.dt_s;
         let own = self.object.stiffness(&self.collider, &self.barrier, dt);
         let mut schur: Matrix12 = own.0;
@@ -360,20 +356,20 @@ impl System {
 
     fn minimise(&mut self, mut energy: f64, report: &mut StepReport) {
         let tolerance = self.parameters.newton_tolerance_m_s * self.parameters.dt_s;
-        let mut last_move = f64::INFINITY;
-        let mut slow = 0;
+        let mut previous_move = f64::INFINITY;
+        let mut slow_iterations = 0;
         while report.iterations < self.parameters.max_iterations {
             report.iterations += 1;
             if self.schur.is_none()
                 || self.factor_age >= self.parameters.max_factor_age
-                || slow > PATIENCE
+                || slow_iterations > MAX_SLOW_ITERATIONS
             {
                 let began = Instant::now();
                 self.factorise();
                 self.times.factorisation_s += began.elapsed().as_secs_f64();
                 report.factorisations += 1;
-                self.memory.clear();
-                slow = 0;
+                self.history.clear();
+                slow_iterations = 0;
             }
             self.factor_age += 1;
             let began = Instant::now();
@@ -381,7 +377,7 @@ impl System {
             self.times.direction_s += began.elapsed().as_secs_f64();
             let slope = dot(&self.gradient, &self.direction);
             if slope.is_nan() || slope >= 0.0 {
-                // Rounding at the minimum, or corrections that do not fit any more.
+                // Rounding at the minimum, or outdated L-BFGS corrections.
                 if self.factor_age == 1 {
                     report.converged = slope == 0.0 || self.direction_length() < tolerance;
                     return;
@@ -389,17 +385,16 @@ impl System {
                 self.schur = None;
                 continue;
             }
-            let whole = self.direction_length();
+            let full_step = self.direction_length();
             let began = Instant::now();
-            let (fraction, gathers) = self.free_fraction();
+            let max_step = self.collision_free_step(report);
             self.times.collision_s += began.elapsed().as_secs_f64();
-            report.gathers += gathers;
             let began = Instant::now();
-            let found = self.line_search(energy, slope, fraction, report);
+            let found = self.line_search(energy, slope, max_step, report);
             self.times.line_search_s += began.elapsed().as_secs_f64();
-            let Some((length, new_energy)) = found else {
+            let Some((step_size, new_energy)) = found else {
                 if self.factor_age == 1 {
-                    report.converged = whole < tolerance;
+                    report.converged = full_step < tolerance;
                     return;
                 }
                 self.schur = None;
@@ -407,63 +402,70 @@ impl System {
             };
             energy = new_energy;
             let began = Instant::now();
-            self.accept(length);
+            self.accept(step_size);
             self.times.gradient_s += began.elapsed().as_secs_f64();
-            let moved = whole * length;
-            if whole < tolerance {
+            let moved = full_step * step_size;
+            if full_step < tolerance {
                 report.converged = true;
                 return;
             }
-            if length < 1.0 || moved > SLOW * last_move {
-                slow += 1;
+            if step_size < 1.0 || moved > SLOW_STEP_RATIO * previous_move {
+                slow_iterations += 1;
             } else {
-                slow = 0;
+                slow_iterations = 0;
             }
-            last_move = moved;
+            previous_move = moved;
         }
     }
 
-    /// Direction from the gradient by the corrected inverse of the factorised stiffness.
+    /// Computes the search direction: the L-BFGS-corrected inverse stiffness times the negative
+    /// gradient. The gels are eliminated by a Schur complement on the object's unknowns.
     fn find_direction(&mut self) {
         for (direction, gradient) in self.direction.iter_mut().zip(&self.gradient) {
             *direction = -gradient;
         }
         let (gels, schur) = (&mut self.gels, &self.schur);
         let is_fixed = self.object.is_fixed;
-        self.memory.apply(&mut self.direction, |flat| {
-            let at = flat.len() - OBJECT;
-            let parts = split(gels, flat);
-            let taken = on_each_with(gels, parts, |gel, flat| gel.solve_down(flat));
-            let mut object = [0.0; OBJECT];
+        self.history.apply(&mut self.direction, |flat| {
+            let object_offset = flat.len() - OBJECT_DOF;
+            let slices = split_by_gel(gels, flat);
+            let eliminated: Vec<_> = gels
+                .par_iter_mut()
+                .zip(slices)
+                .map(|(gel, slice)| gel.forward_substitute(slice))
+                .collect();
+            let mut object = [0.0; OBJECT_DOF];
             if !is_fixed {
-                object.copy_from_slice(&flat[at..]);
-                for taken in taken {
-                    for (object, taken) in object.iter_mut().zip(taken) {
-                        *object -= taken;
+                object.copy_from_slice(&flat[object_offset..]);
+                for eliminated in eliminated {
+                    for (object, eliminated) in object.iter_mut().zip(eliminated) {
+                        *object -= eliminated;
                     }
                 }
                 if let Some(schur) = schur {
                     object = schur.solve(&object);
                 }
             }
-            let parts = split(gels, flat);
-            on_each_with(gels, parts, |gel, flat| gel.solve_up(&object, flat));
-            flat[at..].copy_from_slice(&object);
+            let slices = split_by_gel(gels, flat);
+            gels.par_iter_mut()
+                .zip(slices)
+                .for_each(|(gel, slice)| gel.back_substitute(&object, slice));
+            flat[object_offset..].copy_from_slice(&object);
         });
     }
 
-    fn object_direction(&self) -> [f64; OBJECT] {
-        let mut direction = [0.0; OBJECT];
-        direction.copy_from_slice(&self.direction[self.direction.len() - OBJECT..]);
+    fn object_direction(&self) -> [f64; OBJECT_DOF] {
+        let mut direction = [0.0; OBJECT_DOF];
+        direction.copy_from_slice(&self.direction[self.direction.len() - OBJECT_DOF..]);
         direction
     }
 
-    /// Longest motion of a gel node or of a corner of the object's box, m.
+    /// Longest motion of a gel node or of a corner of the object's bounding box, m.
     fn direction_length(&self) -> f64 {
         let object = AffineState::from_array(&self.object_direction());
         let corners = self.corners.iter().map(|&c| object.point(c));
-        let at = self.direction.len() - OBJECT;
-        let nodes = self.direction[..at].chunks_exact(3);
+        let object_offset = self.direction.len() - OBJECT_DOF;
+        let nodes = self.direction[..object_offset].chunks_exact(3);
         nodes
             .map(DVec3::from_slice)
             .chain(corners)
@@ -472,121 +474,105 @@ impl System {
             .sqrt()
     }
 
-    /// Largest fraction of the step without contact or inversion, and how many gels gathered.
-    fn free_fraction(&mut self) -> (f64, u32) {
+    /// Largest step size in (0, 1] without collision or inverted element; counts rebuilds of
+    /// candidates in `report`.
+    fn collision_free_step(&mut self, report: &mut StepReport) -> f64 {
         let object_direction = AffineState::from_array(&self.object_direction());
-        let (state, collider) = (self.object.state, &self.collider);
+        let (object, collider) = (&self.object.state, &self.collider);
         let parameters = &self.parameters;
-        let parts = split(&self.gels, &mut self.direction);
-        let fractions = on_each_with(&mut self.gels, parts, |gel, direction| {
-            let inversion_free = gel.inversion_free_fraction(direction);
-            let (fraction, gathered) =
-                gel.free_fraction(direction, &state, &object_direction, collider, parameters);
-            (fraction.min(inversion_free), gathered)
-        });
+        let slices = split_by_gel(&self.gels, &mut self.direction);
+        let steps: Vec<_> = self
+            .gels
+            .par_iter_mut()
+            .zip(slices)
+            .map(|(gel, direction)| {
+                let inversion_free = gel.inversion_free_step(direction);
+                let (step, was_rebuilt) = gel.collision_free_step(
+                    direction,
+                    object,
+                    &object_direction,
+                    collider,
+                    parameters,
+                );
+                (step.min(inversion_free), was_rebuilt)
+            })
+            .collect();
         let slack = parameters.ccd_slack;
-        let mut fraction = self
+        let mut max_step = self
             .object
-            .free_fraction(&object_direction, &self.collider, slack);
-        let mut gathers = 0;
-        for (gel, gathered) in fractions {
-            fraction = fraction.min(gel);
-            gathers += u32::from(gathered);
+            .collision_free_step(&object_direction, collider, slack);
+        for (step, was_rebuilt) in steps {
+            max_step = max_step.min(step);
+            report.broad_phase_rebuilds += u32::from(was_rebuilt);
         }
-        (fraction, gathers)
+        max_step
     }
 
-    fn place_on_line(&mut self, length: f64) {
+    /// Stores the current state as the origin of [`System::set_step`].
+    fn store_line_origin(&mut self) {
+        for gel in &mut self.gels {
+            gel.store_line_origin();
+        }
+        self.object.store_line_origin();
+    }
+
+    /// Moves to the line origin plus `step_size` times the search direction.
+    fn set_step(&mut self, step_size: f64) {
         let object = self.object_direction();
-        let parts = split(&self.gels, &mut self.direction);
-        on_each_with(&mut self.gels, parts, |gel, direction| {
-            gel.place_on_line(direction, length);
-        });
-        self.object.place_on_line(&object, length);
+        let slices = split_by_gel(&self.gels, &mut self.direction);
+        let gels = self.gels.par_iter_mut().zip(slices);
+        gels.for_each(|(gel, direction)| gel.set_step(direction, step_size));
+        self.object.set_step(&object, step_size);
     }
 
-    /// Halves the step until the energy falls enough; the state is then at its end.
+    /// Backtracks from `max_step` until the Armijo condition holds. Returns the step size and the
+    /// energy there (J), with the state moved accordingly.
     fn line_search(
         &mut self,
         energy: f64,
         slope: f64,
-        fraction: f64,
+        max_step: f64,
         report: &mut StepReport,
     ) -> Option<(f64, f64)> {
-        for gel in &mut self.gels {
-            gel.save();
-        }
-        self.object.save();
-        let mut length = fraction;
-        // Sums of some thousand terms are uncertain by about this much.
+        self.store_line_origin();
+        let mut step_size = max_step;
+        // Rounding of a sum of some thousand terms.
         let noise = 1e-14 * energy.abs();
         for _ in 0..MAX_HALVINGS {
-            self.place_on_line(length);
+            self.set_step(step_size);
             let new_energy = self.energy();
-            if new_energy <= energy + SUFFICIENT * length * slope + noise {
-                return Some((length, new_energy));
+            if new_energy <= energy + ARMIJO_C1 * step_size * slope + noise {
+                return Some((step_size, new_energy));
             }
-            length *= 0.5;
+            step_size *= 0.5;
             report.halvings += 1;
         }
-        self.place_on_line(0.0);
+        self.set_step(0.0);
         None
     }
 
-    /// Takes the step of the line search and learns from it.
-    fn accept(&mut self, length: f64) {
-        std::mem::swap(&mut self.gradient, &mut self.before);
+    /// Updates contacts, gradient and L-BFGS history after a step of the line search.
+    fn accept(&mut self, step_size: f64) {
+        std::mem::swap(&mut self.gradient, &mut self.previous_gradient);
         self.find_contacts();
         self.compute_gradient();
         for direction in &mut self.direction {
-            *direction *= length;
+            *direction *= step_size;
         }
-        self.memory
-            .push(&self.direction, &self.gradient, &self.before);
+        self.history
+            .push(&self.direction, &self.gradient, &self.previous_gradient);
     }
 }
 
-/// The gels' parts of a flat vector.
-fn split<'a>(gels: &[Gel], mut flat: &'a mut [f64]) -> Vec<&'a mut [f64]> {
-    let mut parts = Vec::with_capacity(gels.len());
+/// Splits a vector over all unknowns into one slice per gel.
+fn split_by_gel<'a>(gels: &[Gel], mut flat: &'a mut [f64]) -> Vec<&'a mut [f64]> {
+    let mut slices = Vec::with_capacity(gels.len());
     for gel in gels {
-        let (part, rest) = flat.split_at_mut(gel.unknowns());
-        parts.push(part);
+        let (slice, rest) = flat.split_at_mut(gel.unknowns());
+        slices.push(slice);
         flat = rest;
     }
-    parts
-}
-
-/// Runs `work` on each gel, two gels at the same time; results in the order of the gels.
-fn on_each<R: Send>(gels: &mut [Gel], work: impl Fn(usize, &mut Gel) -> R + Sync) -> Vec<R> {
-    if let [first, second] = gels {
-        let (a, b) = rayon::join(|| work(0, first), || work(1, second));
-        return vec![a, b];
-    }
-    gels.iter_mut()
-        .enumerate()
-        .map(|(index, gel)| work(index, gel))
-        .collect()
-}
-
-/// [`on_each`] with a part of a flat vector for each gel.
-fn on_each_with<R: Send>(
-    gels: &mut [Gel],
-    parts: Vec<&mut [f64]>,
-    work: impl Fn(&mut Gel, &mut [f64]) -> R + Sync,
-) -> Vec<R> {
-    let mut parts = parts.into_iter();
-    if let [first, second] = gels {
-        if let (Some(a), Some(b)) = (parts.next(), parts.next()) {
-            let (a, b) = rayon::join(|| work(first, a), || work(second, b));
-            return vec![a, b];
-        }
-        return Vec::new();
-    }
-    gels.iter_mut()
-        .zip(parts)
-        .map(|(gel, part)| work(gel, part))
-        .collect()
+    slices
 }
 
 #[cfg(test)]

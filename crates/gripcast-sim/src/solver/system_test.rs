@@ -1,4 +1,4 @@
-//! The energy's gradient, the direction, and what every iterate must hold to.
+//! Gradient, search direction and invariants of every iterate.
 
 use std::hash::{DefaultHasher, Hasher};
 
@@ -6,7 +6,7 @@ use glam::{DMat3, DQuat};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::super::gel_contact::Situation;
+use super::super::gel_contact::ContactState;
 use super::super::test_scene::{
     Grip, centred, closing, crosses, near_distances, random_point, small_pad,
 };
@@ -14,9 +14,9 @@ use super::*;
 use crate::fem::{GelGrid, GelResolution};
 use gripcast_geometry::{Pose, TriangleMesh, convex_hull};
 
-/// Both pads over the upper corner of a box, whose ridges run along their grid lines; the left one
+/// Both pads over the upper corner of a box, whose ridges run along their grid lines: the left one
 /// slides, the right one sticks, and the box slides on the ground.
-fn rubbing_at_a_corner() -> System {
+fn sliding_at_a_corner() -> System {
     let mesh = centred("box", DMat3::IDENTITY);
     let grip = Grip {
         grid: small_pad(),
@@ -39,7 +39,7 @@ fn rubbing_at_a_corner() -> System {
     system.find_contacts();
     let epsilon = parameters.eps_v_m_s * parameters.dt_s;
     for gel in &mut system.gels {
-        gel.contact.lag_friction(system.pair_mu, epsilon);
+        gel.contact.lag_friction(system.gel_mu, epsilon);
     }
     let System {
         object,
@@ -56,7 +56,7 @@ fn rubbing_at_a_corner() -> System {
             *target += random_point(&mut rng, 2e-6);
         }
     }
-    let step: [f64; OBJECT] = std::array::from_fn(|k| {
+    let step: [f64; OBJECT_DOF] = std::array::from_fn(|k| {
         let size = if k < 3 { 4e-6 } else { 4e-5 };
         rng.random_range(-size..size)
     });
@@ -66,42 +66,41 @@ fn rubbing_at_a_corner() -> System {
     system
 }
 
-/// Slope of the energy where `shift` moves one unknown by its argument.
+/// Slope of the energy with respect to the unknown that `shift` moves, by central differences.
 fn slope(system: &mut System, step: f64, shift: impl Fn(&mut System, f64)) -> f64 {
     let mut energies = [0.0; 4];
-    let mut at = 0.0;
+    let mut position = 0.0;
     for (energy, to) in energies.iter_mut().zip([-2.0, -1.0, 1.0, 2.0]) {
-        shift(system, (to - at) * step);
-        at = to;
+        shift(system, (to - position) * step);
+        position = to;
         *energy = system.energy();
     }
-    shift(system, -at * step);
+    shift(system, -position * step);
     let [far_low, low, high, far_high] = energies;
     (8.0 * (high - low) - (far_high - far_low)) / (12.0 * step)
 }
 
 #[test]
 fn gradient_is_the_slope_of_the_energy() {
-    let mut system = rubbing_at_a_corner();
-    let (state, from) = (system.object.state, system.object.start);
-    for (gel, which) in system.gels.iter().zip(["left", "right"]) {
-        let census = gel.contact.census();
+    let mut system = sliding_at_a_corner();
+    for (gel, side) in system.gels.iter().zip(["left", "right"]) {
+        let counts = gel.contact.counts();
         assert!(
-            census.node_triangle > 5 && census.vertex_triangle > 2,
-            "{census:?}"
+            counts.node_triangle > 5 && counts.vertex_triangle > 2,
+            "{counts:?}"
         );
         assert!(
-            census.mollified > 2 && census.edge_edge > census.mollified + 5,
-            "{census:?}"
+            counts.mollified > 2 && counts.edge_edge > counts.mollified + 5,
+            "{counts:?}"
         );
-        let now = Situation {
-            barrier: &system.barrier,
+        let state = ContactState {
+            obstacle: system.object.as_obstacle(&system.barrier),
             x: &gel.x,
-            object: &state,
+            start: &gel.start,
         };
-        let [sticking, sliding] = gel.contact.rubbing(&now, &gel.start, &from);
-        let some = if which == "left" { sliding } else { sticking };
-        assert!(some > 10, "{which}: {sticking} stick, {sliding} slide");
+        let [sticking, sliding] = gel.contact.sticking_and_sliding(&state);
+        let some = if side == "left" { sliding } else { sticking };
+        assert!(some > 10, "{side}: {sticking} stick, {sliding} slide");
     }
     system.compute_gradient();
     assert!(system.object.ground_gradient.0[2].abs() > 0.1);
@@ -109,49 +108,57 @@ fn gradient_is_the_slope_of_the_energy() {
     // Tolerances follow the contact forces, which are far smaller than those of drive and body.
     let forces = |gel: &Gel| gel.contact_forces().map(DVec3::length).fold(0.0, f64::max);
     let largest = system.gels.iter().map(forces).fold(0.0, f64::max);
-    let turning = system.gels.iter().map(|gel| gel.contact.census().turning_n);
-    assert!(turning.fold(0.0, f64::max) > 1e-3 * largest);
+    let rotations = system
+        .gels
+        .iter()
+        .map(|gel| gel.contact.max_rotation_force_n());
+    assert!(rotations.fold(0.0, f64::max) > 1e-3 * largest);
+
     let check = |k: usize, found: f64, scale: f64| {
-        let wanted = gradient[k];
-        let tolerance = 1e-5 * scale + 1e-7 * wanted.abs();
+        let expected = gradient[k];
+        let tolerance = 1e-5 * scale + 1e-7 * expected.abs();
         assert!(
-            (found - wanted).abs() < tolerance,
-            "unknown {k}: {found} against {wanted}"
+            (found - expected).abs() < tolerance,
+            "unknown {k}: {found}, expected {expected}"
         );
     };
-    let mut at = 0;
-    for which in 0..2 {
-        for node in 0..system.gels[which].x.len() {
+    let mut unknown = 0;
+    for gel in 0..2 {
+        for node in 0..system.gels[gel].x.len() {
             for axis in 0..3 {
-                let found = slope(&mut system, 2e-8, |s, by| s.gels[which].x[node][axis] += by);
-                check(at, found, largest);
-                at += 1;
+                let found = slope(&mut system, 2e-8, |s, by| s.gels[gel].x[node][axis] += by);
+                check(unknown, found, largest);
+                unknown += 1;
             }
         }
     }
-    for k in 0..OBJECT {
+    for k in 0..OBJECT_DOF {
         let step = if k < 3 { 2e-8 } else { 1e-6 };
         let found = slope(&mut system, step, |s, by| {
-            let mut unit = [0.0; OBJECT];
+            let mut unit = [0.0; OBJECT_DOF];
             unit[k] = by;
             s.object.state = s.object.state.stepped(&unit, 1.0);
         });
         // The arm of a force on an entry of A is at most the size of the box.
-        check(at, found, if k < 3 { largest } else { 0.02 * largest });
-        at += 1;
+        check(unknown, found, if k < 3 { largest } else { 0.02 * largest });
+        unknown += 1;
     }
-    assert_eq!(at, gradient.len());
+    assert_eq!(unknown, gradient.len());
 }
 
-/// The whole assembled stiffness times a vector.
+/// The assembled stiffness of the system times a vector.
 fn product(system: &System, x: &[f64]) -> Vec<f64> {
     let mut y = vec![0.0; x.len()];
-    let at = x.len() - OBJECT;
-    let (flat, object) = y.split_at_mut(at);
+    let offset = x.len() - OBJECT_DOF;
+    let (flat, object) = y.split_at_mut(offset);
     let mut start = 0;
     for gel in &system.gels {
         let end = start + gel.unknowns();
-        gel.add_product((&x[start..end], &x[at..]), &mut flat[start..end], object);
+        gel.add_product(
+            (&x[start..end], &x[offset..]),
+            &mut flat[start..end],
+            object,
+        );
         start = end;
     }
     let dt = system.parameters.dt_s;
@@ -159,7 +166,11 @@ fn product(system: &System, x: &[f64]) -> Vec<f64> {
         .object
         .stiffness(&system.collider, &system.barrier, dt);
     for (y, row) in object.iter_mut().zip(&own.0) {
-        *y += row.iter().zip(&x[at..]).map(|(h, x)| h * x).sum::<f64>();
+        *y += row
+            .iter()
+            .zip(&x[offset..])
+            .map(|(h, x)| h * x)
+            .sum::<f64>();
     }
     y
 }
@@ -169,15 +180,15 @@ fn length(x: &[f64]) -> f64 {
 }
 
 #[test]
-fn a_fresh_factor_solves_the_assembled_system() {
-    let mut system = rubbing_at_a_corner();
+fn direction_of_fresh_factor_solves_assembled_system() {
+    let mut system = sliding_at_a_corner();
     system.compute_gradient();
     system.factorise();
     assert!(system.schur.is_some());
-    system.memory.clear();
+    system.history.clear();
     system.find_direction();
-    let back = product(&system, &system.direction);
-    let residual: Vec<f64> = back
+    let applied = product(&system, &system.direction);
+    let residual: Vec<f64> = applied
         .iter()
         .zip(&system.gradient)
         .map(|(h, g)| h + g)
@@ -188,8 +199,8 @@ fn a_fresh_factor_solves_the_assembled_system() {
 }
 
 #[test]
-fn the_assembled_stiffness_is_symmetric_and_positive_definite() {
-    let mut system = rubbing_at_a_corner();
+fn assembled_stiffness_is_symmetric_positive_definite() {
+    let mut system = sliding_at_a_corner();
     system.compute_gradient();
     system.factorise();
     let mut rng = Pcg64::seed_from_u64(2);
@@ -205,7 +216,7 @@ fn the_assembled_stiffness_is_symmetric_and_positive_definite() {
             "{one} {other}"
         );
     }
-    // A random vector sees the stiffest directions only: shrink the stiff parts by solving.
+    // A random vector probes only the stiffest directions: solving shrinks its stiff components.
     for _ in 0..5 {
         system.gradient = random();
         system.find_direction();
@@ -214,7 +225,7 @@ fn the_assembled_stiffness_is_symmetric_and_positive_definite() {
     }
 }
 
-/// A grip of the small pad at a random height and angle, its faces just beyond the barrier.
+/// A grip by the small pads at a random height and angle, with the faces just outside the barrier.
 fn random_grip(mesh: &TriangleMesh, rng: &mut Pcg64) -> Grip {
     let bounds = mesh.bounds();
     let rotation = DQuat::from_rotation_z(rng.random_range(-1.5..1.5))
@@ -237,8 +248,8 @@ fn random_grip(mesh: &TriangleMesh, rng: &mut Pcg64) -> Grip {
     }
 }
 
-/// Closes the fingers for one step and calls `visit` after every iteration.
-fn close_watching(
+/// Closes the fingers for one step, calling `visit` after every iteration.
+fn close_with_visitor(
     system: &mut System,
     by: f64,
     pose: &Pose,
@@ -251,7 +262,7 @@ fn close_watching(
     system.parameters.max_iterations = 1;
     let mut converged = system
         .step(&StepStart {
-            renew: true,
+            refactorize: true,
             ..Default::default()
         })
         .converged;
@@ -275,7 +286,7 @@ fn close_watching(
 }
 
 #[test]
-fn no_iterate_of_random_closings_penetrates() {
+fn iterates_of_random_closings_never_penetrate() {
     let mut rng = Pcg64::seed_from_u64(3);
     let parameters = SolverParameters::default();
     let (mut iterates, mut touching) = (0, 0);
@@ -284,12 +295,12 @@ fn no_iterate_of_random_closings_penetrates() {
             let mesh = centred(name, DMat3::IDENTITY);
             let grip = random_grip(&mesh, &mut rng);
             let mut system = grip.system(&mesh, &parameters);
-            // Without collision detection, the long ones would carry the gels through the surface.
+            // Without collision detection the long moves would carry the gels through the surface.
             for (step, by) in [1e-3, 1.5e-4, 1.5e-4, 8e-4, 1.5e-4, 1.5e-4]
                 .into_iter()
                 .enumerate()
             {
-                close_watching(&mut system, by, &grip.pose, |system| {
+                close_with_visitor(&mut system, by, &grip.pose, |system| {
                     let (object, collider) = (&system.object.state, &system.collider);
                     iterates += 1;
                     for gel in &system.gels {
@@ -310,9 +321,9 @@ fn no_iterate_of_random_closings_penetrates() {
     );
 }
 
-/// Closes until both gels press with 15 N, then lifts; how often a gel was seen to cross the
-/// object, looking at every fifth step.
-fn crossings_of_a_grasp(mesh: &TriangleMesh, pose: Pose, opening_m: f64) -> usize {
+/// Closes until both gels press with 15 N, then lifts. Returns how often a gel crosses the object,
+/// checked at every fifth step.
+fn crossings_in_grasp(mesh: &TriangleMesh, pose: Pose, opening_m: f64) -> usize {
     let grid = GelGrid::pad(GelResolution::Coarse).unwrap();
     let grip = Grip {
         grid,
@@ -342,7 +353,7 @@ fn crossings_of_a_grasp(mesh: &TriangleMesh, pose: Pose, opening_m: f64) -> usiz
             });
         }
         let start = StepStart {
-            renew: !pressed,
+            refactorize: !pressed,
             ..Default::default()
         };
         assert!(system.step(&start).converged, "step {step}");
@@ -356,28 +367,28 @@ fn crossings_of_a_grasp(mesh: &TriangleMesh, pose: Pose, opening_m: f64) -> usiz
     crossings
 }
 
-fn turned(degrees: f64, y: f64) -> Pose {
+fn yawed(degrees: f64, y: f64) -> Pose {
     let rotation = DQuat::from_rotation_z(degrees.to_radians());
     Pose::new(rotation, DVec3::new(0.0, y, 0.03))
 }
 
 /// A box of 40 x 40 x 60 mm with no vertices but its corners.
-fn bare_box(turn: DMat3) -> TriangleMesh {
+fn bare_box(rotation: DMat3) -> TriangleMesh {
     let corners: Vec<DVec3> = (0..8)
         .map(|i| {
             let side = |bit: i32| if i & bit == 0 { -0.5 } else { 0.5 };
-            turn * DVec3::new(0.04 * side(1), 0.04 * side(2), 0.06 * side(4))
+            rotation * DVec3::new(0.04 * side(1), 0.04 * side(2), 0.06 * side(4))
         })
         .collect();
     convex_hull(&corners).unwrap()
 }
 
 #[test]
-fn gels_do_not_cross_flat_edges_that_are_no_contacts() {
+fn gels_do_not_cross_flat_edges_without_contacts() {
     let faces = bare_box(DMat3::IDENTITY);
-    assert_eq!(crossings_of_a_grasp(&faces, turned(0.0, 0.0), 0.0412), 0);
+    assert_eq!(crossings_in_grasp(&faces, yawed(0.0, 0.0), 0.0412), 0);
     let mesh = centred("box", DMat3::IDENTITY);
-    assert_eq!(crossings_of_a_grasp(&mesh, turned(10.0, 0.012), 0.0485), 0);
+    assert_eq!(crossings_in_grasp(&mesh, yawed(10.0, 0.012), 0.0485), 0);
 }
 
 #[test]
@@ -385,10 +396,7 @@ fn gels_do_not_cross_a_ridge_between_their_nodes() {
     // Its ends are far from the gels, and no gel node is within 1 mm of it.
     let ridges = bare_box(DMat3::from_rotation_z(std::f64::consts::FRAC_PI_4));
     let opening_m = 0.04 * 2f64.sqrt() + 1.2e-3;
-    assert_eq!(
-        crossings_of_a_grasp(&ridges, turned(0.0, 1e-3), opening_m),
-        0
-    );
+    assert_eq!(crossings_in_grasp(&ridges, yawed(0.0, 1e-3), opening_m), 0);
 }
 
 #[test]
@@ -396,13 +404,13 @@ fn gels_do_not_cross_the_concave_ring_of_a_handle() {
     let mesh = centred("mug", DMat3::IDENTITY);
     let near = mesh.vertices.iter().filter(|v| v.y.abs() < 0.012);
     let opening_m = 2.0 * (near.map(|v| v.x.abs()).fold(0.0, f64::max) + 6e-4);
-    let mut pose = turned(0.0, 0.0);
+    let mut pose = yawed(0.0, 0.0);
     pose.translation_m.z = 0.5 * mesh.bounds().extent().z;
-    assert_eq!(crossings_of_a_grasp(&mesh, pose, opening_m), 0);
+    assert_eq!(crossings_in_grasp(&mesh, pose, opening_m), 0);
 }
 
 #[test]
-fn a_step_that_ends_too_early_is_not_called_converged() {
+fn step_cut_off_by_iteration_limit_is_not_converged() {
     let mesh = centred("box", DMat3::IDENTITY);
     let grip = Grip {
         grid: small_pad(),
@@ -445,8 +453,8 @@ fn digest(threads: usize) -> u64 {
                 gel.move_target(closing * 1e-4 + DVec3::Z * 1e-5);
             }
             system.step(&StepStart {
-                renew: step % 3 == 0,
-                kind: step % 2,
+                refactorize: step % 3 == 0,
+                warm_start_slot: step % 2,
                 ..Default::default()
             });
         }
@@ -465,7 +473,7 @@ fn digest(threads: usize) -> u64 {
 }
 
 #[test]
-fn results_are_the_same_bits_for_any_number_of_threads() {
+fn results_are_bit_identical_for_any_thread_count() {
     let first = digest(1);
     assert_eq!(first, digest(1));
     assert_eq!(first, digest(2));

@@ -1,4 +1,4 @@
-//! Small scenes and brute-force geometry for the tests of the solver.
+//! Small scenes and brute-force geometry for solver tests.
 
 use glam::{DMat3, DVec3};
 use rand::RngExt;
@@ -16,7 +16,7 @@ const MU: f64 = 0.4;
 /// Two gels around an object that stands on the ground.
 pub(super) struct Grip {
     pub(super) grid: GelGrid,
-    /// The gripper: closing along x, the gels' long sides along z.
+    /// Gripper pose: closing along x, the gels' long sides along z.
     pub(super) pose: Pose,
     pub(super) opening_m: f64,
 }
@@ -26,12 +26,12 @@ pub(super) fn small_pad() -> GelGrid {
     GelGrid::uniform([5, 5, 3], [0.010, 0.008, 0.004]).unwrap()
 }
 
-/// A built-in mesh around its centre of mass, turned in its own frame.
-pub(super) fn centred(name: &str, turn: DMat3) -> TriangleMesh {
+/// A built-in mesh around its centre of mass, rotated in its own frame.
+pub(super) fn centred(name: &str, rotation: DMat3) -> TriangleMesh {
     let mut mesh = builtin(name).unwrap();
-    let center = MassProperties::of(&mesh).unwrap().center_of_mass_m;
+    let center = MassProperties::from_mesh(&mesh).unwrap().center_of_mass_m;
     for vertex in &mut mesh.vertices {
-        *vertex = turn * (*vertex - center);
+        *vertex = rotation * (*vertex - center);
     }
     mesh
 }
@@ -41,15 +41,15 @@ pub(super) fn closing(pose: &Pose) -> [DVec3; 2] {
 }
 
 impl Grip {
-    fn place(&self, side: DVec3, p: DVec3) -> DVec3 {
+    fn to_world(&self, side: DVec3, p: DVec3) -> DVec3 {
         let rotation = DMat3::from_cols(DVec3::Z, side.cross(DVec3::Z), side);
         let back = -(0.5 * self.opening_m + self.grid.thickness_m());
         self.pose.transform_point(rotation * p + side * back)
     }
 
-    /// The scene; the object's lowest point is at the height at which the ground carries it.
+    /// Builds the scene with the object at the height at which the ground carries it.
     pub(super) fn system(&self, mesh: &TriangleMesh, parameters: &SolverParameters) -> System {
-        let properties = MassProperties::of(mesh).unwrap();
+        let properties = MassProperties::from_mesh(mesh).unwrap();
         let body = AffineBody::new(
             MASS_KG,
             properties.volume_m3,
@@ -59,26 +59,33 @@ impl Grip {
         .unwrap();
         let collider = Collider::new(mesh);
         let state = AffineState::rigid(DVec3::ZERO, DMat3::IDENTITY);
-        let mut object = Object::new(body, state, &collider).on_ground(MU);
+        let mut object = Object::new(body, state, &collider).with_ground(MU);
         let barrier = parameters.barrier();
         let gap = object.resting_height(&collider, &barrier, MASS_KG * 9.81);
         object.raise(gap - object.lowest(&collider));
         let gels = [DVec3::X, DVec3::NEG_X].map(|side| {
-            let place = |p| self.place(side, p);
+            let to_world = |p| self.to_world(side, p);
             let material = GelMaterial::default();
-            Gel::new(&self.grid, &material, Drive::default(), parameters, place).unwrap()
+            Gel::new(
+                &self.grid,
+                &material,
+                Drive::default(),
+                parameters,
+                to_world,
+            )
+            .unwrap()
         });
         System::new(gels.into(), object, collider, MU, *parameters).unwrap()
     }
 }
 
-/// A point of the cube of this half width.
+/// A random point of a cube with this half width.
 pub(super) fn random_point(rng: &mut Pcg64, half: f64) -> DVec3 {
     DVec3::from_array([(); 3].map(|()| rng.random_range(-half..half)))
 }
 
-/// Distances below `limit` between a gel and an object, found by looking at every pair: of gel
-/// nodes and triangles, of convex vertices and gel triangles, of convex edges and gel edges.
+/// Distances below `limit` over all pairs, by brute force: gel nodes and triangles, convex vertices
+/// and gel triangles, convex edges and gel edges.
 pub(super) fn near_distances(
     gel: &Gel,
     object: &AffineState,
@@ -117,8 +124,8 @@ pub(super) fn near_distances(
     found
 }
 
-/// Whether a side of one triangle passes through the other, for any triangle of the gel's surface
-/// and any of the object, whatever its edges are like.
+/// Whether any edge of a gel triangle pierces a triangle of the object, or the reverse; considers
+/// flat and concave edges too.
 pub(super) fn crosses(gel: &Gel, object: &AffineState, collider: &Collider) -> bool {
     let inverse = object.a.inverse();
     let x: Vec<DVec3> = gel
@@ -143,13 +150,13 @@ fn side_through(a: &[DVec3; 3], &[t0, t1, t2]: &[DVec3; 3]) -> bool {
     [(0, 1), (1, 2), (2, 0)].into_iter().any(|(i, j)| {
         let (p, q) = (a[i], a[j]);
         let apart = volume(t0, t1, t2, p) * volume(t0, t1, t2, q) < 0.0;
-        let turns = [(t0, t1), (t1, t2), (t2, t0)].map(|(u, v)| volume(p, q, u, v));
-        apart && (turns.iter().all(|t| *t > 0.0) || turns.iter().all(|t| *t < 0.0))
+        let sides = [(t0, t1), (t1, t2), (t2, t0)].map(|(u, v)| volume(p, q, u, v));
+        apart && (sides.iter().all(|t| *t > 0.0) || sides.iter().all(|t| *t < 0.0))
     })
 }
 
 #[test]
-fn a_side_through_a_triangle_is_seen() {
+fn piercing_side_is_detected() {
     let triangle = [DVec3::ZERO, DVec3::X, DVec3::Y];
     let through = DVec3::new(0.2, 0.2, 0.0);
     let other = |dz: f64| {

@@ -1,4 +1,4 @@
-//! Cases of the object alone: free fall, momentum, sliding on an incline.
+//! Analytic cases of the object without gels: free fall, momentum, incline.
 
 use glam::{DMat3, DVec3};
 
@@ -9,8 +9,8 @@ use crate::solver::{Object, SolverParameters, StepStart, System};
 use gripcast_base::error::Result;
 use gripcast_geometry::{Pose, builtin};
 
-/// Object without gels; the object itself is made by `place` and put at z = 1 m.
-fn alone(gravity: f64, make: impl FnOnce(Object) -> Object) -> Result<System> {
+/// A system without gels; `make` configures the object at z = 1 m.
+fn without_gels(gravity: f64, make: impl FnOnce(Object) -> Object) -> Result<System> {
     let parameters = SolverParameters {
         gravity_m_s2: gravity,
         newton_tolerance_m_s: 1e-10,
@@ -22,9 +22,9 @@ fn alone(gravity: f64, make: impl FnOnce(Object) -> Object) -> Result<System> {
     System::new(Vec::new(), object, collider, 0.4, parameters)
 }
 
-/// Implicit Euler falls by g dt² n (n + 1) / 2 in n steps.
+/// Free fall with implicit Euler: g dt² n (n + 1) / 2 in n steps.
 pub(super) fn free_fall(recorder: &mut Recorder) -> Result<()> {
-    let mut system = alone(-GRAVITY, |object| object)?;
+    let mut system = without_gels(-GRAVITY, |object| object)?;
     let dt = system.parameters().dt_s;
     for n in 1..=50_u32 {
         system.step(&StepStart::default());
@@ -38,8 +38,8 @@ pub(super) fn free_fall(recorder: &mut Recorder) -> Result<()> {
     Ok(())
 }
 
-/// Linear momentum stays; rotation loses speed as implicit Euler's does: the angle a step turns by
-/// shrinks to φ - φ³, so after n steps it is φ / sqrt(1 + 2 n φ²).
+/// Linear momentum is conserved; implicit Euler damps rotation: the angle φ per step becomes φ - φ³,
+/// so after n steps it is φ / sqrt(1 + 2 n φ²).
 pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
     let velocity = DVec3::new(0.1, -0.05, 0.02);
     let spin = 2.0;
@@ -47,7 +47,7 @@ pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
         p: velocity,
         a: DMat3::from_cols(DVec3::Y * spin, DVec3::X * -spin, DVec3::ZERO),
     };
-    let mut system = alone(0.0, |object| object.moving(rate))?;
+    let mut system = without_gels(0.0, |object| object.with_rate(rate))?;
     let dt = system.parameters().dt_s;
     let mass = system.object().body().mass_kg();
     let angular = |system: &System| {
@@ -72,7 +72,7 @@ pub(super) fn momentum(recorder: &mut Recorder) -> Result<()> {
     let after = |n: f64| (1.0 + 2.0 * n * angle * angle).sqrt().recip();
     let expected = after(f64::from(steps) + 1.0) / after(1.0);
     let pair = (expected, angular(&system) / first);
-    recorder.relative("angular, kept", pair, "", 1e-3);
+    recorder.relative("angular, conserved", pair, "", 1e-3);
     Ok(())
 }
 
@@ -90,8 +90,8 @@ const INCLINES: [(f64, f64); 10] = [
     (0.8, 39.0),
 ];
 
-/// Below tan θ = µ a block creeps at eps_v (1 - sqrt(1 - tan θ / µ)); above, it speeds up by
-/// g (sin θ - µ cos θ).
+/// A block on an incline creeps at eps_v (1 - sqrt(1 - tan θ / µ)) for tan θ < µ, and accelerates by
+/// g (sin θ - µ cos θ) otherwise.
 pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
     for (mu, degrees) in INCLINES {
         let angle = degrees.to_radians();
@@ -123,15 +123,15 @@ pub(super) fn incline(recorder: &mut Recorder) -> Result<()> {
     Ok(())
 }
 
-/// A flat bar (20 x 120 mm on the ground, 10 mm high) on ground tilted by `angle` about y: gravity
-/// is tilted instead.
+/// A flat bar (20 x 120 mm on the ground, 10 mm high) on ground inclined by `angle` about y, modelled
+/// by inclined gravity.
 fn block(mu: f64, angle: f64) -> Result<System> {
     let parameters = SolverParameters {
         gravity_m_s2: -GRAVITY * angle.cos(),
         newton_tolerance_m_s: 1e-8,
         ..SolverParameters::default()
     };
-    // The bar stands along z; its 120 mm are laid along x and its 10 mm upright.
+    // Lays the bar down: 120 mm along x, 10 mm upright.
     let rotation = DMat3::from_cols(DVec3::Z, DVec3::Y, DVec3::NEG_X);
     let lay = Pose::new(glam::DQuat::from_mat3(&rotation), DVec3::ZERO);
     let mesh = builtin("bar")?.transformed(&lay);
@@ -139,8 +139,8 @@ fn block(mu: f64, angle: f64) -> Result<System> {
     let (body, collider) = solid(&mesh, mass, &parameters)?;
     let state = AffineState::rigid(DVec3::ZERO, DMat3::IDENTITY);
     let mut object = Object::new(body, state, &collider)
-        .on_ground(mu)
-        .pulled(DVec3::X * GRAVITY * angle.sin());
+        .with_ground(mu)
+        .with_acceleration(DVec3::X * GRAVITY * angle.sin());
     let weight = mass * GRAVITY * angle.cos();
     let rise =
         object.resting_height(&collider, &parameters.barrier(), weight) - object.lowest(&collider);

@@ -1,4 +1,4 @@
-//! Cases of gels and object with a known answer: balance of forces, creep, gap, drive, lift.
+//! Analytic cases of gels and object: force balance, creep, lift, gap, drive.
 
 use glam::DVec3;
 
@@ -7,13 +7,13 @@ use super::report::Recorder;
 use crate::contact::barrier::Barrier;
 use crate::fem::{GelGrid, GelResolution};
 use crate::grasp::{ForceRule, GelSpec, GraspOutcome, Protocol, Scene, simulate};
-use crate::press::{Goal, Indenter, Press};
+use crate::press::{Indenter, Press, PressTarget};
 use crate::solver::{Drive, SolverParameters};
 use gripcast_base::error::Result;
 use gripcast_geometry::{Pose, builtin};
 
-/// Contact and friction on the gels, the object's weight and its change of momentum add up to
-/// nothing in every step: while the gels close, while they lift and while the object swings.
+/// Contact and friction on the gels, the object's weight and its momentum change sum to zero in every
+/// step: while the gels close, while they lift and while the object swings.
 pub(super) fn balance(recorder: &mut Recorder) -> Result<()> {
     let parameters = SolverParameters {
         newton_tolerance_m_s: 1e-9,
@@ -22,7 +22,7 @@ pub(super) fn balance(recorder: &mut Recorder) -> Result<()> {
     for name in ["box", "mug"] {
         let mesh = builtin(name)?;
         let mut pinch = Pinch::new(&mesh, (0.06, 0.4), 4.9e-4, parameters)?;
-        let mut worst = 0.0_f64;
+        let mut max_residual = 0.0_f64;
         for step in 0..30 {
             let before = pinch.system.object().rate().p;
             let (closing, up) = if step < 10 { (5e-5, 0.0) } else { (0.0, 2e-4) };
@@ -30,16 +30,16 @@ pub(super) fn balance(recorder: &mut Recorder) -> Result<()> {
             let now = pinch.system.object().rate().p;
             let change = (now - before) * (pinch.mass_kg / parameters.dt_s);
             let weight = DVec3::Z * (parameters.gravity_m_s2 * pinch.mass_kg);
-            worst = worst.max((pinch.force_on_gels() + change - weight).length());
+            max_residual = max_residual.max((pinch.force_on_gels() + change - weight).length());
         }
-        let pair = (0.0, worst);
+        let pair = (0.0, max_residual);
         recorder.absolute(format!("{name}: residual"), pair, "N", 1e-6);
-        recorder.hold(format!("{name}: converged"), pinch.unconverged == 0);
+        recorder.require(format!("{name}: converged"), pinch.unconverged == 0);
     }
     Ok(())
 }
 
-/// A held box sinks at eps_v (1 - sqrt(1 - T / µN)): the mollified law, whatever the gels do.
+/// A gripped box creeps down at eps_v (1 - sqrt(1 - T / µN)), by the mollified friction law.
 pub(super) fn creep(recorder: &mut Recorder) -> Result<()> {
     let parameters = SolverParameters {
         newton_tolerance_m_s: 1e-7,
@@ -50,7 +50,7 @@ pub(super) fn creep(recorder: &mut Recorder) -> Result<()> {
         for _ in 0..100 {
             pinch.step(0.0, DVec3::ZERO);
         }
-        // Nodes slide over the box's faces, so the normal force varies a little.
+        // Nodes slide over the faces of the box, so the normal force varies slightly.
         let steps = 50_u32;
         let (mut expected, mut found, mut fraction) = (0.0, 0.0, 0.0);
         for _ in 0..steps {
@@ -67,7 +67,7 @@ pub(super) fn creep(recorder: &mut Recorder) -> Result<()> {
     Ok(())
 }
 
-/// A box between two fingers lifts exactly if 2 µ F exceeds its weight.
+/// Two fingers lift a box if and only if 2 µ F exceeds its weight.
 pub(super) fn lift(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     let all = [
         (0.057, 0.4),
@@ -76,14 +76,14 @@ pub(super) fn lift(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
         (0.07, 0.8),
         (1.0, 0.4),
     ];
-    let some = if is_quick { &all[..1] } else { &all[..] };
-    for &(mass, mu) in some {
+    let cases = if is_quick { &all[..1] } else { &all[..] };
+    for &(mass, mu) in cases {
         let critical = mass * GRAVITY / (2.0 * mu);
         for fraction in [0.8, 1.2] {
             let outcome = lift_box(mass, mu, fraction * critical)?;
             let lifts = outcome == GraspOutcome::Success;
             let name = format!("{mass} kg, mu {mu}, {fraction} of {critical:.3} N");
-            recorder.hold(
+            recorder.require(
                 name,
                 lifts == (fraction > 1.0) && outcome != GraspOutcome::NotConverged,
             );
@@ -117,7 +117,7 @@ fn lift_box(mass_kg: f64, friction: f64, force_n: f64) -> Result<GraspOutcome> {
     Ok(result.outcome)
 }
 
-/// Pressure of the barrier at a distance, for contacts whose weights add up to `weight`, Pa.
+/// Barrier pressure at a distance for contacts with a total weight, Pa.
 fn pressure(barrier: &Barrier, weight: f64, distance: f64) -> f64 {
     let squared = distance * distance;
     -weight * barrier.d_hat * barrier.squared(squared).to_linear(squared).first
@@ -136,23 +136,23 @@ fn gap_at(barrier: &Barrier, weight: f64, target_pa: f64) -> f64 {
     0.5 * (low + high)
 }
 
-/// Weight of a node against the inside of one face; vertices and edges of a flat face add nothing.
+/// Weight of a node inside one face; vertices and edges of a flat face do not contribute.
 const NODE_WEIGHT: f64 = 0.25;
 
-/// The gap under a plate of one face a side is that of the barrier's formula.
+/// The gap under a plate of one face matches the barrier's formula.
 pub(super) fn gap(recorder: &mut Recorder) -> Result<()> {
     let barrier = SolverParameters::default().barrier();
     let grid = GelGrid::pad(GelResolution::Coarse)?;
     let mut press = Press::new(grid, Indenter::Mesh(single_face()));
     press.d_hat_m = barrier.d_hat;
     press.kappa_pa = barrier.kappa;
-    let goals = [5e-5, 2e-4, 6e-4].map(|depth_m| Goal {
+    let targets = [5e-5, 2e-4, 6e-4].map(|depth_m| PressTarget {
         depth_m,
         shift_m: 0.0,
     });
-    for point in press.run(&goals)? {
-        // The mean pressure of a plate is nearly that of each node, so the gap's mean is that
-        // of the mean pressure to second order.
+    for point in press.run(&targets)? {
+        // The pressure of a plate is nearly uniform, so the mean gap is that of the mean pressure to
+        // second order.
         let mean = point.normal_n / (0.025 * 0.02);
         let expected = gap_at(&barrier, NODE_WEIGHT, mean);
         let name = format!("{:.1} kPa", 1e-3 * mean);
@@ -173,36 +173,36 @@ fn single_face() -> gripcast_geometry::TriangleMesh {
     }
 }
 
-/// The default drive gives by p / 5e9 N/m³ on every mesh; Taccel's gives more the finer the mesh:
-/// w m_back / dt².
+/// The default drive has 5e9 N/m³ on every mesh; Taccel's stiffness w m_back / dt² decreases with mesh
+/// refinement.
 pub(super) fn drive(recorder: &mut Recorder) -> Result<()> {
     let area = 0.025 * 0.02;
     for nodes in [[13, 11, 3], [19, 16, 4], [13, 11, 5], [13, 11, 9]] {
         let grid = GelGrid::uniform(nodes, [0.025, 0.02, 0.004])?;
         let name = format!("{}x{}x{}", nodes[0], nodes[1], nodes[2]);
-        let found = compliance(&grid, Drive::PerArea(5e9))?;
+        let found = drive_stiffness(&grid, Drive::PerArea(5e9))?;
         let pair = (5e9 * area, found);
         recorder.relative(format!("area {name}"), pair, "N/m", 1e-3);
         let dt = SolverParameters::default().dt_s;
         let back_mass = 1000.0 * area * 0.5 * 0.004 / (nodes[2] - 1) as f64;
-        let found = compliance(&grid, Drive::PerMass(5e4))?;
+        let found = drive_stiffness(&grid, Drive::PerMass(5e4))?;
         let pair = (5e4 * back_mass / (dt * dt), found);
         recorder.relative(format!("taccel {name}"), pair, "N/m", 1e-2);
     }
     Ok(())
 }
 
-/// Force over the motion of the back against the drive when a plate is pressed, N/m.
-fn compliance(grid: &GelGrid, drive: Drive) -> Result<f64> {
+/// Force over the lag of the back behind its drive under a plate, N/m.
+fn drive_stiffness(grid: &GelGrid, drive: Drive) -> Result<f64> {
     let mut press = Press::new(grid.clone(), Indenter::Plate);
     press.drive = drive;
     press.dt_s = SolverParameters::default().dt_s;
     press.along_m = 0.005;
     press.d_hat_m = 1e-4;
-    let goal = Goal {
+    let target = PressTarget {
         depth_m: 1e-4,
         shift_m: 0.0,
     };
-    let points = press.run(&[goal; 6])?;
+    let points = press.run(&[target; 6])?;
     Ok(points.last().map_or(f64::NAN, |p| p.normal_n / p.lag_m))
 }

@@ -1,8 +1,8 @@
-//! The simulator held against theory and against converged finite elements.
+//! Validation of the simulator against theory and converged finite elements.
 //!
-//! Every number is expected from a formula or from the press reference of
-//! `tests/data/press_reference.json`, found by a run of the simulator, and held against a
-//! tolerance. [`Effort::Quick`] takes coarser meshes, fewer grasps and wider tolerances.
+//! Values found by the simulator are compared, within a tolerance, with a formula or with the press
+//! reference in `tests/data/press_reference.json`. [`Effort::Quick`] uses coarser meshes, fewer grasps
+//! and wider tolerances.
 
 mod bodies;
 mod contact_cases;
@@ -13,99 +13,82 @@ mod press_cases;
 mod random_grasp;
 mod report;
 
-pub use grasp_cases::{MeshOutcomes, mesh_outcomes};
 pub use report::{CaseResult, Report, Tolerance};
 
 use report::Recorder;
 
-use gripcast_base::error::{Error, Result, nearest_name};
+use gripcast_base::error::{Result, unknown_name};
 
-/// How much is computed.
+/// Amount of computation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Effort {
-    /// A minute or two.
+    /// One or two minutes.
     Quick,
-    /// The meshes and numbers of grasps that the goals are stated for.
+    /// The meshes and numbers of grasps of the documented results.
     #[default]
     Full,
 }
 
-/// Groups of cases, in the order they are run.
-pub const CASE_NAMES: &[&str] = &[
-    "free-fall",
-    "momentum",
-    "incline",
-    "balance",
-    "creep",
-    "gap",
-    "drive",
-    "lift",
-    "determinism",
-    "penetration",
-    "press-plate",
-    "press-cylinder",
-    "press-edge",
-    "press-sphere-10mm",
-    "press-sphere-3mm",
-    "press-friction",
-    "mesh",
+/// Runs a case group; whether with quick effort.
+type RunGroup = fn(&mut Recorder, bool) -> Result<()>;
+
+/// Case groups, in the order of execution.
+const GROUPS: [(&str, RunGroup); 17] = [
+    ("free-fall", |recorder, _| bodies::free_fall(recorder)),
+    ("momentum", |recorder, _| bodies::momentum(recorder)),
+    ("incline", |recorder, _| bodies::incline(recorder)),
+    ("balance", |recorder, _| contact_cases::balance(recorder)),
+    ("creep", |recorder, _| contact_cases::creep(recorder)),
+    ("gap", |recorder, _| contact_cases::gap(recorder)),
+    ("drive", |recorder, _| contact_cases::drive(recorder)),
+    ("lift", contact_cases::lift),
+    ("determinism", grasp_cases::determinism),
+    ("penetration", grasp_cases::penetration),
+    ("press-plate", |r, quick| press_cases::plate().run(r, quick)),
+    ("press-cylinder", |r, quick| {
+        press_cases::cylinder().run(r, quick)
+    }),
+    ("press-edge", |r, quick| press_cases::edge().run(r, quick)),
+    ("press-sphere-10mm", |r, quick| {
+        press_cases::sphere_10().run(r, quick)
+    }),
+    ("press-sphere-3mm", |r, quick| {
+        press_cases::sphere_3().run(r, quick)
+    }),
+    ("press-friction", press_cases::friction),
+    ("mesh", grasp_cases::mesh_agreement),
 ];
 
-/// Checks that all names are of [`CASE_NAMES`].
-///
-/// # Errors
-/// `Usage` with the first that is not, and the nearest that is.
-pub fn check_names(names: &[String]) -> Result<()> {
-    let Some(name) = names.iter().find(|n| !CASE_NAMES.contains(&n.as_str())) else {
-        return Ok(());
-    };
-    let hint = nearest_name(name, CASE_NAMES.iter().copied());
-    let hint = hint.map_or(String::new(), |n| format!("did you mean {n}? "));
-    let what = format!("there is no case named {name:?}");
-    let remedy = format!("{hint}known are: {}", CASE_NAMES.join(", "));
-    Err(Error::usage(what).remedy(remedy))
+/// Names of the case groups, in the order of execution.
+pub fn case_names() -> [&'static str; GROUPS.len()] {
+    GROUPS.map(|(name, _)| name)
 }
 
-/// Runs the named groups of cases, or all if none is named.
+/// Checks that all names are in [`case_names`].
 ///
 /// # Errors
-/// As [`check_names`]. A number that does not hold is no error but counted as failed.
+/// `Usage` with the first unknown name and the nearest known one.
+pub fn check_names(names: &[String]) -> Result<()> {
+    let known = case_names();
+    let unknown = names.iter().find(|name| !known.contains(&name.as_str()));
+    unknown.map_or(Ok(()), |name| Err(unknown_name("case", name, &known)))
+}
+
+/// Runs the given case groups, or all if `names` is empty.
+///
+/// # Errors
+/// As [`check_names`]. A value out of tolerance is not an error; it counts as failed.
 pub fn run(names: &[String], effort: Effort) -> Result<Report> {
     check_names(names)?;
     let mut report = Report::default();
-    for &group in CASE_NAMES {
+    for (group, run_group) in GROUPS {
         if names.is_empty() || names.iter().any(|name| name == group) {
             let mut recorder = Recorder::new(group);
-            run_group(group, effort == Effort::Quick, &mut recorder)?;
+            run_group(&mut recorder, effort == Effort::Quick)?;
             report.add(recorder.cases);
         }
     }
     Ok(report)
-}
-
-fn run_group(group: &str, is_quick: bool, recorder: &mut Recorder) -> Result<()> {
-    match group {
-        "free-fall" => bodies::free_fall(recorder),
-        "momentum" => bodies::momentum(recorder),
-        "incline" => bodies::incline(recorder),
-        "balance" => contact_cases::balance(recorder),
-        "creep" => contact_cases::creep(recorder),
-        "gap" => contact_cases::gap(recorder),
-        "drive" => contact_cases::drive(recorder),
-        "lift" => contact_cases::lift(recorder, is_quick),
-        "determinism" => grasp_cases::determinism(recorder, is_quick),
-        "penetration" => grasp_cases::penetration(recorder, if is_quick { 7 } else { 200 }),
-        "press-plate" => press_cases::plate().run(recorder, is_quick),
-        "press-cylinder" => press_cases::cylinder().run(recorder, is_quick),
-        "press-edge" => press_cases::edge().run(recorder, is_quick),
-        "press-sphere-10mm" => press_cases::sphere_10().run(recorder, is_quick),
-        "press-sphere-3mm" => press_cases::sphere_3().run(recorder, is_quick),
-        "press-friction" => press_cases::friction(recorder, is_quick),
-        "mesh" => grasp_cases::mesh_agreement(recorder, is_quick),
-        other => Err(Error::internal(format!(
-            "case {other} is listed but not written"
-        ))),
-    }
 }
 
 #[cfg(test)]
@@ -113,7 +96,7 @@ mod tests {
     use super::*;
     use gripcast_base::error::ErrorKind;
 
-    /// Runs a group with little effort; every number must hold.
+    /// Runs a group with quick effort; all comparisons must pass.
     fn passes(group: &str) {
         let report = run(&[group.to_owned()], Effort::Quick).unwrap();
         assert!(!report.cases.is_empty());
@@ -128,12 +111,12 @@ mod tests {
             #[test]
             fn every_group_is_tested() {
                 let tested = [$($group),*, "mesh"];
-                assert!(CASE_NAMES.iter().all(|name| tested.contains(name)));
+                assert!(case_names().iter().all(|name| tested.contains(name)));
             }
         };
     }
 
-    // `mesh` runs for minutes: grasp_cases.rs tests it with one grasp.
+    // `mesh` takes minutes: grasp_cases.rs tests it with one grasp.
     groups! {
         free_fall: "free-fall",
         momentum: "momentum",
@@ -154,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_misspelt_case_is_answered_with_the_nearest() {
+    fn misspelt_case_suggests_the_nearest() {
         let error = run(&["press-spere-10mm".to_owned()], Effort::Quick).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Usage);
         assert!(error.to_string().contains("press-sphere-10mm"));

@@ -1,15 +1,15 @@
-//! Whether two surfaces meet, by brute force: a check on contact that shares nothing with it.
+//! Intersection of two surfaces, independent of the contact code that it checks.
 
 use glam::DVec3;
 
 use gripcast_geometry::{Aabb, Bvh, TriangleMesh};
 
-/// Whether a triangle of one surface meets a triangle of the other.
-pub(super) fn surfaces_meet(a: &TriangleMesh, b: &TriangleMesh) -> bool {
+/// Whether a triangle of one surface intersects a triangle of the other.
+pub(super) fn surfaces_intersect(a: &TriangleMesh, b: &TriangleMesh) -> bool {
     edges_pierce(a, b) || edges_pierce(b, a)
 }
 
-/// Whether an edge of `lines` passes through a triangle of `faces`.
+/// Whether an edge of `lines` pierces a triangle of `faces`.
 fn edges_pierce(lines: &TriangleMesh, faces: &TriangleMesh) -> bool {
     let tree = Bvh::build(&faces.triangle_bounds());
     let edges = lines.edges();
@@ -24,7 +24,7 @@ fn edges_pierce(lines: &TriangleMesh, faces: &TriangleMesh) -> bool {
     })
 }
 
-/// Whether the segment passes through the triangle, by the signs of volumes.
+/// Whether a segment pierces a triangle, by the signs of volumes.
 fn pierces(p: DVec3, q: DVec3, [a, b, c]: [DVec3; 3]) -> bool {
     let normal = (b - a).cross(c - a);
     let (above, below) = (normal.dot(p - a), normal.dot(q - a));
@@ -42,21 +42,21 @@ mod tests {
     use gripcast_geometry::{Pose, builtin};
 
     #[test]
-    fn spheres_meet_exactly_when_they_are_near() {
+    fn spheres_intersect_below_their_diameter() {
         let sphere = builtin("sphere").unwrap();
         let at = |x: f64| sphere.transformed(&Pose::from_translation(DVec3::new(x, 0.003, 0.002)));
-        assert!(surfaces_meet(&sphere, &at(0.049)));
-        assert!(!surfaces_meet(&sphere, &at(0.051)));
-        assert!(!surfaces_meet(&sphere, &sphere.scaled(0.9)));
+        assert!(surfaces_intersect(&sphere, &at(0.049)));
+        assert!(!surfaces_intersect(&sphere, &at(0.051)));
+        assert!(!surfaces_intersect(&sphere, &sphere.scaled(0.9)));
     }
 
     #[test]
-    fn a_spike_through_a_face_is_found_from_either_side() {
+    fn spike_through_a_face_is_detected() {
         let (spike, plate) = (builtin("spike").unwrap(), builtin("bar").unwrap());
         let at = |x: f64| spike.transformed(&Pose::from_translation(DVec3::X * x));
         for x in [0.024, -0.024] {
-            assert!(surfaces_meet(&plate, &at(x)) && surfaces_meet(&at(x), &plate));
+            assert!(surfaces_intersect(&plate, &at(x)) && surfaces_intersect(&at(x), &plate));
         }
-        assert!(!surfaces_meet(&plate, &at(0.026)));
+        assert!(!surfaces_intersect(&plate, &at(0.026)));
     }
 }

@@ -1,15 +1,15 @@
-//! Gels, an object and no protocol: the scenes of the analytic cases.
+//! Scenes of the analytic cases: gels and an object without protocol.
 
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::affine::{AffineBody, AffineState};
 use crate::fem::GelResolution;
 use crate::grasp::{Finger, GelSpec};
-use crate::solver::{Collider, Gel, Object, SolverParameters, StepReport, StepStart, System};
+use crate::solver::{Collider, Gel, Object, SolverParameters, StepStart, System};
 use gripcast_base::error::Result;
 use gripcast_geometry::{MassProperties, Pose, TriangleMesh};
 
-/// Standard gravity of all cases, m/s².
+/// Gravity of all cases, m/s².
 pub(super) const GRAVITY: f64 = 9.81;
 
 /// Two gels on the world's x axis with an object between them.
@@ -21,13 +21,13 @@ pub(super) struct Pinch {
     pub(super) unconverged: u32,
 }
 
-/// An object whose centre of mass is its origin, and its surface.
+/// Body and collision surface of an object around its centre of mass.
 pub(super) fn solid(
     mesh: &TriangleMesh,
     mass_kg: f64,
     parameters: &SolverParameters,
 ) -> Result<(AffineBody, Collider)> {
-    let properties = MassProperties::of(mesh)?;
+    let properties = MassProperties::from_mesh(mesh)?;
     let mesh = mesh.transformed(&Pose::from_translation(-properties.center_of_mass_m));
     let body = AffineBody::new(
         mass_kg,
@@ -39,10 +39,10 @@ pub(super) fn solid(
 }
 
 impl Pinch {
-    /// Faces of coarse gels `gap_m` away from the sides of an object that floats in the origin.
+    /// Coarse gels at a distance `gap_m` from the sides of an object that floats at the origin.
     ///
     /// # Errors
-    /// Where the mesh or a parameter cannot be simulated.
+    /// For an invalid mesh or parameter.
     pub(super) fn new(
         mesh: &TriangleMesh,
         (mass_kg, mu): (f64, f64),
@@ -56,19 +56,19 @@ impl Pinch {
         let bounds = collider.bounds();
         let mut gels = Vec::new();
         for finger in Finger::BOTH {
-            let away = match finger {
+            let half_width = match finger {
                 Finger::Left => -bounds.min.x,
                 Finger::Right => bounds.max.x,
             };
-            let back = finger.closing() * -(away + gap_m + spec.grid.thickness_m());
-            let place = Pose::new(DQuat::from_mat3(&finger.rotation()), back);
-            let at = |p| place.transform_point(p);
+            let back = finger.closing() * -(half_width + gap_m + spec.grid.thickness_m());
+            let t_world_gel = Pose::new(DQuat::from_mat3(&finger.rotation()), back);
+            let to_world = |p| t_world_gel.transform_point(p);
             gels.push(Gel::new(
                 &spec.grid,
                 &spec.material,
                 spec.drive,
                 &parameters,
-                at,
+                to_world,
             )?);
         }
         Ok(Self {
@@ -78,23 +78,23 @@ impl Pinch {
         })
     }
 
-    /// One step in which each finger moves by `closing_m` towards the other and both by `together`.
-    pub(super) fn step(&mut self, closing_m: f64, together: DVec3) -> StepReport {
+    /// Advances one step in which each finger moves by `closing_m` towards the other and both by
+    /// `translation`.
+    pub(super) fn step(&mut self, closing_m: f64, translation: DVec3) {
         for (gel, finger) in self.system.gels_mut().iter_mut().zip(Finger::BOTH) {
-            gel.move_target(finger.closing() * closing_m + together);
+            gel.move_target(finger.closing() * closing_m + translation);
         }
         let report = self.system.step(&StepStart::default());
         self.unconverged += u32::from(!report.converged);
-        report
     }
 
-    /// Sum of contact and friction on both gels, N.
+    /// Total contact and friction force on both gels, N.
     pub(super) fn force_on_gels(&self) -> DVec3 {
         let gels = self.system.gels().iter();
         gels.flat_map(Gel::contact_forces).sum()
     }
 
-    /// Force of each gel along the closing direction, N.
+    /// Normal force of each gel, N.
     pub(super) fn normal_forces(&self) -> [f64; 2] {
         let gels = self.system.gels();
         [0, 1].map(|i| {

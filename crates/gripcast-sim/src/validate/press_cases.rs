@@ -1,9 +1,10 @@
-//! Force-depth curves against the converged finite-element reference.
+//! Force-depth curves compared with a converged finite-element reference.
 
 use serde::Deserialize;
 
 use super::report::Recorder;
-use crate::press::{Goal, Indenter, Press, half_pad, quarter_pad};
+use crate::fem::GelGrid;
+use crate::press::{Indenter, Press, PressTarget, half_pad, quarter_pad};
 use gripcast_base::error::{Error, Result};
 
 const REFERENCE: &str = include_str!("../../../../tests/data/press_reference.json");
@@ -19,11 +20,20 @@ pub(super) struct Row {
     pub(super) shear_n: f64,
 }
 
-/// Rows of a case of the reference: A and B spheres of radius 10 and 3 mm, C cylinder, D plate,
-/// E rounded edge, F the sphere of A with friction.
+impl Row {
+    fn target(&self) -> PressTarget {
+        PressTarget {
+            depth_m: self.depth_m,
+            shift_m: self.shift_m,
+        }
+    }
+}
+
+/// Rows of a reference case: A and B spheres of radius 10 and 3 mm, C cylinder, D plate, E rounded
+/// edge, F the sphere of A with friction.
 ///
 /// # Errors
-/// `Internal` where the built-in file has no such case.
+/// `Internal` if the built-in file lacks the case.
 pub(super) fn reference(case: &str) -> Result<Vec<Row>> {
     #[derive(Deserialize)]
     struct Case {
@@ -33,41 +43,39 @@ pub(super) fn reference(case: &str) -> Result<Vec<Row>> {
     struct File {
         cases: std::collections::BTreeMap<String, Case>,
     }
-    let broken = |what: String| Error::internal(what);
     let mut file: File = serde_json::from_str(REFERENCE)
-        .map_err(|e| broken("the press reference cannot be read".to_owned()).because(e))?;
+        .map_err(|e| Error::internal("invalid press reference").because(e))?;
     let case = file.cases.remove(case);
-    Ok(case
-        .ok_or_else(|| broken("the press reference lacks a case".to_owned()))?
-        .rows)
+    case.map(|case| case.rows)
+        .ok_or_else(|| Error::internal("the press reference lacks a case"))
 }
 
-/// A mesh and the depths that it is used for.
+/// Meshing of a press and the depths it is used for.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Meshing {
-    /// Depths up to this one, m.
+    /// Maximum depth, m.
     pub(super) up_to_m: f64,
-    /// Cells along x, y, z of a quarter.
+    /// Cells of the quarter pad along x, y, z.
     pub(super) cells: [usize; 3],
-    /// Growth from cell to cell, away from the middle of the face.
+    /// Growth factor of the cells away from the centre of the face.
     pub(super) growth: [f64; 3],
-    /// Faces of the indenter, m.
+    /// Face size of the indenter, m.
     pub(super) face_m: f64,
-    /// Distance at which contact acts, m.
+    /// Distance below which contact acts, m.
     pub(super) d_hat_m: f64,
-    /// Longest step, m.
+    /// Maximum motion per step, m.
     pub(super) step_m: f64,
 }
 
-/// A curve without friction.
+/// A frictionless force-depth curve.
 pub(super) struct Curve {
     pub(super) case: &'static str,
     pub(super) indenter: Indenter,
-    /// Meshes for the full validation, by rising depth.
+    /// Meshes of the full validation, by increasing depth.
     pub(super) fine: Vec<Meshing>,
-    /// Mesh of the quick one.
+    /// Meshes of the quick validation.
     pub(super) quick: Vec<Meshing>,
-    /// Tolerances: depth up to, fraction with the fine mesh, fraction with the quick one.
+    /// Tolerances: maximum depth (m), relative tolerance with the fine and with the quick meshes.
     pub(super) tolerances: Vec<(f64, f64, f64)>,
 }
 
@@ -89,10 +97,10 @@ const fn meshing(
     }
 }
 
-/// Depths of the reference are compared with this room, m.
-const ROOM: f64 = 1e-9;
-/// The coarse meshes of the quick runs have no business with smaller depths, m.
-const QUICK_FROM_M: f64 = 1e-4;
+/// Tolerance of depth comparisons, m.
+const DEPTH_TOLERANCE_M: f64 = 1e-9;
+/// Minimum depth for the coarse meshes of quick runs, m.
+const QUICK_MIN_DEPTH_M: f64 = 1e-4;
 
 impl Curve {
     pub(super) fn run(&self, recorder: &mut Recorder, is_quick: bool) -> Result<()> {
@@ -100,23 +108,20 @@ impl Curve {
         let meshes = if is_quick { &self.quick } else { &self.fine };
         let mut from = 0.0;
         for mesh in meshes {
-            let part: Vec<&Row> = rows
+            let selected: Vec<&Row> = rows
                 .iter()
-                .filter(|row| row.depth_m > from + ROOM && row.depth_m < mesh.up_to_m + ROOM)
-                .filter(|row| !is_quick || row.depth_m > QUICK_FROM_M - ROOM)
+                .filter(|row| {
+                    row.depth_m > from + DEPTH_TOLERANCE_M
+                        && row.depth_m < mesh.up_to_m + DEPTH_TOLERANCE_M
+                })
+                .filter(|row| !is_quick || row.depth_m > QUICK_MIN_DEPTH_M - DEPTH_TOLERANCE_M)
                 .collect();
             from = mesh.up_to_m;
-            let goals: Vec<Goal> = part
-                .iter()
-                .map(|row| Goal {
-                    depth_m: row.depth_m,
-                    shift_m: 0.0,
-                })
-                .collect();
-            let mut press = mesh.press(&self.indenter)?;
-            press.grid = quarter_pad(mesh.cells, mesh.growth)?;
+            let targets: Vec<PressTarget> = selected.iter().map(|row| row.target()).collect();
+            let grid = quarter_pad(mesh.cells, mesh.growth)?;
+            let mut press = mesh.press(grid, &self.indenter);
             press.symmetric = [true, true];
-            for (point, row) in press.run(&goals)?.iter().zip(part) {
+            for (point, row) in press.run(&targets)?.iter().zip(selected) {
                 let fraction = self.tolerance(row.depth_m, is_quick);
                 let name = format!("{} mm", rounded(1e3 * row.depth_m));
                 let found = if point.converged {
@@ -132,24 +137,27 @@ impl Curve {
     }
 
     fn tolerance(&self, depth: f64, is_quick: bool) -> f64 {
-        let found = self.tolerances.iter().find(|t| depth < t.0 + ROOM);
+        let found = self
+            .tolerances
+            .iter()
+            .find(|t| depth < t.0 + DEPTH_TOLERANCE_M);
         found.map_or(0.0, |t| if is_quick { t.2 } else { t.1 })
     }
 }
 
-/// A number of millimetres without the noise of its last digits.
+/// Rounds a number of millimetres to 6 decimals.
 fn rounded(mm: f64) -> f64 {
     (mm * 1e6).round() / 1e6
 }
 
 impl Meshing {
-    /// A press of this fineness; the grid is the caller's.
-    fn press(&self, indenter: &Indenter) -> Result<Press> {
-        let mut press = Press::new(quarter_pad([1, 1, 1], [1.0; 3])?, indenter.clone());
-        press.face_m = self.face_m;
-        press.d_hat_m = self.d_hat_m;
-        press.step_m = self.step_m;
-        Ok(press)
+    fn press(&self, grid: GelGrid, indenter: &Indenter) -> Press {
+        Press {
+            face_m: self.face_m,
+            d_hat_m: self.d_hat_m,
+            step_m: self.step_m,
+            ..Press::new(grid, indenter.clone())
+        }
     }
 }
 
@@ -184,8 +192,8 @@ pub(super) fn sphere_3() -> Curve {
             meshing(1.0, [30, 28, 16], [1.1, 1.1, 1.12], 0.12, 20.0, 0.1),
         ],
         quick: vec![meshing(0.6, [14, 12, 8], [1.2, 1.2, 1.2], 0.15, 20.0, 0.1)],
-        // At a depth of 0.1 mm the contact's radius, 0.55 mm, spans 2.6 cells of the quick mesh, at
-        // 0.2 mm 3.7.
+        // The contact radius spans 2.6 cells of the quick mesh at a depth of 0.1 mm (0.55 mm), and 3.7
+        // at 0.2 mm.
         tolerances: vec![(1e-4, 0.03, 0.18), (2e-4, 0.03, 0.13), (1e-3, 0.02, 0.09)],
     }
 }
@@ -217,7 +225,7 @@ pub(super) fn plate() -> Curve {
     }
 }
 
-/// Straight edge of 90 degrees, rounded with 0.5 mm.
+/// Straight 90-degree edge with a tip radius of 0.5 mm.
 pub(super) fn edge() -> Curve {
     Curve {
         case: "E",
@@ -235,11 +243,11 @@ pub(super) fn edge() -> Curve {
     }
 }
 
-/// Sphere of radius 10 mm, friction 0.4: pressed to 0.6 mm, then shifted by 1 mm.
+/// Sphere of radius 10 mm with friction 0.4: pressed by 0.6 mm, then shifted by 1 mm.
 pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
-    let (mesh, fractions) = if is_quick {
+    let (mesh, tolerances) = if is_quick {
         let mesh = meshing(0.6, [9, 8, 6], [1.2, 1.2, 1.25], 0.3, 20.0, 0.1);
-        // The contact's radius, 2.4 mm, spans four of its cells.
+        // The contact radius of 2.4 mm spans four cells.
         (mesh, [0.12, 0.12])
     } else {
         let mesh = meshing(0.6, [25, 23, 14], [1.09, 1.09, 1.14], 0.15, 20.0, 0.025);
@@ -247,32 +255,26 @@ pub(super) fn friction(recorder: &mut Recorder, is_quick: bool) -> Result<()> {
     };
     let keep = |row: &Row| !is_quick || row.depth_m > 5e-4 && row.shift_m < 5.5e-4;
     let rows: Vec<Row> = reference("F")?.into_iter().filter(keep).collect();
-    let goals: Vec<Goal> = rows
-        .iter()
-        .map(|row| Goal {
-            depth_m: row.depth_m,
-            shift_m: row.shift_m,
-        })
-        .collect();
-    let mut press = mesh.press(&Indenter::Sphere { radius_m: 0.01 })?;
-    press.grid = half_pad(mesh.cells, mesh.growth)?;
+    let targets: Vec<PressTarget> = rows.iter().map(Row::target).collect();
+    let grid = half_pad(mesh.cells, mesh.growth)?;
+    let mut press = mesh.press(grid, &Indenter::Sphere { radius_m: 0.01 });
     press.symmetric = [false, true];
     press.friction = 0.4;
     press.slip_m = 2e-7;
-    for (point, row) in press.run(&goals)?.iter().zip(&rows) {
+    for (point, row) in press.run(&targets)?.iter().zip(&rows) {
         let name = format!(
             "{} mm, shift {} mm",
             rounded(1e3 * row.depth_m),
             rounded(1e3 * row.shift_m)
         );
         let pair = (row.force_n, point.normal_n);
-        recorder.relative(format!("{name}: N"), pair, "N", fractions[0]);
+        recorder.relative(format!("{name}: N"), pair, "N", tolerances[0]);
         if row.shift_m > 4.5e-4 {
             let ratio = point.shear_n / point.normal_n;
             recorder.absolute(format!("{name}: T/N"), (0.405, ratio), "", 0.005);
         } else if row.shift_m > 0.0 {
             let pair = (row.shear_n, point.shear_n);
-            recorder.relative(format!("{name}: T"), pair, "N", fractions[1]);
+            recorder.relative(format!("{name}: T"), pair, "N", tolerances[1]);
         }
     }
     Ok(())

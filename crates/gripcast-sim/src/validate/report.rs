@@ -1,63 +1,62 @@
-//! What a validation found.
+//! Results of a validation.
 
 use std::time::Instant;
 
 use serde::Serialize;
 
-/// How far a found number may be from the expected one.
+/// Tolerance of a found value.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Tolerance {
-    /// By this much, in the unit of the number.
+    /// Maximum absolute error, in the unit of the value.
     Absolute(f64),
-    /// By this fraction of the expected number.
+    /// Maximum error as a fraction of the expected value.
     Relative(f64),
-    /// The found number must be at least the expected one.
+    /// Minimum: the expected value.
     AtLeast,
-    /// The found number must be at most the expected one.
-    AtMost,
-    /// The number is stated; there is nothing to hold it against.
-    Stated,
+    /// Reported for information; must be finite.
+    #[serde(rename = "stated")]
+    Informational,
 }
 
-/// One number that was expected and found.
+/// Comparison of an expected and a found value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaseResult {
-    /// Group that `--cases` selects, a slash, and what was looked at.
+    /// Case group (as for `--cases`), a slash, and the quantity.
     pub name: String,
-    /// What theory, or the reference, says.
+    /// Value by theory or reference.
     pub expected: f64,
-    /// What the simulator does.
+    /// Value of the simulator.
     pub found: f64,
-    /// Unit of both.
+    /// Unit of both values.
     pub unit: &'static str,
-    /// How far they may be apart.
+    /// Tolerance of the found value.
     pub tolerance: Tolerance,
-    /// Whether they are no further apart.
+    /// Whether the found value is within the tolerance.
     pub passed: bool,
-    /// Computing time since the number before, s.
+    /// Wall time since the previous comparison, s.
     pub seconds: f64,
 }
 
 impl CaseResult {
-    /// `found / expected - 1`.
+    /// Relative error: `found / expected - 1`.
     pub fn deviation(&self) -> f64 {
         self.found / self.expected - 1.0
     }
 }
 
-/// All numbers of a run.
+/// All comparisons of a validation.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
-    /// Numbers that hold.
+    /// Number of passed comparisons.
     pub passed: usize,
-    /// Numbers that do not.
+    /// Number of failed comparisons.
     pub failed: usize,
-    /// All of them.
+    /// All comparisons.
     pub cases: Vec<CaseResult>,
 }
 
-/// Collects the numbers of one group.
+/// Collects the comparisons of one case group.
 #[derive(Debug)]
 pub(super) struct Recorder {
     group: &'static str,
@@ -74,25 +73,24 @@ impl Recorder {
         }
     }
 
-    /// Records a number.
+    /// Records a comparison.
     pub(super) fn check(
         &mut self,
-        what: impl std::fmt::Display,
+        quantity: impl std::fmt::Display,
         (expected, found): (f64, f64),
         unit: &'static str,
         tolerance: Tolerance,
     ) {
-        let off = (found - expected).abs();
+        let error = (found - expected).abs();
         let passed = match tolerance {
-            Tolerance::Absolute(limit) => off <= limit,
-            Tolerance::Relative(fraction) => off <= fraction * expected.abs(),
+            Tolerance::Absolute(limit) => error <= limit,
+            Tolerance::Relative(fraction) => error <= fraction * expected.abs(),
             Tolerance::AtLeast => found >= expected,
-            Tolerance::AtMost => found <= expected,
-            Tolerance::Stated => found.is_finite(),
+            Tolerance::Informational => found.is_finite(),
         };
         let now = Instant::now();
         self.cases.push(CaseResult {
-            name: format!("{}/{what}", self.group),
+            name: format!("{}/{quantity}", self.group),
             expected,
             found,
             unit,
@@ -103,42 +101,38 @@ impl Recorder {
         self.since = now;
     }
 
-    /// Records a number that may be off by `limit` in its unit.
+    /// Records a comparison with an absolute tolerance.
     pub(super) fn absolute(
         &mut self,
-        what: impl std::fmt::Display,
+        quantity: impl std::fmt::Display,
         pair: (f64, f64),
         unit: &'static str,
         limit: f64,
     ) {
-        self.check(what, pair, unit, Tolerance::Absolute(limit));
+        self.check(quantity, pair, unit, Tolerance::Absolute(limit));
     }
 
-    /// Records a number that may be off by `fraction` of the expected one.
+    /// Records a comparison with a relative tolerance.
     pub(super) fn relative(
         &mut self,
-        what: impl std::fmt::Display,
+        quantity: impl std::fmt::Display,
         pair: (f64, f64),
         unit: &'static str,
         fraction: f64,
     ) {
-        self.check(what, pair, unit, Tolerance::Relative(fraction));
+        self.check(quantity, pair, unit, Tolerance::Relative(fraction));
     }
 
-    /// Records something that must be true.
-    pub(super) fn hold(&mut self, what: impl std::fmt::Display, holds: bool) {
+    /// Records a condition that must hold.
+    pub(super) fn require(&mut self, condition: impl std::fmt::Display, holds: bool) {
         let found = f64::from(u8::from(holds));
-        self.check(what, (1.0, found), "", Tolerance::Absolute(0.0));
+        self.check(condition, (1.0, found), "", Tolerance::Absolute(0.0));
     }
 }
 
 impl Report {
-    /// Takes in another report's numbers.
-    pub fn absorb(&mut self, other: Self) {
-        self.add(other.cases);
-    }
-
-    pub(super) fn add(&mut self, cases: Vec<CaseResult>) {
+    /// Adds comparisons, e.g. those of another report.
+    pub fn add(&mut self, cases: Vec<CaseResult>) {
         self.passed += cases.iter().filter(|case| case.passed).count();
         self.failed += cases.iter().filter(|case| !case.passed).count();
         self.cases.extend(cases);
@@ -150,27 +144,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tolerances_are_inclusive_and_refuse_nan() {
+    fn tolerances_are_inclusive_and_reject_nan() {
         let mut recorder = Recorder::new("g");
         recorder.check("a", (2.0, 2.5), "", Tolerance::Absolute(0.5));
         recorder.check("b", (-2.0, -2.5), "", Tolerance::Relative(0.25));
         recorder.check("c", (1.0, 1.0), "", Tolerance::AtLeast);
-        recorder.check("d", (1.0, 1.0), "", Tolerance::AtMost);
-        recorder.hold("e", true);
+        recorder.require("e", true);
         assert!(recorder.cases.iter().all(|case| case.passed));
         for tolerance in [
             Tolerance::Absolute(1.0),
             Tolerance::Relative(1.0),
             Tolerance::AtLeast,
-            Tolerance::AtMost,
-            Tolerance::Stated,
+            Tolerance::Informational,
         ] {
             recorder.check("nan", (1.0, f64::NAN), "", tolerance);
         }
-        recorder.hold("f", false);
+        recorder.require("f", false);
         let mut report = Report::default();
         report.add(recorder.cases);
-        assert_eq!((report.passed, report.failed), (5, 6));
+        assert_eq!((report.passed, report.failed), (4, 5));
         assert_eq!(report.cases[0].name, "g/a");
     }
 }

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use super::transform::{AcronymGrasp, SkippedGrasp, gripper_pose};
 use gripcast_base::error::{Error, ErrorKind, Result};
 use gripcast_base::files::Root;
-use gripcast_geometry::{LengthUnit, Prepared, load_object_mesh_below};
+use gripcast_geometry::{LengthUnit, PreparedMesh, load_object_mesh_below};
 use gripcast_interop::hdf5::{Hdf5, misshapen, wrong};
 
 /// Scales that are believed: coordinates of ShapeNetSem times the scale are metres, and objects are
@@ -91,7 +91,7 @@ impl AcronymObject {
     ///
     /// # Errors
     /// `Input` for a path that leads out of the folder; those of [`load_object_mesh_below`].
-    pub fn load_mesh(&self, meshes: &Root) -> Result<Prepared> {
+    pub fn load_mesh(&self, meshes: &Root) -> Result<PreparedMesh> {
         load_object_mesh_below(meshes, &self.mesh_file, LengthUnit::Metre, self.scale).map_err(
             |e| match e.kind() {
                 ErrorKind::NotFound => missing(&self.mesh_file, meshes),

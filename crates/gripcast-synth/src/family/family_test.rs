@@ -89,7 +89,7 @@ fn most_shapes_fit_between_the_fingers() {
 #[test]
 fn masses_are_sane() {
     for shape in SHAPES.iter() {
-        let solid = MassProperties::of(&shape.mesh).unwrap();
+        let solid = MassProperties::from_mesh(&shape.mesh).unwrap();
         let bounds = shape.mesh.bounds();
         let fraction = solid.volume_m3 / bounds.extent().element_product();
         assert!((0.02..=1.0).contains(&fraction), "{}: {fraction}", name(shape));

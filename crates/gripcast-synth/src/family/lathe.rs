@@ -225,7 +225,7 @@ mod tests {
         ];
         let mesh = turned(&open_line(&rod, edge), false, edge);
         assert!(mesh.edges().is_closed());
-        let volume = MassProperties::of(&mesh).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&mesh).unwrap().volume_m3;
         assert!((volume / (PI * 4e-4 * 0.05) - 1.0).abs() < 0.01, "{volume}");
         let pipe = [
             sharp(0.015, 0.0),
@@ -235,7 +235,7 @@ mod tests {
         ];
         let mesh = turned(&closed_line(&pipe, edge), true, edge);
         assert!(mesh.edges().is_closed());
-        let volume = MassProperties::of(&mesh).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&mesh).unwrap().volume_m3;
         assert!((volume / (PI * 1.75e-4 * 0.05) - 1.0).abs() < 0.01);
     }
 

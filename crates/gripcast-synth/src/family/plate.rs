@@ -252,7 +252,7 @@ mod tests {
         let hole = circle(DVec2::new(0.008, 0.0), 0.005, 0.0025);
         let mesh = flat(outline, vec![hole], 0.006, 0.0025).unwrap();
         assert!(mesh.edges().is_closed());
-        let volume = MassProperties::of(&mesh).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&mesh).unwrap().volume_m3;
         let expected = (8e-4 - PI * 25e-6) * 0.006;
         assert!((volume / expected - 1.0).abs() < 0.02, "{volume}");
     }

@@ -121,7 +121,7 @@ fn check(mesh: &TriangleMesh) -> Result<()> {
     if !is_connected(mesh) {
         return fail("it has several parts".to_string());
     }
-    MassProperties::of(mesh)?;
+    MassProperties::from_mesh(mesh)?;
     let prepared = prepare(mesh, &PrepareOptions::default())?;
     if prepared.mesh != *mesh || !prepared.warnings.is_empty() {
         return fail(format!("it had to be fixed: {:?}", prepared.warnings));
@@ -190,7 +190,7 @@ mod tests {
         let mut mesh = large.clone();
         split_long_sides(&mut mesh);
         assert!(mesh.edges().is_closed());
-        let volume = |mesh| MassProperties::of(mesh).unwrap().volume_m3;
+        let volume = |mesh| MassProperties::from_mesh(mesh).unwrap().volume_m3;
         assert!((volume(&mesh) / volume(&large) - 1.0).abs() < 1e-9);
         let sides = mesh
             .all_corners()

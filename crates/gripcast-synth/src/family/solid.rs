@@ -3,7 +3,9 @@
 use glam::{DMat3, DQuat, DVec2, DVec3};
 
 use super::shape::{rounded_to_grid, slenderness};
-use gripcast_geometry::implicit::{Field, QuadMesh, even_out, gradient, neighbours, net_of_sheets};
+use gripcast_geometry::implicit::{
+    Field, QuadMesh, gradient, neighbours, smooth_on_surface, surface_net_by_sheet,
+};
 use gripcast_geometry::{Aabb, TriangleMesh};
 
 /// Rounds that even the mesh out.
@@ -194,7 +196,7 @@ pub(super) fn mesh_of(field: Field<'_>, half: DVec3, thinnest: f64) -> TriangleM
     let mut mesh = TriangleMesh::default();
     for lattice in 0..LATTICES {
         let shift = f64::from(lattice) / f64::from(LATTICES);
-        let net = net_of_sheets(field, half, cell, shift);
+        let net = surface_net_by_sheet(field, half, cell, shift);
         if is_closed(&net) {
             return triangles(field, net, cell);
         }
@@ -233,7 +235,7 @@ fn is_closed(net: &QuadMesh) -> bool {
 }
 
 fn triangles(field: Field<'_>, mut net: QuadMesh, cell: f64) -> TriangleMesh {
-    even_out(field, &mut net, ROUNDS);
+    smooth_on_surface(field, &mut net, ROUNDS);
     sharpen(field, &mut net, cell);
     for v in &mut net.vertices {
         *v = rounded_to_grid(*v);
@@ -354,7 +356,7 @@ mod tests {
         );
         let mesh = solid.mesh();
         assert!(mesh.edges().is_closed());
-        let volume = MassProperties::of(&mesh).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&mesh).unwrap().volume_m3;
         let expected = 8.0 * half.element_product();
         assert!(
             (volume / expected - 1.0).abs() < 0.02,
@@ -369,7 +371,7 @@ mod tests {
         solid.put(ball, DVec3::ZERO, DQuat::IDENTITY, Role::Add(0.0));
         let hollow = Form::Ellipsoid(DVec3::splat(0.016));
         solid.put(hollow, DVec3::ZERO, DQuat::IDENTITY, Role::Cut(0.0));
-        let volume = MassProperties::of(&solid.mesh()).unwrap().volume_m3;
+        let volume = MassProperties::from_mesh(&solid.mesh()).unwrap().volume_m3;
         let expected = 4.0 / 3.0 * PI * (8e-6 - 4.096e-6);
         assert!(
             (volume / expected - 1.0).abs() < 0.03,

@@ -6,7 +6,7 @@ use super::{FaultRanges, GraspFault, GraspSampler, Obstacle, collides};
 use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Pose, StablePose, TriangleMesh, likely_poses};
-use gripcast_sim::grasp::{GraspPose, Placed};
+use gripcast_sim::grasp::{GraspPose, GripperState};
 
 /// An object does not tip over when it is turned by this, rad.
 const MIN_TIP_RAD: f64 = 0.05;
@@ -24,7 +24,7 @@ pub struct ChosenGrasp {
     /// How the object lies.
     pub t_world_object: Pose,
     /// Where the gripper is.
-    pub placed: Placed,
+    pub placed: GripperState,
     /// How it departs from opposite places; none for one that was given.
     pub fault: Option<GraspFault>,
 }

@@ -8,7 +8,7 @@ use gripcast_base::error::Result;
 use gripcast_base::random::SeedStream;
 use gripcast_geometry::{Aabb, MeshQuery, Pose, TriangleMesh};
 use gripcast_sim::fem::PAD_SIZE_M;
-use gripcast_sim::grasp::{Placed, Placement};
+use gripcast_sim::grasp::{GripperState, Placement};
 
 /// Distance between the places that the fingers are to meet, m.
 const WIDTH_M: [f64; 2] = [0.008, 0.075];
@@ -31,7 +31,7 @@ pub struct Candidate {
     /// How it departs from opposite places.
     pub fault: GraspFault,
     /// Where the gripper is and how far it is open.
-    pub placed: Placed,
+    pub placed: GripperState,
     /// How hard a person squeezes, between the least (0) and the most (1).
     pub squeeze: f64,
 }
@@ -275,7 +275,7 @@ impl<'a> GraspSampler<'a> {
     }
 
     /// The gripper at a pair of places, and off it by what a person does wrong.
-    fn placed(&self, pair: &Pair, draw: &mut SeedStream) -> Result<(GraspFault, Placed)> {
+    fn placed(&self, pair: &Pair, draw: &mut SeedStream) -> Result<(GraspFault, GripperState)> {
         let ranges = &self.ranges;
         let fault = ranges.faults[draw.index(ranges.faults.len())];
         let mut off = |is: GraspFault, [least, most]: [f64; 2], usual: f64| {
@@ -316,8 +316,8 @@ impl<'a> GraspSampler<'a> {
         let axis = DVec2::from_angle(yaw);
         let mut placement = Placement {
             yaw_rad: yaw,
-            tilt_rad: tilt,
-            lean_rad: lean,
+            roll_rad: tilt,
+            pitch_rad: lean,
             offset_m: [
                 from_center.dot(axis) + along,
                 // The gripper's y axis is the world's, turned and mirrored.
@@ -344,7 +344,7 @@ impl<'a> GraspSampler<'a> {
 const TOUCHED_M: f64 = 0.0015;
 
 /// Height of the lowest corner of the gels above the ground, m.
-fn lowest(placed: &Placed) -> f64 {
+fn lowest(placed: &GripperState) -> f64 {
     let [approach, across, thickness] = PAD_SIZE_M;
     let half = DVec3::new(
         0.5 * placed.opening_m + thickness,

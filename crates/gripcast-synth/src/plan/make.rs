@@ -206,7 +206,7 @@ struct Seen {
 }
 
 fn looked_at(draft: &ObjectDraft, settings: &PlanSettings) -> Result<Seen> {
-    let volume_m3 = MassProperties::of(&draft.mesh)?.volume_m3;
+    let volume_m3 = MassProperties::from_mesh(&draft.mesh)?.volume_m3;
     let [size_m, ..] = oriented_size_m(&draft.mesh)?;
     if !(SIZE_M[0]..=SIZE_M[1]).contains(&size_m) {
         let what = format!(

@@ -35,7 +35,8 @@ fn reason(done: &Done<'_>) -> String {
     }
     match &*done.result.outcome {
         "miss" => "the fingers met nothing",
-        "closed" => "the fingers met each other",
+        // `closed` in older data.
+        "gels_met" | "closed" => "the fingers met each other",
         "penetrating_start" => "the open gripper was in the object",
         "not_converged" => "the solver gave up",
         "success" | "slip" | "eject" => "nothing between the fingers before the lift",
