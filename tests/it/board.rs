@@ -6,7 +6,7 @@ use std::process::Command;
 
 use glam::DVec3;
 use gripcast_geometry::MeshQuery;
-use gripcast_pose::{BoardFile, BoardMarker, Part};
+use gripcast_pose::{BoardFile, BoardMarker, Body};
 use gripcast_visual::gripper_parts;
 
 use crate::json_schema::assert_schema;
@@ -52,7 +52,7 @@ fn a_sheet_is_written_in_three_formats_with_its_board() {
     // The mug stands as it is modelled: its frame's origin is 40 mm above the sheet.
     let heights = file.board.markers.iter().flat_map(|m| m.corners_m);
     assert!(heights.into_iter().all(|c| (c.z + 0.04).abs() < 1e-6));
-    assert!(file.board.is_planar(Part::Object));
+    assert!(file.board.is_planar(Body::Object));
 }
 
 #[test]
@@ -249,12 +249,12 @@ fn the_grippers_tags_are_printed_with_the_board_that_comes_along() {
 
 /// Corners and middle of a marker at an opening, m, a little in front of it.
 fn places(marker: &BoardMarker, opening: f64) -> Vec<DVec3> {
-    let shift = match marker.part {
-        Part::FingerLeft => -0.5 * opening,
-        Part::FingerRight => 0.5 * opening,
-        Part::Body | Part::Object => 0.0,
+    let shift = match marker.body {
+        Body::FingerLeft => -0.5 * opening,
+        Body::FingerRight => 0.5 * opening,
+        Body::Gripper | Body::Object => 0.0,
     };
-    let off = DVec3::X * shift + marker.front() * 2e-4;
+    let off = DVec3::X * shift + marker.normal() * 2e-4;
     let all = marker.corners_m.into_iter().chain([marker.center_m()]);
     all.map(|p| p + off).collect()
 }
@@ -269,8 +269,8 @@ fn eye(azimuth_deg: f64, elevation_deg: f64, distance: f64) -> DVec3 {
 fn the_grippers_tags_are_in_front_of_it_and_seen() {
     let board = gripper().board;
     for opening in [0.0, 0.06, 0.14] {
-        let parts = gripper_parts(opening).unwrap();
-        let bodies: Vec<MeshQuery> = parts.iter().map(|p| MeshQuery::new(&p.shape)).collect();
+        let bodies = gripper_parts(opening).unwrap();
+        let bodies: Vec<MeshQuery> = bodies.iter().map(|p| MeshQuery::new(&p.shape)).collect();
         for marker in &board.markers {
             let points = places(marker, opening);
             let is_inside = |p: &DVec3| bodies.iter().any(|b| b.contains(*p));
@@ -279,7 +279,7 @@ fn the_grippers_tags_are_in_front_of_it_and_seen() {
                 for distance in [0.4, 0.8] {
                     let eye = eye(azimuth, elevation, distance);
                     let to_eye = (eye - marker.center_m()).normalize();
-                    assert!(marker.front().dot(to_eye) > 0.3, "{}", marker.id);
+                    assert!(marker.normal().dot(to_eye) > 0.3, "{}", marker.id);
                     for p in &points {
                         let hidden = bodies
                             .iter()

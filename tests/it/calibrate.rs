@@ -7,8 +7,8 @@ use std::process::Command;
 use glam::{DMat3, DQuat, DVec3};
 use gripcast_geometry::Pose;
 use gripcast_imaging::{Intrinsics, encode_png_grey8};
-use gripcast_pose::synthetic::{ImageConditions, Placed, render, test_camera};
-use gripcast_pose::{BoardFile, Part, load_intrinsics};
+use gripcast_pose::synthetic::{ImageConditions, PlacedBoard, render, test_camera};
+use gripcast_pose::{BoardFile, Body, load_intrinsics};
 
 use crate::json_schema::assert_schema;
 use crate::program::{gripcast, json, stderr, succeed};
@@ -79,7 +79,11 @@ fn wrong_intrinsics_are_explained() {
     let out = at("o");
     for (words, code, expected) in [
         (format!("show {}", at("missing.yaml")), 1, "missing.yaml"),
-        (format!("show {}", at("no.yaml")), 1, "no camera file"),
+        (
+            format!("show {}", at("no.yaml")),
+            1,
+            "unknown camera file format",
+        ),
         (format!("show {}", at("k.yml")), 1, "--size 1280x720"),
         (format!("show {} --size 12,7", at("k.yml")), 2, "1280x720"),
         (
@@ -140,15 +144,15 @@ fn photograph(folder: &Path, count: u32) {
             0.07 * (0.5 + 0.5 * (7.0 * along).sin())
         };
         let placed = [
-            (Part::Body, 0.0),
-            (Part::FingerLeft, -0.5),
-            (Part::FingerRight, 0.5),
+            (Body::Gripper, 0.0),
+            (Body::FingerLeft, -0.5),
+            (Body::FingerRight, 0.5),
         ];
-        let placed = placed.map(|(part, by)| Placed {
+        let placed = placed.map(|(body, by)| PlacedBoard {
             board: &board.board,
-            part,
+            body,
             dictionary: &board.dictionary,
-            t_camera_part: t_camera_gripper * Pose::from_translation(DVec3::X * (by * opening)),
+            t_camera_body: t_camera_gripper * Pose::from_translation(DVec3::X * (by * opening)),
         });
         let image = render(
             &camera(),
@@ -192,7 +196,7 @@ fn tags_are_calibrated_from_a_folder() {
         .iter()
         .zip(&described.board.markers)
     {
-        assert_eq!((a.id, a.part), (b.id, b.part));
+        assert_eq!((a.id, a.body), (b.id, b.body));
         assert!(a.center_m().distance(b.center_m()) < 5e-4, "{}", a.id);
     }
 
