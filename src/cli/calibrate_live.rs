@@ -44,7 +44,7 @@ pub(super) fn collect(
     keep: Option<&Path>,
 ) -> Result<Taken> {
     let rig = RigFile::find(rig)?;
-    let sources = RigSources::of(&rig, &SystemRoot::default(), &mut VirtualSource::new(1))?;
+    let sources = RigSources::new(&rig, &SystemRoot::default(), &mut VirtualSource::new(1))?;
     let known: Vec<String> = rig.cameras.keys().map(|r| r.name().to_owned()).collect();
     let opener = sources.openers.into_iter().find(|o| o.role() == role);
     let opener = opener.ok_or_else(|| {
