@@ -290,13 +290,13 @@ fn system_errors_have_remedies() {
 fn probing_reports_access() {
     let (tree, nodes) = bench();
     let mut devices = scan(&root(&tree)).unwrap();
-    let refuse = |code| FakeCamera {
+    let failing = |code| FakeCamera {
         open_faults: [code].into(),
         ..FakeCamera::default()
     };
-    nodes.insert(tree.node(0), refuse(libc::EACCES));
-    nodes.insert(tree.node(2), refuse(libc::EBUSY));
-    nodes.insert(tree.node(4), refuse(libc::ENOENT));
+    nodes.insert(tree.node(0), failing(libc::EACCES));
+    nodes.insert(tree.node(2), failing(libc::EBUSY));
+    nodes.insert(tree.node(4), failing(libc::ENOENT));
     tree.hold(77, "obs", 8);
     for device in &mut devices {
         probe(device, &nodes, &root(&tree));

@@ -451,11 +451,11 @@ mod tests {
 
     #[test]
     fn expectations_are_checked() {
-        let refused = || answered(Answer::Refused("no contact".to_owned()));
+        let rejected = || answered(Answer::Refused("no contact".to_owned()));
         let mut good = runner("trigger\nexpect refused\ntrigger\nexpect saved");
         assert_eq!(command(good.next(0, &live())), "trigger");
         assert!(matches!(good.next(1, &live()), ScriptAction::Wait));
-        assert_eq!(command(good.next(2, &refused())), "trigger");
+        assert_eq!(command(good.next(2, &rejected())), "trigger");
         assert!(matches!(
             good.next(3, &answered(Answer::Saved)),
             ScriptAction::Done
@@ -463,7 +463,7 @@ mod tests {
 
         let mut bad = runner("trigger\nexpect saved");
         assert_eq!(command(bad.next(0, &live())), "trigger");
-        let text = failure(bad.next(1, &refused()));
+        let text = failure(bad.next(1, &rejected()));
         assert!(
             text.contains("demo.txt:2") && text.contains("no contact"),
             "{text}"
@@ -482,23 +482,23 @@ mod tests {
 
     #[test]
     fn rejection_ends_a_wait_and_a_strict_script() {
-        let refused = answered(Answer::Refused("stale frame".to_owned()));
+        let rejected = answered(Answer::Refused("stale frame".to_owned()));
         let mut waiting = runner("object mug\ntrigger\nwait saved");
         assert_eq!(command(waiting.next(0, &live())), "object mug");
         assert_eq!(command(waiting.next(0, &live())), "trigger");
         assert_eq!(
-            failure(waiting.next(1, &refused)),
+            failure(waiting.next(1, &rejected)),
             "demo.txt:2: `trigger`: the command was rejected: stale frame"
         );
 
         let mut strict = runner("stop-on-refusal\ntrigger\nsleep 1\nundo");
         assert_eq!(command(strict.next(0, &live())), "trigger");
-        assert!(failure(strict.next(1, &refused)).contains("demo.txt:2"));
+        assert!(failure(strict.next(1, &rejected)).contains("demo.txt:2"));
 
         let mut expecting = runner("stop-on-refusal\ntrigger\nexpect refused\nundo");
         assert_eq!(command(expecting.next(0, &live())), "trigger");
         assert!(matches!(expecting.next(1, &live()), ScriptAction::Wait));
-        assert_eq!(command(expecting.next(2, &refused)), "undo");
+        assert_eq!(command(expecting.next(2, &rejected)), "undo");
     }
 
     #[test]
